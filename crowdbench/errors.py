@@ -1,0 +1,55 @@
+"""The errors a user can cause.
+
+Each says where it happened, what was got, what was expected and how to mend it; the command
+line prints that message and exits with code 2.
+"""
+
+
+class CrowdbenchError(Exception):
+    """Base of every error that bad input or a bad setting causes."""
+
+    def __init__(self, where: object, *, got: str, expected: str, mend: str = "") -> None:
+        self.where = str(where)
+        self.got = got
+        self.expected = expected
+        self.mend = mend
+        message = f"{self.where}: got {got}; expected {expected}."
+        super().__init__(f"{message} {mend}".rstrip())
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Errors travel between worker processes, and keyword arguments do not pickle by default.
+        return _rebuild, (type(self), self.where, self.got, self.expected, self.mend)
+
+
+def _rebuild(
+    kind: type[CrowdbenchError], where: str, got: str, expected: str, mend: str
+) -> CrowdbenchError:
+    return kind(where, got=got, expected=expected, mend=mend)
+
+
+class RecordingError(CrowdbenchError):
+    """A recording or a table of trajectories that cannot be read or does not fit."""
+
+
+class SceneError(CrowdbenchError):
+    """A scene that is unknown or whose files are broken."""
+
+
+class WeightsError(CrowdbenchError):
+    """Fitted weights that are missing, broken, or belong to something else."""
+
+
+class OutputError(CrowdbenchError):
+    """A place that cannot be written to."""
+
+
+class SettingError(CrowdbenchError):
+    """A name, a number or an option that does not exist or is out of range."""
+
+
+class ActionError(CrowdbenchError):
+    """Actions that do not fit the agents that are there."""
+
+
+class CapacityError(CrowdbenchError):
+    """More persons than the environment has slots or ids for."""

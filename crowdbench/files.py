@@ -1,0 +1,103 @@
+"""Files that are either whole or absent, and strict readers of JSON and TOML."""
+
+import hashlib
+import os
+import tempfile
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import platformdirs
+
+from crowdbench.errors import CrowdbenchError, OutputError
+
+T = TypeVar("T")
+
+
+def home() -> Path:
+    """The user's folder of imported recordings: `CROWDBENCH_HOME` or the platform's own."""
+    named = os.environ.get("CROWDBENCH_HOME")
+    return Path(named) if named else Path(platformdirs.user_data_dir("crowdbench"))
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a temporary path beside `path`; rename it to `path` when the block succeeds.
+
+    Raises:
+        OutputError: the folder or the file cannot be written.
+    """
+    temporary: Path | None = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor, name = tempfile.mkstemp(
+            dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix
+        )
+        os.close(descriptor)
+        temporary = Path(name)
+        # mkstemp makes private files; a result is as readable as any other file of the user's.
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        yield temporary
+        temporary.replace(path)
+    except OSError as error:
+        raise OutputError(
+            path,
+            got=error.strerror or str(error),
+            expected="a place that can be written",
+            mend="Name another folder.",
+        ) from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write `text` (UTF-8) to `path`, whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(text.encode())
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write `value` as indented JSON: the same value gives the same bytes."""
+    encoded = msgspec.json.encode(value, order="deterministic")
+    write_text(path, msgspec.json.format(encoded, indent=1).decode() + "\n")
+
+
+def read_bytes(path: Path, error: type[CrowdbenchError], mend: str) -> bytes:
+    """The bytes of `path`; raises `error` where it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as cause:
+        got = "no such file" if isinstance(cause, FileNotFoundError) else str(cause.strerror)
+        raise error(path, got=got, expected="a readable file", mend=mend) from cause
+
+
+def read_struct(path: Path, kind: type[T], error: type[CrowdbenchError], mend: str) -> T:
+    """Read a JSON or TOML file strictly into `kind`: unknown, missing and mistyped fields raise.
+
+    Raises:
+        error: the file is missing, is no JSON or TOML, or does not have the fields of `kind`.
+    """
+    data = read_bytes(path, error, mend)
+    try:
+        raw = tomllib.loads(data.decode()) if path.suffix == ".toml" else msgspec.json.decode(data)
+    except (tomllib.TOMLDecodeError, msgspec.DecodeError, UnicodeDecodeError) as cause:
+        kind_of_file = path.suffix.lstrip(".").upper()
+        raise error(path, got=str(cause), expected=f"valid {kind_of_file}", mend=mend) from cause
+    try:
+        # TOML writes 1 for 1.0, and JSON has no tuples: the conversions of those two are wanted.
+        return msgspec.convert(raw, kind, strict=True)
+    except msgspec.ValidationError as cause:
+        raise error(
+            path, got=str(cause), expected="the fields that its format defines", mend=mend
+        ) from cause
+
+
+def sha256(data: bytes) -> str:
+    """Hexadecimal SHA-256 of `data`."""
+    return hashlib.sha256(data).hexdigest()

@@ -1,0 +1,42 @@
+"""A recording's figures at a glance."""
+
+import numpy as np
+
+from crowdbench.trajectories import Trajectories
+
+_PERCENTILES = (5, 50, 95, 99)
+
+
+def describe(crowd: Trajectories) -> dict[str, str]:
+    """Figures of a crowd by name, as text for a table."""
+    observed = np.diff(crowd.observed, axis=1)[:, 0]
+    inside = np.zeros(crowd.frames, dtype=bool)
+    for start, stop in crowd.observed:
+        inside[start:stop] = True
+    present = crowd.present()[inside]
+    begins_with = int((crowd.first == 0).sum())
+    dwell = (crowd.last - crowd.first)[crowd.entered & crowd.left] * crowd.dt_s
+    person = crowd.row_person()
+    steps = np.linalg.norm(np.diff(crowd.xy, axis=0), axis=1)[np.diff(person) == 0] / crowd.dt_s
+    return {
+        "persons": f"{len(crowd)}",
+        "rows": f"{len(crowd.xy)}",
+        "frames": f"{crowd.frames} of {crowd.dt_s:.4g} s",
+        "observed": f"{observed.sum() * crowd.dt_s:.1f} s in {len(observed)} intervals",
+        "total duration": f"{crowd.duration_s:.1f} s",
+        "present at start": f"{begins_with}",
+        "entered": f"{int(crowd.entered.sum())}"
+        f" ({int((~crowd.entered).sum())} were there when observation began)",
+        "censored": f"{int((~crowd.left).sum())} (there when observation ended)",
+        "agents at once": f"mean {present.mean():.2f}, max {present.max()}",
+        "dwell time": _percentiles(dwell, "s"),
+        "speed": _percentiles(steps, "m/s"),
+    }
+
+
+def _percentiles(values: np.ndarray, unit: str) -> str:
+    if len(values) == 0:
+        return "none"
+    numbers = np.percentile(values, _PERCENTILES)
+    parts = (f"p{p} {v:.2f}" for p, v in zip(_PERCENTILES, numbers, strict=True))
+    return f"{', '.join(parts)} {unit}"

@@ -1,0 +1,110 @@
+"""The `obsmat.txt` format of the ETH and UCY recordings.
+
+One row per person and annotated frame: video frame, person, x, z, y, vx, vz, vy, in metres and
+m/s with z pointing up (unused).
+"""
+
+import io
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from crowdbench.errors import RecordingError
+from crowdbench.recordings.gaps import observed_intervals
+from crowdbench.trajectories import Trajectories, from_rows
+
+_COLUMNS = 8
+_MEND = "Take the file from the address that `crowdbench data list` names."
+
+
+def read_obsmat(
+    data: bytes, *, name: str, fps: float, frame_step: int, where: object
+) -> Trajectories:
+    """Read the bytes of an `obsmat.txt` annotated every `frame_step` frames of an `fps` video.
+
+    Frames are put on the recording's grid by rounding down: the annotation's phase shifts at
+    some pauses, and rounding to nearest would put a person twice into one frame.
+
+    Raises:
+        RecordingError: the data are empty, broken off, not finite, or not annotated every
+            `frame_step` frames.
+    """
+    table = _parse(data, where)
+    video_frame = _whole(table[:, 0], "frame", where)
+    person = _whole(table[:, 1], "person", where)
+    _check_step(person, video_frame, frame_step, fps, where)
+    frame = (video_frame - video_frame.min()) // frame_step
+    dt_s = frame_step / fps
+    crowd = from_rows(
+        scene=name,
+        dt_s=dt_s,
+        person_id=person,
+        frame=frame,
+        xy=table[:, [2, 4]],
+        where=where,
+    )
+    return from_rows(
+        scene=name,
+        dt_s=dt_s,
+        person_id=person,
+        frame=frame,
+        xy=table[:, [2, 4]],
+        observed=observed_intervals(crowd),
+        where=where,
+    )
+
+
+def _parse(data: bytes, where: object) -> Float[np.ndarray, "R 8"]:
+    lines = [line for line in io.StringIO(data.decode("utf-8", "replace")) if line.strip()]
+    if not lines:
+        raise RecordingError(where, got="an empty file", expected="rows of numbers", mend=_MEND)
+    for number, line in enumerate(lines, start=1):
+        if len(line.split()) != _COLUMNS:
+            raise RecordingError(
+                where,
+                got=f"{len(line.split())} columns in row {number}",
+                expected=f"{_COLUMNS} (frame, person, x, z, y, vx, vz, vy)",
+                mend=f"The file may be broken off or in another format. {_MEND}",
+            )
+    try:
+        table = np.loadtxt(lines, ndmin=2)
+    except ValueError as error:
+        raise RecordingError(
+            where, got=str(error), expected="numbers in each row", mend=_MEND
+        ) from error
+    return table
+
+
+def _whole(values: Float[np.ndarray, " R"], column: str, where: object) -> Int[np.ndarray, " R"]:
+    whole = np.isfinite(values) & (values == np.floor(values))
+    if not whole.all():
+        row = int(np.flatnonzero(~whole)[0])
+        raise RecordingError(
+            where, got=f"{column} {values[row]} in row {row + 1}", expected="a whole number",
+            mend=_MEND,
+        )  # fmt: skip
+    return values.astype(np.int64)
+
+
+def _check_step(
+    person: Int[np.ndarray, " R"],
+    video_frame: Int[np.ndarray, " R"],
+    frame_step: int,
+    fps: float,
+    where: object,
+) -> None:
+    """The interval is looked at within persons: between them the recording may pause."""
+    order = np.lexsort((video_frame, person))
+    steps = np.diff(video_frame[order])[np.diff(person[order]) == 0]
+    wrong = steps[steps != frame_step]
+    if len(wrong) == 0:
+        return
+    values, counts = np.unique(steps, return_counts=True)
+    raise RecordingError(
+        where,
+        got=f"positions every {values[counts.argmax()]} frames, and {len(wrong)} of {len(steps)} "
+        f"steps that are not {frame_step} frames",
+        expected=f"each person every {frame_step} frames ({frame_step / fps:g} s at {fps:g} fps)",
+        mend="Copies of this recording with another interval exist; their speeds are wrong by "
+        f"that factor. {_MEND}",
+    )

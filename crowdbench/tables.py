@@ -1,0 +1,207 @@
+"""`Trajectories` as Parquet and CSV files.
+
+A file holds one flat table, a row per person and frame, the persons' columns repeated in each of
+their rows: any tool reads it without a join, and Parquet's run lengths make the repetition free.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from crowdbench.errors import RecordingError
+from crowdbench.files import read_bytes, replacing
+from crowdbench.trajectories import PERSON_COLUMNS, Trajectories, from_rows
+
+if TYPE_CHECKING:
+    import pyarrow
+
+SCHEMA = 1
+_KEY = b"crowdbench"
+_MEND = "Name a file written by crowdbench, or a table with person_id, frame (or time_s), x, y."
+
+
+class _Metadata(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    schema: int
+    scene: str
+    dt_s: float
+    grid_s: float
+    frames: int
+    observed: list[tuple[int, int]]
+    provenance: dict[str, Any]
+
+
+def write_parquet(trajectories: Trajectories, path: Path) -> None:
+    """Write the table to `path`, whole or not at all; equal tables give equal bytes.
+
+    Raises:
+        OutputError: the place cannot be written.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    t = trajectories
+    per_row = np.diff(t.offsets)
+    columns: dict[str, np.ndarray] = {
+        "person_id": np.repeat(t.person_id, per_row).astype(np.int64),
+        "frame": t.row_frame().astype(np.int32),
+        "x": t.xy[:, 0],
+        "y": t.xy[:, 1],
+    }
+    for name in PERSON_COLUMNS:
+        columns[name] = np.repeat(getattr(t, name), per_row)
+    metadata = _Metadata(
+        schema=SCHEMA,
+        scene=t.scene,
+        dt_s=t.dt_s,
+        grid_s=t.grid_s,
+        frames=t.frames,
+        observed=[(int(a), int(b)) for a, b in t.observed],
+        provenance=dict(t.provenance),
+    )
+    table = pa.table(columns).replace_schema_metadata(
+        {_KEY: msgspec.json.encode(metadata, order="deterministic")}
+    )
+    with replacing(path) as temporary:
+        parquet.write_table(table, temporary, compression="zstd")
+
+
+def read(path: Path, *, scene: str, dt_s: float, frames: int | None = None) -> Trajectories:
+    """Read a Parquet or CSV table of trajectories, crowdbench's own or another simulator's.
+
+    Needs the columns `person_id`, `x`, `y` (metres) and `frame` or `time_s` (seconds, on the
+    frames of the scene); takes those of `PERSON_COLUMNS` where they are there. A file that
+    crowdbench wrote brings its own scene, `dt_s` and length, which must be those asked for.
+
+    Raises:
+        RecordingError: the file is missing, is no table, lacks a column, holds values that
+            are not finite, or belongs to another scene or time step.
+    """
+    table = _read_table(path)
+    metadata = _own_metadata(path, table)
+    columns = {name: _numbers(path, table, name) for name in table.column_names}
+    for name in ("person_id", "x", "y"):
+        if name not in columns:
+            raise _missing(path, name, table)
+    if "frame" not in columns and "time_s" not in columns:
+        raise _missing(path, "frame (or time_s)", table)
+    person_id = _integers(path, "person_id", columns["person_id"])
+    frame = _integers(path, "frame", columns["frame"]) if "frame" in columns else None
+    if frame is None:
+        ticks = columns["time_s"] / dt_s
+        if not (np.abs(ticks - np.round(ticks)) < 0.05).all():
+            raise RecordingError(
+                path,
+                got="times that do not stand on the scene's frames",
+                expected=f"time_s in multiples of {dt_s:g} s",
+                mend="Resample the trajectories to the scene's time step.",
+            )
+        frame = np.round(ticks).astype(np.int64)
+    if metadata is not None:
+        for name, got, expected in (
+            ("scene", metadata.scene, scene),
+            ("time step", metadata.dt_s, dt_s),
+        ):
+            if got != expected:
+                raise RecordingError(
+                    path, got=f"{name} {got}", expected=f"{name} {expected}", mend=_MEND
+                )
+    return from_rows(
+        scene=scene,
+        dt_s=dt_s,
+        grid_s=metadata.grid_s if metadata else None,
+        frames=metadata.frames if metadata else frames,
+        observed=np.array(metadata.observed) if metadata else None,
+        person_id=person_id,
+        frame=frame,
+        xy=np.stack([columns["x"], columns["y"]], axis=1),
+        persons=columns,
+        provenance=metadata.provenance if metadata else {"file": path.name},
+        where=path,
+    )
+
+
+def read_own(path: Path) -> Trajectories:
+    """Read a Parquet file that crowdbench wrote, whatever its scene.
+
+    Raises:
+        RecordingError: the file is missing, broken, or was written by something else.
+    """
+    metadata = _own_metadata(path, _read_table(path))
+    if metadata is None:
+        raise RecordingError(
+            path, got="a table without crowdbench's metadata", expected="a file of crowdbench's"
+        )
+    return read(path, scene=metadata.scene, dt_s=metadata.dt_s)
+
+
+def _read_table(path: Path) -> "pyarrow.Table":
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    data = pa.BufferReader(read_bytes(path, RecordingError, _MEND))
+    readers = {".parquet": parquet.read_table, ".csv": csv.read_csv}
+    if path.suffix not in readers:
+        raise RecordingError(
+            path, got=f"a {path.suffix or 'nameless'} file", expected=".parquet or .csv", mend=_MEND
+        )
+    try:
+        return readers[path.suffix](data)
+    except (pa.ArrowException, OSError) as error:
+        raise RecordingError(
+            path, got=str(error).splitlines()[0], expected="a readable table", mend=_MEND
+        ) from error
+
+
+def _own_metadata(path: Path, table: "pyarrow.Table") -> _Metadata | None:
+    raw = (table.schema.metadata or {}).get(_KEY)
+    if raw is None:
+        return None
+    try:
+        metadata = msgspec.json.decode(raw, type=_Metadata)
+    except msgspec.DecodeError as error:
+        raise RecordingError(
+            path, got=f"metadata that do not fit: {error}", expected="crowdbench's metadata"
+        ) from error
+    if metadata.schema != SCHEMA:
+        raise RecordingError(
+            path,
+            got=f"schema version {metadata.schema}",
+            expected=f"schema version {SCHEMA}",
+            mend="Read it with the crowdbench version that wrote it.",
+        )
+    return metadata
+
+
+def _numbers(path: Path, table: "pyarrow.Table", name: str) -> np.ndarray:
+    values = table.column(name)
+    if values.null_count:
+        raise RecordingError(
+            path,
+            got=f"{values.null_count} empty values in column {name}",
+            expected="a value in each row",
+            mend="Remove these rows or repair them at the source.",
+        )
+    column: np.ndarray = values.to_numpy()
+    if column.dtype == object and name in {"person_id", "frame", "time_s", "x", "y"}:
+        raise RecordingError(
+            path, got=f"text in column {name}", expected="numbers in each row", mend=_MEND
+        )
+    return column
+
+
+def _integers(path: Path, name: str, values: np.ndarray) -> np.ndarray:
+    whole = np.isfinite(values) & (values == np.floor(values))
+    if not whole.all():
+        bad = values[~whole][0]
+        raise RecordingError(
+            path, got=f"{name} {bad}", expected=f"whole numbers in column {name}", mend=_MEND
+        )
+    return values.astype(np.int64)
+
+
+def _missing(path: Path, name: str, table: "pyarrow.Table") -> RecordingError:
+    return RecordingError(
+        path, got=f"columns {', '.join(table.column_names)}", expected=f"a column {name}", mend=_MEND
+    )
