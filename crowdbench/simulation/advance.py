@@ -1,0 +1,150 @@
+"""The kernel of a step: move, end lives, let people in."""
+
+import math
+
+from numba import njit, prange
+
+from crowdbench.simulation.rules import command, distance_to_segment, walk
+from crowdbench.simulation.state import (
+    DROPPED,
+    ENTERED,
+    EXIT,
+    GOAL,
+    HORIZON,
+    PENDING,
+    RECORDED,
+    TIMEOUT,
+)
+from crowdbench.simulation.walls import CELL_M, cell_of
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def advance(actions, slots, queue, clock, limits, walls):
+    """One step of every world, as `Simulation` describes it; `actions` is (W, N, 2)."""
+    # Arrays are unpacked once: reaching into a bundle for each person costs more than its walk.
+    alive, ended, spawned, hit_wall = slots.alive, slots.ended, slots.spawned, slots.hit_wall
+    position, velocity, goal = slots.position, slots.velocity, slots.goal
+    born, leave, scripted = slots.born, slots.leave, slots.scripted
+    segments, near, near_start = walls.segments, walls.step_segment, walls.step_start
+    grid = (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows)
+    dt, max_speed = limits.dt, limits.max_speed
+    for w in prange(alive.shape[0]):
+        clock.frame[w] += 1
+        frame, horizon = clock.frame[w], clock.horizon[w]
+        for i in range(alive.shape[1]):
+            ended[w, i] = 0
+            spawned[w, i] = False
+            hit_wall[w, i] = False
+            if alive[w, i]:
+                x, y = float(position[w, i, 0]), float(position[w, i, 1])
+                vx, vy = command(float(actions[w, i, 0]), float(actions[w, i, 1]), max_speed)
+                cell = cell_of(x, y, grid)
+                to_x, to_y, hit = walk(
+                    x, y, vx * dt, vy * dt, segments, near, near_start[cell], near_start[cell + 1]
+                )
+                position[w, i, 0] = to_x
+                position[w, i, 1] = to_y
+                velocity[w, i, 0] = (to_x - x) / dt
+                velocity[w, i, 1] = (to_y - y) / dt
+                hit_wall[w, i] = hit
+                to_goal = distance_to_segment(
+                    float(goal[w, i, 0]), float(goal[w, i, 1]), x, y, to_x, to_y
+                )
+                how = outcome(
+                    to_goal, to_x, to_y, frame, born[w, i], leave[w, i], scripted[w, i], horizon,
+                    limits,
+                )  # fmt: skip
+                ended[w, i] = how
+                alive[w, i] = how == 0
+        _let_in(w, slots, queue, clock, limits)
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def populate(slots, queue, clock, limits):
+    """Let in who is due in the first frame."""
+    for w in prange(slots.alive.shape[0]):
+        _let_in(w, slots, queue, clock, limits)
+
+
+@njit(cache=True, error_model="numpy")
+def outcome(to_goal, x, y, frame, born, leave, scripted, horizon, limits):
+    """How a life ends in this frame, 0 if it goes on; the first rule that applies.
+
+    `to_goal` is the distance of the way walked in this step from the goal: a test of the
+    position alone would let fast walkers step over it.
+    """
+    if not scripted:
+        if to_goal <= limits.goal_radius:
+            return GOAL
+        if not (limits.x_min < x < limits.x_max and limits.y_min < y < limits.y_max):
+            return EXIT
+        if frame - born >= limits.timeout:
+            return TIMEOUT
+    if 0 <= leave <= frame:
+        return RECORDED
+    if frame >= horizon:
+        return HORIZON
+    return 0
+
+
+@njit(cache=True, error_model="numpy")
+def _let_in(w, slots, queue, clock, limits):
+    frame = clock.frame[w]
+    if frame >= clock.horizon[w]:
+        return
+    free = 0  # no slot below this one is free
+    e = clock.cursor[w]
+    while e < queue.due.shape[1] and queue.due[w, e] <= frame:
+        if queue.status[w, e] == PENDING:
+            patient = queue.waits[w, e] and frame - queue.due[w, e] < limits.patience
+            if not (patient and _blocked(w, e, slots, queue, frame, limits.clearance)):
+                while free < slots.alive.shape[1] and (
+                    slots.alive[w, free] or slots.ended[w, free] != 0
+                ):
+                    free += 1
+                if clock.ids[w] >= limits.max_persons:
+                    clock.no_id[w] += 1
+                    queue.status[w, e] = DROPPED
+                elif free >= slots.alive.shape[1]:
+                    clock.no_slot[w] += 1
+                    queue.status[w, e] = DROPPED
+                else:
+                    _enter(w, free, e, slots, queue, clock)
+        e += 1
+    while (
+        clock.cursor[w] < queue.due.shape[1]
+        and queue.due[w, clock.cursor[w]] <= frame
+        and queue.status[w, clock.cursor[w]] != PENDING
+    ):
+        clock.cursor[w] += 1
+
+
+@njit(cache=True, error_model="numpy")
+def _blocked(w, e, slots, queue, frame, clearance):
+    """Whether someone who was there before this frame stands in the way of event e."""
+    for i in range(slots.alive.shape[1]):
+        if slots.alive[w, i] and slots.born[w, i] < frame:
+            dx = float(slots.position[w, i, 0]) - queue.start[w, e, 0]
+            dy = float(slots.position[w, i, 1]) - queue.start[w, e, 1]
+            if math.hypot(dx, dy) < clearance:
+                return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _enter(w, i, e, slots, queue, clock):
+    queue.status[w, e] = ENTERED
+    slots.alive[w, i] = True
+    slots.ended[w, i] = 0
+    slots.spawned[w, i] = True
+    for k in range(2):
+        slots.position[w, i, k] = queue.start[w, e, k]
+        slots.velocity[w, i, k] = queue.velocity[w, e, k]
+        slots.goal[w, i, k] = queue.goal[w, e, k]
+    slots.speed[w, i] = queue.speed[w, e]
+    slots.person[w, i] = clock.ids[w]
+    slots.event[w, i] = e
+    slots.born[w, i] = clock.frame[w]
+    slots.leave[w, i] = queue.leave[w, e]
+    slots.scripted[w, i] = queue.scripted[w, e]
+    clock.ids[w] += 1

@@ -1,0 +1,79 @@
+"""The rules of one agent, each a plain scalar function: what a step does to a single person.
+
+Written without arrays of agents, so that the same source can be compiled for other devices.
+"""
+
+import math
+
+from numba import njit
+
+CLEARANCE_M = 1e-3  # how far from a wall a stopped person stands: far above float32's rounding
+
+
+@njit(cache=True, error_model="numpy")
+def command(action_x, action_y, max_speed):
+    """Velocity in m/s that an action commands: clipped to [−1, 1]² and then to `max_speed`."""
+    x = min(1.0, max(-1.0, action_x))
+    y = min(1.0, max(-1.0, action_y))
+    length = math.sqrt(x * x + y * y)
+    scale = max_speed / max(1.0, length)
+    return x * scale, y * scale
+
+
+@njit(cache=True, error_model="numpy")
+def distance_to_segment(px, py, ax, ay, bx, by):
+    """Distance from the point p to the segment from a to b, metres."""
+    dx, dy = bx - ax, by - ay
+    squared = dx * dx + dy * dy
+    t = 0.0
+    if squared > 0.0:
+        t = ((px - ax) * dx + (py - ay) * dy) / squared
+        t = min(1.0, max(0.0, t))
+    return math.sqrt((px - ax - t * dx) ** 2 + (py - ay - t * dy) ** 2)
+
+
+@njit(cache=True, error_model="numpy")
+def crossing(px, py, dx, dy, ax, ay, bx, by):
+    """Fraction of the move d from p at which it meets the segment a–b; 2 if it does not."""
+    ex, ey = bx - ax, by - ay
+    cross = dx * ey - dy * ex
+    if cross == 0.0:
+        return 2.0
+    along_move = ((ax - px) * ey - (ay - py) * ex) / cross
+    along_wall = ((ax - px) * dy - (ay - py) * dx) / cross
+    if 0.0 <= along_move <= 1.0 and 0.0 <= along_wall <= 1.0:
+        return along_move
+    return 2.0
+
+
+@njit(cache=True, error_model="numpy")
+def walk(px, py, dx, dy, segments, near, start, stop):
+    """Move p by d among walls: stop before the first wall met, slide along it with the rest.
+
+    `near[start:stop]` are the indices of the segments (x0, y0, x1, y1) that may be met. Returns
+    the new position and whether a wall was hit. Never crosses a segment.
+    """
+    hit = False
+    for _ in range(3):  # a wall, the next wall of a corner, and no third
+        first, wall = 2.0, -1
+        for k in range(start, stop):
+            s = near[k]
+            t = crossing(
+                px, py, dx, dy, segments[s, 0], segments[s, 1], segments[s, 2], segments[s, 3]
+            )
+            if t < first:
+                first, wall = t, s
+        if wall < 0:
+            return px + dx, py + dy, hit
+        hit = True
+        ex = segments[wall, 2] - segments[wall, 0]
+        ey = segments[wall, 3] - segments[wall, 1]
+        length = math.sqrt(ex * ex + ey * ey)
+        ex, ey = ex / length, ey / length
+        into_wall = abs(dx * ey - dy * ex)
+        # Back off along the way that came, so that no other wall can be in between.
+        t = max(0.0, first - CLEARANCE_M / into_wall)
+        px, py = px + t * dx, py + t * dy
+        along = (1.0 - first) * (dx * ex + dy * ey)
+        dx, dy = along * ex, along * ey
+    return px, py, hit

@@ -1,0 +1,209 @@
+"""`Simulation`: the object around the kernels."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from crowdbench.errors import ActionError, SettingError
+from crowdbench.scene import Scene
+from crowdbench.simulation.advance import advance, populate
+from crowdbench.simulation.lidar import OBSERVATION_HEAD, Cells, observe
+from crowdbench.simulation.state import Clock, Limits, Queue, Slots
+from crowdbench.simulation.walls import wall_table
+from crowdbench.spawn.events import SpawnEvents
+
+if TYPE_CHECKING:
+    from numba.core.dispatcher import Dispatcher
+
+TIMEOUT_DWELLS = 2.0
+"""A life is cut off at this many times the 99th percentile of the recorded dwell times."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Sizes of a simulation and of what persons see."""
+
+    max_alive: int = 256
+    """N: persons there at once, per world."""
+    max_persons: int = 1_000_000
+    """Persons ever, per world and episode."""
+    rays: int = 32
+    ray_range_m: float = 10.0
+
+    def __post_init__(self) -> None:
+        for name in ("max_alive", "max_persons", "rays"):
+            if getattr(self, name) < 1:
+                raise SettingError(name, got=str(getattr(self, name)), expected="1 or more")
+        if not (np.isfinite(self.ray_range_m) and self.ray_range_m > 0):
+            raise SettingError(
+                "ray_range_m", got=str(self.ray_range_m), expected="a positive number of metres"
+            )
+
+
+class Simulation:
+    """`W` worlds of one scene, `N` slots each, all stepped together.
+
+    After `reset` and after each `step` the arrays in `slots` and `observation` say who is
+    there. A step does, in this order:
+
+    1. free the slots of those whose life ended in the step before;
+    2. move everyone by the commanded velocity (clipped to [−1, 1]² and to `max_speed`), stopping
+       at walls and sliding along them; a frame goes by;
+    3. end lives: `goal` where the way walked came within the goal radius, else `exit` outside
+       the bounds, else `timeout`; people cut off in the recording leave at its last frame;
+       at the horizon everyone does;
+    4. let in who is due: a person waits for someone already there and too close, never for
+       people who enter in the same frame; nobody enters at the horizon;
+    5. observe.
+    """
+
+    def __init__(self, scene: Scene, *, worlds: int = 1, settings: Settings | None = None) -> None:
+        self.scene = scene
+        self.settings = settings or Settings()
+        self.worlds = worlds
+        motion, bounds, s = scene.motion, scene.bounds, self.settings
+        step_m = motion.max_speed_mps * scene.dt_s
+        lower = np.array([bounds.x_min_m, bounds.y_min_m]) - step_m
+        upper = np.array([bounds.x_max_m, bounds.y_max_m]) + step_m
+        self._walls = wall_table(
+            scene.wall_segments,
+            lower=tuple(lower),
+            upper=tuple(upper),
+            rays=s.rays,
+            ray_range_m=s.ray_range_m,
+            step_m=step_m,
+        )
+        self._cells = Cells.between(worlds, s.max_alive, lower, upper, s.ray_range_m / 2)
+        timeout_s = TIMEOUT_DWELLS * scene.recording.dwell_p99_s
+        self._limits = Limits(
+            dt=scene.dt_s,
+            max_speed=motion.max_speed_mps,
+            goal_radius=motion.goal_radius_m,
+            clearance=scene.spawning.clearance_m,
+            patience=scene.frames(scene.spawning.patience_s),
+            timeout=scene.frames(timeout_s),
+            max_persons=s.max_persons,
+            x_min=bounds.x_min_m,
+            x_max=bounds.x_max_m,
+            y_min=bounds.y_min_m,
+            y_max=bounds.y_max_m,
+        )
+        self.observation: Float32[np.ndarray, "W N obs"] = np.zeros(
+            (worlds, s.max_alive, OBSERVATION_HEAD + s.rays), np.float32
+        )
+        self.slots = Slots.empty(worlds, s.max_alive)
+        self.clock = Clock.at(worlds, 0, 0)
+        self.events: list[SpawnEvents] = []
+        self._queue = Queue.of([_nobody()] * worlds, scene.dt_s)
+        self._advance: Callable[..., None] | None = None
+        self._observe: Callable[..., None] | None = None
+
+    def reset(
+        self, events: Sequence[SpawnEvents], *, horizon: int, first_frame: int = 0
+    ) -> None:
+        """Begin an episode with one sequence of events per world.
+
+        The clock starts at `first_frame` (negative for a warm-up) and the episode ends at frame
+        `horizon`.
+        """
+        self.events = list(events)
+        self._queue = Queue.of(self.events, self.scene.dt_s)
+        self.slots = Slots.empty(self.worlds, self.settings.max_alive)
+        self.clock = Clock.at(self.worlds, first_frame, horizon)
+        populate(self.slots, self._queue, self.clock, self._limits)
+
+    def step(self, actions: Float32[np.ndarray, "W N 2"]) -> None:
+        """Advance every world by one frame, without observing.
+
+        Raises:
+            ActionError: actions of another shape.
+        """
+        # The compiled kernel trusts its arguments' types, so they are made sure of here.
+        actions = np.ascontiguousarray(actions, dtype=np.float32)
+        if actions.shape != self.slots.position.shape:
+            raise ActionError(
+                "Simulation.step",
+                got=f"actions of shape {actions.shape}",
+                expected=f"one velocity command per world and slot, {self.slots.position.shape}",
+            )
+        arguments = (actions, self.slots, self._queue, self.clock, self._limits, self._walls)
+        if self._advance is None:
+            self._advance = _compiled(advance, arguments)
+        self._advance(*arguments)
+
+    def observe(self) -> Float32[np.ndarray, "W N obs"]:
+        """Fill `observation` for everyone alive or just ended, and return it."""
+        arguments = (
+            self.slots,
+            self._cells,
+            self._walls,
+            self._limits.max_speed,
+            self.scene.motion.person_radius_m,
+            self.settings.ray_range_m,
+            self.observation,
+        )
+        if self._observe is None:
+            self._observe = _compiled(observe, arguments)
+        self._observe(*arguments)
+        return self.observation
+
+    def number_anew(self) -> None:
+        """Give those present the ids from 0 on, and count from zero: the end of a warm-up."""
+        slots, clock = self.slots, self.clock
+        for w in range(self.worlds):
+            present = np.flatnonzero(slots.alive[w])
+            present = present[np.argsort(slots.person[w, present])]
+            slots.person[w, present] = np.arange(len(present))
+            clock.ids[w] = len(present)
+        slots.spawned[:] = False
+        slots.ended[:] = 0
+        clock.no_slot[:] = 0
+        clock.no_id[:] = 0
+
+    def next_due(self, world: int = 0) -> int | None:
+        """Frame of the first event that is still to come, None if there is none."""
+        at = int(self.clock.cursor[world])
+        if at >= len(self.events[world]):
+            return None
+        return int(self._queue.due[world, at])
+
+    def skip_to(self, frame: int) -> None:
+        """Advance empty worlds to the frame before `frame` at once: nothing happens in them."""
+        np.maximum(self.clock.frame, frame - 1, out=self.clock.frame)
+
+    def due_frame(self) -> Bool[np.ndarray, "W E"]:
+        """Frame at which each event is due, (W, E)."""
+        return self._queue.due
+
+
+def _compiled(kernel: "Dispatcher", arguments: tuple[object, ...]) -> Callable[..., None]:
+    """The machine code of `kernel` for arguments of these types.
+
+    Calling it directly spares numba's look-up of the types at each call, which for these bundles
+    of arrays takes as long as stepping ten people.
+    """
+    signature = tuple(numba.typeof(argument) for argument in arguments)
+    kernel.compile(signature)
+    code: Callable[..., None] = kernel.overloads[signature].entry_point
+    return code
+
+
+def _nobody() -> SpawnEvents:
+    none = np.empty(0)
+    pairs = np.empty((0, 2), np.float32)
+    return SpawnEvents(
+        time_s=none,
+        start=pairs,
+        goal=pairs,
+        spawn_area=none.astype(np.int32),
+        goal_area=none.astype(np.int32),
+        speed=none.astype(np.float32),
+        velocity=pairs,
+        entered=none.astype(bool),
+        leave_frame=none.astype(np.int64),
+        scripted=none.astype(bool),
+    )

@@ -1,0 +1,151 @@
+"""Look-up tables of a scene's walls: which a ray can meet, and which a step can.
+
+Ray directions are fixed in the world frame, so for each cell of a grid and each direction the
+few segments that can be the nearest one hit are known beforehand. The distances themselves are
+exact: the table narrows the search, it does not round.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numba import njit
+
+CELL_M = 0.5
+
+
+class WallTable(NamedTuple):
+    """Segments, and candidate lists in compressed rows; `C` cells, `R` rays, `S` segments."""
+
+    segments: np.ndarray
+    """(S, 4) float64: x0, y0, x1, y1 in metres."""
+    origin: np.ndarray
+    """(2,) float64: lower left corner of the grid."""
+    columns: int
+    rows: int
+    cos: np.ndarray
+    """(R,) float64: direction of each ray, and its sine."""
+    sin: np.ndarray
+    lines: np.ndarray
+    """(R, S, 4) float64: in the frame of ray r (u along it, v across it) segment s is
+    u = lines[0] + lines[1]·v for lines[2] ≤ v ≤ lines[3]."""
+    ray_start: np.ndarray
+    """(C + 1,) int32: the rows of `meeting` that belong to cell c are `start[c]:start[c + 1]`."""
+    meeting: np.ndarray
+    """(M, 2) int32: a ray, and a segment that it can meet first."""
+    step_start: np.ndarray
+    """(C + 1,) int32: segments that a step from cell c can meet, likewise."""
+    step_segment: np.ndarray
+
+
+def wall_table(
+    segments: Float[np.ndarray, "S 4"],
+    *,
+    lower: tuple[float, float],
+    upper: tuple[float, float],
+    rays: int,
+    ray_range_m: float,
+    step_m: float,
+) -> WallTable:
+    """Build the tables for positions in the rectangle and steps of at most `step_m`."""
+    columns = max(1, math.ceil((upper[0] - lower[0]) / CELL_M))
+    rows = max(1, math.ceil((upper[1] - lower[1]) / CELL_M))
+    origin = np.array(lower, dtype=np.float64)
+    angle = 2 * np.pi * np.arange(rays) / rays
+    cos, sin = np.cos(angle), np.sin(angle)
+    lines = np.empty((rays, len(segments), 4))
+    for r in range(rays):
+        u = segments[:, [0, 2]] * cos[r] + segments[:, [1, 3]] * sin[r]
+        v = segments[:, [1, 3]] * cos[r] - segments[:, [0, 2]] * sin[r]
+        across = v[:, 1] - v[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = (u[:, 1] - u[:, 0]) / across
+        lines[r] = np.stack([u[:, 0] - slope * v[:, 0], slope, v.min(axis=1), v.max(axis=1)], 1)
+        lines[r, across == 0] = [0.0, 0.0, np.inf, -np.inf]  # edge-on: never hit
+    size = columns * rows
+    none = np.empty((0, 2), dtype=np.int32)
+    counts = np.zeros(size, dtype=np.int32)
+    _meetings(origin, columns, rows, cos, sin, lines, ray_range_m, counts, none)
+    ray_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+    meeting = np.empty((ray_start[-1], 2), dtype=np.int32)
+    first = ray_start[:-1].copy()
+    _meetings(origin, columns, rows, cos, sin, lines, ray_range_m, first, meeting)
+    step_start, step_segment = _step_candidates(segments, origin, columns, rows, step_m)
+    return WallTable(
+        segments, origin, columns, rows, cos, sin, lines, ray_start, meeting, step_start,
+        step_segment,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def cell_of(x, y, grid):
+    """Index of a position's cell; `grid` is (x, y of the corner, cell size, columns, rows).
+
+    Positions outside the grid count to its border.
+    """
+    column = min(grid[3] - 1, max(0, int((x - grid[0]) / grid[2])))
+    row = min(grid[4] - 1, max(0, int((y - grid[1]) / grid[2])))
+    return row * grid[3] + column
+
+
+@njit(cache=True, error_model="numpy")
+def _meetings(origin, columns, rows, cosine, sine, lines, ray_range_m, place, out):
+    """Count the meetings of each cell into `place`, or write them into `out` from there on."""
+    rays, size = lines.shape[0], lines.shape[1]
+    nearest = np.empty(size)
+    farthest = np.empty(size)
+    for c in range(columns * rows):
+        x0 = origin[0] + (c % columns) * CELL_M
+        y0 = origin[1] + (c // columns) * CELL_M
+        for r in range(rays):
+            cos, sin = cosine[r], sine[r]
+            # The cell's extent along (u) and across (v) the ray.
+            u0 = x0 * cos + y0 * sin + CELL_M * (min(cos, 0.0) + min(sin, 0.0))
+            u1 = x0 * cos + y0 * sin + CELL_M * (max(cos, 0.0) + max(sin, 0.0))
+            v0 = y0 * cos - x0 * sin + CELL_M * (min(cos, 0.0) + min(-sin, 0.0))
+            v1 = y0 * cos - x0 * sin + CELL_M * (max(cos, 0.0) + max(-sin, 0.0))
+            blocked = np.inf  # beyond this u a wall that spans the whole strip hides the rest
+            for s in range(size):
+                lo, hi = max(v0, lines[r, s, 2]), min(v1, lines[r, s, 3])
+                nearest[s] = np.inf
+                if lo > hi:
+                    continue
+                at_lo = lines[r, s, 0] + lines[r, s, 1] * lo
+                at_hi = lines[r, s, 0] + lines[r, s, 1] * hi
+                farthest[s] = max(at_lo, at_hi)
+                if farthest[s] < u0 - 1e-9:
+                    continue
+                nearest[s] = min(at_lo, at_hi)
+                if lines[r, s, 2] <= v0 and lines[r, s, 3] >= v1 and nearest[s] >= u1:
+                    blocked = min(blocked, farthest[s])
+            for s in range(size):
+                if nearest[s] <= blocked + 1e-9 and nearest[s] - u1 <= ray_range_m:
+                    if len(out):
+                        out[place[c], 0] = r
+                        out[place[c], 1] = s
+                    place[c] += 1
+
+
+def _step_candidates(
+    segments: Float[np.ndarray, "S 4"],
+    origin: Float[np.ndarray, " 2"],
+    columns: int,
+    rows: int,
+    step_m: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    import shapely
+
+    x = origin[0] + (np.arange(columns) + 0.5) * CELL_M
+    y = origin[1] + (np.arange(rows) + 0.5) * CELL_M
+    centre = shapely.points(*(a.ravel() for a in np.meshgrid(x, y)))
+    reach = step_m + CELL_M  # more than a step and half the cell's diagonal
+    near: list[np.ndarray] = []
+    lines = shapely.linestrings(segments.reshape(-1, 2, 2)) if len(segments) else []
+    distance = np.array([shapely.distance(centre, line) for line in lines]).reshape(
+        len(segments), -1
+    )
+    near = [np.flatnonzero(column <= reach) for column in distance.T]
+    start = np.concatenate([[0], np.cumsum([len(k) for k in near])]).astype(np.int32)
+    flat = np.concatenate(near) if near else np.empty(0)
+    return start, flat.astype(np.int32)

@@ -1,0 +1,288 @@
+"""Where people enter and whither they walk: Gaussian areas and the way from one to another.
+
+The areas are the scene's: every spawn model of a scene shares them. Source: the ICRA 2025 paper
+"Whenever, Wherever", Sec. III-A, with its DBSCAN; what is done with noise is ours.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.random import Generator
+
+from crowdbench.errors import SceneError, WeightsError
+from crowdbench.files import read_struct, write_json
+from crowdbench.scene import Clustering, Scene
+from crowdbench.spawn.events import SpawnEvents, entering
+from crowdbench.trajectories import Trajectories
+
+SCHEMA = 1
+_FLOOR_M = 0.1  # the least standard deviation of an area: people are not points
+_DRAWS = 1000
+_QUANTILES = 101
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """`K` Gaussian areas."""
+
+    mean: Float[np.ndarray, "K 2"]
+    """Centres, metres."""
+    covariance: Float[np.ndarray, "K 2 2"]
+    """Square metres."""
+
+    def __len__(self) -> int:
+        return len(self.mean)
+
+    def draw(
+        self, area: Int[np.ndarray, " n"], scene: Scene, rng: Generator
+    ) -> Float[np.ndarray, "n 2"]:
+        """One walkable point per area index: a draw outside the bounds or in a wall is redrawn.
+
+        Raises:
+            SceneError: an area has (almost) no walkable point.
+        """
+        root = np.linalg.cholesky(self.covariance)
+        points = np.empty((len(area), 2))
+        open_ = np.arange(len(area))
+        for _ in range(_DRAWS):
+            noise = rng.standard_normal((len(open_), 2))
+            points[open_] = self.mean[area[open_]] + np.einsum(
+                "nij,nj->ni", root[area[open_]], noise
+            )
+            open_ = open_[~scene.walkable(points[open_])]
+            if len(open_) == 0:
+                return points
+        k = int(area[open_[0]])
+        raise SceneError(
+            scene.folder,
+            got=f"an area around {self.mean[k].round(2).tolist()} m of which 1,000 draws in a row "
+            "lie outside the bounds or in a wall",
+            expected="areas where people can walk",
+            mend="Check the bounds and walls, or fit the scene again.",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Areas:
+    """Spawn areas, goal areas, the flows between them, and how fast people like to walk."""
+
+    scene: str
+    spawn: Gaussians
+    goal: Gaussians
+    flow: Float[np.ndarray, "K G"]
+    """P(goal area | spawn area); rows sum to 1."""
+    speed_quantiles: Float[np.ndarray, " 101"]
+    """Quantiles 0, 1, …, 100 % of the persons' mean speeds, m/s."""
+    left_out: tuple[float, float]
+    """Share of those who entered (left) that stands in no area of its own but in none or in
+    the broad one."""
+
+    def draw(
+        self,
+        time_s: Float[np.ndarray, " E"],
+        spawn_area: Int[np.ndarray, " E"],
+        scene: Scene,
+        rng: Generator,
+    ) -> SpawnEvents:
+        """Give each arrival a start, a goal and a preferred speed."""
+        cumulative = self.flow.cumsum(axis=1)[spawn_area]
+        u = rng.random((len(time_s), 1)) * cumulative[:, -1:]
+        goal_area = (u >= cumulative).sum(axis=1)
+        quantile = rng.random(len(time_s)) * (_QUANTILES - 1)
+        return entering(
+            time_s=time_s,
+            start=self.spawn.draw(spawn_area, scene, rng),
+            goal=self.goal.draw(goal_area, scene, rng),
+            spawn_area=spawn_area,
+            goal_area=goal_area,
+            speed=np.interp(quantile, np.arange(_QUANTILES), self.speed_quantiles),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Clusters:
+    gaussians: Gaussians
+    label: Int[np.ndarray, " n"]
+    """Area of each point, −1 where it is left out."""
+    left_out: float
+
+
+def fit_areas(
+    crowd: Trajectories, scene: Scene, settings: Clustering
+) -> tuple[Areas, Trajectories]:
+    """Find the areas in a recording, and give its persons theirs.
+
+    Starts of those who entered and ends of those who left are clustered by DBSCAN, each
+    cluster's members give a Gaussian. With `keep_noise` a point in no cluster then joins the
+    cluster of the nearest member if that is within 2 ε; if `min_persons` points or more lie
+    further away they form one broad area, else they join the nearest too. Noise never shapes
+    the Gaussian of a cluster.
+
+    Raises:
+        SceneError: no cluster is found.
+    """
+    starts = _cluster(
+        crowd.start[crowd.entered],
+        settings.spawn_eps_m,
+        settings.spawn_min_persons,
+        settings.keep_noise,
+        scene,
+    )
+    ends = _cluster(
+        crowd.end[crowd.left],
+        settings.goal_eps_m,
+        settings.goal_min_persons,
+        settings.keep_noise,
+        scene,
+    )
+    spawn_area = np.full(len(crowd), -1, dtype=np.int32)
+    goal_area = np.full(len(crowd), -1, dtype=np.int32)
+    spawn_area[crowd.entered] = starts.label
+    goal_area[crowd.left] = ends.label
+    crowd = replace(crowd, spawn_area=spawn_area, goal_area=goal_area)
+
+    flow = np.zeros((len(starts.gaussians), len(ends.gaussians)))
+    known = (spawn_area >= 0) & (goal_area >= 0)
+    np.add.at(flow, (spawn_area[known], goal_area[known]), 1.0)
+    # An area all of whose people were cut off by the recording sends them where everyone goes.
+    everyone = flow.sum(axis=0)
+    flow[flow.sum(axis=1) == 0] = everyone
+    whole = crowd.entered & crowd.left & (crowd.last > crowd.first)
+    areas = Areas(
+        scene=scene.id,
+        spawn=starts.gaussians,
+        goal=ends.gaussians,
+        flow=flow / flow.sum(axis=1, keepdims=True),
+        speed_quantiles=np.percentile(crowd.mean_speeds()[whole], np.linspace(0, 100, _QUANTILES)),
+        left_out=(starts.left_out, ends.left_out),
+    )
+    return areas, crowd
+
+
+def _cluster(
+    points: Float[np.ndarray, "n 2"], eps_m: float, min_persons: int, keep_noise: bool, scene: Scene
+) -> _Clusters:
+    from sklearn.cluster import DBSCAN
+    from sklearn.neighbors import NearestNeighbors
+
+    points = points.astype(np.float64)
+    label = DBSCAN(eps=eps_m, min_samples=min_persons).fit_predict(points)
+    if not (label >= 0).any():
+        raise SceneError(
+            scene.folder,
+            got=f"no cluster among {len(points)} starts or ends at ε {eps_m} m, {min_persons} "
+            "persons",
+            expected="at least one",
+            mend="Raise eps_m or lower min_persons in [clustering] of scene.toml.",
+        )
+    groups = [points[label == k] for k in range(label.max() + 1)]
+    noise = np.flatnonzero(label < 0)
+    left_out = len(noise) / len(points)
+    if keep_noise and len(noise):
+        members = np.flatnonzero(label >= 0)
+        tree = NearestNeighbors(n_neighbors=1).fit(points[members])
+        gap, nearest = (x[:, 0] for x in tree.kneighbors(points[noise]))
+        label[noise] = label[members][nearest]
+        far = noise[gap > 2 * eps_m]
+        left_out = 0.0
+        if len(far) >= min_persons:
+            label[far] = len(groups)
+            groups.append(points[far])
+            left_out = len(far) / len(points)
+    floor = _FLOOR_M**2 * np.eye(2)
+    return _Clusters(
+        Gaussians(
+            np.stack([group.mean(axis=0) for group in groups]),
+            np.stack([np.cov(group.T, bias=True) + floor for group in groups]),
+        ),
+        label.astype(np.int32),
+        left_out,
+    )
+
+
+class _AreasFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    schema: int
+    scene: str
+    spawn_mean_m: list[list[float]]
+    spawn_covariance_m2: list[list[list[float]]]
+    goal_mean_m: list[list[float]]
+    goal_covariance_m2: list[list[list[float]]]
+    flow: list[list[float]]
+    speed_quantiles_mps: list[float]
+    left_out: tuple[float, float]
+
+
+def write_areas(areas: Areas, path: Path) -> None:
+    """Write the areas as JSON."""
+    write_json(
+        path,
+        _AreasFile(
+            schema=SCHEMA,
+            scene=areas.scene,
+            spawn_mean_m=areas.spawn.mean.tolist(),
+            spawn_covariance_m2=areas.spawn.covariance.tolist(),
+            goal_mean_m=areas.goal.mean.tolist(),
+            goal_covariance_m2=areas.goal.covariance.tolist(),
+            flow=areas.flow.tolist(),
+            speed_quantiles_mps=areas.speed_quantiles.tolist(),
+            left_out=areas.left_out,
+        ),
+    )
+
+
+def read_areas(scene: Scene) -> Areas:
+    """The areas that a scene ships (`areas.json`).
+
+    Raises:
+        WeightsError: the file is missing, broken, contradicts itself or is another scene's.
+    """
+    path = scene.folder / "areas.json"
+    mend = f"Run `crowdbench fit {scene.id}`."
+    file = read_struct(path, _AreasFile, WeightsError, mend)
+    if file.scene != scene.id or file.schema != SCHEMA:
+        raise WeightsError(
+            path,
+            got=f"areas of {file.scene}, schema {file.schema}",
+            expected=f"areas of {scene.id}, schema {SCHEMA}",
+            mend=mend,
+        )
+    k, g = len(file.spawn_mean_m), len(file.goal_mean_m)
+    shapes = {
+        "spawn_mean_m": (k, 2),
+        "spawn_covariance_m2": (k, 2, 2),
+        "goal_mean_m": (g, 2),
+        "goal_covariance_m2": (g, 2, 2),
+        "flow": (k, g),
+        "speed_quantiles_mps": (_QUANTILES,),
+    }
+    arrays = {}
+    for name, shape in shapes.items():
+        arrays[name] = as_array(getattr(file, name), shape, f"{path}, {name}", mend)
+    return Areas(
+        scene=file.scene,
+        spawn=Gaussians(arrays["spawn_mean_m"], arrays["spawn_covariance_m2"]),
+        goal=Gaussians(arrays["goal_mean_m"], arrays["goal_covariance_m2"]),
+        flow=arrays["flow"],
+        speed_quantiles=arrays["speed_quantiles_mps"],
+        left_out=file.left_out,
+    )
+
+
+def as_array(values: list, shape: tuple[int, ...], where: str, mend: str) -> np.ndarray:
+    """The numbers of a JSON file as a float64 array of a given shape.
+
+    Raises:
+        WeightsError: another shape, or numbers that are not finite.
+    """
+    try:
+        array = np.array(values, dtype=np.float64)
+    except ValueError:
+        array = np.empty((0, 0, 0, 0))
+    if array.shape != shape or not np.isfinite(array).all():
+        raise WeightsError(
+            where, got=f"shape {array.shape}", expected=f"finite numbers of {shape}", mend=mend
+        )
+    return array
