@@ -28,9 +28,10 @@ def advance(actions, slots, queue, clock, limits, walls):
     segments, near, near_start = walls.segments, walls.step_segment, walls.step_start
     grid = (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows)
     dt, max_speed = limits.dt, limits.max_speed
+    frames, horizons = clock.frame, clock.horizon
     for w in prange(alive.shape[0]):
-        clock.frame[w] += 1
-        frame, horizon = clock.frame[w], clock.horizon[w]
+        frames[w] += 1
+        frame, horizon = frames[w], horizons[w]
         for i in range(alive.shape[1]):
             ended[w, i] = 0
             spawned[w, i] = False

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Float32, Int
 
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.scene import Scene
@@ -14,7 +14,7 @@ from crowdbench.simulation.advance import advance, populate
 from crowdbench.simulation.lidar import OBSERVATION_HEAD, Cells, observe
 from crowdbench.simulation.state import Clock, Limits, Queue, Slots
 from crowdbench.simulation.walls import wall_table
-from crowdbench.spawn.events import SpawnEvents
+from crowdbench.spawn.events import SpawnEvents, no_events
 
 if TYPE_CHECKING:
     from numba.core.dispatcher import Dispatcher
@@ -98,7 +98,7 @@ class Simulation:
         self.slots = Slots.empty(worlds, s.max_alive)
         self.clock = Clock.at(worlds, 0, 0)
         self.events: list[SpawnEvents] = []
-        self._queue = Queue.of([_nobody()] * worlds, scene.dt_s)
+        self._queue = Queue.of([no_events()] * worlds, scene.dt_s)
         self._advance: Callable[..., None] | None = None
         self._observe: Callable[..., None] | None = None
 
@@ -175,9 +175,10 @@ class Simulation:
         """Advance empty worlds to the frame before `frame` at once: nothing happens in them."""
         np.maximum(self.clock.frame, frame - 1, out=self.clock.frame)
 
-    def due_frame(self) -> Bool[np.ndarray, "W E"]:
-        """Frame at which each event is due, (W, E)."""
-        return self._queue.due
+    def waited(self, world: int, event: Int[np.ndarray, " n"], born: Int[np.ndarray, " n"]
+    ) -> Int[np.ndarray, " n"]:
+        """Frames that the persons of these events, born in these frames, waited to enter."""
+        return born - self._queue.due[world, event]
 
 
 def _compiled(kernel: "Dispatcher", arguments: tuple[object, ...]) -> Callable[..., None]:
@@ -190,20 +191,3 @@ def _compiled(kernel: "Dispatcher", arguments: tuple[object, ...]) -> Callable[.
     kernel.compile(signature)
     code: Callable[..., None] = kernel.overloads[signature].entry_point
     return code
-
-
-def _nobody() -> SpawnEvents:
-    none = np.empty(0)
-    pairs = np.empty((0, 2), np.float32)
-    return SpawnEvents(
-        time_s=none,
-        start=pairs,
-        goal=pairs,
-        spawn_area=none.astype(np.int32),
-        goal_area=none.astype(np.int32),
-        speed=none.astype(np.float32),
-        velocity=pairs,
-        entered=none.astype(bool),
-        leave_frame=none.astype(np.int64),
-        scripted=none.astype(bool),
-    )

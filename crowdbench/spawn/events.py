@@ -31,6 +31,8 @@ class SpawnEvents:
     """Frame at whose end the person is taken away wherever it is; −1 for never."""
     scripted: Bool[np.ndarray, " E"]
     """True for those who leave at `leave_frame` and for no other reason, and never wait."""
+    censored: Bool[np.ndarray, " E"]
+    """True for those whom nobody saw leave: being taken away does not count as leaving."""
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -52,9 +54,12 @@ def entering(
     goal_area: Int[np.ndarray, " E"],
     speed: Float[np.ndarray, " E"],
 ) -> SpawnEvents:
-    """Events of people who come in from outside and walk to their goals, sorted by time."""
+    """Events of people who come walking in from outside towards their goals, sorted by time."""
     order = np.argsort(time_s, kind="stable")
     size = len(time_s)
+    way = (goal - start)[order]
+    length = np.linalg.norm(way, axis=1, keepdims=True)
+    heading = np.divide(way, length, out=np.zeros_like(way), where=length > 0)
     return SpawnEvents(
         time_s=time_s[order],
         start=start[order].astype(np.float32),
@@ -62,10 +67,24 @@ def entering(
         spawn_area=spawn_area[order].astype(np.int32),
         goal_area=goal_area[order].astype(np.int32),
         speed=speed[order].astype(np.float32),
-        velocity=np.zeros((size, 2), dtype=np.float32),
+        velocity=(heading * speed[order, None]).astype(np.float32),
         entered=np.ones(size, dtype=bool),
         leave_frame=np.full(size, -1, dtype=np.int64),
         scripted=np.zeros(size, dtype=bool),
+        censored=np.zeros(size, dtype=bool),
+    )
+
+
+def no_events() -> SpawnEvents:
+    """Nobody ever enters."""
+    none, pairs = np.empty(0), np.empty((0, 2))
+    return entering(
+        time_s=none,
+        start=pairs,
+        goal=pairs,
+        spawn_area=none.astype(np.int32),
+        goal_area=none.astype(np.int32),
+        speed=none,
     )
 
 

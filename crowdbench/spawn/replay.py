@@ -44,10 +44,11 @@ class Replay:
             spawn_area=crowd.spawn_area,
             goal_area=crowd.goal_area,
             speed=speed.astype(np.float32),
-            velocity=np.where(crowd.entered[:, None], 0, velocity).astype(np.float32),
+            velocity=velocity.astype(np.float32),
             entered=crowd.entered,
             leave_frame=np.where(crowd.left, -1, crowd.last),
             scripted=np.zeros(len(crowd), dtype=bool),
+            censored=~crowd.left,
         )
         return events[events.time_s < horizon_s - 1e-9]
 

@@ -1,0 +1,182 @@
+"""How an episode begins, and what of it is written down: shared by rollouts and environments."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+from numpy.random import Generator, SeedSequence, default_rng
+
+from crowdbench.errors import CapacityError, SettingError
+from crowdbench.policies import Policy, StateView
+from crowdbench.scene import Scene
+from crowdbench.simulation import Simulation
+from crowdbench.simulation.state import EXIT, GOAL, HORIZON, RECORDED, TIMEOUT
+from crowdbench.spawn import SpawnModel
+from crowdbench.spawn.model import Start
+from crowdbench.trajectories import Trajectories, from_rows
+
+PURPOSES = ("spawn", "policy", "warm-up")
+WARM_UP_S = 60.0
+
+
+def generator(seed: int, world: int, purpose: str) -> Generator:
+    """The random numbers of one world for one purpose: independent of all others."""
+    key = (world, PURPOSES.index(purpose))
+    return default_rng(SeedSequence(seed, spawn_key=key))
+
+
+def begin(
+    simulation: Simulation,
+    spawn: SpawnModel,
+    *,
+    seed: int,
+    frames: int,
+    start: Start | None,
+    walker: Policy,
+    scripted: bool = False,
+) -> None:
+    """Begin an episode of `frames` frames in a simulation of one world.
+
+    `start` is by default the spawn model's. `stationary`: a warm-up of 60 s or the 99th
+    percentile of dwell times, whichever is longer, is walked by `walker` and discarded.
+    `recorded`: with the recorded initial population (replay only). `empty`: with nobody.
+
+    Raises:
+        SettingError: `recorded` without recorded arrivals, or `stationary` with them.
+    """
+    scene = simulation.scene
+    start = start or spawn.start
+    recorded = spawn.start == "recorded"
+    if start not in ("stationary", "recorded", "empty"):
+        raise SettingError("start", got=repr(start), expected="stationary, recorded or empty")
+    if (start == "recorded") != recorded and start != "empty":
+        raise SettingError(
+            f"start of {spawn.name}",
+            got=start,
+            expected="recorded or empty" if recorded else "stationary or empty",
+            mend="Only replayed arrivals know the recorded initial population.",
+        )
+    warm_up = 0
+    if start == "stationary":
+        warm_up = scene.frames(max(WARM_UP_S, scene.recording.dwell_p99_s))
+    horizon_s = (warm_up + frames) * scene.dt_s
+    events = spawn.sample(horizon_s, scene, generator(seed, 0, "spawn"))
+    if scripted:
+        events = spawn.scripted(events)  # type: ignore[attr-defined]  # only Replay has scripts
+    if start == "empty":
+        events = events[events.entered]
+    simulation.reset(
+        [events.shifted(-warm_up * scene.dt_s)], horizon=frames, first_frame=-warm_up
+    )
+    walker.reset(scene, generator(seed, 0, "warm-up"))
+    for _ in range(warm_up):
+        simulation.step(actions_of(walker, simulation))
+    if warm_up:
+        simulation.number_anew()
+
+
+def actions_of(policy: Policy, simulation: Simulation) -> Float32[np.ndarray, "W N 2"]:
+    """Let a policy act for everyone present."""
+    actions = np.zeros(simulation.slots.position.shape, np.float32)
+    if policy.sees == "state":
+        view = StateView.of(simulation)
+        actions[view.world, view.slot] = policy.act(view)
+    else:
+        alive = simulation.slots.alive
+        actions[alive] = policy.act(simulation.observe()[alive])
+    return actions
+
+
+@dataclass
+class Recorder:
+    """Writes down where the persons of a one-world simulation are, frame by frame."""
+
+    simulation: Simulation
+    _frame: list[int] = field(default_factory=list)
+    _person: list[np.ndarray] = field(default_factory=list)
+    _xy: list[np.ndarray] = field(default_factory=list)
+    _event: list[np.ndarray] = field(default_factory=list)
+    _born: list[np.ndarray] = field(default_factory=list)
+    _ended: list[np.ndarray] = field(default_factory=list)
+
+    def write(self) -> None:
+        """Note everyone who is there or has just ended; the frame of the horizon is outside."""
+        slots, clock = self.simulation.slots, self.simulation.clock
+        there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
+        ended = slots.ended[0, there]
+        person = slots.person[0, there]
+        self._person.append(person)
+        self._event.append(slots.event[0, there])
+        self._born.append(slots.born[0, there])
+        self._ended.append(ended)
+        self._xy.append(slots.position[0, there])
+        self._frame.append(int(clock.frame[0]))
+
+    def trajectories(self, provenance: dict[str, Any]) -> Trajectories:
+        """The table of what was written down so far.
+
+        Raises:
+            RecordingError: nobody was there.
+        """
+        scene = self.simulation.scene
+        events = self.simulation.events[0]
+        horizon = int(self.simulation.clock.horizon[0])
+        count = [len(person) for person in self._person]
+        frame = np.repeat(np.array(self._frame), count)
+        person = np.concatenate(self._person)
+        event = np.concatenate(self._event)
+        born = np.concatenate(self._born)
+        ended = np.concatenate(self._ended)
+        outcome = np.zeros(int(person.max(initial=-1)) + 1, np.int8)
+        inside = frame < horizon
+        # Who ends at the horizon's frame, by whatever rule, is seen last in the frame before.
+        final = ended != 0
+        outcome[person[final]] = np.where(inside[final], ended[final], HORIZON)
+        how = outcome[person]
+        left = np.isin(how, (GOAL, EXIT, TIMEOUT)) | (
+            (how == RECORDED) & ~events.censored[event]
+        )
+        waited_s = self.simulation.waited(0, event, born) * scene.dt_s
+        requested_s = events.time_s[event]
+        persons = {
+            "spawn_area": events.spawn_area[event],
+            "goal_area": events.goal_area[event],
+            "entered": events.entered[event] & (born > 0),
+            "left": left,
+            "requested_s": requested_s,
+            "spawn_s": requested_s + waited_s,
+            "outcome": how,
+        }
+        return from_rows(
+            scene=scene.id,
+            dt_s=scene.dt_s,
+            grid_s=scene.grid_s,
+            frames=horizon,
+            person_id=person[inside].astype(np.int64),
+            frame=frame[inside],
+            xy=np.concatenate(self._xy)[inside],
+            persons={name: values[inside] for name, values in persons.items()},
+            provenance=provenance,
+            where="rollout",
+        )
+
+
+def check_capacity(simulation: Simulation) -> None:
+    """Raise where persons were turned away for want of slots or ids.
+
+    Raises:
+        CapacityError: some were.
+    """
+    clock, settings = simulation.clock, simulation.settings
+    for count, name, size in (
+        (int(clock.no_slot.sum()), "max_alive", settings.max_alive),
+        (int(clock.no_id.sum()), "max_persons", settings.max_persons),
+    ):
+        if count:
+            raise CapacityError(
+                f"{simulation.scene.id}, frame {int(clock.frame[0])}",
+                got=f"{count} persons more than {name} = {size} has room for",
+                expected="room for everyone who enters",
+                mend=f"Raise {name}.",
+            )

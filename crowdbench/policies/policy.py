@@ -1,0 +1,68 @@
+"""The protocol behind which every policy stands, and what model-based walkers see."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32, Int
+from numpy.random import Generator
+
+from crowdbench.scene import Scene
+from crowdbench.simulation import Simulation
+
+
+@dataclass(frozen=True, eq=False)
+class StateView:
+    """The `A` persons who are there, all worlds in one list: privileged state, not observation."""
+
+    world: Int[np.ndarray, " A"]
+    slot: Int[np.ndarray, " A"]
+    person: Int[np.ndarray, " A"]
+    event: Int[np.ndarray, " A"]
+    """Index of each person's spawn event."""
+    frame: Int[np.ndarray, " A"]
+    """Present frame of each person's world."""
+    position: Float32[np.ndarray, "A 2"]
+    velocity: Float32[np.ndarray, "A 2"]
+    goal: Float32[np.ndarray, "A 2"]
+    speed: Float32[np.ndarray, " A"]
+    """Preferred walking speed, m/s."""
+
+    @classmethod
+    def of(cls, simulation: Simulation) -> "StateView":
+        """Everyone alive, ordered by world, then slot."""
+        slots = simulation.slots
+        world, slot = np.nonzero(slots.alive)
+        at = (world, slot)
+        return cls(
+            world=world,
+            slot=slot,
+            person=slots.person[at],
+            event=slots.event[at],
+            frame=simulation.clock.frame[world],
+            position=slots.position[at],
+            velocity=slots.velocity[at],
+            goal=slots.goal[at],
+            speed=slots.speed[at],
+        )
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """What walks the persons: a batch of what they see in, a batch of actions out.
+
+    An action is a velocity in units of the scene's `max_speed_mps`, both components in [−1, 1].
+    """
+
+    name: str
+    sees: ClassVar[Literal["observation", "state"]]
+    """`observation`: `act` gets (A, 5 + R) float32 arrays, as agents in an environment do.
+    `state`: it gets a `StateView`; a leaderboard shows such a policy as privileged."""
+
+    def reset(self, scene: Scene, rng: Generator) -> None:
+        """An episode begins."""
+        ...
+
+    def act(self, seen: "Float32[np.ndarray, 'A obs'] | StateView") -> Float32[np.ndarray, "A 2"]:
+        """Actions of everyone present, in the order of `seen`."""
+        ...

@@ -1,0 +1,142 @@
+"""`social-force`: the model of Helbing & Molnár (1995), Physical Review E 51, 4282.
+
+Parameters are the paper's (its Sec. III). Forces are integrated at 0.05 s for the whole crowd
+together; the action is the mean velocity over the frame.
+"""
+
+import math
+from typing import ClassVar, Literal
+
+import numpy as np
+from jaxtyping import Float32
+from numba import njit
+from numpy.random import Generator
+
+from crowdbench.policies.policy import StateView
+from crowdbench.scene import Scene
+
+RELAXATION_S = 0.5  # τ, eq. 2
+REPULSION = 2.1  # V⁰, m²/s², eq. 13
+REPULSION_RANGE_M = 0.3  # σ
+STEP_S = 2.0  # Δt, the time another's next steps are seen ahead, eq. 4
+WALL = 10.0  # U⁰, m²/s², eq. 13
+WALL_RANGE_M = 0.2  # R
+COS_OF_VIEW = math.cos(math.radians(100.0))  # φ, half of 200°
+BEHIND = 0.5  # c, the weight of what is out of view, eq. 8
+FASTEST = 1.3  # times the preferred speed, eq. 11
+REACH_M = 5.0  # beyond which a repulsion, below V⁰/σ·e⁻⁷, is left out
+SUBSTEP_S = 0.05
+
+
+class SocialForce:
+    """Walkers drawn to their goals, pushed off by each other and by walls."""
+
+    name = "social-force"
+    sees: ClassVar[Literal["state"]] = "state"
+
+    def reset(self, scene: Scene, rng: Generator) -> None:
+        """Take the walls of `scene`."""
+        self._scene = scene
+        self._walls = np.array(scene.wall_of_segment, dtype=np.int32)
+
+    def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
+        """Mean velocity over the frame, in units of the greatest speed."""
+        dt_s = self._scene.dt_s
+        displacement = _walk(
+            seen.world,
+            seen.position.astype(np.float64),
+            seen.velocity.astype(np.float64),
+            seen.goal.astype(np.float64),
+            seen.speed.astype(np.float64),
+            self._scene.wall_segments,
+            self._walls,
+            max(1, round(dt_s / SUBSTEP_S)),
+            dt_s,
+        )
+        return (displacement / (dt_s * self._scene.motion.max_speed_mps)).astype(np.float32)
+
+
+@njit(cache=True, error_model="numpy")
+def _walk(world, position, velocity, goal, speed, segments, walls, substeps, dt):
+    """Displacement of everyone in `dt` seconds; `world` is ascending."""
+    h = dt / substeps
+    start = position.copy()
+    size = len(world)
+    heading = np.zeros((size, 2))
+    force = np.zeros((size, 2))
+    for _ in range(substeps):
+        for a in range(size):
+            gx, gy = goal[a, 0] - position[a, 0], goal[a, 1] - position[a, 1]
+            distance = math.sqrt(gx * gx + gy * gy)
+            if distance > 0.0:
+                heading[a, 0], heading[a, 1] = gx / distance, gy / distance
+        first = 0
+        for a in range(size):
+            if world[a] != world[first]:
+                first = a
+            fx = (speed[a] * heading[a, 0] - velocity[a, 0]) / RELAXATION_S
+            fy = (speed[a] * heading[a, 1] - velocity[a, 1]) / RELAXATION_S
+            b = first
+            while b < size and world[b] == world[a]:
+                rx, ry = position[a, 0] - position[b, 0], position[a, 1] - position[b, 1]
+                if b != a and rx * rx + ry * ry < REACH_M * REACH_M:
+                    ahead = math.sqrt(velocity[b, 0] ** 2 + velocity[b, 1] ** 2) * STEP_S
+                    px, py = _repulsion(rx, ry, ahead * heading[b, 0], ahead * heading[b, 1])
+                    toward = -(heading[a, 0] * px + heading[a, 1] * py)
+                    seen = toward >= math.sqrt(px * px + py * py) * COS_OF_VIEW
+                    weight = 1.0 if seen else BEHIND
+                    fx += weight * px
+                    fy += weight * py
+                b += 1
+            wx, wy = _wall_force(position[a, 0], position[a, 1], segments, walls)
+            force[a, 0], force[a, 1] = fx + wx, fy + wy
+        for a in range(size):
+            vx, vy = velocity[a, 0] + h * force[a, 0], velocity[a, 1] + h * force[a, 1]
+            v = math.sqrt(vx * vx + vy * vy)
+            scale = min(1.0, FASTEST * speed[a] / v) if v > 0.0 else 1.0
+            velocity[a, 0], velocity[a, 1] = vx * scale, vy * scale
+            position[a, 0] += h * velocity[a, 0]
+            position[a, 1] += h * velocity[a, 1]
+    return position - start
+
+
+@njit(cache=True, error_model="numpy")
+def _repulsion(rx, ry, sx, sy):
+    """Force on someone at r from another at 0 who is about to step by s: −∇V(b), eqs. 3 and 4.
+
+    2b = √((|r| + |r − s|)² − |s|²) is the minor axis of the ellipse whose foci the other's
+    present and next place are; ∇b = (|r| + |r − s|) (r/|r| + (r − s)/|r − s|) / 4b.
+    """
+    tx, ty = rx - sx, ry - sy
+    r, t = math.sqrt(rx * rx + ry * ry), math.sqrt(tx * tx + ty * ty)
+    both = r + t
+    b = 0.5 * math.sqrt(max(0.0, both * both - sx * sx - sy * sy))
+    if r < 1e-6 or t < 1e-6 or b < 1e-6:
+        return 0.0, 0.0  # in the same place, or on the line of its way: no direction to flee to
+    strength = REPULSION / REPULSION_RANGE_M * math.exp(-b / REPULSION_RANGE_M) * both / (4.0 * b)
+    return strength * (rx / r + tx / t), strength * (ry / r + ty / t)
+
+
+@njit(cache=True, error_model="numpy")
+def _wall_force(x, y, segments, walls):
+    """Sum over walls of the push from each wall's nearest point, −∇U, eq. 5."""
+    fx, fy = 0.0, 0.0
+    s = 0
+    while s < len(segments):
+        wall = walls[s]
+        nearest, nx, ny = np.inf, 0.0, 0.0
+        while s < len(segments) and walls[s] == wall:
+            ax, ay = segments[s, 0], segments[s, 1]
+            ex, ey = segments[s, 2] - ax, segments[s, 3] - ay
+            along = ((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey)
+            along = min(1.0, max(0.0, along))
+            dx, dy = x - ax - along * ex, y - ay - along * ey
+            distance = math.sqrt(dx * dx + dy * dy)
+            if distance < nearest:
+                nearest, nx, ny = distance, dx, dy
+            s += 1
+        if 0.0 < nearest < REACH_M:
+            push = WALL / WALL_RANGE_M * math.exp(-nearest / WALL_RANGE_M) / nearest
+            fx += push * nx
+            fy += push * ny
+    return fx, fy

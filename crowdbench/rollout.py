@@ -1,0 +1,58 @@
+"""`rollout`: a crowd from a spawn model and a policy, as `Trajectories`."""
+
+from typing import Any
+
+from crowdbench.episode import Recorder, actions_of, begin, check_capacity, generator
+from crowdbench.policies import Policy
+from crowdbench.scene import Scene
+from crowdbench.simulation import Settings, Simulation
+from crowdbench.spawn import SpawnModel
+from crowdbench.spawn.model import Start
+from crowdbench.trajectories import Trajectories
+
+MAX_ALIVE = 1024
+
+
+def rollout(
+    scene: Scene,
+    spawn: SpawnModel,
+    policy: Policy,
+    *,
+    seed: int,
+    horizon_s: float | None = None,
+    start: Start | None = None,
+    settings: Settings | None = None,
+) -> Trajectories:
+    """Let `spawn` people the scene and `policy` walk them for `horizon_s` seconds.
+
+    The same seed gives the same table. `horizon_s` is by default the recording's length and
+    `start` the spawn model's; a warm-up is walked by `policy` too. With both `replay`, people
+    leave at their recorded last frame; otherwise reaching the goal ends a life.
+
+    Raises:
+        SettingError: `start` does not fit the spawn model.
+        CapacityError: more people than slots.
+        RecordingError: nobody came.
+    """
+    settings = settings or Settings(max_alive=MAX_ALIVE)
+    simulation = Simulation(scene, settings=settings)
+    frames = scene.frames(scene.horizon_s if horizon_s is None else horizon_s)
+    scripted = spawn.name == policy.name == "replay"
+    begin(
+        simulation,
+        spawn,
+        seed=seed,
+        frames=frames,
+        start=start,
+        walker=policy,
+        scripted=scripted,
+    )
+    policy.reset(scene, generator(seed, 0, "policy"))
+    recorder = Recorder(simulation)
+    recorder.write()
+    for _ in range(frames):
+        simulation.step(actions_of(policy, simulation))
+        recorder.write()
+    check_capacity(simulation)
+    provenance: dict[str, Any] = {"spawn": spawn.name, "policy": policy.name, "seed": seed}
+    return recorder.trajectories(provenance)
