@@ -9,7 +9,6 @@ from numpy.random import Generator, SeedSequence, default_rng
 
 from crowdbench.errors import CapacityError, SettingError
 from crowdbench.policies import Policy, StateView
-from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.state import EXIT, GOAL, HORIZON, RECORDED, TIMEOUT
 from crowdbench.spawn import SpawnModel
@@ -66,9 +65,7 @@ def begin(
         events = spawn.scripted(events)  # type: ignore[attr-defined]  # only Replay has scripts
     if start == "empty":
         events = events[events.entered]
-    simulation.reset(
-        [events.shifted(-warm_up * scene.dt_s)], horizon=frames, first_frame=-warm_up
-    )
+    simulation.reset([events.shifted(-warm_up * scene.dt_s)], horizon=frames, first_frame=-warm_up)
     walker.reset(scene, generator(seed, 0, "warm-up"))
     for _ in range(warm_up):
         simulation.step(actions_of(walker, simulation))
@@ -134,9 +131,7 @@ class Recorder:
         final = ended != 0
         outcome[person[final]] = np.where(inside[final], ended[final], HORIZON)
         how = outcome[person]
-        left = np.isin(how, (GOAL, EXIT, TIMEOUT)) | (
-            (how == RECORDED) & ~events.censored[event]
-        )
+        left = np.isin(how, (GOAL, EXIT, TIMEOUT)) | ((how == RECORDED) & ~events.censored[event])
         waited_s = self.simulation.waited(0, event, born) * scene.dt_s
         requested_s = events.time_s[event]
         persons = {

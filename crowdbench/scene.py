@@ -223,9 +223,7 @@ def _check(file: _SceneFile, path: Path) -> None:
     motion = file.motion
     require(file.schema == SCHEMA, f"schema = {file.schema}", f"schema = {SCHEMA}")
     require(bool(_ID.fullmatch(file.id)), f"id = {file.id!r}", "an id like name-v0")
-    require(
-        b.x_min_m < b.x_max_m and b.y_min_m < b.y_max_m, f"bounds {b}", "minima below maxima"
-    )
+    require(b.x_min_m < b.x_max_m and b.y_min_m < b.y_max_m, f"bounds {b}", "minima below maxima")
     positive = {
         "dt_s": file.dt_s,
         "grid_s": file.grid_s,

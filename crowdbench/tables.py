@@ -203,5 +203,8 @@ def _integers(path: Path, name: str, values: np.ndarray) -> np.ndarray:
 
 def _missing(path: Path, name: str, table: "pyarrow.Table") -> RecordingError:
     return RecordingError(
-        path, got=f"columns {', '.join(table.column_names)}", expected=f"a column {name}", mend=_MEND
+        path,
+        got=f"columns {', '.join(table.column_names)}",
+        expected=f"a column {name}",
+        mend=_MEND,
     )

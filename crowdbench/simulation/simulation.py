@@ -102,9 +102,7 @@ class Simulation:
         self._advance: Callable[..., None] | None = None
         self._observe: Callable[..., None] | None = None
 
-    def reset(
-        self, events: Sequence[SpawnEvents], *, horizon: int, first_frame: int = 0
-    ) -> None:
+    def reset(self, events: Sequence[SpawnEvents], *, horizon: int, first_frame: int = 0) -> None:
         """Begin an episode with one sequence of events per world.
 
         The clock starts at `first_frame` (negative for a warm-up) and the episode ends at frame
@@ -175,7 +173,8 @@ class Simulation:
         """Advance empty worlds to the frame before `frame` at once: nothing happens in them."""
         np.maximum(self.clock.frame, frame - 1, out=self.clock.frame)
 
-    def waited(self, world: int, event: Int[np.ndarray, " n"], born: Int[np.ndarray, " n"]
+    def waited(
+        self, world: int, event: Int[np.ndarray, " n"], born: Int[np.ndarray, " n"]
     ) -> Int[np.ndarray, " n"]:
         """Frames that the persons of these events, born in these frames, waited to enter."""
         return born - self._queue.due[world, event]

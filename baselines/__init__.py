@@ -1,0 +1,1 @@
+"""Policies to learn from, one readable file each."""

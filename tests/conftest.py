@@ -1,0 +1,52 @@
+"""Shapes are checked wherever crowdbench is used in tests; recordings are found or skipped."""
+
+import os
+from pathlib import Path
+
+import jaxtyping
+import pytest
+
+# Compiled kernels take no annotations; everything else is checked at each call.
+_hook = jaxtyping.install_import_hook(
+    [
+        "crowdbench.blocks",
+        "crowdbench.episode",
+        "crowdbench.metrics",
+        "crowdbench.policies.policy",
+        "crowdbench.policies.walkers",
+        "crowdbench.recordings",
+        "crowdbench.rollout",
+        "crowdbench.scene",
+        "crowdbench.simulation.simulation",
+        "crowdbench.spawn",
+        "crowdbench.tables",
+        "crowdbench.trajectories",
+    ],
+    "beartype.beartype",
+)
+
+REQUIRE_ALL = os.environ.get("CROWDBENCH_REQUIRE_ALL") == "1"
+
+
+def need(part: object, what: str) -> None:
+    """Skip a test whose part is missing; where every part must be there, fail."""
+    if not part:
+        if REQUIRE_ALL:
+            pytest.fail(f"{what} is missing, and CROWDBENCH_REQUIRE_ALL is set")
+        pytest.skip(f"{what} is missing")
+
+
+@pytest.fixture(scope="session")
+def opentraj() -> Path:
+    """The folder of real recordings that CROWDBENCH_DATA names."""
+    named = os.environ.get("CROWDBENCH_DATA")
+    need(named, "CROWDBENCH_DATA, a folder of recordings in OpenTraj's layout,")
+    return Path(str(named)).resolve()
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Each test has a CROWDBENCH_HOME of its own."""
+    folder = tmp_path_factory.mktemp("home")
+    monkeypatch.setenv("CROWDBENCH_HOME", str(folder))
+    return folder
