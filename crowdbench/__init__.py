@@ -1,0 +1,76 @@
+"""crowdbench: a benchmark of crowds that come and go.
+
+    import crowdbench
+
+    env = crowdbench.parallel_env("eth-v0", spawn="poisson-gmm")
+    observations, infos = env.reset(seed=0)
+    while env.agents:
+        actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+        observations, rewards, terminations, truncations, infos = env.step(actions)
+    print(crowdbench.score("eth-v0", env.trajectories()))
+
+Names are loaded when they are first used: importing crowdbench is quick.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from crowdbench.environment import CrowdParallelEnv, parallel_env
+    from crowdbench.errors import CrowdbenchError
+    from crowdbench.evaluate import evaluate
+    from crowdbench.metrics import METRICS, MetricResult, distance
+    from crowdbench.reference import score
+    from crowdbench.registry import policy, recording, spawn_model
+    from crowdbench.rollout import rollout
+    from crowdbench.scene import Scene, list_scenes, load_scene
+    from crowdbench.tables import read, read_own, write_parquet
+    from crowdbench.trajectories import Trajectories
+
+_HOME = {
+    "environment": ("CrowdParallelEnv", "parallel_env"),
+    "errors": ("CrowdbenchError",),
+    "evaluate": ("evaluate",),
+    "metrics": ("METRICS", "MetricResult", "distance"),
+    "reference": ("score",),
+    "registry": ("policy", "recording", "spawn_model"),
+    "rollout": ("rollout",),
+    "scene": ("Scene", "list_scenes", "load_scene"),
+    "tables": ("read", "read_own", "write_parquet"),
+    "trajectories": ("Trajectories",),
+}
+_MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
+
+__all__ = [
+    "METRICS",
+    "CrowdParallelEnv",
+    "CrowdbenchError",
+    "MetricResult",
+    "Scene",
+    "Trajectories",
+    "distance",
+    "evaluate",
+    "list_scenes",
+    "load_scene",
+    "parallel_env",
+    "policy",
+    "read",
+    "read_own",
+    "recording",
+    "rollout",
+    "score",
+    "spawn_model",
+    "write_parquet",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'crowdbench' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"crowdbench.{_MODULE_OF[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_MODULE_OF])

@@ -241,9 +241,17 @@ def _check(file: _SceneFile, path: Path) -> None:
         ("spawning.patience_s", file.spawning.patience_s),
     ):
         require(np.isfinite(value) and value >= 0, f"{name} = {value}", "zero or more")
+    for name, value in msgspec.structs.asdict(b).items():
+        require(bool(np.isfinite(value)), f"bounds.{name} = {value}", "a finite number")
+    for key, settings in file.clustering.items():
+        for name, value in msgspec.structs.asdict(settings).items():
+            holds = name == "keep_noise" or (np.isfinite(value) and value > 0)
+            require(holds, f"clustering.{key}.{name} = {value}", "a positive number")
     require("default" in file.clustering, "no [clustering.default]", "its DBSCAN settings")
     for wall in file.walls:
         require(len(wall.corners_m) >= 3, f"wall {wall.name!r}", "three corners or more")
+        finite = bool(np.isfinite(wall.corners_m).all())
+        require(finite, f"wall {wall.name!r} with a corner that is not finite", "metres")
         polygon = shapely.Polygon(wall.corners_m)
         require(
             bool(polygon.is_valid), f"wall {wall.name!r} that crosses itself", "a simple polygon"

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 _KEY = b"crowdbench"
+_COLUMNS = ("person_id", "frame", "time_s", "x", "y", *PERSON_COLUMNS)
 _MEND = "Name a file written by crowdbench, or a table with person_id, frame (or time_s), x, y."
 
 
@@ -80,12 +81,15 @@ def read(path: Path, *, scene: str, dt_s: float, frames: int | None = None) -> T
     """
     table = _read_table(path)
     metadata = _own_metadata(path, table)
-    columns = {name: _numbers(path, table, name) for name in table.column_names}
+    named = table.column_names
     for name in ("person_id", "x", "y"):
-        if name not in columns:
+        if name not in named:
             raise _missing(path, name, table)
-    if "frame" not in columns and "time_s" not in columns:
+    if "frame" not in named and "time_s" not in named:
         raise _missing(path, "frame (or time_s)", table)
+    if len(table) == 0:
+        raise RecordingError(path, got="no rows", expected="at least one row", mend=_MEND)
+    columns = {name: _numbers(path, table, name) for name in _COLUMNS if name in named}
     person_id = _integers(path, "person_id", columns["person_id"])
     frame = _integers(path, "frame", columns["frame"]) if "frame" in columns else None
     if frame is None:
@@ -115,7 +119,7 @@ def read(path: Path, *, scene: str, dt_s: float, frames: int | None = None) -> T
         observed=np.array(metadata.observed) if metadata else None,
         person_id=person_id,
         frame=frame,
-        xy=np.stack([columns["x"], columns["y"]], axis=1),
+        xy=np.stack([columns["x"], columns["y"]], axis=1).astype(np.float64),
         persons=columns,
         provenance=metadata.provenance if metadata else {"file": path.name},
         where=path,
@@ -175,6 +179,10 @@ def _own_metadata(path: Path, table: "pyarrow.Table") -> _Metadata | None:
 
 
 def _numbers(path: Path, table: "pyarrow.Table", name: str) -> np.ndarray:
+    if table.column_names.count(name) > 1:
+        raise RecordingError(
+            path, got=f"more than one column {name}", expected="one of that name", mend=_MEND
+        )
     values = table.column(name)
     if values.null_count:
         raise RecordingError(
@@ -184,21 +192,33 @@ def _numbers(path: Path, table: "pyarrow.Table", name: str) -> np.ndarray:
             mend="Remove these rows or repair them at the source.",
         )
     column: np.ndarray = values.to_numpy()
-    if column.dtype == object and name in {"person_id", "frame", "time_s", "x", "y"}:
+    if column.dtype.kind not in "biuf":
+        kind = "text" if column.dtype == object else f"{values.type} values"
         raise RecordingError(
-            path, got=f"text in column {name}", expected="numbers in each row", mend=_MEND
+            path, got=f"{kind} in column {name}", expected="numbers in each row", mend=_MEND
+        )
+    if np.issubdtype(PERSON_COLUMNS.get(name, np.bool_), np.integer):
+        return _integers(path, name, column, PERSON_COLUMNS[name])
+    if name in PERSON_COLUMNS and not np.isfinite(column).all():
+        bad = column[~np.isfinite(column)][0]
+        raise RecordingError(
+            path, got=f"{name} {bad}", expected=f"finite numbers in column {name}", mend=_MEND
         )
     return column
 
 
-def _integers(path: Path, name: str, values: np.ndarray) -> np.ndarray:
-    whole = np.isfinite(values) & (values == np.floor(values))
+def _integers(path: Path, name: str, values: np.ndarray, kind: type = np.int64) -> np.ndarray:
+    limit = 2.0 ** (np.iinfo(kind).bits - 1)
+    whole = (np.abs(values) < limit) & (values == np.floor(values))  # false for NaN
     if not whole.all():
         bad = values[~whole][0]
         raise RecordingError(
-            path, got=f"{name} {bad}", expected=f"whole numbers in column {name}", mend=_MEND
+            path,
+            got=f"{name} {bad}",
+            expected=f"whole numbers of {np.iinfo(kind).bits} bits in column {name}",
+            mend=_MEND,
         )
-    return values.astype(np.int64)
+    return values.astype(kind)
 
 
 def _missing(path: Path, name: str, table: "pyarrow.Table") -> RecordingError:

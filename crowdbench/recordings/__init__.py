@@ -1,0 +1,1 @@
+"""Recordings: where they are published, and readers that make `Trajectories` of them."""

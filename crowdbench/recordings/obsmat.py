@@ -67,7 +67,7 @@ def _parse(data: bytes, where: object) -> Float[np.ndarray, "R 8"]:
                 mend=f"The file may be broken off or in another format. {_MEND}",
             )
     try:
-        table = np.loadtxt(lines, ndmin=2)
+        table = np.loadtxt(lines, ndmin=2, comments=None)
     except ValueError as error:
         raise RecordingError(
             where, got=str(error), expected="numbers in each row", mend=_MEND
@@ -76,7 +76,7 @@ def _parse(data: bytes, where: object) -> Float[np.ndarray, "R 8"]:
 
 
 def _whole(values: Float[np.ndarray, " R"], column: str, where: object) -> Int[np.ndarray, " R"]:
-    whole = np.isfinite(values) & (values == np.floor(values))
+    whole = (np.abs(values) < 2.0**53) & (values == np.floor(values))  # false for NaN
     if not whole.all():
         row = int(np.flatnonzero(~whole)[0])
         raise RecordingError(
@@ -95,7 +95,17 @@ def _check_step(
 ) -> None:
     """The interval is looked at within persons: between them the recording may pause."""
     order = np.lexsort((video_frame, person))
-    steps = np.diff(video_frame[order])[np.diff(person[order]) == 0]
+    same = np.diff(person[order]) == 0
+    steps = np.diff(video_frame[order])[same]
+    if (steps == 0).any():
+        row = order[:-1][same][steps == 0][0]
+        raise RecordingError(
+            where,
+            got=f"person {person[row]} twice in frame {video_frame[row]} "
+            f"({int((steps == 0).sum())} such rows)",
+            expected="one row per person and frame",
+            mend=_MEND,
+        )
     wrong = steps[steps != frame_step]
     if len(wrong) == 0:
         return

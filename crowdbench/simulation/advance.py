@@ -125,8 +125,8 @@ def _blocked(w, e, slots, queue, frame, clearance):
     """Whether someone who was there before this frame stands in the way of event e."""
     for i in range(slots.alive.shape[1]):
         if slots.alive[w, i] and slots.born[w, i] < frame:
-            dx = float(slots.position[w, i, 0]) - queue.start[w, e, 0]
-            dy = float(slots.position[w, i, 1]) - queue.start[w, e, 1]
+            dx = float(slots.position[w, i, 0]) - float(queue.start[w, e, 0])
+            dy = float(slots.position[w, i, 1]) - float(queue.start[w, e, 1])
             if math.hypot(dx, dy) < clearance:
                 return True
     return False

@@ -122,8 +122,8 @@ def _sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_s
 
 @njit(cache=True, error_model="numpy")
 def _see_itself(w, i, position, velocity, goal, max_speed, out):
-    gx = float(goal[w, i, 0]) - position[w, i, 0]
-    gy = float(goal[w, i, 1]) - position[w, i, 1]
+    gx = float(goal[w, i, 0]) - float(position[w, i, 0])
+    gy = float(goal[w, i, 1]) - float(position[w, i, 1])
     distance = math.sqrt(gx * gx + gy * gy)
     out[w, i, 0] = min(1.0, max(-1.0, velocity[w, i, 0] / max_speed))
     out[w, i, 1] = min(1.0, max(-1.0, velocity[w, i, 1] / max_speed))

@@ -5,9 +5,12 @@ Written without arrays of agents, so that the same source can be compiled for ot
 
 import math
 
+import numpy as np
 from numba import njit
 
 CLEARANCE_M = 1e-3  # how far from a wall a stopped person stands: far above float32's rounding
+AHEAD_M = 10 * CLEARANCE_M  # how far beyond the end of a move a wall can still stop it
+JOINT = 1e-9  # by how much of its length a segment reaches over its ends, to leave no slit at joints
 
 
 @njit(cache=True, error_model="numpy")
@@ -34,16 +37,25 @@ def distance_to_segment(px, py, ax, ay, bx, by):
 
 @njit(cache=True, error_model="numpy")
 def crossing(px, py, dx, dy, ax, ay, bx, by):
-    """Fraction of the move d from p at which it meets the segment a–b; 2 if it does not."""
+    """Fraction of the move d from p at which it meets the segment a–b; infinite if it does not.
+
+    A move that would end in front of the segment, but less than the clearance away, meets it
+    too, at a fraction above 1: rounded to float32, its end could lie behind.
+    """
     ex, ey = bx - ax, by - ay
     cross = dx * ey - dy * ex
     if cross == 0.0:
-        return 2.0
+        return np.inf
     along_move = ((ax - px) * ey - (ay - py) * ex) / cross
     along_wall = ((ax - px) * dy - (ay - py) * dx) / cross
-    if 0.0 <= along_move <= 1.0 and 0.0 <= along_wall <= 1.0:
+    if along_move < 0.0 or along_wall < -JOINT or along_wall > 1.0 + JOINT:
+        return np.inf
+    beyond = along_move - 1.0
+    if beyond <= 0.0:
         return along_move
-    return 2.0
+    close = (beyond * cross) ** 2 < CLEARANCE_M**2 * (ex * ex + ey * ey)
+    ahead = beyond**2 * (dx * dx + dy * dy) < AHEAD_M**2
+    return along_move if close and ahead else np.inf
 
 
 @njit(cache=True, error_model="numpy")
@@ -55,7 +67,7 @@ def walk(px, py, dx, dy, segments, near, start, stop):
     """
     hit = False
     for _ in range(3):  # a wall, the next wall of a corner, and no third
-        first, wall = 2.0, -1
+        first, wall = np.inf, -1
         for k in range(start, stop):
             s = near[k]
             t = crossing(
@@ -74,6 +86,6 @@ def walk(px, py, dx, dy, segments, near, start, stop):
         # Back off along the way that came, so that no other wall can be in between.
         t = max(0.0, first - CLEARANCE_M / into_wall)
         px, py = px + t * dx, py + t * dy
-        along = (1.0 - first) * (dx * ex + dy * ey)
+        along = (1.0 - t) * (dx * ex + dy * ey)
         dx, dy = along * ex, along * ey
     return px, py, hit

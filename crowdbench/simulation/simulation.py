@@ -150,7 +150,10 @@ class Simulation:
         return self.observation
 
     def number_anew(self) -> None:
-        """Give those present the ids from 0 on, and count from zero: the end of a warm-up."""
+        """Give those present the ids from 0 on: the end of a warm-up.
+
+        Who was turned away in the warm-up stays counted: the crowd lacks them from the start.
+        """
         slots, clock = self.slots, self.clock
         for w in range(self.worlds):
             present = np.flatnonzero(slots.alive[w])
@@ -159,8 +162,6 @@ class Simulation:
             clock.ids[w] = len(present)
         slots.spawned[:] = False
         slots.ended[:] = 0
-        clock.no_slot[:] = 0
-        clock.no_id[:] = 0
 
     def next_due(self, world: int = 0) -> int | None:
         """Frame of the first event that is still to come, None if there is none."""
@@ -186,6 +187,8 @@ def _compiled(kernel: "Dispatcher", arguments: tuple[object, ...]) -> Callable[.
     Calling it directly spares numba's look-up of the types at each call, which for these bundles
     of arrays takes as long as stepping ten people.
     """
+    if numba.config.DISABLE_JIT:
+        return kernel
     signature = tuple(numba.typeof(argument) for argument in arguments)
     kernel.compile(signature)
     code: Callable[..., None] = kernel.overloads[signature].entry_point

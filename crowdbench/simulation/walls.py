@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numba import njit
 
 CELL_M = 0.5
+EDGE_ON = 1e-9  # sine of the angle between a wall and a ray that runs along it
 
 
 class WallTable(NamedTuple):
@@ -61,8 +62,11 @@ def wall_table(
         across = v[:, 1] - v[:, 0]
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = (u[:, 1] - u[:, 0]) / across
-        lines[r] = np.stack([u[:, 0] - slope * v[:, 0], slope, v.min(axis=1), v.max(axis=1)], 1)
-        lines[r, across == 0] = [0.0, 0.0, np.inf, -np.inf]  # edge-on: never hit
+            offset = u[:, 0] - slope * v[:, 0]
+        lines[r] = np.stack([offset, slope, v.min(axis=1), v.max(axis=1)], axis=1)
+        # Edge-on: never hit, its neighbours are. Nearly so, and the slope would round by metres.
+        edge_on = np.abs(across) <= EDGE_ON * np.hypot(across, u[:, 1] - u[:, 0])
+        lines[r, edge_on] = [0.0, 0.0, np.inf, -np.inf]
     size = columns * rows
     none = np.empty((0, 2), dtype=np.int32)
     counts = np.zeros(size, dtype=np.int32)
@@ -140,12 +144,9 @@ def _step_candidates(
     y = origin[1] + (np.arange(rows) + 0.5) * CELL_M
     centre = shapely.points(*(a.ravel() for a in np.meshgrid(x, y)))
     reach = step_m + CELL_M  # more than a step and half the cell's diagonal
-    near: list[np.ndarray] = []
-    lines = shapely.linestrings(segments.reshape(-1, 2, 2)) if len(segments) else []
-    distance = np.array([shapely.distance(centre, line) for line in lines]).reshape(
-        len(segments), -1
-    )
+    distance = np.empty((len(segments), len(centre)))
+    for s, ends in enumerate(segments.reshape(-1, 2, 2)):
+        distance[s] = shapely.distance(centre, shapely.LineString(ends))
     near = [np.flatnonzero(column <= reach) for column in distance.T]
     start = np.concatenate([[0], np.cumsum([len(k) for k in near])]).astype(np.int32)
-    flat = np.concatenate(near) if near else np.empty(0)
-    return start, flat.astype(np.int32)
+    return start, np.concatenate(near).astype(np.int32)

@@ -22,6 +22,7 @@ SCHEMA = 1
 _FLOOR_M = 0.1  # the least standard deviation of an area: people are not points
 _DRAWS = 1000
 _QUANTILES = 101
+_COVARIANCES = "symmetric, positive definite matrices"
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +170,9 @@ def _cluster(
     from sklearn.neighbors import NearestNeighbors
 
     points = points.astype(np.float64)
-    label = DBSCAN(eps=eps_m, min_samples=min_persons).fit_predict(points)
+    label = np.empty(0, dtype=np.int64)
+    if len(points):
+        label = DBSCAN(eps=eps_m, min_samples=min_persons).fit_predict(points)
     if not (label >= 0).any():
         raise SceneError(
             scene.folder,
@@ -261,6 +264,15 @@ def read_areas(scene: Scene) -> Areas:
     arrays = {}
     for name, shape in shapes.items():
         arrays[name] = as_array(getattr(file, name), shape, f"{path}, {name}", mend)
+    flow, speed = arrays["flow"], arrays["speed_quantiles_mps"]
+    for name, holds, expected in (
+        ("spawn_covariance_m2", _are_covariances(arrays["spawn_covariance_m2"]), _COVARIANCES),
+        ("goal_covariance_m2", _are_covariances(arrays["goal_covariance_m2"]), _COVARIANCES),
+        ("flow", (flow >= 0).all() and np.allclose(flow.sum(axis=1), 1), "probabilities by row"),
+        ("speed_quantiles_mps", (np.diff(speed, prepend=0) >= 0).all(), "ascending speeds"),
+    ):
+        if not holds:
+            raise WeightsError(f"{path}, {name}", got="other numbers", expected=expected, mend=mend)
     return Areas(
         scene=file.scene,
         spawn=Gaussians(arrays["spawn_mean_m"], arrays["spawn_covariance_m2"]),
@@ -269,6 +281,11 @@ def read_areas(scene: Scene) -> Areas:
         speed_quantiles=arrays["speed_quantiles_mps"],
         left_out=file.left_out,
     )
+
+
+def _are_covariances(matrices: Float[np.ndarray, "K 2 2"]) -> bool:
+    symmetric = np.allclose(matrices, matrices.transpose(0, 2, 1))
+    return symmetric and bool((np.linalg.eigvalsh(matrices) > 0).all())
 
 
 def as_array(values: list, shape: tuple[int, ...], where: str, mend: str) -> np.ndarray:

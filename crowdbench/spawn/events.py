@@ -115,11 +115,13 @@ class Arrivals:
 
 
 def arrivals_of(crowd: Trajectories, blocks: TimeBlocks, areas: int) -> Arrivals:
-    """The arrivals of those who enter in the blocks; their areas must be assigned.
+    """The arrivals of those who enter in the blocks; who has no area is left out.
 
     Neighbouring blocks are one stretch, so that a window is as long as observation was.
     """
     persons, _, tick = blocks.of_arrivals(crowd)
+    known = crowd.spawn_area[persons] >= 0
+    persons, tick = persons[known], tick[known]
     ticks = np.ceil(blocks.arrival_s / blocks.grid_s - 1e-6).astype(np.int64)
     joined = [list(ticks[0])]
     for start, stop in ticks[1:]:

@@ -1,0 +1,315 @@
+"""The PettingZoo view: a `ParallelEnv` whose agents come and go as persons do.
+
+It adds names, dictionaries and a reward to `Simulation`, and no physics.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from pettingzoo import ParallelEnv
+
+from crowdbench.episode import Recorder, begin, check_capacity
+from crowdbench.errors import ActionError, SettingError
+from crowdbench.policies import Straight
+from crowdbench.registry import spawn_model
+from crowdbench.scene import Scene, load_scene
+from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation.state import EXIT, GOAL, RECORDED
+from crowdbench.spawn import SpawnModel
+from crowdbench.spawn.model import Start
+from crowdbench.trajectories import Trajectories
+
+ARRIVAL_REWARD = 1.0
+_TERMINAL = np.array([False, True, True, False, True, False])  # goal, exit, recorded end
+
+
+class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped
+    """A crowd as a parallel environment; made by `crowdbench.parallel_env`.
+
+    An agent is a person: it appears when the person enters (reward 0, not done), acts once a
+    frame, and disappears with its last entries when the person's life ends: terminated at the
+    goal, outside the bounds, or where its record breaks off; truncated by the patience of the
+    scene (timeout) and by the episode's horizon. Nobody enters at the horizon.
+
+    A frame in which nobody is there is no step: the call goes on to the next arrival, and
+    `infos` tells the `frame` and the `frames_skipped`. `agents` is thus empty only when the
+    episode is over.
+
+    - Observation: `lidar` version 1, see `crowdbench.simulation.lidar`.
+    - Action: velocity in units of the scene's greatest speed, Box(−1, 1, (2,)). Values out of
+      range are clipped; NaN or infinity, a missing agent, or one that is not there raise.
+    - Reward: metres come nearer to the goal in this step, plus 1 on reaching it.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "crowdbench",
+        "render_modes": [],
+        "is_parallelizable": True,
+    }
+    render_mode = None
+
+    def __init__(
+        self,
+        scene: Scene,
+        spawn: SpawnModel,
+        *,
+        horizon_s: float | None,
+        start: Start | None,
+        settings: Settings,
+        on_full: Literal["error", "drop"],
+    ) -> None:
+        if on_full not in ("error", "drop"):
+            raise SettingError("on_full", got=repr(on_full), expected="'error' or 'drop'")
+        horizon_s = scene.horizon_s if horizon_s is None else horizon_s
+        if not (np.isfinite(horizon_s) and horizon_s > 0):
+            raise SettingError(
+                "horizon_s", got=str(horizon_s), expected="a positive number of seconds"
+            )
+        self.scene = scene
+        self.spawn = spawn
+        self.frames = scene.frames(horizon_s)
+        self._start = start
+        self._on_full = on_full
+        self._simulation = Simulation(scene, settings=settings)
+        self._seeds, _ = seeding.np_random(None)
+        self.possible_agents = [f"person_{k}" for k in range(settings.max_persons)]
+        self.agents: list[str] = []
+        self._there = np.empty(0, np.int64)  # slots of `agents`
+        size = self._simulation.observation.shape[-1]
+        self._observation_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
+        self._action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self._recorder: Recorder | None = None
+        self._seed = 0
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """The same for each agent."""
+        return self._observation_space
+
+    def action_space(self, agent: str) -> spaces.Box:
+        """The same for each agent."""
+        return self._action_space
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
+        """Begin an episode; the same seed gives the same arrivals. `options` are not used.
+
+        Raises:
+            CapacityError: more persons than slots or ids, unless `on_full` is `drop`.
+        """
+        if seed is not None:
+            self._seeds, _ = seeding.np_random(seed)
+        self._seed = int(self._seeds.integers(2**31)) if seed is None else seed
+        simulation = self._simulation
+        begin(
+            simulation,
+            self.spawn,
+            seed=self._seed,
+            frames=self.frames,
+            start=self._start,
+            walker=Straight(),
+        )
+        self._recorder = Recorder(simulation)
+        self._recorder.write()
+        skipped = self._skip_empty()
+        self._check_capacity()
+        self._there = np.flatnonzero(simulation.slots.alive[0])
+        self.agents = self._names(self._there)
+        observations = simulation.observe()[0, self._there]
+        return dict(zip(self.agents, observations, strict=True)), self._infos(skipped)
+
+    def step(
+        self, actions: Mapping[str, np.ndarray]
+    ) -> tuple[
+        dict[str, np.ndarray],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Advance by a frame, and on to the next arrival where nobody is left.
+
+        Raises:
+            ActionError: before `reset` or after the end, or actions that do not fit `agents`.
+            CapacityError: more persons than slots or ids, unless `on_full` is `drop`.
+        """
+        simulation, slots = self._simulation, self._simulation.slots
+        acted, acting = self._there, self.agents
+        commands = np.zeros(slots.position.shape, np.float32)
+        commands[0, acted] = self._commands(actions)
+        before = _to_goal(slots, acted)
+        simulation.step(commands)
+        assert self._recorder is not None
+        self._recorder.write()
+
+        ended = slots.ended[0, acted]
+        reward = before - _to_goal(slots, acted) + ARRIVAL_REWARD * (ended == GOAL)
+        frame = int(simulation.clock.frame[0])
+        rewards = dict(zip(acting, reward.tolist(), strict=True))
+        terminated = _TERMINAL[ended]
+        terminations = dict(zip(acting, terminated.tolist(), strict=True))
+        truncations = dict(zip(acting, ((ended != 0) & ~terminated).tolist(), strict=True))
+        observations = dict(zip(acting, simulation.observe()[0, acted], strict=True))
+
+        skipped = 0
+        born = np.flatnonzero(slots.spawned[0])
+        if not slots.alive[0].any():
+            skipped = self._skip_empty()
+            born = np.flatnonzero(slots.alive[0])
+            simulation.observe()
+        self._check_capacity()
+        if len(born):
+            names = self._names(born)
+            observations.update(zip(names, simulation.observation[0, born], strict=True))
+            rewards.update(dict.fromkeys(names, 0.0))
+            terminations.update(dict.fromkeys(names, False))
+            truncations.update(dict.fromkeys(names, False))
+        if ended.any() or len(born):
+            self._there = np.flatnonzero(slots.alive[0])
+            self.agents = self._names(self._there)
+        infos = {name: {"frame": frame, "frames_skipped": 0} for name in acting}
+        if len(born):
+            infos.update(self._infos(skipped, names))
+        return observations, rewards, terminations, truncations, infos
+
+    def trajectories(self) -> Trajectories:
+        """The episode so far, as the table that metrics score.
+
+        Raises:
+            ActionError: before `reset`.
+        """
+        if self._recorder is None:
+            raise ActionError("trajectories", got="no episode", expected="a call of reset first")
+        return self._recorder.trajectories(
+            {"spawn": self.spawn.name, "policy": "environment", "seed": self._seed}
+        )
+
+    @property
+    def dropped(self) -> int:
+        """Persons turned away in this episode for want of slots or ids."""
+        clock = self._simulation.clock
+        return int(clock.no_slot[0] + clock.no_id[0])
+
+    def render(self) -> None:
+        """Draw nothing: there is no render mode yet."""
+
+    def close(self) -> None:
+        """Hold nothing that needs closing."""
+
+    def _commands(self, actions: Mapping[str, np.ndarray]) -> np.ndarray:
+        if not self.agents:
+            raise ActionError(
+                "step", got="a call without agents", expected="a call of reset first",
+                mend="The episode is over, or was never begun.",
+            )  # fmt: skip
+        if len(actions) != len(self.agents) or not all(name in actions for name in self.agents):
+            missing = [name for name in self.agents if name not in actions]
+            unknown = [name for name in actions if name not in set(self.agents)]
+            raise ActionError(
+                "step",
+                got=f"no action for {missing[:3]}, actions for {unknown[:3]} who are not there",
+                expected=f"one action for each of the {len(self.agents)} agents",
+                mend="Act for exactly the names in env.agents.",
+            )
+        try:
+            commands = np.array([actions[name] for name in self.agents], dtype=np.float32)
+        except (TypeError, ValueError) as error:
+            raise ActionError(
+                "step", got=f"actions that are no pairs of numbers ({error})",
+                expected="arrays of shape (2,)",
+            ) from error  # fmt: skip
+        if commands.shape != (len(self.agents), 2):
+            raise ActionError(
+                "step",
+                got=f"actions of shape {commands.shape[1:]}",
+                expected="arrays of shape (2,): a velocity in units of the greatest speed",
+            )
+        if not np.isfinite(commands).all():
+            name = self.agents[int(np.flatnonzero(~np.isfinite(commands).all(axis=1))[0])]
+            raise ActionError(
+                "step", got=f"{actions[name]} from {name}", expected="finite numbers",
+                mend="Look for a division by zero or a diverged network in the policy.",
+            )  # fmt: skip
+        return commands
+
+    def _skip_empty(self) -> int:
+        """Go on to the next arrival or the horizon, and return how many frames that took."""
+        simulation = self._simulation
+        slots, clock = simulation.slots, simulation.clock
+        first = int(clock.frame[0])
+        nobody = np.zeros(slots.position.shape, np.float32)
+        while not slots.alive[0].any() and clock.frame[0] < self.frames:
+            due = simulation.next_due()
+            simulation.skip_to(self.frames if due is None else min(due, self.frames))
+            simulation.step(nobody)
+        assert self._recorder is not None
+        if clock.frame[0] > first:
+            self._recorder.write()
+        return int(clock.frame[0]) - first
+
+    def _names(self, slots: np.ndarray) -> list[str]:
+        return [self.possible_agents[k] for k in self._simulation.slots.person[0, slots].tolist()]
+
+    def _infos(self, skipped: int, names: list[str] | None = None) -> dict[str, dict[str, Any]]:
+        frame = int(self._simulation.clock.frame[0])
+        chosen = self.agents if names is None else names
+        return {name: {"frame": frame, "frames_skipped": skipped} for name in chosen}
+
+    def _check_capacity(self) -> None:
+        if self._on_full == "error" and self.dropped:
+            check_capacity(self._simulation)
+
+
+def _to_goal(slots: Any, there: np.ndarray) -> np.ndarray:
+    way = slots.goal[0, there] - slots.position[0, there]
+    return np.sqrt(way[:, 0] ** 2 + way[:, 1] ** 2)
+
+
+def parallel_env(
+    scene: str | Path | Scene,
+    *,
+    spawn: str | SpawnModel = "poisson-gmm",
+    horizon_s: float | None = None,
+    start: Start | None = None,
+    rays: int = 32,
+    ray_range_m: float = 10.0,
+    max_alive: int = 512,
+    max_persons: int | None = None,
+    on_full: Literal["error", "drop"] = "error",
+) -> CrowdParallelEnv:
+    """Make a PettingZoo environment of a scene.
+
+    Args:
+        scene: an id from `list_scenes()`, or a folder with a `scene.toml`.
+        spawn: who enters when and where: a name, `pkg.module:Class`, or a model.
+        horizon_s: length of an episode in seconds, by default the recording's.
+        start: `stationary` (a discarded warm-up walked straight), `recorded` (replay only) or
+            `empty`; by default the spawn model's own.
+        rays: R, number of rays that a person sees by.
+        ray_range_m: their range in metres.
+        max_alive: persons at once.
+        max_persons: persons per episode, all of them in `possible_agents`; by default twice a
+            sample of the spawn model, and some.
+        on_full: what happens when either runs out: `error` raises, `drop` turns the person
+            away and counts it in `env.dropped`.
+
+    Raises:
+        SceneError, SettingError, WeightsError, RecordingError: what was asked for does not
+            exist or does not fit.
+    """
+    scene = load_scene(scene)
+    model = spawn_model(spawn, scene)
+    if max_persons is None:
+        whole_s = (scene.horizon_s if horizon_s is None else horizon_s) + 60.0
+        sample = model.sample(whole_s, scene, np.random.default_rng(0))
+        max_persons = 2 * len(sample) + 100
+    settings = Settings(
+        max_alive=max_alive, max_persons=max_persons, rays=rays, ray_range_m=ray_range_m
+    )
+    return CrowdParallelEnv(
+        scene, model, horizon_s=horizon_s, start=start, settings=settings, on_full=on_full
+    )

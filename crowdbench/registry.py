@@ -1,0 +1,115 @@
+"""What the names of recordings, spawn models and policies stand for."""
+
+import importlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from crowdbench import plaza
+from crowdbench.errors import SettingError
+from crowdbench.policies import Policy, Random, ReplayPolicy, SocialForce, Straight
+from crowdbench.recordings import catalogue
+from crowdbench.scene import Scene, load_scene
+from crowdbench.spawn import PoissonGMM, Replay, SpawnModel, fit_areas
+from crowdbench.spawn.areas import read_areas
+from crowdbench.tables import write_parquet
+from crowdbench.trajectories import Trajectories
+
+RECORDINGS = (*catalogue.SOURCES, "plaza")
+SPAWN_MODELS = ("poisson-gmm", "replay")
+POLICIES = ("straight", "social-force", "random", "replay")
+
+
+def recording(name: str) -> Trajectories:
+    """A recording by its name: the imported one, or the plaza's, which is generated.
+
+    Raises:
+        SettingError: there is no recording of that name.
+        RecordingError: it has not been imported.
+    """
+    if name == "plaza" and not catalogue.cached(name).exists():
+        return plaza.record()
+    return catalogue.load_imported(name)
+
+
+def import_recording(name: str, source: Path | None = None) -> Trajectories:
+    """Import a recording into the user's cache; see `catalogue.import_recording`."""
+    if name == "plaza":
+        crowd = plaza.record()
+        write_parquet(crowd, catalogue.cached(name))
+        return crowd
+    return catalogue.import_recording(name, source)
+
+
+def recording_of(scene: Scene) -> Trajectories:
+    """The recording of a scene, its persons assigned to the scene's areas."""
+    _, crowd = fit_areas(recording(scene.recording.name), scene, scene.clustering["default"])
+    return crowd
+
+
+def spawn_model(model: str | SpawnModel, scene: str | Scene) -> SpawnModel:
+    """A spawn model by its name; `pkg.module:Class` is called with the scene.
+
+    Raises:
+        SettingError: there is no such model.
+        WeightsError: the scene ships no weights for it.
+        RecordingError: it needs a recording that has not been imported.
+    """
+    if not isinstance(model, str):
+        return model
+    scene = load_scene(scene)
+    if model == "poisson-gmm":
+        return PoissonGMM.read(scene, read_areas(scene))
+    if model == "replay":
+        return Replay(recording_of(scene))
+    made: SpawnModel = _own(model, "spawn model", SPAWN_MODELS)(scene)
+    return _having(made, model, ("name", "start", "sample"))
+
+
+def policy(named: str | Policy, scene: str | Scene) -> Policy:
+    """A policy by its name; `pkg.module:Class` is called without arguments.
+
+    Raises:
+        SettingError: there is no such policy.
+        RecordingError: it needs a recording that has not been imported.
+    """
+    if not isinstance(named, str):
+        return named
+    plain: dict[str, Callable[[], Policy]] = {
+        "straight": Straight,
+        "social-force": SocialForce,
+        "random": Random,
+    }
+    if named in plain:
+        return plain[named]()
+    if named == "replay":
+        return ReplayPolicy(recording_of(load_scene(scene)))
+    made: Policy = _own(named, "policy", POLICIES)()
+    return _having(made, named, ("name", "sees", "reset", "act"))
+
+
+def _own(path: str, kind: str, known: tuple[str, ...]) -> Callable[..., Any]:
+    module, colon, attribute = path.partition(":")
+    if not colon:
+        raise SettingError(
+            kind, got=repr(path), expected=f"one of {', '.join(known)}, or pkg.module:Class"
+        )
+    try:
+        found: Callable[..., Any] = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise SettingError(
+            kind,
+            got=f"{path!r} ({error})",
+            expected="a class that can be imported",
+            mend="Install its package, or run where Python finds it.",
+        ) from error
+    return found
+
+
+def _having(made: Any, path: str, needed: tuple[str, ...]) -> Any:
+    missing = [name for name in needed if not hasattr(made, name)]
+    if missing:
+        raise SettingError(
+            path, got=f"an object without {', '.join(missing)}", expected=f"{', '.join(needed)}"
+        )
+    return made
