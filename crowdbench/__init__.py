@@ -20,7 +20,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from crowdbench.environment import CrowdParallelEnv, parallel_env
     from crowdbench.errors import CrowdbenchError
-    from crowdbench.evaluate import evaluate
+    from crowdbench.evaluation import evaluate
     from crowdbench.metrics import METRICS, MetricResult, distance
     from crowdbench.reference import score
     from crowdbench.registry import policy, recording, spawn_model
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _HOME = {
     "environment": ("CrowdParallelEnv", "parallel_env"),
     "errors": ("CrowdbenchError",),
-    "evaluate": ("evaluate",),
+    "evaluation": ("evaluate",),
     "metrics": ("METRICS", "MetricResult", "distance"),
     "reference": ("score",),
     "registry": ("policy", "recording", "spawn_model"),

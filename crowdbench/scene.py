@@ -5,6 +5,7 @@ A scene is a folder with `scene.toml`, which says what the place is, and the fil
 makes a new version.
 """
 
+import math
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -235,17 +236,17 @@ def _check(file: _SceneFile, path: Path) -> None:
         "protocol.block_s": file.protocol.block_s,
     }
     for name, value in positive.items():
-        require(np.isfinite(value) and value > 0, f"{name} = {value}", "a positive number")
+        require(math.isfinite(value) and value > 0, f"{name} = {value}", "a positive number")
     for name, value in (
         ("spawning.clearance_m", file.spawning.clearance_m),
         ("spawning.patience_s", file.spawning.patience_s),
     ):
-        require(np.isfinite(value) and value >= 0, f"{name} = {value}", "zero or more")
+        require(math.isfinite(value) and value >= 0, f"{name} = {value}", "zero or more")
     for name, value in msgspec.structs.asdict(b).items():
-        require(bool(np.isfinite(value)), f"bounds.{name} = {value}", "a finite number")
+        require(math.isfinite(value), f"bounds.{name} = {value}", "a finite number")
     for key, settings in file.clustering.items():
         for name, value in msgspec.structs.asdict(settings).items():
-            holds = name == "keep_noise" or (np.isfinite(value) and value > 0)
+            holds = name == "keep_noise" or (math.isfinite(value) and value > 0)
             require(holds, f"clustering.{key}.{name} = {value}", "a positive number")
     require("default" in file.clustering, "no [clustering.default]", "its DBSCAN settings")
     for wall in file.walls:

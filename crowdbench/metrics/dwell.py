@@ -1,6 +1,7 @@
 """Dwell time: how long a person who enters stays."""
 
 import numpy as np
+from jaxtyping import Float
 
 from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics.lattice import (
@@ -39,8 +40,8 @@ class Dwell:
     ) -> MetricResult:
         """Compare the Kaplan–Meier distributions of dwell time."""
         block = max(1, round(float(np.diff(blocks.frames, axis=1).mean())))
-        p, _ = _distribution(recorded, if_empty=block)
-        q, n = _distribution(simulated, if_empty=block)
+        p, _ = distribution(recorded, if_empty=block)
+        q, n = distribution(simulated, if_empty=block)
         return MetricResult(
             distance=relative_wasserstein1(p, q),
             recorded=mean(p) * blocks.dt_s,
@@ -50,7 +51,13 @@ class Dwell:
         )
 
 
-def _distribution(statistics: Histograms, *, if_empty: int) -> tuple[np.ndarray, int]:
+def distribution(
+    statistics: Histograms, *, if_empty: int
+) -> tuple[Float[np.ndarray, " V"], int]:
+    """Kaplan–Meier distribution of dwell time in frames, all blocks together, and its size.
+
+    Nobody at all counts as a point mass at `if_empty`.
+    """
     ended, censored = (statistics[name].sum(axis=0) for name in ("ended", "censored"))
     size = max(len(ended), len(censored))
     ended, censored = (np.pad(x, (0, size - len(x))) for x in (ended, censored))

@@ -1,7 +1,7 @@
 """What a metric is: per-block statistics of a crowd, and a distance between two of them."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Int
@@ -9,9 +9,9 @@ from jaxtyping import Int
 from crowdbench.blocks import TimeBlocks
 from crowdbench.trajectories import Trajectories
 
-Histograms = dict[str, Int[np.ndarray, "B V"]]
-"""Counts on a lattice per block, by name. Sums over blocks are all that a distance looks at, so
-shipping them loses nothing against shipping the crowd."""
+Histograms = dict[str, Int[np.ndarray, "_B _V"]]
+"""Counts on a lattice per block, by name; V may differ from crowd to crowd. Sums over blocks are
+all that a distance looks at, so shipping them loses nothing against shipping the crowd."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,7 @@ class MetricResult:
     """Size of the other crowd's sample."""
 
 
+@runtime_checkable  # tests check annotations at run time
 class Metric(Protocol):
     """A metric: `compare(summarise(a, blocks), summarise(b, blocks), blocks)`."""
 

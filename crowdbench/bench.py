@@ -1,0 +1,205 @@
+"""How fast crowdbench is on this machine.
+
+Other programs only ever slow a measurement down, so each figure is the best of many short
+chunks; compare figures of one run with each other rather than across machines.
+"""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+
+from crowdbench.environment import CrowdParallelEnv
+from crowdbench.metrics import METRICS
+from crowdbench.policies import Policy, SocialForce, Straight
+from crowdbench.reference import read_reference
+from crowdbench.registry import spawn_model
+from crowdbench.rollout import rollout
+from crowdbench.scene import Bounds, Scene, Wall, load_scene
+from crowdbench.simulation import Settings, Simulation
+from crowdbench.spawn import SpawnEvents, SpawnModel
+from crowdbench.spawn.events import entering
+from crowdbench.spawn.model import Start
+
+PERSONS_PER_M2 = 0.07
+M2_PER_BOX = 300.0
+CHUNK_S = 0.05
+MEASURE_S = 2.0
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured number."""
+
+    name: str
+    value: float
+    unit: str
+
+    def text(self) -> str:
+        """The number as people read it."""
+        if self.value >= 1e4:
+            return f"{self.value / 1e6:.3f} M {self.unit}"
+        return f"{self.value:.3g} {self.unit}"
+
+
+def measure() -> Iterator[Figure]:
+    """All figures, each as soon as it is measured."""
+    for worlds, persons in ((1, 20), (1, 100), (1, 300), (64, 50)):
+        name = f"core with observations, {worlds} × {persons}"
+        yield Figure(name, _core(worlds, persons), "agent-steps/s")
+    yield Figure("PettingZoo view, 20 agents", _pettingzoo(20), "agent-steps/s")
+    scene = load_scene("eth-v0")
+    spawn = spawn_model("poisson-gmm", scene)
+    rng = np.random.default_rng(0)
+    horizon_s = 10_000 * scene.dt_s
+    yield Figure(
+        "poisson-gmm, sampling 10,000 frames of ETH",
+        _least_s(lambda: spawn.sample(horizon_s, scene, rng)),
+        "s",
+    )
+    for policy in (Straight(), SocialForce()):
+        yield Figure(
+            f"rollout of ETH, {policy.name}", _least_s(_rolling(scene, spawn, policy)), "s"
+        )
+    crowd = rollout(scene, spawn, Straight(), seed=0)
+    reference = read_reference(scene)
+    yield Figure(
+        f"scoring a rollout of ETH, {len(METRICS)} metrics",
+        _least_s(lambda: reference.score(crowd)),
+        "s",
+    )
+    yield Figure("import crowdbench", min(_import_s() for _ in range(5)), "s")
+
+
+def open_square(persons: int) -> Scene:
+    """A square with 0.07 persons/m² and a box of 2 m every 300 m², where no life ends."""
+    eth = load_scene("eth-v0")
+    side_m = (persons / PERSONS_PER_M2) ** 0.5
+    rng = np.random.default_rng(persons)
+    corners = rng.random((max(2, round(side_m**2 / M2_PER_BOX)), 2)) * (side_m - 3)
+    walls = tuple(
+        Wall(f"box {k}", ((x, y), (x + 2, y), (x + 2, y + 2), (x, y + 2)))
+        for k, (x, y) in enumerate(corners.tolist())
+    )
+    return replace(
+        eth,
+        bounds=Bounds(0.0, side_m, 0.0, side_m),
+        walls=walls,
+        recording=msgspec.structs.replace(eth.recording, dwell_p99_s=1e6),
+    )
+
+
+def crowd_at_once(scene: Scene, persons: int, seed: int) -> SpawnEvents:
+    """So many persons at walkable places in the first frame, with goals far away."""
+    rng = np.random.default_rng(seed)
+    b = scene.bounds
+    places = np.empty((0, 2))
+    while len(places) < persons:
+        draws = rng.uniform((b.x_min_m, b.y_min_m), (b.x_max_m, b.y_max_m), (persons, 2))
+        places = np.concatenate([places, draws[scene.walkable(draws)]])
+    nowhere = np.zeros(persons, np.int32)
+    return entering(
+        time_s=np.zeros(persons),
+        start=places[:persons],
+        goal=np.full((persons, 2), 1e4),
+        spawn_area=nowhere,
+        goal_area=nowhere,
+        speed=np.ones(persons),
+    )
+
+
+class _AtOnce:
+    """A spawn model that lets everyone in at the beginning."""
+
+    name = "at-once"
+    start: Start = "empty"
+
+    def __init__(self, persons: int) -> None:
+        self.persons = persons
+
+    def sample(self, horizon_s: float, scene: Scene, rng: np.random.Generator) -> SpawnEvents:
+        return crowd_at_once(scene, self.persons, 0)
+
+
+def _to_and_fro(shape: tuple[int, ...]) -> list[np.ndarray]:
+    """Actions that lead away and back, so that the crowd stays as dense as it is."""
+    rng = np.random.default_rng(0)
+    there = [(rng.standard_normal(shape) * 0.1).astype(np.float32) for _ in range(20)]
+    return [action for a in there for action in (a, -a)]
+
+
+def _core(worlds: int, persons: int) -> float:
+    scene = open_square(persons)
+    simulation = Simulation(scene, worlds=worlds, settings=Settings(max_alive=persons))
+    events = [crowd_at_once(scene, persons, world) for world in range(worlds)]
+    simulation.reset(events, horizon=10**9)
+    actions = _to_and_fro((worlds, persons, 2))
+
+    def chunk() -> int:
+        steps = 0
+        for action in actions:
+            simulation.step(action)
+            simulation.observe()
+            steps += int(simulation.slots.alive.sum())
+        return steps
+
+    return _best_rate(chunk)
+
+
+def _pettingzoo(persons: int) -> float:
+    env = CrowdParallelEnv(
+        open_square(persons),
+        _AtOnce(persons),  # type: ignore[arg-type]  # has no likelihood, and needs none here
+        horizon_s=1e8,
+        start=None,
+        settings=Settings(max_alive=persons, max_persons=persons),
+        on_full="error",
+    )
+    actions = _to_and_fro((persons, 2))
+
+    def chunk() -> int:
+        env.reset(seed=0)
+        steps = 0
+        for action in actions * 5:
+            env.step(dict(zip(env.agents, action, strict=False)))
+            steps += len(env.agents)
+        return steps
+
+    return _best_rate(chunk)
+
+
+def _rolling(scene: Scene, spawn: SpawnModel, policy: Policy) -> Callable[[], object]:
+    return lambda: rollout(scene, spawn, policy, seed=0)
+
+
+def _best_rate(chunk: Callable[[], int]) -> float:
+    """Greatest number of steps a second over chunks of work, after one that compiles."""
+    chunk()
+    best, until = 0.0, time.perf_counter() + MEASURE_S
+    while time.perf_counter() < until:
+        began = time.perf_counter()
+        steps = 0
+        while time.perf_counter() - began < CHUNK_S:
+            steps += chunk()
+        best = max(best, steps / (time.perf_counter() - began))
+    return best
+
+
+def _least_s(work: Callable[[], object]) -> float:
+    work()
+    least, until = float("inf"), time.perf_counter() + MEASURE_S
+    while time.perf_counter() < until:
+        began = time.perf_counter()
+        work()
+        least = min(least, time.perf_counter() - began)
+    return least
+
+
+def _import_s() -> float:
+    code = "import time; t = time.perf_counter(); import crowdbench; print(time.perf_counter() - t)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return float(done.stdout)

@@ -1,0 +1,165 @@
+"""The pictures of an evaluation: agents over time, inter-spawn times, dwell times."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from crowdbench.files import replacing
+from crowdbench.metrics import METRICS, Histograms
+from crowdbench.metrics.dwell import distribution
+from crowdbench.reference import Reference
+from crowdbench.scene import Scene
+from crowdbench.trajectories import Trajectories
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Crowds = dict[tuple[str, str, int], Trajectories]
+"""Rollouts by spawn model, policy and seed."""
+
+# Okabe & Ito's colours, which colour-blind readers can tell apart; the recording is black.
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_DASHES: tuple[Any, ...] = ("-", (0, (5, 3)), (0, (2, 2)))
+_DPI = 150
+
+
+def draw_figures(scene: Scene, reference: Reference, crowds: Crowds, out: Path) -> list[Path]:
+    """Draw `agents_over_time.png`, `inter_spawn.png` and `dwell.png` into `out`.
+
+    Raises:
+        OutputError: a picture cannot be written.
+    """
+    pairs = list(dict.fromkeys((spawn, policy) for spawn, policy, _ in crowds))
+    groups = [
+        (f"{spawn} × {policy}", [c for key, c in crowds.items() if key[:2] == (spawn, policy)])
+        for spawn, policy in pairs
+    ]
+    return [
+        _agents_over_time(scene, reference, groups, out / "agents_over_time.png"),
+        _survival(scene, reference, groups, out / "inter_spawn.png", "inter_spawn"),
+        _survival(scene, reference, groups, out / "dwell.png", "dwell"),
+    ]
+
+
+def _agents_over_time(
+    scene: Scene,
+    reference: Reference,
+    groups: list[tuple[str, list[Trajectories]]],
+    path: Path,
+) -> Path:
+    """Draw a panel per crowd: its rollouts' N(t) over the recording's N in each time block."""
+
+    def draw(axes: "list[Axes]") -> None:
+        seconds = np.arange(scene.recording.frames) * scene.dt_s
+        top = max(crowd.present().max() for _, crowds in groups for crowd in crowds)
+        for k, (axis, (label, crowds)) in enumerate(zip(axes, groups, strict=True)):
+            _recorded_bands(axis, reference)
+            series = np.stack([crowd.present()[: len(seconds)] for crowd in crowds])
+            colour = _COLOURS[k % len(_COLOURS)]
+            axis.plot(seconds, series.T, color=colour, linewidth=0.6, alpha=0.45)
+            axis.plot([], [], color=colour, label=f"{label}, {len(crowds)} rollouts")
+            axis.set(ylabel="agents", xlim=(0, seconds[-1]), ylim=(0, top * 1.25))
+            axis.legend(loc="upper right", ncols=3, fontsize=8, frameon=False)
+        axes[-1].set_xlabel("time (s); where no grey is drawn, the recording was not annotated")
+        axes[0].set_title(f"{scene.title}: agents over time", loc="left", fontsize=11)
+
+    return _save(path, draw, rows=len(groups), height=2.3)
+
+
+def _recorded_bands(axis: "Axes", reference: Reference) -> None:
+    counts = reference.statistics["agents_over_time"]["counts"]
+    for b, (start, stop) in enumerate(reference.blocks.frames * reference.blocks.dt_s):
+        cumulative = counts[b].cumsum() / counts[b].sum()
+        low, high = (np.searchsorted(cumulative, q) for q in (0.05, 0.95))
+        mean = counts[b] @ np.arange(counts.shape[1]) / counts[b].sum()
+        first = b == 0
+        axis.fill_between(
+            [start, stop], low, high, color="0.82", linewidth=0,
+            label="recorded, 5–95 % of a block" if first else None,
+        )  # fmt: skip
+        axis.plot(
+            [start, stop], [mean, mean], color="black", linewidth=1.6,
+            label="recorded, mean of a block" if first else None,
+        )  # fmt: skip
+
+
+def _survival(
+    scene: Scene,
+    reference: Reference,
+    groups: list[tuple[str, list[Trajectories]]],
+    path: Path,
+    name: str,
+) -> Path:
+    """Draw P(time > t) of the recording and each crowd, all rollouts of a crowd pooled.
+
+    Survival curves need no bins, and show the tail that a histogram hides.
+    """
+    metric = next(m for m in METRICS if m.name == name)
+    titles = {"inter_spawn": "inter-spawn time", "dwell": "dwell time"}
+    unit_s = {"inter_spawn": scene.grid_s, "dwell": scene.dt_s}[name]
+
+    def draw(axes: "list[Axes]") -> None:
+        (axis,) = axes
+        curves = [("recorded", _distribution(name, reference.statistics[name]))]
+        for label, crowds in groups:
+            each = [metric.summarise(crowd, reference.blocks) for crowd in crowds]
+            curves.append((label, _distribution(name, _pooled(each))))
+        longest = max(np.searchsorted(p.cumsum(), 1 - 1e-4) for _, p in curves) + 1
+        for k, (label, p) in enumerate(curves):
+            beyond = np.maximum(0, 1 - np.pad(p, (0, max(0, longest - len(p)))).cumsum())[:longest]
+            style: dict[str, Any] = {
+                "color": _COLOURS[(k - 1) % len(_COLOURS)],
+                "linestyle": _DASHES[(k - 1) % len(_DASHES)],  # equal curves stay visible
+                "linewidth": 1.5,
+            }
+            if k == 0:
+                style = {"color": "black", "linewidth": 2.2}
+            axis.step(np.arange(longest) * unit_s, beyond, where="post", label=label, **style)
+        axis.set(xlabel=f"{titles[name]} t (s)", ylabel="share longer than t", xlim=(0, None))
+        axis.set_ylim(0, 1)
+        axis.legend(fontsize=8, frameon=False)
+        axis.set_title(f"{scene.title}: {titles[name]}", loc="left", fontsize=11)
+
+    return _save(path, draw, rows=1, height=4.0, width=6.5)
+
+
+def _distribution(name: str, statistics: Histograms) -> np.ndarray:
+    if name == "dwell":
+        return distribution(statistics, if_empty=1)[0]
+    counts = statistics["gaps"].sum(axis=0)
+    return counts / max(1, counts.sum())
+
+
+def _pooled(statistics: list[Histograms]) -> Histograms:
+    pooled = {}
+    for name in statistics[0]:
+        size = max(s[name].shape[1] for s in statistics)
+        pooled[name] = np.concatenate(
+            [np.pad(s[name], ((0, 0), (0, size - s[name].shape[1]))) for s in statistics]
+        )
+    return pooled
+
+
+def _save(
+    path: Path,
+    draw: "Callable[[list[Axes]], None]",
+    *,
+    rows: int,
+    height: float,
+    width: float = 9.0,
+) -> Path:
+    # A figure of its own canvas: no window system and no global state of pyplot's is touched.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height * rows + 0.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+    for axis in axes:
+        axis.spines[["top", "right"]].set_visible(False)
+    draw(list(axes))
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=_DPI, format="png", metadata={"Software": None})
+    return path
