@@ -27,6 +27,7 @@ from crowdbench.spawn.model import Start
 
 PERSONS_PER_M2 = 0.07
 M2_PER_BOX = 300.0
+MARGIN_M = 1.5  # nobody is to leave the scene while it is measured
 CHUNK_S = 0.05
 MEASURE_S = 2.0
 
@@ -97,9 +98,11 @@ def crowd_at_once(scene: Scene, persons: int, seed: int) -> SpawnEvents:
     """So many persons at walkable places in the first frame, with goals far away."""
     rng = np.random.default_rng(seed)
     b = scene.bounds
+    lower = np.array([b.x_min_m, b.y_min_m]) + MARGIN_M
+    upper = np.array([b.x_max_m, b.y_max_m]) - MARGIN_M
     places = np.empty((0, 2))
     while len(places) < persons:
-        draws = rng.uniform((b.x_min_m, b.y_min_m), (b.x_max_m, b.y_max_m), (persons, 2))
+        draws = rng.uniform(lower, upper, (persons, 2))
         places = np.concatenate([places, draws[scene.walkable(draws)]])
     nowhere = np.zeros(persons, np.int32)
     return entering(

@@ -5,6 +5,7 @@ so that blocks can be folded (fit on some, score others) and resampled.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -63,10 +64,11 @@ def cut(
 
     No observed frame is lost: an interval shorter than `block_s` is one block.
     """
-    frames, opens = [], []
+    frames: list[tuple[int, int]] = []
+    opens: list[bool] = []
     for start, stop in observed:
         count = max(1, round((stop - start) * dt_s / block_s))
         edges = np.linspace(start, stop, count + 1).round().astype(np.int64)
-        frames += list(zip(edges[:-1], edges[1:], strict=True))
+        frames += pairwise(edges)
         opens += [True] + [False] * (count - 1)
     return TimeBlocks(np.array(frames), np.array(opens), dt_s, grid_s)

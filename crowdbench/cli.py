@@ -45,12 +45,21 @@ def _parser() -> argparse.ArgumentParser:
         "evaluate", help="roll out crowds on a scene and compare them with its recording"
     )
     evaluate.add_argument("scene", help="id of a scene (see `crowdbench scenes`), or its folder")
-    evaluate.add_argument("--spawn", nargs="+", default=["poisson-gmm"], metavar="MODEL",
-                          help="poisson-gmm, replay or pkg.module:Class (default: poisson-gmm)")  # fmt: skip
-    evaluate.add_argument("--policy", nargs="+", metavar="POLICY",
-                          default=["straight", "social-force", "random"],
-                          help="straight, social-force, random, replay or pkg.module:Class "
-                               "(default: straight social-force random)")  # fmt: skip
+    evaluate.add_argument(
+        "--spawn",
+        nargs="+",
+        default=["poisson-gmm"],
+        metavar="MODEL",
+        help="poisson-gmm, replay or pkg.module:Class (default: poisson-gmm)",
+    )
+    evaluate.add_argument(
+        "--policy",
+        nargs="+",
+        metavar="POLICY",
+        default=["straight", "social-force", "random"],
+        help="straight, social-force, random, replay or pkg.module:Class "
+        "(default: straight social-force random)",
+    )
     evaluate.add_argument("--seeds", type=int, default=6, help="rollouts per pair (default: 6)")
     evaluate.add_argument("--workers", type=int, help="processes (default: one per core)")
     evaluate.add_argument("--out", type=Path, help="folder of the results (default: results/…)")
@@ -58,16 +67,20 @@ def _parser() -> argparse.ArgumentParser:
 
     score = commands.add_parser("score", help="score trajectories that any simulator made")
     score.add_argument("scene", help="id of a scene, or its folder")
-    score.add_argument("table", type=Path,
-                       help="CSV or Parquet with person_id, frame (or time_s), x, y")  # fmt: skip
+    score.add_argument(
+        "table", type=Path, help="CSV or Parquet with person_id, frame (or time_s), x, y"
+    )
     score.set_defaults(run=_score)
 
     fit = commands.add_parser(
         "fit", help="fit a scene's areas, spawn models and reference statistics"
     )
     fit.add_argument("scene", help="id of a scene, or its folder")
-    fit.add_argument("--clustering", default="default",
-                     help="settings of that name in scene.toml (default: default)")  # fmt: skip
+    fit.add_argument(
+        "--clustering",
+        default="default",
+        help="settings of that name in scene.toml (default: default)",
+    )
     fit.add_argument("--out", type=Path, help="folder to write to (default: the scene's)")
     fit.set_defaults(run=_fit)
 
@@ -75,8 +88,12 @@ def _parser() -> argparse.ArgumentParser:
     of_data = data.add_subparsers(required=True, metavar="COMMAND")
     bring = of_data.add_parser("import", help="read a recording and keep it for later use")
     bring.add_argument("name", help="name of a recording (see `crowdbench data list`)")
-    bring.add_argument("--source", type=Path, metavar="DIR",
-                       help="folder in OpenTraj's layout (default: $CROWDBENCH_DATA)")  # fmt: skip
+    bring.add_argument(
+        "--source",
+        type=Path,
+        metavar="DIR",
+        help="folder in OpenTraj's layout (default: $CROWDBENCH_DATA)",
+    )
     bring.set_defaults(run=_import)
     listing = of_data.add_parser("list", help="list the known recordings")
     listing.set_defaults(run=_list)
@@ -133,9 +150,13 @@ def _evaluate(asked: argparse.Namespace) -> None:
     when = time.strftime("%Y%m%d-%H%M%S")
     out = asked.out or Path("results") / f"{Path(asked.scene).name}-{when}"
     columns = (
-        TextColumn("rollouts"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        TextColumn("left"), TimeRemainingColumn(),
-    )  # fmt: skip
+        TextColumn("rollouts"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
     bar = Progress(*columns, console=_console())
     task = bar.add_task("rollouts")
 
@@ -158,8 +179,10 @@ def _evaluate(asked: argparse.Namespace) -> None:
     _print_card(card)
     if any(entry.spawn == entry.policy == "replay" for entry in card.entries):
         _print_replay(asked.scene, out)
-    print(f"written to {out}: scorecard.json, run.json, rollouts/, agents_over_time.png, "
-          "inter_spawn.png, dwell.png")  # fmt: skip
+    print(
+        f"written to {out}: scorecard.json, run.json, rollouts/, agents_over_time.png, "
+        "inter_spawn.png, dwell.png"
+    )
 
 
 def _print_card(card: "Scorecard") -> None:
@@ -181,8 +204,10 @@ def _print_card(card: "Scorecard") -> None:
         f"{name.replace('_', ' ')} {m.recorded:.2f} {m.unit}"
         for name, m in card.entries[0].metrics.items()
     )
-    print(f"\n{card.scene}: {card.horizon_s:.0f} s, {card.blocks} time blocks. "
-          f"Recorded means: {', '.join(means)}.")  # fmt: skip
+    print(
+        f"\n{card.scene}: {card.horizon_s:.0f} s, {card.blocks} time blocks. "
+        f"Recorded means: {', '.join(means)}."
+    )
     _console().print(table)
     print(
         "Distances to the recording: Wasserstein-1 divided by the recorded mean, mean ± standard\n"

@@ -21,10 +21,11 @@ from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.state import EXIT, GOAL, RECORDED
 from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.model import Start
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories import OUTCOMES, Trajectories
 
 ARRIVAL_REWARD = 1.0
-_TERMINAL = np.array([False, True, True, False, True, False])  # goal, exit, recorded end
+TERMINAL = (GOAL, EXIT, RECORDED)
+"""Outcomes that terminate a person; timeout and horizon truncate it."""
 
 
 class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped
@@ -36,8 +37,8 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     scene (timeout) and by the episode's horizon. Nobody enters at the horizon.
 
     A frame in which nobody is there is no step: the call goes on to the next arrival, and
-    `infos` tells the `frame` and the `frames_skipped`. `agents` is thus empty only when the
-    episode is over.
+    `infos` tells the `frame`, the `frames_skipped` and, with a person's last entries, the
+    `outcome`. `agents` is thus empty only when the episode is over.
 
     - Observation: `lidar` version 1, see `crowdbench.simulation.lidar`.
     - Action: velocity in units of the scene's greatest speed, Box(−1, 1, (2,)). Values out of
@@ -117,10 +118,10 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         self._recorder.write()
         skipped = self._skip_empty()
         self._check_capacity()
-        self._there = np.flatnonzero(simulation.slots.alive[0])
+        self._there = simulation.slots.alive[0].nonzero()[0]
         self.agents = self._names(self._there)
         observations = simulation.observe()[0, self._there]
-        return dict(zip(self.agents, observations, strict=True)), self._infos(skipped)
+        return dict(zip(self.agents, observations, strict=True)), self._infos(self.agents, skipped)
 
     def step(
         self, actions: Mapping[str, np.ndarray]
@@ -141,39 +142,39 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         acted, acting = self._there, self.agents
         commands = np.zeros(slots.position.shape, np.float32)
         commands[0, acted] = self._commands(actions)
-        before = _to_goal(slots, acted)
         simulation.step(commands)
         assert self._recorder is not None
         self._recorder.write()
 
-        ended = slots.ended[0, acted]
-        reward = before - _to_goal(slots, acted) + ARRIVAL_REWARD * (ended == GOAL)
         frame = int(simulation.clock.frame[0])
-        rewards = dict(zip(acting, reward.tolist(), strict=True))
-        terminated = _TERMINAL[ended]
-        terminations = dict(zip(acting, terminated.tolist(), strict=True))
-        truncations = dict(zip(acting, ((ended != 0) & ~terminated).tolist(), strict=True))
         observations = dict(zip(acting, simulation.observe()[0, acted], strict=True))
-
-        skipped = 0
-        born = np.flatnonzero(slots.spawned[0])
-        if not slots.alive[0].any():
+        rewards = dict(zip(acting, slots.progress[0, acted].tolist(), strict=True))
+        terminations = dict.fromkeys(acting, False)
+        truncations = dict.fromkeys(acting, False)
+        infos: dict[str, dict[str, Any]] = {
+            name: {"frame": frame, "frames_skipped": 0} for name in acting
+        }
+        if simulation.clock.changed[0]:
+            ended = slots.ended[0, acted]
+            for k in ended.nonzero()[0].tolist():
+                name, how = acting[k], int(ended[k])
+                terminations[name] = how in TERMINAL
+                truncations[name] = how not in TERMINAL
+                rewards[name] += ARRIVAL_REWARD * (how == GOAL)
+                infos[name]["outcome"] = OUTCOMES[how]
             skipped = self._skip_empty()
-            born = np.flatnonzero(slots.alive[0])
-            simulation.observe()
-        self._check_capacity()
-        if len(born):
+            born = (slots.alive[0] if skipped else slots.spawned[0]).nonzero()[0]
+            if skipped:
+                simulation.observe()
+            self._check_capacity()
             names = self._names(born)
             observations.update(zip(names, simulation.observation[0, born], strict=True))
             rewards.update(dict.fromkeys(names, 0.0))
             terminations.update(dict.fromkeys(names, False))
             truncations.update(dict.fromkeys(names, False))
-        if ended.any() or len(born):
-            self._there = np.flatnonzero(slots.alive[0])
+            infos.update(self._infos(names, skipped))
+            self._there = slots.alive[0].nonzero()[0]
             self.agents = self._names(self._there)
-        infos = {name: {"frame": frame, "frames_skipped": 0} for name in acting}
-        if len(born):
-            infos.update(self._infos(skipped, names))
         return observations, rewards, terminations, truncations, infos
 
     def trajectories(self) -> Trajectories:
@@ -206,9 +207,13 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
                 "step", got="a call without agents", expected="a call of reset first",
                 mend="The episode is over, or was never begun.",
             )  # fmt: skip
-        if len(actions) != len(self.agents) or not all(name in actions for name in self.agents):
+        try:
+            given = [actions[name] for name in self.agents]
+        except KeyError:
+            given = []
+        if len(actions) != len(given):
             missing = [name for name in self.agents if name not in actions]
-            unknown = [name for name in actions if name not in set(self.agents)]
+            unknown = sorted(set(actions) - set(self.agents))
             raise ActionError(
                 "step",
                 got=f"no action for {missing[:3]}, actions for {unknown[:3]} who are not there",
@@ -216,7 +221,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
                 mend="Act for exactly the names in env.agents.",
             )
         try:
-            commands = np.array([actions[name] for name in self.agents], dtype=np.float32)
+            commands = np.array(given, dtype=np.float32)
         except (TypeError, ValueError) as error:
             raise ActionError(
                 "step", got=f"actions that are no pairs of numbers ({error})",
@@ -254,19 +259,13 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     def _names(self, slots: np.ndarray) -> list[str]:
         return [self.possible_agents[k] for k in self._simulation.slots.person[0, slots].tolist()]
 
-    def _infos(self, skipped: int, names: list[str] | None = None) -> dict[str, dict[str, Any]]:
+    def _infos(self, names: list[str], skipped: int) -> dict[str, dict[str, Any]]:
         frame = int(self._simulation.clock.frame[0])
-        chosen = self.agents if names is None else names
-        return {name: {"frame": frame, "frames_skipped": skipped} for name in chosen}
+        return {name: {"frame": frame, "frames_skipped": skipped} for name in names}
 
     def _check_capacity(self) -> None:
         if self._on_full == "error" and self.dropped:
             check_capacity(self._simulation)
-
-
-def _to_goal(slots: Any, there: np.ndarray) -> np.ndarray:
-    way = slots.goal[0, there] - slots.position[0, there]
-    return np.sqrt(way[:, 0] ** 2 + way[:, 1] ** 2)
 
 
 def parallel_env(

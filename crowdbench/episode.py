@@ -96,18 +96,24 @@ class Recorder:
     _event: list[np.ndarray] = field(default_factory=list)
     _born: list[np.ndarray] = field(default_factory=list)
     _ended: list[np.ndarray] = field(default_factory=list)
+    _there: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    _some_ended: bool = False
 
     def write(self) -> None:
         """Note everyone who is there or has just ended; the frame of the horizon is outside."""
         slots, clock = self.simulation.slots, self.simulation.clock
-        there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
-        ended = slots.ended[0, there]
-        person = slots.person[0, there]
-        self._person.append(person)
-        self._event.append(slots.event[0, there])
-        self._born.append(slots.born[0, there])
-        self._ended.append(ended)
-        self._xy.append(slots.position[0, there])
+        if not self._frame or self._some_ended or clock.changed[0]:
+            self._there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
+            ended = slots.ended[0, self._there]
+            self._some_ended = bool(ended.any())
+            self._person.append(slots.person[0, self._there])
+            self._event.append(slots.event[0, self._there])
+            self._born.append(slots.born[0, self._there])
+            self._ended.append(ended)
+        else:  # the same people as in the frame before
+            for column in (self._person, self._event, self._born, self._ended):
+                column.append(column[-1])
+        self._xy.append(slots.position[0, self._there])
         self._frame.append(int(clock.frame[0]))
 
     def trajectories(self, provenance: dict[str, Any]) -> Trajectories:

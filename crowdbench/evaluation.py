@@ -151,7 +151,7 @@ def _plan(
     if not jobs:
         raise SettingError(
             f"evaluation of {place.id}",
-            got=f"spawn {', '.join(spawn) or 'nothing'} with policy {', '.join(policy) or 'nothing'}",
+            got=f"spawn {', '.join(spawn)} with policy {', '.join(policy)}",
             expected="a pair that can walk: the policy replay needs the spawn model replay",
         )
     return jobs

@@ -106,7 +106,7 @@ def _survival(
         for label, crowds in groups:
             each = [metric.summarise(crowd, reference.blocks) for crowd in crowds]
             curves.append((label, _distribution(name, _pooled(each))))
-        longest = max(np.searchsorted(p.cumsum(), 1 - 1e-4) for _, p in curves) + 1
+        longest = 1 + max(int(np.searchsorted(p.cumsum(), 1 - 1e-4)) for _, p in curves)
         for k, (label, p) in enumerate(curves):
             beyond = np.maximum(0, 1 - np.pad(p, (0, max(0, longest - len(p)))).cumsum())[:longest]
             style: dict[str, Any] = {

@@ -25,7 +25,9 @@ from crowdbench.trajectories import Trajectories
 SCENE = "plaza-v0"
 RECORDING_SEED = 0
 
-CENTRES_M = np.array([[1.5, 9.5], [28.5, 10.0], [16.5, 18.5], [12.0, 1.5]])  # west, east, north, south
+CENTRES_M = np.array(
+    [[1.5, 9.5], [28.5, 10.0], [16.5, 18.5], [12.0, 1.5]]
+)  # west, east, north, south
 SPREAD_M = np.array([[0.4, 0.9], [0.4, 0.8], [0.9, 0.4], [0.8, 0.4]])
 FLOW = np.array(
     [[0.0, 0.5, 0.3, 0.2], [0.6, 0.0, 0.1, 0.3], [0.3, 0.2, 0.0, 0.5], [0.2, 0.3, 0.5, 0.0]]

@@ -43,9 +43,7 @@ class Reference:
     def score(self, crowd: Trajectories) -> dict[str, MetricResult]:
         """All metrics of a crowd against the recording, by name."""
         return {
-            m.name: m.compare(
-                self.statistics[m.name], m.summarise(crowd, self.blocks), self.blocks
-            )
+            m.name: m.compare(self.statistics[m.name], m.summarise(crowd, self.blocks), self.blocks)
             for m in METRICS
         }
 

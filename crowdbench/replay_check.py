@@ -11,9 +11,7 @@ from crowdbench.trajectories import OUTCOMES, Trajectories
 TOLERANCE_M = 1e-3
 
 
-def compare_replay(
-    recording: Trajectories, walked: Trajectories, scene: Scene
-) -> dict[str, str]:
+def compare_replay(recording: Trajectories, walked: Trajectories, scene: Scene) -> dict[str, str]:
     """Count the persons whose replayed path is the recorded one to 1 mm, and why others differ."""
     reasons: dict[str, int] = {}
     same = 0
@@ -34,9 +32,7 @@ def compare_replay(
     }
 
 
-def _difference(
-    recording: Trajectories, walked: Trajectories, p: int, scene: Scene
-) -> str | None:
+def _difference(recording: Trajectories, walked: Trajectories, p: int, scene: Scene) -> str | None:
     there, here = recording.path(p), walked.path(p)
     if recording.first[p] != walked.first[p]:
         return "enter in another frame"
@@ -54,7 +50,7 @@ def arrival_rule_changes(recording: Trajectories, scene: Scene) -> dict[str, str
     """What it means that a life ends at the goal: for recorded paths, and for straight walkers."""
     dt_s, radius_m = scene.dt_s, scene.motion.goal_radius_m
     early = []
-    for p in np.flatnonzero(recording.left):
+    for p in np.flatnonzero(recording.left).tolist():
         path = recording.path(p).astype(np.float64)
         start, way = path[:-1], np.diff(path, axis=0)
         length2 = (way**2).sum(axis=1)

@@ -51,9 +51,7 @@ class Dwell:
         )
 
 
-def distribution(
-    statistics: Histograms, *, if_empty: int
-) -> tuple[Float[np.ndarray, " V"], int]:
+def distribution(statistics: Histograms, *, if_empty: int) -> tuple[Float[np.ndarray, " V"], int]:
     """Kaplan–Meier distribution of dwell time in frames, all blocks together, and its size.
 
     Nobody at all counts as a point mass at `if_empty`.

@@ -28,8 +28,9 @@ class InterSpawn:
         self, recorded: Histograms, simulated: Histograms, blocks: TimeBlocks
     ) -> MetricResult:
         """Compare the distributions of gaps."""
-        block_s = float(np.diff(blocks.arrival_s, axis=1).mean())
-        block = max(1, round(block_s / blocks.grid_s))
+        # From whole frames: differences of times would round differently from block to block.
+        frames = (np.diff(blocks.frames, axis=1)[:, 0] - blocks.opens).mean()
+        block = max(1, round(float(frames) * blocks.dt_s / blocks.grid_s))
         p = normalised(recorded["gaps"].sum(axis=0), if_empty=block)
         q = normalised(simulated["gaps"].sum(axis=0), if_empty=block)
         return MetricResult(

@@ -1,7 +1,16 @@
 """Policies: what walks the persons."""
 
-from crowdbench.policies.policy import Policy, StateView
+from crowdbench.policies.policy import ObservationPolicy, Policy, StatePolicy, StateView
 from crowdbench.policies.social_force import SocialForce
 from crowdbench.policies.walkers import Random, ReplayPolicy, Straight
 
-__all__ = ["Policy", "Random", "ReplayPolicy", "SocialForce", "StateView", "Straight"]
+__all__ = [
+    "ObservationPolicy",
+    "Policy",
+    "Random",
+    "ReplayPolicy",
+    "SocialForce",
+    "StatePolicy",
+    "StateView",
+    "Straight",
+]

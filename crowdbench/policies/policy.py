@@ -47,22 +47,41 @@ class StateView:
         )
 
 
-@runtime_checkable
-class Policy(Protocol):
-    """What walks the persons: a batch of what they see in, a batch of actions out.
-
-    An action is a velocity in units of the scene's `max_speed_mps`, both components in [−1, 1].
-    """
-
-    name: str
-    sees: ClassVar[Literal["observation", "state"]]
-    """`observation`: `act` gets (A, 5 + R) float32 arrays, as agents in an environment do.
-    `state`: it gets a `StateView`; a leaderboard shows such a policy as privileged."""
+class _Named(Protocol):
+    @property
+    def name(self) -> str:
+        """Under which tables show it."""
+        ...
 
     def reset(self, scene: Scene, rng: Generator) -> None:
         """An episode begins."""
         ...
 
-    def act(self, seen: "Float32[np.ndarray, 'A obs'] | StateView") -> Float32[np.ndarray, "A 2"]:
-        """Actions of everyone present, in the order of `seen`."""
+
+@runtime_checkable  # tests check annotations at run time
+class ObservationPolicy(_Named, Protocol):
+    """Sees what agents in an environment see."""
+
+    sees: ClassVar[Literal["observation"]]
+
+    def act(self, seen: Float32[np.ndarray, "A obs"]) -> Float32[np.ndarray, "A 2"]:
+        """Actions of the persons whose observations these are."""
         ...
+
+
+@runtime_checkable
+class StatePolicy(_Named, Protocol):
+    """Sees the state itself; a leaderboard shows it as privileged."""
+
+    sees: ClassVar[Literal["state"]]
+
+    def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
+        """Actions of everyone present, in the order of the view."""
+        ...
+
+
+Policy = ObservationPolicy | StatePolicy
+"""What walks the persons: a batch of what they see in, a batch of actions out.
+
+An action is a velocity in units of the scene's `max_speed_mps`, both components in [−1, 1].
+"""

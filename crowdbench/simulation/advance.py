@@ -4,6 +4,7 @@ import math
 
 from numba import njit, prange
 
+from crowdbench.simulation.compilation import kernel
 from crowdbench.simulation.rules import command, distance_to_segment, walk
 from crowdbench.simulation.state import (
     DROPPED,
@@ -18,19 +19,20 @@ from crowdbench.simulation.state import (
 from crowdbench.simulation.walls import CELL_M, cell_of
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@kernel
 def advance(actions, slots, queue, clock, limits, walls):
     """One step of every world, as `Simulation` describes it; `actions` is (W, N, 2)."""
     # Arrays are unpacked once: reaching into a bundle for each person costs more than its walk.
     alive, ended, spawned, hit_wall = slots.alive, slots.ended, slots.spawned, slots.hit_wall
-    position, velocity, goal = slots.position, slots.velocity, slots.goal
+    position, velocity, goal, progress = slots.position, slots.velocity, slots.goal, slots.progress
     born, leave, scripted = slots.born, slots.leave, slots.scripted
     segments, near, near_start = walls.segments, walls.step_segment, walls.step_start
     grid = (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows)
     dt, max_speed = limits.dt, limits.max_speed
-    frames, horizons = clock.frame, clock.horizon
+    frames, horizons, changed = clock.frame, clock.horizon, clock.changed
     for w in prange(alive.shape[0]):
         frames[w] += 1
+        changed[w] = 0
         frame, horizon = frames[w], horizons[w]
         for i in range(alive.shape[1]):
             ended[w, i] = 0
@@ -48,19 +50,23 @@ def advance(actions, slots, queue, clock, limits, walls):
                 velocity[w, i, 0] = (to_x - x) / dt
                 velocity[w, i, 1] = (to_y - y) / dt
                 hit_wall[w, i] = hit
-                to_goal = distance_to_segment(
-                    float(goal[w, i, 0]), float(goal[w, i, 1]), x, y, to_x, to_y
+                goal_x, goal_y = float(goal[w, i, 0]), float(goal[w, i, 1])
+                progress[w, i] = math.hypot(goal_x - x, goal_y - y) - math.hypot(
+                    goal_x - to_x, goal_y - to_y
                 )
+                to_goal = distance_to_segment(goal_x, goal_y, x, y, to_x, to_y)
                 how = outcome(
                     to_goal, to_x, to_y, frame, born[w, i], leave[w, i], scripted[w, i], horizon,
                     limits,
                 )  # fmt: skip
                 ended[w, i] = how
                 alive[w, i] = how == 0
+                if how != 0:
+                    changed[w] = 1
         _let_in(w, slots, queue, clock, limits)
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@kernel
 def populate(slots, queue, clock, limits):
     """Let in who is due in the first frame."""
     for w in prange(slots.alive.shape[0]):
@@ -134,6 +140,7 @@ def _blocked(w, e, slots, queue, frame, clearance):
 
 @njit(cache=True, error_model="numpy")
 def _enter(w, i, e, slots, queue, clock):
+    clock.changed[w] = 1
     queue.status[w, e] = ENTERED
     slots.alive[w, i] = True
     slots.ended[w, i] = 0

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
+from crowdbench.simulation.compilation import kernel
 from crowdbench.simulation.walls import CELL_M, cell_of
 
 OBSERVATION_HEAD = 5
@@ -61,7 +62,7 @@ class Cells(NamedTuple):
         )
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@kernel
 def observe(slots, cells, walls, max_speed, radius, reach, out):
     """Write the observation of everyone alive, or ended in this step, into `out` (W, N, 5 + R)."""
     # Arrays are unpacked once: reaching into a bundle costs as much as a ray.

@@ -10,7 +10,9 @@ from numba import njit
 
 CLEARANCE_M = 1e-3  # how far from a wall a stopped person stands: far above float32's rounding
 AHEAD_M = 10 * CLEARANCE_M  # how far beyond the end of a move a wall can still stop it
-JOINT = 1e-9  # by how much of its length a segment reaches over its ends, to leave no slit at joints
+JOINT = (
+    1e-9  # by how much of its length a segment reaches over its ends, to leave no slit at joints
+)
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,10 +1,8 @@
 """`Simulation`: the object around the kernels."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 from jaxtyping import Float32, Int
 
@@ -15,9 +13,6 @@ from crowdbench.simulation.lidar import OBSERVATION_HEAD, Cells, observe
 from crowdbench.simulation.state import Clock, Limits, Queue, Slots
 from crowdbench.simulation.walls import wall_table
 from crowdbench.spawn.events import SpawnEvents, no_events
-
-if TYPE_CHECKING:
-    from numba.core.dispatcher import Dispatcher
 
 TIMEOUT_DWELLS = 2.0
 """A life is cut off at this many times the 99th percentile of the recorded dwell times."""
@@ -99,8 +94,9 @@ class Simulation:
         self.clock = Clock.at(worlds, 0, 0)
         self.events: list[SpawnEvents] = []
         self._queue = Queue.of([no_events()] * worlds, scene.dt_s)
-        self._advance: Callable[..., None] | None = None
-        self._observe: Callable[..., None] | None = None
+        self._advance, self._populate, self._observe = (
+            kernel.fresh() for kernel in (advance, populate, observe)
+        )
 
     def reset(self, events: Sequence[SpawnEvents], *, horizon: int, first_frame: int = 0) -> None:
         """Begin an episode with one sequence of events per world.
@@ -112,7 +108,7 @@ class Simulation:
         self._queue = Queue.of(self.events, self.scene.dt_s)
         self.slots = Slots.empty(self.worlds, self.settings.max_alive)
         self.clock = Clock.at(self.worlds, first_frame, horizon)
-        populate(self.slots, self._queue, self.clock, self._limits)
+        self._populate(1, self.slots, self._queue, self.clock, self._limits)
 
     def step(self, actions: Float32[np.ndarray, "W N 2"]) -> None:
         """Advance every world by one frame, without observing.
@@ -129,9 +125,8 @@ class Simulation:
                 expected=f"one velocity command per world and slot, {self.slots.position.shape}",
             )
         arguments = (actions, self.slots, self._queue, self.clock, self._limits, self._walls)
-        if self._advance is None:
-            self._advance = _compiled(advance, arguments)
-        self._advance(*arguments)
+        # Persons of one world interact at entries: threads share worlds, not persons.
+        self._advance(self.slots.alive.size if self.worlds > 1 else 1, *arguments)
 
     def observe(self) -> Float32[np.ndarray, "W N obs"]:
         """Fill `observation` for everyone alive or just ended, and return it."""
@@ -144,9 +139,7 @@ class Simulation:
             self.settings.ray_range_m,
             self.observation,
         )
-        if self._observe is None:
-            self._observe = _compiled(observe, arguments)
-        self._observe(*arguments)
+        self._observe(int(np.count_nonzero(self.slots.alive)), *arguments)
         return self.observation
 
     def number_anew(self) -> None:
@@ -179,17 +172,3 @@ class Simulation:
     ) -> Int[np.ndarray, " n"]:
         """Frames that the persons of these events, born in these frames, waited to enter."""
         return born - self._queue.due[world, event]
-
-
-def _compiled(kernel: "Dispatcher", arguments: tuple[object, ...]) -> Callable[..., None]:
-    """The machine code of `kernel` for arguments of these types.
-
-    Calling it directly spares numba's look-up of the types at each call, which for these bundles
-    of arrays takes as long as stepping ten people.
-    """
-    if numba.config.DISABLE_JIT:
-        return kernel
-    signature = tuple(numba.typeof(argument) for argument in arguments)
-    kernel.compile(signature)
-    code: Callable[..., None] = kernel.overloads[signature].entry_point
-    return code

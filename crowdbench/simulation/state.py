@@ -26,6 +26,8 @@ class Slots(NamedTuple):
     velocity: np.ndarray
     """Displacement of this step divided by dt."""
     goal: np.ndarray
+    progress: np.ndarray
+    """Metres come nearer to the goal in this step."""
     speed: np.ndarray
     """Preferred speed."""
     person: np.ndarray
@@ -51,6 +53,7 @@ class Slots(NamedTuple):
             position=np.zeros((*shape, 2), np.float32),
             velocity=np.zeros((*shape, 2), np.float32),
             goal=np.zeros((*shape, 2), np.float32),
+            progress=np.zeros(shape, np.float32),
             speed=np.zeros(shape, np.float32),
             person=np.full(shape, -1, np.int32),
             event=np.full(shape, -1, np.int32),
@@ -111,6 +114,8 @@ class Clock(NamedTuple):
     """Frame at which the episode ends; nobody enters there."""
     cursor: np.ndarray
     """First event that is still pending."""
+    changed: np.ndarray
+    """Whether anyone entered or ended in this step (0 or 1)."""
     ids: np.ndarray
     """Person ids given out."""
     no_slot: np.ndarray
@@ -121,7 +126,7 @@ class Clock(NamedTuple):
     @classmethod
     def at(cls, worlds: int, frame: int, horizon: int) -> "Clock":
         """All worlds at `frame`, all counts at zero."""
-        zeros = [np.zeros(worlds, np.int32) for _ in range(4)]
+        zeros = [np.zeros(worlds, np.int32) for _ in range(5)]
         first = np.full(worlds, frame, np.int32)
         return cls(first, np.full(worlds, horizon, np.int32), *zeros)
 

@@ -1,6 +1,6 @@
 """The protocol behind which every spawn model stands."""
 
-from typing import ClassVar, Literal, Protocol
+from typing import ClassVar, Literal, Protocol, runtime_checkable
 
 from numpy.random import Generator
 
@@ -12,6 +12,7 @@ Start = Literal["stationary", "recorded", "empty"]
 recorded initial population, or with nobody."""
 
 
+@runtime_checkable  # tests check annotations at run time
 class SpawnModel(Protocol):
     """When, where and whither people enter.
 
@@ -21,9 +22,13 @@ class SpawnModel(Protocol):
     without arrivals (the survival term) counts.
     """
 
-    name: str
     start: ClassVar[Start]
     """How an episode of this model begins unless told otherwise."""
+
+    @property
+    def name(self) -> str:
+        """Under which tables show it."""
+        ...
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
         """Events in [0, `horizon_s`)."""

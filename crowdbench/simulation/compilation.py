@@ -1,0 +1,67 @@
+"""Kernels compiled for one thread and for all of them."""
+
+import types
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numba
+
+PARALLEL_FROM = 64
+"""Persons from which on a kernel is worth several threads: they wait for each other at its end,
+which takes as long as a small crowd's work, and on a busy machine a hundred times as long."""
+
+OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy"}
+
+
+@dataclass
+class Kernel:
+    """A function over many persons in its two compilations.
+
+    The machine code is called directly: numba's own look-up of the arguments' types takes, for
+    bundles of arrays, as long as stepping ten people. So all calls of one `Kernel` object must
+    have arguments of the same types; `fresh` makes another one.
+    """
+
+    function: Callable[..., None]
+    _code: dict[bool, Callable[..., None]] = field(default_factory=dict)
+
+    def fresh(self) -> "Kernel":
+        """The same kernel, for arguments of types of its own."""
+        return Kernel(self.function)
+
+    def __call__(self, persons: int, *arguments: object) -> None:
+        """Run on one thread or on several, whichever suits so many persons."""
+        parallel = bool(persons >= PARALLEL_FROM)
+        code = self._code.get(parallel)
+        if code is None:
+            code = self._code[parallel] = self._compiled(parallel, arguments)
+        code(*arguments)
+
+    def _compiled(self, parallel: bool, arguments: tuple[object, ...]) -> Callable[..., None]:
+        if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+            return self.function
+        dispatcher = _dispatcher(self.function, parallel)
+        signature = tuple(numba.typeof(a) for a in arguments)  # type: ignore[no-untyped-call]
+        dispatcher.compile(signature)
+        code: Callable[..., None] = dispatcher.overloads[signature].entry_point
+        return code
+
+
+_dispatchers: dict[tuple[Callable[..., None], bool], Any] = {}
+
+
+def _dispatcher(function: Any, parallel: bool) -> Any:
+    if (function, parallel) not in _dispatchers:
+        # numba keeps its files on disk by name: each compilation needs one of its own.
+        name = f"{function.__name__}_{'parallel' if parallel else 'alone'}"
+        named = types.FunctionType(function.__code__, function.__globals__, name)
+        named.__qualname__ = name
+        named.__module__ = function.__module__
+        _dispatchers[function, parallel] = numba.njit(parallel=parallel, **OPTIONS)(named)
+    return _dispatchers[function, parallel]
+
+
+def kernel(function: Callable[..., None]) -> Kernel:
+    """Make a kernel of a function whose loops over worlds and persons are `prange`."""
+    return Kernel(function)
