@@ -180,8 +180,8 @@ def _evaluate(asked: argparse.Namespace) -> None:
     if any(entry.spawn == entry.policy == "replay" for entry in card.entries):
         _print_replay(asked.scene, out)
     print(
-        f"written to {out}: scorecard.json, run.json, rollouts/, agents_over_time.png, "
-        "inter_spawn.png, dwell.png"
+        f"written to {out}: scorecard.json, run.json, rollouts/, agents_over_time.png,\n"
+        "inter_spawn.png, dwell.png, paths.png"
     )
 
 

@@ -66,10 +66,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         if on_full not in ("error", "drop"):
             raise SettingError("on_full", got=repr(on_full), expected="'error' or 'drop'")
         horizon_s = scene.horizon_s if horizon_s is None else horizon_s
-        if not (np.isfinite(horizon_s) and horizon_s > 0):
-            raise SettingError(
-                "horizon_s", got=str(horizon_s), expected="a positive number of seconds"
-            )
+        _check_horizon(horizon_s)
         self.scene = scene
         self.spawn = spawn
         self.frames = scene.frames(horizon_s)
@@ -207,6 +204,12 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
                 "step", got="a call without agents", expected="a call of reset first",
                 mend="The episode is over, or was never begun.",
             )  # fmt: skip
+        if not isinstance(actions, Mapping):
+            raise ActionError(
+                "step",
+                got=f"actions of type {type(actions).__name__}",
+                expected="a dictionary from the names in env.agents to arrays of shape (2,)",
+            )
         try:
             given = [actions[name] for name in self.agents]
         except KeyError:
@@ -221,7 +224,8 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
                 mend="Act for exactly the names in env.agents.",
             )
         try:
-            commands = np.array(given, dtype=np.float32)
+            with np.errstate(over="ignore"):
+                commands = np.array(given, dtype=np.float32)
         except (TypeError, ValueError) as error:
             raise ActionError(
                 "step", got=f"actions that are no pairs of numbers ({error})",
@@ -234,7 +238,11 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
                 expected="arrays of shape (2,): a velocity in units of the greatest speed",
             )
         if not np.isfinite(commands).all():
-            name = self.agents[int(np.flatnonzero(~np.isfinite(commands).all(axis=1))[0])]
+            exact = np.array(given, dtype=np.float64)  # float32 makes the merely huge infinite
+            finite = np.isfinite(exact).all(axis=1)
+            if finite.all():
+                return np.clip(exact, -1, 1)
+            name = self.agents[int(np.flatnonzero(~finite)[0])]
             raise ActionError(
                 "step", got=f"{actions[name]} from {name}", expected="finite numbers",
                 mend="Look for a division by zero or a diverged network in the policy.",
@@ -302,8 +310,10 @@ def parallel_env(
     """
     scene = load_scene(scene)
     model = spawn_model(spawn, scene)
+    horizon_s = scene.horizon_s if horizon_s is None else horizon_s
+    _check_horizon(horizon_s)
     if max_persons is None:
-        whole_s = (scene.horizon_s if horizon_s is None else horizon_s) + 60.0
+        whole_s = horizon_s + 60.0
         sample = model.sample(whole_s, scene, np.random.default_rng(0))
         max_persons = 2 * len(sample) + 100
     settings = Settings(
@@ -312,3 +322,8 @@ def parallel_env(
     return CrowdParallelEnv(
         scene, model, horizon_s=horizon_s, start=start, settings=settings, on_full=on_full
     )
+
+
+def _check_horizon(horizon_s: float) -> None:
+    if not (np.isfinite(horizon_s) and horizon_s > 0):
+        raise SettingError("horizon_s", got=str(horizon_s), expected="a positive number of seconds")

@@ -11,6 +11,7 @@ from crowdbench.metrics import METRICS, Histograms
 from crowdbench.metrics.dwell import distribution
 from crowdbench.reference import Reference
 from crowdbench.scene import Scene
+from crowdbench.spawn.areas import Gaussians, read_areas
 from crowdbench.trajectories import Trajectories
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ _DPI = 150
 
 
 def draw_figures(scene: Scene, reference: Reference, crowds: Crowds, out: Path) -> list[Path]:
-    """Draw `agents_over_time.png`, `inter_spawn.png` and `dwell.png` into `out`.
+    """Draw `agents_over_time.png`, `inter_spawn.png`, `dwell.png` and `paths.png` into `out`.
 
     Raises:
         OutputError: a picture cannot be written.
@@ -40,6 +41,7 @@ def draw_figures(scene: Scene, reference: Reference, crowds: Crowds, out: Path) 
         _agents_over_time(scene, reference, groups, out / "agents_over_time.png"),
         _survival(scene, reference, groups, out / "inter_spawn.png", "inter_spawn"),
         _survival(scene, reference, groups, out / "dwell.png", "dwell"),
+        _paths(scene, groups, out / "paths.png"),
     ]
 
 
@@ -123,6 +125,40 @@ def _survival(
         axis.set_title(f"{scene.title}: {titles[name]}", loc="left", fontsize=11)
 
     return _save(path, draw, rows=1, height=4.0, width=6.5)
+
+
+def _paths(scene: Scene, groups: list[tuple[str, list[Trajectories]]], path: Path) -> Path:
+    """Draw the paths of each crowd's first rollout over the scene's walls and areas."""
+    areas = read_areas(scene)
+    b = scene.bounds
+    width, height = b.x_max_m - b.x_min_m, b.y_max_m - b.y_min_m
+
+    def draw(axes: "list[Axes]") -> None:
+        for axis, (label, crowds) in zip(axes, groups, strict=True):
+            crowd = crowds[0]
+            for wall in scene.walls:
+                axis.fill(*np.array(wall.corners_m).T, color="0.75", linewidth=0)
+            for p in range(len(crowd)):
+                colour = _COLOURS[crowd.goal_area[p] % len(_COLOURS)]
+                axis.plot(*crowd.path(p).T, color=colour, linewidth=0.5, alpha=0.5)
+            for k in range(len(areas.goal)):
+                _ellipse(axis, areas.goal, k, color=_COLOURS[k % len(_COLOURS)], linewidth=1.8)
+            for k in range(len(areas.spawn)):
+                _ellipse(axis, areas.spawn, k, color="black", linewidth=1.0, linestyle="--")
+            axis.set(aspect="equal", ylabel="y (m)")
+            axis.set(xlim=(b.x_min_m, b.x_max_m), ylim=(b.y_min_m, b.y_max_m))
+            axis.set_title(f"{label}, seed 0", loc="left", fontsize=9)
+        axes[-1].set_xlabel(
+            "x (m); dashed: spawn areas, coloured: goal areas (2 standard deviations)"
+        )
+
+    return _save(path, draw, rows=len(groups), height=6.5 * height / width, width=7.0)
+
+
+def _ellipse(axis: "Axes", gaussians: Gaussians, k: int, **style: Any) -> None:
+    root = np.linalg.cholesky(gaussians.covariance[k])
+    angle = np.linspace(0, 2 * np.pi, 60)
+    axis.plot(*(gaussians.mean[k][:, None] + 2 * root @ [np.cos(angle), np.sin(angle)]), **style)
 
 
 def _distribution(name: str, statistics: Histograms) -> np.ndarray:

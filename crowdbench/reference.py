@@ -52,7 +52,8 @@ def score(scene: str | Path | Scene, crowd: Trajectories) -> dict[str, MetricRes
     """Score any simulator's crowd against a scene's recording.
 
     The crowd is a continuous run as long as the recording, its first frame being frame 0: it is
-    looked at in the same time blocks.
+    looked at in the same time blocks. A table does not tell an empty scene at its end from an
+    end that came early; up to one time block is taken for empty, more is refused.
 
     Raises:
         SceneError: there is no such scene.
@@ -69,7 +70,7 @@ def score(scene: str | Path | Scene, crowd: Trajectories) -> dict[str, MetricRes
             mend="Resample the trajectories to the scene's time step.",
         )
     needed = int(reference.blocks.frames.max())
-    if crowd.frames < needed:
+    if crowd.frames < needed - scene.frames(scene.protocol.block_s):
         raise RecordingError(
             f"crowd scored on {scene.id}",
             got=f"{crowd.frames} frames ({crowd.duration_s:.1f} s)",

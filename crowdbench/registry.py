@@ -12,7 +12,7 @@ from crowdbench.recordings import catalogue
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import PoissonGMM, Replay, SpawnModel, fit_areas
 from crowdbench.spawn.areas import read_areas
-from crowdbench.tables import write_parquet
+from crowdbench.tables import read_own, write_parquet
 from crowdbench.trajectories import Trajectories
 
 RECORDINGS = (*catalogue.SOURCES, "plaza")
@@ -27,8 +27,9 @@ def recording(name: str) -> Trajectories:
         SettingError: there is no recording of that name.
         RecordingError: it has not been imported.
     """
-    if name == "plaza" and not catalogue.cached(name).exists():
-        return plaza.record()
+    if name == "plaza":
+        path = catalogue.cached(name)
+        return read_own(path) if path.exists() else plaza.record()
     return catalogue.load_imported(name)
 
 
@@ -96,7 +97,7 @@ def _own(path: str, kind: str, known: tuple[str, ...]) -> Callable[..., Any]:
         )
     try:
         found: Callable[..., Any] = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
+    except (ImportError, AttributeError, ValueError, TypeError) as error:
         raise SettingError(
             kind,
             got=f"{path!r} ({error})",

@@ -3,6 +3,7 @@
 from typing import Any
 
 from crowdbench.episode import Recorder, actions_of, begin, check_capacity, generator
+from crowdbench.errors import SettingError
 from crowdbench.policies import Policy
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings, Simulation
@@ -30,10 +31,17 @@ def rollout(
     leave at their recorded last frame; otherwise reaching the goal ends a life.
 
     Raises:
-        SettingError: `start` does not fit the spawn model.
+        SettingError: `start` does not fit the spawn model, or the policy `replay` does not.
         CapacityError: more people than slots.
         RecordingError: nobody came.
     """
+    if policy.name == "replay" and (spawn.name != "replay" or start == "empty"):
+        raise SettingError(
+            "policy replay",
+            got=f"spawn model {spawn.name}, start {start or spawn.start}",
+            expected="the spawn model replay, start recorded",
+            mend="Only then is each person one of the recording.",
+        )
     settings = settings or Settings(max_alive=MAX_ALIVE)
     simulation = Simulation(scene, settings=settings)
     frames = scene.frames(scene.horizon_s if horizon_s is None else horizon_s)

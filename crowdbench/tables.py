@@ -73,7 +73,8 @@ def read(path: Path, *, scene: str, dt_s: float, frames: int | None = None) -> T
 
     Needs the columns `person_id`, `x`, `y` (metres) and `frame` or `time_s` (seconds, on the
     frames of the scene); takes those of `PERSON_COLUMNS` where they are there. A file that
-    crowdbench wrote brings its own scene, `dt_s` and length, which must be those asked for.
+    crowdbench wrote brings its own scene and `dt_s`, which must be those asked for, and its own
+    length; of another's file `frames` is the length, by default up to the last row.
 
     Raises:
         RecordingError: the file is missing, is no table, lacks a column, holds values that

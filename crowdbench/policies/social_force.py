@@ -2,6 +2,9 @@
 
 Parameters are the paper's (its Sec. III). Forces are integrated at 0.05 s for the whole crowd
 together; the action is the mean velocity over the frame.
+
+Where another is about to step, e in eq. 4, is the direction it moves in. Taking the direction of
+its goal instead makes people who push each other aside circle each other for good.
 """
 
 import math
@@ -80,8 +83,7 @@ def _walk(world, position, velocity, goal, speed, segments, walls, substeps, dt)
             while b < size and world[b] == world[a]:
                 rx, ry = position[a, 0] - position[b, 0], position[a, 1] - position[b, 1]
                 if b != a and rx * rx + ry * ry < REACH_M * REACH_M:
-                    ahead = math.sqrt(velocity[b, 0] ** 2 + velocity[b, 1] ** 2) * STEP_S
-                    px, py = _repulsion(rx, ry, ahead * heading[b, 0], ahead * heading[b, 1])
+                    px, py = _repulsion(rx, ry, velocity[b, 0] * STEP_S, velocity[b, 1] * STEP_S)
                     toward = -(heading[a, 0] * px + heading[a, 1] * py)
                     seen = toward >= math.sqrt(px * px + py * py) * COS_OF_VIEW
                     weight = 1.0 if seen else BEHIND

@@ -119,8 +119,8 @@ def read_published(source: Source, folder: Path) -> Trajectories:
             path,
             got=f"a file of SHA-256 {sha256(data)[:12]}… with {len(crowd)} persons",
             expected=f"the published file, SHA-256 {source.sha256[:12]}…",
-            mend=f"It may be cut short or altered; scores would not be comparable. Fetch "
-            f"{source.address} again.",
+            mend="It may be cut short, altered, or have its line ends converted; scores would "
+            f"not be comparable. Fetch {source.address} again.",
         )
     return replace(crowd, provenance={"source": source.address, "sha256": source.sha256})
 

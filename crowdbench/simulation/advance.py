@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 from numba import njit, prange
 
 from crowdbench.simulation.compilation import kernel
@@ -39,8 +40,11 @@ def advance(actions, slots, queue, clock, limits, walls):
             spawned[w, i] = False
             hit_wall[w, i] = False
             if alive[w, i]:
-                x, y = float(position[w, i, 0]), float(position[w, i, 1])
-                vx, vy = command(float(actions[w, i, 0]), float(actions[w, i, 1]), max_speed)
+                # np.float64, because numba's float() leaves a float32 what it is.
+                x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
+                vx, vy = command(
+                    np.float64(actions[w, i, 0]), np.float64(actions[w, i, 1]), max_speed
+                )
                 cell = cell_of(x, y, grid)
                 to_x, to_y, hit = walk(
                     x, y, vx * dt, vy * dt, segments, near, near_start[cell], near_start[cell + 1]
@@ -50,7 +54,7 @@ def advance(actions, slots, queue, clock, limits, walls):
                 velocity[w, i, 0] = (to_x - x) / dt
                 velocity[w, i, 1] = (to_y - y) / dt
                 hit_wall[w, i] = hit
-                goal_x, goal_y = float(goal[w, i, 0]), float(goal[w, i, 1])
+                goal_x, goal_y = np.float64(goal[w, i, 0]), np.float64(goal[w, i, 1])
                 progress[w, i] = math.hypot(goal_x - x, goal_y - y) - math.hypot(
                     goal_x - to_x, goal_y - to_y
                 )
@@ -131,8 +135,8 @@ def _blocked(w, e, slots, queue, frame, clearance):
     """Whether someone who was there before this frame stands in the way of event e."""
     for i in range(slots.alive.shape[1]):
         if slots.alive[w, i] and slots.born[w, i] < frame:
-            dx = float(slots.position[w, i, 0]) - float(queue.start[w, e, 0])
-            dy = float(slots.position[w, i, 1]) - float(queue.start[w, e, 1])
+            dx = np.float64(slots.position[w, i, 0]) - np.float64(queue.start[w, e, 0])
+            dy = np.float64(slots.position[w, i, 1]) - np.float64(queue.start[w, e, 1])
             if math.hypot(dx, dy) < clearance:
                 return True
     return False

@@ -88,7 +88,7 @@ def observe(slots, cells, walls, max_speed, radius, reach, out):
         for at in range(chunk * CHUNK, min(total, (chunk + 1) * CHUNK)):
             w, i = person[at, 0], person[at, 1]
             _see_itself(w, i, position, velocity, goal, max_speed, out)
-            x, y = float(position[w, i, 0]), float(position[w, i, 1])
+            x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
             cell = cell_of(x, y, wall_grid)
             _see_walls(w, i, x, y, cos, sin, lines, ray_start[cell], ray_start[cell + 1], meeting,
                        reach, out)  # fmt: skip
@@ -123,8 +123,8 @@ def _sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_s
 
 @njit(cache=True, error_model="numpy")
 def _see_itself(w, i, position, velocity, goal, max_speed, out):
-    gx = float(goal[w, i, 0]) - float(position[w, i, 0])
-    gy = float(goal[w, i, 1]) - float(position[w, i, 1])
+    gx = np.float64(goal[w, i, 0]) - np.float64(position[w, i, 0])
+    gy = np.float64(goal[w, i, 1]) - np.float64(position[w, i, 1])
     distance = math.sqrt(gx * gx + gy * gy)
     out[w, i, 0] = min(1.0, max(-1.0, velocity[w, i, 0] / max_speed))
     out[w, i, 1] = min(1.0, max(-1.0, velocity[w, i, 1] / max_speed))

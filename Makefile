@@ -1,0 +1,39 @@
+# make evaluate   the environment and the main job
+# make test       the environment and all tests
+# make lint       format, lint and types
+#
+# Another set of dependencies: make test VENV=.venv-imitation EXTRAS=all
+
+PYTHON ?= python3
+VENV ?= .venv
+EXTRAS ?= dev,fit,torchrl,viewer
+BIN := $(VENV)/bin
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+
+.PHONY: evaluate test lint clean
+
+evaluate: $(VENV)/core.stamp
+	$(BIN)/crowdbench evaluate eth-v0
+
+test: $(VENV)/dev.stamp
+	$(BIN)/python -m pytest $(ARGS)
+
+lint: $(VENV)/dev.stamp
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+$(BIN)/python:
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "crowdbench needs Python 3.11 or newer; name one with make PYTHON=…")'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/core.stamp: $(BIN)/python pyproject.toml constraints.txt
+	$(INSTALL) -e .
+	touch $@
+
+$(VENV)/dev.stamp: $(BIN)/python pyproject.toml constraints.txt
+	$(INSTALL) -e ".[$(EXTRAS)]"
+	touch $@ $(VENV)/core.stamp
+
+clean:
+	rm -rf .venv .venv-* results build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

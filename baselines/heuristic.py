@@ -1,0 +1,60 @@
+"""A walker by rule of thumb, and an example of a policy of one's own.
+
+It sees what an agent sees, and nothing else: `crowdbench evaluate eth-v0 --policy
+baselines.heuristic:Heuristic`. The rules are those of Moussaïd, Helbing & Theraulaz (2011), How
+simple rules determine pedestrian behavior, PNAS 108, 6884: walk in the direction that comes
+closest to the goal without a collision, no faster than leaves time to stop.
+"""
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from jaxtyping import Float32
+from numpy.random import Generator
+
+from crowdbench.scene import Scene
+from crowdbench.simulation.lidar import GOAL_RANGE_M, OBSERVATION_HEAD
+
+PREFERRED_SPEED_MPS = 1.34  # Weidmann (1993), Transporttechnik der Fußgänger
+STOPPING_S = 0.5  # τ, eq. 2
+
+
+class Heuristic:
+    """Compares the directions of its rays, and the one to the goal."""
+
+    name = "heuristic"
+    sees: ClassVar[Literal["observation"]] = "observation"
+
+    def __init__(self, ray_range_m: float = 10.0) -> None:
+        self.ray_range_m = ray_range_m
+
+    def reset(self, scene: Scene, rng: Generator) -> None:
+        """Take the scene's numbers; nothing is left to chance."""
+        self._max_speed = scene.motion.max_speed_mps
+        self._radius = scene.motion.person_radius_m
+
+    def act(self, seen: Float32[np.ndarray, "A obs"]) -> Float32[np.ndarray, "A 2"]:
+        """One action per observation."""
+        to_goal = seen[:, 2:3] * GOAL_RANGE_M
+        goal_angle = np.arctan2(seen[:, 4:5], seen[:, 3:4])
+        rays = seen[:, OBSERVATION_HEAD:] * self.ray_range_m
+        spacing = 2 * np.pi / rays.shape[1]
+
+        # A body is as wide as it is: a way is free as far as its narrowest neighbouring ray.
+        free = np.minimum(rays, np.minimum(np.roll(rays, 1, axis=1), np.roll(rays, -1, axis=1)))
+        free = np.maximum(free - self._radius, 0)
+        ahead = np.round(goal_angle / spacing).astype(int) % rays.shape[1]
+        angle = np.concatenate(
+            [goal_angle, np.tile(np.arange(rays.shape[1]), (len(seen), 1)) * spacing], axis=1
+        )
+        free = np.concatenate([np.take_along_axis(free, ahead, axis=1), free], axis=1)
+
+        # Eq. 1: the squared distance from the goal's direction after walking as far as is free.
+        horizon = np.minimum(to_goal, self.ray_range_m)
+        free = np.minimum(free, horizon)
+        missed = horizon**2 + free**2 - 2 * horizon * free * np.cos(goal_angle - angle)
+        best = np.argmin(missed, axis=1)[:, None]
+        angle = np.take_along_axis(angle, best, axis=1)
+        speed = np.minimum(PREFERRED_SPEED_MPS, np.take_along_axis(free, best, axis=1) / STOPPING_S)
+        heading = np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
+        return (speed * heading / self._max_speed).astype(np.float32)
