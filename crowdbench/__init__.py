@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from crowdbench.metrics import METRICS, MetricResult, distance
     from crowdbench.reference import score
     from crowdbench.registry import policy, recording, spawn_model
-    from crowdbench.rollout import rollout
+    from crowdbench.rollouts import rollout
     from crowdbench.scene import Scene, list_scenes, load_scene
     from crowdbench.tables import read, read_own, write_parquet
     from crowdbench.trajectories import Trajectories
@@ -36,7 +36,7 @@ _HOME = {
     "metrics": ("METRICS", "MetricResult", "distance"),
     "reference": ("score",),
     "registry": ("policy", "recording", "spawn_model"),
-    "rollout": ("rollout",),
+    "rollouts": ("rollout",),
     "scene": ("Scene", "list_scenes", "load_scene"),
     "tables": ("read", "read_own", "write_parquet"),
     "trajectories": ("Trajectories",),

@@ -18,7 +18,7 @@ from crowdbench.metrics import METRICS
 from crowdbench.policies import Policy, SocialForce, Straight
 from crowdbench.reference import read_reference
 from crowdbench.registry import spawn_model
-from crowdbench.rollout import rollout
+from crowdbench.rollouts import rollout
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn import SpawnEvents, SpawnModel

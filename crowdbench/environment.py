@@ -5,7 +5,7 @@ It adds names, dictionaries and a reward to `Simulation`, and no physics.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from gymnasium import spaces
@@ -65,6 +65,10 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     ) -> None:
         if on_full not in ("error", "drop"):
             raise SettingError("on_full", got=repr(on_full), expected="'error' or 'drop'")
+        if start not in (None, *get_args(Start)):
+            raise SettingError(
+                "start", got=repr(start), expected=f"one of {', '.join(get_args(Start))}"
+            )
         horizon_s = scene.horizon_s if horizon_s is None else horizon_s
         _check_horizon(horizon_s)
         self.scene = scene
@@ -163,7 +167,6 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             born = (slots.alive[0] if skipped else slots.spawned[0]).nonzero()[0]
             if skipped:
                 simulation.observe()
-            self._check_capacity()
             names = self._names(born)
             observations.update(zip(names, simulation.observation[0, born], strict=True))
             rewards.update(dict.fromkeys(names, 0.0))
@@ -172,6 +175,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             infos.update(self._infos(names, skipped))
             self._there = slots.alive[0].nonzero()[0]
             self.agents = self._names(self._there)
+        self._check_capacity()  # in each step: being turned away changes nobody who is there
         return observations, rewards, terminations, truncations, infos
 
     def trajectories(self) -> Trajectories:
@@ -213,8 +217,8 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         try:
             given = [actions[name] for name in self.agents]
         except KeyError:
-            given = []
-        if len(actions) != len(given):
+            given = None
+        if given is None or len(actions) != len(given):
             missing = [name for name in self.agents if name not in actions]
             unknown = sorted(set(actions) - set(self.agents))
             raise ActionError(

@@ -21,7 +21,7 @@ from crowdbench.files import write_json
 from crowdbench.reference import Reference, read_reference
 from crowdbench.registry import policy as find_policy
 from crowdbench.registry import spawn_model
-from crowdbench.rollout import rollout
+from crowdbench.rollouts import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.tables import read_own, write_parquet
 from crowdbench.trajectories import OUTCOMES, Trajectories

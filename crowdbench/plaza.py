@@ -15,7 +15,7 @@ from numba import njit
 from numpy.random import Generator
 
 from crowdbench.policies import SocialForce
-from crowdbench.rollout import rollout
+from crowdbench.rollouts import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import Areas, Arrivals, SpawnEvents
 from crowdbench.spawn.areas import Gaussians

@@ -3,7 +3,7 @@
 import numpy as np
 
 from crowdbench.policies import Straight
-from crowdbench.rollout import rollout
+from crowdbench.rollouts import rollout
 from crowdbench.scene import Scene
 from crowdbench.spawn import Replay
 from crowdbench.trajectories import OUTCOMES, Trajectories

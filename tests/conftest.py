@@ -15,7 +15,7 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.policies.policy",
         "crowdbench.policies.walkers",
         "crowdbench.recordings",
-        "crowdbench.rollout",
+        "crowdbench.rollouts",
         "crowdbench.scene",
         "crowdbench.simulation.simulation",
         "crowdbench.spawn",

@@ -1,0 +1,69 @@
+"""What the README says runs, and what it prints is what comes out."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crowdbench.cli import main
+
+README = (Path(__file__).parents[1] / "README.md").read_text()
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", README, re.S)
+
+
+def commands() -> list[str]:
+    lines = "\n".join(blocks("sh")).splitlines()
+    return [line.split("#")[0].strip() for line in lines if line.startswith("crowdbench")]
+
+
+def test_the_first_example_runs_to_the_end_and_scores(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(blocks("python")[0], "README", "exec"), {})
+    assert "inter_spawn" in capsys.readouterr().out
+
+
+def test_the_policy_of_ones_own_walks(tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(blocks("python")[1])
+    asked = re.search(r"`(crowdbench evaluate plaza-v0 --policy slow:Slow)`", README)
+    assert asked is not None
+    command = [sys.executable, "-m", "crowdbench.cli", *shlex.split(asked[1])[1:], "--seeds", "2"]
+    done = subprocess.run(
+        [*command, "--workers", "2"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "slow:Slow" in done.stdout
+
+
+def test_every_command_runs_in_the_order_of_the_page(
+    tmp_path: Path,
+    opentraj: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    frames = np.arange(1934)
+    rows = [f"1,{frame},{0.005 * frame:.3f},5.0" for frame in frames]
+    Path("mine.csv").write_text("\n".join(["person_id,frame,x,y", *rows]))
+    for command in commands():
+        arguments = shlex.split(command.replace("path/to/OpenTraj", str(opentraj)))[1:]
+        assert main(arguments) == 0, f"{command}: {capsys.readouterr().err}"
+
+
+def test_the_table_is_the_one_that_its_command_prints(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = next(c for c in commands() if "--seeds" in c)
+    arguments = shlex.split(command)[1:]
+    arguments[arguments.index("--out") + 1] = str(tmp_path / "out")
+    assert main(arguments) == 0
+    printed = capsys.readouterr().out
+    shown = [line for line in blocks("text")[0].splitlines() if "×" in line]
+    assert len(shown) == 4  # the heading and three policies
+    for line in shown:
+        assert line.strip() in printed
