@@ -16,8 +16,8 @@ import msgspec
 import numpy as np
 
 from crowdbench import __version__
-from crowdbench.errors import SettingError
-from crowdbench.files import write_json
+from crowdbench.errors import RecordingError, SettingError
+from crowdbench.files import read_struct, write_json
 from crowdbench.reference import Reference, read_reference
 from crowdbench.registry import policy as find_policy
 from crowdbench.registry import spawn_model
@@ -68,6 +68,21 @@ class Scorecard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     horizon_s: float
     blocks: int
     entries: list[Entry]
+
+
+def read_scorecard(path: Path) -> Scorecard:
+    """Read a `scorecard.json`.
+
+    Raises:
+        RecordingError: the file is missing or broken, or of another schema version.
+    """
+    mend = "Run `crowdbench evaluate` again."
+    card = read_struct(path, Scorecard, RecordingError, mend)
+    if card.schema != SCHEMA:
+        raise RecordingError(
+            path, got=f"schema {card.schema}", expected=f"schema {SCHEMA}", mend=mend
+        )
+    return card
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ back from them.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -80,13 +81,17 @@ def score(scene: str | Path | Scene, crowd: Trajectories) -> dict[str, MetricRes
     return reference.score(crowd)
 
 
+_Count = Annotated[int, msgspec.Meta(ge=0)]
+_Value = Annotated[int, msgspec.Meta(ge=0, lt=10**6)]  # histograms are as long as their values
+
+
 class _ReferenceFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     schema: int
     scene: str
     recording: str
-    blocks: list[tuple[int, int]]
+    blocks: Annotated[list[tuple[_Count, _Count]], msgspec.Meta(min_length=1)]
     opens: list[bool]
-    statistics: dict[str, dict[str, list[list[tuple[int, int]]]]]
+    statistics: dict[str, dict[str, list[list[tuple[_Value, _Count]]]]]
     """By metric and histogram: per block the pairs (value, count)."""
 
 
@@ -133,13 +138,26 @@ def read_reference(scene: Scene) -> Reference:
             expected=f"{', '.join(m.name for m in METRICS)} in {len(file.blocks)} blocks",
             mend=mend,
         )
-    return Reference(
-        TimeBlocks(np.array(file.blocks), np.array(file.opens), scene.dt_s, scene.grid_s),
-        {
-            metric: {name: _dense(rows) for name, rows in histograms.items()}
-            for metric, histograms in file.statistics.items()
-        },
-    )
+    blocks = TimeBlocks(np.array(file.blocks), np.array(file.opens), scene.dt_s, scene.grid_s)
+    if (np.diff(blocks.frames.ravel()) < 0).any() or (np.diff(blocks.frames) == 0).any():
+        raise WeightsError(
+            path, got="blocks that are empty or overlap", expected="ascending blocks", mend=mend
+        )
+    statistics = {
+        metric: {name: _dense(rows) for name, rows in histograms.items()}
+        for metric, histograms in file.statistics.items()
+    }
+    for m in METRICS:
+        try:  # only the metric knows which histograms it needs
+            m.compare(statistics[m.name], statistics[m.name], blocks)
+        except KeyError as error:
+            raise WeightsError(
+                path,
+                got=f"{m.name} without the histogram {error}",
+                expected="all histograms of each metric",
+                mend=mend,
+            ) from error
+    return Reference(blocks, statistics)
 
 
 def _sparse(counts: np.ndarray) -> list[list[tuple[int, int]]]:

@@ -5,7 +5,7 @@ scene (one every `dt_s`); within a person the frames have no gap.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -107,6 +107,19 @@ class Trajectories:
     def present(self) -> Int[np.ndarray, " frames"]:
         """N(t): the number of persons in each frame, zeros included."""
         return np.bincount(self.row_frame(), minlength=self.frames)
+
+    def observed_in(self, observed: Int[np.ndarray, "I 2"]) -> "Trajectories":
+        """The same crowd, known in these intervals only.
+
+        Who is there in the first frame of one has not `entered`, who is there in its last frame
+        has not `left`.
+        """
+        return replace(
+            self,
+            observed=observed,
+            entered=~np.isin(self.first, observed[:, 0]),
+            left=~np.isin(self.last, observed[:, 1] - 1),
+        )
 
     def mean_speeds(self) -> Float[np.ndarray, " P"]:
         """Path length over life, m/s; NaN for a life of a single row."""

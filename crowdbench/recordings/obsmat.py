@@ -34,24 +34,15 @@ def read_obsmat(
     person = _whole(table[:, 1], "person", where)
     _check_step(person, video_frame, frame_step, fps, where)
     frame = (video_frame - video_frame.min()) // frame_step
-    dt_s = frame_step / fps
     crowd = from_rows(
         scene=name,
-        dt_s=dt_s,
+        dt_s=frame_step / fps,
         person_id=person,
         frame=frame,
         xy=table[:, [2, 4]],
         where=where,
     )
-    return from_rows(
-        scene=name,
-        dt_s=dt_s,
-        person_id=person,
-        frame=frame,
-        xy=table[:, [2, 4]],
-        observed=observed_intervals(crowd),
-        where=where,
-    )
+    return crowd.observed_in(observed_intervals(crowd))
 
 
 def _parse(data: bytes, where: object) -> Float[np.ndarray, "R 8"]:
