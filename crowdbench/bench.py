@@ -9,11 +9,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import msgspec
 import numpy as np
 
 from crowdbench.environment import CrowdParallelEnv
+from crowdbench.errors import SettingError
 from crowdbench.metrics import METRICS
 from crowdbench.policies import Policy, SocialForce, Straight
 from crowdbench.reference import read_reference
@@ -21,7 +23,7 @@ from crowdbench.registry import spawn_model
 from crowdbench.rollouts import rollout
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.spawn import SpawnEvents, SpawnModel
+from crowdbench.spawn import Arrivals, SpawnEvents, SpawnModel
 from crowdbench.spawn.events import entering
 from crowdbench.spawn.model import Start
 
@@ -119,13 +121,18 @@ class _AtOnce:
     """A spawn model that lets everyone in at the beginning."""
 
     name = "at-once"
-    start: Start = "empty"
+    start: ClassVar[Start] = "empty"
 
     def __init__(self, persons: int) -> None:
         self.persons = persons
 
     def sample(self, horizon_s: float, scene: Scene, rng: np.random.Generator) -> SpawnEvents:
         return crowd_at_once(scene, self.persons, 0)
+
+    def log_likelihood(self, arrivals: Arrivals) -> float:
+        raise SettingError(
+            self.name, got="a request for a likelihood", expected="a model that has one"
+        )
 
 
 def _to_and_fro(shape: tuple[int, ...]) -> list[np.ndarray]:
@@ -156,7 +163,7 @@ def _core(worlds: int, persons: int) -> float:
 def _pettingzoo(persons: int) -> float:
     env = CrowdParallelEnv(
         open_square(persons),
-        _AtOnce(persons),  # type: ignore[arg-type]  # has no likelihood, and needs none here
+        _AtOnce(persons),
         horizon_s=1e8,
         start=None,
         settings=Settings(max_alive=persons, max_persons=persons),

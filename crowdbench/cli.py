@@ -175,7 +175,8 @@ def _evaluate(asked: argparse.Namespace) -> None:
             progress=progress,
         )
     finally:
-        bar.stop()
+        if bar.live.is_started:  # else it would print an empty line
+            bar.stop()
     _print_card(card)
     if any(entry.spawn == entry.policy == "replay" for entry in card.entries):
         _print_replay(asked.scene, out)
