@@ -81,6 +81,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         self.possible_agents = [f"person_{k}" for k in range(settings.max_persons)]
         self.agents: list[str] = []
         self._there = np.empty(0, np.int64)  # slots of `agents`
+        self._actions = np.zeros((1, settings.max_alive, 2), np.float32)
         size = self._simulation.observation.shape[-1]
         self._observation_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
         self._action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -141,15 +142,15 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         """
         simulation, slots = self._simulation, self._simulation.slots
         acted, acting = self._there, self.agents
-        commands = np.zeros(slots.position.shape, np.float32)
-        commands[0, acted] = self._commands(actions)
+        commands = self._actions  # of those who are not there, nothing is read
+        commands[0][acted] = self._commands(actions)
         simulation.step(commands)
         assert self._recorder is not None
         self._recorder.write()
 
         frame = int(simulation.clock.frame[0])
-        observations = dict(zip(acting, simulation.observe()[0, acted], strict=True))
-        rewards = dict(zip(acting, slots.progress[0, acted].tolist(), strict=True))
+        observations = dict(zip(acting, simulation.observe()[0].take(acted, axis=0), strict=True))
+        rewards = dict(zip(acting, slots.progress[0].take(acted).tolist(), strict=True))
         terminations = dict.fromkeys(acting, False)
         truncations = dict.fromkeys(acting, False)
         infos: dict[str, dict[str, Any]] = {
@@ -175,7 +176,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             infos.update(self._infos(names, skipped))
             self._there = slots.alive[0].nonzero()[0]
             self.agents = self._names(self._there)
-        self._check_capacity()  # in each step: being turned away changes nobody who is there
+            self._check_capacity()
         return observations, rewards, terminations, truncations, infos
 
     def trajectories(self) -> Trajectories:
@@ -208,17 +209,17 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
                 "step", got="a call without agents", expected="a call of reset first",
                 mend="The episode is over, or was never begun.",
             )  # fmt: skip
-        if not isinstance(actions, Mapping):
+        try:
+            given = [actions[name] for name in self.agents]
+        except KeyError:
+            given = []
+        except (TypeError, IndexError) as error:
             raise ActionError(
                 "step",
                 got=f"actions of type {type(actions).__name__}",
                 expected="a dictionary from the names in env.agents to arrays of shape (2,)",
-            )
-        try:
-            given = [actions[name] for name in self.agents]
-        except KeyError:
-            given = None
-        if given is None or len(actions) != len(given):
+            ) from error
+        if not given or len(actions) != len(given):
             missing = [name for name in self.agents if name not in actions]
             unknown = sorted(set(actions) - set(self.agents))
             raise ActionError(
@@ -228,29 +229,25 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
                 mend="Act for exactly the names in env.agents.",
             )
         try:
-            with np.errstate(over="ignore"):
-                commands = np.array(given, dtype=np.float32)
-        except (TypeError, ValueError) as error:
-            raise ActionError(
-                "step", got=f"actions that are no pairs of numbers ({error})",
-                expected="arrays of shape (2,)",
-            ) from error  # fmt: skip
-        if commands.shape != (len(self.agents), 2):
+            commands = np.array(given)
+        except ValueError:  # rows of different shapes
+            commands = np.array(None)
+        if commands.dtype.kind not in "fiu" or commands.shape != (len(self.agents), 2):
             raise ActionError(
                 "step",
-                got=f"actions of shape {commands.shape[1:]}",
+                got=f"actions of shape {commands.shape[1:]}"
+                if commands.dtype.kind in "fiu"
+                else "actions that are no pairs of numbers",
                 expected="arrays of shape (2,): a velocity in units of the greatest speed",
             )
         if not np.isfinite(commands).all():
-            exact = np.array(given, dtype=np.float64)  # float32 makes the merely huge infinite
-            finite = np.isfinite(exact).all(axis=1)
-            if finite.all():
-                return np.clip(exact, -1, 1)
-            name = self.agents[int(np.flatnonzero(~finite)[0])]
+            name = self.agents[int(np.flatnonzero(~np.isfinite(commands).all(axis=1))[0])]
             raise ActionError(
                 "step", got=f"{actions[name]} from {name}", expected="finite numbers",
                 mend="Look for a division by zero or a diverged network in the policy.",
             )  # fmt: skip
+        if commands.dtype != np.float32:
+            commands = commands.clip(-1, 1)  # what float32 cannot hold is out of range anyway
         return commands
 
     def _skip_empty(self) -> int:

@@ -113,7 +113,7 @@ class Recorder:
         else:  # the same people as in the frame before
             for column in (self._person, self._event, self._born, self._ended):
                 column.append(column[-1])
-        self._xy.append(slots.position[0, self._there])
+        self._xy.append(slots.position[0].take(self._there, axis=0))
         self._frame.append(int(clock.frame[0]))
 
     def trajectories(self, provenance: dict[str, Any]) -> Trajectories:

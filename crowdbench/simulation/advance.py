@@ -115,9 +115,11 @@ def _let_in(w, slots, queue, clock, limits):
                     free += 1
                 if clock.ids[w] >= limits.max_persons:
                     clock.no_id[w] += 1
+                    clock.changed[w] = 1
                     queue.status[w, e] = DROPPED
                 elif free >= slots.alive.shape[1]:
                     clock.no_slot[w] += 1
+                    clock.changed[w] = 1
                     queue.status[w, e] = DROPPED
                 else:
                     _enter(w, free, e, slots, queue, clock)

@@ -117,7 +117,8 @@ class Simulation:
             ActionError: actions of another shape.
         """
         # The compiled kernel trusts its arguments' types, so they are made sure of here.
-        actions = np.ascontiguousarray(actions, dtype=np.float32)
+        if actions.dtype != np.float32 or not actions.flags.c_contiguous:
+            actions = np.ascontiguousarray(actions, dtype=np.float32)
         if actions.shape != self.slots.position.shape:
             raise ActionError(
                 "Simulation.step",

@@ -115,7 +115,7 @@ class Clock(NamedTuple):
     cursor: np.ndarray
     """First event that is still pending."""
     changed: np.ndarray
-    """Whether anyone entered or ended in this step (0 or 1)."""
+    """Whether anyone entered, ended or was turned away in this step (0 or 1)."""
     ids: np.ndarray
     """Person ids given out."""
     no_slot: np.ndarray

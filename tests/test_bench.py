@@ -1,0 +1,85 @@
+"""The benchmark of speed measures what it says it measures."""
+
+import io
+import json
+from contextlib import redirect_stdout
+from typing import Any
+
+import pytest
+
+from crowdbench import bench
+from crowdbench.cli import main
+
+NAMES = [
+    "core with observations, 1 × 20",
+    "core with observations, 1 × 100",
+    "core with observations, 1 × 300",
+    "core with observations, 64 × 50",
+    "PettingZoo view, 20 agents",
+    "poisson-gmm, sampling 10,000 frames of ETH",
+    "rollout of ETH, straight",
+    "rollout of ETH, social-force",
+    "scoring a rollout of ETH, 3 metrics",
+    "import crowdbench",
+]
+
+
+@pytest.fixture(scope="module")
+def printed(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, dict[str, Any]]]:
+    """What `crowdbench bench` prints and writes when it measures for a moment."""
+    path = tmp_path_factory.mktemp("bench") / "figures.json"
+    text = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(text):
+        patch.setattr(bench, "MEASURE_S", 0.01)
+        patch.setattr(bench, "CHUNK_S", 0.001)
+        assert main(["bench", "--json", str(path)]) == 0
+    return text.getvalue(), json.loads(path.read_text())
+
+
+@pytest.fixture(scope="module")
+def figures(printed: tuple[str, dict[str, dict[str, Any]]]) -> dict[str, dict[str, Any]]:
+    return printed[1]
+
+
+def test_each_figure_is_printed(printed: tuple[str, dict[str, dict[str, Any]]]) -> None:
+    assert [line.split("  ")[0] for line in printed[0].splitlines()] == NAMES
+
+
+def test_each_figure_is_written(figures: dict[str, dict[str, Any]]) -> None:
+    assert sorted(figures) == sorted(NAMES)
+
+
+def test_each_figure_is_positive(figures: dict[str, dict[str, Any]]) -> None:
+    assert [n for n, figure in figures.items() if not 0 < figure["value"] < float("inf")] == []
+
+
+def test_each_figure_has_a_unit(figures: dict[str, dict[str, Any]]) -> None:
+    units = {name: figure["unit"] for name, figure in figures.items()}
+    assert units == dict.fromkeys(NAMES[:5], "agent-steps/s") | dict.fromkeys(NAMES[5:], "s")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(1_234_567.0, "1.235 M agent-steps/s"), (812.0, "812 agent-steps/s")],
+)
+def test_rates_are_written_in_millions_where_they_are_large(value: float, text: str) -> None:
+    assert bench.Figure("core", value, "agent-steps/s").text() == text
+
+
+@pytest.mark.parametrize("persons", [20, 300])
+def test_the_measured_crowd_stands_where_people_can_walk(persons: int) -> None:
+    scene = bench.open_square(persons)
+    crowd = bench.crowd_at_once(scene, persons, seed=0)
+    assert len(crowd) == persons
+    assert scene.walkable(crowd.start.astype(float)).all()
+
+
+def test_nobody_leaves_while_the_core_is_measured() -> None:
+    from crowdbench.simulation import Settings, Simulation
+
+    scene = bench.open_square(50)
+    simulation = Simulation(scene, worlds=2, settings=Settings(max_alive=50))
+    simulation.reset([bench.crowd_at_once(scene, 50, w) for w in range(2)], horizon=10**9)
+    for action in bench._to_and_fro((2, 50, 2)) * 3:
+        simulation.step(action)
+    assert simulation.slots.alive.all()

@@ -1,0 +1,237 @@
+"""Evaluations: files, scorecards, and the same bytes whatever the number of workers."""
+
+import io
+import json
+import re
+from contextlib import redirect_stdout
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from crowdbench.cli import main
+from crowdbench.errors import OutputError, RecordingError, SceneError, SettingError
+from crowdbench.evaluation import Entry, Scorecard, evaluate
+from crowdbench.files import write_json
+from crowdbench.recordings.catalogue import SOURCES, read_published
+from crowdbench.reference import score
+from crowdbench.replay_check import arrival_rule_changes, compare_replay
+from crowdbench.scene import load_scene
+from crowdbench.tables import read_own
+from crowdbench.trajectories import OUTCOMES
+
+ETH = load_scene("eth-v0")
+PICTURES = ("agents_over_time.png", "inter_spawn.png", "dwell.png", "paths.png")
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("evaluation")
+
+
+@pytest.fixture(scope="module")
+def told() -> list[tuple[int, int]]:
+    """What the evaluation of `card` told of its progress."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def card(out: Path, told: list[tuple[int, int]]) -> Scorecard:
+    """Two policies, two seeds, one process."""
+    return evaluate(
+        "eth-v0", policy=["straight", "random"], seeds=2, workers=1, out=out,
+        progress=lambda done, total: told.append((done, total)),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def again(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The same by the command line and two processes, the policies in the other order.
+
+    Its folder, and what it prints.
+    """
+    asked = ["--policy", "random", "straight", "--seeds", "2", "--workers", "2"]
+    folder = tmp_path_factory.mktemp("again")
+    text = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(text):
+        patch.chdir(folder)
+        assert main(["evaluate", "eth-v0", *asked]) == 0
+    (made,) = (folder / "results").iterdir()
+    return made, text.getvalue()
+
+
+def read_card(folder: Path) -> Scorecard:
+    return msgspec.json.decode((folder / "scorecard.json").read_bytes(), type=Scorecard)
+
+
+def by_policy(card: Scorecard) -> dict[str, Entry]:
+    return {entry.policy: entry for entry in card.entries}
+
+
+def test_all_files_are_there(card: Scorecard, out: Path) -> None:
+    rollouts = {
+        f"rollouts/poisson-gmm_{p}_{seed}.parquet"
+        for p in ("straight", "random")
+        for seed in (0, 1)
+    }
+    found = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+    assert found == {"scorecard.json", "run.json", *PICTURES} | rollouts
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_pictures_are_png(card: Scorecard, out: Path, name: str) -> None:
+    assert (out / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_scorecard_on_disk_is_the_one_returned(card: Scorecard, out: Path) -> None:
+    assert read_card(out) == card
+
+
+def test_rollouts_are_the_same_bytes_by_two_workers(
+    card: Scorecard, out: Path, again: tuple[Path, str]
+) -> None:
+    names = [f"rollouts/{path.name}" for path in (out / "rollouts").iterdir()]
+    assert len(names) == 4
+    assert [n for n in names if (out / n).read_bytes() != (again[0] / n).read_bytes()] == []
+
+
+def test_an_entry_does_not_depend_on_workers_or_the_order_of_policies(
+    card: Scorecard, again: tuple[Path, str]
+) -> None:
+    other = read_card(again[0])
+    assert [entry.policy for entry in other.entries] == ["random", "straight"]
+    assert by_policy(other) == by_policy(card)
+
+
+def test_but_for_the_order_scorecards_are_the_same_bytes(
+    card: Scorecard, out: Path, again: tuple[Path, str], tmp_path: Path
+) -> None:
+    other = read_card(again[0])
+    ordered = msgspec.structs.replace(other, entries=other.entries[::-1])
+    write_json(tmp_path / "scorecard.json", ordered)
+    assert (tmp_path / "scorecard.json").read_bytes() == (out / "scorecard.json").read_bytes()
+
+
+def test_the_command_line_prints_a_row_per_pair(card: Scorecard, again: tuple[Path, str]) -> None:
+    for entry in card.entries:
+        distance = entry.metrics["dwell"].distance
+        assert re.search(rf"poisson-gmm × {entry.policy} .*{distance:.3f} ±", again[1])
+
+
+def test_the_command_line_writes_to_results_and_says_so(again: tuple[Path, str]) -> None:
+    folder, printed = again
+    assert re.fullmatch(r"eth-v0-\d{8}-\d{6}", folder.name)
+    assert f"written to results/{folder.name}" in printed
+
+
+def test_what_depends_on_the_machine_stands_in_run_json_only(card: Scorecard, out: Path) -> None:
+    assert "workers" in json.loads((out / "run.json").read_text())
+    assert "workers" not in (out / "scorecard.json").read_text()
+
+
+def test_the_scorecard_is_the_score_of_the_written_rollouts(card: Scorecard, out: Path) -> None:
+    for entry in card.entries:
+        path = out / "rollouts" / f"poisson-gmm_{entry.policy}"
+        results = [score("eth-v0", read_own(Path(f"{path}_{seed}.parquet"))) for seed in (0, 1)]
+        for name, metric in entry.metrics.items():
+            each = [result[name] for result in results]
+            assert metric.distances == [r.distance for r in each]
+            assert metric.distance == np.mean(metric.distances)
+            assert metric.simulated == np.mean([r.simulated for r in each])
+            assert metric.n == sum(r.n for r in each)
+
+
+def test_outcomes_count_the_lives_of_all_rollouts(card: Scorecard, out: Path) -> None:
+    for entry in card.entries:
+        crowds = [
+            read_own(out / "rollouts" / f"poisson-gmm_{entry.policy}_{seed}.parquet")
+            for seed in (0, 1)
+        ]
+        how = np.concatenate([crowd.outcome for crowd in crowds])
+        assert entry.outcomes == {OUTCOMES[k]: int((how == k).sum()) for k in set(how.tolist())}
+        assert entry.persons == len(how)
+
+
+def test_walking_to_the_goal_is_nearer_to_the_recording_than_walking_at_random(
+    card: Scorecard,
+) -> None:
+    dwell = {policy: entry.metrics["dwell"].distance for policy, entry in by_policy(card).items()}
+    assert dwell["straight"] < dwell["random"]
+
+
+def test_progress_is_told_before_the_first_and_after_each_rollout(
+    card: Scorecard, told: list[tuple[int, int]]
+) -> None:
+    assert told == [(done, 4) for done in range(5)]
+
+
+def test_models_and_policies_of_ones_own_are_walked_by_workers(tmp_path: Path) -> None:
+    card = evaluate(
+        "eth-v0", spawn=["given:OneByOne"], policy=["given:Announcing"], seeds=2, workers=2,
+        out=tmp_path,
+    )  # fmt: skip
+    names = sorted(path.name for path in (tmp_path / "rollouts").iterdir())
+    assert names == [f"given-OneByOne_given-Announcing_{seed}.parquet" for seed in (0, 1)]
+    assert (card.entries[0].spawn, card.entries[0].policy) == ("given:OneByOne", "given:Announcing")
+
+
+def test_a_replay_is_compared_person_by_person(opentraj: Path) -> None:
+    eth = read_published(SOURCES["eth"], opentraj)
+    facts = compare_replay(eth, eth, ETH)
+    assert facts["identical"].startswith("360 paths")
+    assert facts["differing"] == "none"
+
+
+def test_replays_that_differ_say_why(opentraj: Path) -> None:
+    eth = read_published(SOURCES["eth"], opentraj)
+    xy, first = eth.xy.copy(), eth.first.copy()
+    xy[eth.offsets[5] + 1] += 1.0
+    first[7] += 1
+    facts = compare_replay(eth, replace(eth, xy=xy, first=first), ETH)
+    assert facts["identical"].startswith("358 paths")
+    assert facts["differing"] == "1 meet a wall, 1 enter in another frame"
+
+
+def test_what_the_arrival_rule_changes_is_told(opentraj: Path) -> None:
+    eth = read_published(SOURCES["eth"], opentraj)
+    facts = arrival_rule_changes(eth, ETH)
+    assert facts["recorded paths"].split()[2] == str(int(eth.left.sum()))
+    assert "goal" in facts["straight walkers"]
+
+
+def test_a_place_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="Name another folder"):
+        evaluate("eth-v0", policy=["straight"], seeds=1, workers=1, out=tmp_path / "file" / "out")
+
+
+def test_a_rollout_that_cannot_take_its_name_leaves_nothing_behind(tmp_path: Path) -> None:
+    (tmp_path / "rollouts" / "poisson-gmm_straight_0.parquet").mkdir(parents=True)
+    with pytest.raises(OutputError):
+        evaluate("eth-v0", policy=["straight"], seeds=1, workers=1, out=tmp_path)
+    assert [p for p in tmp_path.rglob("*") if p.is_file()] == []
+
+
+@pytest.mark.parametrize(
+    ("asked", "error", "message"),
+    [
+        ({"scene": "moon-v0"}, SceneError, "moon-v0"),
+        ({"spawn": ["poisson"]}, SettingError, "spawn model"),
+        ({"policy": ["crawl"]}, SettingError, "policy"),
+        ({"policy": ["straight", "given:Incomplete"]}, SettingError, "without sees"),
+        ({"policy": ["replay"]}, SettingError, "needs the spawn model replay"),
+        ({"spawn": []}, SettingError, "a pair that can walk"),
+        ({"spawn": ["replay"]}, RecordingError, "crowdbench data import eth"),
+        ({"seeds": 0}, SettingError, "seeds: got 0"),
+        ({"workers": 0}, SettingError, "workers: got 0"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_the_first_rollout(
+    asked: dict[str, object], error: type[Exception], message: str, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(error, match=message):
+        evaluate(**{"scene": "eth-v0", "out": out} | asked)
+    assert not out.exists()

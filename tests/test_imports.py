@@ -1,0 +1,134 @@
+"""What imports what: modules look to the left only, and light uses stay light."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import crowdbench
+
+PACKAGE = Path(crowdbench.__file__).parent
+
+ORDER = (
+    "errors", "files", "trajectories", "tables", "blocks", "metrics", "recordings", "scene",
+    "reference", "spawn", "simulation", "policies", "episode", "rollouts", "plaza", "registry",
+    "fit", "replay_check", "figures", "evaluation", "environment", "bench", "cli",
+)  # fmt: skip
+HEAVY = ("torch", "sklearn", "pyarrow", "rerun", "numba", "matplotlib", "pettingzoo")
+
+
+def is_type_checking(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and ast.unparse(node.test) in (
+        "TYPE_CHECKING", "typing.TYPE_CHECKING",
+    )  # fmt: skip
+
+
+def run_time_nodes(node: ast.AST) -> Iterator[ast.AST]:
+    """All nodes that run, those inside functions included."""
+    for child in ast.iter_child_nodes(node):
+        if is_type_checking(child):
+            assert isinstance(child, ast.If)
+            for other in child.orelse:
+                yield other
+                yield from run_time_nodes(other)
+        else:
+            yield child
+            yield from run_time_nodes(child)
+
+
+def imported(code: str) -> set[str]:
+    """Parts of crowdbench that the code imports."""
+    names: list[str] = []
+    for node in run_time_nodes(ast.parse(code)):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "relative import"
+            whole = node.module == "crowdbench"
+            names += (
+                [f"{node.module}.{a.name}" for a in node.names] if whole else [str(node.module)]
+            )
+    return {n.split(".")[1] for n in names if n.startswith("crowdbench.")} - {"__version__"}
+
+
+def part_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
+
+
+def test_every_part_has_its_place_in_the_order() -> None:
+    assert {part_of(path) for path in MODULES} == set(ORDER)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_modules_import_only_what_stands_to_their_left(path: Path) -> None:
+    part = part_of(path)
+    allowed = {part} if (PACKAGE / part).is_dir() else set()
+    allowed |= set(ORDER[: ORDER.index(part)])
+    assert imported(path.read_text()) <= allowed
+
+
+def test_the_walk_sees_imports_in_functions_and_not_those_for_types() -> None:
+    code = (
+        "from typing import TYPE_CHECKING\n"
+        "if TYPE_CHECKING:\n    from crowdbench.cli import main\n"
+        "else:\n    import crowdbench.files\n"
+        "def f():\n    from crowdbench import bench, __version__\n"
+    )
+    assert imported(code) == {"files", "bench"}
+
+
+def loaded_by(code: str, cwd: Path | None = None) -> set[str]:
+    """Names of the modules that a fresh interpreter has loaded after running the code."""
+    code += "\nimport sys; print('\\n'.join(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=cwd
+    )
+    return set(done.stdout.splitlines())
+
+
+def test_importing_crowdbench_loads_nothing_heavy() -> None:
+    assert loaded_by("import crowdbench") & set(HEAVY) == set()
+
+
+def test_listing_scenes_loads_nothing_heavy() -> None:
+    loaded = loaded_by("import crowdbench; crowdbench.load_scene(crowdbench.list_scenes()[0])")
+    assert loaded & set(HEAVY) == set()
+
+
+def test_scoring_a_table_loads_neither_torch_nor_the_simulation(tmp_path: Path) -> None:
+    rows = "\n".join(f"0,{frame},1.0,2.0" for frame in range(1934))
+    (tmp_path / "mine.csv").write_text(f"person_id,frame,x,y\n{rows}\n")
+    loaded = loaded_by(
+        "import crowdbench\nfrom pathlib import Path\n"
+        "crowd = crowdbench.read(Path('mine.csv'), scene='eth-v0', dt_s=0.4)\n"
+        "crowdbench.score('eth-v0', crowd)",
+        cwd=tmp_path,
+    )
+    assert "crowdbench.reference" in loaded
+    assert loaded & {"torch", "numba", "crowdbench.simulation"} == set()
+
+
+def test_the_environment_needs_no_torch() -> None:
+    loaded = loaded_by("import crowdbench; crowdbench.parallel_env('plaza-v0').reset(seed=0)")
+    assert "pettingzoo" in loaded
+    assert loaded & {"torch", "matplotlib", "rerun", "pyarrow"} == set()
+
+
+@pytest.mark.parametrize("name", crowdbench.__all__)
+def test_each_public_name_is_there(name: str) -> None:
+    assert getattr(crowdbench, name) is not None
+
+
+def test_unknown_names_are_no_attributes() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = crowdbench.nothing
+
+
+def test_public_names_are_listed() -> None:
+    assert set(crowdbench.__all__) <= set(dir(crowdbench))

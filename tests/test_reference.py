@@ -1,0 +1,184 @@
+"""Reference statistics: distances from them are distances from the recording."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from crowdbench.errors import OutputError, RecordingError, SceneError, SettingError, WeightsError
+from crowdbench.fit import fit_scene
+from crowdbench.metrics import METRICS, distance
+from crowdbench.policies import Random, Straight
+from crowdbench.recordings.catalogue import SOURCES, read_published
+from crowdbench.reference import Reference, read_reference, score, write_reference
+from crowdbench.registry import recording, spawn_model
+from crowdbench.rollouts import rollout
+from crowdbench.scene import load_scene
+from crowdbench.trajectories import Trajectories
+
+ETH, PLAZA = load_scene("eth-v0"), load_scene("plaza-v0")
+FITTED = ("areas.json", "poisson-gmm.json", "reference.json")
+
+
+@pytest.fixture(scope="module")
+def eth(opentraj: Path) -> Trajectories:
+    return read_published(SOURCES["eth"], opentraj)
+
+
+@pytest.fixture(scope="module", params=[Straight(), Random()], ids=lambda p: p.name)
+def crowd(request: pytest.FixtureRequest) -> Trajectories:
+    return rollout(ETH, spawn_model("poisson-gmm", ETH), request.param, seed=1)
+
+
+@pytest.fixture(scope="module")
+def plaza() -> Trajectories:
+    return recording("plaza")
+
+
+def test_distances_from_shipped_statistics_equal_those_from_the_recording(
+    eth: Trajectories, crowd: Trajectories
+) -> None:
+    from_recording = Reference.of(eth, ETH)
+    assert read_reference(ETH).score(crowd) == from_recording.score(crowd)
+
+
+def test_scores_are_the_metrics_own_distances(eth: Trajectories, crowd: Trajectories) -> None:
+    blocks = Reference.of(eth, ETH).blocks
+    expected = {m.name: distance(m, eth, crowd, blocks) for m in METRICS}
+    assert score(ETH, crowd) == expected
+
+
+def test_a_recording_has_no_distance_to_itself(eth: Trajectories) -> None:
+    assert {r.distance for r in score("eth-v0", eth).values()} == {0.0}
+
+
+def test_written_statistics_are_read_back(tmp_path: Path, plaza: Trajectories) -> None:
+    reference = Reference.of(plaza, PLAZA)
+    place = replace(PLAZA, folder=tmp_path)
+    write_reference(reference, place)
+    again = read_reference(place)
+    assert np.array_equal(again.blocks.frames, reference.blocks.frames)
+    assert np.array_equal(again.blocks.opens, reference.blocks.opens)
+    for metric, histograms in reference.statistics.items():
+        for name, counts in histograms.items():
+            found = again.statistics[metric][name]
+            assert np.array_equal(found, counts[:, : found.shape[1]])
+            assert counts[:, found.shape[1] :].sum() == 0
+
+
+def remade(scene: Any, crowd: Trajectories, out: Path) -> list[str]:
+    """Names of the fitted files that another fit makes otherwise than those shipped."""
+    fit_scene(scene, crowd, out=out)
+    return [n for n in FITTED if (out / n).read_bytes() != (scene.folder / n).read_bytes()]
+
+
+def test_the_plazas_shipped_files_are_remade_byte_for_byte(
+    tmp_path: Path, plaza: Trajectories
+) -> None:
+    assert remade(PLAZA, plaza, tmp_path) == []
+
+
+def test_eths_shipped_files_are_remade_byte_for_byte(tmp_path: Path, eth: Trajectories) -> None:
+    assert remade(ETH, eth, tmp_path) == []
+
+
+def test_the_papers_clustering_makes_other_areas(tmp_path: Path, eth: Trajectories) -> None:
+    fit_scene(ETH, eth, clustering="paper", out=tmp_path)
+    assert (tmp_path / "areas.json").read_bytes() != (ETH.folder / "areas.json").read_bytes()
+
+
+def test_an_unknown_clustering_is_refused(tmp_path: Path, plaza: Trajectories) -> None:
+    with pytest.raises(SettingError, match=r"clustering of plaza-v0: got 'best'.*default"):
+        fit_scene(PLAZA, plaza, clustering="best", out=tmp_path)
+
+
+def test_a_fit_with_another_recording_is_refused(tmp_path: Path, plaza: Trajectories) -> None:
+    with pytest.raises(SceneError, match=r"recording\.frames = 1934"):
+        fit_scene(ETH, plaza, out=tmp_path)
+
+
+def test_bounds_that_cut_the_recording_are_refused(tmp_path: Path, plaza: Trajectories) -> None:
+    narrow = replace(PLAZA, bounds=structs.replace(PLAZA.bounds, y_max_m=10.0))
+    with pytest.raises(SceneError, match="recorded positions outside the bounds"):
+        fit_scene(narrow, plaza, out=tmp_path)
+
+
+def test_a_fit_that_cannot_be_written_says_so(tmp_path: Path, plaza: Trajectories) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="a place that can be written"):
+        fit_scene(PLAZA, plaza, out=tmp_path / "file" / "out")
+
+
+def first_gaps(file: dict[str, Any]) -> list[list[int]]:
+    gaps: list[list[int]] = file["statistics"]["inter_spawn"]["gaps"][0]
+    return gaps
+
+
+BROKEN: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "another scene's": (lambda f: f.update(scene="plaza-v0"), "statistics of plaza-v0"),
+    "another schema": (lambda f: f.update(schema=2), "schema 2"),
+    "a field too many": (lambda f: f.update(note="mine"), "note"),
+    "a field too few": (lambda f: f.pop("opens"), "opens"),
+    "without a metric": (lambda f: f["statistics"].pop("dwell"), "in .* blocks"),
+    "without a histogram": (lambda f: f["statistics"]["dwell"].pop("ended"), "dwell without"),
+    "without a block": (lambda f: f["blocks"].pop(), "in 16 blocks"),
+    "without any block": (lambda f: f.update(blocks=[], opens=[]), "length"),
+    "with a block less": (
+        lambda f: f["statistics"]["inter_spawn"]["gaps"].pop(), r"\[16, 17\] blocks"
+    ),
+    "with a negative value": (lambda f: first_gaps(f).append([-3, 5]), ">= 0"),
+    "with a negative count": (lambda f: first_gaps(f).append([3, -5]), ">= 0"),
+    "with a value out of all proportion": (lambda f: first_gaps(f).append([10**12, 1]), "int"),
+    "with half a count": (lambda f: first_gaps(f).append([3, 0.5]), "int"),
+    "with blocks in disorder": (lambda f: f["blocks"].reverse(), "ascending blocks"),
+    "with an empty block": (lambda f: f["blocks"].__setitem__(0, [0, 0]), "ascending blocks"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_broken_statistics_are_refused(what: str, tmp_path: Path) -> None:
+    spoil, message = BROKEN[what]
+    file = json.loads((ETH.folder / "reference.json").read_text())
+    spoil(file)
+    (tmp_path / "reference.json").write_text(json.dumps(file))
+    with pytest.raises(WeightsError, match=rf"{message}.*Run `crowdbench fit eth-v0`"):
+        read_reference(replace(ETH, folder=tmp_path))
+
+
+def test_missing_statistics_say_how_to_make_them(tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match=r"no such file.*Run `crowdbench fit eth-v0`"):
+        read_reference(replace(ETH, folder=tmp_path))
+
+
+def test_what_is_no_json_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "reference.json").write_bytes(b"{\xff")
+    with pytest.raises(WeightsError, match="valid JSON"):
+        read_reference(replace(ETH, folder=tmp_path))
+
+
+def test_a_crowd_of_another_time_step_is_refused(crowd: Trajectories) -> None:
+    with pytest.raises(RecordingError, match=r"frames of 0\.5 s; expected frames of 0\.4 s"):
+        score(ETH, replace(crowd, dt_s=0.5))
+
+
+def test_a_crowd_that_is_too_short_is_refused() -> None:
+    short = rollout(ETH, spawn_model("poisson-gmm", ETH), Straight(), seed=1, horizon_s=100.0)
+    with pytest.raises(RecordingError, match=r"250 frames .*expected 1934 frames"):
+        score(ETH, short)
+
+
+def test_what_comes_after_the_recordings_end_does_not_count() -> None:
+    model = spawn_model("poisson-gmm", ETH)
+    longer = rollout(ETH, model, Straight(), seed=1, horizon_s=ETH.horizon_s + 60)
+    observed = np.diff(read_reference(ETH).blocks.frames).sum()
+    assert score(ETH, longer)["agents_over_time"].n == observed
+
+
+def test_an_unknown_scene_is_refused(crowd: Trajectories) -> None:
+    with pytest.raises(SceneError, match="moon-v0"):
+        score("moon-v0", crowd)
