@@ -77,7 +77,7 @@ def populate(slots, queue, clock, limits):
         _let_in(w, slots, queue, clock, limits)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def outcome(to_goal, x, y, frame, born, leave, scripted, horizon, limits):
     """How a life ends in this frame, 0 if it goes on; the first rule that applies.
 
@@ -98,7 +98,7 @@ def outcome(to_goal, x, y, frame, born, leave, scripted, horizon, limits):
     return 0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _let_in(w, slots, queue, clock, limits):
     frame = clock.frame[w]
     if frame >= clock.horizon[w]:
@@ -132,7 +132,7 @@ def _let_in(w, slots, queue, clock, limits):
         clock.cursor[w] += 1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _blocked(w, e, slots, queue, frame, clearance):
     """Whether someone who was there before this frame stands in the way of event e."""
     for i in range(slots.alive.shape[1]):
@@ -144,7 +144,7 @@ def _blocked(w, e, slots, queue, frame, clearance):
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _enter(w, i, e, slots, queue, clock):
     clock.changed[w] = 1
     queue.status[w, e] = ENTERED

@@ -1,11 +1,15 @@
 """Kernels compiled for one thread and for all of them."""
 
+import functools
 import types
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numba
+
+from crowdbench.files import sha256
 
 PARALLEL_FROM = 64
 """Persons from which on a kernel is worth several threads: they wait for each other at its end,
@@ -53,13 +57,22 @@ _dispatchers: dict[tuple[Callable[..., None], bool], Any] = {}
 
 def _dispatcher(function: Any, parallel: bool) -> Any:
     if (function, parallel) not in _dispatchers:
-        # numba keeps its files on disk by name: each compilation needs one of its own.
-        name = f"{function.__name__}_{'parallel' if parallel else 'alone'}"
+        # numba keeps machine code on disk by name, and looks for changes only in the file that
+        # the kernel itself stands in: so each compilation has a name of its own, and each state
+        # of the sources, and the functions that kernels call are not kept on their own.
+        name = f"{function.__name__}_{'parallel' if parallel else 'alone'}_{_sources()}"
         named = types.FunctionType(function.__code__, function.__globals__, name)
         named.__qualname__ = name
         named.__module__ = function.__module__
         _dispatchers[function, parallel] = numba.njit(parallel=parallel, **OPTIONS)(named)
     return _dispatchers[function, parallel]
+
+
+@functools.cache
+def _sources() -> str:
+    """Hash of all sources that kernels are compiled from."""
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    return sha256(b"".join(file.read_bytes() for file in files))[:8]
 
 
 def kernel(function: Callable[..., None]) -> Kernel:

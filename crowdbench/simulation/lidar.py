@@ -100,7 +100,7 @@ def observe(slots, cells, walls, max_speed, radius, reach, out):
                 out[w, i, k] /= np.float32(reach)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_slot):
     """Counting sort of a world's persons by cell, those who just ended included."""
     size = start.shape[1]
@@ -121,7 +121,7 @@ def _sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_s
             start[w, c] = at + 1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _see_itself(w, i, position, velocity, goal, max_speed, out):
     gx = np.float64(goal[w, i, 0]) - np.float64(position[w, i, 0])
     gy = np.float64(goal[w, i, 1]) - np.float64(position[w, i, 1])
@@ -133,7 +133,7 @@ def _see_itself(w, i, position, velocity, goal, max_speed, out):
     out[w, i, 4] = gy / distance if distance > 0.0 else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _see_walls(w, i, x, y, cos, sin, lines, first, stop, meeting, reach, out):
     """Set each ray to the distance of the nearest wall, or to `reach`."""
     for k in range(OBSERVATION_HEAD, out.shape[2]):
@@ -147,7 +147,7 @@ def _see_walls(w, i, x, y, cos, sin, lines, first, stop, meeting, reach, out):
                 out[w, i, OBSERVATION_HEAD + r] = t
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _neighbours(w, i, x, y, far, ended, spawned, grid, start, sorted_xy, sorted_slot, near):
     """Write where those closer than `far` stand, relative to (x, y), and return how many.
 
@@ -173,7 +173,7 @@ def _neighbours(w, i, x, y, far, ended, spawned, grid, start, sorted_xy, sorted_
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _see_disc(w, i, dx, dy, radius, cos, sin, out):
     """Shorten the rays that meet the disc of `radius` at (dx, dy).
 

@@ -15,7 +15,7 @@ JOINT = (
 )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def command(action_x, action_y, max_speed):
     """Velocity in m/s that an action commands: clipped to [−1, 1]² and then to `max_speed`."""
     x = min(1.0, max(-1.0, action_x))
@@ -25,7 +25,7 @@ def command(action_x, action_y, max_speed):
     return x * scale, y * scale
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def distance_to_segment(px, py, ax, ay, bx, by):
     """Distance from the point p to the segment from a to b, metres."""
     dx, dy = bx - ax, by - ay
@@ -37,7 +37,7 @@ def distance_to_segment(px, py, ax, ay, bx, by):
     return math.sqrt((px - ax - t * dx) ** 2 + (py - ay - t * dy) ** 2)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def crossing(px, py, dx, dy, ax, ay, bx, by):
     """Fraction of the move d from p at which it meets the segment a–b; infinite if it does not.
 
@@ -60,7 +60,7 @@ def crossing(px, py, dx, dy, ax, ay, bx, by):
     return along_move if close and ahead else np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def walk(px, py, dx, dy, segments, near, start, stop):
     """Move p by d among walls: stop before the first wall met, slide along it with the rest.
 

@@ -82,7 +82,7 @@ def wall_table(
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def cell_of(x, y, grid):
     """Index of a position's cell; `grid` is (x, y of the corner, cell size, columns, rows).
 
