@@ -27,6 +27,7 @@ def recording(name: str) -> Trajectories:
         SettingError: there is no recording of that name.
         RecordingError: it has not been imported.
     """
+    _known(name)
     if name == "plaza":
         path = catalogue.cached(name)
         return read_own(path) if path.exists() else plaza.record()
@@ -35,11 +36,19 @@ def recording(name: str) -> Trajectories:
 
 def import_recording(name: str, source: Path | None = None) -> Trajectories:
     """Import a recording into the user's cache; see `catalogue.import_recording`."""
+    _known(name)
     if name == "plaza":
         crowd = plaza.record()
         write_parquet(crowd, catalogue.cached(name))
         return crowd
     return catalogue.import_recording(name, source)
+
+
+def _known(name: str) -> None:
+    if name not in RECORDINGS:
+        raise SettingError(
+            "recording", got=f"the name {name!r}", expected=f"one of {', '.join(RECORDINGS)}"
+        )
 
 
 def recording_of(scene: Scene) -> Trajectories:

@@ -62,5 +62,5 @@ def rollout(
         simulation.step(actions_of(policy, simulation))
         recorder.write()
     check_capacity(simulation)
-    provenance: dict[str, Any] = {"spawn": spawn.name, "policy": policy.name, "seed": seed}
+    provenance: dict[str, Any] = {"spawn": spawn.name, "policy": policy.name, "seed": int(seed)}
     return recorder.trajectories(provenance)

@@ -253,6 +253,8 @@ def _check(file: _SceneFile, path: Path) -> None:
         require(len(wall.corners_m) >= 3, f"wall {wall.name!r}", "three corners or more")
         finite = bool(np.isfinite(wall.corners_m).all())
         require(finite, f"wall {wall.name!r} with a corner that is not finite", "metres")
+        distinct = len(set(wall.corners_m)) == len(wall.corners_m)
+        require(distinct, f"wall {wall.name!r} with a corner twice", "each corner once")
         polygon = shapely.Polygon(wall.corners_m)
         require(
             bool(polygon.is_valid), f"wall {wall.name!r} that crosses itself", "a simple polygon"

@@ -169,6 +169,13 @@ def _own_metadata(path: Path, table: "pyarrow.Table") -> _Metadata | None:
         raise RecordingError(
             path, got=f"metadata that do not fit: {error}", expected="crowdbench's metadata"
         ) from error
+    edges = np.array(metadata.observed).ravel()
+    if len(edges) == 0 or (np.diff(edges) < 0).any() or edges[0] < 0 or edges[-1] > metadata.frames:
+        raise RecordingError(
+            path,
+            got=f"observed intervals {metadata.observed[:3]} of {metadata.frames} frames",
+            expected="disjoint intervals within the frames, ascending",
+        )
     if metadata.schema != SCHEMA:
         raise RecordingError(
             path,

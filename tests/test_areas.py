@@ -169,6 +169,13 @@ def test_a_recording_in_which_nobody_entered_is_refused(scene):
         fit_areas(replace(crowd, entered=np.zeros(4, dtype=bool)), scene, KEEP)
 
 
+def test_a_recording_without_a_whole_life_is_refused(scene):
+    crowd = walks([*RING, *RING], [*AFAR, *AFAR])
+    enters = np.arange(8) < 4
+    with pytest.raises(SceneError, match="none of whom was seen to enter and to leave"):
+        fit_areas(replace(crowd, entered=enters, left=~enters), scene, KEEP)
+
+
 def test_an_area_where_nobody_can_walk_is_refused(scene):
     behind = Gaussians(np.array([[100.0, 100.0]]), np.array([0.01 * np.eye(2)]))
     with pytest.raises(SceneError) as caught:

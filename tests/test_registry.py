@@ -59,7 +59,7 @@ def test_a_recording_must_have_been_imported() -> None:
 
 @pytest.mark.parametrize("find", [recording, import_recording])
 def test_an_unknown_recording_is_refused(find: object) -> None:
-    with pytest.raises(SettingError, match=r"'moon'.*eth, hotel, zara01"):
+    with pytest.raises(SettingError, match=r"'moon'.*eth, hotel, zara01, plaza"):
         find("moon")  # type: ignore[operator]
 
 

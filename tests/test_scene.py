@@ -139,6 +139,12 @@ BROKEN = {
         "'south parapet' that crosses itself",
         "a simple polygon",
     ),
+    "corner twice": (
+        FIRST_WALL,
+        "corners_m = [[0, 0], [4, 0], [4, 0], [0, 4]]",
+        "'south parapet' with a corner twice",
+        "each corner once",
+    ),
     "two corners": (FIRST_WALL, "corners_m = [[0, 0], [4, 4]]", "'south parapet'", "three corners"),
     "nan corner": ("[-0.793, -0.595]", "[nan, -0.595]", "'south parapet' with a corner", "metres"),
     "no clustering": ("[clustering.default]", "[clustering.other]", "clustering.default", "DBSCAN"),

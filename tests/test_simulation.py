@@ -264,7 +264,8 @@ def test_actions_of_another_shape_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"max_alive": 0}, {"max_persons": 0}, {"rays": 0}, {"ray_range_m": 0.0}]
+    "wrong",
+    [{"max_alive": 0}, {"max_persons": 0}, {"rays": 0}, {"ray_range_m": 0.0}],
 )
 def test_sizes_that_make_no_sense_are_refused(wrong: dict[str, int]) -> None:
     with pytest.raises(SettingError, match=next(iter(wrong))):

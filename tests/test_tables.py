@@ -174,10 +174,13 @@ def test_a_parquet_file_of_another_program_is_not_crowdbenchs_own(tmp_path):
         (b'"schema":1', b'"schema":2', "schema version 2"),
         (b'"scene":', b'"place":', "metadata that do not fit"),
         (b'"frames":4', b'"frames":"4"', "metadata that do not fit"),
+        (b'"observed":[[0,4]]', b'"observed":[]', "observed intervals"),
+        (b'"observed":[[0,4]]', b'"observed":[[0,5]]', "observed intervals"),
+        (b'"observed":[[0,4]]', b'"observed":[[0,3],[2,4]]', "observed intervals"),
     ],
-    ids=["schema", "field", "type"],
+    ids=["schema", "field", "type", "never observed", "past the end", "overlapping"],
 )
-def test_metadata_of_another_version_are_refused(tmp_path, was, becomes, got):
+def test_metadata_that_do_not_fit_are_refused(tmp_path, was, becomes, got):
     path = tmp_path / "crowd.parquet"
     write_parquet(crowd_of([(0, 3)]), path)
     table = parquet.read_table(path)

@@ -31,8 +31,9 @@ class Settings:
 
     def __post_init__(self) -> None:
         for name in ("max_alive", "max_persons", "rays"):
-            if getattr(self, name) < 1:
-                raise SettingError(name, got=str(getattr(self, name)), expected="1 or more")
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or value < 1:
+                raise SettingError(name, got=repr(value), expected="a whole number, 1 or more")
         if not (np.isfinite(self.ray_range_m) and self.ray_range_m > 0):
             raise SettingError(
                 "ray_range_m", got=str(self.ray_range_m), expected="a positive number of metres"

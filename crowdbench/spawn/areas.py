@@ -147,11 +147,17 @@ def fit_areas(
 
     flow = np.zeros((len(starts.gaussians), len(ends.gaussians)))
     known = (spawn_area >= 0) & (goal_area >= 0)
+    whole = known & (crowd.last > crowd.first)
+    if not whole.any():
+        raise SceneError(
+            scene.folder,
+            got=f"a recording of {len(crowd)} persons none of whom was seen to enter and to leave",
+            expected="whole lives to learn flows and speeds from",
+        )
     np.add.at(flow, (spawn_area[known], goal_area[known]), 1.0)
     # An area all of whose people were cut off by the recording sends them where everyone goes.
     everyone = flow.sum(axis=0)
     flow[flow.sum(axis=1) == 0] = everyone
-    whole = crowd.entered & crowd.left & (crowd.last > crowd.first)
     areas = Areas(
         scene=scene.id,
         spawn=starts.gaussians,
