@@ -4,6 +4,7 @@ A user's error is one message and exit code 2; an interrupt exits with 130.
 """
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -146,6 +147,8 @@ def _evaluate(asked: argparse.Namespace) -> None:
     )
 
     from crowdbench.evaluation import evaluate
+
+    sys.path.insert(0, os.getcwd())  # one's own pkg.module:Class may lie beside
 
     when = time.strftime("%Y%m%d-%H%M%S")
     out = asked.out or Path("results") / f"{Path(asked.scene).name}-{when}"

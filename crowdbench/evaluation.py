@@ -187,10 +187,15 @@ def _run(jobs: list[Job], workers: int) -> Iterator[None]:
         yield from map(_roll_out, jobs)
         return
     from joblib import Parallel, delayed
+    from joblib.externals.loky import get_reusable_executor
 
     # joblib's own processes are started afresh, not forked: forking after OpenMP has run hangs.
-    parallel = Parallel(n_jobs=workers, return_as="generator_unordered", pre_dispatch="all")
-    yield from parallel(delayed(_alone)(job) for job in jobs)
+    parallel = Parallel(n_jobs=workers, return_as="generator_unordered", pre_dispatch=workers)
+    try:
+        yield from parallel(delayed(_alone)(job) for job in jobs)
+    finally:
+        # Left alone, the processes would serve the next call too, in this one's surroundings.
+        get_reusable_executor().shutdown(kill_workers=True)
 
 
 def _alone(job: Job) -> None:

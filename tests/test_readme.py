@@ -32,7 +32,8 @@ def test_the_policy_of_ones_own_walks(tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text(blocks("python")[1])
     asked = re.search(r"`(crowdbench evaluate plaza-v0 --policy slow:Slow)`", README)
     assert asked is not None
-    command = [sys.executable, "-m", "crowdbench.cli", *shlex.split(asked[1])[1:], "--seeds", "2"]
+    script = Path(sys.executable).with_name("crowdbench")
+    command = [str(script), *shlex.split(asked[1])[1:], "--seeds", "2"]
     done = subprocess.run(
         [*command, "--workers", "2"], cwd=tmp_path, capture_output=True, text=True, check=False
     )
