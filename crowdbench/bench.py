@@ -174,7 +174,7 @@ def _pettingzoo(persons: int) -> float:
     def chunk() -> int:
         env.reset(seed=0)
         steps = 0
-        for action in actions * 5:
+        for action in actions * 25:
             env.step(dict(zip(env.agents, action, strict=False)))
             steps += len(env.agents)
         return steps

@@ -200,10 +200,10 @@ def _print_card(card: "Scorecard") -> None:
             each = entry.metrics[name].distances
             spread = f" ± {statistics.stdev(each):.3f}" if len(each) > 1 else ""
             cells.append(f"{entry.metrics[name].distance:.3f}{spread}")
-        ended = sum(n for how, n in entry.outcomes.items() if how != "horizon")
-        goal = entry.outcomes.get("goal", 0) / max(1, ended)
+        ended = sum(n for how, n in entry.outcomes.items() if how not in ("horizon", "recorded"))
+        goal = f"{entry.outcomes.get('goal', 0) / ended:.0%}" if ended else "–"
         persons = f"{entry.persons / len(entry.seeds):.0f}"
-        table.add_row(f"{entry.spawn} × {entry.policy}", persons, f"{goal:.0%}", *cells)
+        table.add_row(f"{entry.spawn} × {entry.policy}", persons, goal, *cells)
     means = (
         f"{name.replace('_', ' ')} {m.recorded:.2f} {m.unit}"
         for name, m in card.entries[0].metrics.items()

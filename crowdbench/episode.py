@@ -7,11 +7,12 @@ import numpy as np
 from jaxtyping import Float32
 from numpy.random import Generator, SeedSequence, default_rng
 
-from crowdbench.errors import CapacityError, SettingError
+from crowdbench.errors import ActionError, CapacityError, SettingError
 from crowdbench.policies import Policy, StateView
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.state import EXIT, GOAL, HORIZON, RECORDED, TIMEOUT
 from crowdbench.spawn import SpawnModel
+from crowdbench.spawn.events import check_events
 from crowdbench.spawn.model import Start
 from crowdbench.trajectories import Trajectories, from_rows
 
@@ -60,7 +61,14 @@ def begin(
     if start == "stationary":
         warm_up = scene.frames(max(WARM_UP_S, scene.recording.dwell_p99_s))
     horizon_s = (warm_up + frames) * scene.dt_s
-    events = spawn.sample(horizon_s, scene, generator(seed, 0, "spawn"))
+    events = check_events(spawn.sample(horizon_s, scene, generator(seed, 0, "spawn")), spawn.name)
+    outside = events.entered & ~scene.inside(events.start.astype(np.float64))
+    if outside.any():
+        raise SettingError(
+            f"events of the spawn model {spawn.name}",
+            got=f"{int(outside.sum())} persons who start outside the bounds of {scene.id}",
+            expected="starts in metres, in the scene's frame",
+        )
     if scripted:
         events = spawn.scripted(events)  # type: ignore[attr-defined]  # only Replay has scripts
     if start == "empty":
@@ -78,11 +86,35 @@ def actions_of(policy: Policy, simulation: Simulation) -> Float32[np.ndarray, "W
     actions = np.zeros(simulation.slots.position.shape, np.float32)
     if policy.sees == "state":
         view = StateView.of(simulation)
-        actions[view.world, view.slot] = policy.act(view)
+        actions[view.world, view.slot] = _checked(policy.act(view), len(view.slot), policy)
     else:
         alive = simulation.slots.alive
-        actions[alive] = policy.act(simulation.observe()[alive])
+        seen = simulation.observe()[alive]
+        actions[alive] = _checked(policy.act(seen), len(seen), policy)
     return actions
+
+
+def _checked(actions: object, persons: int, policy: Policy) -> np.ndarray:
+    """What a policy gave, if it is one finite pair of numbers per person.
+
+    Raises:
+        ActionError: it is not.
+    """
+    got = np.asarray(actions)
+    if got.shape != (persons, 2) or got.dtype.kind not in "fiu":
+        raise ActionError(
+            f"policy {policy.name}",
+            got=f"an array of shape {got.shape} and type {got.dtype} from act",
+            expected=f"one action for each of {persons} persons, numbers of shape ({persons}, 2)",
+        )
+    if not np.isfinite(got).all():
+        raise ActionError(
+            f"policy {policy.name}",
+            got=f"{int((~np.isfinite(got)).sum())} values from act that are not finite",
+            expected="finite numbers",
+            mend="Look for a division by zero or a diverged network.",
+        )
+    return got.clip(-1, 1)
 
 
 @dataclass

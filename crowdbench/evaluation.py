@@ -16,7 +16,8 @@ import msgspec
 import numpy as np
 
 from crowdbench import __version__
-from crowdbench.errors import RecordingError, SettingError
+from crowdbench.errors import OutputError, RecordingError, SettingError
+from crowdbench.figures import FIGURES, draw_figures
 from crowdbench.files import read_struct, write_json
 from crowdbench.reference import Reference, read_reference
 from crowdbench.registry import policy as find_policy
@@ -119,8 +120,6 @@ def evaluate(
             exist or does not fit; checked before the first rollout.
         OutputError: `out` cannot be written.
     """
-    from crowdbench.figures import draw_figures
-
     began = time.time()
     place = load_scene(scene)
     reference = read_reference(place)
@@ -129,6 +128,7 @@ def evaluate(
         spawn_model(job.spawn, place)
         find_policy(job.policy, place)
     workers = _workers(workers, len(jobs))
+    _clear(out)
     progress(0, len(jobs))
     for done, _ in enumerate(_run(jobs, workers), start=1):
         progress(done, len(jobs))
@@ -148,6 +148,21 @@ def evaluate(
         },
     )
     return card
+
+
+def _clear(out: Path) -> None:
+    """Make the folder, without an earlier run's results, which would stand beside new rollouts."""
+    try:
+        (out / "rollouts").mkdir(parents=True, exist_ok=True)
+        for name in ("scorecard.json", "run.json", *FIGURES):
+            (out / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(
+            out,
+            got=error.strerror or str(error),
+            expected="a folder that can be written",
+            mend="Name another folder.",
+        ) from error
 
 
 def _plan(

@@ -11,6 +11,7 @@ from crowdbench.metrics import METRICS, Histograms
 from crowdbench.metrics.dwell import distribution
 from crowdbench.reference import Reference
 from crowdbench.scene import Scene
+from crowdbench.simulation.simulation import TIMEOUT_DWELLS
 from crowdbench.spawn.areas import Gaussians, read_areas
 from crowdbench.trajectories import Trajectories
 
@@ -24,6 +25,9 @@ Crowds = dict[tuple[str, str, int], Trajectories]
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 3)), (0, (2, 2)))
 _DPI = 150
+
+FIGURES = ("agents_over_time.png", "inter_spawn.png", "dwell.png", "paths.png")
+"""What `draw_figures` writes."""
 
 
 def draw_figures(scene: Scene, reference: Reference, crowds: Crowds, out: Path) -> list[Path]:
@@ -64,7 +68,13 @@ def _agents_over_time(
             axis.plot([], [], color=colour, label=f"{label}, {len(crowds)} rollouts")
             axis.set(ylabel="agents", xlim=(0, seconds[-1]), ylim=(0, top * 1.25))
             axis.legend(loc="upper right", ncols=3, fontsize=8, frameon=False)
-        axes[-1].set_xlabel("time (s); where no grey is drawn, the recording was not annotated")
+            if k > 0:  # the recording is explained once
+                axis.legend(
+                    handles=axis.get_lines()[-1:], loc="upper right", fontsize=8, frameon=False
+                )
+        axes[-1].set_xlabel(
+            "time (s); where only rollouts are drawn, the recording was not annotated"
+        )
         axes[0].set_title(f"{scene.title}: agents over time", loc="left", fontsize=11)
 
     return _save(path, draw, rows=len(groups), height=2.3)
@@ -78,7 +88,7 @@ def _recorded_bands(axis: "Axes", reference: Reference) -> None:
         mean = counts[b] @ np.arange(counts.shape[1]) / counts[b].sum()
         first = b == 0
         axis.fill_between(
-            [start, stop], low, high, color="0.82", linewidth=0,
+            [start, stop], low - 0.2, high + 0.2, color="0.82", linewidth=0,
             label="recorded, 5–95 % of a block" if first else None,
         )  # fmt: skip
         axis.plot(
@@ -119,16 +129,27 @@ def _survival(
             if k == 0:
                 style = {"color": "black", "linewidth": 2.2}
             axis.step(np.arange(longest) * unit_s, beyond, where="post", label=label, **style)
+        if name == "dwell":
+            patience_s = TIMEOUT_DWELLS * scene.recording.dwell_p99_s
+            axis.axvline(
+                patience_s,
+                color="0.5",
+                linewidth=0.8,
+                linestyle=":",
+                label="simulated lives are cut off",
+            )
         axis.set(xlabel=f"{titles[name]} t (s)", ylabel="share longer than t", xlim=(0, None))
         axis.set_ylim(0, 1)
         axis.legend(fontsize=8, frameon=False)
         axis.set_title(f"{scene.title}: {titles[name]}", loc="left", fontsize=11)
 
-    return _save(path, draw, rows=1, height=4.0, width=6.5)
+    return _save(path, draw, height=4.0, width=6.5)
 
 
 def _paths(scene: Scene, groups: list[tuple[str, list[Trajectories]]], path: Path) -> Path:
     """Draw the paths of each crowd's first rollout over the scene's walls and areas."""
+    from matplotlib.lines import Line2D
+
     areas = read_areas(scene)
     b = scene.bounds
     width, height = b.x_max_m - b.x_min_m, b.y_max_m - b.y_min_m
@@ -145,14 +166,20 @@ def _paths(scene: Scene, groups: list[tuple[str, list[Trajectories]]], path: Pat
                 _ellipse(axis, areas.goal, k, color=_COLOURS[k % len(_COLOURS)], linewidth=1.8)
             for k in range(len(areas.spawn)):
                 _ellipse(axis, areas.spawn, k, color="black", linewidth=1.0, linestyle="--")
-            axis.set(aspect="equal", ylabel="y (m)")
+            axis.set(aspect="equal", xlabel="x (m)")
             axis.set(xlim=(b.x_min_m, b.x_max_m), ylim=(b.y_min_m, b.y_max_m))
             axis.set_title(f"{label}, seed 0", loc="left", fontsize=9)
-        axes[-1].set_xlabel(
-            "x (m); dashed: spawn areas, coloured: goal areas (2 standard deviations)"
-        )
+        axes[0].set_ylabel("y (m)")
+        handles = [
+            Line2D([], [], color="black", linewidth=1.0, linestyle="--", label="spawn area, 2 σ"),
+            Line2D([], [], color="0.4", linewidth=1.8, label="goal area, 2 σ, and paths to it"),
+        ]
+        axes[0].legend(handles=handles, loc="lower left", fontsize=7, framealpha=0.9)
 
-    return _save(path, draw, rows=len(groups), height=6.5 * height / width, width=7.0)
+    columns = len(groups)
+    return _save(
+        path, draw, columns=columns, height=5.0 * height / width, width=5.0 * columns + 0.6
+    )
 
 
 def _ellipse(axis: "Axes", gaussians: Gaussians, k: int, **style: Any) -> None:
@@ -182,7 +209,8 @@ def _save(
     path: Path,
     draw: "Callable[[list[Axes]], None]",
     *,
-    rows: int,
+    rows: int = 1,
+    columns: int = 1,
     height: float,
     width: float = 9.0,
 ) -> Path:
@@ -192,7 +220,7 @@ def _save(
 
     figure = Figure(figsize=(width, height * rows + 0.6), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+    axes = figure.subplots(rows, columns, sharex=True, sharey=columns > 1, squeeze=False).ravel()
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)
     draw(list(axes))

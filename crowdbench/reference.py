@@ -54,12 +54,14 @@ def score(scene: str | Path | Scene, crowd: Trajectories) -> dict[str, MetricRes
 
     The crowd is a continuous run as long as the recording, its first frame being frame 0: it is
     looked at in the same time blocks. A table does not tell an empty scene at its end from an
-    end that came early; up to one time block is taken for empty, more is refused.
+    end that came early; up to one time block is taken for empty. More than a block shorter or
+    longer is refused.
 
     Raises:
         SceneError: there is no such scene.
         WeightsError: the scene has no reference statistics.
-        RecordingError: the crowd's time step is not the scene's, or it is too short.
+        RecordingError: the crowd is another scene's, or its time step or length is not the
+            scene's.
     """
     scene = load_scene(scene)
     reference = read_reference(scene)
@@ -70,13 +72,18 @@ def score(scene: str | Path | Scene, crowd: Trajectories) -> dict[str, MetricRes
             expected=f"frames of {scene.dt_s:g} s",
             mend="Resample the trajectories to the scene's time step.",
         )
-    needed = int(reference.blocks.frames.max())
-    if crowd.frames < needed - scene.frames(scene.protocol.block_s):
+    if crowd.scene not in (scene.id, scene.recording.name):
+        raise RecordingError(
+            f"crowd scored on {scene.id}", got=f"a crowd of {crowd.scene}", expected=scene.id
+        )
+    needed = scene.recording.frames
+    if abs(crowd.frames - needed) > scene.frames(scene.protocol.block_s):
         raise RecordingError(
             f"crowd scored on {scene.id}",
             got=f"{crowd.frames} frames ({crowd.duration_s:.1f} s)",
             expected=f"{needed} frames ({needed * scene.dt_s:.1f} s), as long as the recording",
-            mend="Simulate longer: both sides are looked at in the same time blocks.",
+            mend="Both sides are looked at in the same time blocks: simulate as long, and "
+            "check the time step.",
         )
     return reference.score(crowd)
 
@@ -89,6 +96,10 @@ class _ReferenceFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     schema: int
     scene: str
     recording: str
+    dt_s: float
+    grid_s: float
+    block_s: float
+    """What the scene's file said when the statistics were computed."""
     blocks: Annotated[list[tuple[_Count, _Count]], msgspec.Meta(min_length=1)]
     opens: list[bool]
     statistics: dict[str, dict[str, list[list[tuple[_Value, _Count]]]]]
@@ -102,6 +113,9 @@ def write_reference(reference: Reference, scene: Scene) -> Path:
         schema=SCHEMA,
         scene=scene.id,
         recording=scene.recording.name,
+        dt_s=scene.dt_s,
+        grid_s=scene.grid_s,
+        block_s=scene.protocol.block_s,
         blocks=[(int(a), int(b)) for a, b in reference.blocks.frames],
         opens=reference.blocks.opens.tolist(),
         statistics={
@@ -120,7 +134,7 @@ def read_reference(scene: Scene) -> Reference:
         WeightsError: the file is missing, broken or another scene's.
     """
     path = scene.folder / "reference.json"
-    mend = f"Run `crowdbench fit {scene.id}`."
+    mend = f"Run `crowdbench fit {scene.asked}`."
     file = read_struct(path, _ReferenceFile, WeightsError, mend)
     if (file.scene, file.schema) != (scene.id, SCHEMA):
         raise WeightsError(
@@ -129,6 +143,20 @@ def read_reference(scene: Scene) -> Reference:
             expected=f"statistics of {scene.id}, schema {SCHEMA}",
             mend=mend,
         )
+    frames = max((stop for _, stop in file.blocks), default=0)
+    for name, computed, stated in (
+        ("dt_s", file.dt_s, scene.dt_s),
+        ("grid_s", file.grid_s, scene.grid_s),
+        ("protocol.block_s", file.block_s, scene.protocol.block_s),
+        ("recording.frames", max(frames, scene.recording.frames), scene.recording.frames),
+    ):
+        if computed != stated:
+            raise WeightsError(
+                path,
+                got=f"statistics computed with {name} = {computed:g}",
+                expected=f"{name} = {stated:g}, as in scene.toml",
+                mend=mend,
+            )
     missing = {m.name for m in METRICS} - set(file.statistics)
     lengths = {len(rows) for h in file.statistics.values() for rows in h.values()}
     if missing or lengths | {len(file.opens)} != {len(file.blocks)}:

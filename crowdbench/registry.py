@@ -72,7 +72,7 @@ def spawn_model(model: str | SpawnModel, scene: str | Scene) -> SpawnModel:
         return PoissonGMM.read(scene, read_areas(scene))
     if model == "replay":
         return Replay(recording_of(scene))
-    made: SpawnModel = _own(model, "spawn model", SPAWN_MODELS)(scene)
+    made: SpawnModel = _made(_own(model, "spawn model", SPAWN_MODELS), model, scene)
     return _having(made, model, ("name", "start", "sample"))
 
 
@@ -94,8 +94,11 @@ def policy(named: str | Policy, scene: str | Scene) -> Policy:
         return plain[named]()
     if named == "replay":
         return ReplayPolicy(recording_of(load_scene(scene)))
-    made: Policy = _own(named, "policy", POLICIES)()
-    return _having(made, named, ("name", "sees", "reset", "act"))
+    made: Policy = _made(_own(named, "policy", POLICIES), named)
+    _having(made, named, ("name", "sees", "reset", "act"))
+    if made.sees not in ("observation", "state"):
+        raise SettingError(named, got=f"sees = {made.sees!r}", expected="'observation' or 'state'")
+    return made
 
 
 def _own(path: str, kind: str, known: tuple[str, ...]) -> Callable[..., Any]:
@@ -114,6 +117,18 @@ def _own(path: str, kind: str, known: tuple[str, ...]) -> Callable[..., Any]:
             mend="Install its package, or run where Python finds it.",
         ) from error
     return found
+
+
+def _made(kind: Callable[..., Any], path: str, *arguments: object) -> Any:
+    try:
+        return kind(*arguments)
+    except TypeError as error:
+        raise SettingError(
+            path,
+            got=str(error),
+            expected="a class that is called with the scene (spawn models) or without arguments "
+            "(policies)",
+        ) from error
 
 
 def _having(made: Any, path: str, needed: tuple[str, ...]) -> Any:

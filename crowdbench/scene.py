@@ -125,6 +125,12 @@ class Scene:
     folder: Path
 
     @property
+    def asked(self) -> str:
+        """How a user names the scene: its id, or the folder it lies in."""
+        shipped = self.folder.parent == scenes_folder()
+        return self.id if shipped else str(self.folder)
+
+    @property
     def horizon_s(self) -> float:
         """Default length of a rollout: the recording's."""
         return self.recording.frames * self.dt_s

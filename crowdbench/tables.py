@@ -12,7 +12,7 @@ import numpy as np
 
 from crowdbench.errors import RecordingError
 from crowdbench.files import read_bytes, replacing
-from crowdbench.trajectories import PERSON_COLUMNS, Trajectories, from_rows
+from crowdbench.trajectories import OUTCOMES, PERSON_COLUMNS, Trajectories, from_rows
 
 if TYPE_CHECKING:
     import pyarrow
@@ -92,17 +92,12 @@ def read(path: Path, *, scene: str, dt_s: float, frames: int | None = None) -> T
         raise RecordingError(path, got="no rows", expected="at least one row", mend=_MEND)
     columns = {name: _numbers(path, table, name) for name in _COLUMNS if name in named}
     person_id = _integers(path, "person_id", columns["person_id"])
-    frame = _integers(path, "frame", columns["frame"]) if "frame" in columns else None
-    if frame is None:
-        ticks = columns["time_s"] / dt_s
-        if not (np.abs(ticks - np.round(ticks)) < 0.05).all():
-            raise RecordingError(
-                path,
-                got="times that do not stand on the scene's frames",
-                expected=f"time_s in multiples of {dt_s:g} s",
-                mend="Resample the trajectories to the scene's time step.",
-            )
-        frame = np.round(ticks).astype(np.int64)
+    frame = _frames(path, columns, dt_s)
+    outcome = columns.get("outcome", np.zeros(1))
+    if not ((outcome >= 0) & (outcome < len(OUTCOMES))).all():
+        raise RecordingError(
+            path, got=f"outcomes {np.unique(outcome)[:5]}", expected=f"0 to {len(OUTCOMES) - 1}"
+        )
     if metadata is not None:
         for name, got, expected in (
             ("scene", metadata.scene, scene),
@@ -127,6 +122,25 @@ def read(path: Path, *, scene: str, dt_s: float, frames: int | None = None) -> T
     )
 
 
+def _frames(path: Path, columns: dict[str, np.ndarray], dt_s: float) -> np.ndarray:
+    """The frame of each row, by `frame`, by `time_s`, or by both if they agree."""
+    frame = _integers(path, "frame", columns["frame"]) if "frame" in columns else None
+    if "time_s" in columns:
+        ticks = columns["time_s"] / dt_s
+        expected = np.round(ticks) if frame is None else frame
+        if not (np.abs(ticks - expected) < 0.05).all():
+            raise RecordingError(
+                path,
+                got="times that do not stand on the scene's frames",
+                expected=f"time_s in multiples of {dt_s:g} s"
+                + ("" if frame is None else ", frame × that"),
+                mend="Resample the trajectories to the scene's time step.",
+            )
+        frame = expected.astype(np.int64)
+    assert frame is not None
+    return frame
+
+
 def read_own(path: Path) -> Trajectories:
     """Read a Parquet file that crowdbench wrote, whatever its scene.
 
@@ -147,16 +161,19 @@ def _read_table(path: Path) -> "pyarrow.Table":
 
     data = pa.BufferReader(read_bytes(path, RecordingError, _MEND))
     readers = {".parquet": parquet.read_table, ".csv": csv.read_csv}
-    if path.suffix not in readers:
+    suffix = path.suffix.lower()
+    if suffix not in readers:
         raise RecordingError(
             path, got=f"a {path.suffix or 'nameless'} file", expected=".parquet or .csv", mend=_MEND
         )
     try:
-        return readers[path.suffix](data)
+        table = readers[suffix](data)
     except (pa.ArrowException, OSError) as error:
         raise RecordingError(
             path, got=str(error).splitlines()[0], expected="a readable table", mend=_MEND
         ) from error
+    named = table.rename_columns([name.strip() for name in table.column_names])
+    return named.replace_schema_metadata(table.schema.metadata)
 
 
 def _own_metadata(path: Path, table: "pyarrow.Table") -> _Metadata | None:

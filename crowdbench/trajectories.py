@@ -27,6 +27,10 @@ PERSON_COLUMNS = {
 }
 
 
+MAX_FRAMES = 10_000_000
+"""Six weeks of 0.4 s frames: a longer table is a mistake, and would not fit into memory."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Trajectories:
     """A crowd over time: `P` persons, `R` rows (one per person and frame), `I` observed intervals.
@@ -156,7 +160,7 @@ def from_rows(
     """
     if len(frame) == 0:
         raise RecordingError(where, got="no rows", expected="at least one row")
-    finite = np.isfinite(xy).all(axis=1)
+    finite = (np.abs(xy) < np.finfo(np.float32).max).all(axis=1)  # false for NaN
     if not finite.all():
         row = int(np.flatnonzero(~finite)[0])
         raise RecordingError(
@@ -167,6 +171,13 @@ def from_rows(
             mend="Remove these rows or repair them at the source.",
         )
     length = int(frame.max()) + 1 if frames is None else frames
+    if length > MAX_FRAMES:
+        raise RecordingError(
+            where,
+            got=f"{length} frames",
+            expected=f"{MAX_FRAMES} at most",
+            mend="Count frames of the scene from 0 on, not milliseconds or video frames.",
+        )
     if frame.min() < 0 or frame.max() >= length:
         raise RecordingError(
             where,

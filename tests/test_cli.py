@@ -108,7 +108,7 @@ BAD = {
     "no table": (["score", "eth-v0", "{tmp}/none.csv"], "no such file"),
     "no kind of table": (["score", "eth-v0", "{tmp}/note.txt"], "expected .parquet or .csv"),
     "a table of another kind": (["score", "eth-v0", "{tmp}/other.csv"], "a column person_id"),
-    "a table too short": (["score", "plaza-v0", "{mine}"], "Simulate longer"),
+    "a table too short": (["score", "plaza-v0", "{mine}"], "as long as the recording"),
     "a recording not imported": (["data", "describe", "eth"], "crowdbench data import eth"),
     "an unknown recording": (["data", "describe", "moon"], "one of eth, hotel, zara01"),
     "an empty folder": (["data", "import", "eth", "--source", "{tmp}"], "Fetch https://"),

@@ -15,7 +15,7 @@ PACKAGE = Path(crowdbench.__file__).parent
 ORDER = (
     "errors", "files", "trajectories", "tables", "blocks", "metrics", "recordings", "scene",
     "reference", "spawn", "simulation", "policies", "episode", "rollouts", "plaza", "registry",
-    "fit", "replay_check", "figures", "evaluation", "environment", "bench", "cli",
+    "fit", "replay_check", "figures", "evaluation", "environment", "bench", "cli", "__main__",
 )  # fmt: skip
 HEAVY = ("torch", "sklearn", "pyarrow", "rerun", "numba", "matplotlib", "pettingzoo")
 

@@ -28,17 +28,16 @@ def test_the_first_example_runs_to_the_end_and_scores(capsys: pytest.CaptureFixt
     assert "inter_spawn" in capsys.readouterr().out
 
 
-def test_the_policy_of_ones_own_walks(tmp_path: Path) -> None:
-    (tmp_path / "slow.py").write_text(blocks("python")[1])
-    asked = re.search(r"`(crowdbench evaluate plaza-v0 --policy slow:Slow)`", README)
+@pytest.mark.parametrize(("block", "file"), [(1, "slow.py"), (2, "clock.py")])
+def test_a_class_of_ones_own_is_evaluated(tmp_path: Path, block: int, file: str) -> None:
+    (tmp_path / file).write_text(blocks("python")[block])
+    asked = re.search(rf"`(crowdbench evaluate [^`]*{file[:-3]}:[^`]*)`", README)
     assert asked is not None
     script = Path(sys.executable).with_name("crowdbench")
-    command = [str(script), *shlex.split(asked[1])[1:], "--seeds", "2"]
-    done = subprocess.run(
-        [*command, "--workers", "2"], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    command = [str(script), *shlex.split(asked[1])[1:], "--seeds", "2", "--workers", "2"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert "slow:Slow" in done.stdout
+    assert "written to" in done.stdout
 
 
 def test_every_command_runs_in_the_order_of_the_page(

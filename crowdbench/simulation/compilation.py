@@ -1,6 +1,7 @@
 """Kernels compiled for one thread and for all of them."""
 
 import functools
+import importlib
 import types
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -34,6 +35,10 @@ class Kernel:
         """The same kernel, for arguments of types of its own."""
         return Kernel(self.function)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # Machine code does not travel between processes; the name of the kernel does.
+        return _named, (self.function.__module__, self.function.__name__)
+
     def __call__(self, persons: int, *arguments: object) -> None:
         """Run on one thread or on several, whichever suits so many persons."""
         parallel = bool(persons >= PARALLEL_FROM)
@@ -50,6 +55,11 @@ class Kernel:
         dispatcher.compile(signature)
         code: Callable[..., None] = dispatcher.overloads[signature].entry_point
         return code
+
+
+def _named(module: str, name: str) -> Kernel:
+    found: Kernel = getattr(importlib.import_module(module), name)
+    return found.fresh()
 
 
 _dispatchers: dict[tuple[Callable[..., None], bool], Any] = {}

@@ -249,7 +249,7 @@ def read_areas(scene: Scene) -> Areas:
         WeightsError: the file is missing, broken, contradicts itself or is another scene's.
     """
     path = scene.folder / "areas.json"
-    mend = f"Run `crowdbench fit {scene.id}`."
+    mend = f"Run `crowdbench fit {scene.asked}`."
     file = read_struct(path, _AreasFile, WeightsError, mend)
     if file.scene != scene.id or file.schema != SCHEMA:
         raise WeightsError(

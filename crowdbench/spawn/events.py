@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from crowdbench.blocks import TimeBlocks
+from crowdbench.errors import SettingError
 from crowdbench.trajectories import Trajectories
 
 
@@ -73,6 +74,38 @@ def entering(
         scripted=np.zeros(size, dtype=bool),
         censored=np.zeros(size, dtype=bool),
     )
+
+
+def check_events(events: object, model: str) -> SpawnEvents:
+    """What a spawn model sampled, if a simulation can let it in.
+
+    Raises:
+        SettingError: it is no `SpawnEvents`, its arrays differ in length, hold what is not
+            finite, or its times do not ascend.
+    """
+    where = f"events of the spawn model {model}"
+    if not isinstance(events, SpawnEvents):
+        raise SettingError(
+            where,
+            got=type(events).__name__,
+            expected="SpawnEvents",
+            mend="Make them with crowdbench.spawn.events.entering.",
+        )
+    for f in fields(events):
+        values = np.asarray(getattr(events, f.name))
+        shape = (len(events), 2) if f.name in ("start", "goal", "velocity") else (len(events),)
+        if values.shape != shape:
+            raise SettingError(
+                where, got=f"{f.name} of shape {values.shape}", expected=f"shape {shape}"
+            )
+        if not np.isfinite(values).all():
+            bad = int((~np.isfinite(values)).sum())
+            raise SettingError(
+                where, got=f"{bad} values of {f.name} that are not finite", expected="numbers"
+            )
+    if (np.diff(events.time_s) < 0).any():
+        raise SettingError(where, got="times in disorder", expected="ascending time_s")
+    return events
 
 
 def no_events() -> SpawnEvents:

@@ -77,7 +77,7 @@ class PoissonGMM:
             WeightsError: the file is missing, broken or another scene's.
         """
         path = scene.folder / "poisson-gmm.json"
-        mend = f"Run `crowdbench fit {scene.id}`."
+        mend = f"Run `crowdbench fit {scene.asked}`."
         file = read_struct(path, _File, WeightsError, mend)
         got = (file.model, file.scene, file.schema)
         if got != ("poisson-gmm", scene.id, SCHEMA):
