@@ -3,6 +3,7 @@
 It adds names, dictionaries and a reward to `Simulation`, and no physics.
 """
 
+import operator
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args
@@ -105,6 +106,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             CapacityError: more persons than slots or ids, unless `on_full` is `drop`.
         """
         if seed is not None:
+            seed = operator.index(seed)  # numpy's integers too, which gymnasium refuses
             self._seeds, _ = seeding.np_random(seed)
         self._seed = int(self._seeds.integers(2**31)) if seed is None else seed
         simulation = self._simulation

@@ -7,7 +7,7 @@ import pytest
 from given import env_of, run, stand
 from worlds import Person, square
 
-from crowdbench.environment import CrowdParallelEnv
+from crowdbench.environment import CrowdParallelEnv, parallel_env
 from crowdbench.errors import CapacityError
 
 RUNNER = Person(start=(0.0, 0.0), goal=(1.0, 0.0))  # a step to the right reaches the goal
@@ -142,3 +142,11 @@ def test_the_table_keeps_the_empty_frames() -> None:
     present = env.trajectories().present()
     assert len(present) == 100
     assert np.flatnonzero(present).tolist() == [3, 4, 10, 11]
+
+
+def test_numpys_integers_are_seeds_too() -> None:
+    env = parallel_env("plaza-v0", horizon_s=20.0)
+    by_numpy, _ = env.reset(seed=np.int64(3))  # type: ignore[arg-type]
+    by_python, _ = env.reset(seed=3)
+    assert by_numpy.keys() == by_python.keys()
+    assert all((by_numpy[name] == by_python[name]).all() for name in by_python)
