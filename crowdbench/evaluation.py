@@ -16,9 +16,9 @@ import msgspec
 import numpy as np
 
 from crowdbench import __version__
-from crowdbench.errors import OutputError, RecordingError, SettingError
+from crowdbench.errors import RecordingError, SettingError
 from crowdbench.figures import FIGURES, draw_figures
-from crowdbench.files import read_struct, write_json
+from crowdbench.files import read_struct, unwritable, write_json
 from crowdbench.reference import Reference, read_reference
 from crowdbench.registry import policy as find_policy
 from crowdbench.registry import spawn_model
@@ -157,12 +157,7 @@ def _clear(out: Path) -> None:
         for name in ("scorecard.json", "run.json", *FIGURES):
             (out / name).unlink(missing_ok=True)
     except OSError as error:
-        raise OutputError(
-            out,
-            got=error.strerror or str(error),
-            expected="a folder that can be written",
-            mend="Name another folder.",
-        ) from error
+        raise unwritable(out, error) from error
 
 
 def _plan(

@@ -45,15 +45,20 @@ def replacing(path: Path) -> Iterator[Path]:
         yield temporary
         temporary.replace(path)
     except OSError as error:
-        raise OutputError(
-            path,
-            got=error.strerror or str(error),
-            expected="a place that can be written",
-            mend="Name another folder.",
-        ) from error
+        raise unwritable(path, error) from error
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+
+
+def unwritable(path: Path, error: OSError) -> OutputError:
+    """The error of a place that cannot be written to."""
+    got = error.strerror or str(error)
+    if isinstance(error, FileExistsError | NotADirectoryError):
+        got = "a file where a folder should be"
+    return OutputError(
+        path, got=got, expected="a place that can be written", mend="Name another folder."
+    )
 
 
 def write_text(path: Path, text: str) -> None:
