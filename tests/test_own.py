@@ -114,6 +114,12 @@ def test_a_spawn_model_that_sends_nonsense_is_refused(what: Any, message: str) -
         rollout(PLAZA, Sends(what()), walker, seed=0, horizon_s=20.0)
 
 
+def test_a_person_due_after_the_end_of_time_never_enters() -> None:
+    late = replace(three(), time_s=np.array([1.0, 2.0, 1e300]))
+    walker = Gives(lambda n: np.zeros((n, 2)))
+    assert len(rollout(PLAZA, Sends(late), walker, seed=0, horizon_s=20.0)) == 2
+
+
 @pytest.mark.parametrize(
     ("named", "message"),
     [("Gives", "called with the scene"), ("Blind", "'observation' or 'state'")],

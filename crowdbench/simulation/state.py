@@ -92,7 +92,7 @@ class Queue(NamedTuple):
             return out
 
         never = np.iinfo(np.int32).max
-        due = [np.ceil(e.time_s / dt_s - 1e-6) for e in events]
+        due = [np.clip(np.ceil(e.time_s / dt_s - 1e-6), -never, never) for e in events]
         return cls(
             due=stacked(due, never, np.int32),
             start=stacked([e.start for e in events], 0, np.float32),
