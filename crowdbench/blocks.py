@@ -12,6 +12,11 @@ from jaxtyping import Bool, Float, Int
 
 from crowdbench.trajectories import Trajectories
 
+FOLDS = 3
+PARTS = ("full", *(f"fold{k}" for k in range(FOLDS)))
+"""What models are fitted for: the whole recording (protocol `full`), and each fold of `heldout`,
+for which a model is fitted on the blocks outside the fold and scored on those in it."""
+
 _TOLERANCE = 1e-6  # of a grid step: times are sums of floats
 
 
@@ -29,6 +34,22 @@ class TimeBlocks:
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    def scored(self, part: str) -> "TimeBlocks":
+        """The blocks that models fitted for `part` (one of `PARTS`) are scored on."""
+        if part == "full":
+            return self
+        return self.take(np.arange(len(self)) % FOLDS == PARTS.index(part) - 1)
+
+    def training(self, part: str) -> "TimeBlocks":
+        """The blocks that models for `part` are fitted on: folds are interleaved."""
+        if part == "full":
+            return self
+        return self.take(np.arange(len(self)) % FOLDS != PARTS.index(part) - 1)
+
+    def take(self, chosen: Bool[np.ndarray, " B"] | Int[np.ndarray, " b"]) -> "TimeBlocks":
+        """Some of the blocks, by mask or by ascending index."""
+        return TimeBlocks(self.frames[chosen], self.opens[chosen], self.dt_s, self.grid_s)
 
     @property
     def arrival_s(self) -> Float[np.ndarray, "B 2"]:
