@@ -125,13 +125,17 @@ class Trajectories:
             left=~np.isin(self.last, observed[:, 1] - 1),
         )
 
+    def path_lengths(self) -> Float[np.ndarray, " P"]:
+        """Metres that each person walks."""
+        steps = np.linalg.norm(np.diff(self.xy.astype(np.float64), axis=0), axis=1)
+        person = self.row_person()
+        same = np.diff(person) == 0
+        return np.bincount(person[1:][same], steps[same], minlength=len(self))
+
     def mean_speeds(self) -> Float[np.ndarray, " P"]:
         """Path length over life, m/s; NaN for a life of a single row."""
-        steps = np.linalg.norm(np.diff(self.xy.astype(np.float64), axis=0), axis=1)
-        same = np.diff(self.row_person()) == 0
-        length = np.bincount(self.row_person()[1:][same], steps[same], minlength=len(self))
         with np.errstate(invalid="ignore"):
-            return length / ((self.last - self.first) * self.dt_s)
+            return self.path_lengths() / ((self.last - self.first) * self.dt_s)
 
 
 def from_rows(

@@ -3,21 +3,73 @@
 They see `Trajectories` and `TimeBlocks` and nothing else, so they score any simulator.
 """
 
-from crowdbench.metrics.agents_over_time import AgentsOverTime
-from crowdbench.metrics.dwell import Dwell
-from crowdbench.metrics.inter_spawn import InterSpawn
-from crowdbench.metrics.metric import Histograms, Metric, MetricResult, distance
+from crowdbench.blocks import TimeBlocks
+from crowdbench.metrics.arrivals import (
+    FanoFactor10,
+    FanoFactor60s,
+    InterSpawn,
+    InterSpawnPerArea,
+    SpawnCounts,
+)
+from crowdbench.metrics.interaction import ClosestApproach, OverlapRate, WallHits
+from crowdbench.metrics.lives import Detour, Dwell, GoalShare, OriginDestination
+from crowdbench.metrics.metric import (
+    FAMILIES,
+    WALK,
+    Metric,
+    MetricResult,
+    Place,
+    Statistics,
+    Sums,
+    Support,
+    distance,
+    total,
+)
+from crowdbench.metrics.motion import Acceleration, Speed, Turning
+from crowdbench.metrics.presence import AgentsOverTime, AgentsSpread, Autocorrelation
+from crowdbench.metrics.space import NearestNeighbour, Occupancy
 
-METRICS: tuple[Metric, ...] = (AgentsOverTime(), InterSpawn(), Dwell())
+METRICS: tuple[Metric, ...] = (
+    InterSpawn(),
+    InterSpawnPerArea(),
+    SpawnCounts(),
+    FanoFactor10(),
+    FanoFactor60s(),
+    AgentsOverTime(),
+    AgentsSpread(),
+    Autocorrelation(),
+    Dwell(),
+    OriginDestination(),
+    Detour(),
+    GoalShare(),
+    Occupancy(),
+    NearestNeighbour(),
+    Speed(),
+    Acceleration(),
+    Turning(),
+    ClosestApproach(),
+    OverlapRate(),
+    WallHits(),
+)
 """All metrics, in the order in which tables show them."""
 
+
+def metrics_for(blocks: TimeBlocks) -> tuple[Metric, ...]:
+    """The metrics that blocks of this length can tell something by."""
+    return tuple(metric for metric in METRICS if metric.applies(blocks))
+
+
 __all__ = [
+    "FAMILIES",
     "METRICS",
-    "AgentsOverTime",
-    "Dwell",
-    "Histograms",
-    "InterSpawn",
+    "WALK",
     "Metric",
     "MetricResult",
+    "Place",
+    "Statistics",
+    "Sums",
+    "Support",
     "distance",
+    "metrics_for",
+    "total",
 ]

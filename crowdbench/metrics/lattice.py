@@ -1,7 +1,10 @@
-"""Distances between histograms on one lattice: integer values 0, 1, 2, … in a common unit."""
+"""Histograms on one lattice (values 0, 1, 2, … in a common unit) and what is computed from them.
+
+Leading axes are batches: resamples, rollouts.
+"""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 
 def histograms(
@@ -12,50 +15,90 @@ def histograms(
     return np.bincount(block * size + values, minlength=blocks * size).reshape(blocks, size)
 
 
-def wasserstein1(p: Float[np.ndarray, " V"], q: Float[np.ndarray, " U"]) -> float:
-    """Wasserstein-1 distance of two probability vectors, in lattice steps.
+def rounded(values: Float[np.ndarray, " n"], step: float) -> Int[np.ndarray, " n"]:
+    """The nearest point of a lattice with this step; a half goes up."""
+    return np.floor(values / step + 0.5).astype(np.int64)
 
-    On a line it is the area between the distribution functions: Σ_v |P(v) − Q(v)|
-    (Vallender 1974), which is exact on a lattice.
+
+def cdf(
+    counts: np.ndarray, support: Int[np.ndarray, " V"], *, if_empty: int
+) -> Float[np.ndarray, "*batch V"]:
+    """Distribution function at each value of the support.
+
+    An empty sample is a point mass at `if_empty`, which the support holds.
     """
-    size = max(len(p), len(q))
-    difference = np.pad(p, (0, size - len(p))) - np.pad(q, (0, size - len(q)))
-    return float(np.abs(np.cumsum(difference)).sum())
+    cumulative = counts.cumsum(axis=-1, dtype=np.float64)
+    n = cumulative[..., -1:]
+    return np.where(n > 0, cumulative / np.maximum(n, 1), support >= if_empty)
 
 
-def relative_wasserstein1(p: Float[np.ndarray, " V"], q: Float[np.ndarray, " U"]) -> float:
-    """Wasserstein-1 distance divided by the mean of `p`; infinite if that is 0 and q differs."""
-    absolute = wasserstein1(p, q)
-    if absolute == 0:
-        return 0.0
-    return absolute / mean(p) if mean(p) > 0 else float("inf")
+def kaplan_meier_cdf(
+    events: np.ndarray, censored: np.ndarray, support: Int[np.ndarray, " V"], *, if_empty: int
+) -> Float[np.ndarray, "*batch V"]:
+    """Distribution function of a right-censored time by Kaplan & Meier (1958), eq. 2b.
 
-
-def normalised(counts: Int[np.ndarray, " V"], *, if_empty: int) -> Float[np.ndarray, " U"]:
-    """The counts as a distribution; an empty sample is a point mass at `if_empty`."""
-    total = counts.sum()
-    if total == 0:
-        return np.eye(1, if_empty + 1, if_empty)[0]
-    return counts / total
-
-
-def mean(p: Float[np.ndarray, " V"]) -> float:
-    """Mean of a distribution, in lattice steps."""
-    return float(p @ np.arange(len(p)))
-
-
-def kaplan_meier(
-    events: Int[np.ndarray, " V"], censored: Int[np.ndarray, " V"]
-) -> Float[np.ndarray, " V"]:
-    """Distribution of a right-censored time by Kaplan & Meier (1958), eq. 2b.
-
-    `events[v]` lives ended at v, `censored[v]` were last seen alive at v (and so outlived it:
-    events come before censorings at the same v). The mass that no event claims, when the
-    longest life is a censored one, stands at that life's length (Efron's 1967 convention).
+    `events` counts the lives that ended at each value of the support, `censored` those last seen
+    alive at it (which outlived it: events come before censorings at the same value). The mass that
+    no event claims, when the longest life is a censored one, stands at that life's length (Efron's
+    1967 convention). Nobody at all is a point mass at `if_empty`.
     """
-    at_risk = np.cumsum((events + censored)[::-1])[::-1]
-    hazard = np.divide(events, at_risk, out=np.zeros(len(events)), where=at_risk > 0)
-    survival = np.cumprod(1 - hazard)
-    p = -np.diff(survival, prepend=1.0)
-    p[np.flatnonzero(at_risk)[-1]] += survival[-1]
-    return p
+    at_risk = np.cumsum((events + censored)[..., ::-1], axis=-1)[..., ::-1]
+    hazard = np.divide(events, at_risk, out=np.zeros(events.shape), where=at_risk > 0)
+    result = 1 - np.cumprod(1 - hazard, axis=-1)
+    nobody_left = np.ones(events.shape, dtype=bool)
+    nobody_left[..., :-1] = at_risk[..., 1:] == 0
+    result[nobody_left] = 1.0
+    return np.where(at_risk[..., :1] > 0, result, support >= if_empty)
+
+
+def widths(support: Int[np.ndarray, " V"]) -> Int[np.ndarray, " V"]:
+    """Lattice steps from each value to the next: a distribution function is constant in between.
+
+    On a line the Wasserstein-1 distance is the area between two distribution functions (Vallender
+    1974), Σ |P − Q| · width, which is exact on a lattice.
+    """
+    return np.diff(support, append=support[-1])
+
+
+def mean_of_cdf(
+    values: Float[np.ndarray, "*batch V"], support: Int[np.ndarray, " V"]
+) -> Float[np.ndarray, "*batch"]:
+    """Mean of a distribution by its distribution function, in lattice steps."""
+    return (1 - values) @ widths(support) + support[0]
+
+
+def moments(counts: np.ndarray, support: Int[np.ndarray, " V"]) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and variance (over n, not n − 1) of histograms (…, V); 0 for an empty one."""
+    n = np.maximum(counts.sum(axis=-1), 1)
+    mean = counts @ support / n
+    return mean, np.maximum(counts @ support**2 / n - mean**2, 0.0)
+
+
+def correlation(sums: np.ndarray) -> Float[np.ndarray, "*batch"]:
+    """Pearson's correlation from n, Σx, Σx′, Σxx′, Σx², Σx′² (last axis); 0 where undefined."""
+    n, x, y, xy, xx, yy = np.moveaxis(sums.astype(np.float64), -1, 0)
+    covariance = n * xy - x * y
+    spread = np.sqrt(np.maximum(n * xx - x**2, 0) * np.maximum(n * yy - y**2, 0))
+    return np.divide(covariance, spread, out=np.zeros_like(covariance), where=spread > 0)
+
+
+def lagged_sums(
+    x: Int[np.ndarray, " n"], y: Int[np.ndarray, " n"], block: Int[np.ndarray, " n"], blocks: int
+) -> Int[np.ndarray, "B 6"]:
+    """The sums that `correlation` takes, per block."""
+    terms = np.stack([np.ones_like(x), x, y, x * y, x**2, y**2], axis=1)
+    sums = np.zeros((blocks, 6), dtype=np.int64)
+    np.add.at(sums, block, terms)
+    return sums
+
+
+def counted(hits: Bool[np.ndarray, " n"], block: np.ndarray, blocks: int) -> np.ndarray:
+    """Per block how many are true, and of how many: (B, 2)."""
+    return np.stack(
+        [np.bincount(block[hits], minlength=blocks), np.bincount(block, minlength=blocks)], axis=1
+    )
+
+
+def share(sums: np.ndarray) -> Float[np.ndarray, "*batch"]:
+    """Numerator over denominator (last axis); 0 of none."""
+    return sums[..., 0] / np.maximum(sums[..., 1], 1)
