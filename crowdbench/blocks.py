@@ -35,17 +35,22 @@ class TimeBlocks:
     def __len__(self) -> int:
         return len(self.frames)
 
-    def scored(self, part: str) -> "TimeBlocks":
-        """The blocks that models fitted for `part` (one of `PARTS`) are scored on."""
+    def in_part(self, part: str) -> Bool[np.ndarray, " B"]:
+        """Which blocks models fitted for `part` (one of `PARTS`) are scored on.
+
+        Folds are interleaved.
+        """
         if part == "full":
-            return self
-        return self.take(np.arange(len(self)) % FOLDS == PARTS.index(part) - 1)
+            return np.ones(len(self), dtype=bool)
+        return np.arange(len(self)) % FOLDS == PARTS.index(part) - 1
+
+    def scored(self, part: str) -> "TimeBlocks":
+        """The blocks that models fitted for `part` are scored on."""
+        return self.take(self.in_part(part))
 
     def training(self, part: str) -> "TimeBlocks":
-        """The blocks that models for `part` are fitted on: folds are interleaved."""
-        if part == "full":
-            return self
-        return self.take(np.arange(len(self)) % FOLDS != PARTS.index(part) - 1)
+        """The blocks that models for `part` are fitted on."""
+        return self if part == "full" else self.take(~self.in_part(part))
 
     def take(self, chosen: Bool[np.ndarray, " B"] | Int[np.ndarray, " b"]) -> "TimeBlocks":
         """Some of the blocks, by mask or by ascending index."""

@@ -1,4 +1,4 @@
-"""The command line: `crowdbench evaluate | score | fit | data | scenes | bench`.
+"""The command line: `crowdbench evaluate | score | fit | power | data | scenes | bench`.
 
 A user's error is one message and exit code 2; an interrupt exits with 130.
 """
@@ -7,7 +7,8 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from crowdbench.evaluation import Scorecard
+    from crowdbench.cards import Scorecard
+    from crowdbench.scoring import Score
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -49,19 +51,28 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument(
         "--spawn",
         nargs="+",
-        default=["poisson-gmm"],
+        default=["poisson-gmm", "renewal-gmm", "ntpp-gmm"],
         metavar="MODEL",
-        help="poisson-gmm, replay or pkg.module:Class (default: poisson-gmm)",
+        help="poisson-gmm, renewal-gmm, ntpp-gmm, block-replay, replay or pkg.module:Class "
+        "(default: the first three)",
     )
     evaluate.add_argument(
         "--policy",
         nargs="+",
         metavar="POLICY",
-        default=["straight", "social-force", "random"],
+        default=["straight", "social-force"],
         help="straight, social-force, random, replay or pkg.module:Class "
-        "(default: straight social-force random)",
+        "(default: straight social-force)",
     )
-    evaluate.add_argument("--seeds", type=int, default=6, help="rollouts per pair (default: 6)")
+    evaluate.add_argument(
+        "--protocol",
+        choices=["full", "heldout"],
+        default="full",
+        help="fit and compare on the whole recording, or on what was held out (default: full)",
+    )
+    evaluate.add_argument(
+        "--seeds", type=int, help="rollouts per pair and fold (default: the scene's protocol)"
+    )
     evaluate.add_argument("--workers", type=int, help="processes (default: one per core)")
     evaluate.add_argument("--out", type=Path, help="folder of the results (default: results/…)")
     evaluate.set_defaults(run=_evaluate)
@@ -74,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     score.set_defaults(run=_score)
 
     fit = commands.add_parser(
-        "fit", help="fit a scene's areas, spawn models and reference statistics"
+        "fit", help="fit a scene's areas, spawn models, reference statistics and anchors"
     )
     fit.add_argument("scene", help="id of a scene, or its folder")
     fit.add_argument(
@@ -84,6 +95,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     fit.add_argument("--out", type=Path, help="folder to write to (default: the scene's)")
     fit.set_defaults(run=_fit)
+
+    power = commands.add_parser(
+        "power", help="find out which metrics can tell a scene's anchor from its recording"
+    )
+    power.add_argument("scene", help="id of a scene, or its folder")
+    power.add_argument(
+        "--write", action="store_true", help="make these the scored metrics of scene.toml"
+    )
+    power.set_defaults(run=_power)
 
     data = commands.add_parser("data", help="import, list and describe recordings")
     of_data = data.add_subparsers(required=True, metavar="COMMAND")
@@ -111,11 +131,11 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _console() -> "Console":
+def _console(width: int = 100) -> "Console":
     from rich.console import Console
 
     # A pipe has no width; tables need about this much.
-    return Console(highlight=False, width=None if sys.stdout.isatty() else 100)
+    return Console(highlight=False, width=None if sys.stdout.isatty() else width)
 
 
 def _table(*columns: str) -> "Table":
@@ -136,7 +156,9 @@ def _pairs(title: str, facts: dict[str, str]) -> None:
         print(f"  {name:<{width}}  {value}")
 
 
-def _evaluate(asked: argparse.Namespace) -> None:
+@contextmanager
+def _progress(what: str) -> "Iterator[Callable[[int, int], None]]":
+    """A bar that appears with the first call of what this yields: progress(done, total)."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -146,14 +168,8 @@ def _evaluate(asked: argparse.Namespace) -> None:
         TimeRemainingColumn,
     )
 
-    from crowdbench.evaluation import evaluate
-
-    sys.path.insert(0, os.getcwd())  # one's own pkg.module:Class may lie beside
-
-    when = time.strftime("%Y%m%d-%H%M%S")
-    out = asked.out or Path("results") / f"{Path(asked.scene).name}-{when}"
     columns = (
-        TextColumn("rollouts"),
+        TextColumn(what),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
@@ -161,63 +177,136 @@ def _evaluate(asked: argparse.Namespace) -> None:
         TimeRemainingColumn(),
     )
     bar = Progress(*columns, console=_console())
-    task = bar.add_task("rollouts")
+    task = bar.add_task(what)
 
     def progress(done: int, total: int) -> None:
         bar.start()  # not before everything asked for was found
         bar.update(task, completed=done, total=total)
 
     try:
+        yield progress
+    finally:
+        if bar.live.is_started:  # else it would print an empty line
+            bar.stop()
+
+
+def _evaluate(asked: argparse.Namespace) -> None:
+    from crowdbench.evaluation import evaluate
+
+    sys.path.insert(0, os.getcwd())  # one's own pkg.module:Class may lie beside
+
+    when = time.strftime("%Y%m%d-%H%M%S")
+    out = asked.out or Path("results") / f"{Path(asked.scene).name}-{when}"
+    with _progress("rollouts") as progress:
         card = evaluate(
             asked.scene,
             spawn=asked.spawn,
             policy=asked.policy,
+            protocol=asked.protocol,
             seeds=asked.seeds,
             workers=asked.workers,
             out=out,
             progress=progress,
         )
-    finally:
-        if bar.live.is_started:  # else it would print an empty line
-            bar.stop()
     _print_card(card)
     if any(entry.spawn == entry.policy == "replay" for entry in card.entries):
         _print_replay(asked.scene, out)
-    print(
-        f"written to {out}: scorecard.json, run.json, rollouts/, agents_over_time.png,\n"
-        "inter_spawn.png, dwell.png, paths.png"
-    )
+    print(f"written to {out}: report.html, scorecard.json, run.json, rollouts/ and pictures")
 
 
 def _print_card(card: "Scorecard") -> None:
-    import statistics
+    from crowdbench.cards import rows
+    from crowdbench.metrics import FAMILIES
 
-    names = list(card.entries[0].metrics)
-    table = _table("spawn × policy", "persons", "goal", *[n.replace("_", " ") for n in names])
-    for entry in card.entries:
-        cells = []
-        for name in names:
-            each = entry.metrics[name].distances
-            spread = f" ± {statistics.stdev(each):.3f}" if len(each) > 1 else ""
-            cells.append(f"{entry.metrics[name].distance:.3f}{spread}")
-        ended = sum(n for how, n in entry.outcomes.items() if how not in ("horizon", "recorded"))
-        goal = f"{entry.outcomes.get('goal', 0) / ended:.0%}" if ended else "–"
-        persons = f"{entry.persons / len(entry.seeds):.0f}"
-        table.add_row(f"{entry.spawn} × {entry.policy}", persons, goal, *cells)
-    means = (
-        f"{name.replace('_', ' ')} {m.recorded:.2f} {m.unit}"
-        for name, m in card.entries[0].metrics.items()
-    )
+    table = rows(card)
     print(
-        f"\n{card.scene}: {card.horizon_s:.0f} s, {card.blocks} time blocks. "
-        f"Recorded means: {', '.join(means)}."
+        f"\n{card.scene}, protocol {card.protocol}: {card.horizon_s:.0f} s, {card.blocks} time "
+        f"blocks, {card.rollouts} rollouts of each pair"
+        f"{' in each fold' if card.protocol == 'heldout' else ''}."
     )
+    if not card.scored:
+        print("No metric of this scene is scored yet: run `crowdbench power`.")
+    scores = _table("spawn × policy", *FAMILIES[:4], "crowd", *FAMILIES[4:], "overall", "rank")
+    for k, row in enumerate(table):
+        if row.kind == "anchor" and table[k - 1].kind == "entry":
+            scores.add_section()
+        walk = "needs recording" if row.kind == "entry" and row.walk is None else None
+        scores.add_row(
+            f"{row.spawn} × {row.policy}",
+            *[_number(row.families.get(f)) for f in FAMILIES[:4]],
+            _with_interval(row.crowd),
+            *([walk, ""] if walk else [_number(row.families.get(f)) for f in FAMILIES[4:]]),
+            _with_interval(row.overall),
+            "" if row.rank is None else f"{row.rank}",
+        )
+    console = _console(120)
+    console.print(scores)
+    print(
+        "Scores: 0 is the anchor (poisson-gmm × straight; in motion and interaction straight\n"
+        "walkers under the recorded arrivals), 1 what the true process gets on average; [95 %].\n"
+        "crowd: mean of the first four families. Equal ranks cannot be told apart (5 %, Holm).\n"
+        "Below the line: anchors; replay has the recording by heart, block-replay pieces of it.\n"
+    )
+    entries = [e for e in card.entries if e.spawn != "replay"] or card.entries
+    distances = _table("distance", "", "recorded", *[f"{k}" for k in range(1, len(entries) + 1)])
+    for name, first in entries[0].metrics.items():
+        mark = "scored" if name in card.scored else ""
+        value = "" if first.recorded is None else f"{first.recorded:.2f} {first.unit}"
+        cells = [e.metrics[name].distance for e in entries]
+        distances.add_row(
+            name.replace("_", " "),
+            mark,
+            value,
+            *["–" if c is None else f"{c:.3f}" for c in cells],
+        )
+    console.print(distances)
+    print(
+        "Plain distances to the recording, mean over the rollouts; 0 is equal. "
+        + ", ".join(f"{k} {e.spawn} × {e.policy}" for k, e in enumerate(entries, 1))
+        + "\n"
+    )
+
+
+def _number(score: "Score | None") -> str:
+    return "–" if score is None else f"{score.value:.2f}"
+
+
+def _with_interval(score: "Score | None") -> str:
+    if score is None:
+        return "–"
+    low, high = score.interval
+    return f"{score.value:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def _power(asked: argparse.Namespace) -> None:
+    import tempfile
+
+    from crowdbench.evaluation import power_study
+    from crowdbench.scene import load_scene, write_scored
+
+    scene = load_scene(asked.scene)
+    with tempfile.TemporaryDirectory() as folder, _progress("rollouts") as progress:
+        studies = power_study(asked.scene, Path(folder), progress=progress)
+    table = _table("metric", "floor", "95 %", "anchor", "power", "")
+    for s in studies:
+        table.add_row(
+            s.metric.replace("_", " "),
+            f"{s.floor:.3f}",
+            f"{s.threshold:.3f}",
+            f"{s.anchor:.3f}",
+            f"{s.power:.2f}",
+            "scored" if s.counts else "",
+        )
     _console().print(table)
     print(
-        "Distances to the recording: Wasserstein-1 divided by the recorded mean, mean ± standard\n"
-        "deviation over the rollouts; 0 is equal. persons: per rollout. goal: share of the ended\n"
-        "lives that reached it.\n"
+        "Energy scores on synthetic recordings: of the true process (floor: mean and 95th\n"
+        "percentile) and of the anchor. power: how often the anchor's lies beyond the percentile;\n"
+        "from 0.8 on a metric is scored, unless the recording knows only one value of it.\n"
     )
+    scored = [s.metric for s in studies if s.counts]
+    print(f"scored = {scored}".replace("'", '"'))
+    if asked.write:
+        print(f"written to {write_scored(scene, scored)}")
 
 
 def _print_replay(scene: str, out: Path) -> None:
@@ -257,13 +346,21 @@ def _score(asked: argparse.Namespace) -> None:
 
 
 def _fit(asked: argparse.Namespace) -> None:
+    import tempfile
+
+    from crowdbench.cards import write_anchors
+    from crowdbench.evaluation import make_anchors
     from crowdbench.fit import fit_scene
     from crowdbench.registry import recording
     from crowdbench.scene import load_scene
 
     scene = load_scene(asked.scene)
     crowd = recording(scene.recording.name)
-    _pairs(scene.id, fit_scene(scene, crowd, clustering=asked.clustering, out=asked.out))
+    facts = fit_scene(scene, crowd, clustering=asked.clustering, out=asked.out)
+    folder = asked.out or scene.folder
+    with tempfile.TemporaryDirectory() as temporary, _progress("anchors") as progress:
+        write_anchors(make_anchors(folder, Path(temporary), progress=progress), folder)
+    _pairs(scene.id, facts)
 
 
 def _import(asked: argparse.Namespace) -> None:

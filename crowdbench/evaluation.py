@@ -1,89 +1,58 @@
 """`evaluate`: roll out spawn models and policies on a scene and compare with its recording.
 
-Every rollout is a job of its own, written as Parquet; the scorecard is computed from the files
-in a fixed order. It holds nothing that depends on the machine, the time or the number of
-workers: the same seeds give the same bytes.
+Every rollout is a job of its own, written as Parquet: an evaluation that was killed goes on where
+it stopped. The scorecard is computed from the rollouts in a fixed order. It holds nothing that
+depends on the machine, the time or the number of workers: the same seeds give the same bytes.
 """
 
+import functools
+import importlib.util
 import os
 import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from crowdbench import __version__
+from crowdbench.blocks import PARTS
+from crowdbench.cards import (
+    ANCHOR,
+    ANCHORS,
+    SCHEMA,
+    WALK_ANCHOR,
+    Anchors,
+    EnergyCard,
+    Entry,
+    MetricCard,
+    Protocol,
+    Scale,
+    Scorecard,
+    files_of,
+    read_anchors,
+)
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.figures import FIGURES, draw_figures
-from crowdbench.files import read_struct, unwritable, write_json
-from crowdbench.reference import Reference, read_reference
+from crowdbench.files import sha256, unwritable, write_json
+from crowdbench.metrics import WALK, Metric, Statistics, metrics_for
+from crowdbench.power import Power, power
+from crowdbench.recordings.catalogue import cached
+from crowdbench.reference import Reference, read_reference, summarise
+from crowdbench.registry import RECORDINGS, spawn_model
 from crowdbench.registry import policy as find_policy
-from crowdbench.registry import spawn_model
 from crowdbench.rollouts import rollout
 from crowdbench.scene import Scene, load_scene
+from crowdbench.scoring import RESAMPLES, Draws, energy, floor, mean_of
 from crowdbench.tables import read_own, write_parquet
-from crowdbench.trajectories import OUTCOMES, Trajectories
+from crowdbench.trajectories import OUTCOMES
 
-SCHEMA = 1
-DEFAULT_SEEDS = 6
+DEFAULT_SPAWN = ("poisson-gmm", "renewal-gmm", "ntpp-gmm")
+DEFAULT_POLICY = ("straight", "social-force")
 
-
-class MetricSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One metric of one crowd, over its rollouts."""
-
-    distance: float
-    """Mean over the rollouts."""
-    distances: list[float]
-    """Each rollout's, by seed."""
-    recorded: float
-    simulated: float
-    """Mean over the rollouts, in `unit`."""
-    unit: str
-    n: int
-    """Sample size of all rollouts together."""
-
-
-class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A spawn model with a policy."""
-
-    spawn: str
-    policy: str
-    seeds: list[int]
-    persons: int
-    """In all rollouts together."""
-    outcomes: dict[str, int]
-    """How their lives ended."""
-    metrics: dict[str, MetricSummary]
-
-
-class Scorecard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What `scorecard.json` holds."""
-
-    schema: int
-    crowdbench: str
-    scene: str
-    protocol: str
-    horizon_s: float
-    blocks: int
-    entries: list[Entry]
-
-
-def read_scorecard(path: Path) -> Scorecard:
-    """Read a `scorecard.json`.
-
-    Raises:
-        RecordingError: the file is missing or broken, or of another schema version.
-    """
-    mend = "Run `crowdbench evaluate` again."
-    card = read_struct(path, Scorecard, RecordingError, mend)
-    if card.schema != SCHEMA:
-        raise RecordingError(
-            path, got=f"schema {card.schema}", expected=f"schema {SCHEMA}", mend=mend
-        )
-    return card
+Pair = tuple[str, str]
+Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -93,27 +62,57 @@ class Job:
     scene: str
     spawn: str
     policy: str
+    part: str
+    fit: int
     seed: int
     path: Path
+    fingerprint: str
+    """Hash of all that the rollout depends on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rolled:
+    """What is kept of a rollout."""
+
+    statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]]
+    """By metric and name: the columns that are not zero, their values, and how many there are."""
+    outcomes: np.ndarray
+
+    def of(self, metric: Metric) -> Statistics:
+        """The statistics of a metric."""
+        dense = {}
+        for name, (columns, values, size) in self.statistics[metric.name].items():
+            dense[name] = np.zeros((len(values), size), dtype=np.int64)
+            dense[name][:, columns] = values
+        return dense
 
 
 def evaluate(
     scene: str | Path,
     *,
-    spawn: Sequence[str] = ("poisson-gmm",),
-    policy: Sequence[str] = ("straight", "social-force", "random"),
-    seeds: int = DEFAULT_SEEDS,
+    spawn: Sequence[str] = DEFAULT_SPAWN,
+    policy: Sequence[str] = DEFAULT_POLICY,
+    protocol: Protocol = "full",
+    seeds: int | None = None,
     workers: int | None = None,
     out: Path,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = lambda done, total: None,
 ) -> Scorecard:
-    """Evaluate each spawn model with each policy on a scene, `seeds` rollouts each.
+    """Evaluate each spawn model with each policy on a scene.
 
-    Writes `scorecard.json`, `run.json`, `rollouts/*.parquet` and the figures into `out`;
+    `full` fits and compares on the whole recording, `heldout` fits on two thirds of its time
+    blocks and scores the third, three times. `seeds` rollouts are made of each pair (in each
+    fold), by default as many as the scene's protocol says; rollout k is of fit k modulo the
+    number of fits. With fewer than two rollouts per fit there are distances but no scores.
+
+    Policies are scored under the recorded arrivals too, where the recording is imported. Where
+    they leave nothing to chance, one rollout does. The policy `replay` walks recorded arrivals
+    only and is left out elsewhere.
+
+    Writes `scorecard.json`, `run.json`, `report.html`, `rollouts/*.parquet` and the figures into
+    `out`. Rollouts that lie there already are kept if all they depend on is as it was.
     `progress(done, total)` is called before the first and after each rollout. `workers`
-    processes (by default one per core) share the work. The policy `replay` walks recorded
-    arrivals only and is left out elsewhere; with them it leaves nothing to chance, so that
-    pair has one rollout.
+    processes (by default one per core) share the work.
 
     Raises:
         SceneError, WeightsError, RecordingError, SettingError: what was asked for does not
@@ -123,18 +122,34 @@ def evaluate(
     began = time.time()
     place = load_scene(scene)
     reference = read_reference(place)
-    jobs = _plan(str(scene), place, spawn, policy, seeds, out)
-    for job in {(job.spawn, job.policy): job for job in jobs}.values():
-        spawn_model(job.spawn, place)
-        find_policy(job.policy, place)
-    workers = _workers(workers, len(jobs))
-    _clear(out)
-    progress(0, len(jobs))
-    for done, _ in enumerate(_run(jobs, workers), start=1):
-        progress(done, len(jobs))
-    crowds = {(job.spawn, job.policy, job.seed): read_own(job.path) for job in jobs}
-    card = _scorecard(place, reference, crowds)
+    scale = read_anchors(place).protocols[_known_protocol(protocol)]
+    pairs = _pairs(place, spawn, policy)
+    seeds = place.protocol.fits * place.protocol.rollouts_per_fit if seeds is None else seeds
+    workers = _checked_workers(workers)
+    jobs = plan(str(scene), place, pairs, protocol, seeds, out / "rollouts")
+    _prepare(out)
+    entries = roll_out(place, reference, jobs, protocol, seeds, workers, progress)
+    card = Scorecard(
+        schema=SCHEMA,
+        crowdbench=__version__,
+        scene=place.id,
+        made_from=files_of(place),
+        protocol=protocol,
+        horizon_s=place.horizon_s,
+        blocks=len(reference.blocks),
+        fits=place.protocol.fits,
+        rollouts=seeds,
+        resamples=RESAMPLES,
+        scored=list(place.protocol.scored),
+        scale=scale,
+        entries=entries,
+    )
     write_json(out / "scorecard.json", card)
+    crowds = {
+        (job.spawn, job.policy, job.seed): read_own(job.path)
+        for job in jobs
+        if job.part == jobs[0].part and job.seed < 6
+    }
     draw_figures(place, reference, crowds, out)
     write_json(
         out / "run.json",
@@ -150,51 +165,235 @@ def evaluate(
     return card
 
 
-def _clear(out: Path) -> None:
-    """Make the folder, without an earlier run's results, which would stand beside new rollouts."""
-    try:
-        (out / "rollouts").mkdir(parents=True, exist_ok=True)
-        for name in ("scorecard.json", "run.json", *FIGURES):
-            (out / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise unwritable(out, error) from error
+def make_anchors(
+    scene: str | Path, folder: Path, *, workers: int | None = None, progress: Progress
+) -> Anchors:
+    """Roll out the anchors of a scene in both protocols; rollouts are left in `folder`.
+
+    Raises:
+        RecordingError: the recording has not been imported.
+    """
+    place = load_scene(scene)
+    reference = read_reference(place)
+    seeds = place.protocol.fits * place.protocol.rollouts_per_fit
+    todo = {
+        protocol: plan(str(scene), place, ANCHORS, protocol, seeds, folder)
+        for protocol in ("full", "heldout")
+    }
+    total, before = sum(map(len, todo.values())), 0
+    protocols = {}
+    for protocol, jobs in todo.items():
+        entries = roll_out(
+            place,
+            reference,
+            jobs,
+            protocol,
+            seeds,
+            _checked_workers(workers),
+            lambda done, _, before=before: progress(before + done, total),  # type: ignore[misc]
+        )
+        before += len(jobs)
+        protocols[protocol] = Scale(floor=floors(place, reference, protocol), anchors=entries)
+    return Anchors(schema=SCHEMA, scene=place.id, made_from=files_of(place), protocols=protocols)
 
 
-def _plan(
-    scene: str, place: Scene, spawn: Sequence[str], policy: Sequence[str], seeds: int, out: Path
-) -> list[Job]:
-    if seeds < 1:
-        raise SettingError("seeds", got=str(seeds), expected="1 or more")
-    jobs = []
-    for s in dict.fromkeys(spawn):
-        for p in dict.fromkeys(policy):
-            if p == "replay" and s != "replay":
-                continue
-            for seed in range(1 if s == p == "replay" else seeds):
-                name = f"{_plain(s)}_{_plain(p)}_{seed}.parquet"
-                jobs.append(Job(scene, s, p, seed, out / "rollouts" / name))
-    if not jobs:
+def power_study(
+    scene: str | Path, folder: Path, *, workers: int | None = None, progress: Progress
+) -> list[Power]:
+    """How well each metric tells the anchors from the recording; see `crowdbench.power`.
+
+    Raises:
+        RecordingError: the recording has not been imported.
+    """
+    place = load_scene(scene)
+    reference = read_reference(place)
+    seeds = place.protocol.fits * place.protocol.rollouts_per_fit
+    jobs = plan(str(scene), place, [ANCHOR, WALK_ANCHOR], "full", seeds, folder)
+    rolled: list[tuple[Job, Rolled]] = []
+    progress(0, len(jobs))
+    for done in _run(jobs, reference, min(_checked_workers(workers), len(jobs))):
+        rolled.append(done)
+        progress(len(rolled), len(jobs))
+    rolled.sort(key=lambda done: done[0].seed)
+    draws = draws_of(place, reference, "full")
+    found = []
+    for metric in metrics_for(reference.blocks):
+        pair = WALK_ANCHOR if metric.family in WALK else ANCHOR
+        crowds = [what.of(metric) for job, what in rolled if (job.spawn, job.policy) == pair]
+        recorded = reference.statistics[metric.name]
+        study = power(metric, recorded, crowds, reference.blocks, draws)
+        if study is not None:
+            found.append(study)
+    return found
+
+
+def parts_of(protocol: str) -> tuple[str, ...]:
+    """The parts that a protocol averages over."""
+    return PARTS[:1] if protocol == "full" else PARTS[1:]
+
+
+def draws_of(scene: Scene, reference: Reference, part: str) -> Draws:
+    """The resamples of a part: the same for everyone who is scored on it."""
+    return Draws.of(
+        reference.blocks.scored(part),
+        resample_s=scene.protocol.resample_s,
+        block_s=scene.protocol.block_s,
+        seed=(PARTS.index(part),),
+    )
+
+
+def floors(scene: Scene, reference: Reference, protocol: str) -> dict[str, EnergyCard]:
+    """F of each metric."""
+    found = {}
+    for metric in metrics_for(reference.blocks):
+        each = []
+        for part in parts_of(protocol):
+            inside = reference.blocks.in_part(part)
+            recorded = _rows(reference.statistics[metric.name], inside)
+            blocks = reference.blocks.scored(part)
+            each.append(floor(metric, recorded, blocks, draws_of(scene, reference, part)))
+        known = [e for e in each if e is not None]
+        if len(known) == len(each):
+            found[metric.name] = EnergyCard.of(mean_of(known))
+    return found
+
+
+def _pairs(place: Scene, spawn: Sequence[str], policy: Sequence[str]) -> list[Pair]:
+    """The pairs asked for, then each policy under the recorded arrivals if they are at hand."""
+    walkable = [
+        (s, p)
+        for s in dict.fromkeys(spawn)
+        for p in dict.fromkeys(policy)
+        if p != "replay" or s == "replay"
+    ]
+    if not walkable:
         raise SettingError(
             f"evaluation of {place.id}",
             got=f"spawn {', '.join(spawn)} with policy {', '.join(policy)}",
             expected="a pair that can walk: the policy replay needs the spawn model replay",
         )
+    recorded = [("replay", p) for p in dict.fromkeys(policy) if p != "replay"]
+    if not has_recording(place):
+        recorded = []
+    return list(dict.fromkeys([*walkable, *recorded]))
+
+
+def has_recording(scene: Scene) -> bool:
+    """Whether the scene's recording is imported, or is one that is generated."""
+    name = scene.recording.name
+    return name in RECORDINGS and (name == "plaza" or cached(name).exists())
+
+
+def plan(
+    scene: str,
+    place: Scene,
+    pairs: Sequence[Pair],
+    protocol: str,
+    seeds: int,
+    folder: Path,
+) -> list[Job]:
+    """All rollouts to make.
+
+    Raises:
+        SettingError: a name stands for nothing, or `seeds` is no number of rollouts.
+    """
+    fits = place.protocol.fits
+    if seeds < 1 or (seeds >= 2 * fits and seeds % fits):
+        raise SettingError(
+            "seeds",
+            got=str(seeds),
+            expected=f"a multiple of {fits}, so that each fit has as many rollouts, or 1 to "
+            f"{2 * fits - 1} for plain distances only",
+        )
+    jobs = []
+    for s, p in pairs:
+        walker = find_policy(p, place)
+        recorded = s == "replay"
+        certain = recorded and getattr(walker, "deterministic", False)
+        for part in ("full",) if recorded else parts_of(protocol):
+            fingerprint = _fingerprint(place, s, p)
+            spawn_model(s, place, part=part)
+            for seed in range(1 if certain else seeds):
+                name = f"{_plain(s)}_{_plain(p)}_{part}_{seed}.parquet"
+                jobs.append(Job(scene, s, p, part, seed % fits, seed, folder / name, fingerprint))
     return jobs
+
+
+def _fingerprint(scene: Scene, spawn: str, policy: str) -> str:
+    """Hash of what a rollout depends on: our code, the scene's files, recording, own classes."""
+    package = Path(__file__).parent
+    files = sorted(package.rglob("*.py"))
+    files += sorted(p for p in scene.folder.iterdir() if p.name != "anchors.json")
+    if spawn in ("replay", "block-replay") and cached(scene.recording.name).exists():
+        files.append(cached(scene.recording.name))
+    for name in (spawn, policy):
+        module, colon, _ = name.partition(":")
+        found = importlib.util.find_spec(module) if colon else None
+        if found is not None and found.origin is not None:
+            files.append(Path(found.origin))
+    parts = [f"{__version__} {scene.id} {spawn} {policy}".encode()]
+    return sha256(b"".join([*parts, *(sha256(f.read_bytes()).encode() for f in files)]))[:16]
+
+
+def _prepare(out: Path) -> None:
+    """Make the folder, without an earlier run's results, which would stand beside new rollouts."""
+    try:
+        (out / "rollouts").mkdir(parents=True, exist_ok=True)
+        for name in ("scorecard.json", "run.json", "report.html", *FIGURES):
+            (out / name).unlink(missing_ok=True)
+            # What a run that was killed was about to rename.
+            stem, _, suffix = name.partition(".")
+            for half in out.glob(f".{stem}-*.{suffix}"):
+                half.unlink(missing_ok=True)
+        for half in (out / "rollouts").glob(".*-*.parquet"):
+            half.unlink(missing_ok=True)
+    except OSError as error:
+        raise unwritable(out, error) from error
 
 
 def _plain(name: str) -> str:
     return "".join(c if c.isalnum() or c in "-." else "-" for c in name)
 
 
-def _workers(asked: int | None, jobs: int) -> int:
+def _known_protocol(protocol: str) -> str:
+    if protocol not in ("full", "heldout"):
+        raise SettingError("protocol", got=repr(protocol), expected="full or heldout")
+    return protocol
+
+
+def _checked_workers(asked: int | None) -> int:
     if asked is not None and asked < 1:
         raise SettingError("workers", got=str(asked), expected="1 or more")
-    return min(asked or os.cpu_count() or 1, jobs)
+    return asked or os.cpu_count() or 1
 
 
-def _run(jobs: list[Job], workers: int) -> Iterator[None]:
+def roll_out(
+    scene: Scene,
+    reference: Reference,
+    jobs: list[Job],
+    protocol: str,
+    seeds: int,
+    workers: int,
+    progress: Progress,
+) -> list[Entry]:
+    """Make all rollouts that are missing, and an entry of each pair."""
+    rolled: dict[Job, Rolled] = {}
+    progress(0, len(jobs))
+    for job, what in _run(jobs, reference, min(workers, len(jobs))):
+        rolled[job] = what
+        progress(len(rolled), len(jobs))
+    pairs = list(dict.fromkeys((job.spawn, job.policy) for job in jobs))
+    return [
+        _entry(scene, reference, {j: rolled[j] for j in jobs if (j.spawn, j.policy) == pair},
+               protocol, seeds)
+        for pair in pairs
+    ]  # fmt: skip
+
+
+def _run(jobs: list[Job], reference: Reference, workers: int) -> Iterator[tuple[Job, Rolled]]:
     if workers == 1:
-        yield from map(_roll_out, jobs)
+        for job in jobs:
+            yield job, _roll_out(job, reference)
         return
     from joblib import Parallel, delayed
     from joblib.externals.loky import get_reusable_executor
@@ -202,64 +401,129 @@ def _run(jobs: list[Job], workers: int) -> Iterator[None]:
     # joblib's own processes are started afresh, not forked: forking after OpenMP has run hangs.
     parallel = Parallel(n_jobs=workers, return_as="generator_unordered", pre_dispatch=workers)
     try:
-        yield from parallel(delayed(_alone)(job) for job in jobs)
+        yield from parallel(delayed(_alone)(job, reference) for job in jobs)
     finally:
         # Left alone, the processes would serve the next call too, in this one's surroundings.
         get_reusable_executor().shutdown(kill_workers=True)
 
 
-def _alone(job: Job) -> None:
+def _alone(job: Job, reference: Reference) -> tuple[Job, Rolled]:
     """Roll out on one thread: the processes already fill the machine."""
     import numba
 
     numba.set_num_threads(1)
-    _roll_out(job)
+    return job, _roll_out(job, reference)
 
 
-def _roll_out(job: Job) -> None:
-    scene = load_scene(job.scene)
-    spawn, policy = spawn_model(job.spawn, scene), find_policy(job.policy, scene)
-    write_parquet(rollout(scene, spawn, policy, seed=job.seed), job.path)
+def _roll_out(job: Job, reference: Reference) -> Rolled:
+    provenance = {
+        "spawn": job.spawn,
+        "policy": job.policy,
+        "part": job.part,
+        "fit": job.fit,
+        "seed": job.seed,
+        "made_from": job.fingerprint,
+    }
+    crowd = None
+    if job.path.exists():
+        try:
+            crowd = read_own(job.path)
+        except RecordingError:  # another program's file: it is written anew
+            crowd = None
+    if crowd is None or dict(crowd.provenance) != provenance:
+        scene, spawn, policy = _models(job)
+        # Rollouts of different parts must not share their random numbers.
+        seed = job.seed * len(PARTS) + PARTS.index(job.part)
+        crowd = replace(rollout(scene, spawn, policy, seed=seed), provenance=provenance)
+        write_parquet(crowd, job.path)
+    statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]] = {}
+    for metric, of_metric in summarise(crowd, reference.blocks, reference.place).items():
+        statistics[metric] = {}
+        for name, values in of_metric.items():
+            columns = np.flatnonzero(values.any(axis=0))
+            statistics[metric][name] = (columns, values[:, columns], values.shape[1])
+    return Rolled(statistics, np.bincount(crowd.outcome, minlength=len(OUTCOMES)))
 
 
-def _scorecard(
-    scene: Scene, reference: Reference, crowds: dict[tuple[str, str, int], Trajectories]
-) -> Scorecard:
-    pairs = list(dict.fromkeys((spawn, policy) for spawn, policy, _ in crowds))
-    entries = []
-    for spawn, policy in pairs:
-        of_pair = {key[2]: crowd for key, crowd in crowds.items() if key[:2] == (spawn, policy)}
-        results = [reference.score(crowd) for crowd in of_pair.values()]
-        metrics = {}
-        for name in results[0]:
-            each = [result[name] for result in results]
-            metrics[name] = MetricSummary(
-                distance=float(np.mean([r.distance for r in each])),
-                distances=[r.distance for r in each],
-                recorded=each[0].recorded,
-                simulated=float(np.mean([r.simulated for r in each])),
-                unit=each[0].unit,
-                n=sum(r.n for r in each),
-            )
-        ended = np.bincount(
-            np.concatenate([crowd.outcome for crowd in of_pair.values()]), minlength=len(OUTCOMES)
-        )
-        entries.append(
-            Entry(
-                spawn=spawn,
-                policy=policy,
-                seeds=list(of_pair),
-                persons=int(ended.sum()),
-                outcomes={n: int(c) for n, c in zip(OUTCOMES, ended, strict=True) if c},
-                metrics=metrics,
-            )
-        )
-    return Scorecard(
-        schema=SCHEMA,
-        crowdbench=__version__,
-        scene=scene.id,
-        protocol="full",
-        horizon_s=scene.horizon_s,
-        blocks=len(reference.blocks),
-        entries=entries,
+def _models(job: Job):  # type: ignore[no-untyped-def]  # what _cached_models returns
+    return _cached_models(job.scene, job.spawn, job.policy, job.part, job.fit, job.fingerprint)
+
+
+@functools.lru_cache(maxsize=8)  # jobs of one pair follow each other; a recording is read once
+def _cached_models(  # type: ignore[no-untyped-def]
+    scene: str, spawn: str, policy: str, part: str, fit: int, fingerprint: str
+):
+    place = load_scene(scene)
+    return place, spawn_model(spawn, place, part=part, fit=fit), find_policy(policy, place)
+
+
+def _rows(statistics: Statistics, inside: np.ndarray) -> Statistics:
+    return {name: values[inside] for name, values in statistics.items()}
+
+
+def _entry(
+    scene: Scene,
+    reference: Reference,
+    rolled: dict[Job, Rolled],
+    protocol: str,
+    seeds: int,
+) -> Entry:
+    first = next(iter(rolled))
+    metrics = {
+        metric.name: _metric_card(scene, reference, metric, rolled, protocol, seeds)
+        for metric in metrics_for(reference.blocks)
+    }
+    ended = np.sum([r.outcomes for r in rolled.values()], axis=0)
+    return Entry(
+        spawn=first.spawn,
+        policy=first.policy,
+        seeds=[job.seed for job in rolled],
+        persons=int(ended.sum()),
+        outcomes={n: int(c) for n, c in zip(OUTCOMES, ended, strict=True) if c},
+        metrics=metrics,
     )
+
+
+def _metric_card(
+    scene: Scene,
+    reference: Reference,
+    metric: Metric,
+    rolled: dict[Job, Rolled],
+    protocol: str,
+    seeds: int,
+) -> MetricCard:
+    results, energies = [], []
+    recorded_arrivals = next(iter(rolled)).spawn == "replay"
+    for part in parts_of(protocol):
+        inside = reference.blocks.in_part(part)
+        blocks = reference.blocks.scored(part)
+        recorded = _rows(reference.statistics[metric.name], inside)
+        crowds = {
+            job: _rows(what.of(metric), inside)
+            for job, what in rolled.items()
+            if recorded_arrivals or job.part == part
+        }
+        results += [metric.compare(recorded, crowd, blocks) for crowd in crowds.values()]
+        fits = sorted({job.fit for job in crowds})
+        groups = [[c for job, c in crowds.items() if job.fit == fit] for fit in fits]
+        if (metric.family not in WALK or recorded_arrivals) and (
+            len(crowds) == 1 < seeds or seeds >= 2 * scene.protocol.fits
+        ):
+            draws = draws_of(scene, reference, part)
+            energies.append(energy(metric, recorded, groups, blocks, draws))
+    known = [e for e in energies if e is not None]
+    whole = bool(known) and len(known) == len(parts_of(protocol))
+    return MetricCard(
+        distance=_number(np.mean([r.distance for r in results])),
+        distances=[_number(r.distance) for r in results],
+        recorded=_number(np.mean([r.recorded for r in results])),
+        simulated=_number(np.mean([r.simulated for r in results])),
+        unit=results[0].unit,
+        n=sum(r.n for r in results),
+        energy=EnergyCard.of(mean_of(known)) if whole else None,
+    )
+
+
+def _number(value: float | np.floating) -> float | None:
+    """JSON has neither NaN nor infinity."""
+    return float(value) if np.isfinite(value) else None

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crowdbench.files import replacing
-from crowdbench.metrics import METRICS, Histograms
-from crowdbench.metrics.dwell import distribution
+from crowdbench.metrics import METRICS, total
 from crowdbench.reference import Reference
 from crowdbench.scene import Scene
 from crowdbench.simulation.simulation import TIMEOUT_DWELLS
@@ -114,13 +113,18 @@ def _survival(
 
     def draw(axes: "list[Axes]") -> None:
         (axis,) = axes
-        curves = [("recorded", _distribution(name, reference.statistics[name]))]
-        for label, crowds in groups:
-            each = [metric.summarise(crowd, reference.blocks) for crowd in crowds]
-            curves.append((label, _distribution(name, _pooled(each))))
-        longest = 1 + max(int(np.searchsorted(p.cumsum(), 1 - 1e-4)) for _, p in curves)
-        for k, (label, p) in enumerate(curves):
-            beyond = np.maximum(0, 1 - np.pad(p, (0, max(0, longest - len(p)))).cumsum())[:longest]
+        each = {label: [metric.summarise(c, reference.blocks, reference.place) for c in crowds]
+                for label, crowds in groups}  # fmt: skip
+        everyone = [reference.statistics[name], *(s for crowds in each.values() for s in crowds)]
+        dense, support = metric.aligned(everyone, reference.blocks)
+        sums = iter([total(s) for s in dense])
+        pooled = {"recorded": next(sums)}
+        for label, crowds in each.items():
+            of_group = [next(sums) for _ in crowds]
+            pooled[label] = {n: np.sum([s[n] for s in of_group], axis=0) for n in of_group[0]}
+        curves = {label: metric.embed(s, support, reference.blocks) for label, s in pooled.items()}
+        longest = support[max(int(np.searchsorted(f, 1 - 1e-4)) for f in curves.values())]
+        for k, (label, f) in enumerate(curves.items()):
             style: dict[str, Any] = {
                 "color": _COLOURS[(k - 1) % len(_COLOURS)],
                 "linestyle": _DASHES[(k - 1) % len(_DASHES)],  # equal curves stay visible
@@ -128,7 +132,8 @@ def _survival(
             }
             if k == 0:
                 style = {"color": "black", "linewidth": 2.2}
-            axis.step(np.arange(longest) * unit_s, beyond, where="post", label=label, **style)
+            axis.step(support * unit_s, 1 - f, where="post", label=label, **style)
+        axis.set_xlim(0, longest * unit_s)
         if name == "dwell":
             patience_s = TIMEOUT_DWELLS * scene.recording.dwell_p99_s
             axis.axvline(
@@ -138,7 +143,7 @@ def _survival(
                 linestyle=":",
                 label="simulated lives are cut off",
             )
-        axis.set(xlabel=f"{titles[name]} t (s)", ylabel="share longer than t", xlim=(0, None))
+        axis.set(xlabel=f"{titles[name]} t (s)", ylabel="share longer than t")
         axis.set_ylim(0, 1)
         axis.legend(fontsize=8, frameon=False)
         axis.set_title(f"{scene.title}: {titles[name]}", loc="left", fontsize=11)
@@ -186,23 +191,6 @@ def _ellipse(axis: "Axes", gaussians: Gaussians, k: int, **style: Any) -> None:
     root = np.linalg.cholesky(gaussians.covariance[k])
     angle = np.linspace(0, 2 * np.pi, 60)
     axis.plot(*(gaussians.mean[k][:, None] + 2 * root @ [np.cos(angle), np.sin(angle)]), **style)
-
-
-def _distribution(name: str, statistics: Histograms) -> np.ndarray:
-    if name == "dwell":
-        return distribution(statistics, if_empty=1)[0]
-    counts = statistics["gaps"].sum(axis=0)
-    return counts / max(1, counts.sum())
-
-
-def _pooled(statistics: list[Histograms]) -> Histograms:
-    pooled = {}
-    for name in statistics[0]:
-        size = max(s[name].shape[1] for s in statistics)
-        pooled[name] = np.concatenate(
-            [np.pad(s[name], ((0, 0), (0, size - s[name].shape[1]))) for s in statistics]
-        )
-    return pooled
 
 
 def _save(

@@ -67,10 +67,12 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_bytes(text.encode())
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Write `value` as indented JSON: the same value gives the same bytes."""
+def write_json(path: Path, value: Any, *, compact: bool = False) -> None:
+    """Write `value` as JSON, indented or on one line: the same value gives the same bytes."""
     encoded = msgspec.json.encode(value, order="deterministic")
-    write_text(path, msgspec.json.format(encoded, indent=1).decode() + "\n")
+    if not compact:
+        encoded = msgspec.json.format(encoded, indent=1)
+    write_text(path, encoded.decode() + "\n")
 
 
 def read_bytes(path: Path, error: type[CrowdbenchError], mend: str) -> bytes:

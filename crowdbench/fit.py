@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from crowdbench.errors import SceneError, SettingError
+from crowdbench.files import write_text
 from crowdbench.reference import Reference, write_reference
 from crowdbench.scene import Scene
 from crowdbench.spawn import PoissonGMM, arrivals_of, fit_areas
@@ -33,10 +34,12 @@ def fit_scene(
         )
     _check_against(scene, recording)
     areas, crowd = fit_areas(recording, scene, scene.clustering[clustering])
-    reference = Reference.of(crowd, scene)
+    reference = Reference.of(crowd, scene, areas)
     arrivals = arrivals_of(crowd, reference.blocks, len(areas.spawn))
     model = PoissonGMM.fit(arrivals, areas)
     place = replace(scene, folder=out or scene.folder)
+    if out is not None:  # a folder with a scene.toml is a scene of its own
+        write_text(out / "scene.toml", (scene.folder / "scene.toml").read_text())
     write_areas(areas, place.folder / "areas.json")
     model.write(place.folder)
     write_reference(reference, place)

@@ -1,8 +1,7 @@
 """A scene's reference statistics: what its recording is compared by, without the recording.
 
-They are the metrics' histograms per time block. Distances computed from them equal those
-computed from the recording, and no path, no arrival time and no per-frame series can be read
-back from them.
+They are the metrics' statistics per time block. Distances computed from them equal those computed
+from the recording, and no path, no arrival time and no per-frame series can be read back from them.
 """
 
 from dataclasses import dataclass
@@ -15,11 +14,12 @@ import numpy as np
 from crowdbench.blocks import TimeBlocks, cut
 from crowdbench.errors import RecordingError, WeightsError
 from crowdbench.files import read_struct, write_json
-from crowdbench.metrics import METRICS, Histograms, MetricResult
+from crowdbench.metrics import MetricResult, Place, Statistics, metrics_for
 from crowdbench.scene import Scene, load_scene
-from crowdbench.trajectories import Trajectories
+from crowdbench.spawn.areas import Areas, read_areas
+from crowdbench.trajectories import Trajectories, from_rows
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,26 +27,52 @@ class Reference:
     """The recording of a scene, as its metrics see it."""
 
     blocks: TimeBlocks
-    statistics: dict[str, Histograms]
-    """Histograms per block, by name of metric."""
+    place: Place
+    statistics: dict[str, Statistics]
+    """Per block, by name of metric; those that blocks so long can tell something by."""
 
     @classmethod
-    def of(cls, recording: Trajectories, scene: Scene) -> "Reference":
+    def of(cls, recording: Trajectories, scene: Scene, areas: Areas) -> "Reference":
         """Summarise a recording in the time blocks of the scene's protocol."""
-        blocks = cut(
-            recording.observed,
-            block_s=scene.protocol.block_s,
-            dt_s=scene.dt_s,
-            grid_s=scene.grid_s,
-        )
-        return cls(blocks, {m.name: m.summarise(recording, blocks) for m in METRICS})
+        blocks = blocks_of(recording, scene)
+        place = place_of(scene, areas)
+        return cls(blocks, place, summarise(recording, blocks, place))
 
     def score(self, crowd: Trajectories) -> dict[str, MetricResult]:
         """All metrics of a crowd against the recording, by name."""
         return {
-            m.name: m.compare(self.statistics[m.name], m.summarise(crowd, self.blocks), self.blocks)
-            for m in METRICS
+            m.name: m.compare(
+                self.statistics[m.name], m.summarise(crowd, self.blocks, self.place), self.blocks
+            )
+            for m in metrics_for(self.blocks)
         }
+
+
+def blocks_of(recording: Trajectories, scene: Scene) -> TimeBlocks:
+    """The time blocks of a recording by the scene's protocol."""
+    return cut(
+        recording.observed,
+        block_s=scene.protocol.block_s,
+        dt_s=scene.dt_s,
+        grid_s=scene.grid_s,
+    )
+
+
+def place_of(scene: Scene, areas: Areas) -> Place:
+    """What metrics need to know of a scene."""
+    b = scene.bounds
+    return Place(
+        spawn_areas=len(areas.spawn),
+        goal_areas=len(areas.goal),
+        bounds_m=(b.x_min_m, b.x_max_m, b.y_min_m, b.y_max_m),
+        radius_m=scene.motion.person_radius_m,
+        walls=tuple(wall.corners_m for wall in scene.walls),
+    )
+
+
+def summarise(crowd: Trajectories, blocks: TimeBlocks, place: Place) -> dict[str, Statistics]:
+    """All metrics' statistics of a crowd, by name."""
+    return {m.name: m.summarise(crowd, blocks, place) for m in metrics_for(blocks)}
 
 
 def score(scene: str | Path | Scene, crowd: Trajectories) -> dict[str, MetricResult]:
@@ -55,7 +81,7 @@ def score(scene: str | Path | Scene, crowd: Trajectories) -> dict[str, MetricRes
     The crowd is a continuous run as long as the recording, its first frame being frame 0: it is
     looked at in the same time blocks. A table does not tell an empty scene at its end from an
     end that came early; up to one time block is taken for empty. More than a block shorter or
-    longer is refused.
+    longer is refused. Persons without areas are given the likeliest ones.
 
     Raises:
         SceneError: there is no such scene.
@@ -85,7 +111,7 @@ def score(scene: str | Path | Scene, crowd: Trajectories) -> dict[str, MetricRes
             mend="Both sides are looked at in the same time blocks: simulate as long, and "
             "check the time step.",
         )
-    return reference.score(crowd)
+    return reference.score(read_areas(scene).assign(crowd))
 
 
 _Count = Annotated[int, msgspec.Meta(ge=0)]
@@ -102,8 +128,10 @@ class _ReferenceFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     """What the scene's file said when the statistics were computed."""
     blocks: Annotated[list[tuple[_Count, _Count]], msgspec.Meta(min_length=1)]
     opens: list[bool]
-    statistics: dict[str, dict[str, list[list[tuple[_Value, _Count]]]]]
-    """By metric and histogram: per block the pairs (value, count)."""
+    spawn_areas: int
+    goal_areas: int
+    statistics: dict[str, dict[str, tuple[int, list[list[tuple[_Value, _Count]]]]]]
+    """By metric and statistic: the number of columns, and per block the pairs (column, count)."""
 
 
 def write_reference(reference: Reference, scene: Scene) -> Path:
@@ -118,12 +146,14 @@ def write_reference(reference: Reference, scene: Scene) -> Path:
         block_s=scene.protocol.block_s,
         blocks=[(int(a), int(b)) for a, b in reference.blocks.frames],
         opens=reference.blocks.opens.tolist(),
+        spawn_areas=reference.place.spawn_areas,
+        goal_areas=reference.place.goal_areas,
         statistics={
-            metric: {name: _sparse(counts) for name, counts in histograms.items()}
-            for metric, histograms in reference.statistics.items()
+            metric: {name: _sparse(counts) for name, counts in statistics.items()}
+            for metric, statistics in reference.statistics.items()
         },
     )
-    write_json(path, file)
+    write_json(path, file, compact=True)
     return path
 
 
@@ -157,44 +187,63 @@ def read_reference(scene: Scene) -> Reference:
                 expected=f"{name} = {stated:g}, as in scene.toml",
                 mend=mend,
             )
-    missing = {m.name for m in METRICS} - set(file.statistics)
-    lengths = {len(rows) for h in file.statistics.values() for rows in h.values()}
-    if missing or lengths | {len(file.opens)} != {len(file.blocks)}:
+    place = place_of(scene, read_areas(scene))
+    areas = (file.spawn_areas, file.goal_areas)
+    if areas != (place.spawn_areas, place.goal_areas):
         raise WeightsError(
             path,
-            got=f"statistics of {', '.join(file.statistics)} in {sorted(lengths)} blocks",
-            expected=f"{', '.join(m.name for m in METRICS)} in {len(file.blocks)} blocks",
+            got=f"statistics of {areas[0]} spawn and {areas[1]} goal areas",
+            expected=f"{place.spawn_areas} and {place.goal_areas}, as in areas.json",
             mend=mend,
+        )
+    if len(file.opens) != len(file.blocks):
+        raise WeightsError(
+            path, got=f"{len(file.opens)} opens", expected=f"{len(file.blocks)} blocks", mend=mend
         )
     blocks = TimeBlocks(np.array(file.blocks), np.array(file.opens), scene.dt_s, scene.grid_s)
     if (np.diff(blocks.frames.ravel()) < 0).any() or (np.diff(blocks.frames) == 0).any():
         raise WeightsError(
             path, got="blocks that are empty or overlap", expected="ascending blocks", mend=mend
         )
-    statistics = {
-        metric: {name: _dense(rows) for name, rows in histograms.items()}
-        for metric, histograms in file.statistics.items()
-    }
-    for m in METRICS:
-        try:  # only the metric knows which histograms it needs
-            m.compare(statistics[m.name], statistics[m.name], blocks)
-        except KeyError as error:
+    nobody = summarise(_nobody(scene), blocks, place)
+    for name, expected in {n: set(s) for n, s in nobody.items()}.items():
+        got = file.statistics.get(name, {})
+        rows = {len(rows) for _, rows in got.values()}
+        if set(got) != expected or rows != {len(blocks)}:
             raise WeightsError(
                 path,
-                got=f"{m.name} without the histogram {error}",
-                expected="all histograms of each metric",
+                got=f"{name} with {', '.join(got) or 'nothing'} in {sorted(rows)} blocks",
+                expected=f"{', '.join(sorted(expected))} in {len(blocks)} blocks",
                 mend=mend,
-            ) from error
-    return Reference(blocks, statistics)
+            )
+    statistics = {
+        metric: {n: _dense(columns, rows) for n, (columns, rows) in file.statistics[metric].items()}
+        for metric in nobody
+    }
+    return Reference(blocks, place, statistics)
 
 
-def _sparse(counts: np.ndarray) -> list[list[tuple[int, int]]]:
-    return [[(int(v), int(row[v])) for v in np.flatnonzero(row)] for row in counts]
+def _nobody(scene: Scene) -> Trajectories:
+    """One who stands outside for a frame: the statistics of a crowd that hardly is one."""
+    return from_rows(
+        scene=scene.id,
+        dt_s=scene.dt_s,
+        grid_s=scene.grid_s,
+        frames=1,
+        person_id=np.zeros(1, np.int64),
+        frame=np.zeros(1, np.int64),
+        xy=np.array([[scene.bounds.x_min_m, scene.bounds.y_min_m]]),
+        where=scene.id,
+    )
 
 
-def _dense(rows: list[list[tuple[int, int]]]) -> np.ndarray:
+def _sparse(counts: np.ndarray) -> tuple[int, list[list[tuple[int, int]]]]:
+    return counts.shape[1], [[(int(v), int(row[v])) for v in np.flatnonzero(row)] for row in counts]
+
+
+def _dense(columns: int, rows: list[list[tuple[int, int]]]) -> np.ndarray:
     size = 1 + max((value for row in rows for value, _ in row), default=0)
-    counts = np.zeros((len(rows), size), dtype=np.int64)
+    counts = np.zeros((len(rows), max(size, columns)), dtype=np.int64)
     for b, row in enumerate(rows):
         for value, count in row:
             counts[b, value] = count

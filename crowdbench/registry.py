@@ -57,7 +57,9 @@ def recording_of(scene: Scene) -> Trajectories:
     return crowd
 
 
-def spawn_model(model: str | SpawnModel, scene: str | Scene) -> SpawnModel:
+def spawn_model(
+    model: str | SpawnModel, scene: str | Scene, *, part: str = "full", fit: int = 0
+) -> SpawnModel:
     """A spawn model by its name; `pkg.module:Class` is called with the scene.
 
     Raises:

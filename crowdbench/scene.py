@@ -7,6 +7,7 @@ makes a new version.
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from crowdbench.errors import SceneError
-from crowdbench.files import read_struct
+from crowdbench.files import read_struct, write_text
 
 if TYPE_CHECKING:
     import shapely
@@ -88,6 +89,13 @@ class Protocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How the scene is scored."""
 
     block_s: float
+    resample_s: float
+    """Runs of consecutive scored blocks so long are resampled together."""
+    fits: int
+    """How many fits of a model that depends on chance are evaluated."""
+    rollouts_per_fit: int
+    scored: tuple[str, ...] = ()
+    """The metrics that count, by `crowdbench power`."""
 
 
 class _SceneFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -219,6 +227,19 @@ def load_scene(scene: str | Path | Scene) -> Scene:
     return Scene(**fields, folder=folder)
 
 
+def write_scored(scene: Scene, scored: Sequence[str]) -> Path:
+    """Make these the metrics that count, in `scene.toml`, whose other lines stay as they are."""
+    path = scene.folder / "scene.toml"
+    lines = [f'    "{name}",' for name in scored]
+    text = re.sub(r"^scored = \[[^\]]*\]\n", "", path.read_text(), flags=re.M).rstrip("\n")
+    if not text.split("\n[")[-1].startswith("protocol]"):
+        raise SceneError(
+            path, got="[protocol] followed by another table", expected="[protocol] last"
+        )
+    write_text(path, "\n".join([text, "scored = [", *lines, "]", ""]))
+    return path
+
+
 def _check(file: _SceneFile, path: Path) -> None:
     import shapely
 
@@ -240,6 +261,9 @@ def _check(file: _SceneFile, path: Path) -> None:
         "motion.person_radius_m": motion.person_radius_m,
         "motion.goal_radius_m": motion.goal_radius_m,
         "protocol.block_s": file.protocol.block_s,
+        "protocol.resample_s": file.protocol.resample_s,
+        "protocol.fits": file.protocol.fits,
+        "protocol.rollouts_per_fit": file.protocol.rollouts_per_fit,
     }
     for name, value in positive.items():
         require(math.isfinite(value) and value > 0, f"{name} = {value}", "a positive number")

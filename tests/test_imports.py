@@ -14,8 +14,9 @@ PACKAGE = Path(crowdbench.__file__).parent
 
 ORDER = (
     "errors", "files", "trajectories", "tables", "blocks", "metrics", "recordings", "scene",
-    "reference", "spawn", "simulation", "policies", "episode", "rollouts", "plaza", "registry",
-    "fit", "replay_check", "figures", "evaluation", "environment", "bench", "cli", "__main__",
+    "spawn", "reference", "scoring_kernel", "scoring", "power", "cards", "simulation", "policies",
+    "episode", "rollouts", "plaza", "registry", "fit", "replay_check", "figures", "evaluation",
+    "environment", "bench", "cli", "__main__",
 )  # fmt: skip
 HEAVY = ("torch", "sklearn", "pyarrow", "rerun", "numba", "matplotlib", "pettingzoo")
 

@@ -10,7 +10,6 @@ from crowdbench.metrics.lattice import (
     correlation,
     histograms,
     lagged_sums,
-    mean_of_cdf,
     moments,
     widths,
 )

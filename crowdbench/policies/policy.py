@@ -83,5 +83,8 @@ class StatePolicy(_Named, Protocol):
 Policy = ObservationPolicy | StatePolicy
 """What walks the persons: a batch of what they see in, a batch of actions out.
 
+A policy that leaves nothing to chance may say so by `deterministic = True`: under recorded
+arrivals one rollout of it is as good as many.
+
 An action is a velocity in units of the scene's `max_speed_mps`, both components in [−1, 1].
 """

@@ -36,6 +36,7 @@ class SocialForce:
 
     name = "social-force"
     sees: ClassVar[Literal["state"]] = "state"
+    deterministic: ClassVar[bool] = True
 
     def reset(self, scene: Scene, rng: Generator) -> None:
         """Take the walls of `scene`."""

@@ -17,6 +17,7 @@ class Straight:
 
     name = "straight"
     sees: ClassVar[Literal["state"]] = "state"
+    deterministic: ClassVar[bool] = True
 
     def reset(self, scene: Scene, rng: Generator) -> None:
         """Nothing to draw."""
@@ -51,6 +52,7 @@ class ReplayPolicy:
 
     name = "replay"
     sees: ClassVar[Literal["state"]] = "state"
+    deterministic: ClassVar[bool] = True
 
     def __init__(self, recording: Trajectories) -> None:
         self.recording = recording

@@ -65,6 +65,16 @@ class Gaussians:
             mend="Check the bounds and walls, or fit the scene again.",
         )
 
+    def likeliest(self, points: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
+        """The area under whose Gaussian each point is the most probable."""
+        from scipy.stats import multivariate_normal
+
+        density = [
+            multivariate_normal(mean, covariance).logpdf(points).reshape(len(points))
+            for mean, covariance in zip(self.mean, self.covariance, strict=True)
+        ]
+        return np.argmax(density, axis=0)
+
 
 @dataclass(frozen=True, eq=False)
 class Areas:
@@ -80,6 +90,21 @@ class Areas:
     left_out: tuple[float, float]
     """Share of those who entered (left) that stands in no area of its own but in none or in
     the broad one."""
+
+    def assign(self, crowd: Trajectories) -> Trajectories:
+        """Give the persons of a crowd that knows no areas the likeliest ones.
+
+        Who entered without a spawn area gets one by its start, who left without a goal area one by
+        its end.
+        """
+        spawn_area, goal_area = crowd.spawn_area.copy(), crowd.goal_area.copy()
+        starts = np.flatnonzero(crowd.entered & (spawn_area < 0))
+        ends = np.flatnonzero(crowd.left & (goal_area < 0))
+        if len(starts):
+            spawn_area[starts] = self.spawn.likeliest(crowd.start[starts].astype(np.float64))
+        if len(ends):
+            goal_area[ends] = self.goal.likeliest(crowd.end[ends].astype(np.float64))
+        return replace(crowd, spawn_area=spawn_area, goal_area=goal_area)
 
     def draw(
         self,

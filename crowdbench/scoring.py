@@ -1,0 +1,302 @@
+"""The proper score: energy scores, their floor and anchor, intervals, ranks.
+
+A plain distance rewards a model that varies too little or that has memorised the recording's
+marginals. The energy form of the same distance does not (Gneiting & Raftery 2007, Sec. 5.1, with
+the negative-type distances of `crowdbench.metrics`): for rollouts X of a model and the recording y
+
+    ES = mean d(X_k, y) − ½ mean d(X_k, X_l)   over pairs of distinct rollouts,
+    F  = ½ mean d(y*, y**)                     over block resamples of y,
+    S  = 1 − (ES − F) / (ES_anchor − F)
+
+so that S is 0 for the anchor and, on average, 1 for the process that made the recording. Where
+crowds walk under the recorded arrivals, F is 0 and S is 1 for the recording itself.
+
+Uncertainty comes from 1,000 hierarchical resamples: of time blocks (the same for all entries, so
+that entries can be compared on them), of fits, and of rollouts within fits.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from crowdbench.blocks import TimeBlocks
+from crowdbench.metrics import FAMILIES, WALK, Metric, Statistics, total
+
+RESAMPLES = 1000
+FLOOR_DRAWS = 200
+"""Block resamples whose pairs give F."""
+NESTED_DRAWS = 20
+"""Resamples of a resample, whose pairs give F there."""
+LOWEST = -1.0
+LEVEL = 0.05
+_CHUNK = 50  # resamples at a time: a GC-sized metric then fits into some 100 MB
+
+
+@dataclass(frozen=True, eq=False)
+class Energy:
+    """An energy score, or a floor, with its resamples; `R` of them."""
+
+    centre: float
+    resampled: Float[np.ndarray, " R"]
+
+    def centred(self) -> Float[np.ndarray, " R"]:
+        """The resamples as deviations around the centre.
+
+        A resample holds some rollouts twice, whose distance is 0, and fewer distinct blocks: that
+        moves its mean, not its spread.
+        """
+        return self.centre + self.resampled - self.resampled.mean()
+
+
+def mean_of(energies: Sequence[Energy]) -> Energy:
+    """The mean over folds."""
+    return Energy(
+        float(np.mean([e.centre for e in energies])),
+        np.mean([e.resampled for e in energies], axis=0),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """What each of `R` resamples consists of, for one part of a recording with `B` blocks."""
+
+    blocks: Int[np.ndarray, "R B"]
+    """How often each block counts."""
+    units: tuple[tuple[int, int], ...]
+    """Runs [start, stop) of blocks that are drawn together."""
+    seed: tuple[int, ...]
+
+    @classmethod
+    def of(
+        cls, blocks: TimeBlocks, *, resample_s: float, block_s: float, seed: tuple[int, ...]
+    ) -> "Draws":
+        """Draw units of `resample_s` (runs of consecutive scored blocks) with replacement."""
+        run = max(1, round(resample_s / block_s))
+        edges = [*range(0, len(blocks), run), len(blocks)]
+        units = tuple((a, b) for a, b in pairwise(edges))
+        rng = np.random.default_rng([*seed, 0])
+        return cls(_drawn(rng, np.ones(len(units)), RESAMPLES, units), units, seed)
+
+    def nested(self, resample: int, count: int) -> Int[np.ndarray, "count B"]:
+        """Resamples of one resample."""
+        rng = np.random.default_rng([*self.seed, 1, resample])
+        weight = np.array([self.blocks[resample, start] for start, _ in self.units])
+        return _drawn(rng, weight, count, self.units)
+
+    def fits(self, fits: int) -> Int[np.ndarray, "R fits"]:
+        """Which fits each resample consists of."""
+        return np.random.default_rng([*self.seed, 2]).integers(fits, size=(RESAMPLES, fits))
+
+    def rollouts(self, fits: int, rollouts: int) -> Int[np.ndarray, "R fits rollouts"]:
+        """Which rollouts of each of its fits."""
+        rng = np.random.default_rng([*self.seed, 3])
+        return rng.integers(rollouts, size=(RESAMPLES, fits, rollouts))
+
+
+def _drawn(
+    rng: np.random.Generator,
+    weight: np.ndarray,
+    count: int,
+    units: tuple[tuple[int, int], ...],
+) -> Int[np.ndarray, "count B"]:
+    times = rng.multinomial(len(units), weight / weight.sum(), size=count)
+    return np.repeat(times, [stop - start for start, stop in units], axis=1)
+
+
+def energy(
+    metric: Metric,
+    recorded: Statistics,
+    rollouts: Sequence[Sequence[Statistics]],
+    blocks: TimeBlocks,
+    draws: Draws,
+) -> Energy | None:
+    """Energy score of the rollouts of each fit, averaged over the fits.
+
+    `rollouts[i][k]` are the statistics of rollout k of fit i, all fits having as many. A single
+    rollout per fit stands for a model without chance. None where the metric is undefined, since
+    the recording's mean is 0.
+    """
+    fits, each = len(rollouts), len(rollouts[0])
+    crowds = [recorded, *(crowd for fit in rollouts for crowd in fit)]
+    embedded = Embedded.of(metric, crowds, recorded, blocks)
+    if embedded is None:
+        return None
+
+    def split(of: Float[np.ndarray, "r n F"]) -> tuple[np.ndarray, np.ndarray]:
+        return _distances(of[:, 0], of[:, 1:].reshape(len(of), fits, each, of.shape[-1]))
+
+    to_y, between = split(embedded(np.ones((1, len(blocks)), dtype=np.int64)))
+    centre = float(to_y.mean() - pair_mean(between).mean() / 2)
+    chosen, inside = draws.fits(fits), draws.rollouts(fits, each)
+    resampled = np.empty(RESAMPLES)
+    for start in range(0, RESAMPLES, _CHUNK):
+        part = slice(start, start + _CHUNK)
+        to_y, between = split(embedded(draws.blocks[part]))
+        r = np.arange(len(to_y))[:, None, None]
+        fit, k = chosen[part][:, :, None], inside[part]
+        near = to_y[r, fit, k].mean(axis=(1, 2))
+        pairs = between[r[..., None], fit[..., None], k[:, :, :, None], k[:, :, None, :]]
+        resampled[part] = near - pair_mean(pairs).mean(axis=1) / 2
+    return Energy(centre, resampled)
+
+
+def floor(metric: Metric, recorded: Statistics, blocks: TimeBlocks, draws: Draws) -> Energy | None:
+    """F: half the mean distance of two block resamples of the recording."""
+    embedded = Embedded.of(metric, [recorded], recorded, blocks)
+    if embedded is None:
+        return None
+
+    def half_means(weights: Int[np.ndarray, "n count B"]) -> Float[np.ndarray, " n"]:
+        n, count, _ = weights.shape
+        x = embedded(weights.reshape(n * count, -1))[:, 0].reshape(n, 1, count, -1)
+        return pair_mean(_distances(x[:, 0, 0], x)[1])[:, 0] / 2
+
+    nested = [
+        half_means(np.stack([draws.nested(r, NESTED_DRAWS) for r in range(start, start + _CHUNK)]))
+        for start in range(0, RESAMPLES, _CHUNK)
+    ]
+    centre = half_means(draws.blocks[None, :FLOOR_DRAWS])
+    return Energy(float(centre[0]), np.concatenate(nested))
+
+
+@dataclass(frozen=True, eq=False)
+class Embedded:
+    """The vectors of several crowds, given how often each block counts."""
+
+    metric: Metric
+    blocks: TimeBlocks
+    support: np.ndarray
+    stacked: Mapping[str, Float[np.ndarray, "B nV"]]
+    crowds: int
+    weight: Float[np.ndarray, " #F"]
+
+    @classmethod
+    def of(
+        cls,
+        metric: Metric,
+        crowds: Sequence[Statistics],
+        recorded: Statistics,
+        blocks: TimeBlocks,
+    ) -> "Embedded | None":
+        """Bring the crowds to one support; None where the metric is undefined."""
+        everyone, support = metric.aligned([*crowds, recorded], blocks)
+        weight = metric.weights(total(everyone[-1]), support, blocks)
+        if not np.isfinite(weight).all():
+            return None
+        stacked = {
+            name: np.stack([c[name] for c in everyone[:-1]], axis=1)
+            .reshape(len(blocks), -1)
+            .astype(np.float64)
+            for name in recorded
+        }
+        return cls(metric, blocks, support, stacked, len(crowds), weight)
+
+    def __call__(self, weights: Int[np.ndarray, "r B"]) -> Float[np.ndarray, "r n F"]:
+        """One vector per resample and crowd, already weighted."""
+        w = weights.astype(np.float64)
+        sums = {
+            name: (w @ values).reshape(len(w), self.crowds, -1)
+            for name, values in self.stacked.items()
+        }
+        return self.metric.embed(sums, self.support, self.blocks) * self.weight
+
+
+def pair_mean(distances: Float[np.ndarray, "*batch K K"]) -> Float[np.ndarray, "*batch"]:
+    """Mean over ordered pairs k ≠ l; 0 where there is no pair."""
+    k = distances.shape[-1]
+    return distances.sum(axis=(-2, -1)) / max(1, k * (k - 1))
+
+
+def _distances(
+    y: Float[np.ndarray, "r F"], x: Float[np.ndarray, "r g K F"]
+) -> tuple[Float[np.ndarray, "r g K"], Float[np.ndarray, "r g K K"]]:
+    """L1 distances of each x to y, and of all x of a group to each other."""
+    from crowdbench.scoring_kernel import l1_distances
+
+    return l1_distances(np.ascontiguousarray(y), np.ascontiguousarray(x))
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """A score with its resamples, recentred on it."""
+
+    value: float
+    resampled: Float[np.ndarray, " R"]
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The central 95 %."""
+        low, high = np.percentile(self.resampled, [100 * LEVEL / 2, 100 * (1 - LEVEL / 2)])
+        return float(low), float(high)
+
+
+def score_of(es: Energy, floor_: Energy, anchor: Energy) -> Score | None:
+    """S = 1 − (ES − F)/(ES_anchor − F), clipped below at −1, never above.
+
+    None where the anchor is no worse than the floor: the metric tells nothing here.
+    """
+    span = anchor.centre - floor_.centre
+    if not span > 0:
+        return None
+    value = max(LOWEST, 1 - (es.centre - floor_.centre) / span)
+    # A resample whose span all but vanishes would throw the ratio to infinity.
+    spans = np.maximum(anchor.centred() - floor_.centred(), span / 10)
+    resampled = np.maximum(LOWEST, 1 - (es.centred() - floor_.centred()) / spans)
+    return Score(value, value + resampled - resampled.mean())
+
+
+def combined(scores: Sequence[Score]) -> Score | None:
+    """The mean of some scores, resample by resample; None of none."""
+    if not scores:
+        return None
+    return Score(
+        float(np.mean([s.value for s in scores])),
+        np.mean([s.resampled for s in scores], axis=0),
+    )
+
+
+def family_scores(
+    metrics: Sequence[Metric], scores: Mapping[str, Score | None], scored: Sequence[str]
+) -> dict[str, Score]:
+    """Mean over the scored metrics of each family; families without one are left out."""
+    families: dict[str, Score] = {}
+    for family in FAMILIES:
+        each = [scores.get(m.name) for m in metrics if m.family == family and m.name in scored]
+        score = combined([s for s in each if s is not None])
+        if score is not None:
+            families[family] = score
+    return families
+
+
+def overall(families: Mapping[str, Score], *, walk: bool) -> Score | None:
+    """Mean over the four families of crowds, and over those of walking if `walk`."""
+    wanted = [f for f in FAMILIES if walk or f not in WALK]
+    return combined([families[f] for f in wanted if f in families])
+
+
+def ranks(scores: Sequence[Score]) -> list[int]:
+    """1 + the number of entries that are significantly better; equal ranks are a tie group.
+
+    Paired differences on the shared resamples, two-sided at 5 % over all pairs by Holm's (1979)
+    step-down. The p-values are those of a normal law with the resamples' standard deviation:
+    1,000 resamples cannot resolve the small ones that Holm asks for among many entries.
+    """
+    from scipy.stats import norm
+
+    pairs = [(i, j) for i in range(len(scores)) for j in range(i)]
+    differences = [scores[i].value - scores[j].value for i, j in pairs]
+    spreads = [float((scores[i].resampled - scores[j].resampled).std()) for i, j in pairs]
+    p = [
+        float(2 * norm.sf(abs(d) / s)) if s > 0 else float(d == 0)
+        for d, s in zip(differences, spreads, strict=True)
+    ]
+    better = [0] * len(scores)
+    for step, index in enumerate(np.argsort(p, kind="stable")):
+        if p[index] > LEVEL / (len(pairs) - step):
+            break
+        i, j = pairs[index]
+        better[j if differences[index] > 0 else i] += 1
+    return [1 + count for count in better]
