@@ -7,7 +7,8 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,7 +52,8 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         default=["poisson-gmm"],
         metavar="MODEL",
-        help="poisson-gmm, replay or pkg.module:Class (default: poisson-gmm)",
+        help="poisson-gmm, renewal-gmm, ntpp-gmm, block-replay, replay or pkg.module:Class "
+        "(default: poisson-gmm)",
     )
     evaluate.add_argument(
         "--policy",
@@ -81,6 +83,13 @@ def _parser() -> argparse.ArgumentParser:
         "--clustering",
         default="default",
         help="settings of that name in scene.toml (default: default)",
+    )
+    fit.add_argument(
+        "--models",
+        nargs="+",
+        metavar="MODEL",
+        default=["poisson-gmm", "renewal-gmm", "ntpp-gmm"],
+        help="spawn models to fit (default: poisson-gmm renewal-gmm ntpp-gmm)",
     )
     fit.add_argument("--out", type=Path, help="folder to write to (default: the scene's)")
     fit.set_defaults(run=_fit)
@@ -136,7 +145,9 @@ def _pairs(title: str, facts: dict[str, str]) -> None:
         print(f"  {name:<{width}}  {value}")
 
 
-def _evaluate(asked: argparse.Namespace) -> None:
+@contextmanager
+def _bar(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar, shown from the first time on that it is told how much is done."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -146,14 +157,8 @@ def _evaluate(asked: argparse.Namespace) -> None:
         TimeRemainingColumn,
     )
 
-    from crowdbench.evaluation import evaluate
-
-    sys.path.insert(0, os.getcwd())  # one's own pkg.module:Class may lie beside
-
-    when = time.strftime("%Y%m%d-%H%M%S")
-    out = asked.out or Path("results") / f"{Path(asked.scene).name}-{when}"
     columns = (
-        TextColumn("rollouts"),
+        TextColumn(what),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
@@ -161,13 +166,27 @@ def _evaluate(asked: argparse.Namespace) -> None:
         TimeRemainingColumn(),
     )
     bar = Progress(*columns, console=_console())
-    task = bar.add_task("rollouts")
+    task = bar.add_task(what)
 
     def progress(done: int, total: int) -> None:
         bar.start()  # not before everything asked for was found
         bar.update(task, completed=done, total=total)
 
     try:
+        yield progress
+    finally:
+        if bar.live.is_started:  # else it would print an empty line
+            bar.stop()
+
+
+def _evaluate(asked: argparse.Namespace) -> None:
+    from crowdbench.evaluation import evaluate
+
+    sys.path.insert(0, os.getcwd())  # one's own pkg.module:Class may lie beside
+
+    when = time.strftime("%Y%m%d-%H%M%S")
+    out = asked.out or Path("results") / f"{Path(asked.scene).name}-{when}"
+    with _bar("rollouts") as progress:
         card = evaluate(
             asked.scene,
             spawn=asked.spawn,
@@ -177,9 +196,6 @@ def _evaluate(asked: argparse.Namespace) -> None:
             out=out,
             progress=progress,
         )
-    finally:
-        if bar.live.is_started:  # else it would print an empty line
-            bar.stop()
     _print_card(card)
     if any(entry.spawn == entry.policy == "replay" for entry in card.entries):
         _print_replay(asked.scene, out)
@@ -263,7 +279,16 @@ def _fit(asked: argparse.Namespace) -> None:
 
     scene = load_scene(asked.scene)
     crowd = recording(scene.recording.name)
-    _pairs(scene.id, fit_scene(scene, crowd, clustering=asked.clustering, out=asked.out))
+    with _bar("fits") as progress:
+        found = fit_scene(
+            scene,
+            crowd,
+            clustering=asked.clustering,
+            models=asked.models,
+            out=asked.out,
+            progress=progress,
+        )
+    _pairs(scene.id, found)
 
 
 def _import(asked: argparse.Namespace) -> None:
