@@ -93,6 +93,13 @@ def _parser() -> argparse.ArgumentParser:
         default="default",
         help="settings of that name in scene.toml (default: default)",
     )
+    fit.add_argument(
+        "--models",
+        nargs="+",
+        metavar="MODEL",
+        default=["poisson-gmm", "renewal-gmm", "ntpp-gmm"],
+        help="spawn models to fit (default: poisson-gmm renewal-gmm ntpp-gmm)",
+    )
     fit.add_argument("--out", type=Path, help="folder to write to (default: the scene's)")
     fit.set_defaults(run=_fit)
 
@@ -226,7 +233,10 @@ def _print_card(card: "Scorecard") -> None:
     )
     if not card.scored:
         print("No metric of this scene is scored yet: run `crowdbench power`.")
-    scores = _table("spawn × policy", *FAMILIES[:4], "crowd", *FAMILIES[4:], "overall", "rank")
+    # Long headings go over two lines, so that the names of the pairs need not.
+    heads = [f.replace("interaction", "inter-\naction") for f in FAMILIES]
+    scores = _table("spawn × policy", *heads[:4], "crowd", *heads[4:], "overall", "rank")
+    scores.columns[0].no_wrap = True
     for k, row in enumerate(table):
         if row.kind == "anchor" and table[k - 1].kind == "entry":
             scores.add_section()
@@ -239,7 +249,7 @@ def _print_card(card: "Scorecard") -> None:
             _with_interval(row.overall),
             "" if row.rank is None else f"{row.rank}",
         )
-    console = _console(120)
+    console = _console(130)
     console.print(scores)
     print(
         "Scores: 0 is the anchor (poisson-gmm × straight; in motion and interaction straight\n"
@@ -268,14 +278,18 @@ def _print_card(card: "Scorecard") -> None:
 
 
 def _number(score: "Score | None") -> str:
-    return "–" if score is None else f"{score.value:.2f}"
+    return "–" if score is None else _plainly(score.value)
+
+
+def _plainly(value: float) -> str:
+    return f"{value + 0.0 if abs(value) >= 0.005 else 0.0:.2f}"
 
 
 def _with_interval(score: "Score | None") -> str:
     if score is None:
         return "–"
     low, high = score.interval
-    return f"{score.value:.2f} [{low:.2f}, {high:.2f}]"
+    return f"{_plainly(score.value)} [{_plainly(low)}, {_plainly(high)}]"
 
 
 def _power(asked: argparse.Namespace) -> None:
@@ -356,7 +370,15 @@ def _fit(asked: argparse.Namespace) -> None:
 
     scene = load_scene(asked.scene)
     crowd = recording(scene.recording.name)
-    facts = fit_scene(scene, crowd, clustering=asked.clustering, out=asked.out)
+    with _progress("fits") as progress:
+        facts = fit_scene(
+            scene,
+            crowd,
+            clustering=asked.clustering,
+            models=asked.models,
+            out=asked.out,
+            progress=progress,
+        )
     folder = asked.out or scene.folder
     with tempfile.TemporaryDirectory() as temporary, _progress("anchors") as progress:
         write_anchors(make_anchors(folder, Path(temporary), progress=progress), folder)

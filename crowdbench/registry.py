@@ -9,14 +9,30 @@ from crowdbench import plaza
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, Random, ReplayPolicy, SocialForce, Straight
 from crowdbench.recordings import catalogue
+from crowdbench.reference import blocks_of
 from crowdbench.scene import Scene, load_scene
-from crowdbench.spawn import PoissonGMM, Replay, SpawnModel, fit_areas
+from crowdbench.spawn import (
+    BlockReplay,
+    NtppGMM,
+    PoissonGMM,
+    RenewalGMM,
+    Replay,
+    SpawnModel,
+    fit_areas,
+)
 from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.weights import check_part
 from crowdbench.tables import read_own, write_parquet
 from crowdbench.trajectories import Trajectories
 
 RECORDINGS = (*catalogue.SOURCES, "plaza")
-SPAWN_MODELS = ("poisson-gmm", "replay")
+FITTED: dict[str, type[PoissonGMM] | type[RenewalGMM] | type[NtppGMM]] = {
+    "poisson-gmm": PoissonGMM,
+    "renewal-gmm": RenewalGMM,
+    "ntpp-gmm": NtppGMM,
+}
+"""The spawn models whose fits scenes ship."""
+SPAWN_MODELS = (*FITTED, "block-replay", "replay")
 POLICIES = ("straight", "social-force", "random", "replay")
 
 
@@ -58,20 +74,27 @@ def recording_of(scene: Scene) -> Trajectories:
 
 
 def spawn_model(
-    model: str | SpawnModel, scene: str | Scene, *, part: str = "full", fit: int = 0
+    model: str | SpawnModel, scene: str | Scene, part: str = "full", fit: int = 0
 ) -> SpawnModel:
-    """A spawn model by its name; `pkg.module:Class` is called with the scene.
+    """A spawn model by its name, fitted for a part (one of `blocks.PARTS`) of the recording.
+
+    Of a model with several fits the one of index `fit`, counted round. `replay` is the whole
+    recording in any part. `pkg.module:Class` is called with the scene.
 
     Raises:
-        SettingError: there is no such model.
+        SettingError: there is no such model, part or fit.
         WeightsError: the scene ships no weights for it.
         RecordingError: it needs a recording that has not been imported.
     """
     if not isinstance(model, str):
         return model
     scene = load_scene(scene)
-    if model == "poisson-gmm":
-        return PoissonGMM.read(scene, read_areas(scene))
+    check_part(part, fit)
+    if model in FITTED:
+        return FITTED[model].read(scene, read_areas(scene), part, fit)
+    if model == "block-replay":
+        crowd = recording_of(scene)
+        return BlockReplay(crowd, blocks_of(crowd, scene).training(part), read_areas(scene))
     if model == "replay":
         return Replay(recording_of(scene))
     made: SpawnModel = _made(_own(model, "spawn model", SPAWN_MODELS), model, scene)

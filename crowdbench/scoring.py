@@ -42,13 +42,13 @@ class Energy:
     centre: float
     resampled: Float[np.ndarray, " R"]
 
-    def centred(self) -> Float[np.ndarray, " R"]:
-        """The resamples as deviations around the centre.
+    def deviations(self) -> Float[np.ndarray, " R"]:
+        """The resamples' deviations from their own centre.
 
         A resample holds some rollouts twice, whose distance is 0, and fewer distinct blocks: that
         moves its mean, not its spread.
         """
-        return self.centre + self.resampled - self.resampled.mean()
+        return self.resampled - self.resampled.mean()
 
 
 def mean_of(energies: Sequence[Energy]) -> Energy:
@@ -221,7 +221,7 @@ def _distances(
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """A score with its resamples, recentred on it."""
+    """A score with its resamples, which lie around it."""
 
     value: float
     resampled: Float[np.ndarray, " R"]
@@ -236,16 +236,18 @@ class Score:
 def score_of(es: Energy, floor_: Energy, anchor: Energy) -> Score | None:
     """S = 1 − (ES − F)/(ES_anchor − F), clipped below at −1, never above.
 
+    The resamples follow the ratio to first order: where anchor and floor lie close together, single
+    resamples of the span between them all but vanish, and the ratio itself would tell nothing.
     None where the anchor is no worse than the floor: the metric tells nothing here.
     """
     span = anchor.centre - floor_.centre
     if not span > 0:
         return None
-    value = max(LOWEST, 1 - (es.centre - floor_.centre) / span)
-    # A resample whose span all but vanishes would throw the ratio to infinity.
-    spans = np.maximum(anchor.centred() - floor_.centred(), span / 10)
-    resampled = np.maximum(LOWEST, 1 - (es.centred() - floor_.centred()) / spans)
-    return Score(value, value + resampled - resampled.mean())
+    ratio = (es.centre - floor_.centre) / span
+    above_floor = es.deviations() - floor_.deviations()
+    of_span = anchor.deviations() - floor_.deviations()
+    resampled = 1 - ratio - above_floor / span + ratio * of_span / span
+    return Score(max(LOWEST, 1 - ratio), np.maximum(LOWEST, resampled))
 
 
 def combined(scores: Sequence[Score]) -> Score | None:

@@ -147,6 +147,19 @@ class Arrivals:
         return float(np.diff(self.windows, axis=1).sum() * self.grid_s)
 
 
+def arrivals_in(events: SpawnEvents, horizon_s: float, grid_s: float, areas: int) -> Arrivals:
+    """What a spawn model sampled in [0, `horizon_s`) as arrivals, each at the grid point before."""
+    tick = np.floor(events.time_s / grid_s + 1e-6).astype(np.int64)
+    stop = int(np.ceil(horizon_s / grid_s - 1e-6))
+    return Arrivals(
+        tick=tick,
+        area=events.spawn_area.astype(np.int64),
+        windows=np.array([[0, stop]]),
+        areas=areas,
+        grid_s=grid_s,
+    )
+
+
 def arrivals_of(crowd: Trajectories, blocks: TimeBlocks, areas: int) -> Arrivals:
     """The arrivals of those who enter in the blocks; who has no area is left out.
 

@@ -4,26 +4,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-import msgspec
 import numpy as np
 from jaxtyping import Float
 from numpy.random import Generator
 
-from crowdbench.errors import WeightsError
-from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Scene
-from crowdbench.spawn.areas import Areas, as_array
+from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals, SpawnEvents
+from crowdbench.spawn.groups import Hazards, spells_of
 from crowdbench.spawn.model import Start
+from crowdbench.spawn.weights import Fits, check_numbers, check_part, read_part, write_parts
 
-SCHEMA = 1
-
-
-class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    schema: int
-    model: str
-    scene: str
-    rate_per_s: list[float]
+NAME = "poisson-gmm"
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +25,7 @@ class PoissonGMM:
     areas: Areas
     rate: Float[np.ndarray, " K"]
     """Persons per second and area."""
-    name: str = "poisson-gmm"
+    name: str = NAME
     start: ClassVar[Start] = "stationary"
 
     @classmethod
@@ -59,35 +51,37 @@ class PoissonGMM:
         total = poisson.logpmf(arrivals.counts(), self.rate * arrivals.grid_s).sum()
         return float(total / max(1, len(arrivals.tick)))
 
-    def write(self, folder: Path) -> None:
-        """Write the rates into a scene's folder."""
-        file = _File(
-            schema=SCHEMA,
-            model=self.name,
-            scene=self.areas.scene,
-            rate_per_s=self.rate.tolist(),
+    def hazards(self, arrivals: Arrivals) -> Hazards:
+        """Gaps are geometric, the sizes of groups Poisson given that they are not 0."""
+        from scipy.stats import poisson
+
+        spells = spells_of(arrivals)
+        mean = self.rate * arrivals.grid_s
+        at = spells.area[spells.of_group]
+        sizes = np.stack([spells.size - 1, spells.size], axis=1)
+        someone = np.log(-np.expm1(-mean[at]))[:, None]
+        return Hazards(
+            gap=mean[at, None] * np.stack([spells.gap - 1, spells.gap], axis=1),
+            size=someone - poisson.logsf(sizes, mean[at, None]),
+            rest=mean[spells.area] * spells.rest,
         )
-        write_json(folder / "poisson-gmm.json", file)
 
     @classmethod
-    def read(cls, scene: Scene, areas: Areas) -> "PoissonGMM":
-        """The rates that a scene ships.
+    def write(cls, folder: Path, fits: "Fits[PoissonGMM]") -> None:
+        """Write the rates of all parts into a scene's folder."""
+        scene = fits["full"][0].areas.scene
+        parts = {part: {"rate_per_s": models[0].rate} for part, models in fits.items()}
+        write_parts(folder / f"{NAME}.json", NAME, scene, parts)
+
+    @classmethod
+    def read(cls, scene: Scene, areas: Areas, part: str = "full", fit: int = 0) -> "PoissonGMM":
+        """The rates that a scene ships for a part; its one fit stands for every `fit`.
 
         Raises:
+            SettingError: there is no such part or fit.
             WeightsError: the file is missing, broken or another scene's.
         """
-        path = scene.folder / "poisson-gmm.json"
-        mend = f"Run `crowdbench fit {scene.asked}`."
-        file = read_struct(path, _File, WeightsError, mend)
-        got = (file.model, file.scene, file.schema)
-        if got != ("poisson-gmm", scene.id, SCHEMA):
-            raise WeightsError(
-                path,
-                got=f"{file.model} of {file.scene}, schema {file.schema}",
-                expected=f"poisson-gmm of {scene.id}, schema {SCHEMA}",
-                mend=mend,
-            )
-        rate = as_array(file.rate_per_s, (len(areas.spawn),), f"{path}, rate_per_s", mend)
-        if (rate < 0).any():
-            raise WeightsError(path, got="a negative rate", expected="rates ≥ 0", mend=mend)
+        check_part(part, fit)
+        rate = read_part(scene, NAME, ["rate_per_s"], len(areas.spawn), part)["rate_per_s"]
+        check_numbers(scene, NAME, {"rate_per_s": (bool((rate >= 0).all()), "rates ≥ 0")})
         return cls(areas, rate)

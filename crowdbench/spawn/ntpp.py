@@ -1,0 +1,259 @@
+"""`ntpp-gmm`: a neural temporal point process per area, with the scene's Gaussian areas.
+
+After the ICRA 2025 paper "Whenever, Wherever", Sec. III-B: a recurrent network (GRU) reads an
+area's groups, and a small head turns its state into a Weibull distribution of the time to the
+next group. What differs, and why:
+
+- People who enter an area at one grid point are one event with a size, whose geometric
+  distribution is the head's third output. Trained as one person each, 28–31 % of people vanish.
+- Gaps lie on the annotation grid: with S the Weibull survival function in grid steps, a gap
+  lasts g ≥ 1 steps with probability S(g − 1) − S(g).
+- A stretch starts at any time, not at a group: the same head reads the wait to the first group
+  from a learned initial state, which so learns the forward recurrence time. Samples start
+  stationary instead of with a group in every area.
+- Training and sampling share one path from a state to the next; nothing is clamped. What the
+  head can say is bounded around the Poisson solution (`ntpp_kernels`).
+
+Training needs torch (`crowdbench.spawn.ntpp_training`); sampling and likelihood do not.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+from numpy.random import Generator
+
+from crowdbench.blocks import PARTS
+from crowdbench.errors import WeightsError
+from crowdbench.files import read_bytes, replacing
+from crowdbench.scene import Scene
+from crowdbench.spawn.areas import Areas
+from crowdbench.spawn.events import Arrivals, SpawnEvents
+from crowdbench.spawn.groups import Hazards, check_grid, per_person, spells_of
+from crowdbench.spawn.model import Start
+from crowdbench.spawn.weights import Fits, check_origin, check_part, mend
+
+NAME = "ntpp-gmm"
+SCHEMA = 1
+HIDDEN = 32
+HEAD = 32
+SHAPES: dict[str, tuple[int, ...]] = {
+    "input_weight": (3 * HIDDEN, 2),
+    "input_bias": (3 * HIDDEN,),
+    "state_weight": (3 * HIDDEN, HIDDEN),
+    "state_bias": (3 * HIDDEN,),
+    "initial": (HIDDEN,),
+    "hidden_weight": (HEAD, HIDDEN),
+    "hidden_bias": (HEAD,),
+    "out_weight": (3, HEAD),
+    "out_bias": (3,),
+    "base": (3,),
+    "scaling": (4,),
+}
+"""Weights of one area. Gates of the GRU stand in the order reset, update, candidate, as torch has
+them. `base` is what the head adds to: log shape, log scale (grid steps) and log odds of one more
+member. `scaling` has mean and standard deviation of log gap (grid steps) and of log size."""
+
+
+@dataclass(frozen=True, eq=False)
+class NtppGMM:
+    """Neural temporal point process of groups per area, with the scene's Gaussian areas."""
+
+    areas: Areas
+    weights: Mapping[str, Float[np.ndarray, "K ..."]]
+    """Arrays named and shaped as in `SHAPES`, with the areas as first axis."""
+    grid_s: float
+    """Seconds of the grid that groups enter on."""
+    name: str = NAME
+    start: ClassVar[Start] = "stationary"
+
+    def of_area(self, k: int) -> tuple[np.ndarray, ...]:
+        """The weights of one area, as the kernels want them."""
+        return tuple(np.ascontiguousarray(self.weights[n][k], dtype=np.float64) for n in SHAPES)
+
+    def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
+        """Events in [0, `horizon_s`), on the grid."""
+        from crowdbench.spawn.ntpp_kernels import draw
+
+        points = int(np.ceil(horizon_s / self.grid_s - 1e-6))
+        tick, area = [np.empty(0)], [np.empty(0, dtype=np.int64)]
+        for k in range(len(self.areas.spawn)):
+            groups, size = draw(points, self.of_area(k), rng)
+            tick.append(np.repeat(groups, size))
+            area.append(np.full(len(tick[-1]), k))
+        return self.areas.draw(np.concatenate(tick) * self.grid_s, np.concatenate(area), scene, rng)
+
+    def log_likelihood(self, arrivals: Arrivals) -> float:
+        """Nats per person."""
+        return per_person(self.hazards(arrivals), arrivals)
+
+    def hazards(self, arrivals: Arrivals) -> Hazards:
+        """Cumulative hazards of the groups.
+
+        Raises:
+            SettingError: the arrivals stand on another grid than the model's.
+        """
+        return self._along(arrivals)[0]
+
+    def parameters(self, arrivals: Arrivals) -> Float[np.ndarray, "n 3"]:
+        """What the head said before each group.
+
+        Weibull shape and scale (grid steps), and −log P(one more member).
+        """
+        return self._along(arrivals)[1]
+
+    def _along(self, arrivals: Arrivals) -> tuple[Hazards, Float[np.ndarray, "n 3"]]:
+        from crowdbench.spawn.ntpp_kernels import expect
+
+        check_grid(arrivals, self.grid_s, NAME)
+        spells = spells_of(arrivals)
+        n = len(spells.gap)
+        hazards = Hazards(np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(len(spells.rest)))
+        parameters = np.ones((n, 3))
+        for k in range(len(self.areas.spawn)):
+            mine = np.flatnonzero(spells.area == k)
+            own = slice(mine[0], mine[-1] + 1)
+            offsets = spells.offsets[mine[0] : mine[-1] + 2]
+            groups = slice(offsets[0], offsets[-1])
+            expect(
+                spells.gap[groups],
+                spells.size[groups],
+                offsets - offsets[0],
+                spells.rest[own],
+                self.of_area(k),
+                hazards.gap[groups],
+                hazards.size[groups],
+                hazards.rest[own],
+                parameters[groups],
+            )
+        return hazards, parameters
+
+    @classmethod
+    def write(
+        cls, folder: Path, fits: "Fits[NtppGMM]", settings: Mapping[str, float] | None = None
+    ) -> None:
+        """Write all fits of all parts into a scene's folder.
+
+        `settings` are those of the training, kept for the reader of the file.
+        """
+        from safetensors.numpy import save
+
+        first = fits["full"][0]
+        tensors = {}
+        for part, models in fits.items():
+            for fit, model in enumerate(models):
+                for name in SHAPES:
+                    array = model.weights[name].astype(np.float32)
+                    tensors[f"{part}.{fit}.{name}"] = np.ascontiguousarray(array)
+        header = _Header(
+            schema=SCHEMA,
+            model=NAME,
+            scene=first.areas.scene,
+            fits=len(fits["full"]),
+            grid_s=first.grid_s,
+            settings=dict(settings or {}),
+        )
+        # One entry: the order of several is not the same in each run.
+        text = msgspec.json.encode(header, order="deterministic").decode()
+        with replacing(folder / f"{NAME}.safetensors") as temporary:
+            temporary.write_bytes(save(tensors, metadata={"crowdbench": text}))
+
+    @classmethod
+    def read(cls, scene: Scene, areas: Areas, part: str = "full", fit: int = 0) -> "NtppGMM":
+        """A fit that a scene ships for a part; `fit` counts on from the first after the last.
+
+        Raises:
+            SettingError: there is no such part or fit.
+            WeightsError: the file is missing, broken or another scene's.
+        """
+        check_part(part, fit)
+        path = scene.folder / f"{NAME}.safetensors"
+        how = mend(scene)
+        data = read_bytes(path, WeightsError, how)
+        header, tensors = _decode(path, data, how)
+        check_origin(
+            path, (header.model, header.scene, header.schema), (NAME, scene.id, SCHEMA), how
+        )
+        if header.fits < 1 or not np.isclose(header.grid_s, scene.grid_s):
+            raise WeightsError(
+                path,
+                got=f"{header.fits} fits on a grid of {header.grid_s:g} s",
+                expected=f"one fit or more, on a grid of {scene.grid_s:g} s",
+                mend=how,
+            )
+        k = len(areas.spawn)
+        shapes = {name: (k, *shape) for name, shape in SHAPES.items()}
+        expected = {
+            f"{p}.{f}.{name}": shape
+            for p in PARTS
+            for f in range(header.fits)
+            for name, shape in shapes.items()
+        }
+        _check(path, tensors, expected, how)
+        prefix = f"{part}.{fit % header.fits}."
+        weights = {name: tensors[prefix + name] for name in SHAPES}
+        return cls(areas, weights, header.grid_s)
+
+
+class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    schema: int
+    model: str
+    scene: str
+    fits: int
+    grid_s: float
+    settings: dict[str, float]
+
+
+def _decode(path: Path, data: bytes, how: str) -> tuple[_Header, dict[str, np.ndarray]]:
+    """Header and tensors of a safetensors file."""
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    try:
+        tensors = load(data)
+        # The format: eight bytes with the length of a JSON header that holds our own.
+        raw = msgspec.json.decode(data[8 : 8 + int.from_bytes(data[:8], "little")])
+        text = raw["__metadata__"]["crowdbench"]
+        return msgspec.json.decode(text, type=_Header), tensors
+    except (SafetensorError, msgspec.MsgspecError, KeyError) as error:
+        raise WeightsError(
+            path,
+            got=f"no readable weights ({error})",
+            expected="safetensors with crowdbench's header",
+            mend=how,
+        ) from error
+
+
+def _check(
+    path: Path,
+    tensors: Mapping[str, Any],
+    expected: Mapping[str, tuple[int, ...]],
+    how: str,
+) -> None:
+    wrong = sorted(set(tensors) ^ set(expected))
+    if wrong:
+        raise WeightsError(
+            path,
+            got=f"{len(wrong)} tensors missing or unknown, among them {wrong[0]}",
+            expected="those of each part, fit and weight",
+            mend=how,
+        )
+    for name, array in tensors.items():
+        where = f"{path}, {name}"
+        if array.shape != expected[name] or array.dtype != np.float32:
+            raise WeightsError(
+                where,
+                got=f"{array.dtype} of shape {array.shape}",
+                expected=f"float32 of shape {expected[name]}",
+                mend=how,
+            )
+        if not np.isfinite(array).all():
+            raise WeightsError(where, got="NaN or infinity", expected="finite numbers", mend=how)
+        if name.endswith("scaling") and (array[:, 1::2] <= 0).any():
+            raise WeightsError(
+                where, got="a spread of 0 or less", expected="standard deviations > 0", mend=how
+            )

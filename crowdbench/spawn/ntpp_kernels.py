@@ -1,0 +1,98 @@
+"""The network of `ntpp-gmm`, compiled: what it expects of groups, and draws from it.
+
+One area at a time, in float64. `weights` are those of one area in the order of `ntpp.SHAPES`.
+Likelihood and sampling walk with the same `_head` and `_update`.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+LOG_SHAPE_BOUND = 2.0
+"""The Weibull shape stays within a factor of exp(±2) of its base …"""
+BOUND = 4.0
+"""… and the scale and the odds of one more member within exp(±4) of theirs."""
+
+
+@njit(cache=True)
+def _bounded(x, bound):
+    return bound * math.tanh(x / bound)
+
+
+@njit(cache=True)
+def _sigmoid(x):
+    return 1.0 / (1.0 + math.exp(-x))
+
+
+@njit(cache=True)
+def _head(h, weights):
+    """Shape and scale (grid steps) of the next gap, and −log P(one more member)."""
+    hidden_weight, hidden_bias, out_weight, out_bias, base = weights[5:10]
+    out = out_weight @ np.tanh(hidden_weight @ h + hidden_bias) + out_bias
+    shape = math.exp(base[0] + _bounded(out[0], LOG_SHAPE_BOUND))
+    scale = math.exp(base[1] + _bounded(out[1], BOUND))
+    more = math.log1p(math.exp(-base[2] - _bounded(out[2], BOUND)))
+    return shape, scale, more
+
+
+@njit(cache=True)
+def _update(h, gap, size, weights):
+    """The state after a group of `size` that came `gap` grid steps after the one before."""
+    input_weight, input_bias, state_weight, state_bias = weights[0:4]
+    scaling = weights[10]
+    x = np.empty(2)
+    x[0] = (math.log(gap) - scaling[0]) / scaling[1]
+    x[1] = (math.log(size) - scaling[2]) / scaling[3]
+    n = len(h)
+    i = input_weight @ x + input_bias
+    s = state_weight @ h + state_bias
+    new = np.empty(n)
+    for j in range(n):
+        reset = _sigmoid(i[j] + s[j])
+        keep = _sigmoid(i[n + j] + s[n + j])
+        candidate = math.tanh(i[2 * n + j] + reset * s[2 * n + j])
+        new[j] = (1.0 - keep) * candidate + keep * h[j]
+    return new
+
+
+@njit(cache=True)
+def expect(gap, size, offsets, rest, weights, gaps, sizes, rests, parameters):
+    """Walk along the spells of one area.
+
+    Fills the cumulative hazards `gaps` and `sizes` (n, 2) and `rests` (S,), and what the head
+    said before each group, `parameters` (n, 3).
+    """
+    for s in range(len(rest)):
+        h = weights[4].copy()
+        for i in range(offsets[s], offsets[s + 1]):
+            shape, scale, more = _head(h, weights)
+            parameters[i, 0], parameters[i, 1], parameters[i, 2] = shape, scale, more
+            gaps[i, 0] = ((gap[i] - 1) / scale) ** shape
+            gaps[i, 1] = (gap[i] / scale) ** shape
+            sizes[i, 0] = more * (size[i] - 1)
+            sizes[i, 1] = more * size[i]
+            h = _update(h, gap[i], size[i], weights)
+        shape, scale, more = _head(h, weights)
+        rests[s] = (rest[s] / scale) ** shape
+
+
+@njit(cache=True)
+def draw(points, weights, rng):
+    """Grid points in [0, `points`) at which groups enter one area, and the groups' sizes."""
+    ticks = np.empty(points, np.int64)
+    sizes = np.empty(points, np.int64)
+    n = 0
+    tick = -1
+    h = weights[4].copy()
+    while True:
+        shape, scale, more = _head(h, weights)
+        gap = max(1.0, math.ceil(scale * (-math.log1p(-rng.random())) ** (1.0 / shape)))
+        if gap >= points - tick:
+            return ticks[:n], sizes[:n]
+        size = 1.0 + math.floor(-math.log1p(-rng.random()) / more)
+        tick += int(gap)
+        ticks[n] = tick
+        sizes[n] = int(size)
+        n += 1
+        h = _update(h, gap, size, weights)
