@@ -9,6 +9,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
+from importlib.util import find_spec
 from typing import ClassVar
 
 import msgspec
@@ -16,16 +18,20 @@ import numpy as np
 
 from crowdbench.environment import CrowdParallelEnv
 from crowdbench.errors import SettingError
-from crowdbench.metrics import METRICS
+from crowdbench.evaluation import draws_of, has_recording
+from crowdbench.metrics import WALK, metrics_for
 from crowdbench.policies import Policy, SocialForce, Straight
-from crowdbench.reference import read_reference
-from crowdbench.registry import spawn_model
+from crowdbench.reference import Reference, blocks_of, read_reference, summarise
+from crowdbench.registry import FITTED, recording_of, spawn_model
 from crowdbench.rollouts import rollout
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
+from crowdbench.scoring import RESAMPLES, Energy, Score, combined, energy, ranks, score_of
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.spawn import Arrivals, SpawnEvents, SpawnModel
+from crowdbench.spawn import Arrivals, SpawnEvents, SpawnModel, arrivals_of
+from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import entering
 from crowdbench.spawn.model import Start
+from crowdbench.trajectories import Trajectories
 
 PERSONS_PER_M2 = 0.07
 M2_PER_BOX = 300.0
@@ -56,23 +62,25 @@ def measure() -> Iterator[Figure]:
         yield Figure(name, _core(worlds, persons), "agent-steps/s")
     yield Figure("PettingZoo view, 20 agents", _pettingzoo(20), "agent-steps/s")
     scene = load_scene("eth-v0")
+    for name in FITTED:
+        spawn = spawn_model(name, scene)
+        yield Figure(
+            f"{name}, sampling 10,000 frames of ETH", _least_s(_sampling(spawn, scene)), "s"
+        )
+    yield from _fitting()
     spawn = spawn_model("poisson-gmm", scene)
-    rng = np.random.default_rng(0)
-    horizon_s = 10_000 * scene.dt_s
-    yield Figure(
-        "poisson-gmm, sampling 10,000 frames of ETH",
-        _least_s(lambda: spawn.sample(horizon_s, scene, rng)),
-        "s",
-    )
     for policy in (Straight(), SocialForce()):
         yield Figure(
             f"rollout of ETH, {policy.name}", _least_s(_rolling(scene, spawn, policy)), "s"
         )
-    crowd = rollout(scene, spawn, Straight(), seed=0)
     reference = read_reference(scene)
+    crowds = [rollout(scene, spawn, Straight(), seed=k) for k in range(20)]
     yield Figure(
-        f"scoring a rollout of ETH, {len(METRICS)} metrics",
-        _least_s(lambda: reference.score(crowd)),
+        "scoring 20 rollouts of ETH in all metrics", _once_s(_scoring(reference, crowds)), "s"
+    )
+    yield Figure(
+        "intervals and ranks of 10 entries on ETH",
+        _once_s(_ranking(scene, reference, crowds, entries=10)),
         "s",
     )
     yield Figure("import crowdbench", min(_import_s() for _ in range(5)), "s")
@@ -184,6 +192,60 @@ def _pettingzoo(persons: int) -> float:
 
 def _rolling(scene: Scene, spawn: SpawnModel, policy: Policy) -> Callable[[], object]:
     return lambda: rollout(scene, spawn, policy, seed=0)
+
+
+def _sampling(spawn: SpawnModel, scene: Scene) -> Callable[[], object]:
+    rng = np.random.default_rng(0)
+    return lambda: spawn.sample(10_000 * scene.dt_s, scene, rng)
+
+
+def _fitting() -> Iterator[Figure]:
+    """One fit of ntpp-gmm to each recording at hand; none where torch is not installed."""
+    if find_spec("torch") is None:
+        return
+    from crowdbench.spawn import ntpp_training
+
+    for scene in map(load_scene, ("eth-v0", "plaza-v0")):
+        if not has_recording(scene):
+            continue
+        crowd, areas = recording_of(scene), read_areas(scene)
+        arrivals = arrivals_of(crowd, blocks_of(crowd, scene), len(areas.spawn))
+        took_s = _once_s(partial(ntpp_training.fit, arrivals, areas, scene, seed=0))
+        yield Figure(f"ntpp-gmm, one fit to {scene.title}", took_s, "s")
+
+
+def _scoring(reference: Reference, crowds: list[Trajectories]) -> Callable[[], object]:
+    return lambda: [reference.score(crowd) for crowd in crowds]
+
+
+def _ranking(
+    scene: Scene, reference: Reference, crowds: list[Trajectories], *, entries: int
+) -> Callable[[], object]:
+    """Energy scores with all their resamples, scores and ranks, as of so many entries."""
+    fits, each = scene.protocol.fits, scene.protocol.rollouts_per_fit
+    statistics = [summarise(c, reference.blocks, reference.place) for c in crowds]
+    draws = draws_of(scene, reference, "full")
+    metrics = [m for m in metrics_for(reference.blocks) if m.family not in WALK]
+
+    def scores(entry: int) -> Score:
+        chosen = np.random.default_rng(entry).integers(len(crowds), size=(fits, each))
+        found = []
+        for m in metrics:
+            groups = [[statistics[k][m.name] for k in fit] for fit in chosen]
+            es = energy(m, reference.statistics[m.name], groups, reference.blocks, draws)
+            if es is not None:
+                found.append(score_of(es, Energy(0.0, np.zeros(RESAMPLES)), es))
+        together = combined([s for s in found if s is not None])
+        assert together is not None
+        return together
+
+    return lambda: ranks([scores(entry) for entry in range(entries)])
+
+
+def _once_s(work: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began
 
 
 def _best_rate(chunk: Callable[[], int]) -> float:

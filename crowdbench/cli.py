@@ -332,7 +332,7 @@ def _print_replay(scene: str, out: Path) -> None:
 
     place = load_scene(scene)
     recording = recording_of(place)
-    walked = read_own(out / "rollouts" / "replay_replay_0.parquet")
+    walked = read_own(out / "rollouts" / "replay_replay_full_0.parquet")
     _pairs("replay against the recording", compare_replay(recording, walked, place))
     _pairs("what the arrival rule would change", arrival_rule_changes(recording, place))
     print()

@@ -11,9 +11,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from crowdbench.cards import Entry, Scorecard, rows
 from crowdbench.cli import main
 from crowdbench.errors import OutputError, RecordingError, SceneError, SettingError
-from crowdbench.evaluation import Entry, Scorecard, evaluate
+from crowdbench.evaluation import evaluate
 from crowdbench.files import write_json
 from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.reference import score
@@ -41,7 +42,7 @@ def told() -> list[tuple[int, int]]:
 def card(out: Path, told: list[tuple[int, int]]) -> Scorecard:
     """Two policies, two seeds, one process."""
     return evaluate(
-        "eth-v0", policy=["straight", "random"], seeds=2, workers=1, out=out,
+        "eth-v0", spawn=["poisson-gmm"], policy=["straight", "random"], seeds=2, workers=1, out=out,
         progress=lambda done, total: told.append((done, total)),
     )  # fmt: skip
 
@@ -52,7 +53,8 @@ def again(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
     Its folder, and what it prints.
     """
-    asked = ["--policy", "random", "straight", "--seeds", "2", "--workers", "2"]
+    asked = ["--spawn", "poisson-gmm", "--policy", "random", "straight"]
+    asked += ["--seeds", "2", "--workers", "2"]
     folder = tmp_path_factory.mktemp("again")
     text = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(text):
@@ -72,12 +74,12 @@ def by_policy(card: Scorecard) -> dict[str, Entry]:
 
 def test_all_files_are_there(card: Scorecard, out: Path) -> None:
     rollouts = {
-        f"rollouts/poisson-gmm_{p}_{seed}.parquet"
+        f"rollouts/poisson-gmm_{p}_full_{seed}.parquet"
         for p in ("straight", "random")
         for seed in (0, 1)
     }
     found = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
-    assert found == {"scorecard.json", "run.json", *PICTURES} | rollouts
+    assert found == {"scorecard.json", "run.json", "report.html", *PICTURES} | rollouts
 
 
 @pytest.mark.parametrize("name", PICTURES)
@@ -116,8 +118,8 @@ def test_but_for_the_order_scorecards_are_the_same_bytes(
 
 def test_the_command_line_prints_a_row_per_pair(card: Scorecard, again: tuple[Path, str]) -> None:
     for entry in card.entries:
-        distance = entry.metrics["dwell"].distance
-        assert re.search(rf"poisson-gmm × {entry.policy} .*{distance:.3f} ±", again[1])
+        assert re.search(rf"\d poisson-gmm × {entry.policy}\b", again[1])
+        assert f"{entry.metrics['dwell'].distance:.3f}" in again[1]
 
 
 def test_the_command_line_writes_to_results_and_says_so(again: tuple[Path, str]) -> None:
@@ -134,19 +136,22 @@ def test_what_depends_on_the_machine_stands_in_run_json_only(card: Scorecard, ou
 def test_the_scorecard_is_the_score_of_the_written_rollouts(card: Scorecard, out: Path) -> None:
     for entry in card.entries:
         path = out / "rollouts" / f"poisson-gmm_{entry.policy}"
-        results = [score("eth-v0", read_own(Path(f"{path}_{seed}.parquet"))) for seed in (0, 1)]
+        results = [
+            score("eth-v0", read_own(Path(f"{path}_full_{seed}.parquet"))) for seed in (0, 1)
+        ]
         for name, metric in entry.metrics.items():
             each = [result[name] for result in results]
             assert metric.distances == [r.distance for r in each]
-            assert metric.distance == np.mean(metric.distances)
-            assert metric.simulated == np.mean([r.simulated for r in each])
+            assert metric.distance == np.mean([r.distance for r in each])
+            if metric.simulated is not None:
+                assert metric.simulated == np.mean([r.simulated for r in each])
             assert metric.n == sum(r.n for r in each)
 
 
 def test_outcomes_count_the_lives_of_all_rollouts(card: Scorecard, out: Path) -> None:
     for entry in card.entries:
         crowds = [
-            read_own(out / "rollouts" / f"poisson-gmm_{entry.policy}_{seed}.parquet")
+            read_own(out / "rollouts" / f"poisson-gmm_{entry.policy}_full_{seed}.parquet")
             for seed in (0, 1)
         ]
         how = np.concatenate([crowd.outcome for crowd in crowds])
@@ -173,7 +178,7 @@ def test_models_and_policies_of_ones_own_are_walked_by_workers(tmp_path: Path) -
         out=tmp_path,
     )  # fmt: skip
     names = sorted(path.name for path in (tmp_path / "rollouts").iterdir())
-    assert names == [f"given-OneByOne_given-Announcing_{seed}.parquet" for seed in (0, 1)]
+    assert names == [f"given-OneByOne_given-Announcing_full_{seed}.parquet" for seed in (0, 1)]
     assert (card.entries[0].spawn, card.entries[0].policy) == ("given:OneByOne", "given:Announcing")
 
 
@@ -208,7 +213,7 @@ def test_a_place_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
 
 
 def test_a_rollout_that_cannot_take_its_name_leaves_nothing_behind(tmp_path: Path) -> None:
-    (tmp_path / "rollouts" / "poisson-gmm_straight_0.parquet").mkdir(parents=True)
+    (tmp_path / "rollouts" / "poisson-gmm_straight_full_0.parquet").mkdir(parents=True)
     with pytest.raises(OutputError):
         evaluate("eth-v0", policy=["straight"], seeds=1, workers=1, out=tmp_path)
     assert [p for p in tmp_path.rglob("*") if p.is_file()] == []
@@ -225,6 +230,8 @@ def test_a_rollout_that_cannot_take_its_name_leaves_nothing_behind(tmp_path: Pat
         ({"spawn": []}, SettingError, "a pair that can walk"),
         ({"spawn": ["replay"]}, RecordingError, "crowdbench data import eth"),
         ({"seeds": 0}, SettingError, "seeds: got 0"),
+        ({"seeds": 12}, SettingError, "a multiple of 5"),
+        ({"protocol": "half"}, SettingError, "full or heldout"),
         ({"workers": 0}, SettingError, "workers: got 0"),
     ],
 )
@@ -235,3 +242,75 @@ def test_what_does_not_fit_is_refused_before_the_first_rollout(
     with pytest.raises(error, match=message):
         evaluate(**{"scene": "eth-v0", "out": out} | asked)
     assert not out.exists()
+
+
+def made_of(out: Path) -> dict[str, bytes]:
+    """All files but the one that tells when and where."""
+    return {
+        str(p.relative_to(out)): p.read_bytes()
+        for p in sorted(out.rglob("*"))
+        if p.is_file() and p.name != "run.json"
+    }
+
+
+def test_what_is_there_is_kept_and_what_is_missing_is_made(tmp_path: Path) -> None:
+    def run() -> dict[str, bytes]:
+        evaluate(
+            "plaza-v0", spawn=["poisson-gmm"], policy=["straight"], seeds=2, workers=1, out=tmp_path
+        )
+        return made_of(tmp_path)
+
+    whole = run()
+    kept, lost, broken, foreign = sorted((tmp_path / "rollouts").iterdir())[:2] * 2
+    since = kept.stat().st_mtime_ns
+    lost.unlink()
+    (tmp_path / "scorecard.json").unlink()
+    (tmp_path / "rollouts" / f".{kept.stem}-half.parquet").write_bytes(b"half a file")
+    assert run() == whole
+    assert kept.stat().st_mtime_ns == since
+    broken.write_bytes(b"no table")
+    assert run() == whole
+    # The rollout of another seed in this one's place.
+    foreign.write_bytes(kept.read_bytes())
+    assert run() == whole
+
+
+def test_folds_are_rolled_out_with_their_own_fits_and_random_numbers(tmp_path: Path) -> None:
+    card = evaluate(
+        "eth-v0", spawn=["renewal-gmm"], policy=["straight"], protocol="heldout", seeds=1,
+        workers=1, out=tmp_path,
+    )  # fmt: skip
+    crowds = [read_own(p) for p in sorted((tmp_path / "rollouts").iterdir())]
+    assert [c.provenance["part"] for c in crowds] == ["fold0", "fold1", "fold2"]
+    assert len({c.spawn_s[:5].tobytes() for c in crowds}) == 3
+    assert len(card.entries[0].metrics["dwell"].distances) == 3
+    assert card.entries[0].metrics["dwell"].energy is None  # one rollout tells nothing of chance
+
+
+def test_recorded_arrivals_are_walked_where_the_recording_is_at_hand(tmp_path: Path) -> None:
+    card = evaluate(
+        "plaza-v0", spawn=["poisson-gmm"], policy=["straight"], seeds=10, workers=2, out=tmp_path
+    )
+    crowd, walk = card.entries
+    assert (walk.spawn, walk.policy, walk.seeds) == ("replay", "straight", [0])
+    assert walk.metrics["speed"].energy is not None
+    assert crowd.metrics["speed"].energy is None  # judged under the recorded arrivals
+    first, second, *anchors = rows(card)
+    assert first.families["motion"].value == pytest.approx(0)
+    assert first.walk is not None
+    assert second.crowd is not None
+    assert {row.kind for row in anchors} == {"anchor"}
+    replayed = next(row for row in anchors if row.policy == "replay")
+    assert replayed.walk is not None
+    assert replayed.walk.value == pytest.approx(1)
+
+
+def test_without_the_recording_walking_has_no_score(tmp_path: Path) -> None:
+    card = evaluate(
+        "eth-v0", spawn=["poisson-gmm"], policy=["straight"], seeds=10, workers=2, out=tmp_path
+    )
+    (row, *_) = rows(card)
+    assert row.walk is None
+    assert row.overall is None
+    assert row.crowd is not None
+    assert row.crowd.value == pytest.approx(0, abs=1e-6)  # it is the anchor
