@@ -15,7 +15,7 @@ Uncertainty comes from 1,000 hierarchical resamples: of time blocks (the same fo
 that entries can be compared on them), of fits, and of rollouts within fits.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -32,7 +32,7 @@ NESTED_DRAWS = 20
 """Resamples of a resample, whose pairs give F there."""
 LOWEST = -1.0
 LEVEL = 0.05
-_CHUNK = 50  # resamples at a time: a GC-sized metric then fits into some 100 MB
+_NUMBERS = 4_000_000  # at a time: few large steps keep threads from waiting for each other
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +132,7 @@ def energy(
     centre = float(to_y.mean() - pair_mean(between).mean() / 2)
     chosen, inside = draws.fits(fits), draws.rollouts(fits, each)
     resampled = np.empty(RESAMPLES)
-    for start in range(0, RESAMPLES, _CHUNK):
-        part = slice(start, start + _CHUNK)
+    for part in embedded.chunks(RESAMPLES):
         to_y, between = split(embedded(draws.blocks[part]))
         r = np.arange(len(to_y))[:, None, None]
         fit, k = chosen[part][:, :, None], inside[part]
@@ -154,10 +153,8 @@ def floor(metric: Metric, recorded: Statistics, blocks: TimeBlocks, draws: Draws
         x = embedded(weights.reshape(n * count, -1))[:, 0].reshape(n, 1, count, -1)
         return pair_mean(_distances(x[:, 0, 0], x)[1])[:, 0] / 2
 
-    nested = [
-        half_means(np.stack([draws.nested(r, NESTED_DRAWS) for r in range(start, start + _CHUNK)]))
-        for start in range(0, RESAMPLES, _CHUNK)
-    ]
+    resamples = np.stack([draws.nested(r, NESTED_DRAWS) for r in range(RESAMPLES)])
+    nested = [half_means(resamples[part]) for part in embedded.chunks(RESAMPLES, NESTED_DRAWS)]
     centre = half_means(draws.blocks[None, :FLOOR_DRAWS])
     return Energy(float(centre[0]), np.concatenate(nested))
 
@@ -193,6 +190,12 @@ class Embedded:
             for name in recorded
         }
         return cls(metric, blocks, support, stacked, len(crowds), weight)
+
+    def chunks(self, resamples: int, rows: int = 1) -> Iterator[slice]:
+        """Runs of resamples, of so many rows each, that fit into memory together."""
+        numbers = max(values.shape[1] for values in self.stacked.values()) * rows
+        step = max(1, _NUMBERS // max(1, numbers))
+        return (slice(start, start + step) for start in range(0, resamples, step))
 
     def __call__(self, weights: Int[np.ndarray, "r B"]) -> Float[np.ndarray, "r n F"]:
         """One vector per resample and crowd, already weighted."""
