@@ -105,6 +105,7 @@ def _fit_models(
     if neural:
         from crowdbench.spawn import ntpp_training
 
+        settings = ntpp_training.SETTINGS
         total = len(PARTS) * ntpp_training.FITS
         tell(0, total)
     found: list[SpawnModel] = []
@@ -120,9 +121,11 @@ def _fit_models(
         ntpp: dict[str, list[NtppGMM]] = {part: [] for part in PARTS}
         for done in range(total):
             part, seed = PARTS[done // ntpp_training.FITS], done % ntpp_training.FITS
-            ntpp[part].append(ntpp_training.fit(arrivals[part], areas, place, seed=seed))
+            ntpp[part].append(
+                ntpp_training.fit(arrivals[part], areas, place, seed=seed, settings=settings)
+            )
             tell(done + 1, total)
-        NtppGMM.write(place.folder, ntpp, asdict(ntpp_training.SETTINGS))
+        NtppGMM.write(place.folder, ntpp, asdict(settings))
         found.append(ntpp["full"][0])
     return found
 

@@ -7,7 +7,9 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from models import arrivals_at
 
+from crowdbench.spawn import Arrivals
 from crowdbench.trajectories import OUTCOMES, PERSON_COLUMNS, Trajectories, from_rows
 
 # No deadline: a first call may compile, and how long a test takes is not what it tests.
@@ -90,6 +92,16 @@ def crowds(draw: st.DrawFn, dt_s: float | None = None) -> Trajectories:
         },
     )
     return replace(crowd, provenance=draw(st.dictionaries(st.text(), st.integers() | st.text())))
+
+
+@st.composite
+def arrivals_of_two_areas(draw: st.DrawFn) -> Arrivals:
+    """Any arrivals in disjoint stretches of a grid: none, several at once, in either area."""
+    stretches = draw(intervals(40))
+    points = [tick for start, stop in stretches for tick in range(start, stop)]
+    one = st.tuples(st.sampled_from(points), st.integers(0, 1))
+    ticks = sorted(draw(st.lists(one, max_size=30)))
+    return arrivals_at([t for t, _ in ticks], [k for _, k in ticks], stretches)
 
 
 def reordered(crowd: Trajectories, order: Sequence[int]) -> Trajectories:

@@ -96,10 +96,11 @@ def test_the_list_tells_what_is_imported(opentraj: Path, capsys: Printed) -> Non
 
 
 def test_a_scene_is_fitted_into_another_folder(tmp_path: Path, capsys: Printed) -> None:
-    assert main(["fit", "plaza-v0", "--out", str(tmp_path)]) == 0
+    models = ["--models", "poisson-gmm", "renewal-gmm"]
+    assert main(["fit", "plaza-v0", "--out", str(tmp_path), *models]) == 0
     assert re.search(rf"written to +{re.escape(str(tmp_path))}", capsys.readouterr().out)
     assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "areas.json", "poisson-gmm.json", "reference.json",
+        "areas.json", "poisson-gmm.json", "reference.json", "renewal-gmm.json",
     ]  # fmt: skip
 
 

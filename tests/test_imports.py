@@ -97,6 +97,21 @@ def test_importing_crowdbench_loads_nothing_heavy() -> None:
     assert loaded_by("import crowdbench") & set(HEAVY) == set()
 
 
+def test_spawn_models_load_neither_numba_nor_torch_before_they_need_them() -> None:
+    assert loaded_by("import crowdbench.spawn") & {"numba", "torch", "safetensors"} == set()
+
+
+def test_sampling_the_neural_model_needs_no_torch() -> None:
+    loaded = loaded_by(
+        "import crowdbench, numpy\n"
+        "scene = crowdbench.load_scene('plaza-v0')\n"
+        "model = crowdbench.spawn_model('ntpp-gmm', scene)\n"
+        "model.sample(40.0, scene, numpy.random.default_rng(0))"
+    )
+    assert "numba" in loaded
+    assert "torch" not in loaded
+
+
 def test_listing_scenes_loads_nothing_heavy() -> None:
     loaded = loaded_by("import crowdbench; crowdbench.load_scene(crowdbench.list_scenes()[0])")
     assert loaded & set(HEAVY) == set()

@@ -1,4 +1,3 @@
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -192,43 +191,6 @@ def test_samples_of_eth_have_its_arrivals_per_observed_minute_and_area(eth, scen
     recorded = recorded / (arrivals.exposure_s() / 60)
     assert count.sum() / minutes == pytest.approx(recorded.sum(), rel=0.05)
     assert (np.abs(count / minutes - recorded) <= 3 * np.sqrt(recorded / minutes)).all()
-
-
-def test_rates_come_back_from_their_file_as_they_were(folder, model, areas):
-    model.write(folder)
-    back = PoissonGMM.read(load_scene(folder), areas)
-    np.testing.assert_array_equal(back.rate, model.rate)
-
-
-def test_rates_that_are_missing_say_how_to_get_them(folder, areas):
-    with pytest.raises(WeightsError) as caught:
-        PoissonGMM.read(load_scene(folder), areas)
-    assert caught.value.got == "no such file"
-    assert "crowdbench fit " in caught.value.mend
-
-
-BROKEN = {
-    "scene": ("scene", "zara01-v0", "poisson-gmm of zara01-v0"),
-    "model": ("model", "ntpp-gmm", "ntpp-gmm of eth-v0"),
-    "schema": ("schema", 99, "schema 99"),
-    "unknown field": ("colour", "red", "colour"),
-    "text": ("rate_per_s", "fast", "$.rate_per_s"),
-    "one area too many": ("rate_per_s", [0.1, 0.1, 0.1], "shape (3,)"),
-    "nan": ("rate_per_s", [0.1, None], "$.rate_per_s"),
-    "negative": ("rate_per_s", [0.1, -0.1], "a negative rate"),
-}
-
-
-@pytest.mark.parametrize(("field", "value", "got"), BROKEN.values(), ids=BROKEN)
-def test_rates_that_are_broken_are_refused(folder, model, areas, field, value, got):
-    model.write(folder)
-    path = folder / "poisson-gmm.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {field: value}))
-    with pytest.raises(WeightsError) as caught:
-        PoissonGMM.read(load_scene(folder), areas)
-    assert str(path) in caught.value.where
-    assert got in caught.value.got
-    assert "crowdbench fit " in caught.value.mend
 
 
 def test_rates_that_are_no_json_are_refused(folder, areas):

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from crowdbench.blocks import PARTS
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.policies import ReplayPolicy
 from crowdbench.recordings.catalogue import cached
@@ -80,6 +81,27 @@ def test_a_scenes_recording_knows_its_areas(imported: Path) -> None:
 @pytest.mark.parametrize("name", SPAWN_MODELS)
 def test_each_listed_spawn_model_is_found(name: str, imported: Path) -> None:
     assert spawn_model(name, "plaza-v0").name == name
+
+
+@pytest.mark.parametrize("name", [name for name in SPAWN_MODELS if name != "replay"])
+def test_each_part_has_a_spawn_model_of_its_own(name: str, imported: Path) -> None:
+    drawn = set()
+    for part in PARTS:
+        model = spawn_model(name, "plaza-v0", part)
+        events = model.sample(200.0, load_scene("plaza-v0"), np.random.default_rng(0))
+        drawn.add(events.time_s.tobytes())
+    assert len(drawn) == len(PARTS)
+
+
+@pytest.mark.parametrize("name", SPAWN_MODELS)
+def test_a_part_that_is_none_is_refused(name: str) -> None:
+    with pytest.raises(SettingError, match="one of full, fold0, fold1, fold2"):
+        spawn_model(name, "plaza-v0", "fold7")
+
+
+def test_block_replay_needs_the_recording() -> None:
+    with pytest.raises(RecordingError, match="crowdbench data import eth"):
+        spawn_model("block-replay", "eth-v0")
 
 
 @pytest.mark.parametrize("name", POLICIES)

@@ -9,7 +9,7 @@ be longer (larger); that is enough for its log-likelihood and for rescaling its 
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -94,6 +94,7 @@ class Hazards:
         return float(total)
 
 
+@runtime_checkable  # tests check annotations at run time
 class HasHazards(Protocol):
     """A model that says what it expected of each group before it came."""
 

@@ -134,7 +134,7 @@ class NtppGMM:
 
     @classmethod
     def write(
-        cls, folder: Path, fits: "Fits[NtppGMM]", settings: Mapping[str, float] | None = None
+        cls, folder: Path, fits: "Fits[NtppGMM]", settings: Mapping[str, int | float] | None = None
     ) -> None:
         """Write all fits of all parts into a scene's folder.
 
@@ -205,7 +205,7 @@ class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     scene: str
     fits: int
     grid_s: float
-    settings: dict[str, float]
+    settings: dict[str, int | float]
 
 
 def _decode(path: Path, data: bytes, how: str) -> tuple[_Header, dict[str, np.ndarray]]:

@@ -173,7 +173,8 @@ def _most_likely(spells: Spells, mean: float) -> tuple[float, float]:
         shape = float(np.exp(log_shape))
         scale = _scale(shape, mean)
         gap, rest = _gap_hazards(spells, np.array([shape]), np.array([scale]))
-        likelihood = Hazards(gap, np.array([[0.0, np.inf]]), rest).log_probability()
+        any_size = np.broadcast_to([0.0, np.inf], gap.shape)
+        likelihood = Hazards(gap, any_size, rest).log_probability()
         return 0.5 * (log_shape / SPREAD) ** 2 - likelihood
 
     bounds = tuple(np.log(SHAPES))

@@ -1,0 +1,61 @@
+"""Small spawn models and arrivals for tests: two areas of ETH, each the other's goal."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from crowdbench.spawn import Areas, Arrivals, NtppGMM, PoissonGMM, RenewalGMM
+from crowdbench.spawn.areas import Gaussians
+from crowdbench.spawn.ntpp import SHAPES
+
+GRID_S = 0.4
+_BOTH = Gaussians(np.array([[3.0, 5.0], [11.0, 6.0]]), np.stack([np.eye(2), np.eye(2)]))
+AREAS = Areas(
+    scene="eth-v0",
+    spawn=_BOTH,
+    goal=_BOTH,
+    flow=np.array([[0.0, 1.0], [1.0, 0.0]]),
+    speed_quantiles=np.linspace(1.0, 1.5, 101),
+    left_out=(0.0, 0.0),
+)
+
+
+def arrivals_at(
+    tick: Sequence[int], area: Sequence[int], windows: Sequence[tuple[int, int]]
+) -> Arrivals:
+    """Arrivals at grid points of two areas."""
+    return Arrivals(
+        tick=np.array(tick, dtype=np.int64),
+        area=np.array(area, dtype=np.int64),
+        windows=np.array(windows),
+        areas=2,
+        grid_s=GRID_S,
+    )
+
+
+def poisson(next_member: float = 0.0) -> PoissonGMM:
+    """Rates so low that nearly nobody is a group; `next_member` only makes the models alike."""
+    return PoissonGMM(AREAS, np.array([0.5, 0.02]))
+
+
+def renewal(next_member: float = 0.3) -> RenewalGMM:
+    """Bursty in one area, regular in the other."""
+    return RenewalGMM(
+        areas=AREAS,
+        shape=np.array([0.6, 1.7]),
+        scale_s=np.array([1.1, 4.0]),
+        next_member=np.full(2, next_member),
+        grid_s=GRID_S,
+    )
+
+
+def random_ntpp(next_member: float = 0.3, seed: int = 0, spread: float = 0.6) -> NtppGMM:
+    """A network with weights as large as trained ones, that depends on its past."""
+    rng = np.random.default_rng(seed)
+    weights = {name: spread * rng.standard_normal((2, *shape)) for name, shape in SHAPES.items()}
+    weights["out_weight"] *= 0.4
+    weights["out_bias"] *= 0
+    odds = np.log(next_member / (1 - next_member))
+    weights["base"] = np.array([[0.0, np.log(3.0), odds], [-0.3, np.log(5.0), odds]])
+    weights["scaling"] = np.array([[1.0, 0.8, 0.2, 0.4], [1.5, 1.1, 0.3, 0.5]])
+    return NtppGMM(AREAS, {k: w.astype(np.float32) for k, w in weights.items()}, GRID_S)

@@ -1,0 +1,159 @@
+"""The fits that scenes ship: as many people as recorded, better than Poisson, and made by `fit`."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crowdbench import registry
+from crowdbench.blocks import PARTS
+from crowdbench.errors import SettingError
+from crowdbench.fit import fit_scene
+from crowdbench.recordings.catalogue import SOURCES, read_published
+from crowdbench.registry import FITTED, blocks_of, recording, spawn_model
+from crowdbench.scene import Scene, load_scene
+from crowdbench.spawn import Arrivals, NtppGMM, arrivals_of, fit_areas, ntpp_training
+from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.ntpp import SHAPES
+from crowdbench.spawn.ntpp_training import FITS, Settings
+from crowdbench.trajectories import Trajectories
+
+PLAZA, ETH = load_scene("plaza-v0"), load_scene("eth-v0")
+FRAMES = 25
+
+
+class Case:
+    """A scene with its recording, and the arrivals that each part was fitted to."""
+
+    def __init__(self, scene: Scene, crowd: Trajectories) -> None:
+        self.scene = scene
+        _, self.crowd = fit_areas(crowd, scene, scene.clustering["default"])
+        self.blocks = blocks_of(self.crowd, scene)
+        self.areas = len(read_areas(scene).spawn)
+
+    def arrivals(self, part: str, scored: bool = False) -> Arrivals:
+        blocks = self.blocks.scored(part) if scored else self.blocks.training(part)
+        return arrivals_of(self.crowd, blocks, self.areas)
+
+
+@pytest.fixture(scope="module")
+def plaza() -> Case:
+    return Case(PLAZA, recording("plaza"))
+
+
+@pytest.fixture(scope="module")
+def eth(opentraj: Path) -> Case:
+    return Case(ETH, read_published(SOURCES["eth"], opentraj))
+
+
+@pytest.fixture(scope="module", params=["plaza", "eth"])
+def case(request: pytest.FixtureRequest) -> Case:
+    found: Case = request.getfixturevalue(request.param)
+    return found
+
+
+@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("name", FITTED)
+def test_samples_have_the_recorded_persons_per_minute_and_area_from_the_first_frames_on(
+    case: Case, name: str, part: str
+) -> None:
+    arrivals, scene = case.arrivals(part), case.scene
+    count, early, samples = np.zeros(case.areas), 0, 0
+    for fit in range(FITS):
+        model = spawn_model(name, scene, part, fit)
+        for seed in range(20):
+            events = model.sample(scene.horizon_s, scene, np.random.default_rng([fit, seed]))
+            count += np.bincount(events.spawn_area, minlength=case.areas)
+            early += int((events.time_s < FRAMES * scene.dt_s - 1e-9).sum())
+            samples += 1
+    recorded = np.bincount(arrivals.area, minlength=case.areas) / arrivals.exposure_s()
+    sampled = count / samples / scene.horizon_s
+    assert sampled.sum() == pytest.approx(recorded.sum(), rel=0.1)
+    often = np.bincount(arrivals.area, minlength=case.areas) >= 30
+    np.testing.assert_allclose(sampled[often], recorded[often], rtol=0.1)
+    # An area of a few people: groups make its count vary by at most about five times its mean.
+    error = np.sqrt(5 * recorded / samples / scene.horizon_s)
+    assert (np.abs(sampled - recorded)[~often] < 4 * error[~often]).all()
+    # The first frames must be no burst: with a group in every area they would have 2 to 3 times.
+    per_frame = early / samples / FRAMES / scene.dt_s
+    assert per_frame == pytest.approx(sampled.sum(), rel=0.3)
+
+
+@pytest.mark.parametrize("name", ["renewal-gmm", "ntpp-gmm"])
+def test_fits_explain_what_they_have_not_seen_better_than_poisson(case: Case, name: str) -> None:
+    for part in PARTS[1:]:
+        held_out = case.arrivals(part, scored=True)
+        poisson = spawn_model("poisson-gmm", case.scene, part).log_likelihood(held_out)
+        for fit in range(FITS):
+            found = spawn_model(name, case.scene, part, fit).log_likelihood(held_out)
+            assert found > poisson + 0.4
+
+
+@pytest.mark.parametrize(("part", "seed"), [("full", 0), ("fold1", 3)])
+def test_another_training_gives_the_shipped_likelihood(case: Case, part: str, seed: int) -> None:
+    # Torch's last bits differ between machines, and training amplifies them a little.
+    arrivals = case.arrivals(part)
+    areas = read_areas(case.scene)
+    again = ntpp_training.fit(arrivals, areas, case.scene, seed=seed)
+    shipped = spawn_model("ntpp-gmm", case.scene, part, seed)
+    assert again.log_likelihood(arrivals) == pytest.approx(
+        shipped.log_likelihood(arrivals), abs=0.005
+    )
+
+
+def test_the_fits_of_a_part_differ() -> None:
+    areas = read_areas(PLAZA)
+    weights = [NtppGMM.read(PLAZA, areas, "full", fit).weights for fit in range(FITS)]
+    for name in ("state_weight", "base"):
+        assert len({w[name].tobytes() for w in weights}) == FITS
+
+
+def test_a_fold_is_fitted_without_its_scored_blocks(plaza: Case) -> None:
+    # The rate of each part is that of its own training blocks.
+    for part in PARTS:
+        arrivals = plaza.arrivals(part)
+        count = np.bincount(arrivals.area, minlength=plaza.areas)
+        model = registry.spawn_model("poisson-gmm", PLAZA, part)
+        np.testing.assert_allclose(model.rate, count / arrivals.exposure_s())  # type: ignore[union-attr]
+
+
+def test_neural_fits_are_made_for_every_part_and_told_of(
+    plaza: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ntpp_training, "FITS", 2)
+    monkeypatch.setattr(
+        ntpp_training, "SETTINGS", Settings(epochs=3, patience=1, calibration_points=2000)
+    )
+    told: list[tuple[int, int]] = []
+    found = fit_scene(
+        PLAZA,
+        plaza.crowd,
+        models=["ntpp-gmm"],
+        out=tmp_path,
+        progress=lambda done, total: told.append((done, total)),
+    )
+    assert told == [(k, 8) for k in range(9)]
+    assert "nats per person" in found["ntpp-gmm"]
+    place, areas = replace(PLAZA, folder=tmp_path), read_areas(PLAZA)
+    for part in PARTS:
+        one, two, round_again = (NtppGMM.read(place, areas, part, k) for k in range(3))
+        assert not np.array_equal(one.weights["base"], two.weights["base"])
+        assert all(np.array_equal(one.weights[n], round_again.weights[n]) for n in SHAPES)
+
+
+def test_without_torch_nothing_is_done_and_the_way_out_is_said(
+    plaza: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(SettingError, match=r"Install crowdbench\[fit\]"):
+        fit_scene(PLAZA, plaza.crowd, out=tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    fit_scene(PLAZA, plaza.crowd, out=tmp_path, models=["poisson-gmm"])
+    assert (tmp_path / "poisson-gmm.json").exists()
+
+
+def test_models_that_nobody_fits_are_refused(plaza: Case, tmp_path: Path) -> None:
+    with pytest.raises(SettingError, match="some of poisson-gmm, renewal-gmm, ntpp-gmm"):
+        fit_scene(PLAZA, plaza.crowd, out=tmp_path, models=["replay"])

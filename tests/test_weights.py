@@ -1,0 +1,216 @@
+"""Files with fits per part: read back as written, refused when broken, whatever the model."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from models import AREAS, random_ntpp, renewal
+from safetensors.numpy import load_file, save_file
+
+from crowdbench.blocks import PARTS
+from crowdbench.errors import SettingError, WeightsError
+from crowdbench.scene import Scene, load_scene
+from crowdbench.spawn import NtppGMM, PoissonGMM, RenewalGMM
+from crowdbench.spawn.ntpp import SHAPES
+
+ETH = load_scene("eth-v0")
+FILES = ("poisson-gmm.json", "renewal-gmm.json", "ntpp-gmm.safetensors")
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Scene:
+    """A scene with all three files, each part and fit with numbers of its own."""
+    (tmp_path / "scene.toml").write_bytes((ETH.folder / "scene.toml").read_bytes())
+    write_all(tmp_path)
+    return load_scene(tmp_path)
+
+
+def write_all(folder: Path) -> None:
+    rates = {part: PoissonGMM(AREAS, np.array([0.5, 0.01 * k])) for k, part in enumerate(PARTS)}
+    PoissonGMM.write(folder, {part: [model] for part, model in rates.items()})
+    members = {part: renewal(0.1 + 0.1 * k) for k, part in enumerate(PARTS)}
+    RenewalGMM.write(folder, {part: [model] for part, model in members.items()})
+    fits = {part: [random_ntpp(seed=10 * k + f) for f in range(2)] for k, part in enumerate(PARTS)}
+    NtppGMM.write(folder, fits, {"window_frames": 100})
+
+
+@pytest.mark.parametrize(("k", "part"), list(enumerate(PARTS)))
+def test_each_part_comes_back_as_it_was(place: Scene, k: int, part: str) -> None:
+    assert PoissonGMM.read(place, AREAS, part).rate.tolist() == [0.5, 0.01 * k]
+    back, written = RenewalGMM.read(place, AREAS, part), renewal(0.1 + 0.1 * k)
+    for name in ("shape", "scale_s", "next_member"):
+        assert np.array_equal(getattr(back, name), getattr(written, name))
+    for fit in range(2):
+        one, other = NtppGMM.read(place, AREAS, part, fit), random_ntpp(seed=10 * k + fit)
+        assert all(np.array_equal(one.weights[name], other.weights[name]) for name in SHAPES)
+
+
+def test_fits_are_counted_round(place: Scene) -> None:
+    one, again = (NtppGMM.read(place, AREAS, "fold1", fit) for fit in (1, 3))
+    assert np.array_equal(one.weights["base"], again.weights["base"])
+    assert RenewalGMM.read(place, AREAS, "fold1", 7).shape.tolist() == [0.6, 1.7]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_same_fits_make_the_same_bytes(place: Scene, name: str) -> None:
+    before = (place.folder / name).read_bytes()
+    write_all(place.folder)
+    assert (place.folder / name).read_bytes() == before
+
+
+@pytest.mark.parametrize("model", [PoissonGMM, RenewalGMM, NtppGMM])
+@pytest.mark.parametrize(("part", "fit"), [("fold3", 0), ("full", -1)])
+def test_parts_and_fits_that_no_model_has_are_refused(
+    place: Scene, model: Any, part: str, fit: int
+) -> None:
+    with pytest.raises(SettingError):
+        model.read(place, AREAS, part, fit)
+
+
+@pytest.mark.parametrize("model", [PoissonGMM, RenewalGMM, NtppGMM])
+def test_missing_files_say_how_to_get_them(place: Scene, model: Any) -> None:
+    for name in FILES:
+        (place.folder / name).unlink()
+    with pytest.raises(WeightsError, match="no such file") as caught:
+        model.read(place, AREAS)
+    assert "crowdbench fit " in caught.value.mend
+
+
+def change(place: Scene, name: str, field: str, value: object) -> None:
+    path = place.folder / f"{name}.json"
+    content = json.loads(path.read_text())
+    inner = content
+    *way, last = field.split(".")
+    for key in way:
+        inner = inner[key]
+    if value is None:
+        del inner[last]
+    else:
+        inner[last] = value
+    path.write_text(json.dumps(content))
+
+
+BROKEN = {
+    "scene": ("scene", "zara01-v0", "of zara01-v0"),
+    "model": ("model", "other", "other of eth-v0"),
+    "schema 1": ("schema", 1, "schema 1"),
+    "unknown field": ("colour", "red", "colour"),
+    "a fold missing": ("parts.fold1", None, "fold0, fold2, full"),
+    "another part": ("parts.fold9", {}, "fold9"),
+    "a number too many": ("parts.full.next_moon", [1.0, 1.0], "next_moon"),
+    "not one per area": ("parts.fold2.{name}", [0.1, 0.1, 0.1], "shape (3,)"),
+    "text": ("parts.full.{name}", "fast", "parts"),
+    "negative": ("parts.full.{name}", [0.1, -0.1], "other numbers"),
+}
+
+
+@pytest.mark.parametrize(("field", "value", "got"), BROKEN.values(), ids=BROKEN)
+@pytest.mark.parametrize(
+    ("kind", "number"), [(PoissonGMM, "rate_per_s"), (RenewalGMM, "shape"), (RenewalGMM, "scale_s")]
+)
+def test_broken_json_is_refused(
+    place: Scene, kind: Any, number: str, field: str, value: object, got: str
+) -> None:
+    name = {PoissonGMM: "poisson-gmm", RenewalGMM: "renewal-gmm"}[kind]
+    change(place, name, field.format(name=number), value)
+    with pytest.raises(WeightsError) as caught:
+        kind.read(place, AREAS)
+    assert str(place.folder) in caught.value.where
+    assert got in caught.value.got
+    assert "crowdbench fit " in caught.value.mend
+
+
+def test_probabilities_beyond_one_are_refused(place: Scene) -> None:
+    change(place, "renewal-gmm", "parts.full.next_member", [0.2, 1.0])
+    with pytest.raises(WeightsError, match=r"probabilities in \(0, 1\)"):
+        RenewalGMM.read(place, AREAS)
+
+
+def test_rates_of_the_first_schema_are_told_from_broken_ones(place: Scene) -> None:
+    old = {"schema": 1, "model": "poisson-gmm", "scene": "eth-v0", "rate_per_s": [0.1, 0.2]}
+    (place.folder / "poisson-gmm.json").write_text(json.dumps(old))
+    with pytest.raises(WeightsError, match="got schema 1; expected schema 2, with fits per fold"):
+        PoissonGMM.read(place, AREAS)
+
+
+def altered(place: Scene, name: str, array: np.ndarray | None, header: object = None) -> None:
+    """Write the neural weights anew with one tensor replaced or left out."""
+    from safetensors import safe_open
+
+    path = place.folder / "ntpp-gmm.safetensors"
+    with safe_open(path, framework="numpy") as file:
+        metadata = file.metadata()
+    tensors = load_file(path)
+    if array is None:
+        tensors.pop(name, None)
+    else:
+        tensors[name] = array
+    if header is not None:
+        own = json.loads(metadata["crowdbench"]) | header  # type: ignore[operator]
+        metadata = {"crowdbench": json.dumps(own)}
+    save_file(tensors, path, metadata=metadata)
+
+
+def nan_in(shape: tuple[int, ...]) -> np.ndarray:
+    array = np.ones(shape, np.float32)
+    array.flat[-1] = np.nan
+    return array
+
+
+TENSORS = {
+    "missing": ("fold2.1.base", None, "1 tensors missing or unknown, among them fold2.1.base"),
+    "unknown": ("fold2.7.base", np.ones((2, 3), np.float32), "fold2.7.base"),
+    "shape": ("full.0.initial", np.ones((2, 31), np.float32), "float32 of shape (2, 31)"),
+    "areas": ("full.0.initial", np.ones((3, 32), np.float32), "float32 of shape (3, 32)"),
+    "kind": ("full.0.initial", np.ones((2, 32), np.float64), "float64 of shape (2, 32)"),
+    "nan": ("fold0.1.out_bias", nan_in((2, 3)), "NaN or infinity"),
+    "spread": ("full.1.scaling", np.zeros((2, 4), np.float32), "a spread of 0 or less"),
+}
+
+
+@pytest.mark.parametrize(("name", "array", "got"), TENSORS.values(), ids=TENSORS)
+def test_broken_tensors_are_refused_in_whatever_part_they_are(
+    place: Scene, name: str, array: np.ndarray | None, got: str
+) -> None:
+    altered(place, name, array)
+    with pytest.raises(WeightsError) as caught:
+        NtppGMM.read(place, AREAS)
+    assert got in caught.value.got
+    assert "crowdbench fit " in caught.value.mend
+
+
+HEADERS = {
+    "scene": ({"scene": "zara01-v0"}, "ntpp-gmm of zara01-v0"),
+    "model": ({"model": "other"}, "other of eth-v0"),
+    "schema": ({"schema": 9}, "schema 9"),
+    "grid": ({"grid_s": 0.1}, "a grid of 0.1 s"),
+    "no fits": ({"fits": 0}, "0 fits"),
+    "unknown field": ({"colour": "red"}, "colour"),
+}
+
+
+@pytest.mark.parametrize(("header", "got"), HEADERS.values(), ids=HEADERS)
+def test_tensors_of_something_else_are_refused(
+    place: Scene, header: dict[str, object], got: str
+) -> None:
+    altered(place, "nothing", None, header)
+    with pytest.raises(WeightsError) as caught:
+        NtppGMM.read(place, AREAS)
+    assert got in caught.value.got
+
+
+@pytest.mark.parametrize("keep", [0, 4, 100, 5000, -1])
+def test_truncated_tensors_are_refused(place: Scene, keep: int) -> None:
+    path = place.folder / "ntpp-gmm.safetensors"
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(WeightsError, match="no readable weights"):
+        NtppGMM.read(place, AREAS)
+
+
+def test_tensors_without_our_header_are_refused(place: Scene) -> None:
+    path = place.folder / "ntpp-gmm.safetensors"
+    save_file(load_file(path), path)
+    with pytest.raises(WeightsError, match="expected safetensors with crowdbench's header"):
+        NtppGMM.read(place, AREAS)
