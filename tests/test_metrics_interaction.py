@@ -63,6 +63,11 @@ def test_the_speed_that_makes_strangers_is_0_7_metres_per_second():
     assert approaches(passing(*fast)) == [[30]]
 
 
+def test_velocities_are_those_of_a_life():
+    # Three are seen once, two of them side by side: no row tells that anyone moves.
+    assert approaches(crowd_of([(0, 0)] * 3, xy=np.array([(50, 0), (0, 0), (0.5, 0)]))) == [[]]
+
+
 def test_two_people_who_part_and_meet_again_have_two_encounters():
     assert approaches(passing(-4, -2, 0, 2, 4, 6, 4, 2, 0.5, -2, -4)) == [[30, 58]]
 

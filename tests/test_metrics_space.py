@@ -41,6 +41,12 @@ def test_occupancy_has_cells_on_whole_metres_below_zero_too():
     assert sample(Occupancy(), crowd, THREE, place) == [[4, 7, 7]]
 
 
+def test_occupancy_tells_a_cell_that_a_bound_cuts_from_the_margin():
+    place = Place(spawn_areas=0, goal_areas=0, bounds_m=(0.5, 1.5, 0.0, 1.0))  # x to 3
+    crowd = walking((0.2, 0.5), (1.7, 0.5), (2.2, 0.5))
+    assert sample(Occupancy(), crowd, THREE, place) == [[4, 7, 10]]
+
+
 def test_occupancy_gathers_what_is_beyond_the_bounds_in_a_margin_of_one_cell():
     crowd = walking((-0.5, 0.5), (-7.0, 0.5), (1.5, 1e30))
     assert sample(Occupancy(), crowd, THREE, SQUARE) == [[1, 1, 11]]
