@@ -130,7 +130,8 @@ class Trajectories:
         steps = np.linalg.norm(np.diff(self.xy.astype(np.float64), axis=0), axis=1)
         person = self.row_person()
         same = np.diff(person) == 0
-        return np.bincount(person[1:][same], steps[same], minlength=len(self))
+        lengths = np.bincount(person[1:][same], steps[same], minlength=len(self))
+        return lengths.astype(np.float64)  # of no step at all numpy makes integers
 
     def mean_speeds(self) -> Float[np.ndarray, " P"]:
         """Path length over life, m/s; NaN for a life of a single row."""

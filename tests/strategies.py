@@ -43,7 +43,7 @@ def crowd_of(
         observed=None if observed is None else np.array(observed),
         person_id=np.repeat(np.arange(len(lives)) if person_id is None else person_id, sizes),
         frame=np.concatenate([np.arange(first, last + 1) for first, last in lives]),
-        xy=np.zeros((sum(sizes), 2)) if xy is None else xy,
+        xy=np.zeros((sum(sizes), 2)) if xy is None else np.asarray(xy, dtype=np.float64),
         persons={name: np.repeat(values, sizes) for name, values in (persons or {}).items()},
         where="test",
     )

@@ -1,209 +1,245 @@
-import math
-from dataclasses import replace
+"""What holds for all metrics. What each of them measures, the tests of its family say."""
+
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from comparisons import (
+    BLOCKS,
+    BUSY,
+    BUSY_TOO,
+    PLACE,
+    any_crowds,
+    mingling,
+    mingling_crowds,
+    nobody,
+    score,
+    whole,
+)
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from scipy.stats import wasserstein_distance
-from strategies import crowd_of, crowds, later, reordered
+from strategies import later, reordered
 
-from crowdbench.blocks import TimeBlocks, cut
-from crowdbench.metrics import METRICS, AgentsOverTime, Dwell, InterSpawn, Metric, distance
-from crowdbench.metrics.lattice import (
-    histograms,
-    kaplan_meier,
-    mean,
-    normalised,
-    relative_wasserstein1,
-    wasserstein1,
+from crowdbench.metrics import (
+    FAMILIES,
+    METRICS,
+    Metric,
+    Place,
+    Statistics,
+    Sums,
+    Support,
+    metrics_for,
+    total,
 )
 from crowdbench.trajectories import Trajectories
 
-COUNTS = arrays(np.int64, st.integers(1, 12), elements=st.integers(0, 9))
-BLOCK = cut(np.array([[0, 10]]), block_s=10.0, dt_s=1.0, grid_s=1.0)
-# One is there at the start, one stays to the end.
-SOME = crowd_of([(0, 3), (2, 5), (2, 9), (6, 7)], frames=10)
+NOBODY = nobody()
+FEW = settings(max_examples=15)
 
 each_metric = pytest.mark.parametrize("metric", METRICS, ids=lambda metric: metric.name)
+two_crowds = st.tuples(any_crowds, any_crowds)
 
 
-def blocks_of(crowd: Trajectories, block_s: float = 8.0) -> TimeBlocks:
-    return cut(crowd.observed, block_s=block_s, dt_s=crowd.dt_s, grid_s=crowd.grid_s)
+def aligned(metric: Metric, *crowds: Trajectories) -> tuple[list[Statistics], Support]:
+    """The crowds' statistics on one support."""
+    return metric.aligned([metric.summarise(crowd, BLOCKS, PLACE) for crowd in crowds], BLOCKS)
 
 
-def nobody() -> Trajectories:
-    return replace(
-        SOME,
-        person_id=np.empty(0, np.int64),
-        first=np.empty(0, np.int64),
-        offsets=np.zeros(1, np.int64),
-        xy=np.empty((0, 2), np.float32),
-        **{
-            name: getattr(SOME, name)[:0]
-            for name in ("spawn_area", "goal_area", "entered", "left", "requested_s", "spawn_s")
-        },
-        outcome=SOME.outcome[:0],
-    )
+def weighted(metric: Metric, x: Sums, y: Sums, recorded: Sums, support: Support) -> float:
+    """The distance of x and y with the weights of a third crowd."""
+    weights = metric.weights(recorded, support, BLOCKS)
+    difference = metric.embed(x, support, BLOCKS) - metric.embed(y, support, BLOCKS)
+    return float((np.abs(difference) * weights).sum())
 
 
-def test_agents_over_time_compares_the_distributions_of_n():
-    # SOME has N = 1 in four frames, 2 in four and 3 in two; the other has 1 in all.
-    result = distance(AgentsOverTime(), SOME, crowd_of([(0, 9)]), BLOCK)
-    assert result.recorded == pytest.approx(1.8)
-    assert result.simulated == pytest.approx(1.0)
-    assert result.distance == pytest.approx(0.8 / 1.8)
-    assert result.n == 10
+def test_names_are_unique_and_families_in_order():
+    assert len({metric.name for metric in METRICS}) == len(METRICS)
+    assert list(dict.fromkeys(metric.family for metric in METRICS)) == list(FAMILIES)
 
 
-def test_agents_over_time_counts_empty_frames():
-    result = distance(AgentsOverTime(), SOME, crowd_of([(1, 5)], frames=10), BLOCK)
-    assert result.simulated == pytest.approx(0.5)
-
-
-def test_agents_over_time_takes_a_crowd_as_empty_beyond_its_end():
-    result = distance(AgentsOverTime(), SOME, crowd_of([(0, 4)], frames=5), BLOCK)
-    assert result.simulated == pytest.approx(0.5)
-
-
-def test_agents_over_time_looks_at_observed_frames_only():
-    blocks = cut(np.array([[0, 2], [8, 10]]), block_s=10.0, dt_s=1.0, grid_s=1.0)
-    assert distance(AgentsOverTime(), SOME, SOME, blocks).recorded == 1.0
-
-
-def test_inter_spawn_compares_gaps_between_arrivals():
-    # Arrivals at 2, 2, 6: gaps 0 and 4. The other's at 1, 4, 7: gaps 3 and 3.
-    other = crowd_of([(1, 2), (4, 5), (7, 8)], frames=10)
-    result = distance(InterSpawn(), SOME, other, BLOCK)
-    assert result.recorded == pytest.approx(2.0)
-    assert result.simulated == pytest.approx(3.0)
-    assert result.distance == pytest.approx(((3 - 0) + (4 - 3)) / 2 / 2.0)
-    assert result.n == 2
-
-
-def test_inter_spawn_takes_no_gap_between_two_blocks():
-    crowd = crowd_of([(2, 9), (4, 9), (11, 12), (12, 13)], frames=20)
-    blocks = cut(crowd.observed, block_s=10.0, dt_s=1.0, grid_s=1.0)
-    assert InterSpawn().summarise(crowd, blocks)["gaps"].tolist() == [[0, 0, 1], [0, 1, 0]]
-
-
-def test_inter_spawn_is_in_seconds():
-    crowd = crowd_of([(2, 9), (6, 9)], frames=10, dt_s=0.4)
-    assert distance(InterSpawn(), crowd, crowd, blocks_of(crowd)).recorded == pytest.approx(1.6)
-
-
-def test_dwell_is_kaplan_meiers_over_those_who_enter():
-    # Lives of 3 and 1, and one of 7 that is cut off: a third of the mass each.
-    result = distance(Dwell(), SOME, crowd_of([(1, 3)], frames=10), BLOCK)
-    assert result.recorded == pytest.approx(11 / 3)
-    assert result.simulated == pytest.approx(2.0)
-    assert result.distance == pytest.approx((1 + 1 + 5) / 3 / (11 / 3))
-    assert result.n == 1
-
-
-def test_dwell_follows_lives_past_their_block():
-    crowd = crowd_of([(2, 15), (11, 12)], frames=20)
-    blocks = cut(crowd.observed, block_s=10.0, dt_s=1.0, grid_s=1.0)
-    ended = Dwell().summarise(crowd, blocks)["ended"]
-    assert [np.flatnonzero(row).tolist() for row in ended] == [[13], [1]]
+def test_short_blocks_can_tell_nothing_by_some_metrics():
+    missing = {m.name for m in METRICS} - {m.name for m in metrics_for(whole(20, block_s=10.0))}
+    assert missing == {"fano_60_s", "autocorrelation"}
+    assert metrics_for(BLOCKS) == METRICS
 
 
 @each_metric
-@given(crowd=crowds())
-def test_a_crowd_has_no_distance_to_itself(metric: Metric, crowd: Trajectories):
-    assert distance(metric, crowd, crowd, blocks_of(crowd)).distance == 0
+def test_the_crowds_of_these_tests_give_each_metric_something_to_see(metric):
+    # Otherwise what follows would hold of nothing.
+    for crowd in (BUSY, BUSY_TOO):
+        for values in metric.summarise(crowd, BLOCKS, PLACE).values():
+            assert values[:, 1:].any()
+    assert 0 < score(metric, BUSY, BUSY_TOO).distance < np.inf
+    assert 0 < score(metric, BUSY, NOBODY).distance < np.inf
 
 
 @each_metric
-@given(crowd=crowds(dt_s=0.4), data=st.data())
-def test_the_order_of_persons_changes_nothing(metric: Metric, crowd: Trajectories, data):
+@FEW
+@example(crowd=BUSY)
+@given(crowd=any_crowds)
+def test_a_crowd_has_no_distance_to_itself(metric, crowd):
+    assert score(metric, crowd, crowd).distance == 0
+
+
+@each_metric
+def test_nobody_has_no_distance_to_nobody(metric):
+    assert score(metric, NOBODY, NOBODY).distance == 0
+
+
+@each_metric
+@FEW
+@example(crowds=(BUSY, NOBODY))
+@given(crowds=two_crowds)
+def test_no_distance_is_negative_or_undefined(metric, crowds):
+    result = score(metric, *crowds)
+    assert result.distance >= 0
+    assert result.n >= 0
+    shows_nothing = metric.name in ("origin_destination", "occupancy")
+    assert np.isnan([result.recorded, result.simulated]).all() == shows_nothing
+
+
+@each_metric
+@FEW
+@given(crowd=any_crowds, data=st.data())
+def test_the_order_of_persons_changes_nothing(metric, crowd, data):
     shuffled = reordered(crowd, data.draw(st.permutations(range(len(crowd)))))
-    assert distance(metric, crowd, shuffled, blocks_of(crowd)).distance == 0
+    assert score(metric, crowd, shuffled).distance == 0
 
 
 @each_metric
-@given(crowd=crowds(dt_s=0.4), other=crowds(dt_s=0.4), half=st.integers(0, 5000))
-def test_a_shift_of_both_sides_and_blocks_changes_nothing(metric, crowd, other, half):
-    frames = 2 * half  # whole steps of an annotation grid of two frames
-    here = distance(metric, crowd, other, blocks_of(crowd))
-    there = distance(
-        metric, later(crowd, frames), later(other, frames), blocks_of(later(crowd, frames))
+@FEW
+@example(crowds=(BUSY, BUSY_TOO), frames=9_999)
+@given(crowds=two_crowds, frames=st.integers(0, 10_000))
+def test_a_shift_in_time_of_both_crowds_and_the_blocks_changes_nothing(metric, crowds, frames):
+    blocks = replace(BLOCKS, frames=BLOCKS.frames + frames)
+    moved = score(metric, *(later(crowd, frames) for crowd in crowds), blocks)
+    np.testing.assert_equal(asdict(moved), asdict(score(metric, *crowds)))
+
+
+def turned(xy: np.ndarray, quarters: int, by: tuple[int, int]) -> np.ndarray:
+    """Points turned about the origin by quarters of a circle, then moved by metres."""
+    for _ in range(quarters):
+        xy = np.stack([-xy[:, 1], xy[:, 0]], axis=1)
+    return xy + np.array(by, dtype=xy.dtype)
+
+
+def turned_place(quarters: int, by: tuple[int, int]) -> Place:
+    x0, x1, y0, y1 = PLACE.bounds_m
+    corners = turned(np.array([(x0, y0), (x1, y1)]), quarters, by)
+    (x0, y0), (x1, y1) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+    walls = tuple(
+        tuple((x, y) for x, y in turned(np.array(wall), quarters, by).tolist())
+        for wall in PLACE.walls
     )
-    assert here == there
+    return replace(PLACE, bounds_m=(x0, x1, y0, y1), walls=walls)
 
 
 @each_metric
-def test_a_crowd_that_differs_has_a_distance(metric: Metric):
-    other = crowd_of([(1, 1), (8, 8)], frames=10)
-    assert distance(metric, SOME, other, BLOCK).distance > 0
-
-
-def test_nobody_counts_as_gaps_of_a_block():
-    assert distance(InterSpawn(), SOME, nobody(), BLOCK).simulated == 9.0  # the opening frame
-    assert distance(InterSpawn(), SOME, nobody(), BLOCK).n == 0
-
-
-def test_nobody_counts_as_dwelling_a_block():
-    assert distance(Dwell(), SOME, nobody(), BLOCK).simulated == 10.0
-    assert distance(Dwell(), SOME, nobody(), BLOCK).n == 0
-
-
-def test_nobody_is_there_at_any_time():
-    assert distance(AgentsOverTime(), SOME, nobody(), BLOCK).distance == pytest.approx(1.0)
+@FEW
+@example(crowds=(BUSY, BUSY_TOO), quarters=1, by=(3, -17))
+@given(
+    crowds=st.tuples(mingling_crowds, mingling_crowds),
+    quarters=st.integers(0, 3),
+    by=st.tuples(st.integers(-100, 100), st.integers(-100, 100)),
+)
+def test_a_rigid_motion_of_everything_changes_nothing(metric, crowds, quarters, by):
+    moved = [replace(crowd, xy=turned(crowd.xy, quarters, by)) for crowd in crowds]
+    there = score(metric, *moved, place=turned_place(quarters, by))
+    here = score(metric, *crowds)
+    # Cells are counted in another order, which their sum may feel in its last digit.
+    assert there.distance == pytest.approx(here.distance, abs=1e-12)
+    assert (there.n, there.unit) == (here.n, here.unit)
+    np.testing.assert_equal([there.recorded, there.simulated], [here.recorded, here.simulated])
 
 
 @each_metric
-def test_nobody_has_no_distance_to_nobody(metric: Metric):
-    assert distance(metric, nobody(), nobody(), BLOCK).distance == 0
+@FEW
+@example(crowds=(BUSY, BUSY_TOO, mingling(4)))
+@given(crowds=st.tuples(any_crowds, any_crowds, any_crowds))
+def test_under_the_recordings_weights_each_distance_is_a_metric(metric, crowds):
+    statistics, support = aligned(metric, BUSY, *crowds)
+    recorded, x, y, z = map(total, statistics)
+
+    def d(a: Sums, b: Sums) -> float:
+        return weighted(metric, a, b, recorded, support)
+
+    assert d(x, y) == d(y, x)
+    assert d(x, z) <= d(x, y) + d(y, z) + 1e-9
 
 
-@given(COUNTS.filter(np.any), COUNTS.filter(np.any))
-def test_wasserstein_is_that_of_scipy(p, q):
-    expected = wasserstein_distance(np.arange(len(p)), np.arange(len(q)), p, q)
-    got = wasserstein1(normalised(p, if_empty=0), normalised(q, if_empty=0))
-    assert got == pytest.approx(expected, abs=1e-12)
+@each_metric
+def test_the_weights_are_those_of_the_recording(metric):
+    statistics, support = aligned(metric, BUSY, BUSY_TOO)
+    y, x = map(total, statistics)
+    expected = weighted(metric, x, y, y, support)
+    assert score(metric, BUSY, BUSY_TOO).distance == pytest.approx(expected, abs=1e-12)
 
 
-def test_a_distance_relative_to_nothing_is_infinite():
-    assert relative_wasserstein1(np.array([1.0]), np.array([0.0, 1.0])) == math.inf
+@each_metric
+@FEW
+@given(
+    seeds=st.lists(st.integers(0, 2**32 - 1), min_size=2, max_size=6, unique=True),
+    data=st.data(),
+)
+def test_distances_are_of_negative_type(metric, seeds, data):
+    # Σ wᵢ wⱼ d(xᵢ, xⱼ) ≤ 0 for weights that sum to zero: what makes the energy score proper.
+    statistics, support = aligned(metric, BUSY, *map(mingling, seeds))
+    recorded, *sums = map(total, statistics)
+    w = data.draw(arrays(np.float64, len(sums), elements=st.floats(-1, 1)))
+    w = w - w.mean()
+    d = np.array([[weighted(metric, a, b, recorded, support) for b in sums] for a in sums])
+    assert w @ d @ w <= 1e-9
 
 
-def test_histograms_count_per_block():
-    counts = histograms(np.array([0, 2, 2, 1]), np.array([0, 0, 2, 2]), 3)
-    assert counts.tolist() == [[1, 0, 1], [0, 0, 0], [0, 1, 1]]
+@each_metric
+@FEW
+@example(crowd=BUSY, chosen=np.array([True, False, True, True]))
+@given(crowd=any_crowds, chosen=arrays(np.bool_, len(BLOCKS)).filter(np.any))
+def test_some_blocks_have_the_statistics_that_they_have_among_all(metric, crowd, chosen):
+    # Folds rely on it. Blocks of different lengths, so that no subset looks like the whole.
+    blocks = replace(BLOCKS, frames=np.array([[0, 14], [14, 60], [66, 91], [91, 126]]))
+    every = metric.summarise(crowd, blocks, PLACE)
+    some = metric.summarise(crowd, blocks.take(chosen), PLACE)
+    (a, b), _ = metric.aligned([{k: v[chosen] for k, v in every.items()}, some], blocks)
+    assert a.keys() == b.keys()
+    for name, values in a.items():
+        assert np.array_equal(values, b[name]), name
 
 
-def test_an_empty_sample_is_a_point_mass():
-    assert normalised(np.zeros(4, dtype=np.int64), if_empty=2).tolist() == [0, 0, 1]
+def dense(metric: Metric, statistics: Statistics, size: int) -> Statistics:
+    """The histograms of one crowd on the values 0, 1, … up to `size`."""
+    return {
+        name: np.pad(values, ((0, 0), (0, size - values.shape[1])))
+        if metric.on_lattice(name)
+        else values
+        for name, values in statistics.items()
+    }
 
 
-def test_kaplan_meier_gives_the_textbooks_survival_curve():
-    # Weeks of remission under 6-MP (Freireich et al. 1963; table 1.1 of Cox & Oakes 1984).
-    ended = [6, 6, 6, 7, 10, 13, 16, 22, 23]
-    censored = [6, 9, 10, 11, 17, 19, 20, 25, 32, 32, 34, 35]
-    p = kaplan_meier(np.bincount(ended, minlength=36), np.bincount(censored, minlength=36))
-    survival = 1 - np.cumsum(p)
-    textbook = {6: 0.857, 7: 0.807, 10: 0.753, 13: 0.690, 16: 0.627, 22: 0.538, 23: 0.448}
-    assert {week: round(float(survival[week]), 3) for week in textbook} == textbook
+@each_metric
+@FEW
+@example(crowd=BUSY_TOO)
+@given(crowd=any_crowds)
+def test_the_support_leaves_out_nothing_that_counts(metric, crowd):
+    statistics = [metric.summarise(c, BLOCKS, PLACE) for c in (BUSY, crowd)]
+    widest = max(values.shape[1] for s in statistics for values in s.values())
+    size = max(widest, metric.if_empty(BLOCKS) + 1)
+    y, x = (total(dense(metric, s, size)) for s in statistics)
+    result = score(metric, BUSY, crowd)
+    assert result.distance == pytest.approx(weighted(metric, x, y, y, np.arange(size)), abs=1e-9)
+    assert result.n == metric.size(x)
 
 
-def test_mass_that_no_event_claims_stands_at_the_longest_life():
-    assert kaplan_meier(np.array([0, 1, 0]), np.array([0, 0, 1])).tolist() == [0, 0.5, 0.5]
-
-
-@given(COUNTS.filter(np.any))
-def test_kaplan_meier_without_censoring_is_the_empirical_distribution(ended):
-    np.testing.assert_allclose(
-        kaplan_meier(ended, np.zeros_like(ended)), ended / ended.sum(), atol=1e-12
-    )
-
-
-@given(COUNTS, st.data())
-def test_kaplan_meier_is_a_distribution_that_censoring_moves_up(ended, data):
-    elements = st.integers(0, 9)
-    censored = data.draw(arrays(np.int64, len(ended), elements=elements).filter(np.any))
-    p = kaplan_meier(ended, censored)
-    assert p.sum() == pytest.approx(1)
-    lives = (ended + censored) / (ended + censored).sum()
-    assert mean(p) >= mean(lives) - 1e-9  # a censored life is at least as long as it was seen
+@each_metric
+@FEW
+@example(crowds=(BUSY, BUSY_TOO))
+@given(crowds=two_crowds)
+def test_vectors_of_many_sums_at_once_are_those_of_each(metric, crowds):
+    statistics, support = aligned(metric, *crowds, NOBODY)
+    each = [total(s) for s in statistics]
+    batch = {name: np.stack([sums[name] for sums in each]) for name in each[0]}
+    expected = np.stack([metric.embed(sums, support, BLOCKS) for sums in each])
+    assert np.array_equal(metric.embed(batch, support, BLOCKS), expected)
+    nested = {name: values[:, None] for name, values in batch.items()}
+    assert np.array_equal(metric.embed(nested, support, BLOCKS), expected[:, None])

@@ -6,6 +6,7 @@ from jaxtyping import Float, Int
 from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics.forms import LogRatio, RelativeWasserstein
 from crowdbench.metrics.lattice import (
+    Numbers,
     cdf,
     correlation,
     histograms,
@@ -108,18 +109,23 @@ class InterSpawnPerArea(Metric):
     def weights(
         self, recorded: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, " #F"]:
-        """Of each area its share of the gaps, divided by the mean gap of all."""
-        gaps = max(1, self.size(recorded))
-        mean = sum(int(c @ support) for c in recorded.values()) / gaps
+        """Of each area its share of the gaps (equal ones of none), over the mean gap of all."""
+        mean = self._mean(recorded, support, blocks)
         if mean == 0:
             return np.full(1, np.inf)
-        parts = [widths(support) * (c.sum() / gaps / mean) for c in recorded.values()]
-        return np.concatenate(parts)
+        gaps = np.array([c.sum() for c in recorded.values()])
+        shares = gaps / gaps.sum() if gaps.any() else np.full(len(gaps), 1 / len(gaps))
+        return np.concatenate([widths(support) * (share / mean) for share in shares])
 
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
         """The mean gap over all areas."""
-        steps = sum(int(c @ support) for c in sums.values())
-        return steps / max(1, self.size(sums)) * blocks.grid_s
+        return self._mean(sums, support, blocks) * blocks.grid_s
+
+    def _mean(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
+        gaps = self.size(sums)
+        if gaps == 0:
+            return float(self.if_empty(blocks))
+        return sum(int(c @ support) for c in sums.values()) / gaps
 
     def size(self, sums: Sums) -> int:
         """Gaps."""
@@ -161,7 +167,7 @@ class FanoFactor10(LogRatio):
         """`counts[b, n]`: bins of block b in which n persons enter."""
         return {"counts": _binned(crowd, blocks, 10 * blocks.dt_s)}
 
-    def value(self, sums: Sums, support: Support) -> Float[np.ndarray, "*batch"]:
+    def value(self, sums: Sums, support: Support) -> Numbers:
         """Variance over mean."""
         mean, variance = moments(sums["counts"], support)
         return np.divide(variance, mean, out=np.zeros_like(variance), where=mean > 0)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from crowdbench.blocks import TimeBlocks
-from crowdbench.metrics.lattice import cdf, mean_of_cdf, share, widths
+from crowdbench.metrics.lattice import Numbers, cdf, mean_of_cdf, share, widths
 from crowdbench.metrics.metric import Metric, Sums, Support
 
 
@@ -48,7 +48,7 @@ class LogRatio(Metric):
     """|log((a + .05)/(b + .05))| of a positive number per crowd."""
 
     @abstractmethod
-    def value(self, sums: Sums, support: Support) -> Float[np.ndarray, "*batch"]:
+    def value(self, sums: Sums, support: Support) -> Numbers:
         """The number."""
 
     def embed(
@@ -73,7 +73,7 @@ class ShareDifference(Metric):
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
         """The share."""
-        return share(sums["share"])[..., None]
+        return np.asarray(share(sums["share"]))[..., None]
 
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
         """The share."""

@@ -6,6 +6,9 @@ Leading axes are batches: resamples, rollouts.
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+Numbers = Float[np.ndarray, "*batch"] | np.float64
+"""One number per batch; numpy makes a scalar of one without a batch."""
+
 
 def histograms(
     values: Int[np.ndarray, " n"], block: Int[np.ndarray, " n"], blocks: int
@@ -60,21 +63,19 @@ def widths(support: Int[np.ndarray, " V"]) -> Int[np.ndarray, " V"]:
     return np.diff(support, append=support[-1])
 
 
-def mean_of_cdf(
-    values: Float[np.ndarray, "*batch V"], support: Int[np.ndarray, " V"]
-) -> Float[np.ndarray, "*batch"]:
+def mean_of_cdf(values: Float[np.ndarray, "*batch V"], support: Int[np.ndarray, " V"]) -> Numbers:
     """Mean of a distribution by its distribution function, in lattice steps."""
     return (1 - values) @ widths(support) + support[0]
 
 
-def moments(counts: np.ndarray, support: Int[np.ndarray, " V"]) -> tuple[np.ndarray, np.ndarray]:
+def moments(counts: np.ndarray, support: Int[np.ndarray, " V"]) -> tuple[Numbers, Numbers]:
     """Mean and variance (over n, not n − 1) of histograms (…, V); 0 for an empty one."""
     n = np.maximum(counts.sum(axis=-1), 1)
     mean = counts @ support / n
     return mean, np.maximum(counts @ support**2 / n - mean**2, 0.0)
 
 
-def correlation(sums: np.ndarray) -> Float[np.ndarray, "*batch"]:
+def correlation(sums: np.ndarray) -> Numbers:
     """Pearson's correlation from n, Σx, Σx′, Σxx′, Σx², Σx′² (last axis); 0 where undefined."""
     n, x, y, xy, xx, yy = np.moveaxis(sums.astype(np.float64), -1, 0)
     covariance = n * xy - x * y
@@ -99,6 +100,6 @@ def counted(hits: Bool[np.ndarray, " n"], block: np.ndarray, blocks: int) -> np.
     )
 
 
-def share(sums: np.ndarray) -> Float[np.ndarray, "*batch"]:
+def share(sums: np.ndarray) -> Numbers:
     """Numerator over denominator (last axis); 0 of none."""
     return sums[..., 0] / np.maximum(sums[..., 1], 1)

@@ -65,7 +65,8 @@ class Dwell(RelativeWasserstein):
 class OriginDestination(TotalVariation):
     """Shares of the ways from spawn area to goal area among those who entered and left.
 
-    Persons with an unknown area do not count. Distance: total variation.
+    Persons with an unknown area, or one that the place does not have, do not count. Distance:
+    total variation.
     """
 
     name = "origin_destination"
@@ -75,7 +76,8 @@ class OriginDestination(TotalVariation):
         """`counts[b, k · G + g]`: persons who enter at k in block b and walk to g."""
         persons, block, _ = blocks.of_arrivals(crowd)
         origin, destination = crowd.spawn_area[persons], crowd.goal_area[persons]
-        known = (origin >= 0) & (destination >= 0) & crowd.left[persons]
+        known = (origin >= 0) & (origin < place.spawn_areas) & crowd.left[persons]
+        known &= (destination >= 0) & (destination < place.goal_areas)
         cell = origin[known].astype(np.int64) * place.goal_areas + destination[known]
         cells = place.spawn_areas * place.goal_areas
         flat = np.bincount(block[known] * cells + cell, minlength=len(blocks) * cells)

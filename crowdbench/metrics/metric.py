@@ -151,7 +151,7 @@ class Metric(ABC):
         ], support
 
 
-def _at(counts: Int[np.ndarray, "B V"], support: Support) -> Int[np.ndarray, "B S"]:
+def _at(counts: Int[np.ndarray, "B _"], support: Support) -> Int[np.ndarray, "B V"]:
     there = support < counts.shape[1]
     result = np.zeros((len(counts), len(support)), dtype=counts.dtype)
     result[:, there] = counts[:, support[there]]

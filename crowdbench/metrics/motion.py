@@ -17,6 +17,9 @@ from crowdbench.trajectories import Trajectories
 SPAN_S = 0.8
 STANDING_MPS = 0.2
 """Slower steps have no direction to speak of: annotation jitters by centimetres."""
+FASTEST_MPS = 100.0
+HARDEST_MPS2 = 1000.0
+"""Beyond these a table is broken; its histogram must not outgrow memory."""
 
 
 def _steps(
@@ -35,7 +38,7 @@ def _steps(
 
 
 class Speed(RelativeWasserstein):
-    """Speed of each person in each frame.
+    """Speed of each person in each frame; speeds end at 100 m/s.
 
     Distance: Wasserstein-1 of speeds rounded to 1 cm/s, divided by the recording's mean.
     """
@@ -48,6 +51,7 @@ class Speed(RelativeWasserstein):
         """`counts[b, v]`: persons and frames with a speed of v cm/s."""
         before, after, block, half_s = _steps(crowd, blocks)
         speed = np.linalg.norm(before + after, axis=1) / (2 * half_s)
+        speed = np.minimum(speed, FASTEST_MPS)
         return {"counts": histograms(rounded(speed, 0.01), block, len(blocks))}
 
     def step(self, blocks: TimeBlocks) -> float:
@@ -56,7 +60,7 @@ class Speed(RelativeWasserstein):
 
 
 class Acceleration(RelativeWasserstein):
-    """Size of the change of velocity, in each frame.
+    """Size of the change of velocity, in each frame; accelerations end at 1000 m/s².
 
     Distance: Wasserstein-1 of accelerations rounded to 1 cm/s², divided by the recording's mean.
     """
@@ -69,6 +73,7 @@ class Acceleration(RelativeWasserstein):
         """`counts[b, a]`: persons and frames with an acceleration of a cm/s²."""
         before, after, block, half_s = _steps(crowd, blocks)
         acceleration = np.linalg.norm(after - before, axis=1) / half_s**2
+        acceleration = np.minimum(acceleration, HARDEST_MPS2)
         return {"counts": histograms(rounded(acceleration, 0.01), block, len(blocks))}
 
     def step(self, blocks: TimeBlocks) -> float:

@@ -5,11 +5,13 @@ from jaxtyping import Float, Int
 
 from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics.forms import LogRatio, RelativeWasserstein
-from crowdbench.metrics.lattice import correlation, histograms, lagged_sums, moments
+from crowdbench.metrics.lattice import Numbers, correlation, histograms, lagged_sums, moments
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
 from crowdbench.trajectories import Trajectories
 
 LAGS_S = (10.0, 30.0, 60.0)
+ENOUGH = 0.1
+"""Share of the frames that must have a partner at a lag."""
 
 
 def present_in(
@@ -58,7 +60,7 @@ class AgentsSpread(LogRatio):
         present, block = present_in(crowd, blocks)
         return {"counts": histograms(present, block, len(blocks))}
 
-    def value(self, sums: Sums, support: Support) -> Float[np.ndarray, "*batch"]:
+    def value(self, sums: Sums, support: Support) -> Numbers:
         """The standard deviation."""
         return np.sqrt(moments(sums["counts"], support)[1])
 
@@ -67,7 +69,9 @@ class Autocorrelation(Metric):
     """Autocorrelation of N(t) at lags of 10, 30 and 60 s, those that are shorter than the blocks.
 
     Pearson's correlation of N(t) and N(t + lag), both in the same block, over all blocks together;
-    0 where N does not vary. Distance: |difference|, averaged over the lags.
+    0 where N does not vary. A lag counts where at least a tenth of the frames have a partner, so
+    that no correlation stands on one long block among short ones. Distance: |difference|,
+    averaged over the lags.
     """
 
     name = "autocorrelation"
@@ -79,27 +83,27 @@ class Autocorrelation(Metric):
         return bool(_lags(blocks))
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`lag n s[b]`: n, Σx, Σx′, Σxx′, Σx², Σx′² in block b."""
+        """`lag n s[b]`: n, Σx, Σx′, Σxx′, Σx², Σx′² in block b, at each lag, counted or not."""
         present, block = present_in(crowd, blocks)
         statistics = {}
-        for lag_s in _lags(blocks):
-            lag = round(lag_s / blocks.dt_s)
-            same = block[lag:] == block[:-lag] if lag < len(block) else np.zeros(0, dtype=bool)
-            x, y = present[:-lag][same], present[lag:][same]
-            statistics[f"lag {lag_s:g} s"] = lagged_sums(x, y, block[lag:][same], len(blocks))
+        for lag_s in LAGS_S:
+            lag = min(_in_frames(lag_s, blocks), len(block))
+            same = block[lag:] == block[: len(block) - lag]
+            x, y = present[: len(block) - lag][same], present[lag:][same]
+            statistics[_key(lag_s)] = lagged_sums(x, y, block[lag:][same], len(blocks))
         return statistics
 
     def embed(
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
         """The correlation at each lag."""
-        return np.stack([correlation(s) for s in sums.values()], axis=-1)
+        return np.stack([correlation(sums[_key(lag)]) for lag in _lags(blocks)], axis=-1)
 
     def weights(
         self, recorded: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, " #F"]:
         """One over the number of lags."""
-        return np.full(1, 1 / len(recorded))
+        return np.full(1, 1 / len(_lags(blocks)))
 
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
         """The mean over the lags."""
@@ -107,9 +111,22 @@ class Autocorrelation(Metric):
 
     def size(self, sums: Sums) -> int:
         """Pairs of frames at the shortest lag."""
-        return int(next(iter(sums.values()))[0])
+        return int(sums[_key(LAGS_S[0])][0])
 
 
 def _lags(blocks: TimeBlocks) -> list[float]:
-    longest = float(np.diff(blocks.frames).max()) * blocks.dt_s
-    return [lag for lag in LAGS_S if lag < longest - 1e-6]
+    """The lags that count."""
+    length = np.diff(blocks.frames)
+    return [
+        lag
+        for lag in LAGS_S
+        if np.maximum(length - _in_frames(lag, blocks), 0).sum() >= ENOUGH * length.sum()
+    ]
+
+
+def _in_frames(lag_s: float, blocks: TimeBlocks) -> int:
+    return round(lag_s / blocks.dt_s)
+
+
+def _key(lag_s: float) -> str:
+    return f"lag {lag_s:g} s"

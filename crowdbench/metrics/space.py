@@ -28,7 +28,7 @@ class Occupancy(TotalVariation):
         x0, x1, y0, y1 = place.bounds_m
         low = np.floor([x0, y0]).astype(np.int64) - 1
         high = np.ceil([x1, y1]).astype(np.int64)
-        cell = np.clip(np.floor(crowd.xy[rows]).astype(np.int64), low, high) - low
+        cell = np.clip(np.floor(crowd.xy[rows]), low, high).astype(np.int64) - low
         columns, cells = high - low + 1, int((high - low + 1).prod())
         flat = block * cells + cell[:, 0] * columns[1] + cell[:, 1]
         counts = np.bincount(flat, minlength=len(blocks) * cells)
@@ -40,7 +40,7 @@ class NearestNeighbour(RelativeWasserstein):
 
     It sees groups rather than avoidance. Distance: Wasserstein-1 of distances rounded to 1 cm,
     divided by the recording's mean; a crowd in which nobody has a neighbour counts as one whose
-    neighbours are 50 m away.
+    neighbours are 50 m away, where distances end.
     """
 
     name = "nearest_neighbour"
@@ -52,7 +52,8 @@ class NearestNeighbour(RelativeWasserstein):
         rows, block = rows_in(crowd, blocks)
         nearest = nearest_neighbour_m(crowd)[rows]
         known = np.isfinite(nearest)
-        return {"counts": histograms(rounded(nearest[known], 0.01), block[known], len(blocks))}
+        gap = np.minimum(nearest[known], ALONE_M)
+        return {"counts": histograms(rounded(gap, 0.01), block[known], len(blocks))}
 
     def step(self, blocks: TimeBlocks) -> float:
         """1 cm."""
