@@ -30,9 +30,11 @@ def cdf(
 
     An empty sample is a point mass at `if_empty`, which the support holds.
     """
-    cumulative = counts.cumsum(axis=-1, dtype=np.float64)
-    n = cumulative[..., -1:]
-    return np.where(n > 0, cumulative / np.maximum(n, 1), support >= if_empty)
+    result = np.atleast_1d(counts.cumsum(axis=-1, dtype=np.float64))
+    n = result[..., -1:].copy()
+    result /= np.maximum(n, 1)
+    result[n[..., 0] == 0] = support >= if_empty
+    return result
 
 
 def kaplan_meier_cdf(
