@@ -233,7 +233,8 @@ def _print_card(card: "Scorecard") -> None:
     )
     if not card.scored:
         print("No metric of this scene is scored yet: run `crowdbench power`.")
-    # Long headings go over two lines, so that the names of the pairs need not.
+    console = _console(140)
+    wide = console.width >= 135  # room for the interval of the first four families too
     heads = [f.replace("interaction", "inter-\naction") for f in FAMILIES]
     scores = _table("spawn × policy", *heads[:4], "crowd", *heads[4:], "overall", "rank")
     scores.columns[0].no_wrap = True
@@ -244,12 +245,11 @@ def _print_card(card: "Scorecard") -> None:
         scores.add_row(
             f"{row.spawn} × {row.policy}",
             *[_number(row.families.get(f)) for f in FAMILIES[:4]],
-            _with_interval(row.crowd),
+            _with_interval(row.crowd) if wide else _number(row.crowd),
             *([walk, ""] if walk else [_number(row.families.get(f)) for f in FAMILIES[4:]]),
             _with_interval(row.overall),
             "" if row.rank is None else f"{row.rank}",
         )
-    console = _console(130)
     console.print(scores)
     print(
         "Scores: 0 is the anchor (poisson-gmm × straight; in motion and interaction straight\n"

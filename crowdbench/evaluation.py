@@ -251,9 +251,10 @@ def floors(scene: Scene, reference: Reference, protocol: str) -> dict[str, Energ
             inside = reference.blocks.in_part(part)
             recorded = _rows(reference.statistics[metric.name], inside)
             blocks = reference.blocks.scored(part)
-            each.append(floor(metric, recorded, blocks, draws_of(scene, reference, part)))
+            if metric.applies(blocks):
+                each.append(floor(metric, recorded, blocks, draws_of(scene, reference, part)))
         known = [e for e in each if e is not None]
-        if len(known) == len(each):
+        if len(known) == len(parts_of(protocol)):
             found[metric.name] = EnergyCard.of(mean_of(known))
     return found
 
@@ -497,6 +498,8 @@ def _metric_card(
     for part in parts_of(protocol):
         inside = reference.blocks.in_part(part)
         blocks = reference.blocks.scored(part)
+        if not metric.applies(blocks):
+            continue
         recorded = _rows(reference.statistics[metric.name], inside)
         crowds = {
             job: _rows(what.of(metric), inside)
@@ -514,14 +517,18 @@ def _metric_card(
     known = [e for e in energies if e is not None]
     whole = bool(known) and len(known) == len(parts_of(protocol))
     return MetricCard(
-        distance=_number(np.mean([r.distance for r in results])),
+        distance=_mean([r.distance for r in results]),
         distances=[_number(r.distance) for r in results],
-        recorded=_number(np.mean([r.recorded for r in results])),
-        simulated=_number(np.mean([r.simulated for r in results])),
-        unit=results[0].unit,
+        recorded=_mean([r.recorded for r in results]),
+        simulated=_mean([r.simulated for r in results]),
+        unit=metric.unit,
         n=sum(r.n for r in results),
         energy=EnergyCard.of(mean_of(known)) if whole else None,
     )
+
+
+def _mean(values: list[float]) -> float | None:
+    return _number(np.mean(values)) if values else None
 
 
 def _number(value: float | np.floating) -> float | None:
