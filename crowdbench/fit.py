@@ -1,20 +1,22 @@
 """Fit a scene: its areas, its spawn models and its reference statistics, from its recording."""
 
 import importlib.util
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from crowdbench.blocks import PARTS, TimeBlocks
+from crowdbench.blocks import PARTS
 from crowdbench.errors import SceneError, SettingError
-from crowdbench.files import write_text
+from crowdbench.files import unwritable, write_text
 from crowdbench.reference import Reference, write_reference
+from crowdbench.registry import FITTED
 from crowdbench.scene import Scene
 from crowdbench.spawn import (
     Areas,
-    NtppGMM,
+    Arrivals,
     PoissonGMM,
     RenewalGMM,
     SpawnModel,
@@ -24,7 +26,7 @@ from crowdbench.spawn import (
 from crowdbench.spawn.areas import write_areas
 from crowdbench.trajectories import OUTCOMES, Trajectories
 
-MODELS = ("poisson-gmm", "renewal-gmm", "ntpp-gmm")
+MODELS = tuple(FITTED)
 Progress = Callable[[int, int], None]
 """Is called with the number of fits that are done, and of all."""
 
@@ -57,21 +59,29 @@ def fit_scene(
         )
     _check_models(models)
     _check_against(scene, recording)
+    place = replace(scene, folder=out or scene.folder)
+    try:  # before the fits, which take minutes
+        place.folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(place.folder, error) from error
     areas, crowd = fit_areas(recording, scene, scene.clustering[clustering])
     reference = Reference.of(crowd, scene, areas)
-    arrivals = arrivals_of(crowd, reference.blocks, len(areas.spawn))
-    place = replace(scene, folder=out or scene.folder)
+    blocks = reference.blocks
+    arrivals = {part: arrivals_of(crowd, blocks.training(part), len(areas.spawn)) for part in PARTS}
+    fits = _fit_models(models, arrivals, areas, place, progress)
     if out is not None:  # a folder with a scene.toml is a scene of its own
         write_text(out / "scene.toml", (scene.folder / "scene.toml").read_text())
     write_areas(areas, place.folder / "areas.json")
-    fitted = _fit_models(models, crowd, reference.blocks, areas, place, progress)
+    for name in models:
+        FITTED[name].write(place.folder, fits[name])
     write_reference(reference, place)
+    full = arrivals["full"]
     return {
-        "persons": f"{len(crowd)}, {len(arrivals.tick)} of them arrivals in the time blocks",
+        "persons": f"{len(crowd)}, {len(full.tick)} of them arrivals in the time blocks",
         "spawn areas": f"{len(areas.spawn)}, {areas.left_out[0]:.1%} of arrivals left out",
         "goal areas": f"{len(areas.goal)}, {areas.left_out[1]:.1%} of departures left out",
-        "arrivals": f"{len(arrivals.tick) / arrivals.exposure_s() * 60:.2f} persons per minute",
-        **{m.name: f"{m.log_likelihood(arrivals):.3f} nats per person" for m in fitted},
+        "arrivals": f"{len(full.tick) / full.exposure_s() * 60:.2f} persons per minute",
+        **{name: _likelihood(fits[name]["full"], full) for name in models},
         "time blocks": f"{len(reference.blocks)}, {reference.blocks.exposure_s():.1f} s in all",
         "written to": str(place.folder),
     }
@@ -92,42 +102,45 @@ def _check_models(models: Sequence[str]) -> None:
 
 def _fit_models(
     models: Sequence[str],
-    crowd: Trajectories,
-    blocks: TimeBlocks,
+    arrivals: Mapping[str, Arrivals],
     areas: Areas,
-    place: Scene,
+    scene: Scene,
     progress: Progress | None,
-) -> list[SpawnModel]:
-    """Fit and write the models; returns the first fit of each for the whole recording."""
-    arrivals = {part: arrivals_of(crowd, blocks.training(part), len(areas.spawn)) for part in PARTS}
-    tell = progress or (lambda done, total: None)
-    neural = "ntpp-gmm" in models
-    if neural:
-        from crowdbench.spawn import ntpp_training
+) -> dict[str, dict[str, list[Any]]]:
+    """The fits of each model for each part."""
+    fits: dict[str, dict[str, list[Any]]] = {n: {p: [] for p in PARTS} for n in models}
+    jobs = [(n, part, k) for n in models for part in PARTS for k in range(_number_of_fits(n))]
+    for done, (name, part, seed) in enumerate(jobs):
+        if progress:
+            progress(done, len(jobs))
+        fits[name][part].append(_fit(name, arrivals[part], areas, scene, seed))
+    if progress:
+        progress(len(jobs), len(jobs))
+    return fits
 
-        settings = ntpp_training.SETTINGS
-        total = len(PARTS) * ntpp_training.FITS
-        tell(0, total)
-    found: list[SpawnModel] = []
-    if "poisson-gmm" in models:
-        poisson = {part: [PoissonGMM.fit(a, areas)] for part, a in arrivals.items()}
-        PoissonGMM.write(place.folder, poisson)
-        found += poisson["full"]
-    if "renewal-gmm" in models:
-        renewal = {part: [RenewalGMM.fit(a, areas)] for part, a in arrivals.items()}
-        RenewalGMM.write(place.folder, renewal)
-        found += renewal["full"]
-    if neural:
-        ntpp: dict[str, list[NtppGMM]] = {part: [] for part in PARTS}
-        for done in range(total):
-            part, seed = PARTS[done // ntpp_training.FITS], done % ntpp_training.FITS
-            ntpp[part].append(
-                ntpp_training.fit(arrivals[part], areas, place, seed=seed, settings=settings)
-            )
-            tell(done + 1, total)
-        NtppGMM.write(place.folder, ntpp, asdict(settings))
-        found.append(ntpp["full"][0])
-    return found
+
+def _number_of_fits(name: str) -> int:
+    if name != "ntpp-gmm":
+        return 1
+    from crowdbench.spawn import ntpp_training
+
+    return ntpp_training.FITS
+
+
+def _fit(name: str, arrivals: Arrivals, areas: Areas, scene: Scene, seed: int) -> SpawnModel:
+    if name == "poisson-gmm":
+        return PoissonGMM.fit(arrivals, areas)
+    if name == "renewal-gmm":
+        return RenewalGMM.fit(arrivals, areas)
+    from crowdbench.spawn import ntpp_training
+
+    return ntpp_training.fit(arrivals, areas, scene, seed=seed, settings=ntpp_training.SETTINGS)
+
+
+def _likelihood(fits: Sequence[SpawnModel], arrivals: Arrivals) -> str:
+    each = [fit.log_likelihood(arrivals) for fit in fits]
+    spread = f" ({min(each):.3f} to {max(each):.3f} in {len(each)} fits)" if len(each) > 1 else ""
+    return f"{np.mean(each):.3f} nats per person{spread}"
 
 
 def _check_against(scene: Scene, recording: Trajectories) -> None:

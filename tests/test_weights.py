@@ -1,6 +1,7 @@
 """Files with fits per part: read back as written, refused when broken, whatever the model."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from crowdbench.spawn import NtppGMM, PoissonGMM, RenewalGMM
 from crowdbench.spawn.ntpp import SHAPES
 
 ETH = load_scene("eth-v0")
+TRAINED = {"window_frames": 100, "learning_rate": 0.005}
 FILES = ("poisson-gmm.json", "renewal-gmm.json", "ntpp-gmm.safetensors")
 
 
@@ -32,8 +34,11 @@ def write_all(folder: Path) -> None:
     PoissonGMM.write(folder, {part: [model] for part, model in rates.items()})
     members = {part: renewal(0.1 + 0.1 * k) for k, part in enumerate(PARTS)}
     RenewalGMM.write(folder, {part: [model] for part, model in members.items()})
-    fits = {part: [random_ntpp(seed=10 * k + f) for f in range(2)] for k, part in enumerate(PARTS)}
-    NtppGMM.write(folder, fits, {"window_frames": 100})
+    fits = {
+        part: [replace(random_ntpp(seed=10 * k + f), settings=TRAINED) for f in range(2)]
+        for k, part in enumerate(PARTS)
+    }
+    NtppGMM.write(folder, fits)
 
 
 @pytest.mark.parametrize(("k", "part"), list(enumerate(PARTS)))
@@ -45,6 +50,7 @@ def test_each_part_comes_back_as_it_was(place: Scene, k: int, part: str) -> None
     for fit in range(2):
         one, other = NtppGMM.read(place, AREAS, part, fit), random_ntpp(seed=10 * k + fit)
         assert all(np.array_equal(one.weights[name], other.weights[name]) for name in SHAPES)
+        assert one.settings == TRAINED
 
 
 def test_fits_are_counted_round(place: Scene) -> None:

@@ -128,6 +128,9 @@ def group_size(arrivals: Arrivals) -> tuple[Float[np.ndarray, " K"], Float[np.nd
     Maximum likelihood with one more group, of the scene's mean size, in each area: else an area
     of three lone walkers could not let in a pair. Groups are then so many that the expected
     number of persons is exactly the recorded one; where nobody entered, all but none.
+
+    A parameter more, for the share of groups of one, gained 0.007 nats per held-out person on
+    ETH and lost 0.004 on the plaza.
     """
     spells = spells_of(arrivals)
     persons = np.bincount(arrivals.area, minlength=arrivals.areas)

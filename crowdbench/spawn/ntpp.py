@@ -18,7 +18,7 @@ Training needs torch (`crowdbench.spawn.ntpp_training`); sampling and likelihood
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -68,6 +68,8 @@ class NtppGMM:
     """Arrays named and shaped as in `SHAPES`, with the areas as first axis."""
     grid_s: float
     """Seconds of the grid that groups enter on."""
+    settings: Mapping[str, int | float] = field(default_factory=dict)
+    """How it was trained (`ntpp_training.Settings`); fit k of a file has the seed k."""
     name: str = NAME
     start: ClassVar[Start] = "stationary"
 
@@ -133,13 +135,8 @@ class NtppGMM:
         return hazards, parameters
 
     @classmethod
-    def write(
-        cls, folder: Path, fits: "Fits[NtppGMM]", settings: Mapping[str, int | float] | None = None
-    ) -> None:
-        """Write all fits of all parts into a scene's folder.
-
-        `settings` are those of the training, kept for the reader of the file.
-        """
+    def write(cls, folder: Path, fits: "Fits[NtppGMM]") -> None:
+        """Write all fits of all parts into a scene's folder."""
         from safetensors.numpy import save
 
         first = fits["full"][0]
@@ -155,7 +152,7 @@ class NtppGMM:
             scene=first.areas.scene,
             fits=len(fits["full"]),
             grid_s=first.grid_s,
-            settings=dict(settings or {}),
+            settings=dict(first.settings),
         )
         # One entry: the order of several is not the same in each run.
         text = msgspec.json.encode(header, order="deterministic").decode()
@@ -196,7 +193,7 @@ class NtppGMM:
         _check(path, tensors, expected, how)
         prefix = f"{part}.{fit % header.fits}."
         weights = {name: tensors[prefix + name] for name in SHAPES}
-        return cls(areas, weights, header.grid_s)
+        return cls(areas, weights, header.grid_s, header.settings)
 
 
 class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

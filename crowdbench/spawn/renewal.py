@@ -36,7 +36,9 @@ NAME = "renewal-gmm"
 SHAPES = (0.3, 3.0)
 """Least and greatest shape that is fitted."""
 SPREAD = 0.5
-"""Standard deviation of the normal prior of log shape, around 0, that is Poisson."""
+"""Standard deviation of the normal prior of log shape, around 0, that is Poisson. On ETH's folds
+0.25, 0.5, 1 and 10 have −3.439, −3.441, −3.452 and −3.518 nats per held-out person, on the plaza's
+−3.454 and three times −3.452."""
 _NUMBERS = ("shape", "scale_s", "next_member")
 _EXACT = 512  # terms of Σ S(j) that are summed one by one
 
