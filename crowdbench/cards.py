@@ -220,9 +220,11 @@ def files_of(scene: Scene) -> str:
     return sha256(b"".join((scene.folder / name).read_bytes() for name in names))[:16]
 
 
-def write_anchors(anchors: Anchors, folder: Path) -> None:
-    """Write `anchors.json`."""
-    write_json(folder / "anchors.json", anchors, compact=True)
+def write_anchors(anchors: Anchors, folder: Path) -> Path:
+    """Write `anchors.json` into a scene's folder."""
+    path = folder / "anchors.json"
+    write_json(path, anchors, compact=True)
+    return path
 
 
 def read_anchors(scene: Scene) -> Anchors:
@@ -232,7 +234,7 @@ def read_anchors(scene: Scene) -> Anchors:
         WeightsError: the file is missing, broken, another scene's, or of other fits.
     """
     path = scene.folder / "anchors.json"
-    mend = f"Run `crowdbench fit {scene.asked}`."
+    mend = f"Run `crowdbench anchors {scene.asked}`."
     anchors = read_struct(path, Anchors, WeightsError, mend)
     got = (anchors.scene, anchors.schema, anchors.made_from)
     expected = (scene.id, SCHEMA, files_of(scene))

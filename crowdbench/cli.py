@@ -1,4 +1,5 @@
-"""The command line: `crowdbench evaluate | score | fit | power | data | scenes | bench`.
+"""The command line: `crowdbench evaluate | score | data | scenes | bench`, and for who makes a
+scene `fit | anchors | power`.
 
 A user's error is one message and exit code 2; an interrupt exits with 130.
 """
@@ -85,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     score.set_defaults(run=_score)
 
     fit = commands.add_parser(
-        "fit", help="fit a scene's areas, spawn models, reference statistics and anchors"
+        "fit", help="fit a scene's areas, spawn models and reference statistics"
     )
     fit.add_argument("scene", help="id of a scene, or its folder")
     fit.add_argument(
@@ -102,6 +103,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     fit.add_argument("--out", type=Path, help="folder to write to (default: the scene's)")
     fit.set_defaults(run=_fit)
+
+    anchors = commands.add_parser(
+        "anchors", help="roll out what a scene's scores are measured by (minutes)"
+    )
+    anchors.add_argument("scene", help="id of a scene, or its folder")
+    anchors.add_argument("--workers", type=int, help="processes (default: one per core)")
+    anchors.set_defaults(run=_anchors)
 
     power = commands.add_parser(
         "power", help="find out which metrics can tell a scene's anchor from its recording"
@@ -360,10 +368,6 @@ def _score(asked: argparse.Namespace) -> None:
 
 
 def _fit(asked: argparse.Namespace) -> None:
-    import tempfile
-
-    from crowdbench.cards import write_anchors
-    from crowdbench.evaluation import make_anchors
     from crowdbench.fit import fit_scene
     from crowdbench.registry import recording
     from crowdbench.scene import load_scene
@@ -379,10 +383,23 @@ def _fit(asked: argparse.Namespace) -> None:
             out=asked.out,
             progress=progress,
         )
-    folder = asked.out or scene.folder
-    with tempfile.TemporaryDirectory() as temporary, _progress("anchors") as progress:
-        write_anchors(make_anchors(folder, Path(temporary), progress=progress), folder)
     _pairs(scene.id, facts)
+    print(f"Next, if arrivals or areas changed: crowdbench anchors {asked.out or asked.scene}")
+
+
+def _anchors(asked: argparse.Namespace) -> None:
+    import tempfile
+
+    from crowdbench.cards import write_anchors
+    from crowdbench.evaluation import make_anchors
+    from crowdbench.scene import load_scene
+
+    scene = load_scene(asked.scene)
+    with tempfile.TemporaryDirectory() as temporary, _progress("rollouts") as progress:
+        anchors = make_anchors(
+            asked.scene, Path(temporary), workers=asked.workers, progress=progress
+        )
+    print(f"written to {write_anchors(anchors, scene.folder)}")
 
 
 def _import(asked: argparse.Namespace) -> None:

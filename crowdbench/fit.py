@@ -1,6 +1,7 @@
 """Fit a scene: its areas, its spawn models and its reference statistics, from its recording."""
 
 import importlib.util
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -69,8 +70,9 @@ def fit_scene(
     blocks = reference.blocks
     arrivals = {part: arrivals_of(crowd, blocks.training(part), len(areas.spawn)) for part in PARTS}
     fits = _fit_models(models, arrivals, areas, place, progress)
-    if out is not None:  # a folder with a scene.toml is a scene of its own
-        write_text(out / "scene.toml", (scene.folder / "scene.toml").read_text())
+    # A folder with a scene.toml is a scene of its own; what it was fitted with is its default.
+    toml = (scene.folder / "scene.toml").read_text()
+    write_text(place.folder / "scene.toml", _with_default(toml, clustering))
     write_areas(areas, place.folder / "areas.json")
     for name in models:
         FITTED[name].write(place.folder, fits[name])
@@ -85,6 +87,15 @@ def fit_scene(
         "time blocks": f"{len(reference.blocks)}, {reference.blocks.exposure_s():.1f} s in all",
         "written to": str(place.folder),
     }
+
+
+def _with_default(toml: str, clustering: str) -> str:
+    """The text of a `scene.toml` whose default clustering is the named one."""
+    bodies = dict(re.findall(r"^\[clustering\.(\w+)\]\n([^\[]*)", toml, flags=re.M))
+    return toml.replace(
+        f"[clustering.default]\n{bodies['default'].rstrip()}\n",
+        f"[clustering.default]\n{bodies[clustering].rstrip()}\n",
+    )
 
 
 def _check_models(models: Sequence[str]) -> None:

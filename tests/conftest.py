@@ -1,6 +1,7 @@
 """Shapes are checked wherever crowdbench is used in tests; recordings are found or skipped."""
 
 import os
+import tempfile
 from pathlib import Path
 
 import jaxtyping
@@ -42,6 +43,9 @@ _hook = jaxtyping.install_import_hook(
     ],
     "beartype.beartype",
 )
+
+# What the user has imported is not looked at; fixtures of a module share this home.
+os.environ["CROWDBENCH_HOME"] = tempfile.mkdtemp(prefix="crowdbench-home-")
 
 REQUIRE_ALL = os.environ.get("CROWDBENCH_REQUIRE_ALL") == "1"
 

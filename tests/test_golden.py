@@ -3,8 +3,10 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from crowdbench.evaluation import read_scorecard
+from crowdbench.cards import read_scorecard, rows
+from crowdbench.errors import RecordingError
 from crowdbench.tables import read_own
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -19,9 +21,17 @@ def test_yesterdays_rollout_is_read() -> None:
     np.testing.assert_allclose(crowd.start[0], [9.54023, 9.270081], atol=1e-5)
 
 
-def test_yesterdays_scorecard_is_read() -> None:
-    card = read_scorecard(GOLDEN / "scorecard-1.json")
-    assert (card.scene, card.blocks) == ("eth-v0", 17)
-    (entry,) = card.entries
-    assert (entry.spawn, entry.policy, entry.seeds) == ("poisson-gmm", "social-force", [*range(6)])
-    assert len(entry.metrics["dwell"].distances) == 6
+def test_yesterdays_scorecard_is_read_and_ranked() -> None:
+    card = read_scorecard(GOLDEN / "scorecard-2.json")
+    assert (card.scene, card.protocol, card.blocks, card.rollouts) == ("eth-v0", "full", 17, 30)
+    entry, walk, *anchors = rows(card)
+    assert (entry.spawn, entry.policy, entry.rank) == ("renewal-gmm", "straight", 1)
+    assert entry.overall is not None
+    assert round(entry.overall.value, 2) == 0.49
+    assert walk.spawn == "replay"
+    assert len(anchors) == 5
+
+
+def test_a_scorecard_from_before_there_were_scores_is_refused() -> None:
+    with pytest.raises(RecordingError, match=r"schema 1; expected schema 2.*evaluate"):
+        read_scorecard(GOLDEN / "scorecard-1.json")

@@ -1,6 +1,7 @@
 """Reference statistics: distances from them are distances from the recording."""
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,13 +13,15 @@ from msgspec import structs
 
 from crowdbench.errors import OutputError, RecordingError, SceneError, SettingError, WeightsError
 from crowdbench.fit import fit_scene
-from crowdbench.metrics import METRICS, distance
+from crowdbench.metrics import distance, metrics_for
 from crowdbench.policies import Random, Straight
 from crowdbench.recordings.catalogue import SOURCES, read_published
-from crowdbench.reference import Reference, read_reference, score, write_reference
+from crowdbench.reference import Reference, place_of, read_reference, score, write_reference
 from crowdbench.registry import recording, spawn_model
 from crowdbench.rollouts import rollout
-from crowdbench.scene import load_scene
+from crowdbench.scene import Scene, load_scene
+from crowdbench.spawn import fit_areas
+from crowdbench.spawn.areas import read_areas
 from crowdbench.trajectories import Trajectories
 
 ETH, PLAZA = load_scene("eth-v0"), load_scene("plaza-v0")
@@ -27,8 +30,18 @@ EXACT = ("poisson-gmm", "renewal-gmm")  # torch's last bits are the machine's ow
 
 
 @pytest.fixture(scope="module")
-def eth(opentraj: Path) -> Trajectories:
+def raw(opentraj: Path) -> Trajectories:
     return read_published(SOURCES["eth"], opentraj)
+
+
+@pytest.fixture(scope="module")
+def eth(raw: Trajectories) -> Trajectories:
+    """The recording with its persons in the scene's areas."""
+    return fit_areas(raw, ETH, ETH.clustering["default"])[1]
+
+
+def reference_of(crowd: Trajectories, scene: Scene) -> Reference:
+    return Reference.of(crowd, scene, read_areas(scene))
 
 
 @pytest.fixture(scope="module", params=[Straight(), Random()], ids=lambda p: p.name)
@@ -44,22 +57,39 @@ def plaza() -> Trajectories:
 def test_distances_from_shipped_statistics_equal_those_from_the_recording(
     eth: Trajectories, crowd: Trajectories
 ) -> None:
-    from_recording = Reference.of(eth, ETH)
-    assert read_reference(ETH).score(crowd) == from_recording.score(crowd)
+    from_recording = reference_of(eth, ETH).score(crowd)
+    shipped = read_reference(ETH).score(crowd)
+    assert {n: r.distance for n, r in shipped.items()} == {
+        n: r.distance for n, r in from_recording.items()
+    }
 
 
 def test_scores_are_the_metrics_own_distances(eth: Trajectories, crowd: Trajectories) -> None:
-    blocks = Reference.of(eth, ETH).blocks
-    expected = {m.name: distance(m, eth, crowd, blocks) for m in METRICS}
-    assert score(ETH, crowd) == expected
+    blocks = reference_of(eth, ETH).blocks
+    place = place_of(ETH, read_areas(ETH))
+    expected = {m.name: distance(m, eth, crowd, blocks, place) for m in metrics_for(blocks)}
+    found = score(ETH, crowd)
+    assert set(found) == set(expected)
+    for name, result in found.items():
+        assert (result.distance, result.n) == (expected[name].distance, expected[name].n)
 
 
 def test_a_recording_has_no_distance_to_itself(eth: Trajectories) -> None:
     assert {r.distance for r in score("eth-v0", eth).values()} == {0.0}
 
 
+def test_persons_without_areas_are_given_the_likeliest(raw: Trajectories) -> None:
+    """Clusters and their Gaussians agree on nearly everyone, those at the edges aside."""
+    assert (raw.spawn_area == -1).all()
+    found = score("eth-v0", raw)
+    assert found["origin_destination"].distance < 0.1
+    assert found["inter_spawn_per_area"].distance < 0.2
+    assert found["inter_spawn"].distance == 0
+
+
 def test_written_statistics_are_read_back(tmp_path: Path, plaza: Trajectories) -> None:
-    reference = Reference.of(plaza, PLAZA)
+    reference = reference_of(plaza, PLAZA)
+    shutil.copy(PLAZA.folder / "areas.json", tmp_path)
     place = replace(PLAZA, folder=tmp_path)
     write_reference(reference, place)
     again = read_reference(place)
@@ -91,6 +121,9 @@ def test_eths_shipped_files_are_remade_byte_for_byte(tmp_path: Path, eth: Trajec
 def test_the_papers_clustering_makes_other_areas(tmp_path: Path, eth: Trajectories) -> None:
     fit_scene(ETH, eth, clustering="paper", models=EXACT, out=tmp_path)
     assert (tmp_path / "areas.json").read_bytes() != (ETH.folder / "areas.json").read_bytes()
+    made = load_scene(tmp_path)  # a scene whose default is the paper's
+    assert made.clustering["default"] == ETH.clustering["paper"]
+    assert made.clustering["paper"] == ETH.clustering["paper"]
 
 
 def test_an_unknown_clustering_is_refused(tmp_path: Path, plaza: Trajectories) -> None:
@@ -116,27 +149,33 @@ def test_a_fit_that_cannot_be_written_says_so(tmp_path: Path, plaza: Trajectorie
 
 
 def first_gaps(file: dict[str, Any]) -> list[list[int]]:
-    gaps: list[list[int]] = file["statistics"]["inter_spawn"]["gaps"][0]
+    gaps: list[list[int]] = gaps_of(file)[0]
     return gaps
+
+
+def gaps_of(file: dict[str, Any]) -> list:
+    """By block."""
+    return file["statistics"]["inter_spawn"]["counts"][1]
 
 
 BROKEN: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "another scene's": (lambda f: f.update(scene="plaza-v0"), "statistics of plaza-v0"),
-    "another schema": (lambda f: f.update(schema=2), "schema 2"),
+    "another schema": (lambda f: f.update(schema=1), "schema 1"),
     "a field too many": (lambda f: f.update(note="mine"), "note"),
     "a field too few": (lambda f: f.pop("opens"), "opens"),
-    "without a metric": (lambda f: f["statistics"].pop("dwell"), "in .* blocks"),
-    "without a histogram": (lambda f: f["statistics"]["dwell"].pop("ended"), "dwell without"),
-    "without a block": (lambda f: f["blocks"].pop(), "in 16 blocks"),
+    "without a metric": (lambda f: f["statistics"].pop("dwell"), "dwell with nothing"),
+    "without a histogram": (lambda f: f["statistics"]["dwell"].pop("ended"), "dwell with cens"),
+    "without a block": (lambda f: f["blocks"].pop(), "expected 16 blocks"),
     "without any block": (lambda f: f.update(blocks=[], opens=[]), "length"),
     "with a block less": (
-        lambda f: f["statistics"]["inter_spawn"]["gaps"].pop(), r"\[16, 17\] blocks"
+        lambda f: gaps_of(f).pop(), r"\[16, 17\] blocks"
     ),
     "with a negative value": (lambda f: first_gaps(f).append([-3, 5]), ">= 0"),
     "with a negative count": (lambda f: first_gaps(f).append([3, -5]), ">= 0"),
     "with a value out of all proportion": (lambda f: first_gaps(f).append([10**12, 1]), "int"),
     "with half a count": (lambda f: first_gaps(f).append([3, 0.5]), "int"),
     "with blocks in disorder": (lambda f: f["blocks"].reverse(), "ascending blocks"),
+    "of other areas": (lambda f: f.update(spawn_areas=3), "3 spawn and 5 goal areas"),
     "with an empty block": (lambda f: f["blocks"].__setitem__(0, [0, 0]), "ascending blocks"),
 }  # fmt: skip
 
@@ -147,6 +186,7 @@ def test_broken_statistics_are_refused(what: str, tmp_path: Path) -> None:
     file = json.loads((ETH.folder / "reference.json").read_text())
     spoil(file)
     (tmp_path / "reference.json").write_text(json.dumps(file))
+    shutil.copy(ETH.folder / "areas.json", tmp_path)
     with pytest.raises(WeightsError, match=rf"{message}.*Run `crowdbench fit "):
         read_reference(replace(ETH, folder=tmp_path))
 

@@ -29,7 +29,7 @@ def block_of_frames(blocks: TimeBlocks, frames: int) -> Int[np.ndarray, " frames
     return block
 
 
-@lru_cache(maxsize=2)  # neighbours are looked for by three metrics of the same crowd
+@lru_cache(maxsize=1)  # neighbours are looked for by three metrics of the same crowd
 def _tree(crowd: Trajectories):  # type: ignore[no-untyped-def]  # scipy's tree has no types
     from scipy.spatial import KDTree
 
@@ -39,7 +39,7 @@ def _tree(crowd: Trajectories):  # type: ignore[no-untyped-def]  # scipy's tree 
     return KDTree(points), points
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=1)
 def nearest_neighbour_m(crowd: Trajectories) -> Float[np.ndarray, " R"]:
     """Distance of each row to the nearest other person in the same frame; infinite if alone."""
     if len(crowd.xy) < 2:
