@@ -42,6 +42,7 @@ from crowdbench.recordings.catalogue import cached
 from crowdbench.reference import Reference, read_reference, summarise
 from crowdbench.registry import RECORDINGS, spawn_model
 from crowdbench.registry import policy as find_policy
+from crowdbench.report import write_report
 from crowdbench.rollouts import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring import RESAMPLES, Draws, energy, floor, mean_of
@@ -154,6 +155,7 @@ def evaluate(
         if job.part in (parts_of(protocol)[0], PARTS[0]) and job.seed < SHOWN
     }
     draw_figures(Sight.of(place, reference, crowds, protocol), out)
+    write_report(card, place, reference, crowds, out)
     write_json(
         out / "run.json",
         {
