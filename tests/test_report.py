@@ -4,7 +4,7 @@ import re
 import shutil
 import subprocess
 from dataclasses import dataclass, field
-from html import unescape
+from html import escape, unescape
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
@@ -169,14 +169,16 @@ def test_headings_follow_each_other(scored: str) -> None:
 
 
 def test_each_row_of_the_table_has_its_rank_and_its_scores(scored: str) -> None:
+    found = parsed(scored).rows
     for row in rows(SCORED):
-        text = next(r for r in parsed(scored).rows if f"{row.spawn} × {row.policy}" in r)
+        name = re.escape(f"{row.spawn} × {row.policy}")
+        (text, *_) = [r for r in found if re.match(rf"(\d\W*)?{name}", r)]
         if row.rank is not None:
             assert text.startswith(str(row.rank))
         for score in (*row.families.values(), row.crowd, row.walk, row.overall):
-            assert score is not None
-            low, high = score.interval
-            assert f"{plainly(score.value)}[{plainly(low)}, {plainly(high)}]" in text
+            if score is not None:
+                low, high = score.interval
+                assert f"{plainly(score.value)}[{plainly(low)}, {plainly(high)}]" in text
 
 
 def test_each_metric_has_its_definition_its_distances_and_its_scores(scored: str) -> None:
@@ -297,16 +299,18 @@ def test_the_page_does_not_scroll_sideways(
     which: str, size: tuple[int, int], request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
     html: str = request.getfixturevalue(which)
-    # The page itself forbids scripts: the copy that measures itself does without that.
-    html = re.sub(r'<meta http-equiv="Content-Security-Policy".*?>', "", html, flags=re.S)
-    measure = (
-        "<script>document.title = `${document.documentElement.scrollWidth} of ${innerWidth}`"
-        "</script>"
+    # A frame, because the browser's own window is never narrower than 500 px.
+    wrapper = tmp_path / "wrapper.html"
+    wrapper.write_text(
+        f'<!doctype html><meta charset="utf-8"><title></title><iframe width="{size[0]}" '
+        f'height="{size[1]}" style="border: 0" srcdoc="{escape(html)}"></iframe><script>'
+        "onload = () => { const page = frames[0].document.documentElement;"
+        "document.title = `${page.scrollWidth} of ${frames[0].innerWidth}`; }</script>",
+        encoding="utf-8",
     )
-    copy = tmp_path / "copy.html"
-    copy.write_text(html.replace("</body>", f"{measure}</body>"), encoding="utf-8")
-    dom = browse(copy, "--dump-dom", size=size)
-    assert re.findall("<title>(.*?)</title>", dom) == [f"{size[0]} of {size[0]}"]
+    dom = browse(wrapper, "--dump-dom", size=SIZES[-1])
+    (title,) = re.findall("<head>.*?<title>(.*?)</title>", dom, flags=re.S)[:1]
+    assert title == f"{size[0]} of {size[0]}"
 
 
 @pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}px")

@@ -101,7 +101,7 @@ def _sample(colour: str, dashes: Sequence[float], thick: float = 2.0) -> str:
 
 
 def _key(sight: Sight) -> str:
-    items = [f"<li>{_sample('currentColor', (), 3)} recorded</li>"]
+    items = [f"<li>{_sample('currentColor', (), 3.0)} recorded</li>"]
     items.append('<li><span class="band"></span> recorded, 95 % by resampling time blocks</li>')
     items += [f"<li>{_sample(g.colour, g.dashes)} {escape(g.label)}</li>" for g in sight.groups]
     return f'<ul class="key">{"".join(items)}</ul>'
@@ -117,7 +117,7 @@ def _areas_key(*, flows: bool) -> str:
         "in its colour</li>"
     )
     return (
-        f'<ul class="key"><li>{_sample("currentColor", (5, 2), 1.2)} spawn area, two standard '
+        f'<ul class="key"><li>{_sample("currentColor", (5.0, 2.0), 1.2)} spawn area, two standard '
         f'deviations</li>{goals}<li><span class="band wall"></span> wall</li></ul>'
     )
 

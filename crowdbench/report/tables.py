@@ -119,7 +119,7 @@ class _Scale:
 
     def bar(self, score: Score) -> str:
         """A dot with its whiskers between the lines of 0 and 1."""
-        zero, one = self._x(0), self._x(1)
+        zero, one = self._x(0.0), self._x(1.0)
         low, high = map(self._x, score.interval)
         return (
             f'<svg class="bar" viewBox="0 0 {_BAR:g} 12" width="{_BAR:g}" height="12" '
@@ -140,7 +140,7 @@ class _Scale:
 
     def key(self) -> str:
         """What the bars mean."""
-        zero, one, low, high = (self._x(v) for v in (0, 1, 0.3, 0.9))
+        zero, one, low, high = (self._x(v) for v in (0.0, 1.0, 0.3, 0.9))
         return (
             f'<span class="nobreak"><svg class="bar" viewBox="0 0 {_BAR:g} 12" '
             f'width="{_BAR:g}" height="12" aria-hidden="true"><path class="zero" '
