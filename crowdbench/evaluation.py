@@ -34,7 +34,7 @@ from crowdbench.cards import (
     read_anchors,
 )
 from crowdbench.errors import RecordingError, SettingError
-from crowdbench.figures import FIGURES, draw_figures
+from crowdbench.figures import FIGURES, Sight, draw_figures
 from crowdbench.files import sha256, unwritable, write_json
 from crowdbench.metrics import WALK, Metric, Statistics, metrics_for
 from crowdbench.power import Power, power
@@ -42,6 +42,7 @@ from crowdbench.recordings.catalogue import cached
 from crowdbench.reference import Reference, read_reference, summarise
 from crowdbench.registry import RECORDINGS, spawn_model
 from crowdbench.registry import policy as find_policy
+from crowdbench.report import write_report
 from crowdbench.rollouts import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring import RESAMPLES, Draws, energy, floor, mean_of
@@ -50,6 +51,8 @@ from crowdbench.trajectories import OUTCOMES
 
 DEFAULT_SPAWN = ("poisson-gmm", "renewal-gmm", "ntpp-gmm")
 DEFAULT_POLICY = ("straight", "social-force")
+SHOWN = 6
+"""Rollouts of each pair that figures and the report show."""
 
 Pair = tuple[str, str]
 Progress = Callable[[int, int], None]
@@ -148,9 +151,11 @@ def evaluate(
     crowds = {
         (job.spawn, job.policy, job.seed): read_own(job.path)
         for job in jobs
-        if job.part == jobs[0].part and job.seed < 6
+        # What is walked under the recorded arrivals is the same in every part.
+        if job.part in (parts_of(protocol)[0], PARTS[0]) and job.seed < SHOWN
     }
-    draw_figures(place, reference, crowds, out)
+    draw_figures(Sight.of(place, reference, crowds, protocol), out)
+    write_report(card, place, reference, crowds, out)
     write_json(
         out / "run.json",
         {

@@ -23,6 +23,7 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.reference",
         "crowdbench.registry",
         "crowdbench.replay_check",
+        "crowdbench.report",
         "crowdbench.rollouts",
         "crowdbench.scene",
         "crowdbench.simulation.simulation",

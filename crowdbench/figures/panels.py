@@ -1,0 +1,200 @@
+"""What is drawn onto a pair of axes: time series, survival curves, maps."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from crowdbench.figures.sight import COLOURS, Curves, Group, Sight
+from crowdbench.simulation.simulation import TIMEOUT_DWELLS
+from crowdbench.spawn.areas import Gaussians
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.image import AxesImage
+
+BAND = "0.82"
+MOST_PATHS = 400
+"""More lie over each other and show nothing."""
+LEAST_SHARE = 0.01
+"""Of the people who walk a way that a map shows."""
+LEAST_LABELLED = 0.1
+_BEND = 0.18
+
+
+def linestyle(group: Group) -> Any:
+    """A group's dashes as matplotlib wants them."""
+    return (0, group.dashes) if group.dashes else "-"
+
+
+def agents_over_time(axis: "Axes", sight: Sight, group: Group) -> None:
+    """The rollouts' N(t), the first one drawn out, over the recording's N in each time block."""
+    recorded_bands(axis, sight)
+    frames = sight.scene.recording.frames
+    seconds = np.arange(frames) * sight.scene.dt_s
+    for k, crowd in enumerate(group.crowds):
+        present = crowd.present()[:frames]
+        drawn_out: dict[str, Any] = {"linewidth": 0.9, "zorder": 3}
+        style = drawn_out if k == 0 else {"linewidth": 0.6, "alpha": 0.3}
+        axis.plot(seconds[: len(present)], present, color=group.colour, **style)
+    axis.set(xlim=(0, frames * sight.scene.dt_s), ylim=(0, most_agents(sight)))
+    axis.set(xlabel="time (s)", ylabel="agents")
+
+
+def most_agents(sight: Sight) -> float:
+    """The top of a scale on which all rollouts and the recording have room."""
+    recorded = sight.reference.statistics["agents_over_time"]["counts"]
+    simulated = max(int(c.present().max()) for group in sight.groups for c in group.crowds)
+    return 1.05 * max(simulated, int(np.flatnonzero(recorded.any(axis=0)).max(initial=1)))
+
+
+def recorded_bands(axis: "Axes", sight: Sight) -> None:
+    """In each time block the recording's mean N and what N lies between for 90 % of the time."""
+    counts = sight.reference.statistics["agents_over_time"]["counts"]
+    blocks = sight.reference.blocks
+    for b, (start, stop) in enumerate(blocks.frames * blocks.dt_s):
+        cumulative = counts[b].cumsum() / counts[b].sum()
+        low, high = (np.searchsorted(cumulative, q) for q in (0.05, 0.95))
+        mean = counts[b] @ np.arange(counts.shape[1]) / counts[b].sum()
+        first = b == 0
+        axis.fill_between(
+            [start, stop], low - 0.2, high + 0.2, color=BAND, linewidth=0,
+            label="recorded, 5–95 % of a block" if first else None,
+        )  # fmt: skip
+        axis.plot(
+            [start, stop], [mean, mean], color="black", linewidth=1.6,
+            label="recorded, mean of a block" if first else None,
+        )  # fmt: skip
+
+
+def survival(
+    axis: "Axes", sight: Sight, curves: Curves, *, unit: float, what: str, area: int = 0
+) -> None:
+    """P(X > x) of the recording and of each group, all rollouts of a group together.
+
+    Survival curves need no bins, and show the tail that a histogram hides.
+    """
+    x = curves.support * unit
+    low, high = curves.band[0][area], curves.band[1][area]
+    axis.fill_between(x, 1 - high, 1 - low, step="post", color=BAND, linewidth=0)
+    axis.step(x, 1 - curves.recorded[area], where="post", color="black", linewidth=2.2,
+              label="recorded")  # fmt: skip
+    for group, f in zip(sight.groups, curves.groups, strict=True):
+        style = {"color": group.colour, "linestyle": linestyle(group), "linewidth": 1.4}
+        axis.step(x, 1 - f[area], where="post", label=group.label, **style)
+    axis.set(xlim=(0, max(1, curves.longest(area)) * unit), ylim=(0, 1))
+    axis.set(xlabel=what, ylabel="share above it")
+
+
+def patience_s(sight: Sight) -> float:
+    """After so long a simulated life ends, wherever it is."""
+    return TIMEOUT_DWELLS * sight.scene.recording.dwell_p99_s
+
+
+def patience(axis: "Axes", sight: Sight) -> None:
+    """Where simulated lives are cut off, if that is in sight."""
+    if patience_s(sight) < axis.get_xlim()[1]:
+        axis.axvline(
+            patience_s(sight),
+            color="0.45",
+            linewidth=0.9,
+            linestyle=":",
+            label="simulated lives are cut off",
+        )
+
+
+def place(axis: "Axes", sight: Sight, *, fill: str = "0.75") -> None:
+    """The scene's bounds and walls, in metres."""
+    b = sight.scene.bounds
+    for wall in sight.scene.walls:
+        axis.fill(*np.array(wall.corners_m).T, color=fill, linewidth=0)
+    axis.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    axis.set(xlim=(b.x_min_m, b.x_max_m), ylim=(b.y_min_m, b.y_max_m))
+
+
+def paths(axis: "Axes", sight: Sight, group: Group) -> None:
+    """The ways of the first people of a group's first rollout, each in its goal area's colour."""
+    place(axis, sight)
+    crowd = group.crowds[0]
+    for p in range(min(len(crowd), MOST_PATHS)):
+        colour = COLOURS[crowd.goal_area[p] % len(COLOURS)]
+        axis.plot(*crowd.path(p).T, color=colour, linewidth=0.5, alpha=0.5)
+    goal_ellipses(axis, sight)
+    for k in range(len(sight.areas.spawn)):
+        ellipse(axis, sight.areas.spawn, k, color="black", linewidth=1.0, linestyle="--")
+
+
+def goal_ellipses(axis: "Axes", sight: Sight) -> None:
+    """Each goal area in its colour."""
+    for k in range(len(sight.areas.goal)):
+        ellipse(axis, sight.areas.goal, k, color=COLOURS[k % len(COLOURS)], linewidth=1.8)
+
+
+def ellipse(axis: "Axes", gaussians: Gaussians, k: int, **style: Any) -> None:
+    """Two standard deviations around an area's centre."""
+    root = np.linalg.cholesky(gaussians.covariance[k])
+    angle = np.linspace(0, 2 * np.pi, 60)
+    axis.plot(*(gaussians.mean[k][:, None] + 2 * root @ [np.cos(angle), np.sin(angle)]), **style)
+
+
+def flows(axis: "Axes", sight: Sight, share: np.ndarray) -> None:
+    """Arrows from spawn to goal areas, as wide as the share of people who walk there."""
+    from matplotlib.patches import FancyArrowPatch
+    from matplotlib.patheffects import withStroke
+
+    place(axis, sight)
+    spawn, goal = sight.areas.spawn, sight.areas.goal
+    for k in range(len(spawn)):
+        ellipse(axis, spawn, k, color="0.35", linewidth=0.8, linestyle="--")
+    for cell in np.argsort(share[: len(spawn) * len(goal)], kind="stable"):
+        k, g = divmod(int(cell), len(goal))
+        start, end = spawn.mean[k], goal.mean[g]
+        width = 26 * float(share[cell])
+        if share[cell] < LEAST_SHARE:
+            continue
+        if np.linalg.norm(end - start) < 1.5:  # back to where they came from
+            ring: dict[str, Any] = {
+                "markersize": 10,
+                "markerfacecolor": "none",
+                "markeredgewidth": width,
+            }
+            axis.plot(*start, "o", color=COLOURS[g % len(COLOURS)], alpha=0.8, **ring)
+            continue
+        axis.add_patch(
+            FancyArrowPatch(
+                (start[0], start[1]),
+                (end[0], end[1]),
+                connectionstyle=f"arc3,rad={_BEND}",
+                arrowstyle=f"simple,tail_width={width:.3f},head_width={width + 4:.3f},"
+                f"head_length={4 + width / 2:.3f}",
+                color=COLOURS[g % len(COLOURS)],
+                linewidth=0,
+                alpha=0.8,
+                shrinkA=3,
+                shrinkB=3,
+            )
+        )
+        if share[cell] >= LEAST_LABELLED:
+            (dx, dy), middle = end - start, (start + end) / 2  # the arc's, half a bend to its right
+            x, y = middle + _BEND / 2 * np.array([dy, -dx])
+            axis.text(
+                x, y, f"{100 * share[cell]:.0f} %",
+                ha="center", va="center", fontsize=8, fontweight="bold",
+                path_effects=[withStroke(linewidth=2.5, foreground="white")],
+            )  # fmt: skip
+    for g in range(len(goal)):
+        axis.plot(*goal.mean[g], "o", color=COLOURS[g % len(COLOURS)], markersize=6,
+                  markeredgecolor="white", markeredgewidth=0.8)  # fmt: skip
+
+
+def occupancy(axis: "Axes", sight: Sight, share: np.ndarray, top: float) -> "AxesImage":
+    """Share of people's time in each cell of 1 m, percent, on a scale that ends at `top`."""
+    x0, x1, y0, y1 = sight.reference.place.bounds_m
+    low = np.floor([x0, y0]).astype(np.int64) - 1
+    high = np.ceil([x1, y1]).astype(np.int64)
+    cells = 100 * share[: int((high - low + 1).prod())].reshape(high - low + 1).T
+    image = axis.imshow(
+        np.ma.masked_equal(cells, 0), origin="lower", cmap="viridis", vmin=0, vmax=top,
+        extent=(low[0], high[0] + 1, low[1], high[1] + 1), interpolation="nearest",
+    )  # fmt: skip
+    place(axis, sight)
+    return image
