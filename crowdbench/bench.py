@@ -76,7 +76,7 @@ def measure() -> Iterator[Figure]:
     reference = read_reference(scene)
     crowds = [rollout(scene, spawn, Straight(), seed=k) for k in range(20)]
     yield Figure(
-        "scoring 20 rollouts of ETH in all metrics", _once_s(_scoring(reference, crowds)), "s"
+        "scoring 20 rollouts of ETH, all metrics", _once_s(_scoring(reference, crowds)), "s"
     )
     yield Figure(
         "intervals and ranks of 10 entries on ETH",
@@ -211,7 +211,7 @@ def _fitting() -> Iterator[Figure]:
         crowd, areas = recording_of(scene), read_areas(scene)
         arrivals = arrivals_of(crowd, blocks_of(crowd, scene), len(areas.spawn))
         took_s = _once_s(partial(ntpp_training.fit, arrivals, areas, scene, seed=0))
-        yield Figure(f"ntpp-gmm, one fit to {scene.title}", took_s, "s")
+        yield Figure(f"ntpp-gmm, one fit to {scene.id}", took_s, "s")
 
 
 def _scoring(reference: Reference, crowds: list[Trajectories]) -> Callable[[], object]:

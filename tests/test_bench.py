@@ -17,9 +17,13 @@ NAMES = [
     "core with observations, 64 × 50",
     "PettingZoo view, 20 agents",
     "poisson-gmm, sampling 10,000 frames of ETH",
+    "renewal-gmm, sampling 10,000 frames of ETH",
+    "ntpp-gmm, sampling 10,000 frames of ETH",
+    "ntpp-gmm, one fit to plaza-v0",  # and to eth-v0, where its recording is imported
     "rollout of ETH, straight",
     "rollout of ETH, social-force",
-    "scoring a rollout of ETH, 3 metrics",
+    "scoring 20 rollouts of ETH, all metrics",
+    "intervals and ranks of 10 entries on ETH",
     "import crowdbench",
 ]
 

@@ -27,7 +27,7 @@ def test_yesterdays_scorecard_is_read_and_ranked() -> None:
     entry, walk, *anchors = rows(card)
     assert (entry.spawn, entry.policy, entry.rank) == ("renewal-gmm", "straight", 1)
     assert entry.overall is not None
-    assert round(entry.overall.value, 2) == 0.49
+    assert round(entry.overall.value, 2) == 0.53
     assert walk.spawn == "replay"
     assert len(anchors) == 5
 

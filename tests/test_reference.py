@@ -82,7 +82,7 @@ def test_persons_without_areas_are_given_the_likeliest(raw: Trajectories) -> Non
     """Clusters and their Gaussians agree on nearly everyone, those at the edges aside."""
     assert (raw.spawn_area == -1).all()
     found = score("eth-v0", raw)
-    assert found["origin_destination"].distance < 0.1
+    assert found["origin_destination"].distance < 0.2
     assert found["inter_spawn_per_area"].distance < 0.2
     assert found["inter_spawn"].distance == 0
 
