@@ -1,5 +1,5 @@
-"""The command line: `crowdbench evaluate | score | data | scenes | bench`, and for who makes a
-scene `fit | anchors | power`.
+"""The command line: `crowdbench evaluate | score | spawn | data | scenes | bench`, and for who
+makes a scene `fit | anchors | power`.
 
 A user's error is one message and exit code 2; an interrupt exits with 130.
 """
@@ -103,6 +103,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     fit.add_argument("--out", type=Path, help="folder to write to (default: the scene's)")
     fit.set_defaults(run=_fit)
+
+    spawn = commands.add_parser(
+        "spawn", help="tell how well a scene's spawn models explain its recording"
+    )
+    spawn.add_argument("scene", help="id of a scene, or its folder")
+    spawn.set_defaults(run=_spawn)
 
     anchors = commands.add_parser(
         "anchors", help="roll out what a scene's scores are measured by (minutes)"
@@ -385,6 +391,42 @@ def _fit(asked: argparse.Namespace) -> None:
         )
     _pairs(scene.id, facts)
     print(f"Next, if arrivals or areas changed: crowdbench anchors {asked.out or asked.scene}")
+
+
+def _spawn(asked: argparse.Namespace) -> None:
+    from crowdbench.scene import load_scene
+    from crowdbench.spawn.rescaling import KolmogorovSmirnov
+    from crowdbench.spawn_check import check_models
+
+    def ks(found: KolmogorovSmirnov | None) -> str:
+        return "" if found is None else f"{found.statistic:.3f} ({found.p:.2g})"
+
+    def number(value: float | None) -> str:
+        return "" if value is None else f"{value:.3f}"
+
+    found = list(check_models(load_scene(asked.scene)))
+    likelihood = _table(
+        "nats per person", "full", "held out", "fresh", "persons", "first 25 frames"
+    )
+    rescaling = _table("KS (p)", "gaps", "group sizes", "own gaps", "own sizes")
+    for c in found:
+        cells = (c.full, c.heldout, c.fresh, c.persons, c.first)
+        likelihood.add_row(c.model, *map(number, cells))
+        if c.gaps is not None:
+            tests = (c.gaps, c.sizes, c.own_gaps, c.own_sizes)
+            rescaling.add_row(c.model, *map(ks, tests))
+    console = _console()
+    console.print(likelihood)
+    print(
+        "Log-probability of the persons per area and grid point, means over the fits: of the\n"
+        "recording, of each fold by models fitted to the others, of ten fresh hours (where the\n"
+        "truth is known). persons: in samples, per recorded one. first 25 frames: per average.\n"
+    )
+    console.print(rescaling)
+    print(
+        "Time rescaling: Kolmogorov-Smirnov statistic of the recording's gaps and group sizes\n"
+        "under each model, and of ten hours of its own samples; a small p is a misfit.\n"
+    )
 
 
 def _anchors(asked: argparse.Namespace) -> None:

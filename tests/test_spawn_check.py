@@ -1,0 +1,70 @@
+"""What is said of the fitted models: likelihoods, time rescaling, counts."""
+
+from pathlib import Path
+
+import pytest
+
+from crowdbench.cli import main
+from crowdbench.scene import load_scene
+from crowdbench.spawn_check import Checked, check_models
+
+
+@pytest.fixture(scope="module")
+def plaza() -> dict[str, Checked]:
+    return {c.model: c for c in check_models(load_scene("plaza-v0"))}
+
+
+@pytest.fixture
+def eth(opentraj: Path) -> dict[str, Checked]:
+    assert main(["data", "import", "eth", "--source", str(opentraj)]) == 0
+    return {c.model: c for c in check_models(load_scene("eth-v0"))}
+
+
+def test_the_neural_model_comes_near_the_truth_on_fresh_data(plaza: dict[str, Checked]) -> None:
+    truth, ntpp = plaza["plaza-truth"].fresh, plaza["ntpp-gmm"].fresh
+    assert truth is not None
+    assert ntpp is not None
+    assert truth - 0.05 < ntpp < truth
+
+
+def test_nothing_explains_fresh_data_better_than_the_truth(plaza: dict[str, Checked]) -> None:
+    fresh = {name: c.fresh for name, c in plaza.items()}
+    assert max(fresh, key=lambda name: fresh[name] or -99.0) == "plaza-truth"
+    assert min(fresh, key=lambda name: fresh[name] or -99.0) == "poisson-gmm"
+
+
+@pytest.mark.parametrize("model", ["poisson-gmm", "renewal-gmm", "ntpp-gmm"])
+def test_samplers_follow_their_own_density(plaza: dict[str, Checked], model: str) -> None:
+    for found in (plaza[model].own_gaps, plaza[model].own_sizes):
+        assert found is not None
+        assert found.p > 1e-3
+        assert found.n > 5000
+
+
+def test_poissons_gaps_and_sizes_are_not_the_recordings(plaza: dict[str, Checked]) -> None:
+    found = plaza["poisson-gmm"]
+    assert found.gaps is not None
+    assert found.sizes is not None
+    assert max(found.gaps.p, found.sizes.p) < 1e-4
+
+
+def counts_hold(found: dict[str, Checked]) -> None:
+    for name in ("poisson-gmm", "renewal-gmm", "ntpp-gmm"):
+        assert found[name].persons == pytest.approx(1, abs=0.10), name
+        assert found[name].first == pytest.approx(1, abs=0.30), name
+
+
+def test_samples_let_in_as_many_as_were_recorded_on_the_plaza(plaza: dict[str, Checked]) -> None:
+    counts_hold(plaza)
+
+
+def test_samples_let_in_as_many_as_were_recorded_at_eth(eth: dict[str, Checked]) -> None:
+    counts_hold(eth)
+    assert eth["ntpp-gmm"].heldout > eth["renewal-gmm"].heldout > eth["poisson-gmm"].heldout
+
+
+def test_the_command_prints_a_row_per_model(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["spawn", "plaza-v0"]) == 0
+    printed = capsys.readouterr().out
+    for name in ("plaza-truth", "poisson-gmm", "renewal-gmm", "ntpp-gmm"):
+        assert name in printed
