@@ -4,23 +4,40 @@ import numpy as np
 from numba import njit, prange
 
 
-@njit(parallel=True, cache=True, fastmath=True, error_model="numpy")
+LANES = 8
+
+
+@njit(cache=False, error_model="numpy")
+def _l1(a, b):
+    """Sum of absolute differences, in eight partial sums: in the same order on every run.
+
+    `fastmath` would choose an order of its own, and another one when machine code comes from disk.
+    """
+    sums = np.zeros(LANES)
+    whole = len(a) - len(a) % LANES
+    for f in range(0, whole, LANES):
+        for lane in range(LANES):
+            sums[lane] += abs(a[f + lane] - b[f + lane])
+    for f in range(whole, len(a)):
+        sums[f - whole] += abs(a[f] - b[f])
+    total = 0.0
+    for lane in range(LANES):
+        total += sums[lane]
+    return total
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
 def l1_distances(y, x):
     """L1 distances (r, g, K) of x (r, g, K, F) to y (r, F), and (r, g, K, K) within groups."""
-    n, groups, each, size = x.shape
+    n, groups, each, _ = x.shape
     to_y = np.zeros((n, groups, each))
     between = np.zeros((n, groups, each, each))
     for r in prange(n):
         for g in range(groups):
             for k in range(each):
-                d = 0.0
-                for f in range(size):
-                    d += abs(x[r, g, k, f] - y[r, f])
-                to_y[r, g, k] = d
+                to_y[r, g, k] = _l1(x[r, g, k], y[r])
                 for other in range(k):
-                    d = 0.0
-                    for f in range(size):
-                        d += abs(x[r, g, k, f] - x[r, g, other, f])
+                    d = _l1(x[r, g, k], x[r, g, other])
                     between[r, g, k, other] = d
                     between[r, g, other, k] = d
     return to_y, between

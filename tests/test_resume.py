@@ -3,12 +3,15 @@
 CROWDBENCH_KILLS=20 kills it as often as a release does.
 """
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO
 
 import numpy as np
 
@@ -16,18 +19,20 @@ KILLS = int(os.environ.get("CROWDBENCH_KILLS", "3"))
 ASKED = ["evaluate", "eth-v0", "--spawn", "poisson-gmm", "--policy", "straight", "--seeds", "10"]
 
 
-def start(out: Path) -> subprocess.Popen[bytes]:
+def start(out: Path, errors: int | IO[bytes] = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "crowdbench", *ASKED, "--workers", "2", "--out", str(out)]
     return subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
+        command, stdout=subprocess.DEVNULL, stderr=errors, start_new_session=True
     )
 
 
 def finished(out: Path) -> dict[str, bytes]:
     """Run to the end; all files but the one that tells when and where."""
-    process = start(out)
-    _, errors = process.communicate()
-    assert process.returncode == 0, errors.decode()
+    with TemporaryFile() as errors:
+        process = start(out, errors)
+        returned = process.wait()
+        errors.seek(0)
+        assert returned == 0, errors.read().decode()
     return {
         str(p.relative_to(out)): p.read_bytes()
         for p in sorted(out.rglob("*"))
@@ -41,13 +46,20 @@ def test_killed_evaluations_end_with_the_same_bytes(tmp_path: Path) -> None:
     took_s = time.monotonic() - began
     rng = np.random.default_rng(KILLS)
     out = tmp_path / "killed"
+    orphans = []
     for k in range(KILLS):
         process = start(out)
         time.sleep(rng.uniform(0.2, 1.0) * took_s)
         # Now everyone at once, now the main process alone, which leaves its workers at work.
         if k % 2:
-            process.send_signal(signal.SIGKILL)
+            process.kill()
+            orphans.append(process.pid)
         else:
             os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
-    assert finished(out) == whole
+        process.wait()
+    try:
+        assert finished(out) == whole
+    finally:
+        for group in orphans:  # idle workers would end by themselves, in minutes
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(group, signal.SIGKILL)
