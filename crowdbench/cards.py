@@ -145,6 +145,11 @@ class Row:
     """By `overall` where every entry has one, else by `crowd`."""
 
 
+def walked(card: Scorecard) -> bool:
+    """Whether policies were walked under the recorded arrivals."""
+    return any(entry.spawn == "replay" for entry in card.entries)
+
+
 def scale_of(card: Scorecard) -> dict[str, tuple[Energy, Energy]]:
     """Floor and anchor of each scored metric."""
     by_pair = {(e.spawn, e.policy): e for e in card.scale.anchors}
@@ -179,7 +184,7 @@ def rows(card: Scorecard) -> list[Row]:
     everyone = [*card.entries, *card.scale.anchors]
     of_entry = {id(e): metric_scores(card, e) for e in everyone}
     walkers = {e.policy: of_entry[id(e)] for e in reversed(everyone) if e.spawn == "replay"}
-    recorded = any(e.spawn == "replay" for e in card.entries)
+    recorded = walked(card)
 
     def row(entry: Entry, kind: Literal["entry", "anchor"]) -> Row:
         scores = dict(of_entry[id(entry)])

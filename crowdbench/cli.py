@@ -236,8 +236,8 @@ def _evaluate(asked: argparse.Namespace) -> None:
 
 
 def _print_card(card: "Scorecard") -> None:
-    from crowdbench.cards import rows
-    from crowdbench.metrics import FAMILIES
+    from crowdbench.cards import rows, walked
+    from crowdbench.metrics import FAMILIES, METRICS, WALK
 
     table = rows(card)
     print(
@@ -251,16 +251,17 @@ def _print_card(card: "Scorecard") -> None:
     wide = console.width >= 135  # room for the interval of the first four families too
     heads = [f.replace("interaction", "inter-\naction") for f in FAMILIES]
     scores = _table("spawn × policy", *heads[:4], "crowd", *heads[4:], "overall", "rank")
-    scores.columns[0].no_wrap = True
+    for column in (scores.columns[0], scores.columns[5], scores.columns[8]):
+        column.no_wrap = True
     for k, row in enumerate(table):
         if row.kind == "anchor" and table[k - 1].kind == "entry":
             scores.add_section()
-        walk = "needs recording" if row.kind == "entry" and row.walk is None else None
+        missing = row.kind == "entry" and row.walk is None and not walked(card)
         scores.add_row(
             f"{row.spawn} × {row.policy}",
             *[_number(row.families.get(f)) for f in FAMILIES[:4]],
             _with_interval(row.crowd) if wide else _number(row.crowd),
-            *([walk, ""] if walk else [_number(row.families.get(f)) for f in FAMILIES[4:]]),
+            *(["needs", "recording"] if missing else map(_number, map(row.families.get, WALK))),
             _with_interval(row.overall),
             "" if row.rank is None else f"{row.rank}",
         )
@@ -273,7 +274,8 @@ def _print_card(card: "Scorecard") -> None:
     )
     entries = [e for e in card.entries if e.spawn != "replay"] or card.entries
     distances = _table("distance", "", "recorded", *[f"{k}" for k in range(1, len(entries) + 1)])
-    for name, first in entries[0].metrics.items():
+    known = entries[0].metrics
+    for name, first in ((m.name, known[m.name]) for m in METRICS if m.name in known):
         mark = "scored" if name in card.scored else ""
         value = "" if first.recorded is None else f"{first.recorded:.2f} {first.unit}"
         cells = [e.metrics[name].distance for e in entries]

@@ -9,7 +9,7 @@ import shlex
 from html import escape
 from pathlib import Path
 
-from crowdbench.cards import ANCHOR, Row, Scorecard, rows
+from crowdbench.cards import ANCHOR, Row, Scorecard, rows, walked
 from crowdbench.figures import Crowds, Sight
 from crowdbench.files import write_text
 from crowdbench.metrics import FAMILIES
@@ -21,7 +21,6 @@ from crowdbench.report.tables import (
     outcome_table,
     plainly,
     score_table,
-    walked,
 )
 from crowdbench.scene import Scene
 

@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from crowdbench.cards import Entry, Row, Scorecard, metric_scores
+from crowdbench.cards import Entry, Row, Scorecard, metric_scores, walked
 from crowdbench.figures import Sight
 from crowdbench.metrics import FAMILIES, METRICS, WALK, Metric
 from crowdbench.metrics.arrivals import burstiness, memory
@@ -18,11 +18,6 @@ _NOTHING = "–"
 def plainly(value: float) -> str:
     """Two decimals and a true minus sign; no −0.00."""
     return f"{value if abs(value) >= 0.005 else 0.0:.2f}".replace("-", "−")
-
-
-def walked(card: Scorecard) -> bool:
-    """Whether policies were walked under the recorded arrivals."""
-    return any(entry.spawn == "replay" for entry in card.entries)
 
 
 def score_table(card: Scorecard, table: Sequence[Row]) -> str:
