@@ -10,6 +10,8 @@ import pytest
 from crowdbench import bench
 from crowdbench.cli import main
 
+pytestmark = pytest.mark.xdist_group("bench")  # its fixtures take long: made once
+
 NAMES = [
     "core with observations, 1 × 20",
     "core with observations, 1 × 100",

@@ -23,6 +23,8 @@ from crowdbench.scene import load_scene
 from crowdbench.tables import read_own
 from crowdbench.trajectories import OUTCOMES
 
+pytestmark = pytest.mark.xdist_group("evaluation")  # its fixtures take long: made once
+
 ETH = load_scene("eth-v0")
 PICTURES = ("agents_over_time.png", "inter_spawn.png", "dwell.png", "paths.png")
 

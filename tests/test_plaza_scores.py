@@ -17,6 +17,8 @@ from crowdbench.spawn import PoissonGMM, arrivals_of
 from crowdbench.spawn.areas import read_areas
 from crowdbench.trajectories import Trajectories, from_rows
 
+pytestmark = pytest.mark.xdist_group("plaza")  # its fixtures take long: made once
+
 PLAZA = load_scene("plaza-v0")
 TRUTH = "crowdbench.plaza:PlazaArrivals"
 PLACE = Place(spawn_areas=4, goal_areas=4, bounds_m=(0.0, 30.0, 0.0, 20.0))
