@@ -15,7 +15,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 evaluate: $(VENV)/core.stamp
 	$(BIN)/crowdbench evaluate eth-v0
 
-ARGS ?= -n auto --dist loadgroup
+ARGS ?= -n auto
 
 test: $(VENV)/dev.stamp
 	$(BIN)/python -m pytest $(ARGS)

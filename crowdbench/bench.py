@@ -38,6 +38,7 @@ M2_PER_BOX = 300.0
 MARGIN_M = 1.5  # nobody is to leave the scene while it is measured
 CHUNK_S = 0.05
 MEASURE_S = 2.0
+ENTRIES = 10
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ def measure() -> Iterator[Figure]:
     )
     yield Figure(
         "intervals and ranks of 10 entries on ETH",
-        _once_s(_ranking(scene, reference, crowds, entries=10)),
+        _once_s(_ranking(scene, reference, crowds, entries=ENTRIES)),
         "s",
     )
     yield Figure("import crowdbench", min(_import_s() for _ in range(5)), "s")

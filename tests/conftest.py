@@ -45,6 +45,10 @@ _hook = jaxtyping.install_import_hook(
     "beartype.beartype",
 )
 
+# Tests run side by side: threads that wait for work must not keep others from theirs.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # What the user has imported is not looked at; fixtures of a module share this home.
 os.environ["CROWDBENCH_HOME"] = tempfile.mkdtemp(prefix="crowdbench-home-")
 

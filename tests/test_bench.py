@@ -10,8 +10,6 @@ import pytest
 from crowdbench import bench
 from crowdbench.cli import main
 
-pytestmark = pytest.mark.xdist_group("bench")  # its fixtures take long: made once
-
 NAMES = [
     "core with observations, 1 × 20",
     "core with observations, 1 × 100",
@@ -38,6 +36,7 @@ def printed(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, di
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(text):
         patch.setattr(bench, "MEASURE_S", 0.01)
         patch.setattr(bench, "CHUNK_S", 0.001)
+        patch.setattr(bench, "ENTRIES", 1)
         assert main(["bench", "--json", str(path)]) == 0
     return text.getvalue(), json.loads(path.read_text())
 

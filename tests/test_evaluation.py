@@ -23,8 +23,6 @@ from crowdbench.scene import load_scene
 from crowdbench.tables import read_own
 from crowdbench.trajectories import OUTCOMES
 
-pytestmark = pytest.mark.xdist_group("evaluation")  # its fixtures take long: made once
-
 ETH = load_scene("eth-v0")
 PICTURES = ("agents_over_time.png", "inter_spawn.png", "dwell.png", "paths.png")
 
@@ -254,10 +252,15 @@ def made_of(out: Path) -> dict[str, bytes]:
     }
 
 
-def test_what_is_there_is_kept_and_what_is_missing_is_made(tmp_path: Path) -> None:
+def test_what_is_there_is_kept_and_what_is_missing_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for drawn in ("draw_figures", "write_report"):  # which take longer than the rollouts
+        monkeypatch.setattr(f"crowdbench.evaluation.{drawn}", lambda *of: None)
+
     def run() -> dict[str, bytes]:
         evaluate(
-            "plaza-v0", spawn=["poisson-gmm"], policy=["straight"], seeds=2, workers=1, out=tmp_path
+            "eth-v0", spawn=["poisson-gmm"], policy=["straight"], seeds=2, workers=1, out=tmp_path
         )
         return made_of(tmp_path)
 

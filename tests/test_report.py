@@ -26,8 +26,6 @@ from crowdbench.rollouts import rollout
 from crowdbench.scene import load_scene
 from crowdbench.scoring import RESAMPLES
 
-pytestmark = pytest.mark.xdist_group("report")  # its fixtures take long: made once
-
 ETH = load_scene("eth-v0")
 REFERENCE = read_reference(ETH)
 EVIL = '<script>alert("&")</script>'

@@ -8,8 +8,6 @@ from crowdbench.cli import main
 from crowdbench.scene import load_scene
 from crowdbench.spawn_check import Checked, check_models
 
-pytestmark = pytest.mark.xdist_group("spawn")  # its fixtures take long: made once
-
 
 @pytest.fixture(scope="module")
 def plaza() -> dict[str, Checked]:
