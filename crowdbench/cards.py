@@ -7,7 +7,7 @@ measured by come with the scene (`anchors.json`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
@@ -206,10 +206,10 @@ def rows(card: Scorecard) -> list[Row]:
 
 
 def _ranked(entries: Sequence[Row]) -> list[Row]:
-    """Rank entries whose arrivals are simulated: recorded ones compete with nobody."""
+    """Rank entries whose arrivals are simulated: played recordings compete with nobody."""
     from dataclasses import replace
 
-    competing = [r for r in entries if r.spawn != "replay"]
+    competing = [r for r in entries if r.spawn not in ("replay", "block-replay")]
     by_overall = all(r.overall is not None for r in competing)
     scores = [r.overall if by_overall else r.crowd for r in competing]
     known = [s for s in scores if s is not None]
@@ -220,9 +220,17 @@ def _ranked(entries: Sequence[Row]) -> list[Row]:
 
 
 def files_of(scene: Scene) -> str:
-    """Hash of the shipped files that anchors and scores depend on."""
+    """Hash of what the scene's anchors and scores depend on: its rules and shipped files."""
     names = ("areas.json", "poisson-gmm.json", "reference.json")
-    return sha256(b"".join((scene.folder / name).read_bytes() for name in names))[:16]
+    rules = {
+        f.name: getattr(scene, f.name)
+        for f in fields(scene)
+        if f.name not in ("title", "folder", "clustering")
+    }
+    rules["protocol"] = msgspec.structs.replace(scene.protocol, scored=())
+    parts = [msgspec.json.encode(rules, order="deterministic")]
+    parts += [(scene.folder / name).read_bytes() for name in names]
+    return sha256(b"".join(parts))[:16]
 
 
 def write_anchors(anchors: Anchors, folder: Path) -> Path:
@@ -248,6 +256,13 @@ def read_anchors(scene: Scene) -> Anchors:
             path,
             got=f"anchors of {got[0]}, schema {got[1]}, made from files {got[2]}",
             expected=f"{expected[0]}, schema {expected[1]}, files {expected[2]}",
+            mend=mend,
+        )
+    if set(anchors.protocols) != {"full", "heldout"}:
+        raise WeightsError(
+            path,
+            got=f"anchors of {', '.join(anchors.protocols) or 'no protocol'}",
+            expected="full and heldout",
             mend=mend,
         )
     for scale in anchors.protocols.values():

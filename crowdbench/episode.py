@@ -84,6 +84,8 @@ def begin(
 def actions_of(policy: Policy, simulation: Simulation) -> Float32[np.ndarray, "W N 2"]:
     """Let a policy act for everyone present."""
     actions = np.zeros(simulation.slots.position.shape, np.float32)
+    if not simulation.slots.alive.any():  # nobody to act for: not every policy knows what to do
+        return actions
     if policy.sees == "state":
         view = StateView.of(simulation)
         actions[view.world, view.slot] = _checked(policy.act(view), len(view.slot), policy)
@@ -191,7 +193,8 @@ class Recorder:
             xy=np.concatenate(self._xy)[inside],
             persons={name: values[inside] for name, values in persons.items()},
             provenance=provenance,
-            where="rollout",
+            where=" × ".join(str(provenance.get(k, "")) for k in ("spawn", "policy"))
+            + f", seed {provenance.get('seed', '')}",
         )
 
 

@@ -11,13 +11,14 @@ import os
 import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from crowdbench import __version__
-from crowdbench.blocks import PARTS
+from crowdbench.blocks import FOLDS, PARTS
 from crowdbench.cards import (
     ANCHOR,
     ANCHORS,
@@ -33,7 +34,7 @@ from crowdbench.cards import (
     files_of,
     read_anchors,
 )
-from crowdbench.errors import RecordingError, SettingError
+from crowdbench.errors import OutputError, RecordingError, SettingError
 from crowdbench.figures import FIGURES, Sight, draw_figures
 from crowdbench.files import sha256, unwritable, write_json
 from crowdbench.metrics import WALK, Metric, Statistics, metrics_for
@@ -45,7 +46,7 @@ from crowdbench.registry import policy as find_policy
 from crowdbench.report import write_report
 from crowdbench.rollouts import rollout
 from crowdbench.scene import Scene, load_scene
-from crowdbench.scoring import RESAMPLES, Draws, energy, floor, mean_of
+from crowdbench.scoring import RESAMPLES, Draws, FloorDraws, energy, floor, mean_of
 from crowdbench.tables import read_own, write_parquet
 from crowdbench.trajectories import OUTCOMES
 
@@ -53,6 +54,8 @@ DEFAULT_SPAWN = ("poisson-gmm", "renewal-gmm", "ntpp-gmm")
 DEFAULT_POLICY = ("straight", "social-force")
 SHOWN = 6
 """Rollouts of each pair that figures and the report show."""
+
+_LARGE = 2**26  # bytes of a file beyond which its age is looked at, not what is in it
 
 Pair = tuple[str, str]
 Progress = Callable[[int, int], None]
@@ -129,9 +132,30 @@ def evaluate(
     pairs = _pairs(place, spawn, policy)
     seeds = place.protocol.fits * place.protocol.rollouts_per_fit if seeds is None else seeds
     workers = _checked_workers(workers)
+    if protocol == "heldout" and len(reference.blocks) < FOLDS:
+        raise SettingError(
+            "protocol", got=f"{len(reference.blocks)} time blocks", expected=f"{FOLDS} at least"
+        )
     jobs = plan(str(scene), place, pairs, protocol, seeds, out / "rollouts")
-    _prepare(out)
-    entries = roll_out(place, reference, jobs, protocol, seeds, workers, progress)
+    with _alone_in(out):
+        _prepare(out)
+        entries = roll_out(place, reference, jobs, protocol, seeds, workers, progress)
+        return _finish(place, reference, jobs, entries, protocol, seeds, workers, scale, out, began)
+
+
+def _finish(
+    place: Scene,
+    reference: Reference,
+    jobs: list[Job],
+    entries: list[Entry],
+    protocol: Protocol,
+    seeds: int,
+    workers: int,
+    scale: Scale,
+    out: Path,
+    began: float,
+) -> Scorecard:
+    """Write scorecard, pictures and report."""
     card = Scorecard(
         schema=SCHEMA,
         crowdbench=__version__,
@@ -249,17 +273,21 @@ def draws_of(scene: Scene, reference: Reference, part: str) -> Draws:
 
 def floors(scene: Scene, reference: Reference, protocol: str) -> dict[str, EnergyCard]:
     """F of each metric."""
+    parts = parts_of(protocol)
+    draws = {part: draws_of(scene, reference, part) for part in parts}
+    everyone = [(np.flatnonzero(reference.blocks.in_part(p)), draws[p]) for p in parts]
     found = {}
     for metric in metrics_for(reference.blocks):
         each = []
-        for part in parts_of(protocol):
-            inside = reference.blocks.in_part(part)
-            recorded = _rows(reference.statistics[metric.name], inside)
+        for part in parts:
             blocks = reference.blocks.scored(part)
             if metric.applies(blocks):
-                each.append(floor(metric, recorded, blocks, draws_of(scene, reference, part)))
+                recording = reference.statistics[metric.name]
+                recorded = _rows(recording, reference.blocks.in_part(part))
+                of_floor = FloorDraws.of(draws[part], everyone)
+                each.append(floor(metric, recording, recorded, blocks, of_floor))
         known = [e for e in each if e is not None]
-        if len(known) == len(parts_of(protocol)):
+        if len(known) == len(parts):
             found[metric.name] = EnergyCard.of(mean_of(known))
     return found
 
@@ -317,8 +345,8 @@ def plan(
         recorded = s == "replay"
         certain = recorded and getattr(walker, "deterministic", False)
         for part in ("full",) if recorded else parts_of(protocol):
-            fingerprint = _fingerprint(place, s, p)
             spawn_model(s, place, part=part)
+            fingerprint = _fingerprint(place, s, p)
             for seed in range(1 if certain else seeds):
                 name = f"{_plain(s)}_{_plain(p)}_{part}_{seed}.parquet"
                 jobs.append(Job(scene, s, p, part, seed % fits, seed, folder / name, fingerprint))
@@ -326,19 +354,70 @@ def plan(
 
 
 def _fingerprint(scene: Scene, spawn: str, policy: str) -> str:
-    """Hash of what a rollout depends on: our code, the scene's files, recording, own classes."""
-    package = Path(__file__).parent
-    files = sorted(package.rglob("*.py"))
-    files += sorted(p for p in scene.folder.iterdir() if p.name != "anchors.json")
+    """Hash of what a rollout depends on: our code, the scene's files, the recording, own classes.
+
+    Of an own class these are all files in the folder of its module: weights lie beside the code.
+    """
+    files = sorted(Path(__file__).parent.rglob("*.py"))
+    files += _plain_files(scene.folder, without="anchors.json")
     if spawn in ("replay", "block-replay") and cached(scene.recording.name).exists():
         files.append(cached(scene.recording.name))
     for name in (spawn, policy):
         module, colon, _ = name.partition(":")
         found = importlib.util.find_spec(module) if colon else None
         if found is not None and found.origin is not None:
-            files.append(Path(found.origin))
+            files += _plain_files(Path(found.origin).parent)
     parts = [f"{__version__} {scene.id} {spawn} {policy}".encode()]
-    return sha256(b"".join([*parts, *(sha256(f.read_bytes()).encode() for f in files)]))[:16]
+    return sha256(b"".join([*parts, *(_hash_of(f) for f in files)]))[:16]
+
+
+def _plain_files(folder: Path, without: str = "") -> list[Path]:
+    return sorted(p for p in folder.iterdir() if p.is_file() and p.name != without)
+
+
+def _hash_of(file: Path) -> bytes:
+    stat = file.stat()
+    if stat.st_size > _LARGE:
+        return f"{file.name} {stat.st_size} {stat.st_mtime_ns}".encode()
+    return sha256(file.read_bytes()).encode()
+
+
+@contextmanager
+def _alone_in(out: Path) -> Iterator[None]:
+    """Refuse to work in a folder in which another evaluation is at work."""
+    lock = out / ".lock"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        holder = int(lock.read_text() or 0) if lock.exists() else 0
+    except OSError as error:
+        raise unwritable(out, error) from error
+    except ValueError:
+        holder = 0
+    if holder not in (0, os.getpid()) and _lives(holder):
+        raise OutputError(
+            out,
+            got=f"a folder in which process {holder} evaluates",
+            expected="a folder of one's own",
+            mend=f"Wait for it, or name another folder; if there is none, remove {lock}.",
+        )
+    try:
+        lock.write_text(str(os.getpid()))
+        yield
+    except PermissionError as error:
+        raise unwritable(out, error) from error
+    finally:
+        with suppress(OSError):
+            lock.unlink()
+
+
+def _lives(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 def _prepare(out: Path) -> None:
@@ -358,7 +437,8 @@ def _prepare(out: Path) -> None:
 
 
 def _plain(name: str) -> str:
-    return "".join(c if c.isalnum() or c in "-." else "-" for c in name)
+    plain = "".join(c if c.isalnum() or c in "-." else "-" for c in name)
+    return plain if plain == name else f"{plain}-{sha256(name.encode())[:6]}"
 
 
 def _known_protocol(protocol: str) -> str:

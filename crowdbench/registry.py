@@ -1,6 +1,7 @@
 """What the names of recordings, spawn models and policies stand for."""
 
 import importlib
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -79,7 +80,8 @@ def spawn_model(
     """A spawn model by its name, fitted for a part (one of `blocks.PARTS`) of the recording.
 
     Of a model with several fits the one of index `fit`, counted round. `replay` is the whole
-    recording in any part. `pkg.module:Class` is called with the scene.
+    recording in any part. `pkg.module:Class` is called with the scene, and with `part` and `fit`
+    where it takes arguments of these names.
 
     Raises:
         SettingError: there is no such model, part or fit.
@@ -97,7 +99,8 @@ def spawn_model(
         return BlockReplay(crowd, blocks_of(crowd, scene).training(part), read_areas(scene))
     if model == "replay":
         return Replay(recording_of(scene))
-    made: SpawnModel = _made(_own(model, "spawn model", SPAWN_MODELS), model, scene)
+    kind = _own(model, "spawn model", SPAWN_MODELS)
+    made: SpawnModel = _made(kind, model, scene, **_understood(kind, part=part, fit=fit))
     return _having(made, model, ("name", "start", "sample"))
 
 
@@ -144,9 +147,18 @@ def _own(path: str, kind: str, known: tuple[str, ...]) -> Callable[..., Any]:
     return found
 
 
-def _made(kind: Callable[..., Any], path: str, *arguments: object) -> Any:
+def _understood(kind: Callable[..., Any], **offered: object) -> dict[str, object]:
+    """Those of the arguments that it takes by name."""
     try:
-        return kind(*arguments)
+        taken = inspect.signature(kind).parameters
+    except (TypeError, ValueError):
+        return {}
+    return {name: value for name, value in offered.items() if name in taken}
+
+
+def _made(kind: Callable[..., Any], path: str, *arguments: object, **named: object) -> Any:
+    try:
+        return kind(*arguments, **named)
     except TypeError as error:
         raise SettingError(
             path,

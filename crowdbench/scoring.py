@@ -5,7 +5,7 @@ marginals. The energy form of the same distance does not (Gneiting & Raftery 200
 the negative-type distances of `crowdbench.metrics`): for rollouts X of a model and the recording y
 
     ES = mean d(X_k, y) − ½ mean d(X_k, X_l)   over pairs of distinct rollouts,
-    F  = ½ mean d(y*, y**)                     over block resamples of y,
+    F  = ½ mean d(y*, y**)                     over resamples y*, as long as y, of the recording,
     S  = 1 − (ES − F) / (ES_anchor − F)
 
 so that S is 0 for the anchor and, on average, 1 for the process that made the recording. Where
@@ -45,8 +45,7 @@ class Energy:
     def deviations(self) -> Float[np.ndarray, " R"]:
         """The resamples' deviations from their own centre.
 
-        A resample holds some rollouts twice, whose distance is 0, and fewer distinct blocks: that
-        moves its mean, not its spread.
+        A resample has fewer distinct blocks than the recording, which moves its mean.
         """
         return self.resampled - self.resampled.mean()
 
@@ -78,13 +77,7 @@ class Draws:
         edges = [*range(0, len(blocks), run), len(blocks)]
         units = tuple((a, b) for a, b in pairwise(edges))
         rng = np.random.default_rng([*seed, 0])
-        return cls(_drawn(rng, np.ones(len(units)), RESAMPLES, units), units, seed)
-
-    def nested(self, resample: int, count: int) -> Int[np.ndarray, "count B"]:
-        """Resamples of one resample."""
-        rng = np.random.default_rng([*self.seed, 1, resample])
-        weight = np.array([self.blocks[resample, start] for start, _ in self.units])
-        return _drawn(rng, weight, count, self.units)
+        return cls(_drawn(rng, np.ones(len(units)), len(units), RESAMPLES, units), units, seed)
 
     def fits(self, fits: int) -> Int[np.ndarray, "R fits"]:
         """Which fits each resample consists of."""
@@ -98,12 +91,62 @@ class Draws:
 
 def _drawn(
     rng: np.random.Generator,
-    weight: np.ndarray,
+    weight: Float[np.ndarray, " U"],
+    times: int,
     count: int,
     units: tuple[tuple[int, int], ...],
 ) -> Int[np.ndarray, "count B"]:
-    times = rng.multinomial(len(units), weight / weight.sum(), size=count)
-    return np.repeat(times, [stop - start for start, stop in units], axis=1)
+    """Draw `times` units with replacement, `count` times; how often each block is among them."""
+    drawn = rng.multinomial(times, weight / weight.sum(), size=count)
+    return np.repeat(drawn, [stop - start for start, stop in units], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class FloorDraws:
+    """What F of a part is computed from: resamples of the whole recording, as long as the part.
+
+    The few blocks of a fold alone would make F too small by a fifth and more: resamples of six
+    blocks vary less than recordings of six blocks do. F tells of the recording, not of a model, so
+    nothing is learned from what is held out.
+    """
+
+    order: Int[np.ndarray, " B"]
+    """The recording's blocks, fold by fold."""
+    units: tuple[tuple[int, int], ...]
+    """Runs of them that are drawn together."""
+    blocks: Int[np.ndarray, "R B"]
+    """How often each counts in each resample."""
+    times: int
+    """Units of the part."""
+    seed: tuple[int, ...]
+
+    @classmethod
+    def of(
+        cls, part: Draws, everyone: Sequence[tuple[Int[np.ndarray, " b"], Draws]]
+    ) -> "FloorDraws":
+        """From the draws of the part, and those of all parts with the blocks they are of."""
+        units: list[tuple[int, int]] = []
+        for _, draws in everyone:
+            first = units[-1][1] if units else 0
+            units += [(first + a, first + b) for a, b in draws.units]
+        return cls(
+            np.concatenate([index for index, _ in everyone]),
+            tuple(units),
+            np.concatenate([draws.blocks for _, draws in everyone], axis=1),
+            len(part.units),
+            part.seed,
+        )
+
+    def centre(self) -> Int[np.ndarray, "count B"]:
+        """Resamples of the recording."""
+        rng = np.random.default_rng([*self.seed, 4])
+        return _drawn(rng, np.ones(len(self.units)), self.times, FLOOR_DRAWS, self.units)
+
+    def nested(self, resample: int) -> Int[np.ndarray, "count B"]:
+        """Resamples of one resample."""
+        rng = np.random.default_rng([*self.seed, 1, resample])
+        weight = np.array([self.blocks[resample, start] for start, _ in self.units], dtype=float)
+        return _drawn(rng, weight, self.times, NESTED_DRAWS, self.units)
 
 
 def energy(
@@ -137,14 +180,30 @@ def energy(
         r = np.arange(len(to_y))[:, None, None]
         fit, k = chosen[part][:, :, None], inside[part]
         near = to_y[r, fit, k].mean(axis=(1, 2))
-        pairs = between[r[..., None], fit[..., None], k[:, :, :, None], k[:, :, None, :]]
-        resampled[part] = near - pair_mean(pairs).mean(axis=1) / 2
+        one, other = k[:, :, :, None], k[:, :, None, :]
+        pairs = between[r[..., None], fit[..., None], one, other]
+        # A rollout drawn twice is no pair of rollouts: its distance of 0 would only be noise.
+        distinct = (one != other).sum(axis=(-2, -1))
+        whole = pair_mean(between)[r[..., 0], fit[..., 0]]
+        mean = np.where(distinct > 0, pairs.sum(axis=(-2, -1)) / np.maximum(distinct, 1), whole)
+        resampled[part] = near - mean.mean(axis=1) / 2
     return Energy(centre, resampled)
 
 
-def floor(metric: Metric, recorded: Statistics, blocks: TimeBlocks, draws: Draws) -> Energy | None:
-    """F: half the mean distance of two block resamples of the recording."""
-    embedded = Embedded.of(metric, [recorded], recorded, blocks)
+def floor(
+    metric: Metric,
+    recording: Statistics,
+    recorded: Statistics,
+    blocks: TimeBlocks,
+    draws: FloorDraws,
+) -> Energy | None:
+    """F: half the mean distance of two resamples of the recording.
+
+    `recording` are the statistics of all its blocks, `recorded` those of the part, which `blocks`
+    are and distances are divided by.
+    """
+    everything = {name: values[draws.order] for name, values in recording.items()}
+    embedded = Embedded.of(metric, [everything], recorded, blocks)
     if embedded is None:
         return None
 
@@ -153,9 +212,9 @@ def floor(metric: Metric, recorded: Statistics, blocks: TimeBlocks, draws: Draws
         x = embedded(weights.reshape(n * count, -1))[:, 0].reshape(n, 1, count, -1)
         return pair_mean(_distances(x[:, 0, 0], x)[1])[:, 0] / 2
 
-    resamples = np.stack([draws.nested(r, NESTED_DRAWS) for r in range(RESAMPLES)])
+    resamples = np.stack([draws.nested(r) for r in range(RESAMPLES)])
     nested = [half_means(resamples[part]) for part in embedded.chunks(RESAMPLES, NESTED_DRAWS)]
-    centre = half_means(draws.blocks[None, :FLOOR_DRAWS])
+    centre = half_means(draws.centre()[None])
     return Energy(float(centre[0]), np.concatenate(nested))
 
 
@@ -183,12 +242,10 @@ class Embedded:
         weight = metric.weights(total(everyone[-1]), support, blocks)
         if not np.isfinite(weight).all():
             return None
-        stacked = {
-            name: np.stack([c[name] for c in everyone[:-1]], axis=1)
-            .reshape(len(blocks), -1)
-            .astype(np.float64)
-            for name in recorded
-        }
+        stacked = {}
+        for name in recorded:
+            together = np.stack([c[name] for c in everyone[:-1]], axis=1)
+            stacked[name] = together.reshape(len(together), -1).astype(np.float64)
         return cls(metric, blocks, support, stacked, len(crowds), weight)
 
     def chunks(self, resamples: int, rows: int = 1) -> Iterator[slice]:
@@ -239,18 +296,21 @@ class Score:
 def score_of(es: Energy, floor_: Energy, anchor: Energy) -> Score | None:
     """S = 1 − (ES − F)/(ES_anchor − F), clipped below at −1, never above.
 
-    The resamples follow the ratio to first order: where anchor and floor lie close together, single
+    The resamples follow that to first order: where anchor and floor lie close together, single
     resamples of the span between them all but vanish, and the ratio itself would tell nothing.
+    A score that is cut is as certain as it is low.
     None where the anchor is no worse than the floor: the metric tells nothing here.
     """
     span = anchor.centre - floor_.centre
     if not span > 0:
         return None
     ratio = (es.centre - floor_.centre) / span
+    if 1 - ratio <= LOWEST:
+        return Score(LOWEST, np.full(len(es.resampled), LOWEST))
     above_floor = es.deviations() - floor_.deviations()
     of_span = anchor.deviations() - floor_.deviations()
     resampled = 1 - ratio - above_floor / span + ratio * of_span / span
-    return Score(max(LOWEST, 1 - ratio), np.maximum(LOWEST, resampled))
+    return Score(1 - ratio, np.maximum(LOWEST, resampled))
 
 
 def combined(scores: Sequence[Score]) -> Score | None:

@@ -42,6 +42,16 @@ class OneByOne(Given):
         super().__init__(*[Person(time_s=t, start=middle, goal=middle) for t in times])
 
 
+class PerFold(Given):
+    """Lets in as many as the number of the fold it was made for, plus one."""
+
+    def __init__(self, scene: Scene, part: str) -> None:
+        b = scene.bounds
+        middle = ((b.x_min_m + b.x_max_m) / 2, (b.y_min_m + b.y_max_m) / 2)
+        there = [Person(time_s=5.0, start=middle, goal=middle) for _ in range(int(part[-1]) + 1)]
+        super().__init__(*there)
+
+
 class Announcing(Straight):
     """A policy as a user writes it; it says when an episode begins."""
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import re
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -178,7 +179,8 @@ def test_models_and_policies_of_ones_own_are_walked_by_workers(tmp_path: Path) -
         out=tmp_path,
     )  # fmt: skip
     names = sorted(path.name for path in (tmp_path / "rollouts").iterdir())
-    assert names == [f"given-OneByOne_given-Announcing_full_{seed}.parquet" for seed in (0, 1)]
+    stem = r"given-OneByOne-\w{6}_given-Announcing-\w{6}_full"
+    assert [re.fullmatch(rf"{stem}_(\d)\.parquet", name)[1] for name in names] == ["0", "1"]  # type: ignore[index]
     assert (card.entries[0].spawn, card.entries[0].policy) == ("given:OneByOne", "given:Announcing")
 
 
@@ -318,3 +320,51 @@ def test_without_the_recording_walking_has_no_score(tmp_path: Path) -> None:
     assert row.overall is None
     assert row.crowd is not None
     assert row.crowd.value == pytest.approx(0, abs=0.15)  # the anchor, by other rollouts
+
+
+def test_a_folder_in_which_another_evaluation_is_at_work_is_refused(tmp_path: Path) -> None:
+    (tmp_path / ".lock").write_text(str(os.getppid()))
+    with pytest.raises(OutputError, match="in which process"):
+        evaluate("eth-v0", spawn=["poisson-gmm"], policy=["straight"], seeds=1, out=tmp_path)
+    assert (tmp_path / ".lock").exists()
+
+
+def test_a_lock_that_nobody_holds_is_no_hindrance(tmp_path: Path) -> None:
+    (tmp_path / ".lock").write_text("99999999")
+    evaluate("eth-v0", spawn=["poisson-gmm"], policy=["straight"], seeds=1, workers=1, out=tmp_path)
+    assert not (tmp_path / ".lock").exists()
+
+
+def test_what_lies_beside_an_own_class_is_part_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "weighted.py").write_text(
+        "from pathlib import Path\nfrom crowdbench.policies import Straight\n\n\n"
+        "class Weighted(Straight):\n    name = 'weighted'\n\n"
+        "    def act(self, seen):\n"
+        "        scale = float(Path(__file__).with_name('weights.txt').read_text())\n"
+        "        return scale * super().act(seen)\n"
+    )
+
+    def dwell(weight: str) -> float | None:
+        (tmp_path / "weights.txt").write_text(weight)
+        card = evaluate(
+            "eth-v0", spawn=["poisson-gmm"], policy=["weighted:Weighted"], seeds=1, workers=1,
+            out=tmp_path / "out",
+        )  # fmt: skip
+        return card.entries[0].metrics["dwell"].simulated
+
+    fast, slow = dwell("1.0"), dwell("0.5")
+    assert fast is not None
+    assert slow is not None
+    assert slow > 1.5 * fast
+
+
+def test_an_own_spawn_model_is_told_what_to_be_fitted_for(tmp_path: Path) -> None:
+    evaluate(
+        "eth-v0", spawn=["given:PerFold"], policy=["straight"], protocol="heldout", seeds=1,
+        workers=1, out=tmp_path,
+    )  # fmt: skip
+    crowds = [read_own(p) for p in sorted((tmp_path / "rollouts").iterdir())]
+    assert [len(c) for c in crowds] == [1, 2, 3]

@@ -16,6 +16,7 @@ from crowdbench.scoring import (
     RESAMPLES,
     Draws,
     Energy,
+    FloorDraws,
     Score,
     combined,
     energy,
@@ -36,6 +37,11 @@ def blocks_of(count: int) -> TimeBlocks:
 
 def draws_of(blocks: TimeBlocks, resample_s: float = 10.0) -> Draws:
     return Draws.of(blocks, resample_s=resample_s, block_s=10.0, seed=(0,))
+
+
+def floor_draws(blocks: TimeBlocks) -> FloorDraws:
+    draws = draws_of(blocks)
+    return FloorDraws.of(draws, [(np.arange(len(blocks)), draws)])
 
 
 def steady(*persons: int) -> Statistics:
@@ -100,13 +106,13 @@ def test_a_metric_without_a_scale_has_no_energy():
     blocks = blocks_of(1)
     nobody = {"counts": np.array([[10]])}
     assert energy(N, nobody, [[steady(1)]], blocks, draws_of(blocks)) is None
-    assert floor(N, nobody, blocks, draws_of(blocks)) is None
+    assert floor(N, nobody, nobody, blocks, floor_draws(blocks)) is None
 
 
 def test_the_floor_is_half_the_mean_distance_of_two_resamples():
     blocks = blocks_of(2)
-    draws = draws_of(blocks)
-    found = floor(N, steady(1, 3), blocks, draws)
+    draws = floor_draws(blocks)
+    found = floor(N, steady(1, 3), steady(1, 3), blocks, draws)
     assert found is not None
     # Drawn twice out of {1, 3}, the mean is 1, 2, 2 or 3: E|a − b| = 3/4, divided by the mean 2.
     assert found.centre == pytest.approx(0.75 / 2 / 2, rel=0.1)
@@ -118,9 +124,46 @@ def test_the_floor_is_half_the_mean_distance_of_two_resamples():
 
 def test_a_steady_recording_has_no_floor():
     blocks = blocks_of(3)
-    found = floor(N, steady(2, 2, 2), blocks, draws_of(blocks))
+    two = steady(2, 2, 2)
+    found = floor(N, two, two, blocks, floor_draws(blocks))
     assert found is not None
     assert found.centre == 0
+
+
+def test_the_floor_of_a_fold_is_the_true_process_s_energy_score():
+    """Six blocks are resampled from all eighteen: from six alone F would be a sixth too small."""
+    rng = np.random.default_rng(3)
+    whole = blocks_of(18)
+    fold = np.arange(18) % 3 == 0
+    blocks = whole.take(fold)
+    folds = [np.flatnonzero(np.arange(18) % 3 == k) for k in range(3)]
+    everyone = [(index, draws_of(whole.take(index))) for index in folds]
+    of_floor = FloorDraws.of(everyone[0][1], everyone)
+    floors, truth = [], []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("crowdbench.scoring.RESAMPLES", 1)
+        for _ in range(150):
+            y, x = (crowd_like(rng, 18, 2.0, 18.0) for _ in range(2))
+            in_fold = {"counts": y["counts"][fold]}
+            found = floor(N, y, in_fold, blocks, of_floor)
+            assert found is not None
+            floors.append(found.centre)
+            truth.append(N.compare(in_fold, {"counts": x["counts"][fold]}, blocks).distance / 2)
+    assert np.mean(floors) == pytest.approx(np.mean(truth), rel=0.1)
+
+
+def test_a_fold_s_floor_is_drawn_from_all_folds_as_long_as_the_fold():
+    whole = blocks_of(7)
+    folds = [np.flatnonzero(np.arange(7) % 3 == k) for k in range(3)]
+    everyone = [(index, draws_of(whole.take(index))) for index in folds]
+    draws = FloorDraws.of(everyone[1][1], everyone)
+    assert draws.order.tolist() == [0, 3, 6, 1, 4, 2, 5]
+    assert (draws.centre().sum(axis=1) == 2).all()
+    assert (draws.centre().sum(axis=0) > 0).all()
+    for r in range(20):
+        nested = draws.nested(r)
+        assert (nested.sum(axis=1) == 2).all()
+        assert (nested[:, draws.blocks[r] == 0] == 0).all()
 
 
 def test_units_are_drawn_whole_and_as_many_as_there_are():
@@ -144,14 +187,6 @@ def test_parts_have_resamples_of_their_own():
     blocks = blocks_of(5)
     other = Draws.of(blocks, resample_s=10.0, block_s=10.0, seed=(1,))
     assert (other.blocks != draws_of(blocks).blocks).any()
-
-
-def test_a_nested_resample_holds_nothing_that_its_resample_does_not():
-    draws = draws_of(blocks_of(6))
-    for r in range(20):
-        nested = draws.nested(r, 10)
-        assert (nested.sum(axis=1) == 6).all()
-        assert (nested[:, draws.blocks[r] == 0] == 0).all()
 
 
 @given(arrays(np.float64, (3, 2, 4, 5), elements=st.floats(-9, 9)), st.data())
@@ -218,6 +253,20 @@ def test_scores_are_cut_below_and_never_above():
     assert below.value == -1
     assert (below.resampled == -1).all()
     assert above.value == pytest.approx(2.5)
+
+
+def test_a_score_that_is_cut_is_certain_however_the_anchor_scatters():
+    score = score_of(flat(5.0, 0.5), flat(0.1, 0.05, 1), flat(0.5, 0.2, 2))
+    assert score is not None
+    assert score.interval == (-1, -1)
+
+
+def test_a_rollout_drawn_twice_is_no_pair():
+    # Two rollouts 2 apart: half the resamples draw one of them twice, and pairs stay 2 apart.
+    blocks = blocks_of(1)
+    es = energy(N, steady(3), [[steady(2), steady(4)]], blocks, draws_of(blocks))
+    assert es is not None
+    np.testing.assert_allclose(es.resampled, es.centre)
 
 
 def test_an_anchor_at_the_floor_tells_nothing():

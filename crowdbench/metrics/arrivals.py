@@ -17,6 +17,8 @@ from crowdbench.metrics.lattice import (
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
 from crowdbench.trajectories import Trajectories
 
+ENOUGH_GAPS = 10
+"""Recorded gaps from which on an area tells a distribution."""
 LONG_BLOCK_S = 120.0
 """Blocks from which on counts in 60 s can be told apart."""
 
@@ -72,8 +74,10 @@ class InterSpawnPerArea(Metric):
     """Gaps between consecutive arrivals at the same spawn area.
 
     Distance: Wasserstein-1 of each area, averaged with the areas' shares of the recorded gaps as
-    weights, divided by the recorded mean gap within areas (an area's own mean can be 0); an area
-    without a gap counts as one whose gaps are a block long. Persons of unknown area do not count.
+    weights, divided by the recorded mean gap within areas (an area's own mean can be 0). Where some
+    areas have ten recorded gaps or more, others do not count: a handful tells no distribution. An
+    area without a gap counts as one whose gaps are a block long. Persons of unknown area do not
+    count.
     """
 
     name = "inter_spawn_per_area"
@@ -110,10 +114,15 @@ class InterSpawnPerArea(Metric):
         self, recorded: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, " #F"]:
         """Of each area its share of the gaps (equal ones of none), over the mean gap of all."""
-        mean = self._mean(recorded, support, blocks)
+        enough = [c.sum() >= ENOUGH_GAPS for c in recorded.values()]
+        counts = {
+            name: c if good or not any(enough) else np.zeros_like(c)
+            for (name, c), good in zip(recorded.items(), enough, strict=True)
+        }
+        mean = self._mean(counts, support, blocks)
         if mean == 0:
             return np.full(1, np.inf)
-        gaps = np.array([c.sum() for c in recorded.values()])
+        gaps = np.array([c.sum() for c in counts.values()])
         shares = gaps / gaps.sum() if gaps.any() else np.full(len(gaps), 1 / len(gaps))
         return np.concatenate([widths(support) * (share / mean) for share in shares])
 

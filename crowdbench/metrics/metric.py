@@ -144,8 +144,9 @@ class Metric(ABC):
         support = np.array(sorted(used))
         return [
             {
-                name: _at(values, support) if name in names else values
-                for name, values in crowd.items()
+                # In one order: a file sorts names otherwise than a crowd does.
+                name: _at(crowd[name], support) if name in names else crowd[name]
+                for name in crowds[0]
             }
             for crowd in crowds
         ], support
