@@ -7,14 +7,14 @@ measured by come with the scene (`anchors.json`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 import numpy as np
 
-from crowdbench.errors import RecordingError, WeightsError
+from crowdbench.errors import CrowdbenchError, RecordingError, WeightsError
 from crowdbench.files import read_struct, sha256, write_json
 from crowdbench.metrics import METRICS, WALK
 from crowdbench.scene import Scene
@@ -207,8 +207,6 @@ def rows(card: Scorecard) -> list[Row]:
 
 def _ranked(entries: Sequence[Row]) -> list[Row]:
     """Rank entries whose arrivals are simulated: played recordings compete with nobody."""
-    from dataclasses import replace
-
     competing = [r for r in entries if r.spawn not in ("replay", "block-replay")]
     by_overall = all(r.overall is not None for r in competing)
     scores = [r.overall if by_overall else r.crowd for r in competing]
@@ -254,8 +252,8 @@ def read_anchors(scene: Scene) -> Anchors:
     if got != expected:
         raise WeightsError(
             path,
-            got=f"anchors of {got[0]}, schema {got[1]}, made from files {got[2]}",
-            expected=f"{expected[0]}, schema {expected[1]}, files {expected[2]}",
+            got=f"anchors of {got[0]}, schema {got[1]}, by rules and files of hash {got[2]}",
+            expected=f"{expected[0]}, schema {expected[1]}, hash {expected[2]}",
             mend=mend,
         )
     if set(anchors.protocols) != {"full", "heldout"}:
@@ -266,7 +264,7 @@ def read_anchors(scene: Scene) -> Anchors:
             mend=mend,
         )
     for scale in anchors.protocols.values():
-        _check(scale, path, mend)
+        _check(scale, path, mend, WeightsError)
     return anchors
 
 
@@ -290,7 +288,7 @@ def read_scorecard(path: Path) -> Scorecard:
         raise RecordingError(
             path, got=f"schema {card.schema}", expected=f"schema {SCHEMA}", mend=mend
         )
-    _check(card.scale, path, mend)
+    _check(card.scale, path, mend, RecordingError)
     return card
 
 
@@ -301,14 +299,14 @@ def _schema_of(path: Path) -> object:
         return None
 
 
-def _check(scale: Scale, path: Path, mend: str) -> None:
+def _check(scale: Scale, path: Path, mend: str, error: type[CrowdbenchError]) -> None:
     """Raise where anchors are missing or resamples are not as many as they should be."""
     missing = set(ANCHORS) - {(e.spawn, e.policy) for e in scale.anchors}
     lengths = {
         len(m.energy.resampled) for e in scale.anchors for m in e.metrics.values() if m.energy
     } | {len(f.resampled) for f in scale.floor.values()}
     if missing or lengths - {4 * RESAMPLES}:
-        raise WeightsError(
+        raise error(
             path,
             got=f"anchors without {sorted(missing)}" if missing else "resamples cut short",
             expected=f"all anchors, {RESAMPLES} resamples each",

@@ -9,7 +9,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -485,14 +485,16 @@ def _scenes(asked: argparse.Namespace) -> None:
 
 def _bench(asked: argparse.Namespace) -> None:
     from crowdbench.bench import measure
-    from crowdbench.files import write_json
+    from crowdbench.files import replacing, write_json
 
-    figures = []
-    for figure in measure():
-        print(f"{figure.name:<44} {figure.text()}", flush=True)
-        figures.append(figure)
-    if asked.json:
-        write_json(asked.json, {f.name: {"value": f.value, "unit": f.unit} for f in figures})
+    # That the file can be written is found out before a minute of measuring.
+    with replacing(asked.json) if asked.json else nullcontext() as temporary:
+        figures = []
+        for figure in measure():
+            print(f"{figure.name:<44} {figure.text()}", flush=True)
+            figures.append(figure)
+        if temporary is not None:
+            write_json(temporary, {f.name: {"value": f.value, "unit": f.unit} for f in figures})
 
 
 if __name__ == "__main__":

@@ -1,18 +1,12 @@
 """`evaluate`: roll out spawn models and policies on a scene and compare with its recording.
 
-Every rollout is a job of its own, written as Parquet: an evaluation that was killed goes on where
-it stopped. The scorecard is computed from the rollouts in a fixed order. It holds nothing that
-depends on the machine, the time or the number of workers: the same seeds give the same bytes.
+The scorecard is computed from the rollouts in a fixed order. It holds nothing that depends on the
+machine, the time or the number of workers: the same seeds give the same bytes.
 """
 
-import functools
-import importlib.util
-import os
 import platform
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -34,63 +28,35 @@ from crowdbench.cards import (
     files_of,
     read_anchors,
 )
-from crowdbench.errors import OutputError, RecordingError, SettingError
+from crowdbench.errors import SettingError
 from crowdbench.figures import FIGURES, Sight, draw_figures
-from crowdbench.files import sha256, unwritable, write_json
+from crowdbench.files import unwritable, write_json
+from crowdbench.jobs import (
+    Job,
+    Pair,
+    Progress,
+    Rolled,
+    alone_in,
+    checked_workers,
+    parts_of,
+    plan,
+    roll_out,
+)
 from crowdbench.metrics import WALK, Metric, Statistics, metrics_for
 from crowdbench.power import Power, power
 from crowdbench.recordings.catalogue import cached
-from crowdbench.reference import Reference, read_reference, summarise
-from crowdbench.registry import RECORDINGS, spawn_model
-from crowdbench.registry import policy as find_policy
+from crowdbench.reference import Reference, read_reference
+from crowdbench.registry import RECORDINGS
 from crowdbench.report import write_report
-from crowdbench.rollouts import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring import RESAMPLES, Draws, FloorDraws, energy, floor, mean_of
-from crowdbench.tables import read_own, write_parquet
+from crowdbench.tables import read_own
 from crowdbench.trajectories import OUTCOMES
 
 DEFAULT_SPAWN = ("poisson-gmm", "renewal-gmm", "ntpp-gmm")
 DEFAULT_POLICY = ("straight", "social-force")
 SHOWN = 6
 """Rollouts of each pair that figures and the report show."""
-
-_LARGE = 2**26  # bytes of a file beyond which its age is looked at, not what is in it
-
-Pair = tuple[str, str]
-Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class Job:
-    """One rollout to make."""
-
-    scene: str
-    spawn: str
-    policy: str
-    part: str
-    fit: int
-    seed: int
-    path: Path
-    fingerprint: str
-    """Hash of all that the rollout depends on."""
-
-
-@dataclass(frozen=True, eq=False)
-class Rolled:
-    """What is kept of a rollout."""
-
-    statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]]
-    """By metric and name: the columns that are not zero, their values, and how many there are."""
-    outcomes: np.ndarray
-
-    def of(self, metric: Metric) -> Statistics:
-        """The statistics of a metric."""
-        dense = {}
-        for name, (columns, values, size) in self.statistics[metric.name].items():
-            dense[name] = np.zeros((len(values), size), dtype=np.int64)
-            dense[name][:, columns] = values
-        return dense
 
 
 def evaluate(
@@ -131,15 +97,16 @@ def evaluate(
     scale = read_anchors(place).protocols[_known_protocol(protocol)]
     pairs = _pairs(place, spawn, policy)
     seeds = place.protocol.fits * place.protocol.rollouts_per_fit if seeds is None else seeds
-    workers = _checked_workers(workers)
+    workers = checked_workers(workers)
     if protocol == "heldout" and len(reference.blocks) < FOLDS:
         raise SettingError(
             "protocol", got=f"{len(reference.blocks)} time blocks", expected=f"{FOLDS} at least"
         )
     jobs = plan(str(scene), place, pairs, protocol, seeds, out / "rollouts")
-    with _alone_in(out):
+    with alone_in(out):
         _prepare(out)
-        entries = roll_out(place, reference, jobs, protocol, seeds, workers, progress)
+        rolled = roll_out(jobs, reference, workers, progress)
+        entries = _entries(place, reference, rolled, protocol, seeds)
         return _finish(place, reference, jobs, entries, protocol, seeds, workers, scale, out, began)
 
 
@@ -212,16 +179,14 @@ def make_anchors(
     total, before = sum(map(len, todo.values())), 0
     protocols = {}
     for protocol, jobs in todo.items():
-        entries = roll_out(
-            place,
-            reference,
+        rolled = roll_out(
             jobs,
-            protocol,
-            seeds,
-            _checked_workers(workers),
+            reference,
+            workers,
             lambda done, _, before=before: progress(before + done, total),  # type: ignore[misc]
         )
         before += len(jobs)
+        entries = _entries(place, reference, rolled, protocol, seeds)
         protocols[protocol] = Scale(floor=floors(place, reference, protocol), anchors=entries)
     return Anchors(schema=SCHEMA, scene=place.id, made_from=files_of(place), protocols=protocols)
 
@@ -238,27 +203,19 @@ def power_study(
     reference = read_reference(place)
     seeds = place.protocol.fits * place.protocol.rollouts_per_fit
     jobs = plan(str(scene), place, [ANCHOR, WALK_ANCHOR], "full", seeds, folder)
-    rolled: list[tuple[Job, Rolled]] = []
-    progress(0, len(jobs))
-    for done in _run(jobs, reference, min(_checked_workers(workers), len(jobs))):
-        rolled.append(done)
-        progress(len(rolled), len(jobs))
-    rolled.sort(key=lambda done: done[0].seed)
+    rolled = roll_out(jobs, reference, workers, progress)
     draws = draws_of(place, reference, "full")
     found = []
     for metric in metrics_for(reference.blocks):
         pair = WALK_ANCHOR if metric.family in WALK else ANCHOR
-        crowds = [what.of(metric) for job, what in rolled if (job.spawn, job.policy) == pair]
+        crowds = [
+            what.of(metric) for job, what in rolled.items() if (job.spawn, job.policy) == pair
+        ]
         recorded = reference.statistics[metric.name]
         study = power(metric, recorded, crowds, reference.blocks, draws)
         if study is not None:
             found.append(study)
     return found
-
-
-def parts_of(protocol: str) -> tuple[str, ...]:
-    """The parts that a protocol averages over."""
-    return PARTS[:1] if protocol == "full" else PARTS[1:]
 
 
 def draws_of(scene: Scene, reference: Reference, part: str) -> Draws:
@@ -318,108 +275,6 @@ def has_recording(scene: Scene) -> bool:
     return name in RECORDINGS and (name == "plaza" or cached(name).exists())
 
 
-def plan(
-    scene: str,
-    place: Scene,
-    pairs: Sequence[Pair],
-    protocol: str,
-    seeds: int,
-    folder: Path,
-) -> list[Job]:
-    """All rollouts to make.
-
-    Raises:
-        SettingError: a name stands for nothing, or `seeds` is no number of rollouts.
-    """
-    fits = place.protocol.fits
-    if seeds < 1 or (seeds >= 2 * fits and seeds % fits):
-        raise SettingError(
-            "seeds",
-            got=str(seeds),
-            expected=f"a multiple of {fits}, so that each fit has as many rollouts, or 1 to "
-            f"{2 * fits - 1} for plain distances only",
-        )
-    jobs = []
-    for s, p in pairs:
-        walker = find_policy(p, place)
-        recorded = s == "replay"
-        certain = recorded and getattr(walker, "deterministic", False)
-        for part in ("full",) if recorded else parts_of(protocol):
-            spawn_model(s, place, part=part)
-            fingerprint = _fingerprint(place, s, p)
-            for seed in range(1 if certain else seeds):
-                name = f"{_plain(s)}_{_plain(p)}_{part}_{seed}.parquet"
-                jobs.append(Job(scene, s, p, part, seed % fits, seed, folder / name, fingerprint))
-    return jobs
-
-
-def _fingerprint(scene: Scene, spawn: str, policy: str) -> str:
-    """Hash of what a rollout depends on: our code, the scene's files, the recording, own classes.
-
-    Of an own class these are all files in the folder of its module: weights lie beside the code.
-    """
-    files = sorted(Path(__file__).parent.rglob("*.py"))
-    files += _plain_files(scene.folder, without="anchors.json")
-    if spawn in ("replay", "block-replay") and cached(scene.recording.name).exists():
-        files.append(cached(scene.recording.name))
-    for name in (spawn, policy):
-        module, colon, _ = name.partition(":")
-        found = importlib.util.find_spec(module) if colon else None
-        if found is not None and found.origin is not None:
-            files += _plain_files(Path(found.origin).parent)
-    parts = [f"{__version__} {scene.id} {spawn} {policy}".encode()]
-    return sha256(b"".join([*parts, *(_hash_of(f) for f in files)]))[:16]
-
-
-def _plain_files(folder: Path, without: str = "") -> list[Path]:
-    return sorted(p for p in folder.iterdir() if p.is_file() and p.name != without)
-
-
-def _hash_of(file: Path) -> bytes:
-    stat = file.stat()
-    if stat.st_size > _LARGE:
-        return f"{file.name} {stat.st_size} {stat.st_mtime_ns}".encode()
-    return sha256(file.read_bytes()).encode()
-
-
-@contextmanager
-def _alone_in(out: Path) -> Iterator[None]:
-    """Refuse to work in a folder in which another evaluation is at work."""
-    lock = out / ".lock"
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        holder = int(lock.read_text() or 0) if lock.exists() else 0
-    except OSError as error:
-        raise unwritable(out, error) from error
-    except ValueError:
-        holder = 0
-    if holder not in (0, os.getpid()) and _lives(holder):
-        raise OutputError(
-            out,
-            got=f"a folder in which process {holder} evaluates",
-            expected="a folder of one's own",
-            mend=f"Wait for it, or name another folder; if there is none, remove {lock}.",
-        )
-    try:
-        lock.write_text(str(os.getpid()))
-        yield
-    except PermissionError as error:
-        raise unwritable(out, error) from error
-    finally:
-        with suppress(OSError):
-            lock.unlink()
-
-
-def _lives(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
-
-
 def _prepare(out: Path) -> None:
     """Make the folder, without an earlier run's results, which would stand beside new rollouts."""
     try:
@@ -436,111 +291,27 @@ def _prepare(out: Path) -> None:
         raise unwritable(out, error) from error
 
 
-def _plain(name: str) -> str:
-    plain = "".join(c if c.isalnum() or c in "-." else "-" for c in name)
-    return plain if plain == name else f"{plain}-{sha256(name.encode())[:6]}"
-
-
 def _known_protocol(protocol: str) -> str:
     if protocol not in ("full", "heldout"):
         raise SettingError("protocol", got=repr(protocol), expected="full or heldout")
     return protocol
 
 
-def _checked_workers(asked: int | None) -> int:
-    if asked is not None and asked < 1:
-        raise SettingError("workers", got=str(asked), expected="1 or more")
-    return asked or os.cpu_count() or 1
-
-
-def roll_out(
-    scene: Scene,
-    reference: Reference,
-    jobs: list[Job],
-    protocol: str,
-    seeds: int,
-    workers: int,
-    progress: Progress,
+def _entries(
+    scene: Scene, reference: Reference, rolled: dict[Job, Rolled], protocol: str, seeds: int
 ) -> list[Entry]:
-    """Make all rollouts that are missing, and an entry of each pair."""
-    rolled: dict[Job, Rolled] = {}
-    progress(0, len(jobs))
-    for job, what in _run(jobs, reference, min(workers, len(jobs))):
-        rolled[job] = what
-        progress(len(rolled), len(jobs))
-    pairs = list(dict.fromkeys((job.spawn, job.policy) for job in jobs))
+    """An entry of each pair."""
+    pairs = list(dict.fromkeys((job.spawn, job.policy) for job in rolled))
     return [
-        _entry(scene, reference, {j: rolled[j] for j in jobs if (j.spawn, j.policy) == pair},
-               protocol, seeds)
+        _entry(
+            scene,
+            reference,
+            {job: what for job, what in rolled.items() if (job.spawn, job.policy) == pair},
+            protocol,
+            seeds,
+        )
         for pair in pairs
-    ]  # fmt: skip
-
-
-def _run(jobs: list[Job], reference: Reference, workers: int) -> Iterator[tuple[Job, Rolled]]:
-    if workers == 1:
-        for job in jobs:
-            yield job, _roll_out(job, reference)
-        return
-    from joblib import Parallel, delayed
-    from joblib.externals.loky import get_reusable_executor
-
-    # joblib's own processes are started afresh, not forked: forking after OpenMP has run hangs.
-    parallel = Parallel(n_jobs=workers, return_as="generator_unordered", pre_dispatch=workers)
-    try:
-        yield from parallel(delayed(_alone)(job, reference) for job in jobs)
-    finally:
-        # Left alone, the processes would serve the next call too, in this one's surroundings.
-        get_reusable_executor().shutdown(kill_workers=True)
-
-
-def _alone(job: Job, reference: Reference) -> tuple[Job, Rolled]:
-    """Roll out on one thread: the processes already fill the machine."""
-    import numba
-
-    numba.set_num_threads(1)
-    return job, _roll_out(job, reference)
-
-
-def _roll_out(job: Job, reference: Reference) -> Rolled:
-    provenance = {
-        "spawn": job.spawn,
-        "policy": job.policy,
-        "part": job.part,
-        "fit": job.fit,
-        "seed": job.seed,
-        "made_from": job.fingerprint,
-    }
-    crowd = None
-    if job.path.exists():
-        try:
-            crowd = read_own(job.path)
-        except RecordingError:  # another program's file: it is written anew
-            crowd = None
-    if crowd is None or dict(crowd.provenance) != provenance:
-        scene, spawn, policy = _models(job)
-        # Rollouts of different parts must not share their random numbers.
-        seed = job.seed * len(PARTS) + PARTS.index(job.part)
-        crowd = replace(rollout(scene, spawn, policy, seed=seed), provenance=provenance)
-        write_parquet(crowd, job.path)
-    statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]] = {}
-    for metric, of_metric in summarise(crowd, reference.blocks, reference.place).items():
-        statistics[metric] = {}
-        for name, values in of_metric.items():
-            columns = np.flatnonzero(values.any(axis=0))
-            statistics[metric][name] = (columns, values[:, columns], values.shape[1])
-    return Rolled(statistics, np.bincount(crowd.outcome, minlength=len(OUTCOMES)))
-
-
-def _models(job: Job):  # type: ignore[no-untyped-def]  # what _cached_models returns
-    return _cached_models(job.scene, job.spawn, job.policy, job.part, job.fit, job.fingerprint)
-
-
-@functools.lru_cache(maxsize=8)  # jobs of one pair follow each other; a recording is read once
-def _cached_models(  # type: ignore[no-untyped-def]
-    scene: str, spawn: str, policy: str, part: str, fit: int, fingerprint: str
-):
-    place = load_scene(scene)
-    return place, spawn_model(spawn, place, part=part, fit=fit), find_policy(policy, place)
+    ]
 
 
 def _rows(statistics: Statistics, inside: np.ndarray) -> Statistics:

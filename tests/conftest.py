@@ -16,6 +16,7 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.figures",
         "crowdbench.files",
         "crowdbench.fit",
+        "crowdbench.jobs",
         "crowdbench.metrics",
         "crowdbench.policies.policy",
         "crowdbench.policies.walkers",
