@@ -70,22 +70,28 @@ def _paths(sight: Sight, path: Path) -> Path:
     from matplotlib.lines import Line2D
 
     b = sight.scene.bounds
-    columns = len(sight.groups)
+    columns = min(2, len(sight.groups))
+    rows = -(-len(sight.groups) // columns)
     height = 5.0 * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m) + 0.6
 
     def draw(axes: "list[Axes]") -> None:
-        for axis, group in zip(axes, sight.groups, strict=True):
+        for axis in axes[len(sight.groups) :]:
+            axis.set_visible(False)
+        for k, (axis, group) in enumerate(zip(axes, sight.groups, strict=False)):
             panels.paths(axis, sight, group)
             axis.set_title(f"{group.label}, seed 0", fontsize=9)
-            axis.set_ylabel("y (m)" if axis is axes[0] else "")
+            axis.set_ylabel("y (m)" if k % columns == 0 else "")
+            below = k + columns < len(sight.groups)
+            axis.set_xlabel("" if below else "x (m)")
+            axis.tick_params(labelbottom=not below)  # also above an empty place
         handles = [
             Line2D([], [], color="black", linewidth=1.0, linestyle="--", label="spawn area, 2 σ"),
             Line2D([], [], color="0.4", linewidth=1.8, label="goal area, 2 σ, and paths to it"),
         ]
         axes[0].legend(handles=handles, loc="lower left", fontsize=7, framealpha=0.9, frameon=True)
 
-    width = 5.0 * columns + 0.6
-    return _save(path, picture(draw, width=width, height=height, columns=columns, kind="png"))
+    size = {"width": 5.0 * columns + 0.6, "height": height * rows}
+    return _save(path, picture(draw, **size, rows=rows, columns=columns, kind="png"))
 
 
 def _save(path: Path, png: bytes) -> Path:
