@@ -447,14 +447,14 @@ def _anchors(asked: argparse.Namespace) -> None:
 
 
 def _import(asked: argparse.Namespace) -> None:
-    from crowdbench.recordings.catalogue import SOURCES, cached
+    from crowdbench.recordings.catalogue import cached, source
     from crowdbench.recordings.describe import describe
     from crowdbench.registry import import_recording
 
     crowd = import_recording(asked.name, asked.source)
     _pairs(asked.name, describe(crowd) | {"kept at": str(cached(asked.name))})
-    if asked.name in SOURCES:
-        print(f"It stays under its owners' terms. Cite: {SOURCES[asked.name].cite}.")
+    if asked.name != "plaza":
+        print(f"It stays under its owners' terms. Cite: {source(asked.name).cite}.")
 
 
 def _list(asked: argparse.Namespace) -> None:

@@ -46,7 +46,6 @@ from crowdbench.metrics import WALK, Metric, Statistics, metrics_for
 from crowdbench.power import Power, power
 from crowdbench.recordings.catalogue import cached
 from crowdbench.reference import Reference, read_reference
-from crowdbench.registry import RECORDINGS
 from crowdbench.report import write_report
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring import RESAMPLES, Draws, FloorDraws, energy, floor, mean_of
@@ -272,7 +271,7 @@ def _pairs(place: Scene, spawn: Sequence[str], policy: Sequence[str]) -> list[Pa
 def has_recording(scene: Scene) -> bool:
     """Whether the scene's recording is imported, or is one that is generated."""
     name = scene.recording.name
-    return name in RECORDINGS and (name == "plaza" or cached(name).exists())
+    return name == "plaza" or cached(name).exists()
 
 
 def _prepare(out: Path) -> None:

@@ -27,6 +27,7 @@ from crowdbench.tables import read_own, write_parquet
 from crowdbench.trajectories import Trajectories
 
 RECORDINGS = (*catalogue.SOURCES, "plaza")
+"""Those that are listed; the catalogue knows other days of the Forum besides."""
 FITTED: dict[str, type[PoissonGMM] | type[RenewalGMM] | type[NtppGMM]] = {
     "poisson-gmm": PoissonGMM,
     "renewal-gmm": RenewalGMM,
@@ -44,7 +45,6 @@ def recording(name: str) -> Trajectories:
         SettingError: there is no recording of that name.
         RecordingError: it has not been imported.
     """
-    _known(name)
     if name == "plaza":
         path = catalogue.cached(name)
         return read_own(path) if path.exists() else plaza.record()
@@ -53,19 +53,11 @@ def recording(name: str) -> Trajectories:
 
 def import_recording(name: str, source: Path | None = None) -> Trajectories:
     """Import a recording into the user's cache; see `catalogue.import_recording`."""
-    _known(name)
     if name == "plaza":
         crowd = plaza.record()
         write_parquet(crowd, catalogue.cached(name))
         return crowd
     return catalogue.import_recording(name, source)
-
-
-def _known(name: str) -> None:
-    if name not in RECORDINGS:
-        raise SettingError(
-            "recording", got=f"the name {name!r}", expected=f"one of {', '.join(RECORDINGS)}"
-        )
 
 
 def recording_of(scene: Scene) -> Trajectories:

@@ -1,12 +1,17 @@
 """The recordings crowdbench knows: where they are published, and the user's imported copies."""
 
 import os
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 from crowdbench import tables
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.files import home, read_bytes, sha256
+from crowdbench.recordings.forum import read_forum
+from crowdbench.recordings.gc import HOMOGRAPHY, read_gc
 from crowdbench.recordings.obsmat import read_obsmat
 from crowdbench.trajectories import Trajectories
 
@@ -19,27 +24,43 @@ class Source:
 
     name: str
     path: str
-    """Relative to the layout's root folder."""
-    sha256: str
-    fps: float
-    frame_step: int
-    """Video frames from one annotation to the next."""
+    """A file, or the folder of several, relative to the layout's root folder."""
+    format: Literal["obsmat", "gc", "forum"]
+    sha256: str | None
+    """Of the file, or of a list of the folder's files and their hashes; None: not known."""
+    address: str
+    """Where it is published."""
     cite: str
     """The paper to cite; the recording stays under its owners' terms."""
+    fps: float = 0.0
+    frame_step: int = 0
+    """Of `obsmat`: frames of the video a second, and from one annotation to the next."""
 
-    @property
-    def address(self) -> str:
-        """Public address of the file."""
-        return f"https://raw.githubusercontent.com/crowdbotp/OpenTraj/{_COMMIT}/{self.path}"
+
+def _copy(path: str) -> str:
+    return f"https://raw.githubusercontent.com/crowdbotp/OpenTraj/{_COMMIT}/{path}"
 
 
 _EWAP = "Pellegrini et al., You'll Never Walk Alone, ICCV 2009"
 _UCY = "Lerner et al., Crowds by Example, Eurographics 2007"
+_GC = (
+    "Zhou et al., Random Field Topic Model for Semantic Region Analysis, CVPR 2011, and "
+    "Yi et al., Understanding Pedestrian Behaviors from Stationary Crowd Groups, CVPR 2015"
+)
+_FORUM = (
+    "Majecka, Statistical Models of Pedestrian Behaviour in the Forum, MSc dissertation, "
+    "University of Edinburgh, 2009"
+)
+
+
+def _obsmat(name: str, path: str, sha256: str, fps: float, frame_step: int, cite: str) -> Source:
+    return Source(name, path, "obsmat", sha256, _copy(path), cite, fps, frame_step)
+
 
 SOURCES = {
     source.name: source
     for source in (
-        Source(
+        _obsmat(
             "eth",
             "datasets/ETH/seq_eth/obsmat.txt",
             "d452ae2185ecb1164c2fdf31e75f6236f4c2ffc02c751a6b2ae921740cbc60d1",
@@ -47,7 +68,7 @@ SOURCES = {
             frame_step=6,
             cite=_EWAP,
         ),
-        Source(
+        _obsmat(
             "hotel",
             "datasets/ETH/seq_hotel/obsmat.txt",
             "2b8577595204a6b780b80258fd50da35adb7293e3e06ad6f8e1b60965e7dde6e",
@@ -55,7 +76,7 @@ SOURCES = {
             frame_step=10,
             cite=_EWAP,
         ),
-        Source(
+        _obsmat(
             "zara01",
             "datasets/UCY/zara01/obsmat.txt",
             "bd999ebcfbc506821fa5032a10b9101e150defcff85f1ef037d09ce7c6a8c2aa",
@@ -63,8 +84,54 @@ SOURCES = {
             frame_step=10,
             cite=_UCY,
         ),
+        Source(
+            "gc",
+            "datasets/GC",
+            "gc",
+            "8225802df781dcae75d771b5bf78950122f4f2f9ebb8f8734fd5f5d2565ff990",
+            f"https://github.com/crowdbotp/OpenTraj/tree/{_COMMIT}/datasets/GC",
+            _GC,
+        ),
+        Source(
+            "forum",
+            "datasets/Edinburgh/annotations/tracks.01Jul.txt",
+            "forum",
+            "89646c7d4be4bcbf7d067e77f9dcc9321b3eba7b499ed651050f6b639bfae726",
+            _copy("datasets/Edinburgh/annotations/tracks.01Jul.txt"),
+            _FORUM,
+        ),
     )
 }
+"""Recordings whose files are known to the byte. Other days of the Forum have names like
+`forum-14jul`; `source` knows them too."""
+
+_FORUM_DAY = re.compile(r"forum-(\d\d)([a-z]{3})")
+_FORUM_DAYS = "https://homepages.inf.ed.ac.uk/rbf/FORUMTRACKING/DAYS"
+
+
+def source(name: str) -> Source:
+    """A recording's source by its name.
+
+    Raises:
+        SettingError: there is no recording of that name.
+    """
+    if name in SOURCES:
+        return SOURCES[name]
+    if day := _FORUM_DAY.fullmatch(name):
+        number, month = day[1], day[2].capitalize()
+        return Source(
+            name,
+            f"datasets/Edinburgh/annotations/tracks.{number}{month}.txt",
+            "forum",
+            None,
+            f"{_FORUM_DAYS}/{month}.{number}.zip",
+            _FORUM,
+        )
+    raise SettingError(
+        "recording",
+        got=f"the name {name!r}",
+        expected=f"one of {', '.join(SOURCES)}, or a day of the Forum like forum-14jul",
+    )
 
 
 def cached(name: str) -> Path:
@@ -79,7 +146,7 @@ def load_imported(name: str) -> Trajectories:
         SettingError: there is no recording of that name.
         RecordingError: it has not been imported.
     """
-    _known(name)
+    source(name)
     path = cached(name)
     if not path.exists():
         raise RecordingError(
@@ -101,36 +168,54 @@ def import_recording(name: str, folder: Path | None = None) -> Trajectories:
         RecordingError: the file is missing, broken, or not the published one.
         OutputError: the imported table cannot be written.
     """
-    source = _known(name)
-    crowd = read_published(source, _folder(folder))
+    crowd = read_published(source(name), _folder(folder))
     tables.write_parquet(crowd, cached(name))
     return crowd
 
 
 def read_published(source: Source, folder: Path) -> Trajectories:
-    """Read a published recording and hold it against the hash of the published file."""
+    """Read a published recording and hold it against the hash of what was published."""
     path = folder / source.path
-    data = read_bytes(path, RecordingError, f"Fetch {source.address} into that place.")
-    crowd = read_obsmat(
-        data, name=source.name, fps=source.fps, frame_step=source.frame_step, where=path
-    )
-    if sha256(data) != source.sha256:
+    files = _files(source, path)
+    crowd = _read(source, files, path)
+    found = _hash(files)
+    if source.sha256 is not None and found != source.sha256:
         raise RecordingError(
             path,
-            got=f"a file of SHA-256 {sha256(data)[:12]}… with {len(crowd)} persons",
-            expected=f"the published file, SHA-256 {source.sha256[:12]}…",
-            mend="It may be cut short, altered, or have its line ends converted; scores would "
+            got=f"data of SHA-256 {found[:12]}… with {len(crowd)} persons",
+            expected=f"the published ones, SHA-256 {source.sha256[:12]}…",
+            mend="They may be cut short, altered, or have their line ends converted; scores would "
             f"not be comparable. Fetch {source.address} again.",
         )
-    return replace(crowd, provenance={"source": source.address, "sha256": source.sha256})
+    provenance = {**crowd.provenance, "source": source.address, "sha256": found}
+    return replace(crowd, provenance=provenance)
 
 
-def _known(name: str) -> Source:
-    if name not in SOURCES:
-        raise SettingError(
-            "recording", got=f"the name {name!r}", expected=f"one of {', '.join(SOURCES)}"
-        )
-    return SOURCES[name]
+def _files(source: Source, path: Path) -> dict[str, bytes]:
+    """What a recording is read from, by name."""
+    mend = f"Fetch {source.address} into that place."
+    if source.format != "gc":
+        return {path.name: read_bytes(path, RecordingError, mend)}
+    names = [HOMOGRAPHY, *(f"Annotation/{p.name}" for p in (path / "Annotation").glob("*.txt"))]
+    return {name: read_bytes(path / name, RecordingError, mend) for name in sorted(names)}
+
+
+def _read(source: Source, files: Mapping[str, bytes], where: Path) -> Trajectories:
+    if source.format == "gc":
+        return read_gc(files, where)
+    (data,) = files.values()
+    if source.format == "forum":
+        return read_forum(data, name=source.name, where=where)
+    return read_obsmat(
+        data, name=source.name, fps=source.fps, frame_step=source.frame_step, where=where
+    )
+
+
+def _hash(files: Mapping[str, bytes]) -> str:
+    """SHA-256 of a file; of several that of the lines `HASH  NAME`, sorted by name."""
+    if len(files) == 1:
+        return sha256(*files.values())
+    return sha256("".join(f"{sha256(files[name])}  {name}\n" for name in sorted(files)).encode())
 
 
 def _folder(folder: Path | None) -> Path:

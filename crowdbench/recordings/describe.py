@@ -18,7 +18,9 @@ def describe(crowd: Trajectories) -> dict[str, str]:
     dwell = (crowd.last - crowd.first)[crowd.entered & crowd.left] * crowd.dt_s
     person = crowd.row_person()
     steps = np.linalg.norm(np.diff(crowd.xy, axis=0), axis=1)[np.diff(person) == 0] / crowd.dt_s
+    notes = crowd.provenance.get("notes", {})
     return {
+        **{name: str(fact) for name, fact in notes.items()},
         "persons": f"{len(crowd)}",
         "rows": f"{len(crowd.xy)}",
         "frames": f"{crowd.frames} of {crowd.dt_s:.4g} s",

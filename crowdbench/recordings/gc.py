@@ -1,0 +1,154 @@
+"""The annotation of Grand Central Station: one file per person, and a homography to metres.
+
+A person's file is a list of numbers, three per annotated frame: column and row in the image of
+1920 x 1080 pixels, and the frame of the 25 fps video. Every 20th frame was annotated.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from crowdbench.errors import RecordingError
+from crowdbench.trajectories import Trajectories, from_rows
+
+FPS = 25.0
+STEP = 20
+"""Video frames from one annotation to the next."""
+VIDEO_FRAMES = 100_000
+"""Length of the recording; the tracks of some persons run on beyond it."""
+FRAME = 10
+"""Video frames in a frame of the scene: positions between two annotations are interpolated."""
+HOMOGRAPHY = "H.json"
+UNIT_M = 0.8
+"""Metres in a unit of the homography's plane."""
+
+_MEND = "Take the folder datasets/GC of github.com/crowdbotp/OpenTraj as it is."
+
+
+def read_gc(files: Mapping[str, bytes], where: object) -> Trajectories:
+    """Read the folder's files by name: `H.json`, and `Annotation/NUMBER.txt` of each person.
+
+    One file is one person: while nothing is annotated, the person is taken to walk on straight.
+    Positions after the recording's 100,000 frames are cut off (who has one there is still present
+    at the end); a person who is then left with a single annotation is left out.
+
+    Raises:
+        RecordingError: a file is missing or broken.
+    """
+    homography = _homography(files.get(HOMOGRAPHY), where)
+    tracks = {name: data for name, data in files.items() if name != HOMOGRAPHY}
+    if not tracks:
+        raise RecordingError(
+            where, got="no person's file", expected="files Annotation/NUMBER.txt", mend=_MEND
+        )
+    pieces, persons, single, beyond = [], [], 0, 0
+    for name, data in tracks.items():
+        rows = _rows(data, f"{where}/{name}")
+        inside = rows[:, 2] < VIDEO_FRAMES
+        beyond += int((~inside).sum())
+        if inside.sum() < 2:
+            single += 1
+            continue
+        person = _person(name, where)
+        upto = inside.sum() + (not inside.all())  # interpolated up to the end
+        frame, at = _each_frame(rows[:upto], VIDEO_FRAMES)
+        pieces.append(np.column_stack([frame, at]))
+        persons.append(np.full(len(frame), person))
+    table = np.concatenate(pieces)
+    crowd = from_rows(
+        scene="gc",
+        dt_s=FRAME / FPS,
+        grid_s=STEP / FPS,
+        frames=VIDEO_FRAMES // FRAME,
+        person_id=np.concatenate(persons),
+        frame=table[:, 0].astype(np.int64),
+        xy=_metres(table[:, 1:], homography),
+        where=where,
+    )
+    notes = {
+        "files": f"{len(tracks)}, {single} of them of a single annotation and left out",
+        "cut off": f"{beyond} positions after video frame {VIDEO_FRAMES}",
+    }
+    return replace(crowd, provenance={"notes": notes})
+
+
+def _rows(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
+    """Column, row and video frame of each annotation of a person, ascending in time."""
+    try:
+        numbers = np.array(data.split(), dtype=np.int64)
+    except (ValueError, OverflowError) as error:
+        raise RecordingError(where, got=str(error), expected="whole numbers", mend=_MEND) from error
+    if len(numbers) == 0 or len(numbers) % 3:
+        raise RecordingError(
+            where,
+            got=f"{len(numbers)} numbers",
+            expected="three per annotation: column, row, frame",
+            mend=f"The file may be broken off. {_MEND}",
+        )
+    rows = numbers.reshape(-1, 3)
+    if (rows[:, 2] % STEP).any() or (rows[:, 2] < 0).any():
+        wrong = rows[(rows[:, 2] % STEP != 0) | (rows[:, 2] < 0), 2]
+        raise RecordingError(
+            where, got=f"an annotation of frame {wrong[0]}", expected=f"every {STEP}th", mend=_MEND
+        )
+    if (np.diff(rows[:, 2]) <= 0).any():
+        at = int(np.flatnonzero(np.diff(rows[:, 2]) <= 0)[0])
+        raise RecordingError(
+            where,
+            got=f"frame {rows[at + 1, 2]} after frame {rows[at, 2]}",
+            expected="ascending frames",
+            mend=_MEND,
+        )
+    return rows
+
+
+def _each_frame(
+    rows: Int[np.ndarray, "n 3"], stop: int
+) -> tuple[Int[np.ndarray, " f"], Float[np.ndarray, "f 2"]]:
+    """Pixel positions in each frame of the scene, from the first annotation to `stop`.
+
+    In pixels or in metres makes no difference to speak of: annotations are at most half a step
+    away, but where a person was lost for minutes a straight line is as good as another.
+    """
+    video = np.arange(rows[0, 2], min(rows[-1, 2] + 1, stop), FRAME)
+    at = np.stack([np.interp(video, rows[:, 2], rows[:, k]) for k in (0, 1)], axis=1)
+    return video // FRAME, at
+
+
+def _metres(
+    pixels: Float[np.ndarray, "n 2"], homography: Float[np.ndarray, "3 3"]
+) -> Float[np.ndarray, "n 2"]:
+    """The homography takes (row, column): the other way round people would walk at 0.6 m/s."""
+    plane = np.column_stack([pixels[:, 1], pixels[:, 0], np.ones(len(pixels))]) @ homography.T
+    return UNIT_M * plane[:, :2] / plane[:, 2:]
+
+
+def _homography(data: bytes | None, where: object) -> Float[np.ndarray, "3 3"]:
+    if data is None:
+        raise RecordingError(where, got=f"no {HOMOGRAPHY}", expected="the homography", mend=_MEND)
+    try:
+        matrix = np.array(json.loads(data)["homog"], dtype=np.float64)
+    except (ValueError, KeyError, TypeError) as error:
+        raise RecordingError(
+            f"{where}/{HOMOGRAPHY}", got=f"{error}", expected='{"homog": 3 x 3 numbers}', mend=_MEND
+        ) from error
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise RecordingError(
+            f"{where}/{HOMOGRAPHY}",
+            got=f"shape {matrix.shape}",
+            expected="3 x 3 finite numbers",
+            mend=_MEND,
+        )
+    return matrix
+
+
+def _person(name: str, where: object) -> int:
+    stem = name.removeprefix("Annotation/").removesuffix(".txt")
+    if not stem.isdecimal():
+        raise RecordingError(
+            where, got=f"a file {name}", expected="Annotation/NUMBER.txt", mend=_MEND
+        )
+    return int(stem)
