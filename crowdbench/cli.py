@@ -101,6 +101,7 @@ def _parser() -> argparse.ArgumentParser:
         default=["poisson-gmm", "renewal-gmm", "ntpp-gmm"],
         help="spawn models to fit (default: poisson-gmm renewal-gmm ntpp-gmm)",
     )
+    fit.add_argument("--workers", type=int, help="processes (default: one per core)")
     fit.add_argument("--out", type=Path, help="folder to write to (default: the scene's)")
     fit.set_defaults(run=_fit)
 
@@ -389,6 +390,7 @@ def _fit(asked: argparse.Namespace) -> None:
             clustering=asked.clustering,
             models=asked.models,
             out=asked.out,
+            workers=asked.workers,
             progress=progress,
         )
     _pairs(scene.id, facts)

@@ -37,13 +37,13 @@ from crowdbench.jobs import (
     Progress,
     Rolled,
     alone_in,
-    checked_workers,
     parts_of,
     plan,
     roll_out,
 )
 from crowdbench.metrics import WALK, Metric, Statistics, metrics_for
 from crowdbench.power import Power, power
+from crowdbench.processes import checked_workers
 from crowdbench.recordings.catalogue import cached
 from crowdbench.reference import Reference, read_reference
 from crowdbench.report import write_report

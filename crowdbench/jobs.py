@@ -19,6 +19,7 @@ from crowdbench.blocks import PARTS
 from crowdbench.errors import OutputError, RecordingError, SettingError
 from crowdbench.files import sha256, unwritable
 from crowdbench.metrics import Metric, Statistics
+from crowdbench.processes import call_each, checked_workers
 from crowdbench.recordings.catalogue import cached
 from crowdbench.reference import Reference, summarise
 from crowdbench.registry import policy as find_policy
@@ -116,42 +117,11 @@ def roll_out(
     """
     rolled: dict[Job, Rolled] = {}
     progress(0, len(jobs))
-    for job, what in _run(jobs, reference, min(checked_workers(workers), len(jobs))):
-        rolled[job] = what
+    tasks = [(job, reference) for job in jobs]
+    for k, what in call_each(_roll_out, tasks, checked_workers(workers)):
+        rolled[jobs[k]] = what
         progress(len(rolled), len(jobs))
     return {job: rolled[job] for job in jobs}
-
-
-def checked_workers(asked: int | None) -> int:
-    """The number of processes: as asked, or one per core."""
-    if asked is not None and asked < 1:
-        raise SettingError("workers", got=str(asked), expected="1 or more")
-    return asked or os.cpu_count() or 1
-
-
-def _run(jobs: list[Job], reference: Reference, workers: int) -> Iterator[tuple[Job, Rolled]]:
-    if workers == 1:
-        for job in jobs:
-            yield job, _roll_out(job, reference)
-        return
-    from joblib import Parallel, delayed
-    from joblib.externals.loky import get_reusable_executor
-
-    # joblib's own processes are started afresh, not forked: forking after OpenMP has run hangs.
-    parallel = Parallel(n_jobs=workers, return_as="generator_unordered", pre_dispatch=workers)
-    try:
-        yield from parallel(delayed(_alone)(job, reference) for job in jobs)
-    finally:
-        # Left alone, the processes would serve the next call too, in this one's surroundings.
-        get_reusable_executor().shutdown(kill_workers=True)
-
-
-def _alone(job: Job, reference: Reference) -> tuple[Job, Rolled]:
-    """Roll out on one thread: the processes already fill the machine."""
-    import numba
-
-    numba.set_num_threads(1)
-    return job, _roll_out(job, reference)
 
 
 def _roll_out(job: Job, reference: Reference) -> Rolled:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 _ID = re.compile(r"[a-z][a-z0-9_]*-v[0-9]+")
+_MARGIN_M = 0.01  # a place beside a wall or the bounds, not on the line
 _MEND = "Compare with scenes/plaza-v0/scene.toml."
 
 
@@ -149,7 +150,8 @@ class Scene:
         return int(np.ceil(duration_s / self.dt_s - 1e-6))
 
     @cached_property
-    def _obstacles(self) -> "shapely.Geometry":
+    def obstacles(self) -> "shapely.Geometry":
+        """Union of the walls."""
         import shapely
 
         obstacles = shapely.union_all([shapely.Polygon(wall.corners_m) for wall in self.walls])
@@ -188,8 +190,22 @@ class Scene:
         import shapely
 
         return self.inside(points) & ~shapely.intersects_xy(
-            self._obstacles, points[:, 0], points[:, 1]
+            self.obstacles, points[:, 0], points[:, 1]
         )
+
+    def nearest_walkable(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """The points, those outside the bounds or in a wall moved to the nearest walkable place."""
+        import shapely
+
+        lost = np.flatnonzero(~self.walkable(points))
+        moved = points.copy()
+        if len(lost):
+            b = self.bounds
+            whole = shapely.box(b.x_min_m, b.y_min_m, b.x_max_m, b.y_max_m)
+            free = whole.difference(self.obstacles).buffer(-_MARGIN_M)
+            ways = shapely.shortest_line(free, shapely.points(points[lost]))
+            moved[lost] = shapely.get_coordinates(ways)[::2]
+        return moved
 
 
 def scenes_folder() -> Path:

@@ -35,7 +35,7 @@ MAX_FRAMES = 10_000_000
 class Trajectories:
     """A crowd over time: `P` persons, `R` rows (one per person and frame), `I` observed intervals.
 
-    Persons are sorted by first frame, then id; rows by person, then frame.
+    Persons are sorted by first frame, then requested entry, then id; rows by person, then frame.
     """
 
     scene: str
@@ -204,7 +204,11 @@ def from_rows(
         )
 
     begins = np.flatnonzero(np.r_[True, np.diff(ids) != 0])
-    by_entry = np.lexsort((ids[begins], frame[begins]))
+    requested_s = frame[begins] * dt_s
+    for name in ("spawn_s", "requested_s"):  # who did not wait asked when it entered
+        if persons and name in persons:
+            requested_s = np.asarray(persons[name])[order[begins]]
+    by_entry = np.lexsort((ids[begins], requested_s, frame[begins]))
     counts = np.diff(np.r_[begins, len(ids)])
     first, last = frame[begins], frame[begins + counts - 1]
     pieces, sizes = [], []

@@ -132,6 +132,7 @@ def test_neural_fits_are_made_for_every_part_and_told_of(
         plaza.crowd,
         models=["ntpp-gmm"],
         out=tmp_path,
+        workers=1,
         progress=lambda done, total: told.append((done, total)),
     )
     assert told == [(k, 8) for k in range(9)]

@@ -13,10 +13,10 @@ import crowdbench
 PACKAGE = Path(crowdbench.__file__).parent
 
 ORDER = (
-    "errors", "files", "trajectories", "tables", "blocks", "metrics", "recordings", "scene",
-    "spawn", "reference", "scoring_kernel", "scoring", "power", "cards", "simulation", "policies",
-    "episode", "rollouts", "plaza", "registry", "fit", "spawn_check", "replay_check", "figures",
-    "report", "jobs", "evaluation", "environment", "bench", "cli", "__main__",
+    "errors", "files", "processes", "trajectories", "tables", "blocks", "metrics", "recordings",
+    "scene", "spawn", "reference", "scoring_kernel", "scoring", "power", "cards", "simulation",
+    "policies", "episode", "rollouts", "plaza", "registry", "fit", "spawn_check", "replay_check",
+    "figures", "report", "jobs", "evaluation", "environment", "bench", "cli", "__main__",
 )  # fmt: skip
 HEAVY = ("torch", "sklearn", "pyarrow", "rerun", "numba", "matplotlib", "pettingzoo")
 

@@ -16,6 +16,7 @@ from numba import njit
 from numpy.random import Generator
 
 from crowdbench.policies.policy import StateView
+from crowdbench.policies.routes import Routes
 from crowdbench.scene import Scene
 
 RELAXATION_S = 0.5  # τ, eq. 2
@@ -32,7 +33,7 @@ SUBSTEP_S = 0.05
 
 
 class SocialForce:
-    """Walkers drawn to their goals, pushed off by each other and by walls."""
+    """Walkers drawn to their goals, around walls, and pushed off by each other and by walls."""
 
     name = "social-force"
     sees: ClassVar[Literal["state"]] = "state"
@@ -42,6 +43,7 @@ class SocialForce:
         """Take the walls of `scene`."""
         self._scene = scene
         self._walls = np.array(scene.wall_of_segment, dtype=np.int32)
+        self._routes = Routes.on(scene)
 
     def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
         """Mean velocity over the frame, in units of the greatest speed."""
@@ -50,7 +52,7 @@ class SocialForce:
             seen.world,
             seen.position.astype(np.float64),
             seen.velocity.astype(np.float64),
-            seen.goal.astype(np.float64),
+            self._routes.next_of(seen),
             seen.speed.astype(np.float64),
             self._scene.wall_segments,
             self._walls,
@@ -68,6 +70,7 @@ def _walk(world, position, velocity, goal, speed, segments, walls, substeps, dt)
     size = len(world)
     heading = np.zeros((size, 2))
     force = np.zeros((size, 2))
+    near, count = _walls_near(position, speed, segments, dt)
     for _ in range(substeps):
         for a in range(size):
             gx, gy = goal[a, 0] - position[a, 0], goal[a, 1] - position[a, 1]
@@ -91,7 +94,9 @@ def _walk(world, position, velocity, goal, speed, segments, walls, substeps, dt)
                     fx += weight * px
                     fy += weight * py
                 b += 1
-            wx, wy = _wall_force(position[a, 0], position[a, 1], segments, walls)
+            wx, wy = _wall_force(
+                position[a, 0], position[a, 1], segments, walls, near[a, : count[a]]
+            )
             force[a, 0], force[a, 1] = fx + wx, fy + wy
         for a in range(size):
             vx, vy = velocity[a, 0] + h * force[a, 0], velocity[a, 1] + h * force[a, 1]
@@ -121,23 +126,44 @@ def _repulsion(rx, ry, sx, sy):
 
 
 @njit(cache=True, error_model="numpy")
-def _wall_force(x, y, segments, walls):
+def _walls_near(position, speed, segments, dt):
+    """Segments that come within reach of each person during the frame, and how many."""
+    near = np.empty((len(position), len(segments)), dtype=np.int32)
+    count = np.zeros(len(position), dtype=np.int32)
+    for a in range(len(position)):
+        reach = REACH_M + FASTEST * speed[a] * dt
+        for s in range(len(segments)):
+            x, y = _nearest(position[a, 0], position[a, 1], segments[s])
+            if x * x + y * y <= reach * reach:
+                near[a, count[a]] = s
+                count[a] += 1
+    return near, count
+
+
+@njit(cache=True, error_model="numpy")
+def _nearest(x, y, segment):
+    """From the nearest point of a segment to (x, y)."""
+    ax, ay = segment[0], segment[1]
+    ex, ey = segment[2] - ax, segment[3] - ay
+    along = ((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey)
+    along = min(1.0, max(0.0, along))
+    return x - ax - along * ex, y - ay - along * ey
+
+
+@njit(cache=True, error_model="numpy")
+def _wall_force(x, y, segments, walls, near):
     """Sum over walls of the push from each wall's nearest point, −∇U, eq. 5."""
     fx, fy = 0.0, 0.0
-    s = 0
-    while s < len(segments):
-        wall = walls[s]
+    k = 0
+    while k < len(near):
+        wall = walls[near[k]]
         nearest, nx, ny = np.inf, 0.0, 0.0
-        while s < len(segments) and walls[s] == wall:
-            ax, ay = segments[s, 0], segments[s, 1]
-            ex, ey = segments[s, 2] - ax, segments[s, 3] - ay
-            along = ((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey)
-            along = min(1.0, max(0.0, along))
-            dx, dy = x - ax - along * ex, y - ay - along * ey
+        while k < len(near) and walls[near[k]] == wall:
+            dx, dy = _nearest(x, y, segments[near[k]])
             distance = math.sqrt(dx * dx + dy * dy)
             if distance < nearest:
                 nearest, nx, ny = distance, dx, dy
-            s += 1
+            k += 1
         if 0.0 < nearest < REACH_M:
             push = WALL / WALL_RANGE_M * math.exp(-nearest / WALL_RANGE_M) / nearest
             fx += push * nx

@@ -8,12 +8,13 @@ from numpy.random import Generator
 
 from crowdbench.errors import SettingError
 from crowdbench.policies.policy import StateView
+from crowdbench.policies.routes import Routes
 from crowdbench.scene import Scene
 from crowdbench.trajectories import Trajectories
 
 
 class Straight:
-    """Walks straight to the goal at the preferred speed, through everyone."""
+    """Walks to the goal at the preferred speed, through everyone; straight, or around walls."""
 
     name = "straight"
     sees: ClassVar[Literal["state"]] = "state"
@@ -22,10 +23,11 @@ class Straight:
     def reset(self, scene: Scene, rng: Generator) -> None:
         """Nothing to draw."""
         self._scene = scene
+        self._routes = Routes.on(scene)
 
     def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
-        """Towards the goal, and in the last step just as far as the goal."""
-        way = seen.goal - seen.position
+        """Along the shortest way, and no further than its next corner or the goal."""
+        way = self._routes.next_of(seen) - seen.position
         distance = np.linalg.norm(way, axis=1)
         speed = np.minimum(seen.speed, distance / np.float32(self._scene.dt_s))
         scale = np.divide(speed, distance, out=np.zeros_like(speed), where=distance > 0)

@@ -38,21 +38,15 @@ def read_gc(files: Mapping[str, bytes], where: object) -> Trajectories:
     Raises:
         RecordingError: a file is missing or broken.
     """
-    homography = _homography(files.get(HOMOGRAPHY), where)
-    tracks = {name: data for name, data in files.items() if name != HOMOGRAPHY}
-    if not tracks:
-        raise RecordingError(
-            where, got="no person's file", expected="files Annotation/NUMBER.txt", mend=_MEND
-        )
+    homography = homography_of(files.get(HOMOGRAPHY), where)
+    tracks = annotations(files, where)
     pieces, persons, single, beyond = [], [], 0, 0
-    for name, data in tracks.items():
-        rows = _rows(data, f"{where}/{name}")
+    for person, rows in tracks.items():
         inside = rows[:, 2] < VIDEO_FRAMES
         beyond += int((~inside).sum())
         if inside.sum() < 2:
             single += 1
             continue
-        person = _person(name, where)
         upto = inside.sum() + (not inside.all())  # interpolated up to the end
         frame, at = _each_frame(rows[:upto], VIDEO_FRAMES)
         pieces.append(np.column_stack([frame, at]))
@@ -65,7 +59,7 @@ def read_gc(files: Mapping[str, bytes], where: object) -> Trajectories:
         frames=VIDEO_FRAMES // FRAME,
         person_id=np.concatenate(persons),
         frame=table[:, 0].astype(np.int64),
-        xy=_metres(table[:, 1:], homography),
+        xy=metres(table[:, 1:], homography),
         where=where,
     )
     notes = {
@@ -73,6 +67,24 @@ def read_gc(files: Mapping[str, bytes], where: object) -> Trajectories:
         "cut off": f"{beyond} positions after video frame {VIDEO_FRAMES}",
     }
     return replace(crowd, provenance={"notes": notes})
+
+
+def annotations(files: Mapping[str, bytes], where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
+    """Column, row and video frame of each annotation, by person.
+
+    Raises:
+        RecordingError: there is no person's file, or one is broken.
+    """
+    tracks = {
+        _person(name, where): _rows(data, f"{where}/{name}")
+        for name, data in files.items()
+        if name != HOMOGRAPHY
+    }
+    if not tracks:
+        raise RecordingError(
+            where, got="no person's file", expected="files Annotation/NUMBER.txt", mend=_MEND
+        )
+    return tracks
 
 
 def _rows(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
@@ -118,15 +130,23 @@ def _each_frame(
     return video // FRAME, at
 
 
-def _metres(
+def metres(
     pixels: Float[np.ndarray, "n 2"], homography: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "n 2"]:
-    """The homography takes (row, column): the other way round people would walk at 0.6 m/s."""
+    """World positions of (column, row); the homography takes them as (row, column).
+
+    The other way round people would walk at 0.6 m/s.
+    """
     plane = np.column_stack([pixels[:, 1], pixels[:, 0], np.ones(len(pixels))]) @ homography.T
     return UNIT_M * plane[:, :2] / plane[:, 2:]
 
 
-def _homography(data: bytes | None, where: object) -> Float[np.ndarray, "3 3"]:
+def homography_of(data: bytes | None, where: object) -> Float[np.ndarray, "3 3"]:
+    """The matrix in `H.json`.
+
+    Raises:
+        RecordingError: the file is missing or broken.
+    """
     if data is None:
         raise RecordingError(where, got=f"no {HOMOGRAPHY}", expected="the homography", mend=_MEND)
     try:

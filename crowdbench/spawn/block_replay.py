@@ -62,7 +62,8 @@ class BlockReplay:
     ) -> SpawnEvents:
         crowd = self.recording
         spawn_area = crowd.spawn_area[persons]
-        start = crowd.start[persons].astype(np.float64)
+        start = scene.nearest_walkable(crowd.start[persons].astype(np.float64))
+        end = scene.nearest_walkable(crowd.end[persons].astype(np.float64))
         to_centre = np.linalg.norm(start[:, None] - self.areas.spawn.mean, axis=2)
         known = np.where(spawn_area >= 0, spawn_area, to_centre.argmin(axis=1))
         # Everyone gets a draw, those who need none too, in the order of the persons.
@@ -72,7 +73,7 @@ class BlockReplay:
         return entering(
             time_s=time_s,
             start=start,
-            goal=np.where(left[:, None], crowd.end[persons], drawn.goal).astype(np.float64),
+            goal=np.where(left[:, None], end, drawn.goal),
             spawn_area=spawn_area,
             goal_area=np.where(left, crowd.goal_area[persons], drawn.goal_area),
             speed=np.where(np.isfinite(speed), speed, drawn.speed),

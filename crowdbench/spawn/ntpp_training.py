@@ -3,12 +3,14 @@
 Areas are independent networks, computed together as one batch. Training windows of 100 frames
 with a stride of 50 lie inside observed stretches and end censored; the loss is the negative
 log-probability of the counts, survival terms included, summed over an area's windows and divided
-by one constant per area (never by a sequence's own length). Adam takes one step per epoch.
+by one constant per area (never by a sequence's own length). Adam takes its steps on all windows of
+an area at once; where these hold more than 1,024 groups, on a random half, quarter, ... of them in
+turn.
 
 When to stop is found by cross-validation: the training data's time blocks are dealt into five
-sets at random, five networks per area are trained without one set each, and the epoch at which
-their held-out likelihood is best is the number of epochs for which the network that is kept is
-trained, on everything. Each area has an epoch of its own. Last, an area's scale is shifted until
+sets at random, five networks per area are trained without one set each, and the step at which
+their held-out likelihood is best is the number of steps for which the network that is kept is
+trained, on everything. Each area has a number of its own. Last, an area's scale is shifted until
 samples have the recorded number of persons.
 
 Chosen by held-out likelihood, nats per person, on ETH's folds (2 or 3 seeds, ± 0.003) and on ten
@@ -43,7 +45,7 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from crowdbench.scene import Scene
@@ -72,13 +74,15 @@ class Settings:
     """How much faster the initial state learns: in the few epochs before training stops it has to
     come to mean something else than the states that follow groups."""
     epochs: int = 500
-    """Most epochs."""
+    """Most steps; steps are epochs where an area's windows are looked at all at once."""
     patience: int = 50
-    """Epochs without a better one for any area after which training ends."""
+    """Steps without a better one for any area after which training ends."""
     sets: int = 5
     """Of the cross-validation."""
     least_groups: int = 30
     """An area of fewer groups stays Poisson."""
+    step_groups: int = 1024
+    """About as many groups of an area, at most, are looked at in one step."""
     calibration_points: int = 400_000
     """Grid points sampled per area and step of the calibration."""
 
@@ -118,44 +122,82 @@ def _deterministic() -> Iterator[None]:
 
 def _fit(arrivals: Arrivals, areas: Areas, scene: Scene, seed: int, settings: Settings) -> NtppGMM:
     points_per_frame = scene.dt_s / scene.grid_s
-    width = max(1, round(settings.window_frames * points_per_frame))
-    stride = max(1, round(settings.stride_frames * points_per_frame))
-    block = max(1, round(scene.protocol.block_s / scene.grid_s))
+    cutting = _Cutting(
+        width=max(1, round(settings.window_frames * points_per_frame)),
+        stride=max(1, round(settings.stride_frames * points_per_frame)),
+        block=max(1, round(scene.protocol.block_s / scene.grid_s)),
+    )
     spells = spells_of(arrivals)
     groups = np.bincount(spells.area[spells.of_group], minlength=arrivals.areas)
-    trained = groups >= settings.least_groups
-
     weights = start_weights(arrivals, seed)
-    epochs = np.zeros(arrivals.areas, dtype=np.int64)
-    if trained.any():
-        epochs[trained] = _best_epochs(arrivals, trained, seed, block, width, stride, settings)
-    batch = pack(sequences(arrivals, windows(arrivals.windows, width, stride)), weights["scaling"])
-
-    def keep(epoch: int, now: dict[str, Tensor]) -> bool:
-        for k in np.flatnonzero(epochs == epoch):
-            for name in _TRAINED:
-                weights[name][k] = now[name][k].detach().numpy()
-        return bool(epoch >= epochs.max())
-
-    _train(weights, batch, settings, keep)
+    steps = np.zeros(arrivals.areas, dtype=np.int64)
+    parts = _parts(groups * cutting.width / cutting.stride, settings.step_groups)
+    for count in np.unique(parts).tolist():  # areas of about the same size are one batch
+        chosen = np.flatnonzero(parts == count)
+        trained = groups[chosen] >= settings.least_groups
+        if trained.any():
+            best = _best_steps(arrivals, chosen, count, seed, cutting, settings)
+            steps[chosen[trained]] = best[trained]
+            _train_chosen(weights, steps, arrivals, chosen, count, seed, cutting, settings)
     model = NtppGMM(areas, _rounded(weights), arrivals.grid_s, asdict(settings))
-    return _calibrated(model, arrivals, epochs > 0, seed, settings)
+    return _calibrated(model, arrivals, steps > 0, seed, settings)
 
 
-def _best_epochs(
+@dataclass(frozen=True)
+class _Cutting:
+    """How a recording is cut, grid points."""
+
+    width: int
+    """Of a training window."""
+    stride: int
+    """From one training window to the next."""
+    block: int
+    """Of the pieces that are dealt to the sets of the cross-validation."""
+
+
+def _parts(rows: Float[np.ndarray, " K"], most: int) -> Int[np.ndarray, " K"]:
+    """In how many parts each area's windows are looked at: a power of two."""
+    return 2 ** np.ceil(np.log2(np.maximum(1.0, rows / most))).astype(np.int64)
+
+
+def _train_chosen(
+    weights: dict[str, np.ndarray],
+    steps: Int[np.ndarray, " K"],
     arrivals: Arrivals,
-    trained: Bool[np.ndarray, " K"],
+    chosen: Int[np.ndarray, " k"],
+    parts: int,
     seed: int,
-    block: int,
-    width: int,
-    stride: int,
+    cutting: _Cutting,
+    settings: Settings,
+) -> None:
+    """Train the networks of the chosen areas, each for its number of steps, in `weights`."""
+    some = {name: array[chosen] for name, array in weights.items()}
+    found = windows(arrivals.windows, cutting.width, cutting.stride)
+    batches = _batches(sequences(arrivals, found, chosen), some["scaling"], parts, seed)
+    last = steps[chosen].max()
+
+    def keep(step: int, now: dict[str, Tensor]) -> bool:
+        for i in np.flatnonzero(steps[chosen] == step):
+            for name in _TRAINED:
+                weights[name][chosen[i]] = now[name][i].detach().numpy()
+        return bool(step >= last)
+
+    _train(some, batches, settings, keep)
+
+
+def _best_steps(
+    arrivals: Arrivals,
+    chosen: Int[np.ndarray, " k"],
+    parts: int,
+    seed: int,
+    cutting: _Cutting,
     settings: Settings,
 ) -> Int[np.ndarray, " k"]:
-    """For each of the `trained` areas the epoch of the best held-out likelihood."""
-    pieces = _blocks(arrivals.windows, block)
+    """For each of the chosen areas the step of the best held-out likelihood."""
+    pieces = _blocks(arrivals.windows, cutting.block)
     sets = min(settings.sets, len(pieces))
     if sets < 2:
-        return np.zeros(trained.sum(), dtype=np.int64)
+        return np.zeros(len(chosen), dtype=np.int64)
     dealt = np.random.default_rng([seed, 1]).permutation(len(pieces)) % sets
     starts: list[dict[str, np.ndarray]] = []
     training: list[list[Sequence]] = []
@@ -163,31 +205,58 @@ def _best_epochs(
     for number in range(sets):
         inside = _joined(pieces[dealt != number])
         # What the networks start from must not know the held-out blocks either.
-        starts.append(start_weights(_within(arrivals, inside), seed))
-        training += sequences(arrivals, windows(inside, width, stride))
-        held_out += sequences(arrivals, _joined(pieces[dealt == number]))
+        start = start_weights(_within(arrivals, inside), seed)
+        starts.append({name: array[chosen] for name, array in start.items()})
+        found = windows(inside, cutting.width, cutting.stride)
+        training += sequences(arrivals, found, chosen)
+        held_out += sequences(arrivals, _joined(pieces[dealt == number]), chosen)
     weights = {name: np.concatenate([start[name] for start in starts]) for name in SHAPES}
     validation = pack(held_out, weights["scaling"])
+    groups = np.array([sum(len(s.gap) for s in each) for each in held_out])
+    trained = groups.reshape(sets, -1).sum(axis=0) >= settings.least_groups
     loss: list[np.ndarray] = []
 
-    def judge(epoch: int, now: dict[str, Tensor]) -> bool:
+    def judge(step: int, now: dict[str, Tensor]) -> bool:
+        if step % parts:
+            return False
         with torch.no_grad():
             each = nats(now, validation).double().numpy()
-        loss.append(each.reshape(sets, arrivals.areas).sum(axis=0)[trained])
-        best = np.argmin(loss, axis=0)
-        return bool(epoch - best.max() >= settings.patience) or epoch >= settings.epochs
+        loss.append(each.reshape(sets, -1).sum(axis=0))
+        best = np.argmin(loss, axis=0)[trained].max(initial=0) * parts
+        return bool(step - best >= settings.patience) or step >= settings.epochs
 
-    _train(weights, pack(training, weights["scaling"]), settings, judge)
-    return np.argmin(loss, axis=0)
+    batches = _batches(training, weights["scaling"], parts, seed)
+    _train(weights, batches, settings, judge)
+    return np.argmin(loss, axis=0) * parts
+
+
+def _batches(
+    networks: list[list[Sequence]], scaling: np.ndarray, parts: int, seed: int
+) -> list["Batch"]:
+    """The sequences of each network, dealt at random into so many parts."""
+    if parts == 1:
+        return [pack(networks, scaling)]
+    rng = np.random.default_rng([seed, 3])
+    dealt = [rng.permutation(len(each)) % parts for each in networks]
+    return [
+        pack(
+            [
+                [each[i] for i in np.flatnonzero(of == part)]
+                for each, of in zip(networks, dealt, strict=True)
+            ],
+            scaling,
+        )
+        for part in range(parts)
+    ]
 
 
 def _train(
     weights: dict[str, np.ndarray],
-    batch: "Batch",
+    batches: list["Batch"],
     settings: Settings,
     seen: Callable[[int, dict[str, Tensor]], bool],
 ) -> None:
-    """Take steps until `seen`, which is shown the weights of each epoch from 0 on, says stop."""
+    """Take steps until `seen`, which is shown the weights after each from 0 on, says stop."""
     now = {name: torch.tensor(array, dtype=torch.float32) for name, array in weights.items()}
     for name in _TRAINED:
         now[name].requires_grad_()
@@ -197,12 +266,13 @@ def _train(
         for name in _TRAINED
     ]
     optimizer = torch.optim.Adam(groups)
-    epoch = 0
-    while not seen(epoch, now):
+    step = 0
+    while not seen(step, now):
+        batch = batches[step % len(batches)]
         optimizer.zero_grad()
         (nats(now, batch) / batch.persons).sum().backward()  # type: ignore[no-untyped-call]
         optimizer.step()
-        epoch += 1
+        step += 1
 
 
 def start_weights(arrivals: Arrivals, seed: int) -> dict[str, np.ndarray]:
@@ -269,10 +339,12 @@ def windows(stretches: Int[np.ndarray, "B 2"], width: int, stride: int) -> Int[n
     return np.array(found)
 
 
-def sequences(arrivals: Arrivals, chosen: Int[np.ndarray, "V 2"]) -> list[list[Sequence]]:
-    """For each area, its groups in each window; windows may overlap."""
+def sequences(
+    arrivals: Arrivals, chosen: Int[np.ndarray, "V 2"], areas: Int[np.ndarray, " k"] | None = None
+) -> list[list[Sequence]]:
+    """For each area (by default all), its groups in each window; windows may overlap."""
     result = []
-    for k in range(arrivals.areas):
+    for k in range(arrivals.areas) if areas is None else areas.tolist():
         tick, size = np.unique(arrivals.tick[arrivals.area == k], return_counts=True)
         mine = []
         for start, stop in chosen.tolist():

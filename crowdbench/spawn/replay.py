@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from jaxtyping import Float32
 from numpy.random import Generator
 
 from crowdbench.errors import SettingError
@@ -39,8 +40,8 @@ class Replay:
         speed = np.nan_to_num(crowd.mean_speeds(), nan=0.0)
         events = SpawnEvents(
             time_s=crowd.requested_s,
-            start=crowd.start,
-            goal=crowd.end,
+            start=_walkable(crowd.start, scene),
+            goal=_walkable(crowd.end, scene),
             spawn_area=crowd.spawn_area,
             goal_area=crowd.goal_area,
             speed=speed.astype(np.float32),
@@ -56,6 +57,7 @@ class Replay:
         """The events of `sample`, everyone leaving at its recorded last frame and no earlier."""
         return replace(
             events,
+            start=self.recording.start[: len(events)],
             leave_frame=self.recording.last[: len(events)],
             scripted=np.ones(len(events), dtype=bool),
         )
@@ -69,3 +71,8 @@ class Replay:
         raise SettingError(
             "replay", got="a request for a likelihood", expected="a model that has one"
         )
+
+
+def _walkable(points: Float32[np.ndarray, "P 2"], scene: Scene) -> Float32[np.ndarray, "P 2"]:
+    """Where someone was recorded in a wall, the nearest place where a policy can walk."""
+    return scene.nearest_walkable(points.astype(np.float64)).astype(np.float32)
