@@ -127,8 +127,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     power.set_defaults(run=_power)
 
-    data = commands.add_parser("data", help="import, list and describe recordings")
+    data = commands.add_parser("data", help="fetch, import, list and describe recordings")
     of_data = data.add_subparsers(required=True, metavar="COMMAND")
+    fetch = of_data.add_parser(
+        "fetch", help="download a recording from where it is published, and import it"
+    )
+    fetch.add_argument("name", help="name of a recording (see `crowdbench data list`)")
+    fetch.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder to download to, in OpenTraj's layout (default: OpenTraj in $CROWDBENCH_HOME)",
+    )
+    fetch.set_defaults(run=_fetch)
     bring = of_data.add_parser("import", help="read a recording and keep it for later use")
     bring.add_argument("name", help="name of a recording (see `crowdbench data list`)")
     bring.add_argument(
@@ -179,10 +190,13 @@ def _pairs(title: str, facts: dict[str, str]) -> None:
 
 
 @contextmanager
-def _progress(what: str) -> "Iterator[Callable[[int, int], None]]":
+def _progress(
+    what: str, *, of_bytes: bool = False
+) -> "Iterator[Callable[[int, int | None], None]]":
     """A bar that appears with the first call of what this yields: progress(done, total)."""
     from rich.progress import (
         BarColumn,
+        DownloadColumn,
         MofNCompleteColumn,
         Progress,
         TextColumn,
@@ -193,7 +207,7 @@ def _progress(what: str) -> "Iterator[Callable[[int, int], None]]":
     columns = (
         TextColumn(what),
         BarColumn(),
-        MofNCompleteColumn(),
+        DownloadColumn() if of_bytes else MofNCompleteColumn(),
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
@@ -201,7 +215,7 @@ def _progress(what: str) -> "Iterator[Callable[[int, int], None]]":
     bar = Progress(*columns, console=_console())
     task = bar.add_task(what)
 
-    def progress(done: int, total: int) -> None:
+    def progress(done: int, total: int | None) -> None:
         bar.start()  # not before everything asked for was found
         bar.update(task, completed=done, total=total)
 
@@ -448,15 +462,37 @@ def _anchors(asked: argparse.Namespace) -> None:
     print(f"written to {write_anchors(anchors, scene.folder)}")
 
 
+def _fetch(asked: argparse.Namespace) -> None:
+    from crowdbench.recordings.catalogue import source
+    from crowdbench.recordings.fetch import default_folder, fetch
+
+    published = source(asked.name)
+    folder = asked.out or default_folder()
+    with _progress(asked.name, of_bytes=True) as progress:
+        fetched = fetch(asked.name, folder, progress)
+    how = f"fetched from {published.address}" if fetched else "already there"
+    print(f"{folder / published.path}: {how}")
+    _bring(asked.name, folder)
+
+
 def _import(asked: argparse.Namespace) -> None:
-    from crowdbench.recordings.catalogue import cached, source
+    _bring(asked.name, asked.source)
+
+
+def _bring(name: str, folder: Path | None) -> None:
+    from crowdbench.recordings.catalogue import cached, known_sha256, source
     from crowdbench.recordings.describe import describe
     from crowdbench.registry import import_recording
 
-    crowd = import_recording(asked.name, asked.source)
-    _pairs(asked.name, describe(crowd) | {"kept at": str(cached(asked.name))})
-    if asked.name != "plaza":
-        print(f"It stays under its owners' terms. Cite: {source(asked.name).cite}.")
+    first = name != "plaza" and known_sha256(source(name)) is None
+    crowd = import_recording(name, folder)
+    _pairs(name, describe(crowd) | {"kept at": str(cached(name))})
+    if first:
+        print(
+            f"SHA-256 {crowd.provenance['sha256']} noted at first use; the publisher states none."
+        )
+    if name != "plaza":
+        print(f"It stays under its owners' terms. Cite: {source(name).cite}.")
 
 
 def _list(asked: argparse.Namespace) -> None:

@@ -31,6 +31,10 @@ class RecordingError(CrowdbenchError):
     """A recording or a table of trajectories that cannot be read or does not fit."""
 
 
+class FetchError(CrowdbenchError):
+    """A published recording that cannot be fetched."""
+
+
 class SceneError(CrowdbenchError):
     """A scene that is unknown or whose files are broken."""
 

@@ -18,7 +18,7 @@ ORDER = (
     "policies", "episode", "rollouts", "plaza", "registry", "fit", "spawn_check", "replay_check",
     "figures", "report", "jobs", "evaluation", "environment", "bench", "cli", "__main__",
 )  # fmt: skip
-HEAVY = ("torch", "sklearn", "pyarrow", "rerun", "numba", "matplotlib", "pettingzoo")
+HEAVY = ("torch", "sklearn", "pyarrow", "rerun", "numba", "matplotlib", "pettingzoo", "requests")
 
 
 def is_type_checking(node: ast.AST) -> bool:
@@ -95,6 +95,13 @@ def loaded_by(code: str, cwd: Path | None = None) -> set[str]:
 
 def test_importing_crowdbench_loads_nothing_heavy() -> None:
     assert loaded_by("import crowdbench") & set(HEAVY) == set()
+
+
+def test_only_a_download_loads_what_it_needs() -> None:
+    code = (
+        "from crowdbench import cli; import crowdbench.recordings.fetch; cli.main(['data', 'list'])"
+    )
+    assert "requests" not in loaded_by(code)
 
 
 def test_spawn_models_load_neither_numba_nor_torch_before_they_need_them() -> None:

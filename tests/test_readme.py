@@ -4,12 +4,16 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from servers import serving
 
 from crowdbench.cli import main
+from crowdbench.recordings.catalogue import SOURCES
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
 
@@ -40,9 +44,21 @@ def test_a_class_of_ones_own_is_evaluated(tmp_path: Path, block: int, file: str)
     assert "written to" in done.stdout
 
 
+@pytest.fixture
+def published_eth(opentraj: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A server on loopback publishes the real recording instead of its own."""
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    with serving() as server:
+        server.files["/obsmat.txt"] = (opentraj / SOURCES["eth"].path).read_bytes()
+        here = replace(SOURCES["eth"], address=f"{server.address}/obsmat.txt")
+        monkeypatch.setitem(SOURCES, "eth", here)
+        yield
+
+
 def test_every_command_runs_in_the_order_of_the_page(
     tmp_path: Path,
     opentraj: Path,
+    published_eth: None,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -60,7 +60,7 @@ def test_a_recording_must_have_been_imported() -> None:
 
 @pytest.mark.parametrize("find", [recording, import_recording])
 def test_an_unknown_recording_is_refused(find: object) -> None:
-    with pytest.raises(SettingError, match=r"'moon'.*eth, hotel, zara01, plaza"):
+    with pytest.raises(SettingError, match=r"'moon'.*eth, hotel, zara01, gc, forum"):
         find("moon")  # type: ignore[operator]
 
 
@@ -69,7 +69,8 @@ def test_imported_recordings_are_found(opentraj: Path) -> None:
     for name in set(RECORDINGS) - {"plaza"}:
         import_recording(name, opentraj)
         persons[name] = len(recording(name))
-    assert persons == {"eth": 360, "hotel": 390, "zara01": 148}
+    counted = {"eth": 360, "hotel": 390, "zara01": 148, "gc": 12_671, "forum": 1160}
+    assert persons == counted
 
 
 def test_a_scenes_recording_knows_its_areas(imported: Path) -> None:

@@ -10,12 +10,14 @@ from typing import Literal
 from crowdbench import tables
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.files import home, read_bytes, sha256
+from crowdbench.recordings import first_use
 from crowdbench.recordings.forum import read_forum
 from crowdbench.recordings.gc import HOMOGRAPHY, read_gc
 from crowdbench.recordings.obsmat import read_obsmat
 from crowdbench.trajectories import Trajectories
 
-_COMMIT = "97ec1d5e1b579f26febeaa9083705952deac338a"
+REPOSITORY = "https://github.com/crowdbotp/OpenTraj"
+COMMIT = "97ec1d5e1b579f26febeaa9083705952deac338a"
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class Source:
 
 
 def _copy(path: str) -> str:
-    return f"https://raw.githubusercontent.com/crowdbotp/OpenTraj/{_COMMIT}/{path}"
+    return f"https://raw.githubusercontent.com/crowdbotp/OpenTraj/{COMMIT}/{path}"
 
 
 _EWAP = "Pellegrini et al., You'll Never Walk Alone, ICCV 2009"
@@ -89,7 +91,7 @@ SOURCES = {
             "datasets/GC",
             "gc",
             "8225802df781dcae75d771b5bf78950122f4f2f9ebb8f8734fd5f5d2565ff990",
-            f"https://github.com/crowdbotp/OpenTraj/tree/{_COMMIT}/datasets/GC",
+            f"{REPOSITORY}/tree/{COMMIT}/datasets/GC",
             _GC,
         ),
         Source(
@@ -153,7 +155,8 @@ def load_imported(name: str) -> Trajectories:
             f"recording {name}",
             got="none imported",
             expected=f"a table at {path}",
-            mend=f"Run `crowdbench data import {name} --source DIR`.",
+            mend=f"Run `crowdbench data fetch {name}`, or "
+            f"`crowdbench data import {name} --source DIR`.",
         )
     return tables.read_own(path)
 
@@ -161,46 +164,91 @@ def load_imported(name: str) -> Trajectories:
 def import_recording(name: str, folder: Path | None = None) -> Trajectories:
     """Read the recording `name` from a folder in OpenTraj's layout and keep it for later use.
 
-    `folder` is by default the one that the environment variable `CROWDBENCH_DATA` names.
+    `folder` is by default the one that the environment variable `CROWDBENCH_DATA` names. Where
+    no hash is published the first import notes it, and later ones hold against it.
 
     Raises:
         SettingError: there is no recording of that name, or no folder is named.
         RecordingError: the file is missing, broken, or not the published one.
         OutputError: the imported table cannot be written.
     """
-    crowd = read_published(source(name), _folder(folder))
+    published = source(name)
+    crowd = read_published(published, _folder(folder))
     tables.write_parquet(crowd, cached(name))
+    if known_sha256(published) is None:
+        first_use.note(name, crowd.provenance["sha256"], published.address)
     return crowd
 
 
+def known_sha256(source: Source) -> str | None:
+    """The hash that a recording's data must have; None before the first use of unpinned ones.
+
+    Raises:
+        RecordingError: the note of the first use is broken.
+    """
+    return source.sha256 or first_use.noted(source.name)
+
+
+def sha256_in(source: Source, folder: Path) -> str | None:
+    """The hash of a recording's data in a folder, right or wrong; None where a file is missing."""
+    try:
+        return _hash(_files(source, folder / source.path))
+    except RecordingError:
+        return None
+
+
 def read_published(source: Source, folder: Path) -> Trajectories:
-    """Read a published recording and hold it against the hash of what was published."""
+    """Read a published recording and hold it against the hash of what was published.
+
+    Raises:
+        RecordingError: a file is missing or broken, or the data are others than the published.
+    """
     path = folder / source.path
-    files = _files(source, path)
-    crowd = _read(source, files, path)
+    return read_files(source, _files(source, path), path)
+
+
+def read_files(source: Source, files: Mapping[str, bytes], where: object) -> Trajectories:
+    """Read a recording's files by name, and hold them against the known hash.
+
+    Raises:
+        RecordingError: a file is broken, or the data are others than the published.
+    """
+    crowd = _read(source, files, where)
     found = _hash(files)
-    if source.sha256 is not None and found != source.sha256:
-        raise RecordingError(
-            path,
-            got=f"data of SHA-256 {found[:12]}… with {len(crowd)} persons",
-            expected=f"the published ones, SHA-256 {source.sha256[:12]}…",
-            mend="They may be cut short, altered, or have their line ends converted; scores would "
-            f"not be comparable. Fetch {source.address} again.",
-        )
+    known = known_sha256(source)
+    if known is not None and found != known:
+        raise _changed(source, crowd, found, known, where)
     provenance = {**crowd.provenance, "source": source.address, "sha256": found}
     return replace(crowd, provenance=provenance)
 
 
+def _changed(
+    source: Source, crowd: Trajectories, found: str, known: str, where: object
+) -> RecordingError:
+    mend = "They may be cut short, altered, or have their line ends converted; scores would not be "
+    mend += f"comparable. Run `crowdbench data fetch {source.name}`: it takes {source.address}."
+    expected = f"the published ones, SHA-256 {known[:12]}…"
+    if source.sha256 is None:
+        expected = f"SHA-256 {known[:12]}…, as noted at first use"
+        mend += f" If you want the new ones, delete {first_use.note_of(source.name)}."
+    return RecordingError(
+        where,
+        got=f"data of SHA-256 {found[:12]}… with {len(crowd)} persons",
+        expected=expected,
+        mend=mend,
+    )
+
+
 def _files(source: Source, path: Path) -> dict[str, bytes]:
     """What a recording is read from, by name."""
-    mend = f"Fetch {source.address} into that place."
+    mend = f"Run `crowdbench data fetch {source.name}`, or bring {source.address} into that place."
     if source.format != "gc":
         return {path.name: read_bytes(path, RecordingError, mend)}
     names = [HOMOGRAPHY, *(f"Annotation/{p.name}" for p in (path / "Annotation").glob("*.txt"))]
     return {name: read_bytes(path / name, RecordingError, mend) for name in sorted(names)}
 
 
-def _read(source: Source, files: Mapping[str, bytes], where: Path) -> Trajectories:
+def _read(source: Source, files: Mapping[str, bytes], where: object) -> Trajectories:
     if source.format == "gc":
         return read_gc(files, where)
     (data,) = files.values()
@@ -227,5 +275,6 @@ def _folder(folder: Path | None) -> Path:
         "crowdbench data import",
         got="no folder",
         expected="--source DIR or the environment variable CROWDBENCH_DATA",
-        mend="Name a folder in the layout of github.com/crowdbotp/OpenTraj.",
+        mend="Name a folder in the layout of github.com/crowdbotp/OpenTraj, or run "
+        "`crowdbench data fetch NAME`.",
     )

@@ -21,9 +21,13 @@ than 3 m/s from one frame of the camera to the next, over four that is rare."""
 PIXEL_M = 0.0247
 IMAGE_ROWS = 480
 
-_TRACK = re.compile(rb"TRACK\.R(\d+)\s*=\s*\[(.*?)\]\s*;?\s*(?=Properties|TRACK|%|\Z)", re.DOTALL)
-_POINT = re.compile(rb"\[\s*(\S+)\s+(\S+)\s+(\S+?)\s*\]")
-_MEND = "Take the file from the address that `crowdbench data list` names."
+MAX_ROWS = 10_000_000
+"""Persons times frames; a busy day has 100,000."""
+MAX_SHARING = 100
+"""Tracks that share a detection; on 1 July 2010 four at most."""
+
+_STATED = re.compile(rb"Total number of trajectories in file are\s+(\d{1,9})\b")
+_MEND = "Fetch the file anew with `crowdbench data fetch`; if it is there already, delete it first."
 
 
 def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
@@ -33,20 +37,32 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
     camera missed one; arrivals stay on the camera's frames. Observation begins with the camera's
     frame 0 and ends with the last detection. Of two tracks that share half of the shorter one's
     detections (the same pixel at the same time) the shorter is left out: both follow one person.
+    Where a track has several detections at one time, their mean is taken.
 
     Raises:
         RecordingError: the file is empty, broken off, or holds no tracks.
     """
     tracks = _tracks(data, where)
-    doubles = _doubles(tracks)
+    doubles = _doubles(tracks, where)
+    spans = sum((int(rows[-1, 2]) - int(rows[0, 2])) // FRAME + 1 for rows in tracks.values())
+    if spans > MAX_ROWS:
+        raise RecordingError(
+            where,
+            got=f"{spans} persons times frames",
+            expected=f"{MAX_ROWS} at most",
+            mend=f"A time may be wrong. {_MEND}",
+        )
     persons, frames, positions, entered_s = [], [], [], []
-    fast = 0
+    fast = short = 0
     for number, rows in tracks.items():
         tick, at = _at_each_time(rows)
         speed = np.linalg.norm(np.diff(at, axis=0), axis=1) / np.diff(tick) * FPS
         fast += bool((speed > 3.0).any())
         frame = np.arange(-(-tick[0] // FRAME), tick[-1] // FRAME + 1)
-        if number in doubles or len(frame) == 0:
+        if number in doubles:
+            continue
+        if len(frame) == 0:
+            short += 1
             continue
         persons.append(np.full(len(frame), number))
         frames.append(frame)
@@ -54,6 +70,13 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
             np.stack([np.interp(frame * FRAME, tick, at[:, k]) for k in (0, 1)], axis=1)
         )
         entered_s.append(np.full(len(frame), tick[0] / FPS))
+    if not persons:
+        raise RecordingError(
+            where,
+            got=f"{len(tracks)} tracks, all of them between two frames of {FRAME}/9 s",
+            expected="at least one that is there in a frame",
+            mend=_MEND,
+        )
     crowd = from_rows(
         scene=name,
         dt_s=FRAME / FPS,
@@ -65,7 +88,8 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
         where=where,
     )
     notes = {
-        "tracks": f"{len(tracks)}, {len(doubles)} of them double another and are left out",
+        "tracks": f"{len(tracks)}; left out: {len(doubles)} that double another, {short} that fall "
+        "between two frames",
         "jitter": f"{fast} tracks with a step above 3 m/s within 1/9 s",
     }
     return replace(crowd, provenance={"notes": notes})
@@ -73,7 +97,7 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
 
 def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
     """Column, row and time of the detections of each track, by its number."""
-    stated = re.search(rb"Total number of trajectories in file are\s+(\d+)", data)
+    stated = _STATED.search(data)
     if stated is None:
         raise RecordingError(
             where,
@@ -82,29 +106,15 @@ def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
             mend=_MEND,
         )
     tracks: dict[int, Int[np.ndarray, "n 3"]] = {}
-    for number, body in _TRACK.findall(data):
-        points = _POINT.findall(body + b"]")
-        try:
-            rows = np.array(points, dtype=np.int64).reshape(-1, 3)
-        except (ValueError, OverflowError) as error:
+    for piece in data.split(b"TRACK.R")[1:]:
+        label, _, body = piece.partition(b"=")
+        number = _number(label, where)
+        if number in tracks:
             raise RecordingError(
-                f"{where}, TRACK.R{int(number)}",
-                got=str(error),
-                expected="[column row time] in whole numbers",
-                mend=_MEND,
-            ) from error
-        if len(rows) == 0 or len(rows) != body.count(b"[") or (np.diff(rows[:, 2]) < 0).any():
-            raise RecordingError(
-                f"{where}, TRACK.R{int(number)}",
-                got=f"{len(rows)} detections among {body.count(b'[')} brackets",
-                expected="detections [column row time], ascending in time",
-                mend=_MEND,
+                where, got=f"TRACK.R{number} twice", expected="each track once", mend=_MEND
             )
-        if int(number) in tracks:
-            raise RecordingError(
-                where, got=f"TRACK.R{int(number)} twice", expected="each track once", mend=_MEND
-            )
-        tracks[int(number)] = rows
+        body = body.partition(b"Properties")[0].partition(b"%")[0]
+        tracks[number] = _detections(body, f"{where}, TRACK.R{number}")
     if len(tracks) != int(stated[1]) or not tracks:
         raise RecordingError(
             where,
@@ -113,6 +123,63 @@ def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
             mend=f"The file may be broken off. {_MEND}",
         )
     return tracks
+
+
+def _number(label: bytes, where: object) -> int:
+    if not label.strip().isdigit() or len(label) > 18:
+        raise RecordingError(
+            where,
+            got=f"a track named TRACK.R{_shown(label)}",
+            expected="TRACK.RNUMBER=[...]",
+            mend=_MEND,
+        )
+    return int(label)
+
+
+def _detections(body: bytes, where: str) -> Int[np.ndarray, "n 3"]:
+    """The rows of `[[x y t];[x y t];...];`.
+
+    Split at brackets: a regular expression would try a broken file again and again.
+    """
+    body = body.strip().removesuffix(b";").rstrip()
+    if not (body.startswith(b"[") and body.endswith(b"]")) or len(body) < 2:
+        raise _no_detections(body[-40:], where)
+    *pieces, last = body[1:-1].split(b"]")
+    rows = []
+    for piece in pieces:
+        before, _, numbers = piece.partition(b"[")
+        row = numbers.split()
+        if before.strip() not in (b"", b";") or len(row) != 3:
+            raise _no_detections(piece, where)
+        rows.append(row)
+    if last.strip() not in (b"", b";") or not rows:
+        raise _no_detections(last, where)
+    try:
+        detections = np.array(rows, dtype=np.int64)
+    except (ValueError, OverflowError) as error:
+        raise RecordingError(
+            where, got=str(error)[:100], expected="[column row time] in whole numbers", mend=_MEND
+        ) from error
+    back = np.flatnonzero(np.diff(detections[:, 2]) < 0)
+    if len(back):
+        before, after = detections[back[0] : back[0] + 2, 2]
+        raise RecordingError(
+            where, got=f"time {after} after time {before}", expected="ascending times", mend=_MEND
+        )
+    return detections
+
+
+def _no_detections(got: bytes, where: str) -> RecordingError:
+    return RecordingError(
+        where,
+        got=f"{_shown(got)} among the detections",
+        expected="[column row time] of each, the whole in brackets",
+        mend=f"The file may be broken off. {_MEND}",
+    )
+
+
+def _shown(text: bytes) -> str:
+    return repr(text[:40].decode("ascii", "replace"))
 
 
 def _at_each_time(
@@ -125,13 +192,21 @@ def _at_each_time(
     return tick, PIXEL_M * np.stack([x, IMAGE_ROWS - y], axis=1)
 
 
-def _doubles(tracks: dict[int, Int[np.ndarray, "n 3"]]) -> set[int]:
+def _doubles(tracks: dict[int, Int[np.ndarray, "n 3"]], where: object) -> set[int]:
     """Tracks half of whose detections a longer one (of equal ones: an earlier) has too."""
     detections = {number: {tuple(row) for row in rows.tolist()} for number, rows in tracks.items()}
     owners: dict[tuple[int, ...], list[int]] = defaultdict(list)
     for number, each in detections.items():
         for detection in each:
             owners[detection].append(number)
+    most = max(len(of) for of in owners.values())
+    if most > MAX_SHARING:  # the pairs below would be too many
+        raise RecordingError(
+            where,
+            got=f"a detection that {most} tracks share",
+            expected=f"at most {MAX_SHARING}",
+            mend=_MEND,
+        )
     shared: dict[tuple[int, int], int] = defaultdict(int)
     for of in owners.values():
         for a in of:

@@ -51,6 +51,13 @@ def read_gc(files: Mapping[str, bytes], where: object) -> Trajectories:
         frame, at = _each_frame(rows[:upto], VIDEO_FRAMES)
         pieces.append(np.column_stack([frame, at]))
         persons.append(np.full(len(frame), person))
+    if not pieces:
+        raise RecordingError(
+            where,
+            got=f"{single} files of a single annotation each",
+            expected="at least one person who is annotated twice",
+            mend=_MEND,
+        )
     table = np.concatenate(pieces)
     crowd = from_rows(
         scene="gc",
@@ -92,7 +99,9 @@ def _rows(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
     try:
         numbers = np.array(data.split(), dtype=np.int64)
     except (ValueError, OverflowError) as error:
-        raise RecordingError(where, got=str(error), expected="whole numbers", mend=_MEND) from error
+        raise RecordingError(
+            where, got=str(error)[:100], expected="whole numbers", mend=_MEND
+        ) from error
     if len(numbers) == 0 or len(numbers) % 3:
         raise RecordingError(
             where,
@@ -138,7 +147,8 @@ def metres(
     The other way round people would walk at 0.6 m/s.
     """
     plane = np.column_stack([pixels[:, 1], pixels[:, 0], np.ones(len(pixels))]) @ homography.T
-    return UNIT_M * plane[:, :2] / plane[:, 2:]
+    with np.errstate(divide="ignore", invalid="ignore"):  # what is not finite is refused later
+        return UNIT_M * plane[:, :2] / plane[:, 2:]
 
 
 def homography_of(data: bytes | None, where: object) -> Float[np.ndarray, "3 3"]:
@@ -151,9 +161,10 @@ def homography_of(data: bytes | None, where: object) -> Float[np.ndarray, "3 3"]
         raise RecordingError(where, got=f"no {HOMOGRAPHY}", expected="the homography", mend=_MEND)
     try:
         matrix = np.array(json.loads(data)["homog"], dtype=np.float64)
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        got = str(error)[:100]
         raise RecordingError(
-            f"{where}/{HOMOGRAPHY}", got=f"{error}", expected='{"homog": 3 x 3 numbers}', mend=_MEND
+            f"{where}/{HOMOGRAPHY}", got=got, expected='{"homog": 3 x 3 numbers}', mend=_MEND
         ) from error
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise RecordingError(
@@ -167,8 +178,8 @@ def homography_of(data: bytes | None, where: object) -> Float[np.ndarray, "3 3"]
 
 def _person(name: str, where: object) -> int:
     stem = name.removeprefix("Annotation/").removesuffix(".txt")
-    if not stem.isdecimal():
+    if not (stem.isascii() and stem.isdecimal() and len(stem) == 6):  # else one could be two
         raise RecordingError(
-            where, got=f"a file {name}", expected="Annotation/NUMBER.txt", mend=_MEND
+            where, got=f"a file {name}", expected="Annotation/NUMBER.txt, of six digits", mend=_MEND
         )
     return int(stem)

@@ -191,7 +191,7 @@ def _missing_recording() -> str:
     return (
         '<p class="note"><b>No recording imported.</b> Policies are scored under the recorded '
         "arrivals, which are not at hand here; walk columns read “needs recording”. "
-        "<code>crowdbench data import</code> brings a recording in.</p>"
+        "<code>crowdbench data fetch</code> brings a recording in.</p>"
     )
 
 
