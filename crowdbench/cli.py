@@ -1,5 +1,5 @@
 """The command line: `crowdbench evaluate | score | spawn | data | scenes | bench`, and for who
-makes a scene `fit | anchors | power`.
+makes a scene `fit | anchors | power | results`.
 
 A user's error is one message and exit code 2; an interrupt exits with 130.
 """
@@ -77,6 +77,23 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--workers", type=int, help="processes (default: one per core)")
     evaluate.add_argument("--out", type=Path, help="folder of the results (default: results/…)")
     evaluate.set_defaults(run=_evaluate)
+
+    results = commands.add_parser(
+        "results", help="write a scene's page of results, with pictures (minutes)"
+    )
+    results.add_argument("scene", help="id of a scene, or its folder")
+    results.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs/results"),
+        metavar="DIR",
+        help="folder of the page and its pictures (default: docs/results)",
+    )
+    results.add_argument("--workers", type=int, help="processes (default: one per core)")
+    results.add_argument(
+        "--seeds", type=int, help="rollouts per crowd and fold (default: the scene's protocol)"
+    )
+    results.set_defaults(run=_results)
 
     score = commands.add_parser("score", help="score trajectories that any simulator made")
     score.add_argument("scene", help="id of a scene, or its folder")
@@ -367,6 +384,20 @@ def _print_replay(scene: str, out: Path) -> None:
     _pairs("replay against the recording", compare_replay(recording, walked, place))
     _pairs("what the arrival rule would change", arrival_rule_changes(recording, place))
     print()
+
+
+def _results(asked: argparse.Namespace) -> None:
+    from crowdbench.results import write_results
+
+    with _progress("rollouts") as progress:
+        page = write_results(
+            asked.scene,
+            out=asked.out,
+            seeds=asked.seeds,
+            workers=asked.workers,
+            progress=progress,
+        )
+    print(f"written to {page} and {page.with_suffix('')}/")
 
 
 def _score(asked: argparse.Namespace) -> None:

@@ -343,7 +343,13 @@ def overall(families: Mapping[str, Score], *, walk: bool) -> Score | None:
 
 
 def ranks(scores: Sequence[Score]) -> list[int]:
-    """1 + the number of entries that are significantly better; equal ranks are a tie group.
+    """1 + the number of entries that are significantly better; equal ranks are a tie group."""
+    worse = [k for _, k in told_apart(scores)]
+    return [1 + worse.count(k) for k in range(len(scores))]
+
+
+def told_apart(scores: Sequence[Score]) -> list[tuple[int, int]]:
+    """The pairs of which the first is significantly better than the second, by index.
 
     Paired differences on the shared resamples, two-sided at 5 % over all pairs by Holm's (1979)
     step-down. The p-values are those of a normal law with the resamples' standard deviation:
@@ -358,10 +364,10 @@ def ranks(scores: Sequence[Score]) -> list[int]:
         float(2 * norm.sf(abs(d) / s)) if s > 0 else float(d == 0)
         for d, s in zip(differences, spreads, strict=True)
     ]
-    better = [0] * len(scores)
+    found = []
     for step, index in enumerate(np.argsort(p, kind="stable")):
         if p[index] > LEVEL / (len(pairs) - step):
             break
         i, j = pairs[index]
-        better[j if differences[index] > 0 else i] += 1
-    return [1 + count for count in better]
+        found.append((i, j) if differences[index] > 0 else (j, i))
+    return found

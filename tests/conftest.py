@@ -25,6 +25,7 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.registry",
         "crowdbench.replay_check",
         "crowdbench.report",
+        "crowdbench.results",
         "crowdbench.rollouts",
         "crowdbench.scene",
         "crowdbench.simulation.simulation",

@@ -123,6 +123,8 @@ BAD = {
     "no workers": (["evaluate", "eth-v0", "--workers", "0"], "workers: got 0"),
     "replayed strangers": (["evaluate", "eth-v0", "--policy", "replay"], "spawn model replay"),
     "nothing to fit to": (["fit", "eth-v0"], "crowdbench data import eth"),
+    "a page of an unknown scene": (["results", "moon-v0"], "moon-v0"),
+    "no place for a page": (["results", "eth-v0", "--out", "{mine}/x"], "Name another folder"),
     "no place to evaluate to": (
         ["evaluate", "eth-v0", "--policy", "straight", "--seeds", "1", "--out", "{mine}/x"],
         "Name another folder",

@@ -25,7 +25,10 @@ from crowdbench.tables import read_own
 from crowdbench.trajectories import OUTCOMES
 
 ETH = load_scene("eth-v0")
-PICTURES = ("agents_over_time.png", "inter_spawn.png", "dwell.png", "paths.png")
+PICTURES = (
+    "agents_over_time.png", "autocorrelation.png", "inter_spawn.png", "spawns_per_10_frames.png",
+    "dwell.png", "paths.png",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")

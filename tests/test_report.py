@@ -21,7 +21,7 @@ from crowdbench.metrics import METRICS
 from crowdbench.reference import read_reference
 from crowdbench.registry import policy, spawn_model
 from crowdbench.report import write_report
-from crowdbench.report.tables import plainly
+from crowdbench.report.words import plainly
 from crowdbench.rollouts import rollout
 from crowdbench.scene import load_scene
 from crowdbench.scoring import RESAMPLES

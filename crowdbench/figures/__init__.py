@@ -1,5 +1,7 @@
 """The pictures of an evaluation: what people can see of it, as files and in the report."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,25 +13,28 @@ from crowdbench.files import replacing
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FIGURES = ("agents_over_time.png", "inter_spawn.png", "dwell.png", "paths.png")
-"""What `draw_figures` writes."""
-
 
 def draw_figures(sight: Sight, out: Path) -> list[Path]:
-    """Draw `agents_over_time.png`, `inter_spawn.png`, `dwell.png` and `paths.png` into `out`.
+    """Draw all of `FIGURES` into `out`.
 
     Raises:
         OutputError: a picture cannot be written.
     """
-    return [
-        _agents_over_time(sight, out / "agents_over_time.png"),
-        _survival(sight, out / "inter_spawn.png", "inter_spawn"),
-        _survival(sight, out / "dwell.png", "dwell"),
-        _paths(sight, out / "paths.png"),
-    ]
+    return [draw_figure(name, sight, out) for name in FIGURES]
 
 
-def _agents_over_time(sight: Sight, path: Path) -> Path:
+def draw_figure(name: str, sight: Sight, out: Path) -> Path:
+    """Draw one of `FIGURES` into `out`.
+
+    Raises:
+        OutputError: the picture cannot be written.
+    """
+    with replacing(out / name) as temporary:
+        temporary.write_bytes(_DRAWN[name](sight))
+    return out / name
+
+
+def _agents_over_time(sight: Sight) -> bytes:
     """Draw a panel per crowd: its rollouts' N(t) over the recording's N in each time block."""
 
     def draw(axes: "list[Axes]") -> None:
@@ -47,57 +52,92 @@ def _agents_over_time(sight: Sight, path: Path) -> Path:
         axes[0].set_title(f"{sight.scene.title}: agents over time")
 
     rows = len(sight.groups)
-    return _save(path, picture(draw, width=9.0, height=2.3 * rows + 0.6, rows=rows, kind="png"))
+    return picture(draw, width=9.0, height=2.3 * rows + 0.6, rows=rows, kind="small png")
 
 
-def _survival(sight: Sight, path: Path, name: str) -> Path:
-    title = {"inter_spawn": "inter-spawn time", "dwell": "dwell time"}[name]
-    unit_s = {"inter_spawn": sight.scene.grid_s, "dwell": sight.scene.dt_s}[name]
+def _survival(sight: Sight, name: str, title: str, what: str) -> bytes:
+    unit = {"inter_spawn": sight.scene.grid_s, "dwell": sight.scene.dt_s}.get(name, 1.0)
 
     def draw(axes: "list[Axes]") -> None:
         (axis,) = axes
-        panels.survival(axis, sight, sight.curves(name), unit=unit_s, what=f"{title} (s)")
+        what_exactly = what.format(ten_frames=f"{10 * sight.scene.dt_s:g} s")
+        panels.survival(axis, sight, sight.curves(name), unit=unit, what=what_exactly)
         if name == "dwell":
             panels.patience(axis, sight)
         axis.legend()
         axis.set_title(f"{sight.scene.title}: {title}")
 
-    return _save(path, picture(draw, width=6.5, height=4.6, kind="png"))
+    return picture(draw, width=6.5, height=4.6, kind="small png")
 
 
-def _paths(sight: Sight, path: Path) -> Path:
+def _autocorrelation(sight: Sight) -> bytes:
+    def draw(axes: "list[Axes]") -> None:
+        (axis,) = axes
+        panels.autocorrelation(axis, sight)
+        axis.legend(loc="upper right", ncols=2)
+        axis.set_title(f"{sight.scene.title}: autocorrelation of agents over time")
+
+    return picture(draw, width=6.5, height=4.6, kind="small png")
+
+
+def _paths(sight: Sight) -> bytes:
     """Draw the paths of each crowd's first rollout over the scene's walls and areas."""
     from matplotlib.lines import Line2D
 
     b = sight.scene.bounds
-    columns = min(2, len(sight.groups))
-    rows = -(-len(sight.groups) // columns)
-    height = 5.0 * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m) + 0.6
+    shown = [(f"{group.label}, seed 0", group.crowds[0]) for group in sight.groups]
+    if sight.recording is not None:
+        shown.insert(0, ("recorded", sight.recording))
+    columns = min(2, len(shown))
+    rows = -(-len(shown) // columns)
+    height = 4.0 * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m) + 0.6
 
     def draw(axes: "list[Axes]") -> None:
-        for axis in axes[len(sight.groups) :]:
+        for axis in axes[len(shown) :]:
             axis.set_visible(False)
-        for k, (axis, group) in enumerate(zip(axes, sight.groups, strict=False)):
-            panels.paths(axis, sight, group)
-            axis.set_title(f"{group.label}, seed 0", fontsize=9)
+        for k, (axis, (label, crowd)) in enumerate(zip(axes, shown, strict=False)):
+            panels.paths(axis, sight, crowd)
+            axis.set_title(label, fontsize=9)
             axis.set_ylabel("y (m)" if k % columns == 0 else "")
-            below = k + columns < len(sight.groups)
+            below = k + columns < len(shown)
             axis.set_xlabel("" if below else "x (m)")
             axis.tick_params(labelbottom=not below)  # also above an empty place
         handles = [
             Line2D([], [], color="black", linewidth=1.0, linestyle="--", label="spawn area, 2 σ"),
             Line2D([], [], color="0.4", linewidth=1.8, label="goal area, 2 σ, and paths to it"),
         ]
-        axes[0].legend(handles=handles, loc="lower left", fontsize=7, framealpha=0.9, frameon=True)
+        # Below all maps: an area may lie in any of their corners.
+        axes[0].figure.legend(handles=handles, loc="outside lower center", ncols=2)
 
-    size = {"width": 5.0 * columns + 0.6, "height": height * rows}
-    return _save(path, picture(draw, **size, rows=rows, columns=columns, kind="png"))
-
-
-def _save(path: Path, png: bytes) -> Path:
-    with replacing(path) as temporary:
-        temporary.write_bytes(png)
-    return path
+    size = {"width": 4.0 * columns + 0.6, "height": height * rows + 0.3}
+    return picture(draw, **size, rows=rows, columns=columns, kind="small png")
 
 
-__all__ = ["FIGURES", "Crowds", "Draw", "Sight", "draw_figures", "panels", "picture"]
+_DRAWN: dict[str, Callable[[Sight], bytes]] = {
+    "agents_over_time.png": _agents_over_time,
+    "autocorrelation.png": _autocorrelation,
+    "inter_spawn.png": partial(
+        _survival, name="inter_spawn", title="inter-spawn time", what="inter-spawn time (s)"
+    ),
+    "spawns_per_10_frames.png": partial(
+        _survival,
+        name="spawns_per_10_frames",
+        title="spawns per 10 frames",
+        what="people who enter in {ten_frames}",
+    ),
+    "dwell.png": partial(_survival, name="dwell", title="dwell time", what="dwell time (s)"),
+    "paths.png": _paths,
+}
+FIGURES = tuple(_DRAWN)
+"""What `draw_figures` writes."""
+
+__all__ = [
+    "FIGURES",
+    "Crowds",
+    "Draw",
+    "Sight",
+    "draw_figure",
+    "draw_figures",
+    "panels",
+    "picture",
+]

@@ -63,5 +63,7 @@ def _with_few_colours(png: BytesIO) -> bytes:
 
     small = BytesIO()
     with Image.open(png) as image:
-        image.convert("RGB").quantize(_PALETTE).save(small, format="png", optimize=True)
+        # The median cut would give the colours of small things to large ones.
+        few = image.convert("RGB").quantize(_PALETTE, method=Image.Quantize.FASTOCTREE)
+        few.save(small, format="png", optimize=True)
     return small.getvalue()

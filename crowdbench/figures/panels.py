@@ -7,13 +7,14 @@ import numpy as np
 from crowdbench.figures.sight import COLOURS, Curves, Group, Sight
 from crowdbench.simulation.simulation import TIMEOUT_DWELLS
 from crowdbench.spawn.areas import Gaussians
+from crowdbench.trajectories import Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.image import AxesImage
 
 BAND = "0.82"
-MOST_PATHS = 400
+MOST_PATHS = 150
 """More lie over each other and show nothing."""
 LEAST_SHARE = 0.01
 """Of the people who walk a way that a map shows."""
@@ -111,10 +112,33 @@ def place(axis: "Axes", sight: Sight, *, fill: str = "0.75") -> None:
     axis.set(xlim=(b.x_min_m, b.x_max_m), ylim=(b.y_min_m, b.y_max_m))
 
 
-def paths(axis: "Axes", sight: Sight, group: Group) -> None:
-    """The ways of the first people of a group's first rollout, each in its goal area's colour."""
+def autocorrelation(axis: "Axes", sight: Sight) -> None:
+    """The autocorrelation of N(t) by lag: the recording's, and the mean of each group's rollouts.
+
+    A dot with whiskers is a lag that the metric compares, known without the recording.
+    """
+    recorded = sight.recorded_autocorrelation()
+    if recorded is not None:
+        axis.fill_between(recorded.lag_s, recorded.low, recorded.high, color=BAND, linewidth=0)
+        axis.plot(recorded.lag_s, recorded.value, color="black", linewidth=2.2, label="recorded")
+    for group, values in zip(
+        sight.groups, sight.autocorrelations(sight.lags_s.tolist()), strict=True
+    ):
+        style = {"color": group.colour, "linestyle": linestyle(group), "linewidth": 1.4}
+        axis.plot(sight.lags_s, values, label=group.label, **style)
+    at = sight.compared_autocorrelation()
+    # A quantile of few blocks may lie on the wrong side of the value itself.
+    whiskers = np.maximum(0, [at.value - at.low, at.high - at.value])
+    axis.errorbar(at.lag_s, at.value, whiskers, fmt="o", color="black", markersize=5, capsize=3,
+                  zorder=4, label="recorded, at the lags compared")  # fmt: skip
+    axis.axhline(0, color="0.45", linewidth=0.8)
+    axis.set(xlim=(0, max(1.0, float(sight.lags_s[-1]))), ylim=(None, 1))
+    axis.set(xlabel="lag (s)", ylabel="autocorrelation of the number of agents")
+
+
+def paths(axis: "Axes", sight: Sight, crowd: Trajectories) -> None:
+    """The ways of a crowd's first people, each in its goal area's colour."""
     place(axis, sight)
-    crowd = group.crowds[0]
     for p in range(min(len(crowd), MOST_PATHS)):
         colour = COLOURS[crowd.goal_area[p] % len(COLOURS)]
         axis.plot(*crowd.path(p).T, color=colour, linewidth=0.5, alpha=0.5)

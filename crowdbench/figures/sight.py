@@ -1,14 +1,16 @@
 """What pictures show: the crowds of an evaluation beside the recording, in the same time blocks."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from crowdbench.blocks import PARTS
 from crowdbench.metrics import METRICS, Metric, Statistics, Sums, Support, total
+from crowdbench.metrics.lattice import correlation
+from crowdbench.metrics.presence import LAGS_S, counted, lag_key, lagged
 from crowdbench.reference import Reference
 from crowdbench.scene import Scene
 from crowdbench.scoring import LEVEL, Draws
@@ -22,6 +24,9 @@ Crowds = Mapping[tuple[str, str, int], Trajectories]
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DASHES: tuple[tuple[float, ...], ...] = ((), (5.0, 2.0), (1.5, 1.5), (6.0, 1.5, 1.5, 1.5))
 _RESAMPLES = 200
+_LAG_STEP_S = 2.0
+_LONGEST_LAG_S = 120.0
+_TAILS = (100 * LEVEL / 2, 100 * (1 - LEVEL / 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +65,16 @@ class Curves:
 
 
 @dataclass(frozen=True, eq=False)
+class Correlations:
+    """The recording's autocorrelation of N(t) at L lags, with its band by resampling blocks."""
+
+    lag_s: Float[np.ndarray, " L"]
+    value: Float[np.ndarray, " L"]
+    low: Float[np.ndarray, " L"]
+    high: Float[np.ndarray, " L"]
+
+
+@dataclass(frozen=True, eq=False)
 class Sight:
     """A recording and the crowds to compare with it."""
 
@@ -68,9 +83,19 @@ class Sight:
     """In the blocks that `part` is scored on."""
     part: str
     groups: list[Group]
+    recording: Trajectories | None = None
+    """Where it is at hand, pictures show of it what the reference does not know: paths, and the
+    autocorrelation at every lag."""
 
     @classmethod
-    def of(cls, scene: Scene, reference: Reference, crowds: Crowds, protocol: str) -> "Sight":
+    def of(
+        cls,
+        scene: Scene,
+        reference: Reference,
+        crowds: Crowds,
+        protocol: str,
+        recording: Trajectories | None = None,
+    ) -> "Sight":
         """Look at the first part of a protocol.
 
         Crowds under the recorded arrivals are left out, unless there are no others.
@@ -99,7 +124,23 @@ class Sight:
             )
             for spawn, policy in pairs
         ]
-        return cls(scene, seen, part, groups)
+        return cls(scene, seen, part, groups, recording)
+
+    def narrowed(self, *, policy: str | None = None, rollouts: int | None = None) -> "Sight":
+        """The groups of one policy, or of every one; of each the first so many rollouts, or all.
+
+        Those of one policy are drawn without dashes, which would tell nothing.
+        """
+        groups = [
+            replace(
+                group,
+                dashes=group.dashes if policy is None else (),
+                crowds=group.crowds[:rollouts],
+            )
+            for group in self.groups
+            if policy in (None, group.policy)
+        ]
+        return replace(self, groups=groups)
 
     @cached_property
     def areas(self) -> Areas:
@@ -139,14 +180,49 @@ class Sight:
             values = metric.embed(sums, support, self.reference.blocks)
             return values.reshape(*values.shape[:-1], samples, len(support))
 
-        tails = [100 * LEVEL / 2, 100 * (1 - LEVEL / 2)]
-        low, high = np.percentile(embedded(resampled), tails, axis=0)
+        low, high = np.percentile(embedded(resampled), _TAILS, axis=0)
         return Curves(
             support,
             embedded(total(recorded)),
             (low, high),
             np.stack([embedded(sums) for sums in groups]),
         )
+
+    @property
+    def lags_s(self) -> Float[np.ndarray, " L"]:
+        """Lags at which pictures show the autocorrelation: those at which blocks have enough."""
+        steps = np.arange(0.0, _LONGEST_LAG_S + _LAG_STEP_S / 2, _LAG_STEP_S)
+        return np.array(counted(steps.tolist(), self.reference.blocks))
+
+    def autocorrelations(self, lags_s: Sequence[float]) -> Float[np.ndarray, "G L"]:
+        """Of each group, the mean over its rollouts."""
+        blocks = self.reference.blocks
+        each = [
+            [correlation(lagged(crowd, blocks, lags_s).sum(axis=1)) for crowd in group.crowds]
+            for group in self.groups
+        ]
+        means = [np.mean(of_group, axis=0) for of_group in each]
+        return np.array(means).reshape(len(self.groups), len(lags_s))
+
+    def compared_autocorrelation(self) -> Correlations:
+        """The recording's at the lags that the metric compares."""
+        lags_s = counted(LAGS_S, self.reference.blocks)
+        known = self.reference.statistics["autocorrelation"] if lags_s else {}
+        sums = np.array([known[lag_key(lag_s)] for lag_s in lags_s])
+        return self._correlations(lags_s, sums.reshape(len(lags_s), len(self.reference.blocks), 6))
+
+    def recorded_autocorrelation(self) -> Correlations | None:
+        """The recording's at `lags_s`, where it is at hand."""
+        if self.recording is None:
+            return None
+        lags_s = self.lags_s.tolist()
+        return self._correlations(lags_s, lagged(self.recording, self.reference.blocks, lags_s))
+
+    def _correlations(self, lags_s: list[float], sums: Int[np.ndarray, "L B 6"]) -> Correlations:
+        times = self._draws.blocks[:_RESAMPLES]
+        resampled = correlation(np.einsum("rb,lbk->rlk", times, sums))
+        low, high = np.percentile(resampled, _TAILS, axis=0)
+        return Correlations(np.array(lags_s), np.asarray(correlation(sums.sum(axis=1))), low, high)
 
     def _aligned(self, name: str) -> tuple[Statistics, list[Sums], Support]:
         """The recording's statistics, each group's sums, and the support of both."""

@@ -1,5 +1,7 @@
 """Family presence: how many people are there at once."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -80,30 +82,25 @@ class Autocorrelation(Metric):
 
     def applies(self, blocks: TimeBlocks) -> bool:
         """Where the blocks are longer than the shortest lag."""
-        return bool(_lags(blocks))
+        return bool(counted(LAGS_S, blocks))
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`lag n s[b]`: n, Σx, Σx′, Σxx′, Σx², Σx′² in block b, at each lag, counted or not."""
-        present, block = present_in(crowd, blocks)
-        statistics = {}
-        for lag_s in LAGS_S:
-            lag = min(_in_frames(lag_s, blocks), len(block))
-            same = block[lag:] == block[: len(block) - lag]
-            x, y = present[: len(block) - lag][same], present[lag:][same]
-            statistics[_key(lag_s)] = lagged_sums(x, y, block[lag:][same], len(blocks))
-        return statistics
+        sums = lagged(crowd, blocks, LAGS_S)
+        return {lag_key(lag_s): of_lag for lag_s, of_lag in zip(LAGS_S, sums, strict=True)}
 
     def embed(
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
         """The correlation at each lag."""
-        return np.stack([correlation(sums[_key(lag)]) for lag in _lags(blocks)], axis=-1)
+        each = [correlation(sums[lag_key(lag_s)]) for lag_s in counted(LAGS_S, blocks)]
+        return np.stack(each, axis=-1)
 
     def weights(
         self, recorded: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, " #F"]:
         """One over the number of lags."""
-        return np.full(1, 1 / len(_lags(blocks)))
+        return np.full(1, 1 / len(counted(LAGS_S, blocks)))
 
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
         """The mean over the lags."""
@@ -111,22 +108,37 @@ class Autocorrelation(Metric):
 
     def size(self, sums: Sums) -> int:
         """Pairs of frames at the shortest lag."""
-        return int(sums[_key(LAGS_S[0])][0])
+        return int(sums[lag_key(LAGS_S[0])][0])
 
 
-def _lags(blocks: TimeBlocks) -> list[float]:
-    """The lags that count."""
+def lagged(
+    crowd: Trajectories, blocks: TimeBlocks, lags_s: Sequence[float]
+) -> Int[np.ndarray, "L B 6"]:
+    """n, Σx, Σx′, Σxx′, Σx², Σx′² of N(t) and N(t + lag), both in the same block, at each lag."""
+    present, block = present_in(crowd, blocks)
+    found = np.zeros((len(lags_s), len(blocks), 6), dtype=np.int64)
+    for k, lag_s in enumerate(lags_s):
+        lag = min(_in_frames(lag_s, blocks), len(block))
+        same = block[lag:] == block[: len(block) - lag]
+        x, y = present[: len(block) - lag][same], present[lag:][same]
+        found[k] = lagged_sums(x, y, block[lag:][same], len(blocks))
+    return found
+
+
+def counted(lags_s: Sequence[float], blocks: TimeBlocks) -> list[float]:
+    """The lags at which enough frames have a partner."""
     length = np.diff(blocks.frames)
     return [
-        lag
-        for lag in LAGS_S
-        if np.maximum(length - _in_frames(lag, blocks), 0).sum() >= ENOUGH * length.sum()
+        lag_s
+        for lag_s in lags_s
+        if np.maximum(length - _in_frames(lag_s, blocks), 0).sum() >= ENOUGH * length.sum()
     ]
+
+
+def lag_key(lag_s: float) -> str:
+    """Name of the statistic of a lag."""
+    return f"lag {lag_s:g} s"
 
 
 def _in_frames(lag_s: float, blocks: TimeBlocks) -> int:
     return round(lag_s / blocks.dt_s)
-
-
-def _key(lag_s: float) -> str:
-    return f"lag {lag_s:g} s"

@@ -19,9 +19,9 @@ from crowdbench.report.tables import (
     by_rank,
     metric_tables,
     outcome_table,
-    plainly,
     score_table,
 )
+from crowdbench.report.words import PROTOCOLS, named, with_interval
 from crowdbench.scene import Scene
 
 _FAMILIES = {
@@ -31,12 +31,6 @@ _FAMILIES = {
     "space": "where they are, and how far their nearest neighbour is",
     "motion": "how fast they walk, speed up and turn",
     "interaction": "how they keep clear of strangers and of walls",
-}
-_PROTOCOLS = {
-    "full": "models are fitted on the whole recording and compared with all of it. That "
-    "describes how well they fit; it does not test them on anything new.",
-    "heldout": "the recording’s time blocks are dealt into three interleaved folds. Models are "
-    "fitted on two and compared with the third, three times, and what is shown is the mean.",
 }
 
 
@@ -159,9 +153,8 @@ def _summary(card: Scorecard, table: list[Row]) -> str:
     for row in (row for row in ranked if row.rank == 1):
         score = row.overall if whole else row.crowd
         if score is not None:
-            low, high = map(plainly, score.interval)
             name = escape(f"{row.spawn} × {row.policy}")
-            first.append(f"<b>{name}</b> {plainly(score.value)} [{low}, {high}]")
+            first.append(f"<b>{name}</b> {with_interval(score)}")
     if len(ranked) == 1:
         return f"<p>By {by}: {first[0]}.</p>"
     if len(first) == 1:
@@ -196,7 +189,7 @@ def _missing_recording() -> str:
 
 
 def _command(card: Scorecard, scene: Scene) -> str:
-    """What reproduces the evaluation, wherever a scene of the user's own may lie."""
+    """What reproduces the evaluation."""
     pairs = [(e.spawn, e.policy) for e in card.entries]
     # Policies are walked under the recorded arrivals unasked, all but `replay`.
     unasked = all(s != "replay" for s, _ in pairs) or (
@@ -204,8 +197,7 @@ def _command(card: Scorecard, scene: Scene) -> str:
     )
     spawn = [s for s in dict.fromkeys(s for s, _ in pairs) if s != "replay" or not unasked]
     policy = list(dict.fromkeys(p for _, p in pairs))
-    where = scene.id if scene.asked == scene.id else f"path/to/{scene.folder.name}"
-    words = ["crowdbench", "evaluate", where, "--spawn", *spawn, "--policy", *policy]
+    words = ["crowdbench", "evaluate", named(scene), "--spawn", *spawn, "--policy", *policy]
     return shlex.join([*words, "--protocol", card.protocol, "--seeds", str(card.rollouts)])
 
 
@@ -216,7 +208,7 @@ def _method(card: Scorecard, scene: Scene) -> str:
         "Scene": f"{escape(card.scene)}, {escape(scene.title)}; recording "
         f"<i>{escape(scene.recording.name)}</i>, {card.horizon_s:,.0f} s in frames of "
         f"{scene.dt_s:g} s",
-        f"Protocol {card.protocol}": _PROTOCOLS[card.protocol],
+        f"Protocol {card.protocol}": PROTOCOLS[card.protocol],
         "Rollouts": f"{card.rollouts} of each crowd{folds}, each as long as the recording, from "
         f"{card.fits} fits of each model: rollout k is of fit k mod {card.fits}",
         "Time blocks": f"{card.blocks} of about {protocol.block_s:g} s; both sides are looked at "

@@ -159,7 +159,7 @@ def _distributions(sight: Sight) -> list[str]:
             _figure(
                 partial(_distribution, sight=sight, name=name, curves=curves, unit=unit, what=what),
                 caption=f"<b>{title}</b>{cut}",
-                alt=f"Survival curves, {title.lower()}. {_medians(sight, curves, unit)}",
+                alt=f"Survival curves, {title.lower()}. {medians(sight, curves, unit)}",
                 width=4.6,
                 height=2.7,
             )
@@ -175,13 +175,14 @@ def _distribution(
         panels.patience(axis, sight)
 
 
-def _medians(sight: Sight, curves: Curves, unit: float, area: int = 0) -> str:
+def medians(sight: Sight, curves: Curves, unit: float, area: int = 0) -> str:
+    """The medians of a metric's distributions, recorded and of each group."""
     each = [curves.recorded[area], *curves.groups[:, area]]
     labels = ["recorded", *(group.label for group in sight.groups)]
     # The last value of a distribution function is 1 but for rounding.
     middle = [curves.support[min(int(np.searchsorted(f, 0.5)), len(f) - 1)] * unit for f in each]
-    medians = ", ".join(f"{n} {m:.3g}" for n, m in zip(labels, middle, strict=True))
-    return f"Medians: {medians}."
+    each_median = ", ".join(f"{n} {m:.3g}" for n, m in zip(labels, middle, strict=True))
+    return f"Medians: {each_median}."
 
 
 def _per_area(sight: Sight) -> list[str]:
@@ -204,7 +205,7 @@ def _per_area(sight: Sight) -> list[str]:
                 ),
                 caption=f"<b>Area {k}</b> around {where} m, {gaps[k]} recorded gaps",
                 alt=f"Survival curves of gaps between arrivals at spawn area {k}. "
-                f"{_medians(sight, curves, sight.scene.grid_s, k)}",
+                f"{medians(sight, curves, sight.scene.grid_s, k)}",
                 width=3.0,
                 height=2.2,
             )
@@ -293,7 +294,7 @@ def _paths(sight: Sight) -> list[str]:
         count = min(len(group.crowds[0]), panels.MOST_PATHS)
         found.append(
             _figure(
-                partial(panels.paths, sight=sight, group=group),
+                partial(panels.paths, sight=sight, crowd=group.crowds[0]),
                 caption=f"<b>{escape(group.label)}</b>, the first {count} people",
                 alt=f"Paths of {count} people in one rollout of {group.label}, drawn over walls, "
                 "spawn areas and goal areas.",

@@ -8,16 +8,11 @@ from crowdbench.cards import Entry, Row, Scorecard, metric_scores, walked
 from crowdbench.figures import Sight
 from crowdbench.metrics import FAMILIES, METRICS, WALK, Metric
 from crowdbench.metrics.arrivals import burstiness, memory
+from crowdbench.report.words import NOTHING, digits, plainly
 from crowdbench.scoring import LOWEST, Score
 from crowdbench.trajectories import OUTCOMES
 
 _BAR = 76.0  # pixels
-_NOTHING = "–"
-
-
-def plainly(value: float) -> str:
-    """Two decimals and a true minus sign; no −0.00."""
-    return f"{value if abs(value) >= 0.005 else 0.0:.2f}".replace("-", "−")
 
 
 def score_table(card: Scorecard, table: Sequence[Row]) -> str:
@@ -126,7 +121,7 @@ class _Scale:
     def cell(self, score: Score | None) -> str:
         """Number, bar and interval."""
         if score is None:
-            return f'<td class="missing">{_NOTHING}</td>'
+            return f'<td class="missing">{NOTHING}</td>'
         low, high = map(plainly, score.interval)
         return (
             f'<td><span class="n">{plainly(score.value)}</span>{self.bar(score)}'
@@ -204,7 +199,7 @@ def _metric_table(
 <table class="metrics">
 <caption>{caption}: typical value, plain distance d to the recording and, for metrics
 that are <span class="s">scored</span>, the <span class="s">score</span> with its interval. A
-typical value is a mean, unless the definition says what else; {_NOTHING} where there is
+typical value is a mean, unless the definition says what else; {NOTHING} where there is
 none.{walking}</caption>
 <thead><tr><th scope="col" class="metric">metric</th><th scope="col">recorded</th>
 {heads}</tr></thead>
@@ -220,18 +215,15 @@ def _definition(metric: Metric) -> str:
 
 def _with_unit(value: float | None, unit: str) -> str:
     if value is None:
-        return _NOTHING
-    digits = f"{value:#.3g}" if abs(value) < 99.95 else f"{value:,.0f}"
-    if 0 < abs(value) < 0.001:
-        digits = "&lt;&#8239;0.001"
+        return NOTHING
     # A column of bare numbers reads more easily than one of persons.
     shown = "" if unit in ("", "persons") else f"&nbsp;{escape(unit)}"
-    return f'<span class="nobreak">{digits.replace("-", "−")}{shown}</span>'
+    return f'<span class="nobreak">{escape(digits(value))}{shown}</span>'
 
 
 def _metric_cell(entry: Entry, metric: Metric, score: Score | None) -> str:
     card = entry.metrics[metric.name]
-    distance = _NOTHING if card.distance is None else f"{card.distance:.3f}"
+    distance = NOTHING if card.distance is None else f"{card.distance:.3f}"
     lines = [
         f'<span class="v">{_with_unit(card.simulated, metric.unit)}</span>',
         f'<span class="d">d&nbsp;{distance}</span>',
@@ -265,7 +257,7 @@ def _gap_rows(sight: Sight, entries: Sequence[Entry]) -> list[str]:
         cells = ""
         for entry in entries:
             sums = by_pair.get((entry.spawn, entry.policy))
-            cells += f"<td>{_NOTHING if sums is None else plainly(value(sums))}</td>"
+            cells += f"<td>{NOTHING if sums is None else plainly(value(sums))}</td>"
         found.append(
             f'<tr><th scope="row" class="metric">{name}<small>{what} Over the rollouts that '
             f"pictures show.</small></th>"

@@ -1,0 +1,88 @@
+"""The page's tables, in Markdown: scores, and plain distances metric by metric."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from crowdbench.cards import Entry, MetricCard, Row, Scorecard
+from crowdbench.metrics import FAMILIES, METRICS, WALK
+from crowdbench.report.words import NOTHING, digits, plainly, with_interval
+from crowdbench.scoring import Score
+
+
+def score_table(rows: Sequence[Row]) -> str:
+    """Scores of all rows, in their order; who does not compete in italics."""
+    crowd, walk = [f for f in FAMILIES if f not in WALK], list(WALK)
+    head = ["spawn × policy", *crowd, "crowd", *walk, "walk", "overall", "rank"]
+    lines = []
+    for row in rows:
+        name = pair(row)
+        lines.append(
+            [
+                name if competes(row) else f"*{name}*",
+                *(_number(row.families.get(family)) for family in crowd),
+                _interval(row.crowd),
+                *(_number(row.families.get(family)) for family in walk),
+                _interval(row.walk),
+                _interval(row.overall),
+                NOTHING if row.rank is None else f"{row.rank}",
+            ]
+        )
+    return markdown(head, lines)
+
+
+def distance_table(card: Scorecard) -> str:
+    """Plain distances of every metric and entry: mean ± standard deviation over the rollouts."""
+    first = card.entries[0].metrics
+    names = [pair(entry) for entry in card.entries]
+    lines = []
+    for metric in METRICS:
+        if metric.name in first:
+            lines.append(
+                [
+                    metric.family,
+                    metric.name.replace("_", " "),
+                    "scored" if metric.name in card.scored else "",
+                    with_unit(first[metric.name].recorded, metric.unit) or NOTHING,
+                    *(_distance(entry.metrics[metric.name]) for entry in card.entries),
+                ]
+            )
+    return markdown(["family", "metric", "", "recorded", *names], lines, text=3)
+
+
+def markdown(head: Sequence[str], lines: Sequence[Sequence[str]], *, text: int = 1) -> str:
+    """A table whose first `text` columns are text, the others numbers."""
+    rule = ["---" if k < text else "---:" for k in range(len(head))]
+    return "\n".join(f"| {' | '.join(line)} |" for line in (head, rule, *lines))
+
+
+def with_unit(value: float | None, unit: str) -> str:
+    """A typical value; empty where there is none."""
+    return "" if value is None else f"{digits(value)} {unit}".rstrip()
+
+
+def competes(row: Row) -> bool:
+    """Whether it is a crowd that was evaluated, and no played recording."""
+    return row.kind == "entry" and row.spawn not in ("replay", "block-replay")
+
+
+def pair(crowd: Row | Entry) -> str:
+    """Spawn model and policy."""
+    return f"{crowd.spawn} × {crowd.policy}"
+
+
+def _number(score: Score | None) -> str:
+    return NOTHING if score is None else plainly(score.value)
+
+
+def _interval(score: Score | None) -> str:
+    return NOTHING if score is None else with_interval(score)
+
+
+def _distance(card: MetricCard) -> str:
+    """Of a single rollout there is no deviation."""
+    if card.distance is None:
+        return NOTHING
+    known = [d for d in card.distances if d is not None]
+    spread = f" ± {np.std(known, ddof=1):.3f}" if len(known) > 1 else ""
+    return f"{card.distance:.3f}{spread}"

@@ -1,0 +1,280 @@
+"""The page of results: all crowds, pictures that are there, and what the models miss."""
+
+import re
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from crowdbench import __version__
+from crowdbench.cards import SCHEMA, Entry, Protocol, Scorecard, read_anchors, read_scorecard, rows
+from crowdbench.figures import FIGURES
+from crowdbench.metrics import METRICS
+from crowdbench.reference import read_reference
+from crowdbench.report.words import plainly, with_interval
+from crowdbench.results import write_results
+from crowdbench.results.correlations import Lag, at_lags
+from crowdbench.results.misses import QUANTITIES
+from crowdbench.results.page import page
+from crowdbench.results.pictures import Picture
+from crowdbench.scene import load_scene
+from crowdbench.scoring import RESAMPLES
+from crowdbench.tables import read_own
+
+PLAZA = load_scene("plaza-v0")
+REFERENCE = read_reference(PLAZA)
+LAGS = [Lag(10.0, 0.61, 0.42), Lag(30.0, 0.15, -0.07)]
+PICTURES = [Picture("dwell.png", "Dwell time", "How long people stay.")]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("results")
+
+
+@pytest.fixture(scope="module")
+def written(folder: Path) -> Path:
+    """The page of the plaza, one rollout of each crowd: distances, but no scores."""
+    return write_results("plaza-v0", out=folder / "docs", work=folder / "work", seeds=1, workers=2)
+
+
+def anchor(spawn: str, policy: str, /, **changes: object) -> Entry:
+    """One of the scene's anchors, as if it had been evaluated."""
+    anchors = read_anchors(PLAZA).protocols["full"].anchors
+    found = next(e for e in anchors if (e.spawn, e.policy) == (spawn, policy))
+    return msgspec.structs.replace(found, **changes)
+
+
+def card_of(protocol: Protocol, *entries: Entry, **changes: object) -> Scorecard:
+    card = Scorecard(
+        schema=SCHEMA,
+        crowdbench=__version__,
+        scene=PLAZA.id,
+        made_from="0123456789abcdef",
+        protocol=protocol,
+        horizon_s=PLAZA.horizon_s,
+        blocks=len(REFERENCE.blocks),
+        fits=PLAZA.protocol.fits,
+        rollouts=30,
+        resamples=RESAMPLES,
+        scored=list(PLAZA.protocol.scored),
+        scale=read_anchors(PLAZA).protocols[protocol],
+        entries=list(entries),
+    )
+    return msgspec.structs.replace(card, **changes)
+
+
+def with_metric_of(entry: Entry, name: str, other: Entry) -> Entry:
+    """The entry, in one metric as bad as another."""
+    return msgspec.structs.replace(entry, metrics=entry.metrics | {name: other.metrics[name]})
+
+
+WALKERS = (anchor("replay", "straight"), anchor("replay", "random"))
+POISSON = anchor("poisson-gmm", "straight")
+RIGHT = anchor("replay", "replay", spawn="ntpp-gmm", policy="straight")
+"""A model that is as good as the recording itself."""
+
+
+def page_of(*entries: Entry, **changes: object) -> str:
+    cards: dict[Protocol, Scorecard] = {
+        "full": card_of("full", *entries, **changes),
+        "heldout": card_of("heldout", *entries, **changes),
+    }
+    return page(PLAZA, cards, {"full": LAGS, "heldout": LAGS}, PICTURES)
+
+
+def section(text: str, *heads: str) -> str:
+    """What stands below the headings, one below the other, on one line."""
+    for head in heads:
+        level = head.split()[0]
+        text = re.split(rf"^{re.escape(head)}$", text, flags=re.M)[1]
+        text = re.split(rf"^#{{1,{len(level)}}} ", text, flags=re.M)[0]
+    return re.sub(r"\s+", " ", text)
+
+
+def family(text: str, name: str) -> str:
+    """What is said of a family in the full protocol."""
+    said = section(text, "## What the models miss", "### Full")
+    return said.split(f"- *{name}*: ")[1].split(" - *")[0]
+
+
+def test_each_crowd_and_each_anchor_has_its_row_in_both_protocols(
+    written: Path, folder: Path
+) -> None:
+    text = written.read_text(encoding="utf-8")
+    for protocol, head in (("full", "### Full"), ("heldout", "### Held out")):
+        scores = section(text, "## Scores", head)
+        card = read_scorecard(folder / "work" / f"plaza-v0-{protocol}" / "scorecard.json")
+        names = [f"{row.spawn} × {row.policy}" for row in rows(card)]
+        assert len(names) == 12
+        found = re.findall(r"\| \*?([\w-]+ × [\w-]+)\*? \|", scores)
+        assert found[1:] == names  # the first is of the head
+
+
+def test_distances_are_those_of_the_scorecards(written: Path, folder: Path) -> None:
+    text = written.read_text(encoding="utf-8")
+    for protocol, head in (("full", "### Full"), ("heldout", "### Held out")):
+        shown = section(text, "## Distances", head)
+        card = read_scorecard(folder / "work" / f"plaza-v0-{protocol}" / "scorecard.json")
+        for entry in card.entries:
+            for metric in entry.metrics.values():
+                assert metric.distance is not None
+                several = len(metric.distances) > 1
+                spread = f" ± {np.std(metric.distances, ddof=1):.3f}" if several else ""
+                assert f"| {metric.distance:.3f}{spread} |" in shown
+
+
+def test_pictures_are_there_and_small(written: Path) -> None:
+    links = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", written.read_text(encoding="utf-8"))
+    assert {Path(link).name for link in links} == set(FIGURES)
+    for link in links:
+        data = (written.parent / link).read_bytes()
+        assert data.startswith(b"\x89PNG")
+        assert len(data) < 200_000, link
+    assert {p.name for p in (written.parent / "plaza-v0").iterdir()} == set(FIGURES)
+
+
+def test_without_scores_nothing_is_said_to_be_missed(written: Path) -> None:
+    text = written.read_text(encoding="utf-8")
+    assert "nothing to say: 1 rollout of each crowd" in section(
+        text, "## What the models miss", "### Full"
+    )
+    assert "crowdbench results plaza-v0 --seeds 1" in text
+
+
+def test_the_same_cards_give_the_same_bytes() -> None:
+    assert page_of(POISSON, RIGHT, *WALKERS) == page_of(POISSON, RIGHT, *WALKERS)
+
+
+def test_a_metric_that_is_bad_is_named_with_both_values() -> None:
+    """In a model that is right in all else, one metric as bad as random walkers have it."""
+    right = page_of(POISSON, RIGHT, *WALKERS)
+    assert family(right, "space").startswith("No scored metric is below 0.5")
+    bad = with_metric_of(RIGHT, "nearest_neighbour", anchor("replay", "random"))
+    text = page_of(POISSON, bad, *WALKERS)
+    metric = bad.metrics["nearest_neighbour"]
+    said = family(text, "space")
+    assert re.match(r"Nearest neighbour gets −?0\.\d\d \[", said)
+    assert f"is {metric.recorded:#.3g} m in the recording and {metric.simulated:#.3g} m" in said
+    assert "Occupancy" not in said
+    assert family(text, "arrivals") == family(right, "arrivals")
+
+
+def test_scores_are_those_of_the_table() -> None:
+    card = card_of("full", POISSON, RIGHT, *WALKERS)
+    scores = section(page_of(POISSON, RIGHT, *WALKERS), "## Scores", "### Full")
+    for row in rows(card):
+        assert row.crowd is not None
+        families = [row.families[f] for f in ("arrivals", "presence", "lives", "space")]
+        shown = " | ".join([*(plainly(s.value) for s in families), with_interval(row.crowd)])
+        assert f"| {shown} |" in scores
+
+
+def test_how_much_and_how_long_the_number_present_moves_is_always_told() -> None:
+    said = family(page_of(POISSON, RIGHT, *WALKERS), "presence")
+    spread = RIGHT.metrics["agents_sd"]
+    assert f"is {spread.recorded:.2f} persons in the recording and {spread.simulated:.2f}" in said
+    assert "0.61 recorded and 0.42 simulated at a lag of 10 s, 0.15 and −0.07 at a lag" in said
+    assert "(not scored)" not in said
+
+
+def test_what_is_not_scored_is_said_not_to_be() -> None:
+    scored = [n for n in PLAZA.protocol.scored if n not in ("autocorrelation", "detour")]
+    text = page_of(POISSON, RIGHT, *WALKERS, scored=scored)
+    assert "at a lag of 30 s (not scored)." in family(text, "presence")
+    assert family(text, "lives").startswith("No metric of this family is scored.")
+    said = section(text, "### What is not scored")
+    assert "too little power in autocorrelation, dwell, origin destination, detour" in said
+    assert "The family *lives* has no scored metric" in said
+    assert "The time blocks are too short for fano 60 s" in said
+
+
+def test_models_are_held_against_the_anchor_and_against_memory() -> None:
+    """The recording itself is better than both, memory by another name is not."""
+    memory = anchor("block-replay", "straight", spawn="renewal-gmm")
+    text = page_of(POISSON, RIGHT, memory, *WALKERS)
+    said = section(text, "## What the models miss", "### Full")
+    assert "- **poisson-gmm**, the anchor, is worse than memory by 0." in said
+    assert re.search(
+        r"\*\*ntpp-gmm\*\* is better than the anchor by \S+ .* and better than mem", said
+    )
+    assert "not told apart from memory (difference 0.00 [0.00, 0.00])" in said
+    assert "The highest crowd score is that of **ntpp-gmm × straight**" in said
+    assert "told apart from all others" in said
+
+
+def test_without_the_recording_walking_is_not_scored() -> None:
+    text = page_of(POISSON, RIGHT)
+    assert "the recording was not at hand" in family(text, "motion")
+    assert "The recording was not at hand" in section(text, "## Scores")
+
+
+def test_straight_walkers_are_said_to_be_the_anchor_of_walking() -> None:
+    said = family(page_of(POISSON, RIGHT, *WALKERS), "motion")
+    assert said.startswith("Walkers that go straight are the anchor here and score 0.")
+    assert "Turning gets 0.00 [0.00, 0.00]" in said
+
+
+def test_a_metric_without_a_span_is_said_to_have_no_score() -> None:
+    card = card_of("full", POISSON, RIGHT, *WALKERS)
+    low = msgspec.structs.replace(
+        card.scale, floor=card.scale.floor | {"detour": POISSON.metrics["detour"].energy}
+    )
+    text = page_of(POISSON, RIGHT, *WALKERS, scale=low)
+    assert "Detour would be scored, but the anchor is no worse than the floor" in text
+
+
+def test_a_scene_without_scored_metrics() -> None:
+    text = page_of(POISSON, RIGHT, *WALKERS, scored=[])
+    assert "no metric of this scene counts yet" in text
+    assert "its power study has not been made" in text
+
+
+def test_lines_are_short_and_intervals_whole() -> None:
+    lines = page_of(POISSON, RIGHT, *WALKERS).splitlines()
+    prose = [line for line in lines if not line.startswith(("|", "!"))]
+    assert max(map(len, prose)) <= 100
+    assert [line for line in prose if line.count("[") != line.count("]")] == []
+
+
+def test_lags_average_to_what_the_scorecard_holds(written: Path, folder: Path) -> None:
+    for protocol, parts in (("full", ["full"]), ("heldout", ["fold0", "fold1", "fold2"])):
+        work = folder / "work" / f"plaza-v0-{protocol}"
+        names = {part: f"ntpp-gmm_social-force_{part}" for part in parts}
+        crowds = {
+            part: [read_own(work / "rollouts" / f"{name}_0.parquet")]
+            for part, name in names.items()
+        }
+        lags = at_lags(REFERENCE, crowds)
+        entry = next(
+            e
+            for e in read_scorecard(work / "scorecard.json").entries
+            if (e.spawn, e.policy) == ("ntpp-gmm", "social-force")
+        )
+        of_card = entry.metrics["autocorrelation"]
+        assert [lag.lag_s for lag in lags] == [10.0, 30.0]
+        assert np.mean([lag.simulated for lag in lags]) == pytest.approx(of_card.simulated)
+        assert np.mean([lag.recorded for lag in lags]) == pytest.approx(of_card.recorded)
+
+
+def test_the_picture_of_the_autocorrelation_shows_what_the_metric_compares(
+    written: Path, folder: Path
+) -> None:
+    text = written.read_text(encoding="utf-8")
+    said = section(text, "## Pictures", "### Autocorrelation of the number of agents")
+    card = read_scorecard(folder / "work" / "plaza-v0-full" / "scorecard.json")
+    for entry in card.entries[:6]:
+        of_card = entry.metrics["autocorrelation"]
+        for name, mean in (
+            (f"{entry.spawn} × {entry.policy}", of_card.simulated),
+            ("recorded", of_card.recorded),
+        ):
+            shown = re.findall(rf"{name} (−?[\d.]+\d)", said)
+            values = [float(value.replace("−", "-")) for value in shown]
+            assert len(values) == 2  # a lag each
+            assert np.mean(values) == pytest.approx(mean, abs=0.006)
+
+
+def test_every_metric_has_words_for_what_it_is_of() -> None:
+    assert list(QUANTITIES) == [metric.name for metric in METRICS]
