@@ -11,6 +11,9 @@ next group. What differs, and why:
 - A stretch starts at any time, not at a group: the same head reads the wait to the first group
   from a learned initial state, which so learns the forward recurrence time. Samples start
   stationary instead of with a group in every area.
+- After a silence as long as a training window the network starts from its initial state again:
+  what comes after a longer one no window has taught it. Areas where trains arrive every ten
+  minutes else sampled a quarter to four times their people.
 - Training and sampling share one path from a state to the next; nothing is clamped. What the
   head can say is bounded around the Poisson solution (`ntpp_kernels`).
 
@@ -38,7 +41,8 @@ from crowdbench.spawn.model import Start
 from crowdbench.spawn.weights import Fits, check_origin, check_part, mend
 
 NAME = "ntpp-gmm"
-SCHEMA = 1
+SCHEMA = 2
+NEVER_FORGETS = 2**31 - 1
 HIDDEN = 32
 HEAD = 32
 SHAPES: dict[str, tuple[int, ...]] = {
@@ -68,6 +72,8 @@ class NtppGMM:
     """Arrays named and shaped as in `SHAPES`, with the areas as first axis."""
     grid_s: float
     """Seconds of the grid that groups enter on."""
+    memory: int = NEVER_FORGETS
+    """Grid steps without a group after which the state is the initial one again."""
     settings: Mapping[str, int | float] = field(default_factory=dict)
     """How it was trained (`ntpp_training.Settings`); fit k of a file has the seed k."""
     name: str = NAME
@@ -84,7 +90,7 @@ class NtppGMM:
         points = int(np.ceil(horizon_s / self.grid_s - 1e-6))
         tick, area = [np.empty(0)], [np.empty(0, dtype=np.int64)]
         for k in range(len(self.areas.spawn)):
-            groups, size = draw(points, self.of_area(k), rng)
+            groups, size = draw(points, self.memory, self.of_area(k), rng)
             tick.append(np.repeat(groups, size))
             area.append(np.full(len(tick[-1]), k))
         return self.areas.draw(np.concatenate(tick) * self.grid_s, np.concatenate(area), scene, rng)
@@ -126,6 +132,7 @@ class NtppGMM:
                 spells.size[groups],
                 offsets - offsets[0],
                 spells.rest[own],
+                self.memory,
                 self.of_area(k),
                 hazards.gap[groups],
                 hazards.size[groups],
@@ -152,6 +159,7 @@ class NtppGMM:
             scene=first.areas.scene,
             fits=len(fits["full"]),
             grid_s=first.grid_s,
+            memory=first.memory,
             settings=dict(first.settings),
         )
         # One entry: the order of several is not the same in each run.
@@ -175,6 +183,10 @@ class NtppGMM:
         check_origin(
             path, (header.model, header.scene, header.schema), (NAME, scene.id, SCHEMA), how
         )
+        if header.memory < 1:
+            raise WeightsError(
+                path, got=f"memory {header.memory}", expected="1 grid step or more", mend=how
+            )
         if header.fits < 1 or not np.isclose(header.grid_s, scene.grid_s):
             raise WeightsError(
                 path,
@@ -193,7 +205,7 @@ class NtppGMM:
         _check(path, tensors, expected, how)
         prefix = f"{part}.{fit % header.fits}."
         weights = {name: tensors[prefix + name] for name in SHAPES}
-        return cls(areas, weights, header.grid_s, header.settings)
+        return cls(areas, weights, header.grid_s, header.memory, header.settings)
 
 
 class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -202,6 +214,7 @@ class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     scene: str
     fits: int
     grid_s: float
+    memory: int
     settings: dict[str, int | float]
 
 

@@ -57,7 +57,21 @@ def _update(h, gap, size, weights):
 
 
 @njit(cache=True)
-def expect(gap, size, offsets, rest, weights, gaps, sizes, rests, parameters):
+def _forget(h, steps, memory, weights):
+    """The state after `steps` grid steps without a group, how many of them it has seen, and the
+    cumulative hazard of those that it has forgotten.
+    """
+    hazard = 0.0
+    while memory < steps:
+        shape, scale, _ = _head(h, weights)
+        hazard += (memory / scale) ** shape
+        h = weights[4].copy()
+        steps -= memory
+    return h, steps, hazard
+
+
+@njit(cache=True)
+def expect(gap, size, offsets, rest, memory, weights, gaps, sizes, rests, parameters):
     """Walk along the spells of one area.
 
     Fills the cumulative hazards `gaps` and `sizes` (n, 2) and `rests` (S,), and what the head
@@ -66,30 +80,36 @@ def expect(gap, size, offsets, rest, weights, gaps, sizes, rests, parameters):
     for s in range(len(rest)):
         h = weights[4].copy()
         for i in range(offsets[s], offsets[s + 1]):
+            h, steps, before = _forget(h, gap[i], memory, weights)
             shape, scale, more = _head(h, weights)
             parameters[i, 0], parameters[i, 1], parameters[i, 2] = shape, scale, more
-            gaps[i, 0] = ((gap[i] - 1) / scale) ** shape
-            gaps[i, 1] = (gap[i] / scale) ** shape
+            gaps[i, 0] = before + ((steps - 1) / scale) ** shape
+            gaps[i, 1] = before + (steps / scale) ** shape
             sizes[i, 0] = more * (size[i] - 1)
             sizes[i, 1] = more * size[i]
-            h = _update(h, gap[i], size[i], weights)
+            h = _update(h, steps, size[i], weights)
+        h, steps, before = _forget(h, rest[s], memory, weights)
         shape, scale, more = _head(h, weights)
-        rests[s] = (rest[s] / scale) ** shape
+        rests[s] = before + (steps / scale) ** shape
 
 
 @njit(cache=True)
-def draw(points, weights, rng):
+def draw(points, memory, weights, rng):
     """Grid points in [0, `points`) at which groups enter one area, and the groups' sizes."""
     ticks = np.empty(points, np.int64)
     sizes = np.empty(points, np.int64)
     n = 0
-    tick = -1
+    tick = -1  # of the last group, or of when the network forgot
     h = weights[4].copy()
     while True:
         shape, scale, more = _head(h, weights)
         gap = max(1.0, math.ceil(scale * (-math.log1p(-rng.random())) ** (1.0 / shape)))
-        if gap >= points - tick:
+        if min(gap, memory + 1.0) >= points - tick:
             return ticks[:n], sizes[:n]
+        if gap > memory:
+            tick += memory
+            h = weights[4].copy()
+            continue
         size = 1.0 + math.floor(-math.log1p(-rng.random()) / more)
         tick += int(gap)
         ticks[n] = tick
