@@ -68,15 +68,22 @@ def test_straight_walkers_at_their_goal_stand_still() -> None:
     assert path[1, 0].tolist() == [1, 1]
 
 
+def crowd_of(size: int) -> StateView:
+    index, place = np.arange(size), np.zeros((size, 2), np.float32)
+    frame, speed = np.zeros(size, np.int64), np.ones(size, np.float32)
+    return StateView(np.zeros(size, np.int64), index, index, index, frame, place, place, place,
+                     speed)  # fmt: skip
+
+
 def test_random_actions_fill_the_action_space() -> None:
-    actions = ready(Random()).act(np.zeros((4000, 37), np.float32))
+    actions = ready(Random()).act(crowd_of(4000))
     assert (np.abs(actions) <= 1).all()
     np.testing.assert_allclose(np.quantile(actions, [0, 0.25, 0.5, 0.75, 1]), [-1, -0.5, 0, 0.5, 1],
                                atol=0.05)  # fmt: skip
 
 
 def test_random_actions_come_from_the_seed() -> None:
-    seen = np.zeros((5, 37), np.float32)
+    seen = crowd_of(5)
     assert (ready(Random()).act(seen) == ready(Random()).act(seen)).all()
 
 
@@ -136,14 +143,16 @@ def test_a_wall_pushes_along_the_gradient_of_the_published_potential(
         gap = np.linalg.norm(np.maximum(0, np.maximum(-x, x - 1)))
         return 10.0 * np.exp(-gap / 0.2)
 
-    got = _wall_force(*at, scene.wall_segments, np.array(scene.wall_of_segment, np.int32))
+    walls = np.array(scene.wall_of_segment, np.int32)
+    got = _wall_force(*at, scene.wall_segments, walls, np.arange(len(walls)))
     np.testing.assert_allclose(got, downhill(wall_potential, np.array(at)), rtol=1e-4)
 
 
 def test_each_wall_pushes_once_however_many_edges_it_has() -> None:
     segments = np.array([[0, 0, 1, 0], [1, 0, 2, 0], [0, 5, 2, 5.0]])
-    one = _wall_force(1.0, 0.5, segments[:1] * [[1, 1, 2, 1]], np.zeros(1, np.int32))
-    split = _wall_force(1.0, 0.5, segments[:2], np.zeros(2, np.int32))
+    one_wall = np.zeros(2, np.int32)
+    one = _wall_force(1.0, 0.5, segments[:1] * [[1, 1, 2, 1]], one_wall[:1], np.arange(1))
+    split = _wall_force(1.0, 0.5, segments[:2], one_wall, np.arange(2))
     assert split == one
 
 

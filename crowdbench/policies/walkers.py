@@ -27,7 +27,7 @@ class Straight:
 
     def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
         """Along the shortest way, and no further than its next corner or the goal."""
-        way = self._routes.next_of(seen) - seen.position
+        way = self._routes.next_of(seen).astype(np.float32) - seen.position
         distance = np.linalg.norm(way, axis=1)
         speed = np.minimum(seen.speed, distance / np.float32(self._scene.dt_s))
         scale = np.divide(speed, distance, out=np.zeros_like(speed), where=distance > 0)
@@ -35,18 +35,18 @@ class Straight:
 
 
 class Random:
-    """Draws each action evenly from the action space."""
+    """Draws each action evenly from the action space, and looks at nothing."""
 
     name = "random"
-    sees: ClassVar[Literal["observation"]] = "observation"
+    sees: ClassVar[Literal["state"]] = "state"  # which costs nothing: rays are cast to be seen
 
     def reset(self, scene: Scene, rng: Generator) -> None:
         """Draw from `rng` from now on."""
         self._rng = rng
 
-    def act(self, seen: Float32[np.ndarray, "A obs"]) -> Float32[np.ndarray, "A 2"]:
-        """Independent of what is seen."""
-        return self._rng.uniform(-1, 1, (len(seen), 2)).astype(np.float32)
+    def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
+        """Independent of what is there."""
+        return self._rng.uniform(-1, 1, (len(seen.slot), 2)).astype(np.float32)
 
 
 class ReplayPolicy:
