@@ -39,6 +39,8 @@ MARGIN_M = 1.5  # nobody is to leave the scene while it is measured
 CHUNK_S = 0.05
 MEASURE_S = 2.0
 ENTRIES = 10
+LARGE_S: float | None = None
+"""Length of the rollouts of Grand Central, seconds; None: the whole recording's."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,27 @@ def measure() -> Iterator[Figure]:
         _once_s(_ranking(scene, reference, crowds, entries=ENTRIES)),
         "s",
     )
+    yield from _large()
     yield Figure("import crowdbench", min(_import_s() for _ in range(5)), "s")
+
+
+def _large() -> Iterator[Figure]:
+    """Grand Central, whole: 10,000 frames with 12,700 persons; each once."""
+    scene = load_scene("gc-v0")
+    for name in ("poisson-gmm", "ntpp-gmm"):
+        spawn = spawn_model(name, scene)
+        yield Figure(
+            f"{name}, sampling 10,000 frames of GC", _least_s(_sampling(spawn, scene)), "s"
+        )
+    crowds = []
+    for policy in (Straight(), SocialForce()):
+        rollout(scene, spawn, policy, seed=0, horizon_s=4.0, start="empty")  # compiles
+        began = time.perf_counter()
+        crowds.append(rollout(scene, spawn, policy, seed=0, horizon_s=LARGE_S))
+        yield Figure(f"rollout of GC, {policy.name}", time.perf_counter() - began, "s")
+    reference = read_reference(scene)
+    took_s = _once_s(_scoring(reference, crowds[1:]))
+    yield Figure("scoring a rollout of GC, all metrics", took_s, "s")
 
 
 def open_square(persons: int) -> Scene:
@@ -206,7 +228,7 @@ def _fitting() -> Iterator[Figure]:
         return
     from crowdbench.spawn import ntpp_training
 
-    for scene in map(load_scene, ("eth-v0", "plaza-v0")):
+    for scene in map(load_scene, ("eth-v0", "plaza-v0", "gc-v0")):
         if not has_recording(scene):
             continue
         crowd, areas = recording_of(scene), read_areas(scene)

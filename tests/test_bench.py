@@ -19,11 +19,16 @@ NAMES = [
     "poisson-gmm, sampling 10,000 frames of ETH",
     "renewal-gmm, sampling 10,000 frames of ETH",
     "ntpp-gmm, sampling 10,000 frames of ETH",
-    "ntpp-gmm, one fit to plaza-v0",  # and to eth-v0, where its recording is imported
+    "ntpp-gmm, one fit to plaza-v0",  # and to eth-v0 and gc-v0, where imported
     "rollout of ETH, straight",
     "rollout of ETH, social-force",
     "scoring 20 rollouts of ETH, all metrics",
     "intervals and ranks of 10 entries on ETH",
+    "poisson-gmm, sampling 10,000 frames of GC",
+    "ntpp-gmm, sampling 10,000 frames of GC",
+    "rollout of GC, straight",
+    "rollout of GC, social-force",
+    "scoring a rollout of GC, all metrics",
     "import crowdbench",
 ]
 
@@ -37,6 +42,7 @@ def printed(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, di
         patch.setattr(bench, "MEASURE_S", 0.01)
         patch.setattr(bench, "CHUNK_S", 0.001)
         patch.setattr(bench, "ENTRIES", 1)
+        patch.setattr(bench, "LARGE_S", 20.0)
         assert main(["bench", "--json", str(path)]) == 0
     return text.getvalue(), json.loads(path.read_text())
 
