@@ -11,7 +11,7 @@ from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.model import Start
 from crowdbench.trajectories import Trajectories
 
-MAX_ALIVE = 1024
+MAX_ALIVE = 4096
 
 
 def rollout(
