@@ -206,6 +206,17 @@ def test_who_stands_on_a_corner_walks_on() -> None:
             assert length(path) <= shortest(scene, person.start, person.goal, CLEAR_M) + 0.1
 
 
+def test_who_stands_on_a_corner_to_the_bit_is_not_sent_there() -> None:
+    scene = square(9.0, box(-2, -1, 2, 1), box(-1, 3, 1, 5))
+    found = Routes.on(scene)
+    corners = found._corners.astype(np.float32)
+    routes = Routes(scene.wall_segments, corners.astype(np.float64), found._between)
+    people = [Person(start=tuple(c), goal=tuple(-c)) for c in corners.astype(np.float64)]
+    seen = StateView.of(facing(scene, people))
+    off = np.linalg.norm(routes.next_of(seen) - seen.position, axis=1)
+    assert off.min() > 0.1
+
+
 def test_a_goal_that_no_way_leads_to_is_walked_at_straight() -> None:
     cup = ((-3, -3), (3, -3), (3, 3), (2.9, 3), (2.9, -2.9), (-2.9, -2.9), (-2.9, 3), (-3, 3))
     scene = square(9.0, cup, box(-3, 2.9, 3, 3))
@@ -248,13 +259,14 @@ def test_persons_of_several_worlds_do_not_share_their_ways() -> None:
 
 def test_more_persons_than_before_keep_their_ways() -> None:
     # The table of ways grows when a later slot is taken; those who were there know theirs.
-    late = [replace(TO_THE_LEFT, time_s=1.2, goal=(-3, 0.1 * k)) for k in range(5)]
-    simulation = facing(BOX, [TO_THE_RIGHT, *late])
+    across = Person(start=(-3, 0), goal=(3, -0.1))
+    late = [replace(TO_THE_LEFT, time_s=0.8, goal=(-3, 0.1 * k)) for k in range(5)]
+    simulation = facing(BOX, [across, *late])
     policy, path = ready(BOX), []
-    for _ in range(10):
+    for _ in range(14):
         simulation.step(actions_of(policy, simulation))
         path.append(simulation.slots.position[0, 0].astype(np.float64))
-    assert np.array_equal(path, walk(BOX, TO_THE_RIGHT, frames=10)[0][1:])
+    assert np.array_equal(path, walk(BOX, across, frames=14)[0][1:])
 
 
 def test_a_new_episode_knows_nothing_of_the_one_before() -> None:

@@ -81,7 +81,7 @@ class Routes:
         shape = (max(worlds, known[0]), max(2 * slots, known[1]))
         person = np.full(shape, -1, dtype=np.int64)
         person[: known[0], : known[1]] = self._person
-        to_goal = np.empty((*shape, len(self._corners)))
+        to_goal = np.full((*shape, len(self._corners)), np.inf)
         to_goal[: known[0], : known[1]] = self._to_goal
         self._person, self._to_goal = person, to_goal
 
