@@ -13,18 +13,20 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
-from crowdbench.episode import Recorder, begin, check_capacity
+from crowdbench.episode import Recorder, begin, check_capacity, warm_up_s
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import spawn_model
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation.simulation import TIMEOUT_DWELLS
 from crowdbench.simulation.state import EXIT, GOAL, RECORDED
-from crowdbench.spawn import SpawnModel
+from crowdbench.spawn import SpawnEvents, SpawnModel
 from crowdbench.spawn.model import Start
 from crowdbench.trajectories import OUTCOMES, Trajectories
 
 ARRIVAL_REWARD = 1.0
+LEAST_SLOTS = 512
 TERMINAL = (GOAL, EXIT, RECORDED)
 """Outcomes that terminate a person; timeout and horizon truncate it."""
 
@@ -287,7 +289,7 @@ def parallel_env(
     start: Start | None = None,
     rays: int = 32,
     ray_range_m: float = 10.0,
-    max_alive: int = 512,
+    max_alive: int | None = None,
     max_persons: int | None = None,
     on_full: Literal["error", "drop"] = "error",
 ) -> CrowdParallelEnv:
@@ -301,9 +303,10 @@ def parallel_env(
             `empty`; by default the spawn model's own.
         rays: R, number of rays that a person sees by.
         ray_range_m: their range in metres.
-        max_alive: persons at once.
-        max_persons: persons per episode, all of them in `possible_agents`; by default twice a
-            sample of the spawn model, and some.
+        max_alive: persons at once; by default 512, or more where a crowd of which nobody reaches
+            a goal would grow to more.
+        max_persons: persons per episode and its warm-up, all of them in `possible_agents`; by
+            default twice a sample of the spawn model, and some.
         on_full: what happens when either runs out: `error` raises, `drop` turns the person
             away and counts it in `env.dropped`.
 
@@ -315,16 +318,26 @@ def parallel_env(
     model = spawn_model(spawn, scene)
     horizon_s = scene.horizon_s if horizon_s is None else horizon_s
     _check_horizon(horizon_s)
-    if max_persons is None:
-        whole_s = horizon_s + 60.0
+    if max_persons is None or max_alive is None:
+        whole_s = warm_up_s(scene) + horizon_s
         sample = model.sample(whole_s, scene, np.random.default_rng(0))
-        max_persons = 2 * len(sample) + 100
+        if max_persons is None:
+            max_persons = 2 * len(sample) + 100
+        if max_alive is None:
+            max_alive = max(LEAST_SLOTS, 3 * _most_at_once(sample, scene) // 2)
     settings = Settings(
         max_alive=max_alive, max_persons=max_persons, rays=rays, ray_range_m=ray_range_m
     )
     return CrowdParallelEnv(
         scene, model, horizon_s=horizon_s, start=start, settings=settings, on_full=on_full
     )
+
+
+def _most_at_once(events: SpawnEvents, scene: Scene) -> int:
+    """Persons who are there at once if all of them stay until the scene's patience ends."""
+    patience_s = TIMEOUT_DWELLS * scene.recording.dwell_p99_s
+    gone = np.searchsorted(events.time_s, events.time_s + patience_s)
+    return int((gone - np.arange(len(events))).max(initial=0))
 
 
 def _check_horizon(horizon_s: float) -> None:

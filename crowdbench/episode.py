@@ -9,6 +9,7 @@ from numpy.random import Generator, SeedSequence, default_rng
 
 from crowdbench.errors import ActionError, CapacityError, SettingError
 from crowdbench.policies import Policy, StateView
+from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.state import EXIT, GOAL, HORIZON, RECORDED, TIMEOUT
 from crowdbench.spawn import SpawnModel
@@ -24,6 +25,11 @@ def generator(seed: int, world: int, purpose: str) -> Generator:
     """The random numbers of one world for one purpose: independent of all others."""
     key = (world, PURPOSES.index(purpose))
     return default_rng(SeedSequence(seed, spawn_key=key))
+
+
+def warm_up_s(scene: Scene) -> float:
+    """How long a stationary crowd walks before its episode begins."""
+    return max(WARM_UP_S, scene.recording.dwell_p99_s)
 
 
 def begin(
@@ -59,7 +65,7 @@ def begin(
         )
     warm_up = 0
     if start == "stationary":
-        warm_up = scene.frames(max(WARM_UP_S, scene.recording.dwell_p99_s))
+        warm_up = scene.frames(warm_up_s(scene))
     horizon_s = (warm_up + frames) * scene.dt_s
     events = check_events(spawn.sample(horizon_s, scene, generator(seed, 0, "spawn")), spawn.name)
     outside = events.entered & ~scene.inside(events.start.astype(np.float64))

@@ -1,5 +1,7 @@
 """Block replay: recorded blocks in random order, nobody lost, stationary from the start."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from models import AREAS
@@ -126,3 +128,12 @@ def test_blocks_of_the_grid_between_frames_are_played_on_it() -> None:
     events = BlockReplay(crowd, blocks, AREAS).sample(40.0, ETH, np.random.default_rng(8))
     gaps = np.unique(np.diff(events.time_s).round(6))
     assert gaps.tolist() == [1.2, 6.4]  # 7.6 s a round
+
+
+def test_people_recorded_in_a_wall_start_and_end_beside_it(crowd: Trajectories) -> None:
+    inside = replace(crowd, xy=np.full_like(crowd.xy, 14.9))  # in ETH's north parapet
+    assert not ETH.walkable(inside.xy.astype(np.float64)).any()
+    events = model_of(inside).sample(40.0, ETH, np.random.default_rng(0))
+    assert len(events) > 5
+    for points in (events.start, events.goal):
+        assert ETH.walkable(points.astype(np.float64)).all()

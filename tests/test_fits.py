@@ -144,6 +144,22 @@ def test_neural_fits_are_made_for_every_part_and_told_of(
         assert all(np.array_equal(one.weights[n], round_again.weights[n]) for n in SHAPES)
 
 
+def test_two_workers_write_what_one_writes(
+    plaza: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ntpp_training, "FITS", 1)
+    brief = Settings(epochs=2, patience=1, calibration_points=2000)
+    monkeypatch.setattr(ntpp_training, "SETTINGS", brief)
+    for workers in (1, 2):
+        fit_scene(PLAZA, plaza.crowd, out=tmp_path / str(workers), workers=workers)
+    one, two = (
+        {path.name: path.read_bytes() for path in (tmp_path / str(workers)).iterdir()}
+        for workers in (1, 2)
+    )
+    assert len(one) == 6
+    assert one == two
+
+
 def test_without_torch_nothing_is_done_and_the_way_out_is_said(
     plaza: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

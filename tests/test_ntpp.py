@@ -136,3 +136,53 @@ def test_without_dependence_it_agrees_with_poisson_where_groups_are_single() -> 
     assert silent(scale=100.0, more=0.005).log_likelihood(arrivals) == pytest.approx(
         poisson, abs=0.02
     )
+
+
+def test_after_a_silence_as_long_as_its_memory_the_network_starts_anew() -> None:
+    model = replace(random_ntpp(), memory=7)
+    busy = [3, 4, 4, 6]
+    for silence in (7, 8, 14, 15, 40):
+        ticks = [*busy, busy[-1] + silence]
+        said = model.parameters(arrivals_at(ticks, [0] * len(ticks), [(0, 60)]))[-1]
+        at_first = model.parameters(arrivals_at([3], [0], [(0, 60)]))[0]
+        assert np.array_equal(said, at_first) == (silence > 7)
+
+
+def test_a_forgotten_silence_costs_what_each_of_its_parts_costs() -> None:
+    # 17 = 7 + 7 + 3 steps, of which the first part follows a group and the others nothing.
+    model = replace(random_ntpp(), memory=7)
+    hazards = model.hazards(arrivals_at([3, 20], [0, 0], [(0, 60)]))
+    shape, scale, _ = model.parameters(arrivals_at([3, 4], [0, 0], [(0, 60)])).T
+    anew = (7 / scale[0]) ** shape[0]
+    for step, until in enumerate(hazards.gap[1]):
+        parts = (7 / scale[1]) ** shape[1] + anew + ((2 + step) / scale[0]) ** shape[0]
+        assert until == pytest.approx(parts, rel=1e-12)
+    # And 39 = 5 · 7 + 4 steps at the end, in the same way.
+    rest = model.hazards(arrivals_at([3], [0], [(0, 43)])).rest[0]
+    parts = (7 / scale[1]) ** shape[1] + 4 * anew + (4 / scale[0]) ** shape[0]
+    assert rest == pytest.approx(parts, rel=1e-12)
+
+
+def test_a_memory_longer_than_any_silence_changes_nothing() -> None:
+    arrivals = arrivals_at([1, 4, 4, 12, 30], [0, 0, 0, 0, 1], [(0, 40)])
+    model = random_ntpp()
+    for memory, same in ((40, True), (39, True), (5, False)):
+        some = replace(model, memory=memory).log_likelihood(arrivals)
+        assert (some == model.log_likelihood(arrivals)) == same
+
+
+def test_a_memoryless_process_has_nothing_to_forget() -> None:
+    forgetful = replace(silent(), memory=2)
+    expected = silent().log_likelihood(OF_TWO)
+    assert forgetful.log_likelihood(OF_TWO) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("memory", [1, 3, 12])
+def test_samples_of_forgetful_networks_end_at_the_horizon(memory: int) -> None:
+    model, points = replace(random_ntpp(), memory=memory), 12
+    ticks = [
+        np.round(model.sample(points * GRID_S, ETH, np.random.default_rng(seed)).time_s / GRID_S)
+        for seed in range(300)
+    ]
+    found = np.concatenate(ticks)
+    assert (found.min(), found.max()) == (0, points - 1)

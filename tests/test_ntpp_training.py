@@ -13,7 +13,7 @@ from strategies import arrivals_of_two_areas, intervals
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Arrivals, RenewalGMM, arrivals_in, ntpp_training
 from crowdbench.spawn.groups import group_size, spells_of
-from crowdbench.spawn.ntpp import SHAPES
+from crowdbench.spawn.ntpp import NEVER_FORGETS, SHAPES
 from crowdbench.spawn.ntpp_training import (
     Batch,
     Sequence,
@@ -39,10 +39,13 @@ def bursty(horizon_s: float = 900.0, seed: int = 0) -> Arrivals:
     return arrivals_in(events, horizon_s, GRID_S, 2)
 
 
-@given(arrivals_of_two_areas(), st.integers(0, 3))
-def test_torch_and_the_kernels_give_the_same_likelihood(arrivals: Arrivals, seed: int) -> None:
-    model = random_ntpp(seed=seed)
-    batch = double(pack(sequences(arrivals, arrivals.windows), model.weights["scaling"]))
+@given(arrivals_of_two_areas(), st.integers(0, 3), st.integers(1, 12) | st.just(NEVER_FORGETS))
+def test_torch_and_the_kernels_give_the_same_likelihood(
+    arrivals: Arrivals, seed: int, memory: int
+) -> None:
+    model = replace(random_ntpp(seed=seed), memory=memory)
+    cut = sequences(arrivals, arrivals.windows, memory=memory)
+    batch = double(pack(cut, model.weights["scaling"]))
     weights = {name: torch.tensor(w).double() for name, w in model.weights.items()}
     by_kernels = model.log_likelihood(arrivals) * max(1, len(arrivals.tick))
     assert -float(nats(weights, batch).sum()) == pytest.approx(by_kernels, rel=1e-5, abs=1e-5)
@@ -110,6 +113,29 @@ def test_training_windows_are_censored_at_their_end() -> None:
     arrivals = arrivals_at([7, 40], [0, 0], [(0, 100)])
     found = sequences(arrivals, np.array([[0, 30]]))[0][0]
     assert (found.gap.tolist(), found.rest) == ([8], 22)
+
+
+@given(arrivals_of_two_areas(), st.integers(1, 12))
+def test_sequences_that_forget_have_no_longer_silence_and_lose_nothing(
+    arrivals: Arrivals, memory: int
+) -> None:
+    whole = sequences(arrivals, arrivals.windows)
+    for one, other in zip(whole, sequences(arrivals, arrivals.windows, memory=memory), strict=True):
+        assert all((s.gap <= memory).all() and s.rest <= memory for s in other)
+        steps, persons = (
+            [sum(int(s.gap.sum()) + s.rest for s in some) for some in (one, other)],
+            [np.concatenate([s.size for s in some]).tolist() for some in (one, other)],
+        )
+        assert steps[0] == steps[1]
+        assert persons[0] == persons[1]
+
+
+def test_a_network_forgets_after_as_many_grid_steps_as_its_windows_have() -> None:
+    # Frames of 0.4 s on a grid of 0.2 s: 30 frames are 60 steps.
+    fine = replace(bursty(400.0), grid_s=0.2)
+    brief = replace(BRIEF, window_frames=30, stride_frames=15, epochs=2, patience=1)
+    fitted = ntpp_training.fit(fine, AREAS, replace(ETH, grid_s=0.2), seed=0, settings=brief)
+    assert fitted.memory == 60
 
 
 def test_training_starts_from_poisson() -> None:

@@ -156,6 +156,16 @@ def test_each_wall_pushes_once_however_many_edges_it_has() -> None:
     assert split == one
 
 
+def test_walls_out_of_reach_are_left_out_and_make_no_difference() -> None:
+    person = Person(start=(-3.0, 0.4), goal=(8.0, 0.4), velocity=(1.2, 0.0))
+    near, far = box(-2, 0.6, -1, 1.6), box(8, 8, 9, 9)
+    with_far, without = (
+        walked(SocialForce(), square(10.0, *walls), person, frames=10)
+        for walls in ((far, near), (near,))
+    )
+    assert with_far.tolist() == without.tolist()
+
+
 HEAD_ON = (
     Person(start=(-4, 0.05), goal=(9, 0.05), speed=1.3, velocity=(1.3, 0)),
     Person(start=(4, -0.05), goal=(-9, -0.05), speed=1.3, velocity=(-1.3, 0)),

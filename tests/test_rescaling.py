@@ -9,14 +9,18 @@ from models import GRID_S, arrivals_at, poisson, random_ntpp, renewal
 
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Arrivals, arrivals_in
+from crowdbench.spawn.groups import spells_of
 from crowdbench.spawn.rescaling import kolmogorov_smirnov, rescaled
 
 ETH = load_scene("eth-v0")
+FORGETFUL = replace(random_ntpp(), memory=4)  # of about three gaps one is longer
 MODELS = {
     "poisson": poisson(),
     "renewal": renewal(),
     "ntpp": random_ntpp(),
     "another ntpp": random_ntpp(seed=1),
+    "a forgetful ntpp": FORGETFUL,
+    "a ntpp that forgets at once": replace(random_ntpp(seed=1), memory=1),
 }
 
 
@@ -33,7 +37,9 @@ def test_samples_follow_their_own_density(model: Any, what: Any) -> None:
     assert found.p > 0.001
 
 
-@pytest.mark.parametrize("model", [renewal(), random_ntpp()], ids=["renewal", "ntpp"])
+@pytest.mark.parametrize(
+    "model", [renewal(), random_ntpp(), FORGETFUL], ids=["renewal", "ntpp", "forgetful"]
+)
 def test_many_short_samples_follow_it_too(model: Any) -> None:
     # Waits from a start and unfinished gaps are most of what is seen in 16 s.
     rng = np.random.default_rng(2)
@@ -59,6 +65,15 @@ def test_a_model_of_longer_gaps_is_found_out(model: Any) -> None:
     arrivals = sampled(model)
     other = slower(model)
     assert kolmogorov_smirnov(rescaled(other, arrivals, np.random.default_rng(3))).p < 1e-6
+
+
+def test_a_model_that_does_not_forget_is_found_out_by_silences() -> None:
+    arrivals = sampled(FORGETFUL)
+    gap = spells_of(arrivals).gap
+    assert (gap > 4).mean() > 0.2
+    assert (gap > 8).sum() > 200
+    other = rescaled(random_ntpp(), arrivals, np.random.default_rng(3))
+    assert kolmogorov_smirnov(other).p < 1e-6
 
 
 def test_poisson_is_found_out_by_groups() -> None:

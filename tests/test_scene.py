@@ -3,10 +3,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import crowd_of
+from worlds import box, square
 
 from crowdbench.errors import SceneError
 from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.scene import Scene, list_scenes, load_scene, scenes_folder
+from crowdbench.spawn import Replay
 from crowdbench.trajectories import Trajectories
 
 ETH_TOML = (scenes_folder() / "eth-v0" / "scene.toml").read_text()
@@ -87,6 +92,50 @@ def test_walls_and_bounds_of_eth_are_where_they_are(scene, x, y, inside, walkabl
     point = np.array([[x, y]])
     assert scene.inside(point).tolist() == [inside]
     assert scene.walkable(point).tolist() == [walkable]
+
+
+# A box, one that touches it, one in a corner of the bounds, and a post.
+WALLED = square(
+    6.0, box(-2, -2, 2, 1), box(2, -2, 3, 0), box(4, 4, 7, 7), ((-4, 3), (-3.8, 4), (-4.2, 4))
+)
+PLACES = st.lists(
+    st.tuples(st.floats(-9, 9, width=32), st.floats(-9, 9, width=32)), min_size=1, max_size=20
+)
+
+
+@given(PLACES)
+def test_who_stands_in_a_wall_or_outside_is_moved_to_the_nearest_walkable_place(places):
+    points = np.array(places, dtype=np.float64)
+    given_points = points.copy()
+    moved = WALLED.nearest_walkable(points)
+    assert (points == given_points).all()
+    stays = WALLED.walkable(points)
+    assert (moved[stays] == points[stays]).all()
+    # In float32 too, as simulations have it.
+    assert WALLED.walkable(moved.astype(np.float32).astype(np.float64)).all()
+    # No nearer place is free; a centimetre off the walls, at a corner of them more by 1.42.
+    x = np.arange(-5.95, 6.0, 0.05)
+    grid = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    grid = grid[WALLED.walkable(grid)]
+    for point, place in zip(points[~stays], moved[~stays], strict=True):
+        nearest = np.linalg.norm(grid - point, axis=1).min()
+        assert np.linalg.norm(place - point) <= nearest + 0.0142 + 1e-6
+
+
+def test_a_scene_without_walls_moves_only_those_outside_its_bounds():
+    found = square(6.0).nearest_walkable(np.array([[1.0, 2.0], [9.0, 2.0], [9.0, -9.0]]))
+    np.testing.assert_allclose(found, [[1, 2], [5.99, 2], [5.99, -5.99]], atol=1e-9)
+
+
+def test_replayed_people_start_and_end_where_a_policy_can_walk():
+    # From inside the box to outside the bounds; the path that `replay` walks stays as it is.
+    path = np.array([[0, 0.9], [0, 3], [0, 6.5], [1, 3], [1, 4]])
+    crowd = crowd_of([(1, 3), (1, 2)], frames=6, dt_s=0.4, xy=path)
+    replay = Replay(crowd)
+    events = replay.sample(9.0, WALLED, np.random.default_rng(0))
+    np.testing.assert_allclose(events.start, [[0, 1.01], [1, 3]], atol=1e-6)
+    np.testing.assert_allclose(events.goal, [[0, 5.99], [1, 4]], atol=1e-6)
+    np.testing.assert_allclose(replay.scripted(events).start, crowd.start)
 
 
 def test_a_scene_without_walls_is_walkable_within_its_bounds(tmp_path):

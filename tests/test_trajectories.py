@@ -26,6 +26,26 @@ def test_persons_stand_by_first_frame_then_id():
     assert crowd.first.tolist() == [0, 1, 1]
 
 
+def test_who_asked_to_enter_first_within_a_frame_stands_first():
+    # Arrivals on a grid finer than frames: 3 waited for long, 4 and 5 asked at the same time.
+    asked = {"requested_s": np.array([2.5, 1.25, 2.25, 2.25, 2.0])}
+    crowd = rows([1, 3, 5, 4, 9], [5, 5, 5, 5, 4], [[0, 0]] * 5, persons=asked)
+    assert crowd.person_id.tolist() == [9, 3, 4, 5, 1]
+    assert crowd.requested_s.tolist() == [2.0, 1.25, 2.25, 2.25, 2.5]
+
+
+def test_who_entered_first_stands_first_where_nobody_waited():
+    crowd = rows([1, 2], [5, 5], [[0, 0]] * 2, persons={"spawn_s": np.array([2.5, 2.25])})
+    assert crowd.person_id.tolist() == [2, 1]
+    assert crowd.requested_s.tolist() == crowd.spawn_s.tolist() == [2.25, 2.5]
+
+
+@given(crowds())
+def test_persons_are_sorted_by_frame_then_asked_entry_then_id(crowd):
+    order = np.lexsort((crowd.person_id, crowd.requested_s, crowd.first))
+    assert order.tolist() == list(range(len(crowd)))
+
+
 def test_path_holds_a_persons_rows_by_frame():
     crowd = rows([1, 2, 1, 1], [5, 4, 3, 4], [[5, 0], [9, 9], [3, 0], [4, 0]])
     assert crowd.path(0).tolist() == [[3, 0], [4, 0], [5, 0]]

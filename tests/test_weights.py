@@ -35,7 +35,7 @@ def write_all(folder: Path) -> None:
     members = {part: renewal(0.1 + 0.1 * k) for k, part in enumerate(PARTS)}
     RenewalGMM.write(folder, {part: [model] for part, model in members.items()})
     fits = {
-        part: [replace(random_ntpp(seed=10 * k + f), settings=TRAINED) for f in range(2)]
+        part: [replace(random_ntpp(seed=10 * k + f), memory=77, settings=TRAINED) for f in range(2)]
         for k, part in enumerate(PARTS)
     }
     NtppGMM.write(folder, fits)
@@ -50,7 +50,7 @@ def test_each_part_comes_back_as_it_was(place: Scene, k: int, part: str) -> None
     for fit in range(2):
         one, other = NtppGMM.read(place, AREAS, part, fit), random_ntpp(seed=10 * k + fit)
         assert all(np.array_equal(one.weights[name], other.weights[name]) for name in SHAPES)
-        assert one.settings == TRAINED
+        assert (one.memory, one.settings) == (77, TRAINED)
 
 
 def test_fits_are_counted_round(place: Scene) -> None:
@@ -155,6 +155,7 @@ def altered(place: Scene, name: str, array: np.ndarray | None, header: object = 
         tensors[name] = array
     if header is not None:
         own = json.loads(metadata["crowdbench"]) | header  # type: ignore[operator]
+        own = {field: value for field, value in own.items() if value is not None}
         metadata = {"crowdbench": json.dumps(own)}
     save_file(tensors, path, metadata=metadata)
 
@@ -193,6 +194,8 @@ HEADERS = {
     "schema": ({"schema": 9}, "schema 9"),
     "grid": ({"grid_s": 0.1}, "a grid of 0.1 s"),
     "no fits": ({"fits": 0}, "0 fits"),
+    "no memory": ({"memory": 0}, "memory 0"),
+    "half a step": ({"memory": 7.5}, "memory"),
     "unknown field": ({"colour": "red"}, "colour"),
 }
 
@@ -205,6 +208,12 @@ def test_tensors_of_something_else_are_refused(
     with pytest.raises(WeightsError) as caught:
         NtppGMM.read(place, AREAS)
     assert got in caught.value.got
+
+
+def test_tensors_that_do_not_say_when_the_network_forgets_are_refused(place: Scene) -> None:
+    altered(place, "nothing", None, {"memory": None})
+    with pytest.raises(WeightsError, match="memory"):
+        NtppGMM.read(place, AREAS)
 
 
 @pytest.mark.parametrize("keep", [0, 4, 100, 5000, -1])

@@ -81,7 +81,7 @@ class Routes:
         shape = (max(worlds, known[0]), max(2 * slots, known[1]))
         person = np.full(shape, -1, dtype=np.int64)
         person[: known[0], : known[1]] = self._person
-        to_goal = np.empty((*shape, len(self._corners)))
+        to_goal = np.full((*shape, len(self._corners)), np.inf)
         to_goal[: known[0], : known[1]] = self._to_goal
         self._person, self._to_goal = person, to_goal
 
@@ -134,20 +134,21 @@ def _next(world, slot, person, position, goal, known, to_goal, segments, corners
             known[w, i] = person[a]
             _to_goal(goal[a, 0], goal[a, 1], segments, corners, between, to_goal[w, i])
         # The first corner in sight, in the order of the ways' lengths, is on the shortest.
-        tried = -1.0
+        tried, last = -1.0, -1  # of two as long the first comes first
         while True:
             best, length = -1, np.inf
             for c in range(len(corners)):
                 off = math.hypot(corners[c, 0] - x, corners[c, 1] - y)
                 way = off + to_goal[w, i, c]
-                if off > _GRAZE_M and tried < way < length:
+                later = way > tried or (way == tried and c > last)
+                if off > _GRAZE_M and later and way < length:
                     best, length = c, way
             if best < 0:
                 break
             if not _hidden(x, y, corners[best, 0], corners[best, 1], segments):
                 goal[a, 0], goal[a, 1] = corners[best, 0], corners[best, 1]
                 break
-            tried = length
+            tried, last = length, best
 
 
 @njit(cache=True, error_model="numpy")
@@ -168,9 +169,10 @@ def _hidden(x, y, to_x, to_y, segments):
     for s in range(len(segments)):
         ax, ay = segments[s, 0] - x, segments[s, 1] - y
         bx, by = segments[s, 2] - x, segments[s, 3] - y
-        # Its ends on different sides of the line, and the line's ends on different sides of it.
+        # Its ends on different sides of the line, and the line's ends on different sides of it. Who
+        # meets but a corner, or an edge end-on, is stopped by it too.
         side_a, side_b = dx * ay - dy * ax, dx * by - dy * bx
-        if side_a * side_b < 0.0:
+        if side_a * side_b <= 0.0:
             ex, ey = bx - ax, by - ay
             here = ay * ex - ax * ey
             there = here - (dy * ex - dx * ey)

@@ -1,0 +1,283 @@
+"""Ways around walls: as short as they can be, never through a wall, and never without an end."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.sparse.csgraph import dijkstra
+from worlds import FAR, Person, Point, box, events, square
+
+from crowdbench.episode import actions_of
+from crowdbench.policies import SocialForce, StateView, Straight
+from crowdbench.policies.routes import Routes
+from crowdbench.registry import spawn_model
+from crowdbench.scene import Scene, list_scenes, load_scene
+from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation.state import GOAL
+
+DT = 0.4
+CLEAR_M = 0.3
+"""Ways turn this far off the walls at least where walls leave so much room."""
+
+
+def facing(scene: Scene, *worlds: list[Person]) -> Simulation:
+    """Worlds of people who have just entered."""
+    most = max(len(people) for people in worlds)
+    simulation = Simulation(scene, worlds=len(worlds), settings=Settings(max_alive=most, rays=1))
+    simulation.reset([events(*people) for people in worlds], horizon=FAR)
+    return simulation
+
+
+def ready(scene: Scene, policy: Straight | SocialForce | None = None) -> Straight | SocialForce:
+    policy = policy or Straight()
+    policy.reset(scene, np.random.default_rng(0))
+    return policy
+
+
+def walk(
+    scene: Scene, person: Person, policy: Straight | SocialForce | None = None, frames: int = 300
+) -> tuple[np.ndarray, int]:
+    """The path of someone, and how it ended (0 if it did not)."""
+    simulation, policy = facing(scene, [person]), ready(scene, policy)
+    slots = simulation.slots
+    path = [slots.position[0, 0].astype(np.float64)]
+    for _ in range(frames):
+        simulation.step(actions_of(policy, simulation))
+        path.append(slots.position[0, 0].astype(np.float64))
+        if slots.ended[0, 0]:
+            break
+    return np.array(path), int(slots.ended[0, 0])
+
+
+def length(path: np.ndarray) -> float:
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+
+def shortest(scene: Scene, start: Point, goal: Point, clear_m: float) -> float:
+    """Length of the shortest way that keeps off all walls, by brute force; inf if there is none."""
+    grown = scene.obstacles.buffer(clear_m, join_style="mitre", mitre_limit=2.0)
+    points = np.concatenate([[start, goal], shapely.get_coordinates(grown)])
+    points = points[scene.inside(points)]
+    solid = grown.buffer(-1e-6)
+    shapely.prepare(solid)
+    a, b = np.triu_indices(len(points), 1)
+    lines = shapely.linestrings(np.stack([points[a], points[b]], axis=1))
+    free = ~shapely.intersects(solid, lines)
+    edges = np.zeros((len(points), len(points)))
+    edges[a[free], b[free]] = shapely.length(lines[free])
+    return float(dijkstra(edges, directed=False, indices=0)[1])
+
+
+def reachable(scene: Scene, start: Point, goal: Point) -> bool:
+    """Whether a way with room on both sides joins two free places."""
+    grown = scene.obstacles.buffer(CLEAR_M, join_style="mitre", mitre_limit=2.0)
+    ends = shapely.points([start, goal])
+    return not shapely.intersects(grown, ends).any() and np.isfinite(
+        shortest(scene, start, goal, CLEAR_M)
+    )
+
+
+@st.composite
+def polygons(draw: st.DrawFn) -> tuple[Point, ...]:
+    """A box, a U or a triangle with corners on a grid of half metres, where lines often touch."""
+    half = st.integers(-14, 14).map(lambda k: k / 2)
+    size = st.integers(2, 10).map(lambda k: k / 2)
+    x, y, w, h = draw(half), draw(half), draw(size), draw(size)
+    kind = draw(st.sampled_from(["box", "U", "triangle"]))
+    if kind == "box":
+        return box(x, y, x + w, y + h)
+    if kind == "triangle":
+        return ((x, y), (x + w, y), (x + draw(size) / 2, y + h))
+    w, h = w + 2, h + 1
+    corners = [(0, 0), (w, 0), (w, h), (w - 0.5, h), (w - 0.5, 0.5), (0.5, 0.5), (0.5, h), (0, h)]
+    turn = draw(st.sampled_from([(1, 0), (0, 1), (-1, 0), (0, -1)]))
+    return tuple((x + u * turn[0] - v * turn[1], y + u * turn[1] + v * turn[0]) for u, v in corners)
+
+
+SPOTS = st.tuples(*[st.integers(-17, 17).map(lambda k: k / 2)] * 2)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(polygons(), min_size=1, max_size=4), SPOTS, SPOTS)
+def test_straight_walkers_take_the_shortest_way(
+    walls: list[tuple[Point, ...]], start: Point, goal: Point
+) -> None:
+    scene = square(9.0, *walls)
+    assume(start != goal and reachable(scene, start, goal))
+    path, ended = walk(scene, Person(start=start, goal=goal, speed=2.0))
+    assert ended == GOAL
+    assert length(path) <= 1.02 * shortest(scene, start, goal, CLEAR_M) + 0.1
+    # It ends within the goal radius.
+    assert length(path) >= shortest(scene, start, goal, 0.0) - 0.3 - 1e-3
+    assert not shapely.intersects(scene.obstacles, shapely.LineString(path))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(polygons(), min_size=1, max_size=4), SPOTS, SPOTS)
+def test_a_goal_in_sight_is_walked_at_straight(
+    walls: list[tuple[Point, ...]], start: Point, goal: Point
+) -> None:
+    scene = square(9.0, *walls)
+    line = shapely.LineString([start, goal])
+    assume(start != goal and not shapely.dwithin(scene.obstacles, line, 1e-6))
+    simulation = facing(scene, [Person(start=start, goal=goal)])
+    seen = StateView.of(simulation)
+    assert Routes.on(scene).next_of(seen).tolist() == seen.goal.tolist()
+
+
+@pytest.mark.parametrize("policy", [Straight(), SocialForce()], ids=lambda p: p.name)
+@pytest.mark.parametrize("start", [(0.0, -4.0), (0.0, 1.0), (-8.0, 3.0)])
+@pytest.mark.parametrize("turn", range(4))
+def test_walkers_come_out_of_and_into_a_u(
+    policy: Straight | SocialForce, start: Point, turn: int
+) -> None:
+    # Open to the top, and turned by quarters; the goal lies below it or inside.
+    shape = [(-3, -2), (3, -2), (3, 4), (2.5, 4), (2.5, -1.5), (-2.5, -1.5), (-2.5, 4), (-3, 4)]
+    c, s = [(1, 0), (0, 1), (-1, 0), (0, -1)][turn]
+
+    def turned(x: float, y: float) -> Point:
+        return (c * x - s * y, s * x + c * y)
+
+    scene = square(10.0, tuple(turned(x, y) for x, y in shape))
+    goal = (0.0, -4.0) if start == (0.0, 1.0) else (0.0, 1.0)
+    path, ended = walk(scene, Person(start=turned(*start), goal=turned(*goal), speed=1.3), policy)
+    assert ended == GOAL
+    assert scene.walkable(path).all()
+
+
+@pytest.mark.parametrize("policy", [Straight(), SocialForce()], ids=lambda p: p.name)
+def test_everyone_finds_the_way_around_the_kiosk(policy: Straight | SocialForce) -> None:
+    scene = load_scene("plaza-v0")
+    x, y = np.mean(next(w.corners_m for w in scene.walls if w.name == "kiosk"), axis=0)
+    angle = np.arange(16) * np.pi / 8
+    around = np.stack([x + 1.6 * np.cos(angle), y + 1.6 * np.sin(angle)], axis=1)
+    for start, goal in zip(around, np.roll(around, 8, axis=0), strict=True):
+        person = Person(start=tuple(start), goal=tuple(goal), speed=1.3)
+        path, ended = walk(scene, person, policy)
+        assert ended == GOAL
+        assert scene.walkable(path).all()
+        assert length(path) < np.pi / 2 * 3.2 + 0.5  # half of the circle that they stand on
+
+
+@pytest.mark.parametrize("name", list_scenes())
+def test_in_each_scene_straight_walkers_arrive(name: str) -> None:
+    scene = load_scene(name)
+    model = spawn_model("poisson-gmm", scene)
+    drawn = model.sample(7200.0, scene, np.random.default_rng(0))[np.arange(200)]
+    one_by_one = [
+        replace(drawn[np.array([k])], time_s=np.zeros(1), speed=np.ones(1, np.float32))
+        for k in range(len(drawn))
+    ]
+    simulation = Simulation(scene, worlds=len(one_by_one), settings=Settings(max_alive=1, rays=1))
+    simulation.reset(one_by_one, horizon=FAR)
+    policy, ended = ready(scene), np.zeros(len(one_by_one), np.int64)
+    while simulation.slots.alive.any():
+        simulation.step(actions_of(policy, simulation))
+        ended += simulation.slots.ended[:, 0]
+        assert scene.walkable(simulation.slots.position[:, 0].astype(np.float64)).all()
+    assert (ended == GOAL).all()
+
+
+def test_of_two_ways_as_long_the_one_in_sight_is_taken() -> None:
+    # A post hides the corner on one side; the ways around the box are equally long to the bit.
+    lengths = []
+    for side in (-1, 1):
+        post = tuple((side * x, y) for x, y in box(0.6, -2.6, 0.85, -2.4))
+        scene = square(9.0, box(-1, -1, 1, 1), post)
+        path, ended = walk(scene, Person(start=(0, -4), goal=(0, 4), speed=1.3))
+        assert ended == GOAL
+        assert np.sign(path[:, 0][np.abs(path[:, 0]).argmax()]) == -side
+        lengths.append(length(path))
+    assert lengths[0] == pytest.approx(lengths[1], abs=1e-3)
+
+
+def test_who_stands_on_a_corner_walks_on() -> None:
+    scene = square(9.0, box(-2, -1, 2, 1), box(-1, 3, 1, 5))
+    corners = Routes.on(scene)._corners
+    assert len(corners) == 8
+    for corner in corners:
+        for beside in (0.0, 0.02, 0.049):
+            person = Person(start=tuple(corner + beside), goal=tuple(-corner), speed=1.3)
+            path, ended = walk(scene, person)
+            assert ended == GOAL
+            assert length(path) <= shortest(scene, person.start, person.goal, CLEAR_M) + 0.1
+
+
+def test_who_stands_on_a_corner_to_the_bit_is_not_sent_there() -> None:
+    scene = square(9.0, box(-2, -1, 2, 1), box(-1, 3, 1, 5))
+    found = Routes.on(scene)
+    corners = found._corners.astype(np.float32)
+    routes = Routes(scene.wall_segments, corners.astype(np.float64), found._between)
+    people = [Person(start=tuple(c), goal=tuple(-c)) for c in corners.astype(np.float64)]
+    seen = StateView.of(facing(scene, people))
+    off = np.linalg.norm(routes.next_of(seen) - seen.position, axis=1)
+    assert off.min() > 0.1
+
+
+def test_a_goal_that_no_way_leads_to_is_walked_at_straight() -> None:
+    cup = ((-3, -3), (3, -3), (3, 3), (2.9, 3), (2.9, -2.9), (-2.9, -2.9), (-2.9, 3), (-3, 3))
+    scene = square(9.0, cup, box(-3, 2.9, 3, 3))
+    for goal in ((0.0, 0.0), (2.95, 0.5)):  # enclosed, and in the wall itself
+        path, ended = walk(scene, Person(start=(-6, -1), goal=goal), frames=60)
+        assert ended == 0
+        way = np.array(goal) - path[0]
+        np.testing.assert_allclose(path[1] - path[0], DT * way / np.linalg.norm(way), atol=1e-5)
+
+
+BOX = square(9.0, box(-1, -1, 1, 1))
+TO_THE_RIGHT = Person(start=(-3, -0.9), goal=(3, -0.9))
+TO_THE_LEFT = Person(start=(3, 0.8), goal=(-3, 0.8))
+UP = Person(start=(-0.9, -3), goal=(-0.9, 3))
+
+
+def test_a_slot_that_another_person_takes_over_leads_it_its_own_way() -> None:
+    alone, _ = walk(BOX, UP)
+    simulation = Simulation(BOX, settings=Settings(max_alive=1, rays=1))
+    simulation.reset([events(TO_THE_RIGHT, replace(UP, time_s=20.0))], horizon=FAR)
+    policy, slots, path = ready(BOX), simulation.slots, []
+    for _ in range(90):
+        simulation.step(actions_of(policy, simulation))
+        if slots.person[0, 0] == 1 and len(path) < len(alone):
+            path.append(slots.position[0, 0].astype(np.float64))
+    assert np.array_equal(path, alone)
+
+
+def test_persons_of_several_worlds_do_not_share_their_ways() -> None:
+    worlds = [[TO_THE_RIGHT, UP], [UP, TO_THE_LEFT], [TO_THE_LEFT, TO_THE_RIGHT]]
+    together, alone = facing(BOX, *worlds), [facing(BOX, people) for people in worlds]
+    of_all, of_each = ready(BOX), [ready(BOX) for _ in worlds]
+    for _ in range(20):
+        together.step(actions_of(of_all, together))
+        for simulation, policy in zip(alone, of_each, strict=True):
+            simulation.step(actions_of(policy, simulation))
+        each = np.concatenate([simulation.slots.position for simulation in alone])
+        assert np.array_equal(together.slots.position, each)
+
+
+def test_more_persons_than_before_keep_their_ways() -> None:
+    # The table of ways grows when a later slot is taken; those who were there know theirs.
+    across = Person(start=(-3, 0), goal=(3, -0.1))
+    late = [replace(TO_THE_LEFT, time_s=0.8, goal=(-3, 0.1 * k)) for k in range(5)]
+    simulation = facing(BOX, [across, *late])
+    policy, path = ready(BOX), []
+    for _ in range(14):
+        simulation.step(actions_of(policy, simulation))
+        path.append(simulation.slots.position[0, 0].astype(np.float64))
+    assert np.array_equal(path, walk(BOX, across, frames=14)[0][1:])
+
+
+def test_a_new_episode_knows_nothing_of_the_one_before() -> None:
+    policy = Straight()
+    walk(BOX, TO_THE_RIGHT, policy)
+    again, _ = walk(BOX, UP, policy)  # another person 0 in slot 0
+    assert np.array_equal(again, walk(BOX, UP)[0])
+
+
+def test_a_policy_that_comes_into_another_scene_takes_its_walls() -> None:
+    policy = Straight()
+    walk(BOX, TO_THE_RIGHT, policy)
+    free, _ = walk(square(9.0), TO_THE_RIGHT, policy)
+    np.testing.assert_allclose(free[:, 1], -0.9, atol=1e-6)
