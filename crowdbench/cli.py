@@ -1,5 +1,5 @@
 """The command line: `crowdbench evaluate | score | spawn | data | scenes | bench`, and for who
-makes a scene `fit | anchors | power | results`.
+makes a scene `fit | anchors | power | results | ablation`.
 
 A user's error is one message and exit code 2; an interrupt exits with 130.
 """
@@ -94,6 +94,20 @@ def _parser() -> argparse.ArgumentParser:
         "--seeds", type=int, help="rollouts per crowd and fold (default: the scene's protocol)"
     )
     results.set_defaults(run=_results)
+
+    ablation = commands.add_parser(
+        "ablation", help="study the windows and strides that ntpp-gmm is trained with (hours)"
+    )
+    ablation.add_argument("scene", help="id of a scene, or its folder")
+    ablation.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs/ablation"),
+        metavar="DIR",
+        help="folder of the page and its picture (default: docs/ablation)",
+    )
+    ablation.add_argument("--workers", type=int, help="processes (default: one per core)")
+    ablation.set_defaults(run=_ablation)
 
     score = commands.add_parser("score", help="score trajectories that any simulator made")
     score.add_argument("scene", help="id of a scene, or its folder")
@@ -229,7 +243,8 @@ def _progress(
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    bar = Progress(*columns, console=_console())
+    # Fits take minutes: the speed of the last half minute alone would mostly be unknown.
+    bar = Progress(*columns, console=_console(), speed_estimate_period=600.0)
     task = bar.add_task(what)
 
     def progress(done: int, total: int | None) -> None:
@@ -397,6 +412,14 @@ def _results(asked: argparse.Namespace) -> None:
             workers=asked.workers,
             progress=progress,
         )
+    print(f"written to {page} and {page.with_suffix('')}/")
+
+
+def _ablation(asked: argparse.Namespace) -> None:
+    from crowdbench.ablation import write_ablation
+
+    with _progress("fits") as progress:
+        page = write_ablation(asked.scene, out=asked.out, workers=asked.workers, progress=progress)
     print(f"written to {page} and {page.with_suffix('')}/")
 
 

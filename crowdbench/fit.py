@@ -108,12 +108,22 @@ def _check_models(models: Sequence[str]) -> None:
     for name in models:
         if name not in MODELS:
             raise SettingError("models", got=repr(name), expected=f"some of {', '.join(MODELS)}")
-    if "ntpp-gmm" in models and importlib.util.find_spec("torch") is None:
+    if "ntpp-gmm" in models:
+        check_torch(", or leave it out: --models poisson-gmm renewal-gmm")
+
+
+def check_torch(mend: str = "") -> None:
+    """Refuse to begin what cannot be ended; `mend` is what else than installing torch would help.
+
+    Raises:
+        SettingError: torch, which `ntpp-gmm` is fitted with, is not installed.
+    """
+    if importlib.util.find_spec("torch") is None:
         raise SettingError(
             "ntpp-gmm",
             got="no torch to fit it with",
             expected="torch 2.4 or newer",
-            mend="Install crowdbench[fit], or leave it out: --models poisson-gmm renewal-gmm.",
+            mend=f"Install crowdbench[fit]{mend}.",
         )
 
 

@@ -171,8 +171,7 @@ def _fingerprint(scene: Scene, spawn: str, policy: str) -> str:
 
     Of an own class these are all files in the folder of its module: weights lie beside the code.
     """
-    files = sorted(Path(__file__).parent.rglob("*.py"))
-    files += _plain_files(scene.folder, without="anchors.json")
+    files: list[Path] = []
     if spawn in ("replay", "block-replay") and cached(scene.recording.name).exists():
         files.append(cached(scene.recording.name))
     for name in (spawn, policy):
@@ -180,7 +179,14 @@ def _fingerprint(scene: Scene, spawn: str, policy: str) -> str:
         found = importlib.util.find_spec(module) if colon else None
         if found is not None and found.origin is not None:
             files += _plain_files(Path(found.origin).parent)
-    parts = [f"{__version__} {scene.id} {spawn} {policy}".encode()]
+    return fingerprint(scene, f"{spawn} {policy}", files)
+
+
+def fingerprint(scene: Scene, what: str, more: Sequence[Path] = ()) -> str:
+    """Hash of what the result `what` depends on: our code, the scene's files, and more files."""
+    files = sorted(Path(__file__).parent.rglob("*.py"))
+    files += [*_plain_files(scene.folder, without="anchors.json"), *more]
+    parts = [f"{__version__} {scene.id} {what}".encode()]
     return sha256(b"".join([*parts, *(_hash_of(f) for f in files)]))[:16]
 
 

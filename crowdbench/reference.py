@@ -149,7 +149,7 @@ def write_reference(reference: Reference, scene: Scene) -> Path:
         spawn_areas=reference.place.spawn_areas,
         goal_areas=reference.place.goal_areas,
         statistics={
-            metric: {name: _sparse(counts) for name, counts in statistics.items()}
+            metric: {name: sparse(counts) for name, counts in statistics.items()}
             for metric, statistics in reference.statistics.items()
         },
     )
@@ -217,7 +217,7 @@ def read_reference(scene: Scene) -> Reference:
                 mend=mend,
             )
     statistics = {
-        metric: {n: _dense(columns, rows) for n, (columns, rows) in file.statistics[metric].items()}
+        metric: {n: dense(columns, rows) for n, (columns, rows) in file.statistics[metric].items()}
         for metric in nobody
     }
     return Reference(blocks, place, statistics)
@@ -237,11 +237,17 @@ def _nobody(scene: Scene) -> Trajectories:
     )
 
 
-def _sparse(counts: np.ndarray) -> tuple[int, list[list[tuple[int, int]]]]:
+Sparse = tuple[int, list[list[tuple[int, int]]]]
+"""The number of columns, and per row the pairs (column, value) that are not zero."""
+
+
+def sparse(counts: np.ndarray) -> Sparse:
+    """A statistic as files hold it."""
     return counts.shape[1], [[(int(v), int(row[v])) for v in np.flatnonzero(row)] for row in counts]
 
 
-def _dense(columns: int, rows: list[list[tuple[int, int]]]) -> np.ndarray:
+def dense(columns: int, rows: list[list[tuple[int, int]]]) -> np.ndarray:
+    """A statistic that a file held."""
     size = 1 + max((value for row in rows for value, _ in row), default=0)
     counts = np.zeros((len(rows), max(size, columns)), dtype=np.int64)
     for b, row in enumerate(rows):

@@ -10,6 +10,7 @@ import pytest
 # Compiled kernels take no annotations; everything else is checked at each call.
 _hook = jaxtyping.install_import_hook(
     [
+        "crowdbench.ablation",
         "crowdbench.blocks",
         "crowdbench.episode",
         "crowdbench.evaluation",

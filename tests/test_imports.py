@@ -16,7 +16,8 @@ ORDER = (
     "errors", "files", "processes", "trajectories", "tables", "blocks", "metrics", "recordings",
     "scene", "spawn", "reference", "scoring_kernel", "scoring", "power", "cards", "simulation",
     "policies", "episode", "rollouts", "plaza", "registry", "fit", "spawn_check", "replay_check",
-    "figures", "report", "jobs", "evaluation", "results", "environment", "bench", "cli", "__main__",
+    "figures", "report", "jobs", "evaluation", "results", "ablation",
+    "environment", "bench", "cli", "__main__",
 )  # fmt: skip
 HEAVY = ("torch", "sklearn", "pyarrow", "rerun", "numba", "matplotlib", "pettingzoo", "requests")
 

@@ -15,6 +15,7 @@ from crowdbench.spawn import Arrivals, RenewalGMM, arrivals_in, ntpp_training
 from crowdbench.spawn.groups import group_size, spells_of
 from crowdbench.spawn.ntpp import NEVER_FORGETS, SHAPES
 from crowdbench.spawn.ntpp_training import (
+    SETTINGS,
     Batch,
     Sequence,
     Settings,
@@ -165,6 +166,43 @@ def test_another_seed_gives_another_fit() -> None:
     arrivals = bursty(400.0)
     one, two = (ntpp_training.fit(arrivals, AREAS, ETH, seed=k, settings=BRIEF) for k in (3, 4))
     assert not np.array_equal(one.weights["state_weight"], two.weights["state_weight"])
+
+
+def test_windows_that_overlap_much_are_judged_before_all_parts_had_their_turn() -> None:
+    """Judged once in 64 steps, more than its patience, training would end there or at nothing."""
+    arrivals = bursty(1200.0)
+    often = replace(SETTINGS, window_frames=20, stride_frames=1, step_groups=64)
+    groups = np.bincount(arrivals.area)
+    cutting = ntpp_training._Cutting(width=20, stride=1, block=150)
+    ((chosen, parts),) = ntpp_training._batched(groups, cutting, often)
+    assert parts >= 64 > often.patience
+    steps = ntpp_training._best_steps(arrivals, chosen, parts, 0, cutting, often)
+    assert (steps % parts > 0).any()
+
+
+def test_parts_are_no_more_than_there_are_windows_for() -> None:
+    arrivals = bursty(400.0)
+    few = replace(BRIEF, window_frames=900, stride_frames=1, step_groups=4)
+    fitted = ntpp_training.fit(arrivals, AREAS, ETH, seed=0, settings=few)
+    assert all(np.isfinite(w).all() for w in fitted.weights.values())
+
+
+def test_a_network_of_few_windows_takes_its_turns_more_often() -> None:
+    one = Sequence(np.array([2, 1]), np.array([1, 1]), 5)
+    scaling = np.tile([0.0, 1.0, 0.0, 1.0], (2, 1))
+    batches = ntpp_training._Batches.of([[one] * 64, [one] * 16], scaling, 4, 0)
+    assert batches.parts == [4, 2]
+    persons = np.stack([batches.at(step).persons.numpy() for step in range(4)])
+    assert persons.tolist() == [[32.0, 16.0]] * 4
+    assert batches.at(4) is batches.at(0)
+
+
+def test_without_a_single_group_there_is_still_a_likelihood() -> None:
+    silent = Sequence(np.array([], dtype=np.int64), np.array([], dtype=np.int64), 30)
+    model = random_ntpp()
+    batch = pack([[silent], [silent]], model.weights["scaling"])
+    weights = {name: torch.tensor(w) for name, w in model.weights.items()}
+    assert bool(torch.isfinite(nats(weights, batch)).all())
 
 
 def test_an_area_of_a_few_groups_stays_poisson() -> None:

@@ -38,9 +38,9 @@ def page(
         for protocol, card in cards.items()
     )
     shown = "\n\n".join(_picture(scene, picture) for picture in pictures)
-    return _flowed(f"""# {scene.title}: results on {scene.id}
+    return flowed(f"""# {scene.title}: results on {scene.id}
 
-{_recording(scene, full)}
+{of_recording(scene)}
 
 {_made(scene, full)}
 
@@ -87,7 +87,7 @@ process’s.
 """)
 
 
-def _flowed(text: str) -> str:
+def flowed(text: str) -> str:
     """Paragraphs and list items in lines of at most 100 letters; all else as it is."""
     found = []
     for block in text.split("\n\n"):
@@ -110,9 +110,10 @@ def _filled(text: str, indent: str = "") -> str:
     return lines.replace("\0", " ")
 
 
-def _recording(scene: Scene, card: Scorecard) -> str:
+def of_recording(scene: Scene) -> str:
+    """What crowds are compared with, and whom to cite for it."""
     name = scene.recording.name
-    length = f"{card.horizon_s:,.0f} s in frames of {scene.dt_s:g} s"
+    length = f"{scene.horizon_s:,.0f} s in frames of {scene.dt_s:g} s"
     if name in SOURCES:
         return (
             f"Crowds are compared with the recording `{name}` of this place, {length}, which stays "

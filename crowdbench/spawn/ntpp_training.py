@@ -5,7 +5,7 @@ with a stride of 50 lie inside observed stretches and end censored; the loss is 
 log-probability of the counts, survival terms included, summed over an area's windows and divided
 by one constant per area (never by a sequence's own length). Adam takes its steps on all windows of
 an area at once; where these hold more than 1,024 groups, on a random half, quarter, ... of them in
-turn.
+turn, of at least eight windows. Windows that overlap much so make more parts, not dearer steps.
 
 When to stop is found by cross-validation: the training data's time blocks are dealt into five
 sets at random, five networks per area are trained without one set each, and the step at which
@@ -47,7 +47,7 @@ ETH's folds windows of 100 and 500 have −3.430 and −3.434.
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -67,6 +67,12 @@ FITS = 5
 """Fits per part, of the seeds 0, 1, …"""
 
 _FURTHEST = 1.0  # that an area's log scale is shifted
+_JUDGED_EVERY = 8
+"""Steps, at most, from one look at the held-out likelihood to the next. Looked at once all parts
+have had their turn, windows that overlap a hundredfold would end training at its first look."""
+_PART_WINDOWS = 8
+"""Windows of an area, at least, that are looked at in one step: with long ones of many groups it
+would otherwise follow one or two of them at a time, or find a part without any."""
 _FIXED = ("base", "scaling")
 _ZERO = ("initial", "out_weight", "out_bias")  # the head starts silent, at the base
 _TRAINED = tuple(name for name in SHAPES if name not in _FIXED)
@@ -187,7 +193,7 @@ def _train_chosen(
     """Train the networks of the chosen areas, each for its number of steps, in `weights`."""
     some = {name: array[chosen] for name, array in weights.items()}
     found = windows(arrivals.windows, cutting.width, cutting.stride)
-    batches = _batches(sequences(arrivals, found, chosen), some["scaling"], parts, seed)
+    batches = _Batches.of(sequences(arrivals, found, chosen), some["scaling"], parts, seed)
     last = steps[chosen].max()
 
     def keep(step: int, now: dict[str, Tensor]) -> bool:
@@ -227,45 +233,64 @@ def _best_steps(
         held_out += sequences(arrivals, together, chosen, memory=cutting.width)
     weights = {name: np.concatenate([start[name] for start in starts]) for name in SHAPES}
     validation = pack(held_out, weights["scaling"])
+    batches = _Batches.of(training, weights["scaling"], parts, seed)
+    every = min(max(batches.parts), _JUDGED_EVERY)
     loss: list[np.ndarray] = []
 
     def judge(step: int, now: dict[str, Tensor]) -> bool:
-        if step % parts:
+        if step % every:
             return False
         with torch.no_grad():
             each = nats(now, validation).double().numpy()
         loss.append(each.reshape(sets, -1).sum(axis=0))
-        best = np.argmin(loss, axis=0).max() * parts
+        best = np.argmin(loss, axis=0).max() * every
         return bool(step - best >= settings.patience) or step >= settings.epochs
 
-    batches = _batches(training, weights["scaling"], parts, seed)
     _train(weights, batches, settings, judge)
-    return np.argmin(loss, axis=0) * parts
+    return np.argmin(loss, axis=0) * every
 
 
-def _batches(
-    networks: list[list[Sequence]], scaling: np.ndarray, parts: int, seed: int
-) -> list["Batch"]:
-    """The sequences of each network, dealt at random into so many parts."""
-    if parts == 1:
-        return [pack(networks, scaling)]
-    rng = np.random.default_rng([seed, 3])
-    dealt = [rng.permutation(len(each)) % parts for each in networks]
-    return [
-        pack(
-            [
-                [each[i] for i in np.flatnonzero(of == part)]
-                for each, of in zip(networks, dealt, strict=True)
-            ],
-            scaling,
-        )
-        for part in range(parts)
-    ]
+@dataclass(frozen=True, eq=False)
+class _Batches:
+    """The sequences of each network in parts, one of which is looked at in each step."""
+
+    networks: list[list[Sequence]]
+    scaling: np.ndarray
+    dealt: list[np.ndarray]
+    """The part of each sequence of each network."""
+    parts: list[int]
+    """Of each network, powers of two: who has fewer sequences takes its turns more often."""
+    _packed: dict[int, "Batch"] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, networks: list[list[Sequence]], scaling: np.ndarray, parts: int, seed: int
+    ) -> "_Batches":
+        """Deal the sequences at random into so many parts, or fewer where they are few."""
+        enough = [max(1, len(each) // _PART_WINDOWS) for each in networks]
+        several = [min(parts, 2 ** (count.bit_length() - 1)) for count in enough]
+        rng = np.random.default_rng([seed, 3])
+        dealt = [
+            rng.permutation(len(each)) % of if of > 1 else np.zeros(len(each), dtype=np.int64)
+            for each, of in zip(networks, several, strict=True)
+        ]
+        return cls(networks, scaling, dealt, several)
+
+    def at(self, step: int) -> "Batch":
+        """What is looked at in a step; packed at its first turn, which most of many never have."""
+        turn = step % max(self.parts)
+        if turn not in self._packed:
+            chosen = [
+                [each[i] for i in np.flatnonzero(dealt == turn % parts)]
+                for each, dealt, parts in zip(self.networks, self.dealt, self.parts, strict=True)
+            ]
+            self._packed[turn] = pack(chosen, self.scaling)
+        return self._packed[turn]
 
 
 def _train(
     weights: dict[str, np.ndarray],
-    batches: list["Batch"],
+    batches: _Batches,
     settings: Settings,
     seen: Callable[[int, dict[str, Tensor]], bool],
 ) -> None:
@@ -281,7 +306,7 @@ def _train(
     optimizer = torch.optim.Adam(groups)
     step = 0
     while not seen(step, now):
-        batch = batches[step % len(batches)]
+        batch = batches.at(step)
         optimizer.zero_grad()
         (nats(now, batch) / batch.persons).sum().backward()  # type: ignore[no-untyped-call]
         optimizer.step()
@@ -449,17 +474,17 @@ def head(weights: dict[str, Tensor], batch: Batch) -> tuple[Tensor, Tensor, Tens
     """Shape, log scale (grid steps) and −log P(one more member) at each row, (B, R) each."""
     state = weights["initial"][:, None].expand(-1, batch.live[0], -1)
     states = [state]
+    # Split at once: derivatives of slices are each as large as the whole.
     read = _linear(weights, "input", batch.x)
-    row = 0
-    for n in batch.live[1:]:
+    each = torch.split(read, batch.live[1:], dim=1)
+    for n, i in zip(batch.live[1:], each, strict=True):
         state = state[:, :n]
-        i, s = read[:, row : row + n], _linear(weights, "state", state)
+        s = _linear(weights, "state", state)
         gates = torch.sigmoid(i[..., : 2 * HIDDEN] + s[..., : 2 * HIDDEN])
         reset, keep = gates[..., :HIDDEN], gates[..., HIDDEN:]
         candidate = torch.tanh(i[..., 2 * HIDDEN :] + reset * s[..., 2 * HIDDEN :])
         state = (1 - keep) * candidate + keep * state
         states.append(state)
-        row += n
     out = _linear(weights, "out", torch.tanh(_linear(weights, "hidden", torch.cat(states, 1))))
     base = weights["base"][:, None]
     shape = torch.exp(base[..., 0] + _bounded(out[..., 0], LOG_SHAPE_BOUND))
