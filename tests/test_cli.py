@@ -14,7 +14,7 @@ import pytest
 from crowdbench import __version__
 from crowdbench.cli import main
 from crowdbench.reference import score
-from crowdbench.scene import load_scene
+from crowdbench.scene import list_scenes, load_scene
 from crowdbench.tables import read
 
 Printed = pytest.CaptureFixture[str]
@@ -33,8 +33,10 @@ def table(tmp_path: Path) -> Path:
 
 def test_scenes_are_listed(capsys: Printed) -> None:
     assert main(["scenes"]) == 0
-    titles = [load_scene(line.split()[0]).title for line in capsys.readouterr().out.splitlines()]
-    assert titles == ["ETH main entrance, Zurich", "Plaza (synthetic)"]
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list_scenes()
+    assert all(line.endswith(load_scene(line.split()[0]).title) for line in lines)
+    assert {"eth-v0", "forum-v0", "gc-v0", "hotel-v0", "plaza-v0", "zara1-v0"} <= {*list_scenes()}
 
 
 def test_a_table_is_scored(table: Path, capsys: Printed) -> None:
