@@ -96,7 +96,8 @@ def _parser() -> argparse.ArgumentParser:
     results.set_defaults(run=_results)
 
     ablation = commands.add_parser(
-        "ablation", help="study the windows and strides that ntpp-gmm is trained with (hours)"
+        "ablation",
+        help="study the windows and strides that ntpp-gmm is trained with (minutes to hours)",
     )
     ablation.add_argument("scene", help="id of a scene, or its folder")
     ablation.add_argument(

@@ -16,6 +16,7 @@ from crowdbench.ablation.presence import Presence, stretches
 from crowdbench.ablation.study import Configuration, Sample, configurations
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.metrics import METRICS
+from crowdbench.recordings.catalogue import cached
 from crowdbench.reference import read_reference
 from crowdbench.registry import recording_of
 from crowdbench.scene import load_scene
@@ -34,14 +35,14 @@ class Study:
         self.folder = folder
         self.work = folder / "work" / "ablation-plaza-v0"
 
-    def again(self, settings: Settings = TINY) -> list[tuple[int, int]]:
+    def again(self) -> list[tuple[int, int]]:
         """Make what is missing, and the page; what was said of its progress."""
         told: list[tuple[int, int]] = []
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(study, "WINDOWS_FRAMES", (100, 500))
             patch.setattr(study, "STRIDES_FRAMES", (50,))
             patch.setattr(study, "SAMPLES", 2)
-            patch.setattr(ntpp_training, "SETTINGS", settings)
+            patch.setattr(ntpp_training, "SETTINGS", TINY)
             self.page = write_ablation(
                 "plaza-v0",
                 out=self.folder / "docs",
@@ -139,17 +140,37 @@ def test_what_is_there_is_kept_and_what_is_missing_is_made(made: Study) -> None:
     assert made.page.read_bytes() == text
     (made.work / "ntpp-gmm-100-50_1.json").unlink()
     (made.work / "poisson-gmm_0.json").write_text("{half")
-    assert made.again() == [(6, 8), (7, 8), (8, 8)]
+    stale = made.work / "ntpp-gmm-500-50_0.json"
+    stale.write_bytes(stale.read_bytes().replace(b'"made_from":"', b'"made_from":"0'))
+    halves = [made.work / ".poisson-gmm_0-x1.json", made.page.parent / ".plaza-v0-x1.md"]
+    for half in halves:  # as a call that is killed leaves behind
+        half.touch()
+    assert made.again() == [(k, 8) for k in (5, 6, 7, 8)]
+    assert not any(half.exists() for half in halves)
     after = made.samples()
     # All but how long it took.
     plain = {n: msgspec.structs.replace(s, training_s=0.0) for n, s in before.items()}
     assert {n: msgspec.structs.replace(s, training_s=0.0) for n, s in after.items()} == plain
 
 
-def test_what_was_made_with_other_settings_is_made_anew(made: Study) -> None:
-    # Those of Poisson and renewal stay.
-    assert made.again(replace(TINY, learning_rate=1e-3))[0] == (4, 8)
-    assert made.again()[0] == (4, 8)
+def test_other_settings_of_training_make_the_neural_models_samples_stale(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    before = study.plan(load_scene("plaza-v0"), Path("work"))
+    changed = replace(ntpp_training.SETTINGS, learning_rate=1e-3)
+    monkeypatch.setattr(ntpp_training, "SETTINGS", changed)
+    after = study.plan(load_scene("plaza-v0"), Path("work"))
+    for old, new in zip(before, after, strict=True):
+        neural = new.configuration.spawn == "ntpp-gmm"
+        assert (old.fingerprint != new.fingerprint) == neural
+
+
+def test_another_recording_makes_all_samples_stale(home: Path) -> None:
+    before = study.plan(load_scene("eth-v0"), Path("work"))
+    cached("eth").parent.mkdir(parents=True, exist_ok=True)
+    cached("eth").write_bytes(b"another")
+    after = study.plan(load_scene("eth-v0"), Path("work"))
+    assert all(old.fingerprint != new.fingerprint for old, new in zip(before, after, strict=True))
 
 
 def test_samples_of_a_configuration_differ(made: Study) -> None:

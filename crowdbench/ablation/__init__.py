@@ -6,6 +6,8 @@ version control: how many people are there, beside the recording and Poisson, an
 paper's finding holds. All of it comes from the samples: the same ones give the same bytes.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -56,7 +58,7 @@ def write_ablation(
     folder = work / f"ablation-{place.id}"
     path = out / f"{place.id}.md"
     # That both places can be written is found out first.
-    with replacing(path) as temporary, alone_in(folder):
+    with alone_in(folder), _without_halves(folder, path), replacing(path) as temporary:
         jobs = plan(place, folder)
         samples = make(jobs, place, recording, arrivals, areas, reference, workers, progress)
         recorded = recorded_presence(recording)
@@ -65,6 +67,14 @@ def write_ablation(
         draw_agents(place, recorded, samples, out / place.id)
         write_text(temporary, page(place, recorded, samples, scores, longest_s))
     return path
+
+
+@contextmanager
+def _without_halves(folder: Path, path: Path) -> Iterator[None]:
+    """Remove what a call that was killed was about to rename."""
+    for half in (*folder.glob(".*-*.json"), *path.parent.glob(f".{path.stem}-*.md")):
+        half.unlink(missing_ok=True)
+    yield
 
 
 __all__ = ["write_ablation"]

@@ -101,8 +101,8 @@ process gets on average. A score needs several rollouts of a model; here the sam
 configuration are taken for rollouts of one model, though each is of a fit of its own, so that the
 spread over fits counts as the model’s own chance. *S crowd* is the mean over arrivals, presence,
 lives and space, with its 95 % interval. {_without_scores(scene)} The likelihood is that of the very
-arrivals that were trained on; it does not test anything new. Training times are of one process on
-the machine that made this page.
+arrivals that were trained on; it does not test anything new. Training times are those
+of one core of the machine that made this page.
 
 ## Number of agents
 
