@@ -131,8 +131,8 @@ def _each_frame(
 ) -> tuple[Int[np.ndarray, " f"], Float[np.ndarray, "f 2"]]:
     """Pixel positions in each frame of the scene, from the first annotation to `stop`.
 
-    In pixels or in metres makes no difference to speak of: annotations are at most half a step
-    away, but where a person was lost for minutes a straight line is as good as another.
+    Interpolated in pixels, as published: between neighbouring annotations that is as good as in
+    metres, and where a person was lost for minutes one straight line is as good as another.
     """
     video = np.arange(rows[0, 2], min(rows[-1, 2] + 1, stop), FRAME)
     at = np.stack([np.interp(video, rows[:, 2], rows[:, k]) for k in (0, 1)], axis=1)
