@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from crowdbench.cards import Scorecard
-    from crowdbench.scoring import Score
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -286,6 +285,7 @@ def _evaluate(asked: argparse.Namespace) -> None:
 def _print_card(card: "Scorecard") -> None:
     from crowdbench.cards import rows, walked
     from crowdbench.metrics import FAMILIES, METRICS, WALK
+    from crowdbench.report.words import interval, number
 
     table = rows(card)
     print(
@@ -307,10 +307,10 @@ def _print_card(card: "Scorecard") -> None:
         missing = row.kind == "entry" and row.walk is None and not walked(card)
         scores.add_row(
             f"{row.spawn} × {row.policy}",
-            *[_number(row.families.get(f)) for f in FAMILIES[:4]],
-            _with_interval(row.crowd) if wide else _number(row.crowd),
-            *(["needs", "recording"] if missing else map(_number, map(row.families.get, WALK))),
-            _with_interval(row.overall),
+            *[number(row.families.get(f)) for f in FAMILIES[:4]],
+            interval(row.crowd) if wide else number(row.crowd),
+            *(["needs", "recording"] if missing else map(number, map(row.families.get, WALK))),
+            interval(row.overall),
             "" if row.rank is None else f"{row.rank}",
         )
     console.print(scores)
@@ -339,21 +339,6 @@ def _print_card(card: "Scorecard") -> None:
         + ", ".join(f"{k} {e.spawn} × {e.policy}" for k, e in enumerate(entries, 1))
         + "\n"
     )
-
-
-def _number(score: "Score | None") -> str:
-    return "–" if score is None else _plainly(score.value)
-
-
-def _plainly(value: float) -> str:
-    return f"{value + 0.0 if abs(value) >= 0.005 else 0.0:.2f}"
-
-
-def _with_interval(score: "Score | None") -> str:
-    if score is None:
-        return "–"
-    low, high = score.interval
-    return f"{_plainly(score.value)} [{_plainly(low)}, {_plainly(high)}]"
 
 
 def _power(asked: argparse.Namespace) -> None:

@@ -310,7 +310,18 @@ def test_other_days_have_names_of_their_own():
     assert day.sha256 is None
 
 
-@pytest.mark.parametrize("name", ["forum-1jul", "forum-01JUL", "forum-", "forum-01jul ", "Forum"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "forum-1jul",
+        "forum-01JUL",
+        "forum-",
+        "forum-01jul ",
+        "forum-99jul",
+        "forum-14xyz",
+        "Forum",
+    ],
+)
 def test_what_is_no_day_is_refused(name: str):
     with pytest.raises(SettingError, match="a day of the Forum like forum-14jul"):
         source(name)

@@ -76,7 +76,7 @@ def test_every_command_runs_in_the_order_of_the_page(
 
 
 def numbers(line: str) -> list[float]:
-    return [float(n) for n in re.findall(r"-?\d+\.\d+", line)]
+    return [float(n.replace("−", "-")) for n in re.findall(r"−?\d+\.\d+", line)]
 
 
 def test_the_table_is_the_one_that_its_command_prints(
@@ -92,6 +92,6 @@ def test_the_table_is_the_one_that_its_command_prints(
     for line in shown:
         # Another processor rounds otherwise, and crowds are chaotic: not to the last digit.
         assert numbers(printed[line[:30]]) == pytest.approx(numbers(line), abs=0.03)
-        assert re.sub(r"-?\d+\.\d+", "", printed[line[:30]]).split() == (
-            re.sub(r"-?\d+\.\d+", "", line).split()
+        assert re.sub(r"−?\d+\.\d+", "", printed[line[:30]]).split() == (
+            re.sub(r"−?\d+\.\d+", "", line).split()
         )

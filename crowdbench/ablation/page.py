@@ -11,9 +11,9 @@ from crowdbench.ablation.measures import Numbers, Scores, spread
 from crowdbench.ablation.pictures import NAME
 from crowdbench.ablation.presence import LAG_S, Presence
 from crowdbench.ablation.study import SCHEMES, Configuration, Sample
+from crowdbench.report.markdown import flowed, table
 from crowdbench.report.words import NOTHING, named, plainly, with_interval
-from crowdbench.results.page import flowed, of_recording
-from crowdbench.results.tables import markdown
+from crowdbench.results.page import of_recording
 from crowdbench.scene import Scene
 
 _METRICS = ("agents_over_time", "agents_sd", "autocorrelation")
@@ -168,7 +168,7 @@ def _table(
             more = _more(scores[configuration], each) if scheme == 1 else [NOTHING] * 8
             of = numbers[k][configuration]
             lines.append([configuration.label, rollouts, *_numbers(of), *more])
-    return markdown(_HEAD, lines, text=2)
+    return table(_HEAD, lines, text=2)
 
 
 def _numbers(of: Numbers) -> list[str]:

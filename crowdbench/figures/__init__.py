@@ -80,6 +80,10 @@ def _autocorrelation(sight: Sight) -> bytes:
     return picture(draw, width=6.5, height=4.6, kind="small png")
 
 
+_TALL = 1.3
+"""Places taller than this, over their width, stand four in a row, not two."""
+
+
 def _paths(sight: Sight) -> bytes:
     """Draw the paths of each crowd's first rollout over the scene's walls and areas."""
     from matplotlib.lines import Line2D
@@ -88,9 +92,11 @@ def _paths(sight: Sight) -> bytes:
     shown = [(f"{group.label}, seed 0", group.crowds[0]) for group in sight.groups]
     if sight.recording is not None:
         shown.insert(0, ("recorded", sight.recording))
-    columns = min(2, len(shown))
+    steep = (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m)
+    columns, width = (4, 2.7) if steep > _TALL else (2, 4.0)
+    columns = min(columns, len(shown))
     rows = -(-len(shown) // columns)
-    height = 4.0 * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m) + 0.6
+    height = width * steep + 0.6
 
     def draw(axes: "list[Axes]") -> None:
         for axis in axes[len(shown) :]:
@@ -109,7 +115,7 @@ def _paths(sight: Sight) -> bytes:
         # Below all maps: an area may lie in any of their corners.
         axes[0].figure.legend(handles=handles, loc="outside lower center", ncols=2)
 
-    size = {"width": 4.0 * columns + 0.6, "height": height * rows + 0.3}
+    size = {"width": width * columns + 0.6, "height": height * rows + 0.3}
     return picture(draw, **size, rows=rows, columns=columns, kind="small png")
 
 

@@ -107,7 +107,9 @@ SOURCES = {
 """Recordings whose files are known to the byte. Other days of the Forum have names like
 `forum-14jul`; `source` knows them too."""
 
-_FORUM_DAY = re.compile(r"forum-(\d\d)([a-z]{3})")
+_FORUM_DAY = re.compile(
+    r"forum-(0[1-9]|[12]\d|3[01])(jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec)"
+)
 _FORUM_DAYS = "https://homepages.inf.ed.ac.uk/rbf/FORUMTRACKING/DAYS"
 
 

@@ -23,6 +23,16 @@ def with_interval(score: Score) -> str:
     return f"{plainly(score.value)} [{low}, {high}]"
 
 
+def number(score: Score | None) -> str:
+    """A score alone, `–` where there is none."""
+    return NOTHING if score is None else plainly(score.value)
+
+
+def interval(score: Score | None) -> str:
+    """A score with its interval, `–` where there is none."""
+    return NOTHING if score is None else with_interval(score)
+
+
 def digits(value: float) -> str:
     """Three significant digits, all of those before the point."""
     if 0 < abs(value) < 0.001:

@@ -1,12 +1,11 @@
 """The page of a scene in Markdown."""
 
-import re
 import shlex
-import textwrap
 from collections.abc import Mapping, Sequence
 
 from crowdbench.cards import Protocol, Scorecard, rows, walked
 from crowdbench.recordings.catalogue import SOURCES
+from crowdbench.report.markdown import flowed
 from crowdbench.report.words import PROTOCOLS, named
 from crowdbench.results.correlations import Lag
 from crowdbench.results.misses import LOW, MEMORY, misses, not_scored
@@ -85,29 +84,6 @@ process’s.
 
 {not_scored(full)}
 """)
-
-
-def flowed(text: str) -> str:
-    """Paragraphs and list items in lines of at most 100 letters; all else as it is."""
-    found = []
-    for block in text.split("\n\n"):
-        if block.startswith("- "):
-            items = block.split("\n")
-            found.append("\n".join(_filled(item, "  ") for item in items))
-        elif block.startswith(("#", "|", "!", "```")):
-            found.append(block)
-        else:
-            found.append(_filled(" ".join(block.split("\n")).strip()))
-    return "\n\n".join(found) + "\n"
-
-
-def _filled(text: str, indent: str = "") -> str:
-    # Intervals and names of crowds stay whole.
-    kept = re.sub(r" ×\s|\S+ \[\S+, \S+\]", lambda found: found[0].replace(" ", "\0"), text)
-    lines = textwrap.fill(
-        kept, 100, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
-    )
-    return lines.replace("\0", " ")
 
 
 def of_recording(scene: Scene) -> str:

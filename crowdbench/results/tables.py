@@ -6,8 +6,8 @@ import numpy as np
 
 from crowdbench.cards import Entry, MetricCard, Row, Scorecard
 from crowdbench.metrics import FAMILIES, METRICS, WALK
-from crowdbench.report.words import NOTHING, digits, plainly, with_interval
-from crowdbench.scoring import Score
+from crowdbench.report.markdown import table
+from crowdbench.report.words import NOTHING, digits, interval, number
 
 
 def score_table(rows: Sequence[Row]) -> str:
@@ -20,15 +20,15 @@ def score_table(rows: Sequence[Row]) -> str:
         lines.append(
             [
                 name if competes(row) else f"*{name}*",
-                *(_number(row.families.get(family)) for family in crowd),
-                _interval(row.crowd),
-                *(_number(row.families.get(family)) for family in walk),
-                _interval(row.walk),
-                _interval(row.overall),
+                *(number(row.families.get(family)) for family in crowd),
+                interval(row.crowd),
+                *(number(row.families.get(family)) for family in walk),
+                interval(row.walk),
+                interval(row.overall),
                 NOTHING if row.rank is None else f"{row.rank}",
             ]
         )
-    return markdown(head, lines)
+    return table(head, lines)
 
 
 def distance_table(card: Scorecard) -> str:
@@ -47,13 +47,7 @@ def distance_table(card: Scorecard) -> str:
                     *(_distance(entry.metrics[metric.name]) for entry in card.entries),
                 ]
             )
-    return markdown(["family", "metric", "", "recorded", *names], lines, text=3)
-
-
-def markdown(head: Sequence[str], lines: Sequence[Sequence[str]], *, text: int = 1) -> str:
-    """A table whose first `text` columns are text, the others numbers."""
-    rule = ["---" if k < text else "---:" for k in range(len(head))]
-    return "\n".join(f"| {' | '.join(line)} |" for line in (head, rule, *lines))
+    return table(["family", "metric", "", "recorded", *names], lines, text=3)
 
 
 def with_unit(value: float | None, unit: str) -> str:
@@ -69,14 +63,6 @@ def competes(row: Row) -> bool:
 def pair(crowd: Row | Entry) -> str:
     """Spawn model and policy."""
     return f"{crowd.spawn} × {crowd.policy}"
-
-
-def _number(score: Score | None) -> str:
-    return NOTHING if score is None else plainly(score.value)
-
-
-def _interval(score: Score | None) -> str:
-    return NOTHING if score is None else with_interval(score)
 
 
 def _distance(card: MetricCard) -> str:

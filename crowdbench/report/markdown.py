@@ -1,0 +1,34 @@
+"""Markdown for pages that are kept: tables, and paragraphs of even width."""
+
+import re
+import textwrap
+from collections.abc import Sequence
+
+
+def table(head: Sequence[str], lines: Sequence[Sequence[str]], *, text: int = 1) -> str:
+    """A table whose first `text` columns are text, the others numbers."""
+    rule = ["---" if k < text else "---:" for k in range(len(head))]
+    return "\n".join(f"| {' | '.join(line)} |" for line in (head, rule, *lines))
+
+
+def flowed(text: str) -> str:
+    """Paragraphs and list items in lines of at most 100 letters; all else as it is."""
+    found = []
+    for block in text.split("\n\n"):
+        if block.startswith("- "):
+            items = block.split("\n")
+            found.append("\n".join(_filled(item, "  ") for item in items))
+        elif block.startswith(("#", "|", "!", "```")):
+            found.append(block)
+        else:
+            found.append(_filled(" ".join(block.split("\n")).strip()))
+    return "\n\n".join(found) + "\n"
+
+
+def _filled(text: str, indent: str = "") -> str:
+    # Intervals and names of crowds stay whole.
+    kept = re.sub(r" ×\s|\S+ \[\S+, \S+\]", lambda found: found[0].replace(" ", "\0"), text)
+    lines = textwrap.fill(
+        kept, 100, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
+    return lines.replace("\0", " ")
