@@ -1,6 +1,7 @@
 """Family interaction: how people keep clear of each other and of walls."""
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
@@ -21,6 +22,15 @@ TOUCH_M = 0.02
 """This close to a wall counts as touching it: a simulated step ends a hair before."""
 
 
+def _lengths(
+    vectors: Float[np.ndarray, "R 2"], pairs: Int[np.ndarray, "n 2"]
+) -> Float[np.ndarray, " n"]:
+    """Length of the difference of the two rows of each pair."""
+    x, y = (vectors[pairs[:, 0]] - vectors[pairs[:, 1]]).T
+    length: np.ndarray = np.sqrt(x * x + y * y)
+    return length
+
+
 class ClosestApproach(RelativeWasserstein):
     """Smallest distance between two strangers in each of their encounters.
 
@@ -39,25 +49,22 @@ class ClosestApproach(RelativeWasserstein):
         """`counts[b, d]`: encounters with a closest approach of d cm in block b."""
         pairs = pairs_within(crowd, ENCOUNTER_M)
         person, frame = crowd.row_person(), crowd.row_frame()
-        # By pair of persons, the one with the smaller index first, then by frame.
-        pairs = np.where(
-            (person[pairs[:, 0]] > person[pairs[:, 1]])[:, None], pairs[:, ::-1], pairs
-        )
+        # By pair of persons, then by frame.
         a, b = person[pairs].T
+        order = np.lexsort((pairs[:, 0], b, a))
+        pairs, a, b = pairs[order], a[order], b[order]
         t = frame[pairs[:, 0]]
-        order = np.lexsort((t, b, a))
-        pairs, a, b, t = pairs[order], a[order], b[order], t[order]
         new = (np.diff(a, prepend=-1) != 0) | (np.diff(b, prepend=-1) != 0)
         new |= np.diff(t, prepend=-1) != 1
-        xy, velocity = crowd.xy.astype(np.float64), velocities(crowd)
-        gap = np.linalg.norm(xy[pairs[:, 0]] - xy[pairs[:, 1]], axis=1)
-        relative = np.linalg.norm(velocity[pairs[:, 0]] - velocity[pairs[:, 1]], axis=1)
         encounter = np.cumsum(new) - 1
-        fast = np.bincount(encounter, relative > STRANGERS_MPS)
+        gap = _lengths(crowd.xy.astype(np.float64), pairs)
+        fast = np.bincount(encounter, _lengths(velocities(crowd), pairs) > STRANGERS_MPS)
         strangers = fast > np.bincount(encounter) / 2
         # The first frame of each encounter's smallest distance.
-        closest = np.lexsort((t, gap, encounter))
-        closest = closest[np.flatnonzero(np.diff(encounter[closest], prepend=-1))]
+        smallest = np.full(len(strangers), np.inf)
+        np.minimum.at(smallest, encounter, gap)
+        closest = np.flatnonzero(gap == smallest[encounter])
+        closest = closest[np.diff(encounter[closest], prepend=-1) != 0]
         block = block_of_frames(blocks, crowd.frames)[t[closest]]
         counts = strangers & (block >= 0)
         return {
