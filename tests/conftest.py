@@ -36,6 +36,7 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.spawn.groups",
         "crowdbench.spawn.model",
         "crowdbench.spawn.ntpp",
+        "crowdbench.spawn.ntpp_sequences",
         "crowdbench.spawn.ntpp_training",
         "crowdbench.spawn.poisson",
         "crowdbench.spawn.renewal",

@@ -14,17 +14,8 @@ from crowdbench.scene import load_scene
 from crowdbench.spawn import Arrivals, RenewalGMM, arrivals_in, ntpp_training
 from crowdbench.spawn.groups import group_size, spells_of
 from crowdbench.spawn.ntpp import NEVER_FORGETS, SHAPES
-from crowdbench.spawn.ntpp_training import (
-    SETTINGS,
-    Batch,
-    Sequence,
-    Settings,
-    head,
-    nats,
-    pack,
-    sequences,
-    windows,
-)
+from crowdbench.spawn.ntpp_sequences import Sequence, sequences, windows
+from crowdbench.spawn.ntpp_training import SETTINGS, Batch, Settings, head, nats, pack
 
 ETH = load_scene("eth-v0")
 BRIEF = Settings(epochs=12, patience=4, calibration_points=20_000)

@@ -48,7 +48,6 @@ ETH's folds windows of 100 and 500 have −3.430 and −3.434.
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 import torch
@@ -60,8 +59,17 @@ from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals
 from crowdbench.spawn.groups import group_size, spells_of
-from crowdbench.spawn.ntpp import HIDDEN, NEVER_FORGETS, SHAPES, NtppGMM
+from crowdbench.spawn.ntpp import HIDDEN, SHAPES, NtppGMM
 from crowdbench.spawn.ntpp_kernels import BOUND, LOG_SHAPE_BOUND, draw
+from crowdbench.spawn.ntpp_sequences import (
+    Sequence,
+    joined,
+    pieces_of,
+    sequences,
+    silence,
+    windows,
+    within,
+)
 
 FITS = 5
 """Fits per part, of the seeds 0, 1, …"""
@@ -103,15 +111,6 @@ class Settings:
 
 
 SETTINGS = Settings()
-
-
-@dataclass(frozen=True)
-class Sequence:
-    """The groups of one area in one window."""
-
-    gap: Int[np.ndarray, " n"]
-    size: Int[np.ndarray, " n"]
-    rest: int
 
 
 def fit(
@@ -214,7 +213,7 @@ def _best_steps(
     settings: Settings,
 ) -> Int[np.ndarray, " k"]:
     """For each of the chosen areas the step of the best held-out likelihood."""
-    pieces = _blocks(arrivals.windows, cutting.block)
+    pieces = pieces_of(arrivals.windows, cutting.block)
     sets = min(settings.sets, len(pieces))
     if sets < 2:
         return np.zeros(len(chosen), dtype=np.int64)
@@ -223,13 +222,13 @@ def _best_steps(
     training: list[list[Sequence]] = []
     held_out: list[list[Sequence]] = []
     for number in range(sets):
-        inside = _joined(pieces[dealt != number])
+        inside = joined(pieces[dealt != number])
         # What the networks start from must not know the held-out blocks either.
-        start = start_weights(_within(arrivals, inside), seed)
+        start = start_weights(within(arrivals, inside), seed)
         starts.append({name: array[chosen] for name, array in start.items()})
         found = windows(inside, cutting.width, cutting.stride)
         training += sequences(arrivals, found, chosen)
-        together = _joined(pieces[dealt == number])
+        together = joined(pieces[dealt == number])
         held_out += sequences(arrivals, together, chosen, memory=cutting.width)
     weights = {name: np.concatenate([start[name] for start in starts]) for name in SHAPES}
     validation = pack(held_out, weights["scaling"])
@@ -341,86 +340,6 @@ def _rounded(weights: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name: array.astype(np.float32) for name, array in weights.items()}
 
 
-def _blocks(stretches: Int[np.ndarray, "B 2"], length: int) -> Int[np.ndarray, "P 2"]:
-    """Stretches cut into pieces of about `length` grid points."""
-    pieces: list[tuple[int, int]] = []
-    for start, stop in stretches.tolist():
-        count = max(1, round((stop - start) / length))
-        edges = np.linspace(start, stop, count + 1).round().astype(np.int64).tolist()
-        pieces += pairwise(edges)
-    return np.array(pieces)
-
-
-def _joined(pieces: Int[np.ndarray, "P 2"]) -> Int[np.ndarray, "B 2"]:
-    """Ascending pieces, those that touch as one."""
-    begins = np.r_[True, pieces[1:, 0] != pieces[:-1, 1]]
-    return np.stack([pieces[begins, 0], pieces[np.r_[begins[1:], True], 1]], axis=1)
-
-
-def _within(arrivals: Arrivals, stretches: Int[np.ndarray, "B 2"]) -> Arrivals:
-    """The arrivals in some of the stretches."""
-    at = np.searchsorted(stretches[:, 0], arrivals.tick, side="right") - 1
-    inside = (at >= 0) & (arrivals.tick < stretches[np.maximum(at, 0), 1])
-    tick, area = arrivals.tick[inside], arrivals.area[inside]
-    return replace(arrivals, tick=tick, area=area, windows=stretches)
-
-
-def windows(stretches: Int[np.ndarray, "B 2"], width: int, stride: int) -> Int[np.ndarray, "V 2"]:
-    """Training windows of `width` grid points: every `stride` one, and one at each end.
-
-    None leaves its stretch; a stretch that is shorter is one window.
-    """
-    found: list[tuple[int, int]] = []
-    for start, stop in stretches.tolist():
-        last = max(start, stop - width)
-        found += [(a, min(a + width, stop)) for a in [*range(start, last, stride), last]]
-    return np.array(found)
-
-
-def sequences(
-    arrivals: Arrivals,
-    chosen: Int[np.ndarray, "V 2"],
-    areas: Int[np.ndarray, " k"] | None = None,
-    memory: int = NEVER_FORGETS,
-) -> list[list[Sequence]]:
-    """For each area (by default all), its groups in each window; windows may overlap.
-
-    After a silence as long as `memory` a new sequence begins.
-    """
-    result = []
-    for k in range(arrivals.areas) if areas is None else areas.tolist():
-        tick, size = np.unique(arrivals.tick[arrivals.area == k], return_counts=True)
-        mine = []
-        for start, stop in chosen.tolist():
-            a, b = np.searchsorted(tick, (start, stop)).tolist()
-            last = int(tick[b - 1]) if b > a else start - 1
-            gap = np.diff(tick[a:b], prepend=start - 1)
-            mine += _remembered(Sequence(gap, size[a:b], stop - 1 - last), memory)
-        result.append(mine)
-    return result
-
-
-def _remembered(whole: Sequence, memory: int) -> list[Sequence]:
-    """A sequence, cut where it is silent for longer than `memory`."""
-    found, begin, gap = [], 0, whole.gap.copy()
-    for i in np.flatnonzero(gap > memory).tolist():
-        forgotten = (gap[i] - 1) // memory
-        found.append(Sequence(gap[begin:i], whole.size[begin:i], memory))
-        found += [_silence(memory)] * (forgotten - 1)
-        gap[i] -= forgotten * memory
-        begin = i
-    forgotten = max(0, whole.rest - 1) // memory
-    rest = whole.rest - forgotten * memory
-    if forgotten == 0:
-        return [*found, Sequence(gap[begin:], whole.size[begin:], rest)]
-    found.append(Sequence(gap[begin:], whole.size[begin:], memory))
-    return [*found, *[_silence(memory)] * (forgotten - 1), _silence(rest)]
-
-
-def _silence(steps: int) -> Sequence:
-    return Sequence(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), steps)
-
-
 @dataclass(frozen=True)
 class Batch:
     """Sequences of `B` networks, packed: first the start of all, then the first group of those
@@ -467,7 +386,7 @@ def pack(networks: list[list[Sequence]], scaling: np.ndarray) -> Batch:
 def _padded(networks: list[list[Sequence]]) -> list[list[Sequence]]:
     """Networks with the same number of sequences each; the added ones are empty."""
     most = max(len(each) for each in networks)
-    return [each + [_silence(0)] * (most - len(each)) for each in networks]
+    return [each + [silence(0)] * (most - len(each)) for each in networks]
 
 
 def head(weights: dict[str, Tensor], batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
