@@ -1,6 +1,8 @@
 """Shapes are checked wherever crowdbench is used in tests; recordings are found or skipped."""
 
+import atexit
 import os
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -55,6 +57,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # What the user has imported is not looked at; fixtures of a module share this home.
 os.environ["CROWDBENCH_HOME"] = tempfile.mkdtemp(prefix="crowdbench-home-")
+atexit.register(shutil.rmtree, os.environ["CROWDBENCH_HOME"], ignore_errors=True)
 
 REQUIRE_ALL = os.environ.get("CROWDBENCH_REQUIRE_ALL") == "1"
 
