@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 BAND = "0.82"
+MOST_FRAMES = 20_000
 MOST_PATHS = 150
 """More lie over each other and show nothing."""
 LEAST_SHARE = 0.01
@@ -31,38 +32,82 @@ def agents_over_time(axis: "Axes", sight: Sight, group: Group) -> None:
     """The rollouts' N(t), the first one drawn out, over the recording's N in each time block."""
     recorded_bands(axis, sight)
     frames = sight.scene.recording.frames
-    seconds = np.arange(frames) * sight.scene.dt_s
     for k, crowd in enumerate(group.crowds):
-        present = crowd.present()[:frames]
         drawn_out: dict[str, Any] = {"linewidth": 0.9, "zorder": 3}
         style = drawn_out if k == 0 else {"linewidth": 0.6, "alpha": 0.3}
-        axis.plot(seconds[: len(present)], present, color=group.colour, **style)
+        axis.plot(*_agents(sight, crowd), color=group.colour, **style)
     axis.set(xlim=(0, frames * sight.scene.dt_s), ylim=(0, most_agents(sight)))
-    axis.set(xlabel="time (s)", ylabel="agents")
+    axis.set(xlabel="time (s)", ylabel="mean of agents" if in_blocks(sight) else "agents")
+
+
+def in_blocks(sight: Sight) -> bool:
+    """Whether N(t) is shown by its means over time blocks.
+
+    A recording of many hours has more frames than a picture can show: all that would be seen of
+    them is their extremes.
+    """
+    return sight.scene.recording.frames > MOST_FRAMES
+
+
+def _agents(sight: Sight, crowd: Trajectories) -> tuple[np.ndarray, np.ndarray]:
+    """Times in seconds and the number of agents there, or steps of its means over blocks."""
+    present = crowd.present()[: sight.scene.recording.frames]
+    if not in_blocks(sight):
+        return np.arange(len(present)) * sight.scene.dt_s, present
+    frames = sight.reference.blocks.frames
+    means = block_means(sight, crowd)
+    # NaN breaks the line where blocks do not touch.
+    edges = np.pad(frames, ((0, 0), (0, 1)), constant_values=frames.max()) * sight.scene.dt_s
+    steps = np.stack([means, means, np.full(len(means), np.nan)], axis=1)
+    touching = np.r_[frames[1:, 0] == frames[:-1, 1], False]
+    kept = np.ones(steps.shape, dtype=bool)
+    kept[touching, 2] = False
+    return edges[kept], steps[kept]
+
+
+def block_means(sight: Sight, crowd: Trajectories) -> np.ndarray:
+    """Mean number of agents in each time block."""
+    present = crowd.present()
+    return np.array([present[a:b].mean() for a, b in sight.reference.blocks.frames.tolist()])
+
+
+def recorded_means(sight: Sight) -> np.ndarray:
+    """Those of the recording."""
+    counts = sight.reference.statistics["agents_over_time"]["counts"]
+    means: np.ndarray = counts @ np.arange(counts.shape[1]) / counts.sum(axis=1)
+    return means
 
 
 def most_agents(sight: Sight) -> float:
     """The top of a scale on which all rollouts and the recording have room."""
-    recorded = sight.reference.statistics["agents_over_time"]["counts"]
-    simulated = max(int(c.present().max()) for group in sight.groups for c in group.crowds)
-    return 1.05 * max(simulated, int(np.flatnonzero(recorded.any(axis=0)).max(initial=1)))
+    crowds = [crowd for group in sight.groups for crowd in group.crowds]
+    simulated = max(float(np.nanmax(_agents(sight, crowd)[1], initial=0)) for crowd in crowds)
+    if in_blocks(sight):
+        most = float(recorded_means(sight).max())
+    else:
+        recorded = sight.reference.statistics["agents_over_time"]["counts"]
+        most = float(np.flatnonzero(recorded.any(axis=0)).max(initial=1))
+    return 1.05 * max(simulated, most)
 
 
 def recorded_bands(axis: "Axes", sight: Sight) -> None:
-    """In each time block the recording's mean N and what N lies between for 90 % of the time."""
+    """In each time block the recording's mean N, and what N lies between for 90 % of the time.
+
+    The latter is left out where rollouts are shown by their means too.
+    """
     counts = sight.reference.statistics["agents_over_time"]["counts"]
-    blocks = sight.reference.blocks
+    blocks, means = sight.reference.blocks, recorded_means(sight)
     for b, (start, stop) in enumerate(blocks.frames * blocks.dt_s):
         cumulative = counts[b].cumsum() / counts[b].sum()
         low, high = (np.searchsorted(cumulative, q) for q in (0.05, 0.95))
-        mean = counts[b] @ np.arange(counts.shape[1]) / counts[b].sum()
         first = b == 0
-        axis.fill_between(
-            [start, stop], low - 0.2, high + 0.2, color=BAND, linewidth=0,
-            label="recorded, 5–95 % of a block" if first else None,
-        )  # fmt: skip
+        if not in_blocks(sight):
+            axis.fill_between(
+                [start, stop], low - 0.2, high + 0.2, color=BAND, linewidth=0,
+                label="recorded, 5–95 % of a block" if first else None,
+            )  # fmt: skip
         axis.plot(
-            [start, stop], [mean, mean], color="black", linewidth=1.6,
+            [start, stop], [means[b], means[b]], color="black", linewidth=1.6,
             label="recorded, mean of a block" if first else None,
         )  # fmt: skip
 

@@ -21,11 +21,6 @@ if TYPE_CHECKING:
 _WIDTH = 4.2
 _MOST_AREAS = 12
 _LEAST_GAPS = 20
-_BANDS = (
-    '<ul class="key"><li><span class="band"></span> recorded: what N lies between for 90 % of a '
-    'time block</li><li><span class="mean"></span> its mean</li><li>thin lines: rollouts, one of '
-    "them drawn out; where only they are drawn, the recording is not compared</li></ul>"
-)
 
 
 def pictures(sight: Sight) -> str:
@@ -39,7 +34,7 @@ def pictures(sight: Sight) -> str:
         [
             f"<p>They show {many} of each crowd{fold}. Colours are spawn models, dashes are "
             "policies, the recording is black or grey. Pictures describe; scores judge.</p>",
-            _section("Agents over time", _over_time(sight), "wide", lead=_BANDS),
+            _section("Agents over time", _over_time(sight), "wide", lead=_bands(sight)),
             _section(
                 "Distributions",
                 _distributions(sight),
@@ -65,6 +60,19 @@ def pictures(sight: Sight) -> str:
             _section("Paths of one rollout", _paths(sight), "maps", lead=_areas_key(flows=False)),
         ]
     )
+
+
+def _bands(sight: Sight) -> str:
+    """What black, grey and thin lines mean where agents are drawn over time."""
+    mean = '<span class="mean"></span> recorded: mean N of a time block'
+    band = '<span class="band"></span> recorded: what N lies between for 90 % of a time block'
+    thin = "thin lines: rollouts, one of them drawn out; where only they are drawn, the recording "
+    thin += "is not compared"
+    if panels.in_blocks(sight):
+        keys = [mean, f"{thin}; of a recording as long as this they are drawn by such means too"]
+    else:
+        keys = [band, '<span class="mean"></span> its mean', thin]
+    return f'<ul class="key">{"".join(f"<li>{key}</li>" for key in keys)}</ul>'
 
 
 def _section(title: str, figures: Sequence[str], kind: str = "", *, lead: str = "") -> str:

@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from crowdbench.figures import Sight, draw_figure
-from crowdbench.figures.panels import MOST_PATHS
+from crowdbench.figures.panels import MOST_PATHS, block_means, in_blocks, recorded_means
 from crowdbench.report.pictures import medians
 from crowdbench.report.words import plainly
 
@@ -51,9 +53,7 @@ def draw_pictures(sight: Sight, folder: Path) -> list[Picture]:
         Picture(
             "agents_over_time.png",
             "Agents over time",
-            f"Number of people present in {SHOWN} rollouts of each model, one of them drawn out. "
-            "Grey: what the recorded number lies between for 90 % of a time block, black: its "
-            f"mean there. {walkers} {medians(one, one.curves('agents_over_time'), 1.0)}",
+            f"{_present(one, walkers)}",
         ),
         Picture(
             "autocorrelation.png",
@@ -108,3 +108,23 @@ def _at_lags(sight: Sight) -> str:
         )
         found.append(f"At {lag_s:g} s: recorded {plainly(compared.value[k])}, {models}.")
     return " ".join(found)
+
+
+def _present(sight: Sight, walkers: str) -> str:
+    """What the picture of agents over time shows."""
+    drawn = f"Number of people present in {SHOWN} rollouts of each model, one of them drawn out"
+    if not in_blocks(sight):
+        return (
+            f"{drawn}. Grey: what the recorded number lies between for 90 % of a time block, "
+            f"black: its mean there. {walkers} "
+            f"{medians(sight, sight.curves('agents_over_time'), 1.0)}"
+        )
+    spread = [f"recorded {plainly(float(recorded_means(sight).std()))}"]
+    for group in sight.groups:
+        each = [block_means(sight, crowd).std() for crowd in group.crowds]
+        spread.append(f"{group.label} {plainly(float(np.mean(each)))}")
+    return (
+        f"{drawn}, by its mean over each time block; black: that of the recording. {walkers} "
+        f"Standard deviation of these means over the blocks, of the models the mean over all "
+        f"rollouts: {', '.join(spread)}."
+    )
