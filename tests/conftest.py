@@ -24,6 +24,8 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.fit",
         "crowdbench.jobs",
         "crowdbench.metrics",
+        "crowdbench.policies.export",
+        "crowdbench.policies.network",
         "crowdbench.policies.policy",
         "crowdbench.policies.walkers",
         "crowdbench.recordings",

@@ -19,7 +19,18 @@ ORDER = (
     "replay_check", "figures", "report", "jobs", "evaluation", "results", "ablation",
     "environment", "bench", "cli", "__main__",
 )  # fmt: skip
-HEAVY = ("torch", "sklearn", "pyarrow", "rerun", "numba", "matplotlib", "pettingzoo", "requests")
+HEAVY = (
+    "torch",
+    "onnx",
+    "onnxruntime",
+    "sklearn",
+    "pyarrow",
+    "rerun",
+    "numba",
+    "matplotlib",
+    "pettingzoo",
+    "requests",
+)
 
 
 def is_type_checking(node: ast.AST) -> bool:
