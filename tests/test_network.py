@@ -340,6 +340,37 @@ def test_a_missing_file_is_said_to_be_missing(tmp_path: Path, capsys) -> None:
     assert str(missing) in capsys.readouterr().err
 
 
+def test_the_command_line_writes_and_shows_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "walkers.py").write_text(
+        "import torch\n"
+        "class Slow(torch.nn.Module):\n"
+        "    def forward(self, seen):\n"
+        "        return 0.2 * seen[:, 3:5]\n"
+        "net = Slow()\n"
+        "number = 3\n"
+        "def made():\n"
+        "    return 3\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    asked = ["--name", "slow", "--scene", "plaza-v0", "--command", "python walkers.py"]
+    for named in ("walkers:net", "walkers:Slow"):
+        assert main(["policy", "export", named, "slow.onnx", *asked]) == 0
+        assert main(["policy", "show", "slow.onnx"]) == 0
+    shown = capsys.readouterr().out
+    assert "full of plaza-v0" in shown
+    assert "lidar-2, 32 rays of 10 m (38 numbers)" in shown
+    assert "python walkers.py" in shown
+    assert main(["evaluate", "plaza-v0", "--policy", "slow.onnx", "--seeds", "1"]) == 0
+    for named in ("walkers", "walkers:none", "nobody:net", "walkers:number", "walkers:made"):
+        assert main(["policy", "export", named, "no.onnx", *asked]) == 2
+        assert capsys.readouterr().err.startswith("crowdbench: network: got")
+    assert main(["policy", "export", "walkers:net", "no.onnx", *asked, "--rays", "0"]) == 2
+    assert main(["policy", "export", "walkers:net", "no.onnx", *asked, "--part", "all"]) == 2
+    assert not Path("no.onnx").exists()
+
+
 @pytest.mark.parametrize("name", ["bc-of-nobody", "a/b", "x.y:Z"])
 def test_unknown_policies_are_refused(name: str) -> None:
     with pytest.raises(CrowdbenchError):
