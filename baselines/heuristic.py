@@ -13,8 +13,9 @@ from jaxtyping import Float32
 from numpy.random import Generator
 
 from crowdbench.scene import Scene
-from crowdbench.simulation.lidar import GOAL_RANGE_M, OBSERVATION_HEAD
+from crowdbench.simulation.lidar import GOAL_RANGE_M, OBSERVATIONS
 
+HEAD = OBSERVATIONS["lidar-1"]
 PREFERRED_SPEED_MPS = 1.34  # Weidmann (1993), Transporttechnik der Fußgänger
 STOPPING_S = 0.5  # τ, eq. 2
 
@@ -37,7 +38,7 @@ class Heuristic:
         """One action per observation."""
         to_goal = seen[:, 2:3] * GOAL_RANGE_M
         goal_angle = np.arctan2(seen[:, 4:5], seen[:, 3:4])
-        rays = seen[:, OBSERVATION_HEAD:] * self.ray_range_m
+        rays = seen[:, HEAD:] * self.ray_range_m
         spacing = 2 * np.pi / rays.shape[1]
 
         # A body is as wide as it is: a way is free as far as its narrowest neighbouring ray.

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from crowdbench.demos import Demonstrations, demonstrations
     from crowdbench.environment import CrowdParallelEnv, parallel_env
     from crowdbench.errors import CrowdbenchError
     from crowdbench.evaluation import evaluate
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from crowdbench.trajectories import Trajectories
 
 _HOME = {
+    "demos": ("Demonstrations", "demonstrations"),
     "environment": ("CrowdParallelEnv", "parallel_env"),
     "errors": ("CrowdbenchError",),
     "evaluation": ("evaluate",),
@@ -47,9 +49,11 @@ __all__ = [
     "METRICS",
     "CrowdParallelEnv",
     "CrowdbenchError",
+    "Demonstrations",
     "MetricResult",
     "Scene",
     "Trajectories",
+    "demonstrations",
     "distance",
     "evaluate",
     "list_scenes",

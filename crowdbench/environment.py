@@ -43,7 +43,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     `infos` tells the `frame`, the `frames_skipped` and, with a person's last entries, the
     `outcome`. `agents` is thus empty only when the episode is over.
 
-    - Observation: `lidar` version 1, see `crowdbench.simulation.lidar`.
+    - Observation: `lidar-1` or `lidar-2`, see `crowdbench.simulation.lidar`.
     - Action: velocity in units of the scene's greatest speed, Box(−1, 1, (2,)). Values out of
       range are clipped; NaN or infinity, a missing agent, or one that is not there raise.
     - Reward: metres come nearer to the goal in this step, plus 1 on reaching it.
@@ -289,6 +289,7 @@ def parallel_env(
     start: Start | None = None,
     rays: int = 32,
     ray_range_m: float = 10.0,
+    observation: str = "lidar-1",
     max_alive: int | None = None,
     max_persons: int | None = None,
     on_full: Literal["error", "drop"] = "error",
@@ -303,6 +304,8 @@ def parallel_env(
             `empty`; by default the spawn model's own.
         rays: R, number of rays that a person sees by.
         ray_range_m: their range in metres.
+        observation: `lidar-1`, or `lidar-2`, which knows the way around walls and the speed
+            that each person prefers.
         max_alive: persons at once; by default 512, or more where a crowd of which nobody reaches
             a goal would grow to more.
         max_persons: persons per episode and its warm-up, all of them in `possible_agents`; by
@@ -326,7 +329,11 @@ def parallel_env(
         if max_alive is None:
             max_alive = max(LEAST_SLOTS, 3 * _most_at_once(sample, scene) // 2)
     settings = Settings(
-        max_alive=max_alive, max_persons=max_persons, rays=rays, ray_range_m=ray_range_m
+        max_alive=max_alive,
+        max_persons=max_persons,
+        rays=rays,
+        ray_range_m=ray_range_m,
+        observation=observation,
     )
     return CrowdParallelEnv(
         scene, model, horizon_s=horizon_s, start=start, settings=settings, on_full=on_full

@@ -350,6 +350,8 @@ def _metric_card(
 ) -> MetricCard:
     results, energies = [], []
     recorded_arrivals = next(iter(rolled)).spawn == "replay"
+    # Who was not trained on the recording walks all of it once, and is looked at fold by fold.
+    whole_recording = all(job.part == "full" for job in rolled)
     for part in parts_of(protocol):
         inside = reference.blocks.in_part(part)
         blocks = reference.blocks.scored(part)
@@ -359,7 +361,7 @@ def _metric_card(
         crowds = {
             job: _rows(what.of(metric), inside)
             for job, what in rolled.items()
-            if recorded_arrivals or job.part == part
+            if whole_recording or job.part == part
         }
         results += [metric.compare(recorded, crowd, blocks) for crowd in crowds.values()]
         fits = sorted({job.fit for job in crowds})

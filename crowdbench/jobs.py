@@ -19,11 +19,12 @@ from crowdbench.blocks import PARTS
 from crowdbench.errors import OutputError, RecordingError, SettingError
 from crowdbench.files import sha256, unwritable
 from crowdbench.metrics import Metric, Statistics
+from crowdbench.policies import OnnxPolicy, Policy
 from crowdbench.processes import call_each, checked_workers
 from crowdbench.recordings.catalogue import cached
 from crowdbench.reference import Reference, summarise
 from crowdbench.registry import policy as find_policy
-from crowdbench.registry import spawn_model
+from crowdbench.registry import policy_file, spawn_model
 from crowdbench.rollouts import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.tables import read_own, write_parquet
@@ -95,16 +96,41 @@ def plan(
         )
     jobs = []
     for s, p in pairs:
-        walker = find_policy(p, place)
         recorded = s == "replay"
-        certain = recorded and getattr(walker, "deterministic", False)
-        for part in ("full",) if recorded else parts_of(protocol):
+        for part in parts_of(protocol) if _learned(p, place) or not recorded else ("full",):
+            walker = find_policy(p, place, part)
+            _check_unseen(p, walker, place, part)
+            certain = recorded and getattr(walker, "deterministic", False)
             spawn_model(s, place, part=part)
-            fingerprint = _fingerprint(place, s, p)
+            fingerprint = _fingerprint(place, s, p, part)
             for seed in range(1 if certain else seeds):
                 name = f"{_plain(s)}_{_plain(p)}_{part}_{seed}.parquet"
                 jobs.append(Job(scene, s, p, part, seed % fits, seed, folder / name, fingerprint))
     return jobs
+
+
+def _learned(policy: str, place: Scene) -> bool:
+    """Whether there is one of it for each part."""
+    file = policy_file(policy, place, "full")
+    return file is not None and str(file) != policy
+
+
+def _check_unseen(policy: str, walker: Policy, place: Scene, part: str) -> None:
+    """Refuse who has been trained on what it is to be held against.
+
+    Raises:
+        SettingError: it has.
+    """
+    if part == "full" or not isinstance(walker, OnnxPolicy):
+        return
+    if walker.card.scene == place.id and walker.card.part != part:
+        raise SettingError(
+            f"policy {policy}",
+            got=f"a network trained on {walker.card.part} of {place.id}",
+            expected=f"one that has seen nothing of what {part} is scored on",
+            mend="Train one for each fold and name the folder with full.onnx, fold0.onnx, … , or "
+            "evaluate with --protocol full.",
+        )
 
 
 def roll_out(
@@ -163,10 +189,10 @@ def _cached_models(  # type: ignore[no-untyped-def]
     scene: str, spawn: str, policy: str, part: str, fit: int, fingerprint: str
 ):
     place = load_scene(scene)
-    return place, spawn_model(spawn, place, part=part, fit=fit), find_policy(policy, place)
+    return place, spawn_model(spawn, place, part=part, fit=fit), find_policy(policy, place, part)
 
 
-def _fingerprint(scene: Scene, spawn: str, policy: str) -> str:
+def _fingerprint(scene: Scene, spawn: str, policy: str, part: str) -> str:
     """Hash of what a rollout depends on: our code, the scene's files, the recording, own classes.
 
     Of an own class these are all files in the folder of its module: weights lie beside the code.
@@ -174,6 +200,8 @@ def _fingerprint(scene: Scene, spawn: str, policy: str) -> str:
     files: list[Path] = []
     if spawn in ("replay", "block-replay") and cached(scene.recording.name).exists():
         files.append(cached(scene.recording.name))
+    if file := policy_file(policy, scene, part):
+        files.append(file)
     for name in (spawn, policy):
         module, colon, _ = name.partition(":")
         found = importlib.util.find_spec(module) if colon else None

@@ -8,7 +8,7 @@ from typing import Any
 
 from crowdbench import plaza
 from crowdbench.errors import SettingError
-from crowdbench.policies import Policy, Random, ReplayPolicy, SocialForce, Straight
+from crowdbench.policies import OnnxPolicy, Policy, Random, ReplayPolicy, SocialForce, Straight
 from crowdbench.recordings import catalogue
 from crowdbench.reference import blocks_of
 from crowdbench.scene import Scene, load_scene
@@ -96,11 +96,15 @@ def spawn_model(
     return _having(made, model, ("name", "start", "sample"))
 
 
-def policy(named: str | Policy, scene: str | Scene) -> Policy:
-    """A policy by its name; `pkg.module:Class` is called without arguments.
+def policy(named: str | Policy, scene: str | Scene, part: str = "full") -> Policy:
+    """A policy by its name, or from an ONNX file; `pkg.module:Class` is called without arguments.
+
+    A folder is one of files for each part (one of `blocks.PARTS`) of the recording: `full.onnx`,
+    `fold0.onnx` and so on. Policies that come with a scene stand in its folder `policies`.
 
     Raises:
-        SettingError: there is no such policy.
+        SettingError: there is no such policy, or ONNX files cannot be read here.
+        WeightsError: the file is missing or broken.
         RecordingError: it needs a recording that has not been imported.
     """
     if not isinstance(named, str):
@@ -112,13 +116,35 @@ def policy(named: str | Policy, scene: str | Scene) -> Policy:
     }
     if named in plain:
         return plain[named]()
+    place = load_scene(scene)
     if named == "replay":
-        return ReplayPolicy(recording_of(load_scene(scene)))
-    made: Policy = _made(_own(named, "policy", POLICIES), named)
+        return ReplayPolicy(recording_of(place))
+    if file := policy_file(named, place, part):
+        return OnnxPolicy(file)
+    known = (*POLICIES, *trained_policies(place), "an ONNX file, a folder of them")
+    made: Policy = _made(_own(named, "policy", known), named)
     _having(made, named, ("name", "sees", "reset", "act"))
     if made.sees not in ("observation", "state"):
         raise SettingError(named, got=f"sees = {made.sees!r}", expected="'observation' or 'state'")
     return made
+
+
+def policy_file(named: str, scene: Scene, part: str) -> Path | None:
+    """The ONNX file that a policy's name stands for, None if it stands for something else."""
+    check_part(part, 0)
+    if named.endswith(".onnx"):
+        return Path(named)
+    if ":" in named:
+        return None
+    own = Path(named)
+    folder = own if len(own.parts) > 1 else scene.folder / "policies" / named
+    return folder / f"{part}.onnx" if folder.is_dir() else None
+
+
+def trained_policies(scene: Scene) -> list[str]:
+    """Names of the policies that come with a scene."""
+    folder = scene.folder / "policies"
+    return sorted(f.name for f in folder.iterdir() if f.is_dir()) if folder.is_dir() else []
 
 
 def _own(path: str, kind: str, known: tuple[str, ...]) -> Callable[..., Any]:

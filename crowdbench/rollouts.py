@@ -1,5 +1,6 @@
 """`rollout`: a crowd from a spawn model and a policy, as `Trajectories`."""
 
+from dataclasses import replace
 from typing import Any
 
 from crowdbench.episode import Recorder, actions_of, begin, check_capacity, generator
@@ -28,7 +29,8 @@ def rollout(
 
     The same seed gives the same table. `horizon_s` is by default the recording's length and
     `start` the spawn model's; a warm-up is walked by `policy` too. With both `replay`, people
-    leave at their recorded last frame; otherwise reaching the goal ends a life.
+    leave at their recorded last frame; otherwise reaching the goal ends a life. A policy that
+    sees observations may say which, by its attributes `observation`, `rays` and `ray_range_m`.
 
     Raises:
         SettingError: `start` does not fit the spawn model, or the policy `replay` does not.
@@ -42,7 +44,7 @@ def rollout(
             expected="the spawn model replay, start recorded",
             mend="Only then is each person one of the recording.",
         )
-    settings = settings or Settings(max_alive=MAX_ALIVE)
+    settings = settings or settings_for(policy)
     simulation = Simulation(scene, settings=settings)
     frames = scene.frames(scene.horizon_s if horizon_s is None else horizon_s)
     scripted = spawn.name == policy.name == "replay"
@@ -64,3 +66,15 @@ def rollout(
     check_capacity(simulation)
     provenance: dict[str, Any] = {"spawn": spawn.name, "policy": policy.name, "seed": int(seed)}
     return recorder.trajectories(provenance)
+
+
+def settings_for(policy: Policy) -> Settings:
+    """A simulation that shows a policy what it says it sees, `lidar-1` by default."""
+    default = Settings(max_alive=MAX_ALIVE)
+    if policy.sees == "state":
+        return default
+    asked = {
+        name: getattr(policy, name, getattr(default, name))
+        for name in ("observation", "rays", "ray_range_m")
+    }
+    return replace(default, **asked)

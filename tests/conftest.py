@@ -4,6 +4,8 @@ import atexit
 import os
 import shutil
 import tempfile
+from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 
 import jaxtyping
@@ -14,6 +16,7 @@ _hook = jaxtyping.install_import_hook(
     [
         "crowdbench.ablation",
         "crowdbench.blocks",
+        "crowdbench.demos",
         "crowdbench.episode",
         "crowdbench.evaluation",
         "crowdbench.figures",
@@ -21,6 +24,8 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.fit",
         "crowdbench.jobs",
         "crowdbench.metrics",
+        "crowdbench.policies.export",
+        "crowdbench.policies.network",
         "crowdbench.policies.policy",
         "crowdbench.policies.walkers",
         "crowdbench.recordings",
@@ -68,6 +73,14 @@ def need(part: object, what: str) -> None:
         if REQUIRE_ALL:
             pytest.fail(f"{what} is missing, and CROWDBENCH_REQUIRE_ALL is set")
         pytest.skip(f"{what} is missing")
+
+
+def need_imitation() -> None:
+    """Skip a test of what `imitation` does where its older gymnasium is not installed."""
+    if not REQUIRE_ALL or metadata.version("gymnasium").startswith("0."):
+        need(find_spec("imitation"), "the extra imitation")
+    else:
+        pytest.skip("imitation needs gymnasium 0.29: its tests run with that set of dependencies")
 
 
 @pytest.fixture(scope="session")

@@ -162,7 +162,7 @@ def test_what_is_no_command_is_exit_code_2(arguments: list[str], capsys: Printed
 def started(*arguments: str) -> "subprocess.Popen[str]":
     path = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
     return subprocess.Popen(
-        [sys.executable, "-m", "crowdbench.cli", *arguments],
+        [sys.executable, "-m", "crowdbench", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

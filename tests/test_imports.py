@@ -15,11 +15,22 @@ PACKAGE = Path(crowdbench.__file__).parent
 ORDER = (
     "errors", "files", "processes", "trajectories", "tables", "blocks", "metrics", "recordings",
     "scene", "spawn", "reference", "scoring_kernel", "scoring", "power", "cards", "simulation",
-    "policies", "episode", "rollouts", "plaza", "registry", "fit", "spawn_check", "replay_check",
-    "figures", "report", "jobs", "evaluation", "results", "ablation",
+    "policies", "episode", "rollouts", "plaza", "registry", "demos", "fit", "spawn_check",
+    "replay_check", "figures", "report", "jobs", "evaluation", "results", "ablation",
     "environment", "bench", "cli", "__main__",
 )  # fmt: skip
-HEAVY = ("torch", "sklearn", "pyarrow", "rerun", "numba", "matplotlib", "pettingzoo", "requests")
+HEAVY = (
+    "torch",
+    "onnx",
+    "onnxruntime",
+    "sklearn",
+    "pyarrow",
+    "rerun",
+    "numba",
+    "matplotlib",
+    "pettingzoo",
+    "requests",
+)
 
 
 def is_type_checking(node: ast.AST) -> bool:

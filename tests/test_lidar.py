@@ -18,7 +18,9 @@ from worlds import (
 )
 
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.lidar import OBSERVATION_HEAD
+from crowdbench.simulation.lidar import OBSERVATIONS
+
+HEAD = OBSERVATIONS["lidar-1"]
 
 DT = 0.4
 RADIUS = 0.3
@@ -35,7 +37,7 @@ BLOCKS = square(
 
 def rays_of(simulation: Simulation, person: int) -> np.ndarray:
     """Ray distances of a person who is there, in units of the range."""
-    return simulation.observe()[0, slot_of(simulation, person), OBSERVATION_HEAD:]
+    return simulation.observe()[0, slot_of(simulation, person), HEAD:]
 
 
 def crowd(count: int, range_m: float, seed: int) -> np.ndarray:
@@ -57,7 +59,7 @@ def test_rays_meet_what_a_caster_without_short_cuts_meets(
 ) -> None:
     xy = crowd(count, range_m, seed=count)
     simulation = standing(BLOCKS, xy, rays=rays, ray_range_m=range_m)
-    seen = simulation.observe()[0, :, OBSERVATION_HEAD:] * range_m
+    seen = simulation.observe()[0, :, HEAD:] * range_m
     walls = wall_distances(BLOCKS, xy, rays, range_m)
     # A ray that grazes a disc may meet or miss it: float32 cannot tell.
     nearest, farthest = (
@@ -124,7 +126,7 @@ def test_who_ended_sees_those_who_were_there_and_not_who_enters() -> None:
     simulation = one_ends_and_another_enters()
     assert simulation.slots.ended[0].tolist() == [1, 0, 0]
     east = 0
-    last = simulation.observe()[0, 0, OBSERVATION_HEAD:]
+    last = simulation.observe()[0, 0, HEAD:]
     assert np.flatnonzero(last < 1).tolist() == [east]
 
 
@@ -132,7 +134,7 @@ def test_people_who_end_together_see_each_other() -> None:
     people = [Person(start=(x, 0), goal=(x, 0)) for x in (0.0, 3.0)]
     simulation = simulate(OPEN, *people)
     step(simulation)
-    assert simulation.observe()[0, 0, OBSERVATION_HEAD] < 1
+    assert simulation.observe()[0, 0, HEAD] < 1
 
 
 def test_the_first_observation_of_a_life_is_that_of_anyone_who_stands_there() -> None:
@@ -154,19 +156,19 @@ def test_the_first_observation_of_a_life_is_that_of_anyone_who_stands_there() ->
 
 def test_a_person_sees_its_velocity_and_the_way_to_its_goal() -> None:
     simulation = simulate(OPEN, Person(start=(1, 2), goal=(4, 6), velocity=(2.5, -1.0)))
-    head = simulation.observe()[0, 0, :OBSERVATION_HEAD]
+    head = simulation.observe()[0, 0, :HEAD]
     np.testing.assert_allclose(head, [0.5, -0.2, 5 / 30, 0.6, 0.8], atol=1e-6)
 
 
 def test_far_goals_look_equally_far() -> None:
     simulation = simulate(square(100.0), Person(goal=(-60, 0)))
-    head = simulation.observe()[0, 0, :OBSERVATION_HEAD]
+    head = simulation.observe()[0, 0, :HEAD]
     np.testing.assert_allclose(head[2:], [1, -1, 0], atol=1e-6)
 
 
 def test_at_the_goal_its_direction_is_along_x() -> None:
     simulation = simulate(OPEN, Person(start=(1, 2), goal=(1, 2)))
-    assert simulation.observe()[0, 0, 2:OBSERVATION_HEAD].tolist() == [0, 1, 0]
+    assert simulation.observe()[0, 0, 2:HEAD].tolist() == [0, 1, 0]
 
 
 def test_every_value_lies_between_minus_one_and_one() -> None:
@@ -191,7 +193,7 @@ def test_every_value_lies_between_minus_one_and_one() -> None:
 def test_worlds_do_not_see_each_other() -> None:
     simulation = Simulation(OPEN, worlds=2, settings=Settings(max_alive=2))
     simulation.reset([events(Person()), events(Person(start=(1, 0)))], horizon=9)
-    assert (simulation.observe()[:, 0, OBSERVATION_HEAD:] == 1).all()
+    assert (simulation.observe()[:, 0, HEAD:] == 1).all()
 
 
 def test_an_observation_follows_who_moves() -> None:

@@ -32,7 +32,7 @@ def test_the_first_example_runs_to_the_end_and_scores(capsys: pytest.CaptureFixt
     assert "inter_spawn" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("block", "file"), [(1, "slow.py"), (2, "clock.py")])
+@pytest.mark.parametrize(("block", "file"), [(1, "slow.py"), (3, "clock.py")])
 def test_a_class_of_ones_own_is_evaluated(tmp_path: Path, block: int, file: str) -> None:
     (tmp_path / file).write_text(blocks("python")[block])
     asked = re.search(rf"`(crowdbench evaluate [^`]*{file[:-3]}:[^`]*)`", README)
@@ -66,6 +66,7 @@ def test_every_command_runs_in_the_order_of_the_page(
     frames = np.arange(1934)
     rows = [f"1,{frame},{0.005 * frame:.3f},5.0" for frame in frames]
     Path("mine.csv").write_text("\n".join(["person_id,frame,x,y", *rows]))
+    Path("walkers.py").write_text(blocks("python")[2])
     for command in commands():
         arguments = shlex.split(command.replace("path/to/OpenTraj", str(opentraj)))[1:]
         if arguments[0] == "evaluate":  # the next test makes all its rollouts

@@ -11,12 +11,14 @@ from scipy.sparse.csgraph import dijkstra
 from worlds import FAR, Person, Point, box, events, square
 
 from crowdbench.episode import actions_of
+from crowdbench.errors import SettingError
 from crowdbench.policies import SocialForce, StateView, Straight
-from crowdbench.policies.routes import Routes
 from crowdbench.registry import spawn_model
 from crowdbench.scene import Scene, list_scenes, load_scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.state import GOAL
+from crowdbench.simulation.lidar import GOAL_RANGE_M
+from crowdbench.simulation.routes import Routes
+from crowdbench.simulation.state import GOAL, HORIZON
 
 DT = 0.4
 CLEAR_M = 0.3
@@ -125,7 +127,61 @@ def test_a_goal_in_sight_is_walked_at_straight(
     assume(start != goal and not shapely.dwithin(scene.obstacles, line, 1e-6))
     simulation = facing(scene, [Person(start=start, goal=goal)])
     seen = StateView.of(simulation)
-    assert Routes.on(scene).next_of(seen).tolist() == seen.goal.tolist()
+    assert seen.towards(Routes.on(scene)).tolist() == seen.goal.tolist()
+
+
+def seen_from(scene: Scene, *people: Person, version: str) -> np.ndarray:
+    """What people who have just entered see."""
+    asked = Settings(max_alive=len(people), rays=8, observation=version)
+    simulation = Simulation(scene, settings=asked)
+    simulation.reset([events(*people)], horizon=FAR)
+    return simulation.observe()[0]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(polygons(), min_size=1, max_size=4), SPOTS, SPOTS)
+def test_lidar_2_sees_the_shortest_way(
+    walls: list[tuple[Point, ...]], start: Point, goal: Point
+) -> None:
+    scene = square(9.0, *walls)
+    assume(start != goal and reachable(scene, start, goal))
+    person = Person(start=start, goal=goal, speed=2.0)
+    (plain,), (seen,) = (seen_from(scene, person, version=f"lidar-{v}") for v in (1, 2))
+    assert seen[[0, 1, *range(6, 14)]].tolist() == plain[[0, 1, *range(5, 13)]].tolist()
+    assert seen[5] == np.float32(2.0 / scene.motion.max_speed_mps)
+    way = float(seen[2]) * GOAL_RANGE_M
+    assert shortest(scene, start, goal, 0.0) - 1e-3 <= way
+    assert way <= 1.02 * shortest(scene, start, goal, CLEAR_M) + 0.1
+    assert np.hypot(seen[3], seen[4]) == pytest.approx(1.0)
+    # A step in the direction that it sees makes the way as much shorter, as far as nothing hides.
+    ahead = np.array(start) + 0.01 * seen[3:5]
+    assume(shapely.Point(ahead).distance(scene.obstacles) > 1e-6)
+    (after,) = seen_from(scene, replace(person, start=tuple(ahead.tolist())), version="lidar-2")
+    assert way - float(after[2]) * GOAL_RANGE_M == pytest.approx(0.01, abs=2e-4)
+
+
+def test_a_goal_in_sight_looks_the_same_in_both_versions() -> None:
+    scene = square(9.0, box(-2, -1, 2, 1))
+    person = Person(start=(-4.0, -4.0), goal=(4.0, -3.0))
+    one, two = (seen_from(scene, person, version=f"lidar-{v}")[0] for v in (1, 2))
+    assert two[:5].tolist() == one[:5].tolist()
+
+
+def test_the_last_observation_of_a_life_knows_the_way_too() -> None:
+    scene = square(9.0, box(-2, -1, 2, 1))
+    asked = Settings(max_alive=1, rays=8, observation="lidar-2")
+    simulation = Simulation(scene, settings=asked)
+    simulation.reset([events(Person(start=(0, -4), goal=(0, 4)))], horizon=1)
+    first = simulation.observe()[0, 0].copy()
+    simulation.step(np.zeros((1, 1, 2), np.float32))
+    assert simulation.slots.ended[0, 0] == HORIZON
+    assert simulation.observe()[0, 0, 2:].tolist() == first[2:].tolist()
+
+
+@pytest.mark.parametrize("version", ["lidar-0", "lidar", ""])
+def test_an_unknown_version_of_the_observation_is_refused(version: str) -> None:
+    with pytest.raises(SettingError, match="lidar-1 or lidar-2"):
+        Settings(observation=version)
 
 
 @pytest.mark.parametrize("policy", [Straight(), SocialForce()], ids=lambda p: p.name)
@@ -213,7 +269,7 @@ def test_who_stands_on_a_corner_to_the_bit_is_not_sent_there() -> None:
     routes = Routes(scene.wall_segments, corners.astype(np.float64), found._between)
     people = [Person(start=tuple(c), goal=tuple(-c)) for c in corners.astype(np.float64)]
     seen = StateView.of(facing(scene, people))
-    off = np.linalg.norm(routes.next_of(seen) - seen.position, axis=1)
+    off = np.linalg.norm(seen.towards(routes) - seen.position, axis=1)
     assert off.min() > 0.1
 
 

@@ -19,8 +19,10 @@ from worlds import (
 
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.lidar import OBSERVATION_HEAD
+from crowdbench.simulation.lidar import OBSERVATIONS
 from crowdbench.simulation.rules import crossing, walk
+
+HEAD = OBSERVATIONS["lidar-1"]
 
 DT = 0.4
 CORNER = square(10.0, box(2, -9, 3, 5), box(-9, 4, 2, 5))  # walls on the right and above
@@ -166,7 +168,7 @@ def seen_distances(scene: Scene, xy: np.ndarray, rays: int, range_m: float) -> n
     seen = np.empty((len(xy), rays))
     for n, point in enumerate(xy):
         place(simulation, point[None])
-        seen[n] = simulation.observe()[0, 0, OBSERVATION_HEAD:] * range_m
+        seen[n] = simulation.observe()[0, 0, HEAD:] * range_m
     return seen
 
 

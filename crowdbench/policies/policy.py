@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Float, Float32, Int
 from numpy.random import Generator
 
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
+from crowdbench.simulation.routes import Routes
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +46,10 @@ class StateView:
             goal=slots.goal[at],
             speed=slots.speed[at],
         )
+
+    def towards(self, routes: Routes) -> Float[np.ndarray, "A 2"]:
+        """Where each person is to walk next so as to take the shortest way around the walls."""
+        return routes.next_of(self.world, self.slot, self.person, self.position, self.goal)[0]
 
 
 class _Named(Protocol):

@@ -16,8 +16,8 @@ from numba import njit
 from numpy.random import Generator
 
 from crowdbench.policies.policy import StateView
-from crowdbench.policies.routes import Routes
 from crowdbench.scene import Scene
+from crowdbench.simulation.routes import Routes
 
 RELAXATION_S = 0.5  # τ, eq. 2
 REPULSION = 2.1  # V⁰, m²/s², eq. 13
@@ -52,7 +52,7 @@ class SocialForce:
             seen.world,
             seen.position.astype(np.float64),
             seen.velocity.astype(np.float64),
-            self._routes.next_of(seen),
+            seen.towards(self._routes),
             seen.speed.astype(np.float64),
             self._scene.wall_segments,
             self._walls,

@@ -8,8 +8,8 @@ from numpy.random import Generator
 
 from crowdbench.errors import SettingError
 from crowdbench.policies.policy import StateView
-from crowdbench.policies.routes import Routes
 from crowdbench.scene import Scene
+from crowdbench.simulation.routes import Routes
 from crowdbench.trajectories import Trajectories
 
 
@@ -27,7 +27,7 @@ class Straight:
 
     def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
         """Along the shortest way, and no further than its next corner or the goal."""
-        way = self._routes.next_of(seen).astype(np.float32) - seen.position
+        way = seen.towards(self._routes).astype(np.float32) - seen.position
         distance = np.linalg.norm(way, axis=1)
         speed = np.minimum(seen.speed, distance / np.float32(self._scene.dt_s))
         scale = np.divide(speed, distance, out=np.zeros_like(speed), where=distance > 0)

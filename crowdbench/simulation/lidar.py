@@ -1,12 +1,19 @@
 """The observation kernel: what each person sees of itself, the walls and the others.
 
-`lidar`, version 1, float32, every value in [−1, 1]; `OBSERVATION_HEAD` values and R rays:
+Two versions, float32, every value in [−1, 1], a head and then R rays. `lidar-1`:
 
 - 0, 1: velocity / max_speed
 - 2: min(distance to goal, GOAL_RANGE_M) / GOAL_RANGE_M
 - 3, 4: cosine and sine of the direction to the goal (1, 0 at the goal itself)
 - 5 …: distance along ray k / ray_range, 1 where nothing is nearer. Rays stand at the angles
   2πk/R of the world frame, k = 0 … R − 1.
+
+`lidar-2` is for places whose walls hide goals, and for people who differ. The goal's distance is
+that of the shortest way around the walls and its direction that of the next corner of that way,
+the goal itself where it is in sight; and
+
+- 5: preferred speed / max_speed
+- 6 …: the rays.
 
 Rays meet walls and the discs of other persons. Who stands inside another's disc sees distance 0
 in the half plane towards that person's centre.
@@ -21,7 +28,8 @@ from numba import njit, prange
 from crowdbench.simulation.compilation import kernel
 from crowdbench.simulation.walls import CELL_M, cell_of
 
-OBSERVATION_HEAD = 5
+OBSERVATIONS = {"lidar-1": 5, "lidar-2": 6}
+"""Versions of the observation, and how many values stand before the rays."""
 GOAL_RANGE_M = 30.0
 CHUNK = 10  # persons a thread takes at a time
 
@@ -63,11 +71,14 @@ class Cells(NamedTuple):
 
 
 @kernel
-def observe(slots, cells, walls, max_speed, radius, reach, out):
-    """Write the observation of everyone alive, or ended in this step, into `out` (W, N, 5 + R)."""
+def observe(slots, target, beyond, head, cells, walls, max_speed, radius, reach, out):
+    """Write the observation of everyone alive, or ended in this step, into `out` (W, N, head + R).
+
+    `target` (W, N, 2) is where they are to walk, `beyond` (W, N) how far it is from there.
+    """
     # Arrays are unpacked once: reaching into a bundle costs as much as a ray.
     alive, ended, spawned = slots.alive, slots.ended, slots.spawned
-    position, velocity, goal = slots.position, slots.velocity, slots.goal
+    position, velocity, speed = slots.position, slots.velocity, slots.speed
     start, sorted_xy, sorted_slot, person = cells.start, cells.xy, cells.slot, cells.person
     grid = (cells.origin[0], cells.origin[1], cells.size, cells.columns, cells.rows)
     wall_grid = (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows)
@@ -87,17 +98,20 @@ def observe(slots, cells, walls, max_speed, radius, reach, out):
         near = np.empty((alive.shape[1] + 1, 2), np.float32)
         for at in range(chunk * CHUNK, min(total, (chunk + 1) * CHUNK)):
             w, i = person[at, 0], person[at, 1]
-            _see_itself(w, i, position, velocity, goal, max_speed, out)
+            _see_itself(w, i, position, velocity, target, beyond, max_speed, out)
+            if head > 5:
+                out[w, i, 5] = min(1.0, speed[w, i] / max_speed)
             x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
             cell = cell_of(x, y, wall_grid)
-            _see_walls(w, i, x, y, cos, sin, lines, ray_start[cell], ray_start[cell + 1], meeting,
-                       reach, out)  # fmt: skip
+            rays = out[w, i, head:]
+            _see_walls(x, y, cos, sin, lines, ray_start[cell], ray_start[cell + 1], meeting, reach,
+                       rays)  # fmt: skip
             count = _neighbours(w, i, x, y, reach + radius, ended, spawned, grid, start,
                                 sorted_xy, sorted_slot, near)  # fmt: skip
             for k in range(count):
-                _see_disc(w, i, near[k, 0], near[k, 1], radius, cos32, sin32, out)
-            for k in range(OBSERVATION_HEAD, out.shape[2]):
-                out[w, i, k] /= np.float32(reach)
+                _see_disc(near[k, 0], near[k, 1], radius, cos32, sin32, rays)
+            for k in range(len(rays)):
+                rays[k] /= np.float32(reach)
 
 
 @njit(error_model="numpy")
@@ -122,29 +136,28 @@ def _sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_s
 
 
 @njit(error_model="numpy")
-def _see_itself(w, i, position, velocity, goal, max_speed, out):
-    gx = np.float64(goal[w, i, 0]) - np.float64(position[w, i, 0])
-    gy = np.float64(goal[w, i, 1]) - np.float64(position[w, i, 1])
+def _see_itself(w, i, position, velocity, target, beyond, max_speed, out):
+    gx = np.float64(target[w, i, 0]) - np.float64(position[w, i, 0])
+    gy = np.float64(target[w, i, 1]) - np.float64(position[w, i, 1])
     distance = math.sqrt(gx * gx + gy * gy)
     out[w, i, 0] = min(1.0, max(-1.0, velocity[w, i, 0] / max_speed))
     out[w, i, 1] = min(1.0, max(-1.0, velocity[w, i, 1] / max_speed))
-    out[w, i, 2] = min(distance, GOAL_RANGE_M) / GOAL_RANGE_M
+    out[w, i, 2] = min(distance + beyond[w, i], GOAL_RANGE_M) / GOAL_RANGE_M
     out[w, i, 3] = gx / distance if distance > 0.0 else 1.0
     out[w, i, 4] = gy / distance if distance > 0.0 else 0.0
 
 
 @njit(error_model="numpy")
-def _see_walls(w, i, x, y, cos, sin, lines, first, stop, meeting, reach, out):
+def _see_walls(x, y, cos, sin, lines, first, stop, meeting, reach, rays):
     """Set each ray to the distance of the nearest wall, or to `reach`."""
-    for k in range(OBSERVATION_HEAD, out.shape[2]):
-        out[w, i, k] = reach
+    rays[:] = reach
     for m in range(first, stop):
         r, s = meeting[m, 0], meeting[m, 1]
         across = y * cos[r] - x * sin[r]
         if lines[r, s, 2] <= across <= lines[r, s, 3]:
             t = lines[r, s, 0] + lines[r, s, 1] * across - (x * cos[r] + y * sin[r])
-            if 0.0 <= t < out[w, i, OBSERVATION_HEAD + r]:
-                out[w, i, OBSERVATION_HEAD + r] = t
+            if 0.0 <= t < rays[r]:
+                rays[r] = t
 
 
 @njit(error_model="numpy")
@@ -174,7 +187,7 @@ def _neighbours(w, i, x, y, far, ended, spawned, grid, start, sorted_xy, sorted_
 
 
 @njit(error_model="numpy")
-def _see_disc(w, i, dx, dy, radius, cos, sin, out):
+def _see_disc(dx, dy, radius, cos, sin, rays):
     """Shorten the rays that meet the disc of `radius` at (dx, dy).
 
     Ray k meets it where the disc's centre is less than the radius beside the ray and not behind.
@@ -190,6 +203,6 @@ def _see_disc(w, i, dx, dy, radius, cos, sin, out):
         within = squared - beside * beside
         t = along - np.float32(math.sqrt(within if within > zero else zero))
         t = t if t > zero else zero
-        before = out[w, i, OBSERVATION_HEAD + k]
+        before = rays[k]
         meets = (within >= zero) & (along >= zero) & (t < before)
-        out[w, i, OBSERVATION_HEAD + k] = t if meets else before
+        rays[k] = t if meets else before

@@ -9,7 +9,8 @@ from jaxtyping import Float32, Int
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.scene import Scene
 from crowdbench.simulation.advance import advance, populate
-from crowdbench.simulation.lidar import OBSERVATION_HEAD, Cells, observe
+from crowdbench.simulation.lidar import OBSERVATIONS, Cells, observe
+from crowdbench.simulation.routes import Routes
 from crowdbench.simulation.state import Clock, Limits, Queue, Slots
 from crowdbench.simulation.walls import wall_table
 from crowdbench.spawn.events import SpawnEvents, no_events
@@ -28,6 +29,8 @@ class Settings:
     """Persons ever, per world and episode."""
     rays: int = 32
     ray_range_m: float = 10.0
+    observation: str = "lidar-1"
+    """Version of what they see, `lidar-1` or `lidar-2`: see `crowdbench.simulation.lidar`."""
 
     def __post_init__(self) -> None:
         for name in ("max_alive", "max_persons", "rays"):
@@ -37,6 +40,10 @@ class Settings:
         if not (np.isfinite(self.ray_range_m) and self.ray_range_m > 0):
             raise SettingError(
                 "ray_range_m", got=str(self.ray_range_m), expected="a positive number of metres"
+            )
+        if self.observation not in OBSERVATIONS:
+            raise SettingError(
+                "observation", got=repr(self.observation), expected=" or ".join(OBSERVATIONS)
             )
 
 
@@ -88,9 +95,13 @@ class Simulation:
             y_min=bounds.y_min_m,
             y_max=bounds.y_max_m,
         )
+        self._head = OBSERVATIONS[s.observation]
         self.observation: Float32[np.ndarray, "W N obs"] = np.zeros(
-            (worlds, s.max_alive, OBSERVATION_HEAD + s.rays), np.float32
+            (worlds, s.max_alive, self._head + s.rays), np.float32
         )
+        self._routes = Routes.on(scene) if s.observation == "lidar-2" else None
+        self._target = np.zeros((worlds, s.max_alive, 2), np.float32)
+        self._beyond = np.zeros((worlds, s.max_alive))
         self.slots = Slots.empty(worlds, s.max_alive)
         self.clock = Clock.at(worlds, 0, 0)
         self.events: list[SpawnEvents] = []
@@ -134,6 +145,9 @@ class Simulation:
         """Fill `observation` for everyone alive or just ended, and return it."""
         arguments = (
             self.slots,
+            self._towards(),
+            self._beyond,
+            self._head,
             self._cells,
             self._walls,
             self._limits.max_speed,
@@ -143,6 +157,17 @@ class Simulation:
         )
         self._observe(int(np.count_nonzero(self.slots.alive)), *arguments)
         return self.observation
+
+    def _towards(self) -> Float32[np.ndarray, "W N 2"]:
+        """Where everyone is to walk; how far it is from there goes into `_beyond`."""
+        slots = self.slots
+        if self._routes is None:
+            return slots.goal
+        at = w, i = np.nonzero(slots.alive | (slots.ended != 0))
+        self._target[at], self._beyond[at] = self._routes.next_of(
+            w, i, slots.person[at], slots.position[at], slots.goal[at]
+        )
+        return self._target
 
     def number_anew(self) -> None:
         """Give those present the ids from 0 on: the end of a warm-up.

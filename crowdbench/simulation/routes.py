@@ -1,4 +1,4 @@
-"""Ways around walls, for walkers that know the plan of the place.
+"""Ways around walls: for walkers that know the plan of the place, and for `lidar-2`.
 
 Shortest paths among polygons turn at corners only: a graph joins the corners, moved off the walls
 a little, that see each other (Lozano-Pérez & Wesley, Communications of the ACM 22, 1979).
@@ -8,11 +8,10 @@ import math
 
 import numpy as np
 import shapely
-from jaxtyping import Float
+from jaxtyping import Float, Int, Real
 from numba import njit
 from scipy.sparse.csgraph import dijkstra
 
-from crowdbench.policies.policy import StateView
 from crowdbench.scene import Bounds, Scene, Wall
 
 CLEARANCE_M = 0.2
@@ -50,31 +49,38 @@ class Routes:
             graph = _GRAPHS[scene.walls, scene.bounds] = (corners, _distances(corners, scene))
         return cls(scene.wall_segments, *graph)
 
-    def next_of(self, seen: StateView) -> Float[np.ndarray, "A 2"]:
-        """The goal, or where a wall hides it the next corner of the way there, metres.
+    def next_of(
+        self,
+        world: Int[np.ndarray, " A"],
+        slot: Int[np.ndarray, " A"],
+        person: Int[np.ndarray, " A"],
+        position: Real[np.ndarray, "A 2"],
+        goal: Real[np.ndarray, "A 2"],
+    ) -> tuple[Float[np.ndarray, "A 2"], Float[np.ndarray, " A"]]:
+        """Where to walk next, metres, and how much of the way is left from there, metres.
 
-        A goal that cannot be reached is walked at straight.
+        That is the goal, or where a wall hides it the next corner of the way there. A goal that
+        cannot be reached is walked at straight.
         """
-        goal = seen.goal.astype(np.float64)
-        if len(self._segments) == 0 or len(seen.slot) == 0:
-            return goal
-        self._make_room(seen)
-        _next(
-            seen.world,
-            seen.slot,
-            seen.person.astype(np.int64),
-            seen.position.astype(np.float64),
-            goal,
-            self._person,
-            self._to_goal,
-            self._segments,
-            self._corners,
-            self._between,
-        )
-        return goal
+        target, beyond = goal.astype(np.float64), np.zeros(len(slot))
+        if len(self._segments) and len(slot):
+            self._make_room(int(world.max()) + 1, int(slot.max()) + 1)
+            _next(
+                world,
+                slot,
+                person.astype(np.int64),
+                position.astype(np.float64),
+                target,
+                beyond,
+                self._person,
+                self._to_goal,
+                self._segments,
+                self._corners,
+                self._between,
+            )
+        return target, beyond
 
-    def _make_room(self, seen: StateView) -> None:
-        worlds, slots = int(seen.world.max()) + 1, int(seen.slot.max()) + 1
+    def _make_room(self, worlds: int, slots: int) -> None:
         known = self._person.shape
         if worlds <= known[0] and slots <= known[1]:
             return
@@ -123,7 +129,7 @@ def _distances(corners: Float[np.ndarray, "C 2"], scene: Scene) -> Float[np.ndar
 
 
 @njit(cache=True, error_model="numpy")
-def _next(world, slot, person, position, goal, known, to_goal, segments, corners, between):
+def _next(world, slot, person, position, goal, beyond, known, to_goal, segments, corners, between):
     """Replace hidden goals by the next corner; `known` and `to_goal` keep the way to each goal."""
     for a in range(len(slot)):
         x, y = position[a, 0], position[a, 1]
@@ -147,6 +153,7 @@ def _next(world, slot, person, position, goal, known, to_goal, segments, corners
                 break
             if not _hidden(x, y, corners[best, 0], corners[best, 1], segments):
                 goal[a, 0], goal[a, 1] = corners[best, 0], corners[best, 1]
+                beyond[a] = to_goal[w, i, best]
                 break
             tried, last = length, best
 

@@ -1,0 +1,103 @@
+"""`data` and `scenes`: what there is."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from crowdbench.cli.printing import print_facts, progress_bar
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+
+
+def add(commands: "Commands") -> None:
+    """Add them to the command line."""
+    data = commands.add_parser("data", help="fetch, import, list and describe recordings")
+    of_data = data.add_subparsers(required=True, metavar="COMMAND")
+    fetch = of_data.add_parser(
+        "fetch", help="download a recording from where it is published, and import it"
+    )
+    fetch.add_argument("name", help="name of a recording (see `crowdbench data list`)")
+    fetch.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder to download to, in OpenTraj's layout (default: OpenTraj in $CROWDBENCH_HOME)",
+    )
+    fetch.set_defaults(run=_fetch)
+    bring = of_data.add_parser("import", help="read a recording and keep it for later use")
+    bring.add_argument("name", help="name of a recording (see `crowdbench data list`)")
+    bring.add_argument(
+        "--source",
+        type=Path,
+        metavar="DIR",
+        help="folder in OpenTraj's layout (default: $CROWDBENCH_DATA)",
+    )
+    bring.set_defaults(run=_import)
+    listing = of_data.add_parser("list", help="list the known recordings")
+    listing.set_defaults(run=_list)
+    describe = of_data.add_parser("describe", help="print a recording's figures")
+    describe.add_argument("name", help="name of a recording")
+    describe.set_defaults(run=_describe)
+
+    scenes = commands.add_parser("scenes", help="list the scenes")
+    scenes.set_defaults(run=_scenes)
+
+
+def _fetch(asked: argparse.Namespace) -> None:
+    from crowdbench.recordings.catalogue import source
+    from crowdbench.recordings.fetch import default_folder, fetch
+
+    published = source(asked.name)
+    folder = asked.out or default_folder()
+    with progress_bar(asked.name, of_bytes=True) as progress:
+        fetched = fetch(asked.name, folder, progress)
+    how = f"fetched from {published.address}" if fetched else "already there"
+    print(f"{folder / published.path}: {how}")
+    _bring(asked.name, folder)
+
+
+def _import(asked: argparse.Namespace) -> None:
+    _bring(asked.name, asked.source)
+
+
+def _bring(name: str, folder: Path | None) -> None:
+    from crowdbench.recordings.catalogue import cached, known_sha256, source
+    from crowdbench.recordings.describe import describe
+    from crowdbench.registry import import_recording
+
+    first = name != "plaza" and known_sha256(source(name)) is None
+    crowd = import_recording(name, folder)
+    print_facts(name, describe(crowd) | {"kept at": str(cached(name))})
+    if first:
+        print(
+            f"SHA-256 {crowd.provenance['sha256']} noted at first use; the publisher states none."
+        )
+    if name != "plaza":
+        print(f"It stays under its owners' terms. Cite: {source(name).cite}.")
+
+
+def _list(asked: argparse.Namespace) -> None:
+    from crowdbench.recordings.catalogue import SOURCES, cached
+    from crowdbench.registry import RECORDINGS
+
+    for name in RECORDINGS:
+        state = "imported" if cached(name).exists() else "not imported"
+        origin = SOURCES[name].address if name in SOURCES else "generated"
+        if origin == "generated":
+            state = "always there"
+        print(f"{name:<8} {state:<13} {origin}")
+
+
+def _describe(asked: argparse.Namespace) -> None:
+    from crowdbench.recordings.describe import describe
+    from crowdbench.registry import recording
+
+    print_facts(asked.name, describe(recording(asked.name)))
+
+
+def _scenes(asked: argparse.Namespace) -> None:
+    from crowdbench.scene import list_scenes, load_scene
+
+    for name in list_scenes():
+        print(f"{name:<10} {load_scene(name).title}")

@@ -1,0 +1,122 @@
+"""`policy`: networks into files, and what a file says of itself."""
+
+import argparse
+import importlib
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from crowdbench.cli.printing import print_facts
+from crowdbench.errors import SettingError
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+
+
+def add(commands: "Commands") -> None:
+    """Add them to the command line."""
+    policy = commands.add_parser("policy", help="write a trained policy as one file, or show one")
+    of_policy = policy.add_subparsers(required=True, metavar="COMMAND")
+    export = of_policy.add_parser("export", help="write a torch network as an ONNX file")
+    export.add_argument(
+        "network",
+        metavar="pkg.module:NAME",
+        help="a torch.nn.Module, or what makes one when it is called without arguments",
+    )
+    export.add_argument("file", type=Path, metavar="FILE.onnx")
+    export.add_argument("--name", required=True, help="under which tables show it")
+    export.add_argument("--scene", required=True, help="id of the scene it was trained on")
+    export.add_argument(
+        "--part",
+        default="full",
+        help="what of the recording it was trained on: full, fold0, fold1 or fold2 (default: full)",
+    )
+    export.add_argument(
+        "--observation", default="lidar-2", help="what it sees: lidar-1 or lidar-2 (default)"
+    )
+    export.add_argument("--rays", type=int, default=32, help="how many (default: 32)")
+    export.add_argument(
+        "--ray-range-m", type=float, default=10.0, help="and how long, metres (default: 10)"
+    )
+    export.add_argument(
+        "--noise",
+        type=int,
+        default=0,
+        metavar="Z",
+        help="standard normal numbers it takes per person and step (default: 0)",
+    )
+    export.add_argument("--command", default="", help="what trained it, to be written down")
+    export.set_defaults(run=_export)
+    show = of_policy.add_parser("show", help="check an ONNX file and print its card")
+    show.add_argument("file", type=Path, metavar="FILE.onnx")
+    show.set_defaults(run=_show)
+
+
+def _export(asked: argparse.Namespace) -> None:
+    from crowdbench.policies import PolicyCard
+    from crowdbench.policies.export import export_policy, revision
+    from crowdbench.scene import load_scene
+
+    card = PolicyCard(
+        name=asked.name,
+        observation=asked.observation,
+        rays=asked.rays,
+        ray_range_m=asked.ray_range_m,
+        scene=load_scene(asked.scene).id,
+        part=asked.part,
+        command=asked.command,
+        revision=revision(Path()),
+    )
+    card.checked(asked.file)
+    export_policy(_network(asked.network), asked.file, card, noise=asked.noise)
+    print(f"written to {asked.file}")
+
+
+def _network(path: str) -> Any:
+    """What `pkg.module:NAME` names.
+
+    Raises:
+        SettingError: torch is not installed, or it names no network.
+    """
+    try:
+        import torch
+    except ImportError as error:
+        raise SettingError(
+            "policy export",
+            got="no torch",
+            expected="torch, which networks are made of",
+            mend='Install it: pip install "crowdbench[fit]".',
+        ) from error
+    sys.path.insert(0, os.getcwd())
+    module, _, name = path.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise SettingError(
+            "network", got=f"{path!r} ({error})", expected="pkg.module:NAME that can be imported"
+        ) from error
+    made = found() if callable(found) and not isinstance(found, torch.nn.Module) else found
+    if not isinstance(made, torch.nn.Module):
+        raise SettingError(
+            "network", got=f"{path!r}, a {type(made).__name__}", expected="a torch.nn.Module"
+        )
+    return made
+
+
+def _show(asked: argparse.Namespace) -> None:
+    from crowdbench.policies import OnnxPolicy
+
+    policy = OnnxPolicy(asked.file)
+    card = policy.card
+    facts = {
+        "trained on": f"{card.part} of {card.scene}",
+        "sees": f"{card.observation}, {card.rays} rays of {card.ray_range_m:g} m "
+        f"({card.inputs} numbers)",
+        "action": card.action,
+        "chance": f"{policy.noise} normal numbers per person and step" if policy.noise else "none",
+        "command": card.command or "not said",
+        "revision": card.revision or "not said",
+        "size": f"{asked.file.stat().st_size / 1000:.0f} kB",
+    }
+    print_facts(card.name, facts)

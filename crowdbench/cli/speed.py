@@ -1,0 +1,30 @@
+"""`bench`: how fast is it here?"""
+
+import argparse
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+
+
+def add(commands: "Commands") -> None:
+    """Add them to the command line."""
+    bench = commands.add_parser("bench", help="measure how fast crowdbench is here")
+    bench.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
+    bench.set_defaults(run=_bench)
+
+
+def _bench(asked: argparse.Namespace) -> None:
+    from crowdbench.bench import measure
+    from crowdbench.files import replacing, write_json
+
+    # That the file can be written is found out before a minute of measuring.
+    with replacing(asked.json) if asked.json else nullcontext() as temporary:
+        figures = []
+        for figure in measure():
+            print(f"{figure.name:<44} {figure.text()}", flush=True)
+            figures.append(figure)
+        if temporary is not None:
+            write_json(temporary, {f.name: {"value": f.value, "unit": f.unit} for f in figures})

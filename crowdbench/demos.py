@@ -1,0 +1,188 @@
+"""What recorded people saw and did: state-action pairs to learn a policy from.
+
+The recording is replayed in the simulation that environments stand on, everyone along its recorded
+path, and what each person sees there is written down beside the action that takes it on. So the
+pairs are those of the environment, observation for observation, walls and speed limit included.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int
+
+from crowdbench.episode import actions_of, begin, check_capacity, generator
+from crowdbench.policies import ReplayPolicy
+from crowdbench.reference import blocks_of
+from crowdbench.registry import recording_of
+from crowdbench.scene import Scene, load_scene
+from crowdbench.simulation import Settings, Simulation
+from crowdbench.spawn import Replay
+from crowdbench.spawn.weights import check_part
+
+if TYPE_CHECKING:
+    from imitation.data.types import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstrations:
+    """`L` lives or pieces of lives, `S` state-action pairs.
+
+    A life is cut where it leaves the blocks that a part of the recording is fitted on.
+    """
+
+    observations: Float32[np.ndarray, "R obs"]
+    """R = S + L: after the observations of each piece, one of where its last action leads."""
+    actions: Float32[np.ndarray, "R 2"]
+    """Velocity in units of the scene's greatest speed; NaN in the last row of each piece."""
+    person: Int[np.ndarray, " L"]
+    """Index of the person in the recording."""
+    offsets: Int[np.ndarray, " L+1"]
+    """Rows of piece k are offsets[k] … offsets[k + 1] − 1."""
+    first: Int[np.ndarray, " L"]
+    """Frame of each piece's first row."""
+    complete: Bool[np.ndarray, " L"]
+    """Whether the piece ends where the person left, or is cut off."""
+
+    def __len__(self) -> int:
+        return len(self.person)
+
+    def pairs(self) -> tuple[Float32[np.ndarray, "S obs"], Float32[np.ndarray, "S 2"]]:
+        """All observations, and the actions taken in them."""
+        acted = ~np.isnan(self.actions[:, 0])
+        return self.observations[acted], self.actions[acted]
+
+    def take(self, pieces: Sequence[int] | Int[np.ndarray, " l"]) -> "Demonstrations":
+        """Some of the pieces, by index."""
+        chosen = np.asarray(pieces, dtype=np.int64)
+        length = np.diff(self.offsets)[chosen]
+        offsets = np.concatenate([[0], np.cumsum(length)])
+        within = np.arange(offsets[-1]) - np.repeat(offsets[:-1], length)
+        rows = np.repeat(self.offsets[:-1][chosen], length) + within
+        return Demonstrations(
+            self.observations[rows],
+            self.actions[rows],
+            self.person[chosen],
+            offsets,
+            self.first[chosen],
+            self.complete[chosen],
+        )
+
+    def split(self, share: float, seed: int) -> tuple["Demonstrations", "Demonstrations"]:
+        """Two lots, the second of about that share of the persons: nobody is in both."""
+        persons = np.unique(self.person)
+        chosen = np.random.default_rng(seed).random(len(persons)) < share
+        second = np.isin(self.person, persons[chosen])
+        return self.take(np.flatnonzero(~second)), self.take(np.flatnonzero(second))
+
+    def to_imitation(self) -> "list[Trajectory]":
+        """The pieces as `imitation`'s trajectories; needs the extra `imitation`."""
+        from imitation.data.types import Trajectory
+
+        return [
+            Trajectory(
+                obs=self.observations[start:stop],
+                acts=self.actions[start : stop - 1],
+                infos=None,
+                terminal=bool(complete),
+            )
+            for start, stop, complete in zip(
+                self.offsets[:-1].tolist(), self.offsets[1:].tolist(), self.complete, strict=True
+            )
+        ]
+
+
+def demonstrations(
+    scene: str | Scene,
+    *,
+    part: str = "full",
+    observation: str = "lidar-2",
+    rays: int = 32,
+    ray_range_m: float = 10.0,
+) -> Demonstrations:
+    """The demonstrations of a scene's recording in the blocks that `part` is fitted on.
+
+    `part` is `full`, or `fold0` … for those of a fold of the protocol `heldout`, which knows
+    nothing of the blocks it is scored on. The other arguments are those of `parallel_env`.
+
+    Raises:
+        RecordingError: the recording has not been imported.
+        SceneError, SettingError: there is no such scene, part or observation.
+    """
+    place = load_scene(scene)
+    check_part(part, 0)
+    recording = recording_of(place)
+    # A slot is free in the frame after the last, when others have entered already.
+    most = 2 * int(recording.present().max())
+    settings = Settings(max_alive=most, rays=rays, ray_range_m=ray_range_m, observation=observation)
+    simulation = Simulation(place, settings=settings)
+    walker = ReplayPolicy(recording)
+    begin(
+        simulation,
+        Replay(recording),
+        seed=0,
+        frames=recording.frames,
+        start="recorded",
+        walker=walker,
+        scripted=True,
+    )
+    walker.reset(place, generator(0, 0, "policy"))
+    inside = _trained_on(blocks_of(recording, place).training(part).frames, recording.frames)
+
+    person: list[np.ndarray] = []
+    frame: list[np.ndarray] = []
+    observations: list[np.ndarray] = []
+    actions: list[np.ndarray] = []
+    slots = simulation.slots
+    for t in range(recording.frames):
+        actions_now = actions_of(walker, simulation)
+        if inside[t]:
+            there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
+            person.append(slots.event[0, there])
+            frame.append(np.full(len(there), t))
+            observations.append(simulation.observe()[0, there])
+            now = actions_now[0, there]
+            now[~slots.alive[0, there]] = np.nan
+            actions.append(now)
+        simulation.step(actions_now)
+    check_capacity(simulation)
+    return _pieces(
+        np.concatenate(person),
+        np.concatenate(frame),
+        np.concatenate(observations),
+        np.concatenate(actions),
+        np.where(recording.left, recording.last, -1),
+    )
+
+
+def _trained_on(blocks: Int[np.ndarray, "B 2"], frames: int) -> Bool[np.ndarray, " frames"]:
+    inside = np.zeros(frames, dtype=bool)
+    for start, stop in blocks.tolist():
+        inside[start:stop] = True
+    return inside
+
+
+def _pieces(
+    person: Int[np.ndarray, " n"],
+    frame: Int[np.ndarray, " n"],
+    observations: Float32[np.ndarray, "n obs"],
+    actions: Float32[np.ndarray, "n 2"],
+    last: Int[np.ndarray, " P"],
+) -> Demonstrations:
+    """Rows sorted into runs of frames of one person; runs of one row show no action."""
+    order = np.lexsort((frame, person))
+    person, frame = person[order], frame[order]
+    begins = (np.diff(person, prepend=-1) != 0) | (np.diff(frame, prepend=-2) != 1)
+    run = np.cumsum(begins) - 1
+    length = np.bincount(run)
+    kept = length[run] > 1
+    order, begins = order[kept], begins[kept]
+    person, frame = person[kept], frame[kept]
+    length = length[length > 1]
+    offsets = np.concatenate([[0], np.cumsum(length)])
+    observations, actions = observations[order], actions[order]
+    actions[offsets[1:] - 1] = np.nan
+    whose = person[begins].astype(np.int64)
+    ends = frame[offsets[1:] - 1]
+    return Demonstrations(observations, actions, whose, offsets, frame[begins], ends == last[whose])

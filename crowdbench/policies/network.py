@@ -1,0 +1,330 @@
+"""Policies that travel: a network in one ONNX file, with a card that says what it sees.
+
+A file has the input `observation`, float32 (A, 5 + R), and the output `action`, float32 (A, 2);
+A, the number of persons, is free. A policy that leaves something to chance has a second input
+`noise`, float32 (A, Z): standard normal numbers, drawn anew for each person and step by whoever
+rolls it out, so that the same seed gives the same crowd. Its metadata hold a `PolicyCard` as JSON
+under the key `crowdbench`. Nothing in the file runs but operators of the ONNX standard, on
+onnxruntime: no pickle, no custom operators, no data outside the file.
+"""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import msgspec
+import numpy as np
+from jaxtyping import Float32
+from numpy.random import Generator
+
+from crowdbench.blocks import PARTS
+from crowdbench.errors import SettingError, WeightsError
+from crowdbench.files import read_bytes
+from crowdbench.scene import Scene
+from crowdbench.simulation.lidar import OBSERVATIONS
+
+if TYPE_CHECKING:
+    from onnx import AttributeProto, GraphProto, ModelProto, TensorProto, ValueInfoProto
+
+SCHEMA = 1
+ACTION = "velocity-1"
+"""Version of the action: a velocity in units of the scene's greatest speed, in [−1, 1]²."""
+KEY = "crowdbench"
+LARGEST = 20_000_000  # bytes
+MOST_NOISE = 256
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,39}")
+_STANDARD = ("", "ai.onnx")
+_MEND = "Export it anew with `crowdbench policy export`."
+
+
+class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What a policy's file says of it."""
+
+    schema: int = SCHEMA
+    name: str
+    """Under which tables show it."""
+    observation: str
+    """Version of what it sees, one of `OBSERVATIONS`."""
+    rays: int = 32
+    ray_range_m: float = 10.0
+    action: str = ACTION
+    scene: str
+    """Id of the scene it was trained on."""
+    part: str
+    """One of `blocks.PARTS`: what of the recording it was trained on."""
+    command: str = ""
+    """What trained it."""
+    revision: str = ""
+    """Git revision of the code that did."""
+
+    @property
+    def inputs(self) -> int:
+        """Numbers in an observation."""
+        return OBSERVATIONS[self.observation] + self.rays
+
+    def checked(self, where: object) -> "PolicyCard":
+        """The card, if what it says can be.
+
+        Raises:
+            WeightsError: it is of another version, or a value is out of range.
+        """
+        problems = (
+            ("schema", self.schema, self.schema == SCHEMA, str(SCHEMA)),
+            ("name", self.name, _NAME.fullmatch(self.name), "1 to 40 letters, digits, or ' ._+-'"),
+            (
+                "observation",
+                self.observation,
+                self.observation in OBSERVATIONS,
+                " or ".join(OBSERVATIONS),
+            ),
+            ("rays", self.rays, 1 <= self.rays <= 1024, "1 to 1024"),
+            ("ray_range_m", self.ray_range_m, 0 < self.ray_range_m <= 1000, "metres up to 1000"),
+            ("action", self.action, self.action == ACTION, ACTION),
+            ("part", self.part, self.part in PARTS, " or ".join(PARTS)),
+            ("scene", self.scene, _NAME.fullmatch(self.scene), "the id of a scene"),
+            ("command", "", _plain(self.command), "plain text of up to 1000 characters"),
+            ("revision", "", _plain(self.revision), "plain text of up to 1000 characters"),
+        )
+        for name, got, fits, expected in problems:
+            if not fits:
+                raise WeightsError(
+                    where, got=f"the {name} {got!r}"[:200], expected=expected, mend=_MEND
+                )
+        return self
+
+
+def _plain(text: str) -> bool:
+    return len(text) <= 1000 and all(c.isprintable() for c in text)
+
+
+class OnnxPolicy:
+    """A policy from an ONNX file; needs the extra `onnx`."""
+
+    sees: ClassVar[Literal["observation"]] = "observation"
+
+    def __init__(self, path: str | Path) -> None:
+        """Read and check the file.
+
+        Raises:
+            WeightsError: it is missing, too large, not ONNX, or not what this module describes.
+            SettingError: onnxruntime is not installed.
+        """
+        self.path = Path(path)
+        self.card, self.noise, self._session = _read(self.path)
+        self.name = self.card.name
+        self.observation = self.card.observation
+        self.rays = self.card.rays
+        self.ray_range_m = self.card.ray_range_m
+        self.deterministic = self.noise == 0
+
+    def reset(self, scene: Scene, rng: Generator) -> None:
+        """Draw noise from `rng` from now on."""
+        self._rng = rng
+
+    def act(self, seen: Float32[np.ndarray, "A obs"]) -> Float32[np.ndarray, "A 2"]:
+        """One action per observation."""
+        fed = {"observation": np.ascontiguousarray(seen, dtype=np.float32)}
+        if self.noise:
+            fed["noise"] = self._rng.standard_normal((len(seen), self.noise), dtype=np.float32)
+        action: np.ndarray = self._session.run(["action"], fed)[0]
+        return action
+
+
+def check_onnx() -> None:
+    """Raise where ONNX files cannot be read.
+
+    Raises:
+        SettingError: onnx or onnxruntime is not installed.
+    """
+    try:
+        import onnx  # noqa: F401
+        import onnxruntime  # noqa: F401
+    except ImportError as error:
+        raise SettingError(
+            "policy",
+            got=f"no {error.name}",
+            expected="the packages that ONNX files need",
+            mend='Install them: pip install "crowdbench[onnx]".',
+        ) from error
+
+
+def _read(path: Path) -> tuple[PolicyCard, int, Any]:
+    check_onnx()
+    import onnx
+    import onnxruntime
+    from google.protobuf.message import DecodeError
+
+    if path.is_file() and path.stat().st_size > LARGEST:
+        raise WeightsError(
+            path,
+            got=f"{path.stat().st_size / 1e6:.1f} MB",
+            expected=f"an ONNX file of up to {LARGEST / 1e6:.0f} MB",
+        )
+    data = read_bytes(path, WeightsError, _MEND)
+    try:
+        model = onnx.ModelProto.FromString(data)
+    except (DecodeError, ValueError) as error:
+        raise WeightsError(
+            path, got=f"no ONNX file ({error})", expected="one", mend=_MEND
+        ) from error
+    card = _card(path, model)
+    _check_operators(path, model)
+    noise = _check_shapes(path, model, card)
+    options = onnxruntime.SessionOptions()
+    # One thread: sums of several are added in no fixed order, and nets this small gain nothing.
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    try:
+        session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        _try(path, session, card, noise)
+    except WeightsError:
+        raise
+    except Exception as error:  # onnxruntime's errors have no base of their own
+        raise WeightsError(
+            path,
+            got=f"a network that onnxruntime refuses ({str(error).splitlines()[0][:200]})",
+            expected="one that runs",
+            mend=_MEND,
+        ) from error
+    return card, noise, session
+
+
+def _card(path: Path, model: "ModelProto") -> PolicyCard:
+    found = [entry.value for entry in model.metadata_props if entry.key == KEY]
+    if len(found) != 1:
+        raise WeightsError(
+            path,
+            got=f"{len(found)} metadata entries {KEY!r}",
+            expected="one, with the policy's card",
+            mend=_MEND,
+        )
+    try:
+        card = msgspec.json.decode(found[0].encode(), type=PolicyCard)
+    except (msgspec.ValidationError, msgspec.DecodeError) as error:
+        raise WeightsError(path, got=f"a card that {error}", expected="one", mend=_MEND) from error
+    return card.checked(path)
+
+
+def _check_operators(path: Path, model: "ModelProto") -> None:
+    """Refuse what the standard does not define, and data that lie elsewhere."""
+    if model.functions:
+        raise WeightsError(
+            path, got="functions of its own", expected="operators of the ONNX standard", mend=_MEND
+        )
+    for graph in _graphs(model.graph):
+        for node in graph.node:
+            if node.domain not in _STANDARD:
+                raise WeightsError(
+                    path,
+                    got=f"the operator {node.domain}.{node.op_type}"[:200],
+                    expected="operators of the ONNX standard",
+                    mend=_MEND,
+                )
+    for tensor in _tensors(model.graph):
+        if tensor.external_data or tensor.data_location == tensor.EXTERNAL:
+            raise WeightsError(
+                path,
+                got=f"the tensor {tensor.name!r}, whose data lie in another file"[:200],
+                expected="all weights in this one",
+                mend="Save it with its data inside.",
+            )
+
+
+def _graphs(graph: "GraphProto") -> "Iterator[GraphProto]":
+    """The graph and all within it."""
+    yield graph
+    for attribute in _attributes(graph):
+        for inner in (attribute.g, *attribute.graphs):
+            yield from _graphs(inner)
+
+
+def _attributes(graph: "GraphProto") -> "Iterator[AttributeProto]":
+    for node in graph.node:
+        yield from node.attribute
+
+
+def _tensors(graph: "GraphProto") -> "Iterator[TensorProto]":
+    for each in _graphs(graph):
+        yield from each.initializer
+        sparse = list(each.sparse_initializer)
+        for attribute in _attributes(each):
+            yield attribute.t
+            yield from attribute.tensors
+            sparse += [attribute.sparse_tensor, *attribute.sparse_tensors]
+        for tensor in sparse:
+            yield tensor.values
+            yield tensor.indices
+
+
+def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
+    """The width of the noise, 0 without any; inputs and outputs must be what they have to be."""
+    fixed = {tensor.name for tensor in model.graph.initializer}
+    inputs = {i.name: _shape(i) for i in model.graph.input if i.name not in fixed}
+    outputs = {o.name: _shape(o) for o in model.graph.output}
+    noise = inputs.pop("noise", None)
+    expected: dict[str, tuple[int | None, ...]] = {"observation": (None, card.inputs)}
+    if inputs != expected:
+        raise WeightsError(
+            path,
+            got=f"inputs {_written(inputs)}",
+            expected=f"float32 {_written(expected)} and, if need be, noise (A, Z): "
+            f"{card.observation} with {card.rays} rays has {card.inputs} numbers",
+            mend=_MEND,
+        )
+    if outputs != {"action": (None, 2)}:
+        raise WeightsError(
+            path,
+            got=f"outputs {_written(outputs)}",
+            expected="float32 action (A, 2)",
+            mend=_MEND,
+        )
+    if noise is None:
+        return 0
+    width = noise[1] if noise[0] is None and len(noise) == 2 else None
+    if width is None or not 1 <= width <= MOST_NOISE:
+        raise WeightsError(
+            path,
+            got=_written({"noise": noise}),
+            expected=f"float32 noise (A, Z) with Z from 1 to {MOST_NOISE}",
+            mend=_MEND,
+        )
+    return width
+
+
+def _shape(value: "ValueInfoProto") -> tuple[int | None, ...]:
+    """Sizes, None where they are free; −1 alone for what is no array of float32."""
+    tensor = value.type.tensor_type
+    if tensor.elem_type != 1 or not tensor.HasField("shape"):
+        return (-1,)
+    return tuple(d.dim_value if d.HasField("dim_value") else None for d in tensor.shape.dim)
+
+
+def _written(shapes: dict[str, tuple[int | None, ...]]) -> str:
+    def size(shape: tuple[int | None, ...]) -> str:
+        if shape == (-1,):
+            return "of another type"
+        return "(" + ", ".join("A" if d is None else str(d) for d in shape) + ")"
+
+    return ", ".join(f"{name} {size(shape)}" for name, shape in shapes.items())[:300] or "none"
+
+
+def _try(path: Path, session: Any, card: PolicyCard, noise: int) -> None:
+    """Run it for nobody, one and three persons."""
+    rng = np.random.default_rng(0)
+    for persons in (0, 1, 3):
+        fed = {"observation": rng.uniform(-1, 1, (persons, card.inputs)).astype(np.float32)}
+        if noise:
+            fed["noise"] = rng.standard_normal((persons, noise), dtype=np.float32)
+        action = session.run(["action"], fed)[0]
+        if action.shape != (persons, 2) or action.dtype != np.float32:
+            raise WeightsError(
+                path,
+                got=f"actions of shape {action.shape} for {persons} persons",
+                expected=f"({persons}, 2)",
+                mend=_MEND,
+            )
+        if not np.isfinite(action).all():
+            raise WeightsError(
+                path, got="actions that are not finite", expected="numbers", mend=_MEND
+            )

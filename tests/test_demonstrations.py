@@ -1,0 +1,133 @@
+"""Demonstrations: what the environment would have shown, and what the recording did next."""
+
+import numpy as np
+import pytest
+from conftest import need_imitation
+
+import crowdbench
+from crowdbench import Demonstrations, demonstrations, load_scene, recording
+from crowdbench.errors import SettingError
+from crowdbench.reference import blocks_of
+from crowdbench.registry import import_recording
+
+PLAZA = load_scene("plaza-v0")
+
+
+@pytest.fixture(scope="module")
+def shown() -> Demonstrations:
+    return demonstrations("plaza-v0", rays=8)
+
+
+@pytest.fixture(scope="module")
+def recorded() -> crowdbench.Trajectories:
+    return recording("plaza")
+
+
+def rows(shown: Demonstrations, piece: int) -> slice:
+    return slice(int(shown.offsets[piece]), int(shown.offsets[piece + 1]))
+
+
+def test_every_step_of_the_recording_is_there(shown, recorded) -> None:
+    steps = np.diff(recorded.offsets) - 1
+    assert shown.person.tolist() == np.flatnonzero(steps).tolist()
+    assert (np.diff(shown.offsets) - 1).tolist() == steps[steps > 0].tolist()
+    seen, acts = shown.pairs()
+    assert len(seen) == len(acts) == steps.sum()
+    assert np.isfinite(acts).all()
+    assert np.isfinite(shown.observations).all()
+    assert shown.complete.tolist() == recorded.left[steps > 0].tolist()
+
+
+def test_actions_are_displacements_in_units_of_the_greatest_speed(shown, recorded) -> None:
+    for k in range(len(shown)):
+        path = recorded.path(int(shown.person[k])).astype(np.float64)
+        expected = np.diff(path, axis=0) / PLAZA.dt_s / PLAZA.motion.max_speed_mps
+        np.testing.assert_allclose(shown.actions[rows(shown, k)][:-1], expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("version", ["lidar-1", "lidar-2"])
+def test_observations_are_those_of_the_environment(version: str, recorded) -> None:
+    shown = demonstrations("plaza-v0", observation=version, rays=8)
+    of = {int(p): k for k, p in enumerate(shown.person)}
+    env = crowdbench.parallel_env(
+        "plaza-v0", spawn="replay", start="recorded", observation=version, rays=8
+    )
+    observations, infos = env.reset(seed=0)
+    compared = 0
+    while env.agents:
+        frame = next(iter(infos.values()))["frame"]
+        # Persons are numbered as they enter, which is the order of the recording.
+        there = {name: int(name.removeprefix("person_")) for name in env.agents}
+        now = (recorded.first <= frame) & (frame <= recorded.last)
+        if set(there.values()) != set(np.flatnonzero(now).tolist()):
+            break  # someone came by the goal before the record ends, and is gone here
+        actions = {}
+        for name, person in there.items():
+            at = shown.offsets[of[person]] + frame - shown.first[of[person]]
+            assert observations[name].tolist() == shown.observations[at].tolist()
+            actions[name] = np.nan_to_num(shown.actions[at])
+            compared += 1
+        observations, *_, infos = env.step(actions)
+    assert compared > 100
+
+
+def test_a_fold_shows_nothing_of_its_scored_blocks(recorded) -> None:
+    blocks = blocks_of(recorded, PLAZA)
+    parts = [demonstrations("plaza-v0", part=f"fold{k}", rays=1) for k in range(3)]
+    whole = demonstrations("plaza-v0", rays=1)
+    for k, part in enumerate(parts):
+        inside = np.zeros(recorded.frames, dtype=bool)
+        for start, stop in blocks.training(f"fold{k}").frames.tolist():
+            inside[start:stop] = True
+        length = np.diff(part.offsets)
+        frames = np.arange(length.sum()) + np.repeat(part.first - part.offsets[:-1], length)
+        assert inside[frames].all()
+        persons = np.repeat(part.person, length)
+        # What it shows is what the whole shows.
+        at = {int(p): i for i, p in enumerate(whole.person)}
+        piece = np.array([at[int(p)] for p in persons])
+        row = whole.offsets[piece] + frames - whole.first[piece]
+        assert (part.observations == whole.observations[row]).all()
+    # Each frame trains two of three folds; pairs are lost only where a life is cut.
+    pairs = sum(len(part.pairs()[0]) for part in parts)
+    assert 1.9 < pairs / len(whole.pairs()[0]) <= 2.0
+    assert not all(part.complete.all() for part in parts)
+
+
+def test_nobody_is_in_both_lots(shown) -> None:
+    train, test = shown.split(0.2, seed=1)
+    assert len(train) + len(test) == len(shown)
+    assert not set(train.person.tolist()) & set(test.person.tolist())
+    assert 0.1 < len(test) / len(shown) < 0.3
+    again, _ = shown.split(0.2, seed=1)
+    assert again.person.tolist() == train.person.tolist()
+    for k in range(len(test)):
+        whole = rows(shown, int(np.flatnonzero(shown.person == test.person[k])[0]))
+        assert (test.observations[rows(test, k)] == shown.observations[whole]).all()
+
+
+def test_imitation_takes_them(shown) -> None:
+    need_imitation()
+    from imitation.data import rollout
+
+    lives = shown.to_imitation()
+    assert len(lives) == len(shown)
+    flat = rollout.flatten_trajectories(lives)
+    seen, acts = shown.pairs()
+    assert (flat.obs == seen).all()
+    assert (flat.acts == acts).all()
+    assert flat.dones.sum() == shown.complete.sum()
+
+
+def test_every_step_of_eth_is_there(opentraj) -> None:
+    import_recording("eth", opentraj)
+    shown, recorded = demonstrations("eth-v0"), recording("eth")
+    assert len(shown) == 360
+    assert len(shown.pairs()[0]) == len(recorded.xy) - 360
+    assert shown.complete.sum() == recorded.left.sum()
+
+
+@pytest.mark.parametrize("part", ["fold3", "", "half"])
+def test_an_unknown_part_is_refused(part: str) -> None:
+    with pytest.raises(SettingError, match="fold0"):
+        demonstrations("plaza-v0", part=part)
