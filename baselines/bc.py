@@ -13,6 +13,7 @@ import copy
 import shlex
 import sys
 import time
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -119,7 +120,9 @@ def clone(lots: list[Demonstrations], settings: Settings) -> tuple[MixturePolicy
     best, best_epoch, weights = -np.inf, 0, copy.deepcopy(policy.state_dict())
     began = time.monotonic()
     for epoch in range(1, settings.epochs + 1):
-        trainer.train(n_epochs=1, progress_bar=False, log_interval=10**9)
+        with warnings.catch_warnings():  # imitation logs tensors that know their gradient
+            warnings.filterwarnings("ignore", message="Converting a tensor")
+            trainer.train(n_epochs=1, progress_bar=False, log_interval=10**9)
         likelihood = _likelihood(policy, *held_out)
         if likelihood > best:
             best, best_epoch, weights = likelihood, epoch, copy.deepcopy(policy.state_dict())
