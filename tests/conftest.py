@@ -34,6 +34,7 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.replay_check",
         "crowdbench.report",
         "crowdbench.results",
+        "crowdbench.rewards",
         "crowdbench.rollouts",
         "crowdbench.scene",
         "crowdbench.simulation.simulation",

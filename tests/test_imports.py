@@ -16,7 +16,7 @@ ORDER = (
     "errors", "files", "processes", "trajectories", "tables", "blocks", "metrics", "recordings",
     "scene", "spawn", "reference", "scoring_kernel", "scoring", "power", "cards", "simulation",
     "policies", "episode", "rollouts", "plaza", "registry", "demos", "fit", "spawn_check",
-    "replay_check", "figures", "report", "jobs", "evaluation", "results", "ablation",
+    "replay_check", "figures", "report", "jobs", "evaluation", "results", "ablation", "rewards",
     "environment", "bench", "cli", "__main__",
 )  # fmt: skip
 HEAVY = (
