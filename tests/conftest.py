@@ -52,6 +52,7 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.spawn.rescaling",
         "crowdbench.spawn.weights",
         "crowdbench.tables",
+        "crowdbench.torchrl_env",
         "crowdbench.trajectories",
     ],
     "beartype.beartype",
