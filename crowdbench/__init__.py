@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from crowdbench.metrics import METRICS, MetricResult, distance
     from crowdbench.reference import score
     from crowdbench.registry import policy, recording, spawn_model
+    from crowdbench.rewards import Reward
     from crowdbench.rollouts import rollout
     from crowdbench.scene import Scene, list_scenes, load_scene
     from crowdbench.tables import read, read_own, write_parquet
@@ -38,6 +39,7 @@ _HOME = {
     "metrics": ("METRICS", "MetricResult", "distance"),
     "reference": ("score",),
     "registry": ("policy", "recording", "spawn_model"),
+    "rewards": ("Reward",),
     "rollouts": ("rollout",),
     "scene": ("Scene", "list_scenes", "load_scene"),
     "tables": ("read", "read_own", "write_parquet"),
@@ -51,6 +53,7 @@ __all__ = [
     "CrowdbenchError",
     "Demonstrations",
     "MetricResult",
+    "Reward",
     "Scene",
     "Trajectories",
     "demonstrations",

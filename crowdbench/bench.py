@@ -23,6 +23,7 @@ from crowdbench.metrics import WALK, metrics_for
 from crowdbench.policies import Policy, SocialForce, Straight
 from crowdbench.reference import Reference, blocks_of, read_reference, summarise
 from crowdbench.registry import FITTED, recording_of, spawn_model
+from crowdbench.rewards import Reward
 from crowdbench.rollouts import rollout
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
 from crowdbench.scoring import RESAMPLES, Energy, Score, combined, energy, ranks, score_of
@@ -199,6 +200,7 @@ def _pettingzoo(persons: int) -> float:
         start=None,
         settings=Settings(max_alive=persons, max_persons=persons),
         on_full="error",
+        reward=Reward(),
     )
     actions = _to_and_fro((persons, 2))
 

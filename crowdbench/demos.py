@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int
 
 from crowdbench.episode import actions_of, begin, check_capacity, generator
+from crowdbench.errors import SettingError
 from crowdbench.policies import ReplayPolicy
 from crowdbench.reference import blocks_of
 from crowdbench.registry import recording_of
@@ -20,6 +21,7 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn import Replay
 from crowdbench.spawn.weights import check_part
+from crowdbench.trajectories import Trajectories
 
 if TYPE_CHECKING:
     from imitation.data.types import Trajectory
@@ -100,11 +102,26 @@ def demonstrations(
     observation: str = "lidar-2",
     rays: int = 32,
     ray_range_m: float = 10.0,
+    displaced_m: float = 0.0,
+    recovery_s: float = 4.0,
+    seed: int = 0,
 ) -> Demonstrations:
     """The demonstrations of a scene's recording in the blocks that `part` is fitted on.
 
-    `part` is `full`, or `fold0` … for those of a fold of the protocol `heldout`, which knows
-    nothing of the blocks it is scored on. The other arguments are those of `parallel_env`.
+    Who only ever saw people on their way does not know how to get back to it: a cloned policy
+    drifts, and then is where no demonstration was. So half of the persons, drawn by chance, can be
+    displaced: each is moved aside by a vector of its own for all of its life, and acts so as to be
+    back on its recorded path after `recovery_s`, or at its end if that comes sooner. (Laskey et
+    al. 2017, DART, CoRL, disturb the demonstrator for the same reason.)
+
+    Args:
+        scene: an id, or a scene.
+        part: `full`, or `fold0` … for what a fold of the protocol `heldout` is fitted on, which
+            knows nothing of the blocks it is scored on.
+        observation: what they see, as in `parallel_env`; so are `rays` and `ray_range_m`.
+        displaced_m: standard deviation of both components of the displacements; 0 for none.
+        recovery_s: in which displaced persons come back.
+        seed: of the displacements.
 
     Raises:
         RecordingError: the recording has not been imported.
@@ -128,6 +145,8 @@ def demonstrations(
         scripted=True,
     )
     walker.reset(place, generator(0, 0, "policy"))
+    aside = _displacements(len(recording), displaced_m, seed)
+    ahead = max(1, place.frames(recovery_s))
     inside = _trained_on(blocks_of(recording, place).training(part).frames, recording.frames)
 
     person: list[np.ndarray] = []
@@ -139,10 +158,17 @@ def demonstrations(
         actions_now = actions_of(walker, simulation)
         if inside[t]:
             there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
-            person.append(slots.event[0, there])
+            event = slots.event[0, there]
+            person.append(event)
             frame.append(np.full(len(there), t))
+            stood = slots.position[0, there]
+            moved = aside[event] != 0
+            moved &= place.walkable((stood + aside[event]).astype(np.float64))[:, None]
+            slots.position[0, there] += np.where(moved, aside[event], 0)
             observations.append(simulation.observe()[0, there])
-            now = actions_now[0, there]
+            back = _back(recording, place, event, t, ahead, slots.position[0, there])
+            slots.position[0, there] = stood
+            now = np.where(moved, back, actions_now[0, there])
             now[~slots.alive[0, there]] = np.nan
             actions.append(now)
         simulation.step(actions_now)
@@ -154,6 +180,32 @@ def demonstrations(
         np.concatenate(actions),
         np.where(recording.left, recording.last, -1),
     )
+
+
+def _displacements(persons: int, displaced_m: float, seed: int) -> Float32[np.ndarray, "P 2"]:
+    if not (np.isfinite(displaced_m) and displaced_m >= 0):
+        raise SettingError("displaced_m", got=str(displaced_m), expected="metres, 0 or more")
+    rng = np.random.default_rng(seed)
+    aside = rng.normal(0.0, displaced_m, (persons, 2))
+    aside[rng.random(persons) < 0.5] = 0.0
+    return aside.astype(np.float32)
+
+
+def _back(
+    recording: Trajectories,
+    scene: Scene,
+    person: Int[np.ndarray, " A"],
+    frame: int,
+    ahead: int,
+    position: Float32[np.ndarray, "A 2"],
+) -> Float32[np.ndarray, "A 2"]:
+    """The actions that lead from `position` to where the records are `ahead` frames later."""
+    last = recording.offsets[person + 1] - 1
+    row = np.minimum(recording.offsets[person] + frame - recording.first[person], last)
+    left = np.clip(last - row, 1, ahead)
+    way = recording.xy[np.minimum(row + left, last)].astype(np.float64) - position
+    action = way / (left * scene.dt_s * scene.motion.max_speed_mps)[:, None]
+    return action.clip(-1, 1).astype(np.float32)
 
 
 def _trained_on(blocks: Int[np.ndarray, "B 2"], frames: int) -> Bool[np.ndarray, " frames"]:

@@ -17,6 +17,7 @@ from crowdbench.episode import Recorder, begin, check_capacity, warm_up_s
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import spawn_model
+from crowdbench.rewards import Reward
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.simulation import TIMEOUT_DWELLS
@@ -25,7 +26,6 @@ from crowdbench.spawn import SpawnEvents, SpawnModel
 from crowdbench.spawn.model import Start
 from crowdbench.trajectories import OUTCOMES, Trajectories
 
-ARRIVAL_REWARD = 1.0
 LEAST_SLOTS = 512
 TERMINAL = (GOAL, EXIT, RECORDED)
 """Outcomes that terminate a person; timeout and horizon truncate it."""
@@ -46,7 +46,8 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     - Observation: `lidar-1` or `lidar-2`, see `crowdbench.simulation.lidar`.
     - Action: velocity in units of the scene's greatest speed, Box(−1, 1, (2,)). Values out of
       range are clipped; NaN or infinity, a missing agent, or one that is not there raise.
-    - Reward: metres come nearer to the goal in this step, plus 1 on reaching it.
+    - Reward: progress, arrival, overlap, walls and effort, see `crowdbench.rewards.Reward`; the
+      parts stand in `infos` as `reward_parts`, in the order of `crowdbench.rewards.PARTS`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -65,6 +66,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         start: Start | None,
         settings: Settings,
         on_full: Literal["error", "drop"],
+        reward: Reward,
     ) -> None:
         if on_full not in ("error", "drop"):
             raise SettingError("on_full", got=repr(on_full), expected="'error' or 'drop'")
@@ -79,6 +81,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         self.frames = scene.frames(horizon_s)
         self._start = start
         self._on_full = on_full
+        self._reward = reward
         self._simulation = Simulation(scene, settings=settings)
         self._seeds, _ = seeding.np_random(None)
         self.possible_agents = [f"person_{k}" for k in range(settings.max_persons)]
@@ -154,11 +157,13 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
 
         frame = int(simulation.clock.frame[0])
         observations = dict(zip(acting, simulation.observe()[0].take(acted, axis=0), strict=True))
-        rewards = dict(zip(acting, slots.progress[0].take(acted).tolist(), strict=True))
+        parts = self._reward.parts(simulation)[0].take(acted, axis=0)
+        rewards = dict(zip(acting, parts.sum(axis=1).tolist(), strict=True))
         terminations = dict.fromkeys(acting, False)
         truncations = dict.fromkeys(acting, False)
         infos: dict[str, dict[str, Any]] = {
-            name: {"frame": frame, "frames_skipped": 0} for name in acting
+            name: {"frame": frame, "frames_skipped": 0, "reward_parts": of_name}
+            for name, of_name in zip(acting, parts.tolist(), strict=True)
         }
         if simulation.clock.changed[0]:
             ended = slots.ended[0, acted]
@@ -166,7 +171,6 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
                 name, how = acting[k], int(ended[k])
                 terminations[name] = how in TERMINAL
                 truncations[name] = how not in TERMINAL
-                rewards[name] += ARRIVAL_REWARD * (how == GOAL)
                 infos[name]["outcome"] = OUTCOMES[how]
             skipped = self._skip_empty()
             born = (slots.alive[0] if skipped else slots.spawned[0]).nonzero()[0]
@@ -293,6 +297,7 @@ def parallel_env(
     max_alive: int | None = None,
     max_persons: int | None = None,
     on_full: Literal["error", "drop"] = "error",
+    reward: Reward | None = None,
 ) -> CrowdParallelEnv:
     """Make a PettingZoo environment of a scene.
 
@@ -312,6 +317,7 @@ def parallel_env(
             default twice a sample of the spawn model, and some.
         on_full: what happens when either runs out: `error` raises, `drop` turns the person
             away and counts it in `env.dropped`.
+        reward: weights of its parts, by default those of `Reward()`.
 
     Raises:
         SceneError, SettingError, WeightsError, RecordingError: what was asked for does not
@@ -336,7 +342,13 @@ def parallel_env(
         observation=observation,
     )
     return CrowdParallelEnv(
-        scene, model, horizon_s=horizon_s, start=start, settings=settings, on_full=on_full
+        scene,
+        model,
+        horizon_s=horizon_s,
+        start=start,
+        settings=settings,
+        on_full=on_full,
+        reward=reward or Reward(),
     )
 
 

@@ -42,11 +42,12 @@ def begin(
     walker: Policy,
     scripted: bool = False,
 ) -> None:
-    """Begin an episode of `frames` frames in a simulation of one world.
+    """Begin an episode of `frames` frames in all worlds of a simulation.
 
-    `start` is by default the spawn model's. `stationary`: a warm-up of 60 s or the 99th
-    percentile of dwell times, whichever is longer, is walked by `walker` and discarded.
-    `recorded`: with the recorded initial population (replay only). `empty`: with nobody.
+    Each world has arrivals of its own, drawn from its own random numbers. `start` is by default
+    the spawn model's. `stationary`: a warm-up of 60 s or the 99th percentile of dwell times,
+    whichever is longer, is walked by `walker` and discarded. `recorded`: with the recorded initial
+    population (replay only). `empty`: with nobody.
 
     Raises:
         SettingError: `recorded` without recorded arrivals, or `stationary` with them.
@@ -67,19 +68,23 @@ def begin(
     if start == "stationary":
         warm_up = scene.frames(warm_up_s(scene))
     horizon_s = (warm_up + frames) * scene.dt_s
-    events = check_events(spawn.sample(horizon_s, scene, generator(seed, 0, "spawn")), spawn.name)
-    outside = events.entered & ~scene.inside(events.start.astype(np.float64))
-    if outside.any():
-        raise SettingError(
-            f"events of the spawn model {spawn.name}",
-            got=f"{int(outside.sum())} persons who start outside the bounds of {scene.id}",
-            expected="starts in metres, in the scene's frame",
-        )
-    if scripted:
-        events = spawn.scripted(events)  # type: ignore[attr-defined]  # only Replay has scripts
-    if start == "empty":
-        events = events[events.entered]
-    simulation.reset([events.shifted(-warm_up * scene.dt_s)], horizon=frames, first_frame=-warm_up)
+    events = []
+    for world in range(simulation.worlds):
+        sample = spawn.sample(horizon_s, scene, generator(seed, world, "spawn"))
+        sample = check_events(sample, spawn.name)
+        outside = sample.entered & ~scene.inside(sample.start.astype(np.float64))
+        if outside.any():
+            raise SettingError(
+                f"events of the spawn model {spawn.name}",
+                got=f"{int(outside.sum())} persons who start outside the bounds of {scene.id}",
+                expected="starts in metres, in the scene's frame",
+            )
+        if scripted:
+            sample = spawn.scripted(sample)  # type: ignore[attr-defined]  # Replay alone has scripts
+        if start == "empty":
+            sample = sample[sample.entered]
+        events.append(sample.shifted(-warm_up * scene.dt_s))
+    simulation.reset(events, horizon=frames, first_frame=-warm_up)
     walker.reset(scene, generator(seed, 0, "warm-up"))
     for _ in range(warm_up):
         simulation.step(actions_of(walker, simulation))

@@ -1,7 +1,10 @@
 """Writing policies as ONNX files; needs torch and the extra `onnx`."""
 
+import logging
 import subprocess
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -76,7 +79,7 @@ def _onnx(
 
     persons = torch.export.Dim("A", min=1)
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _quiet("torch.onnx"):
             warnings.simplefilter("ignore")  # of its own deprecations
             program = torch.onnx.export(
                 network,
@@ -116,6 +119,18 @@ def _onnx(
     entry.key, entry.value = KEY, msgspec.json.encode(card).decode()
     data: bytes = model.SerializeToString(deterministic=True)
     return data
+
+
+@contextmanager
+def _quiet(name: str) -> Iterator[None]:
+    """Without a logger's warnings, here of operators of packages that are not installed."""
+    log = logging.getLogger(name)
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 def revision(folder: Path) -> str:

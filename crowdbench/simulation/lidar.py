@@ -71,10 +71,11 @@ class Cells(NamedTuple):
 
 
 @kernel
-def observe(slots, target, beyond, head, cells, walls, max_speed, radius, reach, out):
+def observe(slots, target, beyond, head, cells, walls, max_speed, radius, reach, nearest, out):
     """Write the observation of everyone alive, or ended in this step, into `out` (W, N, head + R).
 
-    `target` (W, N, 2) is where they are to walk, `beyond` (W, N) how far it is from there.
+    `target` (W, N, 2) is where they are to walk, `beyond` (W, N) how far it is from there. The
+    distance to the nearest person that each sees goes into `nearest` (W, N), infinite for none.
     """
     # Arrays are unpacked once: reaching into a bundle costs as much as a ray.
     alive, ended, spawned = slots.alive, slots.ended, slots.spawned
@@ -108,8 +109,12 @@ def observe(slots, target, beyond, head, cells, walls, max_speed, radius, reach,
                        rays)  # fmt: skip
             count = _neighbours(w, i, x, y, reach + radius, ended, spawned, grid, start,
                                 sorted_xy, sorted_slot, near)  # fmt: skip
+            squared = np.float32(np.inf)
             for k in range(count):
+                gap = near[k, 0] * near[k, 0] + near[k, 1] * near[k, 1]
+                squared = min(squared, gap)
                 _see_disc(near[k, 0], near[k, 1], radius, cos32, sin32, rays)
+            nearest[w, i] = math.sqrt(squared)
             for k in range(len(rays)):
                 rays[k] /= np.float32(reach)
 

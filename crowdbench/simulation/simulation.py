@@ -99,6 +99,9 @@ class Simulation:
         self.observation: Float32[np.ndarray, "W N obs"] = np.zeros(
             (worlds, s.max_alive, self._head + s.rays), np.float32
         )
+        self.nearest: Float32[np.ndarray, "W N"] = np.full(
+            (worlds, s.max_alive), np.inf, np.float32
+        )
         self._routes = Routes.on(scene) if s.observation == "lidar-2" else None
         self._target = np.zeros((worlds, s.max_alive, 2), np.float32)
         self._beyond = np.zeros((worlds, s.max_alive))
@@ -142,7 +145,10 @@ class Simulation:
         self._advance(self.slots.alive.size if self.worlds > 1 else 1, *arguments)
 
     def observe(self) -> Float32[np.ndarray, "W N obs"]:
-        """Fill `observation` for everyone alive or just ended, and return it."""
+        """Fill `observation` for everyone alive or just ended, and return it.
+
+        `nearest` then holds how far it is to the nearest person that each of them sees, metres.
+        """
         arguments = (
             self.slots,
             self._towards(),
@@ -153,6 +159,7 @@ class Simulation:
             self._limits.max_speed,
             self.scene.motion.person_radius_m,
             self.settings.ray_range_m,
+            self.nearest,
             self.observation,
         )
         self._observe(int(np.count_nonzero(self.slots.alive)), *arguments)

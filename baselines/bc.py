@@ -1,0 +1,200 @@
+"""Behaviour cloning: do what recorded people did in what they saw, with `imitation`.
+
+    python -m baselines.bc --scene eth-v0
+
+writes `results/bc-eth-v0/full.onnx`, which `crowdbench evaluate eth-v0 --policy
+results/bc-eth-v0/full.onnx` rolls out. The defaults are the founding paper's (two layers of 32,
+Adam at 1e-4, at most 1000 epochs), with training stopped when the likelihood of people who are
+held out no longer gets better.
+"""
+
+import argparse
+import copy
+import shlex
+import sys
+import time
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from imitation.algorithms import bc
+from imitation.util import logger
+
+from baselines.mixture import NOISE, MixturePolicy, Sampler
+from crowdbench import Demonstrations, demonstrations, load_scene
+from crowdbench.errors import CrowdbenchError
+from crowdbench.policies import PolicyCard
+from crowdbench.policies.export import export_policy, revision
+
+OBSERVATION = "lidar-2"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a policy is cloned."""
+
+    hidden: tuple[int, ...] = (32, 32)
+    learning_rate: float = 1e-4
+    batch_size: int = 32
+    epochs: int = 1000
+    patience: int = 30
+    """Epochs without a better held-out likelihood after which training ends."""
+    held_out: float = 0.1
+    """Share of the persons by whom training is stopped."""
+    displaced_m: float = 0.5
+    copies: int = 1
+    """Times that the recording is shown, with other persons displaced."""
+    seed: int = 0
+
+
+@dataclass
+class Batches:
+    """Batches of demonstrations in an order drawn anew each time they are gone through.
+
+    `imitation`'s own loader collates one pair at a time, which takes longer than the training.
+    """
+
+    observations: np.ndarray
+    actions: np.ndarray
+    size: int
+    rng: np.random.Generator
+
+    def __len__(self) -> int:
+        return max(1, len(self.actions) // self.size)
+
+    def __iter__(self) -> Iterator[Mapping[str, torch.Tensor]]:
+        order = self.rng.permutation(len(self.actions))
+        for k in range(len(self)):
+            rows = order[k * self.size : (k + 1) * self.size]
+            yield {
+                "obs": torch.from_numpy(self.observations[rows]),
+                "acts": torch.from_numpy(self.actions[rows]),
+            }
+
+
+def shown(scene: str, part: str, settings: Settings) -> list[Demonstrations]:
+    """What is learned from: the recording, once for each copy."""
+    return [
+        demonstrations(
+            scene,
+            part=part,
+            observation=OBSERVATION,
+            displaced_m=settings.displaced_m,
+            seed=settings.seed + k,
+        )
+        for k in range(settings.copies)
+    ]
+
+
+def clone(lots: list[Demonstrations], settings: Settings) -> tuple[MixturePolicy, float, int]:
+    """The policy, its held-out log-likelihood in nats per action, and the epochs trained."""
+    torch.manual_seed(settings.seed)
+    rng = np.random.default_rng(settings.seed)
+    splits = [lot.split(settings.held_out, settings.seed) for lot in lots]
+    x, a = (np.concatenate(each) for each in zip(*(t.pairs() for t, _ in splits), strict=True))
+    seen, did = (np.concatenate(e) for e in zip(*(h.pairs() for _, h in splits), strict=True))
+    held_out = torch.from_numpy(seen), torch.from_numpy(did)
+    policy = MixturePolicy(
+        spaces.Box(-1.0, 1.0, (x.shape[1],), np.float32),
+        spaces.Box(-1.0, 1.0, (2,), np.float32),
+        lambda _: settings.learning_rate,
+        net_arch=list(settings.hidden),
+    )
+    size = min(settings.batch_size, len(a))
+    trainer = bc.BC(
+        observation_space=policy.observation_space,
+        action_space=policy.action_space,
+        policy=policy,
+        demonstrations=Batches(x, a, size, rng),
+        batch_size=size,
+        optimizer_kwargs={"lr": settings.learning_rate},
+        ent_weight=0.0,
+        rng=rng,
+        device="cpu",
+        custom_logger=logger.configure(format_strs=[]),
+    )
+    best, best_epoch, weights = -np.inf, 0, copy.deepcopy(policy.state_dict())
+    began = time.monotonic()
+    for epoch in range(1, settings.epochs + 1):
+        with warnings.catch_warnings():  # imitation logs tensors that know their gradient
+            warnings.filterwarnings("ignore", message="Converting a tensor")
+            trainer.train(n_epochs=1, progress_bar=False, log_interval=10**9)
+        likelihood = _likelihood(policy, *held_out)
+        if likelihood > best:
+            best, best_epoch, weights = likelihood, epoch, copy.deepcopy(policy.state_dict())
+        if epoch % 10 == 0 or epoch == 1:
+            print(
+                f"epoch {epoch:4d}  held out {likelihood:.4f} nats per action, best {best:.4f}  "
+                f"{time.monotonic() - began:.0f} s",
+                flush=True,
+            )
+        if epoch - best_epoch >= settings.patience:
+            break
+    policy.load_state_dict(weights)
+    return policy, best, best_epoch
+
+
+def _likelihood(policy: MixturePolicy, seen: torch.Tensor, did: torch.Tensor) -> float:
+    with torch.no_grad():
+        each = [
+            policy.get_distribution(s).log_prob(a)
+            for s, a in zip(seen.split(65_536), did.split(65_536), strict=True)
+        ]
+    return float(torch.cat(each).mean())
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Clone and write policies."""
+    default = Settings()
+    parser = argparse.ArgumentParser(prog="python -m baselines.bc", description=__doc__)
+    parser.add_argument("--scene", required=True)
+    parser.add_argument("--parts", nargs="+", default=["full"], metavar="PART")
+    parser.add_argument("--hidden", nargs="+", type=int, default=list(default.hidden))
+    parser.add_argument("--learning-rate", type=float, default=default.learning_rate)
+    parser.add_argument("--batch-size", type=int, default=default.batch_size)
+    parser.add_argument("--epochs", type=int, default=default.epochs)
+    parser.add_argument("--patience", type=int, default=default.patience)
+    parser.add_argument("--displaced-m", type=float, default=default.displaced_m)
+    parser.add_argument("--copies", type=int, default=default.copies)
+    parser.add_argument("--seed", type=int, default=default.seed)
+    parser.add_argument("--out", type=Path, help="folder (default: results/bc-SCENE)")
+    asked = parser.parse_args(arguments)
+    settings = Settings(
+        hidden=tuple(asked.hidden),
+        learning_rate=asked.learning_rate,
+        batch_size=asked.batch_size,
+        epochs=asked.epochs,
+        patience=asked.patience,
+        displaced_m=asked.displaced_m,
+        copies=asked.copies,
+        seed=asked.seed,
+    )
+    given = sys.argv[1:] if arguments is None else arguments
+    try:
+        scene = load_scene(asked.scene)
+        out = asked.out or Path("results") / f"bc-{scene.id}"
+        out.mkdir(parents=True, exist_ok=True)
+        for part in asked.parts:
+            policy, likelihood, epochs = clone(shown(asked.scene, part, settings), settings)
+            card = PolicyCard(
+                name="bc",
+                observation=OBSERVATION,
+                scene=scene.id,
+                part=part,
+                command=f"python -m baselines.bc {shlex.join(given)}",
+                revision=revision(Path(__file__).parent),
+            )
+            path = export_policy(Sampler(policy), out / f"{part}.onnx", card, noise=NOISE)
+            print(f"{path}: {likelihood:.4f} nats per action after {epochs} epochs")
+    except CrowdbenchError as error:
+        print(f"baselines.bc: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,115 @@
+"""A policy that is a distribution: a mixture of Gaussians around the present velocity.
+
+People keep their velocity, or change it in one of several ways: one Gaussian has to be as wide as
+all of these together, and who draws from it staggers. The network says how likely each of a few
+changes is, where it leads and how exactly (mixture density network: Bishop 1994, Neural Computing
+Research Group Report NCRG/94/004, eqs. 22-27).
+
+It is a policy of Stable-Baselines3, so that `imitation` clones it and GAIL's PPO trains it, and
+`Sampler` is what of it goes into an ONNX file.
+"""
+
+import math
+from typing import Any
+
+import torch
+from stable_baselines3.common.distributions import Distribution
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import Tensor, nn
+
+COMPONENTS = 5
+NOISE = 3
+"""Normal numbers that a sample takes: one chooses the component, two its deviation."""
+_WIDTH = -3.0  # log standard deviation that a fresh network starts from, in units of max_speed
+_NARROWEST, _WIDEST = -8.0, 1.0
+
+
+class Mixture(Distribution):
+    """Mixtures of Gaussians with diagonal covariance, one for each of A observations."""
+
+    def __init__(self, parameters: Tensor, velocity: Tensor) -> None:
+        """Take parameters of shape (A, 5 · components), and velocities (A, 2)."""
+        super().__init__()
+        p = parameters.unflatten(1, (parameters.shape[1] // 5, 5))
+        self.mean = velocity[:, None] + p[..., :2]
+        self.log_std = (p[..., 2:4] + _WIDTH).clamp(_NARROWEST, _WIDEST)
+        self.log_weight = torch.log_softmax(p[..., 4], dim=1)
+
+    def log_prob(self, actions: Tensor) -> Tensor:
+        """Of actions (A, 2); shape (A,)."""
+        z = (actions[:, None] - self.mean) / self.log_std.exp()
+        each = -(0.5 * z * z + self.log_std).sum(dim=2) - math.log(2 * math.pi)
+        return torch.logsumexp(each + self.log_weight, dim=1)
+
+    def drawn(self, noise: Tensor) -> Tensor:
+        """Samples (A, 2) from standard normal numbers (A, 3)."""
+        uniform = 0.5 * (1 + torch.erf(noise[:, :1] / math.sqrt(2)))
+        below = torch.cumsum(self.log_weight.exp(), dim=1) < uniform
+        chosen = below.sum(dim=1, keepdim=True).clamp(max=below.shape[1] - 1)
+        at = chosen[:, :, None].expand(-1, 1, 2)
+        mean, std = self.mean.gather(1, at)[:, 0], self.log_std.gather(1, at)[:, 0].exp()
+        return mean + std * noise[:, 1:]
+
+    def sample(self) -> Tensor:
+        """One action each."""
+        noise = torch.randn(len(self.mean), NOISE, device=self.mean.device)
+        return self.drawn(noise)
+
+    def mode(self) -> Tensor:
+        """The mean of the likeliest component."""
+        at = self.log_weight.argmax(dim=1)[:, None, None].expand(-1, 1, 2)
+        return self.mean.gather(1, at)[:, 0]
+
+    def entropy(self) -> None:
+        """None: a mixture's has no closed form, and who needs one estimates it by samples."""
+
+    def proba_distribution_net(self, *_: Any, **__: Any) -> nn.Module:
+        """Not used: the policy makes its own."""
+        raise NotImplementedError
+
+    proba_distribution = actions_from_params = log_prob_from_params = proba_distribution_net
+
+
+class MixturePolicy(ActorCriticPolicy):
+    """Two hidden layers, and a mixture of Gaussians as the distribution of actions."""
+
+    def __init__(self, *args: Any, components: int = COMPONENTS, **kwargs: Any) -> None:
+        self.components = components
+        super().__init__(*args, **{"net_arch": [32, 32], **kwargs})
+
+    def _build(self, lr_schedule: Any) -> None:
+        super()._build(lr_schedule)
+        self.log_std.requires_grad_(False)  # the Gaussian's, which is replaced
+        self.action_net = nn.Linear(self.mlp_extractor.latent_dim_pi, 5 * self.components)
+        self.optimizer = self.optimizer_class(
+            self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs
+        )
+
+    def get_distribution(self, obs: Tensor) -> Mixture:
+        """Of the action in each observation."""
+        features = self.extract_features(obs, self.pi_features_extractor)
+        parameters = self.action_net(self.mlp_extractor.forward_actor(features))
+        return Mixture(parameters, obs[:, :2])
+
+    def forward(self, obs: Tensor, deterministic: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+        """Actions, values and log-probabilities."""
+        distribution = self.get_distribution(obs)
+        actions = distribution.get_actions(deterministic=deterministic)
+        return actions, self.predict_values(obs), distribution.log_prob(actions)
+
+    def evaluate_actions(self, obs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor, None]:
+        """Values, log-probabilities, and no entropy."""
+        return self.predict_values(obs), self.get_distribution(obs).log_prob(actions), None
+
+
+class Sampler(nn.Module):
+    """A policy's actions as a function of observations (A, obs) and normal numbers (A, 3)."""
+
+    def __init__(self, policy: MixturePolicy) -> None:
+        super().__init__()
+        self.actor = policy.mlp_extractor.policy_net
+        self.head = policy.action_net
+
+    def forward(self, seen: Tensor, noise: Tensor) -> Tensor:
+        """Actions (A, 2)."""
+        return Mixture(self.head(self.actor(seen)), seen[:, :2]).drawn(noise).clamp(-1, 1)

@@ -1,0 +1,123 @@
+"""PPO: advantages of one life at a time, and a network that is exported as it acts."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from given import Given
+from tensordict import TensorDict
+from torch import Tensor
+from worlds import Person, square
+
+from baselines import ppo
+from crowdbench import Reward
+from crowdbench.policies import OnnxPolicy
+from crowdbench.torchrl_env import CrowdEnv
+
+GAMMA, LMBDA = 0.9, 0.8
+
+
+def critic(seen: Tensor) -> Tensor:
+    """Any function of what is seen."""
+    return 3.0 * seen[..., 2:3] + seen[..., 3:4]
+
+
+@pytest.fixture
+def batch() -> TensorDict:
+    """One slot: someone who arrives, then someone whom the horizon cuts off."""
+    people = (
+        Person(start=(0.0, 0.0), goal=(3.5, 0.0)),
+        Person(time_s=2.0, start=(0.0, 5.0), goal=(-9.0, 5.0)),
+    )
+    env = CrowdEnv(square(), spawn=Given(*people), max_alive=1, rays=4, horizon_s=4.0,
+                   reward=Reward(effort=-0.1))  # fmt: skip
+
+    def policy(now: TensorDict) -> TensorDict:
+        now["agents", "action"] = torch.tensor([[[0.7, 0.0]]])
+        return now
+
+    return env.rollout(10, policy, break_when_any_done=False)
+
+
+def of_one_life(rewards: list[float], values: list[float], last: float) -> list[float]:
+    """Eq. 16 of Schulman et al. (2016), by the book; `last` is the value after the last step."""
+    after = [*values[1:], last]
+    deltas = [r + GAMMA * v2 - v for r, v, v2 in zip(rewards, values, after, strict=True)]
+    return [
+        sum((GAMMA * LMBDA) ** k * delta for k, delta in enumerate(deltas[t:]))
+        for t in range(len(deltas))
+    ]
+
+
+def test_an_advantage_is_of_one_life(batch: TensorDict) -> None:
+    acted = batch["agents", "mask"][0, :, 0]
+    person = batch["agents", "person_id"][0, :, 0]
+    assert set(person[acted].tolist()) == {0, 1}
+    assert not acted.all()  # between the two nobody is there
+    advantage, target = ppo.advantages(batch, critic, GAMMA, LMBDA)
+    after = batch["next", "agents"]
+    for who in (0, 1):
+        rows = (acted & (person == who)).nonzero()[:, 0].tolist()
+        rewards = [after["reward"][0, t, 0, 0].item() for t in rows]
+        values = [critic(batch["agents", "observation"][0, t, 0]).item() for t in rows]
+        end = after["observation"][0, rows[-1], 0]
+        arrived = after["terminated"][0, rows[-1], 0].item()
+        assert arrived == (who == 0)
+        expected = of_one_life(rewards, values, 0.0 if arrived else critic(end).item())
+        got = advantage[0, rows, 0, 0].tolist()
+        assert got == pytest.approx(expected, abs=1e-5)
+        np.testing.assert_allclose(target[0, rows, 0, 0], np.add(expected, values), atol=1e-5)
+
+
+@pytest.mark.parametrize("forgotten", ["ends", "last observation"])
+def test_a_wrong_bootstrap_gives_another_number(batch: TensorDict, forgotten: str) -> None:
+    right, _ = ppo.advantages(batch, critic, GAMMA, LMBDA)
+    wrong = batch.clone()
+    if forgotten == "ends":
+        for name in ("done", "terminated"):
+            wrong["next", "agents", name][:] = False
+    else:  # the slot's next row instead of what the person itself saw last
+        seen = wrong["next", "agents", "observation"]
+        seen[:, -1] = 0.0
+    other, _ = ppo.advantages(wrong, critic, GAMMA, LMBDA)
+    acted = batch["agents", "mask"]
+    assert not torch.allclose(right[acted], other[acted], atol=1e-3)
+
+
+def test_only_steps_of_people_are_learned_from(batch: TensorDict) -> None:
+    batch["log_prob"] = torch.zeros(1, 10, 1)
+    steps = ppo._steps(batch, *ppo.advantages(batch, critic, GAMMA, LMBDA))
+    assert len(steps) == int(batch["agents", "mask"].sum())
+    assert len(steps) < 10
+
+
+def test_it_trains_and_its_file_acts_as_it_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["--scene", "plaza-v0", "--frames", "400", "--batch-frames", "200", "--worlds", "2"]
+    assert ppo.main([*asked, "--horizon-s", "20", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "agent-steps/s collected" in printed
+    assert "at goal" in printed
+    policy = OnnxPolicy(tmp_path / "full.onnx")
+    assert policy.card.command.startswith("python -m baselines.ppo --scene plaza-v0")
+    assert policy.noise == ppo.NOISE
+
+
+def test_the_untrained_network_walks_towards_the_goal() -> None:
+    network = ppo.Around(38, 16)
+    seen = torch.rand(100, 38) * 0.4
+    acted = ppo.Sampler(network)(seen, torch.zeros(100, ppo.NOISE))
+    torch.testing.assert_close(acted, seen[:, 3:5] * seen[:, 5:6])
+
+
+def test_training_improves_the_reward() -> None:
+    settings = ppo.Settings(worlds=4, frames=24_000, batch_frames=800, horizon_s=80.0)
+    rewards = [figures["reward"] for _, figures in ppo.train("plaza-v0", settings)]
+    assert np.mean(rewards[-5:]) > np.mean(rewards[:5]) + 0.02
+
+
+def test_unknown_scenes_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert ppo.main(["--scene", "moon-v0", "--out", str(tmp_path)]) == 2
+    assert "moon-v0" in capsys.readouterr().err

@@ -1,0 +1,171 @@
+"""The TorchRL view: the other views' crowd bit for bit, and no life that runs into another."""
+
+import numpy as np
+import pytest
+import torch
+from given import Given
+from tensordict import TensorDict
+from torchrl.collectors import Collector
+from torchrl.envs.utils import check_env_specs, step_mdp
+from worlds import Person, square
+
+import crowdbench
+from crowdbench.errors import CapacityError, SettingError
+from crowdbench.rewards import PARTS
+from crowdbench.torchrl_env import CrowdEnv
+
+
+@pytest.mark.parametrize("observation", ["lidar-1", "lidar-2"])
+@pytest.mark.parametrize("worlds", [1, 3])
+def test_specs_hold(worlds: int, observation: str) -> None:
+    env = CrowdEnv("plaza-v0", worlds=worlds, max_alive=16, horizon_s=20.0, seed=0,
+                   observation=observation, rays=8)  # fmt: skip
+    check_env_specs(env)
+
+
+def walked(env: CrowdEnv, actions: np.ndarray) -> list[TensorDict]:
+    """The steps of an episode in which slot i gets the action i of each frame."""
+    now, steps = env.reset(), []
+    for frame in actions:
+        now["agents", "action"] = torch.from_numpy(frame)
+        after = env.step(now)
+        steps.append(after)
+        now = step_mdp(after)
+    return steps
+
+
+def test_it_is_the_crowd_of_the_pettingzoo_view() -> None:
+    frames, slots = 100, 40
+    asked = {"max_alive": slots, "horizon_s": frames * 0.4, "rays": 8, "observation": "lidar-2"}
+    torchs = CrowdEnv("plaza-v0", worlds=2, seed=7, **asked)
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (frames, 2, slots, 2)).astype(np.float32)
+    steps = walked(torchs, actions)
+
+    env = crowdbench.parallel_env("plaza-v0", max_persons=10_000, **asked)
+    observations, _ = env.reset(seed=7)
+    for step, of_frame in zip(steps, actions[:, 0], strict=True):
+        before, after = step["agents"][0], step["next", "agents"][0]
+        assert before["mask"].sum() == len(env.agents)
+        slot_of = {f"person_{p}": i for i, p in enumerate(before["person_id"].tolist())
+                   if before["mask"][i]}  # fmt: skip
+        assert set(slot_of) == set(env.agents)
+        for name, i in slot_of.items():
+            assert observations[name].tolist() == before["observation"][i].tolist()
+        observations, rewards, terminated, truncated, infos = env.step(
+            {name: of_frame[i] for name, i in slot_of.items()}
+        )
+        for name, i in slot_of.items():
+            assert observations[name].tolist() == after["observation"][i].tolist()
+            assert rewards[name] == pytest.approx(after["reward"][i].item(), abs=1e-6)
+            assert infos[name]["reward_parts"] == after["reward_parts"][i].tolist()
+            assert terminated[name] == after["terminated"][i].item()
+            assert truncated[name] == after["truncated"][i].item()
+        if not env.agents:
+            break
+    assert not env.agents
+    assert steps[-1]["next", "done"].all()
+
+
+def test_worlds_have_arrivals_of_their_own() -> None:
+    env = CrowdEnv("plaza-v0", worlds=2, horizon_s=20.0, seed=0)
+    first = env.reset()["agents", "observation"]
+    assert not torch.equal(first[0], first[1])
+    again = CrowdEnv("plaza-v0", worlds=2, horizon_s=20.0, seed=0).reset()
+    assert torch.equal(first, again["agents", "observation"])
+    assert not torch.equal(first, env.reset()["agents", "observation"])  # the next episode
+
+
+def two_after_each_other(**changes: object) -> CrowdEnv:
+    """One slot: someone who is at the goal after a step, and someone who comes later."""
+    people = (
+        Person(start=(0.0, 0.0), goal=(2.0, 0.0)),
+        Person(time_s=0.8, start=(0.0, 5.0), goal=(9.0, 5.0)),
+    )
+    return CrowdEnv(
+        square(), spawn=Given(*people), max_alive=1, rays=4, **{"horizon_s": 4.0, **changes}
+    )
+
+
+def test_a_slot_is_handed_over_after_the_step_that_ended_a_life() -> None:
+    env = two_after_each_other()
+    now, rows = env.reset(), []
+    for _ in range(4):
+        now["agents", "action"] = torch.tensor([[[1.0, 0.0]]])
+        step = env.step(now)
+        rows.append(step)
+        now = step_mdp(step)
+
+    def column(name: str) -> list:
+        return [row["next", "agents", name].flatten().tolist()[0] for row in rows]
+
+    before = [row["agents", "mask"].item() for row in rows]
+    assert before == [True, False, True, True]
+    assert column("person_id") == [0, 1, 1, 1]
+    assert column("just_spawned") == [False, True, False, False]
+    assert column("done") == [True, True, False, False]
+    assert column("terminated") == [True, True, False, False]
+    assert rows[1]["next", "agents", "reward"].item() == 0.0
+    # The last observation of the first life is its own: at the goal.
+    assert rows[0]["next", "agents", "observation"][0, 0, 2].item() < 0.02
+
+
+def test_a_timeout_and_the_horizon_truncate() -> None:
+    env = CrowdEnv(square(dwell_p99_s=0.4), spawn=Given(Person()), max_alive=1, rays=4,
+                   horizon_s=4.0)  # fmt: skip
+    steps = walked(env, np.zeros((10, 1, 1, 2), np.float32))
+    ended = [s["next", "agents", "truncated"].item() for s in steps]
+    assert ended.index(True) == 1
+    assert not steps[1]["next", "agents", "terminated"].item()
+    env = CrowdEnv(square(), spawn=Given(Person()), max_alive=1, rays=4, horizon_s=0.8)
+    last = walked(env, np.zeros((2, 1, 1, 2), np.float32))[-1]["next"]
+    assert last["agents", "truncated"].item()
+    assert last["done"].item()
+    assert last["truncated"].item()
+    assert not last["terminated"].item()
+
+
+def test_parts_add_up_to_the_reward() -> None:
+    env = CrowdEnv("plaza-v0", worlds=2, horizon_s=20.0, seed=0)
+    steps = env.rollout(30)
+    after = steps["next", "agents"]
+    torch.testing.assert_close(after["reward_parts"].sum(-1, keepdim=True), after["reward"])
+    acted = steps["agents", "mask"]
+    assert (after["reward_parts"][~acted] == 0).all()
+    assert (after["reward_parts"][acted] != 0).flatten(0, -2).any(0).sum() >= len(PARTS) - 2
+
+
+def test_people_without_a_slot_are_counted_or_an_error() -> None:
+    env = CrowdEnv("plaza-v0", max_alive=2, horizon_s=60.0, seed=0)
+    env.rollout(100)
+    assert env.dropped > 0
+    with pytest.raises(CapacityError, match="max_alive"):
+        CrowdEnv("plaza-v0", max_alive=2, horizon_s=60.0, seed=0, drop=False).rollout(100)
+
+
+def test_the_collector_goes_through_episodes() -> None:
+    env = CrowdEnv("plaza-v0", worlds=2, max_alive=8, horizon_s=8.0, seed=0, rays=4)
+    collector = Collector(env, None, frames_per_batch=60, total_frames=180)
+    seen = [batch.clone() for batch in collector]
+    collector.shutdown()
+    done = torch.cat([batch["next", "done"] for batch in seen], dim=1)
+    assert done.sum() > 2
+    for batch in seen:
+        life = batch["agents", "person_id"] == batch["next", "agents", "person_id"]
+        assert life[batch["agents", "mask"]].all()
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_actions_that_are_no_numbers_are_refused(bad: float) -> None:
+    env = two_after_each_other()
+    now = env.reset()
+    now["agents", "action"] = torch.full((1, 1, 2), bad)
+    with pytest.raises(SettingError, match="finite"):
+        env.step(now)
+
+
+def test_settings_out_of_range_are_refused() -> None:
+    with pytest.raises(SettingError, match="worlds"):
+        CrowdEnv("plaza-v0", worlds=0)
+    with pytest.raises(SettingError, match="horizon_s"):
+        CrowdEnv("plaza-v0", horizon_s=float("nan"))
