@@ -74,10 +74,11 @@ def _autocorrelation(sight: Sight) -> bytes:
     def draw(axes: "list[Axes]") -> None:
         (axis,) = axes
         panels.autocorrelation(axis, sight)
-        axis.legend(loc="upper right", ncols=2)
+        # Below the picture: where the number of people changes slowly, curves go everywhere in it.
+        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3)
         axis.set_title(f"{sight.scene.title}: autocorrelation of agents over time")
 
-    return picture(draw, width=6.5, height=4.6, kind="small png")
+    return picture(draw, width=6.5, height=5.2, kind="small png")
 
 
 _TALL = 1.3
