@@ -10,12 +10,13 @@ held out no longer gets better.
 
 import argparse
 import copy
+import math
 import shlex
 import sys
 import time
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,9 @@ class Settings:
     seed: int = 0
 
 
+SETTABLE = ("learning_rate", "batch_size", "epochs", "patience", "displaced_m", "copies")
+
+
 @dataclass
 class Batches:
     """Batches of demonstrations in an order drawn anew each time they are gone through.
@@ -58,22 +62,23 @@ class Batches:
     `imitation`'s own loader collates one pair at a time, which takes longer than the training.
     """
 
-    observations: np.ndarray
-    actions: np.ndarray
+    columns: Mapping[str, np.ndarray]
+    """By the names that `imitation` gives them: `obs`, `acts`, …, each of as many rows."""
     size: int
     rng: np.random.Generator
 
     def __len__(self) -> int:
-        return max(1, len(self.actions) // self.size)
+        return max(1, self._rows // self.size)
 
     def __iter__(self) -> Iterator[Mapping[str, torch.Tensor]]:
-        order = self.rng.permutation(len(self.actions))
+        order = self.rng.permutation(self._rows)
         for k in range(len(self)):
             rows = order[k * self.size : (k + 1) * self.size]
-            yield {
-                "obs": torch.from_numpy(self.observations[rows]),
-                "acts": torch.from_numpy(self.actions[rows]),
-            }
+            yield {name: torch.from_numpy(values[rows]) for name, values in self.columns.items()}
+
+    @property
+    def _rows(self) -> int:
+        return len(self.columns["acts"])
 
 
 def shown(scene: str, part: str, settings: Settings) -> list[Demonstrations]:
@@ -109,7 +114,7 @@ def clone(lots: list[Demonstrations], settings: Settings) -> tuple[MixturePolicy
         observation_space=policy.observation_space,
         action_space=policy.action_space,
         policy=policy,
-        demonstrations=Batches(x, a, size, rng),
+        demonstrations=Batches({"obs": x, "acts": a}, size, rng),
         batch_size=size,
         optimizer_kwargs={"lr": settings.learning_rate},
         ent_weight=0.0,
@@ -120,6 +125,8 @@ def clone(lots: list[Demonstrations], settings: Settings) -> tuple[MixturePolicy
     best, best_epoch, weights = -np.inf, 0, copy.deepcopy(policy.state_dict())
     began = time.monotonic()
     for epoch in range(1, settings.epochs + 1):
+        for group in trainer.optimizer.param_groups:
+            group["lr"] = settings.learning_rate * _decay((epoch - 1) / settings.epochs)
         with warnings.catch_warnings():  # imitation logs tensors that know their gradient
             warnings.filterwarnings("ignore", message="Converting a tensor")
             trainer.train(n_epochs=1, progress_bar=False, log_interval=10**9)
@@ -138,6 +145,11 @@ def clone(lots: list[Demonstrations], settings: Settings) -> tuple[MixturePolicy
     return policy, best, best_epoch
 
 
+def _decay(progress: float) -> float:
+    """Half a cosine, from 1 to 0 (Loshchilov & Hutter 2017, SGDR, ICLR, eq. 5)."""
+    return 0.5 + 0.5 * math.cos(math.pi * progress)
+
+
 def _likelihood(policy: MixturePolicy, seen: torch.Tensor, did: torch.Tensor) -> float:
     with torch.no_grad():
         each = [
@@ -147,32 +159,32 @@ def _likelihood(policy: MixturePolicy, seen: torch.Tensor, did: torch.Tensor) ->
     return float(torch.cat(each).mean())
 
 
+def add_settings(parser: argparse._ActionsContainer, prefix: str = "") -> None:
+    """Give a parser the options of `Settings`, but for the seed."""
+    default = Settings()
+    parser.add_argument(f"--{prefix}hidden", nargs="+", type=int, default=list(default.hidden))
+    for name in SETTABLE:
+        value = getattr(default, name)
+        option = f"--{prefix}{name.replace('_', '-')}"
+        parser.add_argument(option, type=type(value), default=value)
+
+
+def settings_from(asked: argparse.Namespace, prefix: str = "") -> Settings:
+    """What was asked for by these options."""
+    named = {name: getattr(asked, prefix + name) for name in SETTABLE}
+    return Settings(hidden=tuple(getattr(asked, f"{prefix}hidden")), **named)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Clone and write policies."""
-    default = Settings()
     parser = argparse.ArgumentParser(prog="python -m baselines.bc", description=__doc__)
     parser.add_argument("--scene", required=True)
     parser.add_argument("--parts", nargs="+", default=["full"], metavar="PART")
-    parser.add_argument("--hidden", nargs="+", type=int, default=list(default.hidden))
-    parser.add_argument("--learning-rate", type=float, default=default.learning_rate)
-    parser.add_argument("--batch-size", type=int, default=default.batch_size)
-    parser.add_argument("--epochs", type=int, default=default.epochs)
-    parser.add_argument("--patience", type=int, default=default.patience)
-    parser.add_argument("--displaced-m", type=float, default=default.displaced_m)
-    parser.add_argument("--copies", type=int, default=default.copies)
-    parser.add_argument("--seed", type=int, default=default.seed)
+    add_settings(parser)
+    parser.add_argument("--seed", type=int, default=Settings.seed)
     parser.add_argument("--out", type=Path, help="folder (default: results/bc-SCENE)")
     asked = parser.parse_args(arguments)
-    settings = Settings(
-        hidden=tuple(asked.hidden),
-        learning_rate=asked.learning_rate,
-        batch_size=asked.batch_size,
-        epochs=asked.epochs,
-        patience=asked.patience,
-        displaced_m=asked.displaced_m,
-        copies=asked.copies,
-        seed=asked.seed,
-    )
+    settings = replace(settings_from(asked), seed=asked.seed)
     given = sys.argv[1:] if arguments is None else arguments
     try:
         scene = load_scene(asked.scene)

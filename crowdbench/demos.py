@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int
 
 from crowdbench.episode import actions_of, begin, check_capacity, generator
 from crowdbench.errors import SettingError
@@ -103,24 +103,28 @@ def demonstrations(
     rays: int = 32,
     ray_range_m: float = 10.0,
     displaced_m: float = 0.0,
-    recovery_s: float = 4.0,
+    recovery_s: float = 1.5,
     seed: int = 0,
 ) -> Demonstrations:
     """The demonstrations of a scene's recording in the blocks that `part` is fitted on.
 
     Who only ever saw people on their way does not know how to get back to it: a cloned policy
     drifts, and then is where no demonstration was. So half of the persons, drawn by chance, can be
-    displaced: each is moved aside by a vector of its own for all of its life, and acts so as to be
-    back on its recorded path after `recovery_s`, or at its end if that comes sooner. (Laskey et
-    al. 2017, DART, CoRL, disturb the demonstrator for the same reason.)
+    displaced: again and again each is somewhere beside its recorded path, at another velocity, and
+    comes back as a critically damped spring of time constant τ does, with
+    (δ + (ε + δ/τ) t) exp(−t/τ) from where it was recorded after t. (Laskey et al. 2017, DART,
+    CoRL, disturb the demonstrator for the same reason.) What displaced people do is as smooth as
+    what was recorded: no displacement comes back in one step, which would look like unrest.
 
     Args:
         scene: an id, or a scene.
         part: `full`, or `fold0` … for what a fold of the protocol `heldout` is fitted on, which
             knows nothing of the blocks it is scored on.
         observation: what they see, as in `parallel_env`; so are `rays` and `ray_range_m`.
-        displaced_m: standard deviation of both components of the displacements; 0 for none.
-        recovery_s: in which displaced persons come back.
+        displaced_m: standard deviation of both components of δ, metres, and times 1/τ of those
+            of ε; 0 for none.
+        recovery_s: τ. A displacement lasts for 4 τ, and fades in the last τ before the record's
+            end.
         seed: of the displacements.
 
     Raises:
@@ -145,8 +149,12 @@ def demonstrations(
         scripted=True,
     )
     walker.reset(place, generator(0, 0, "policy"))
-    aside = _displacements(len(recording), displaced_m, seed)
-    ahead = max(1, place.frames(recovery_s))
+    for name, value, least in (("displaced_m", displaced_m, 0), ("recovery_s", recovery_s, 1e-3)):
+        if not (np.isfinite(value) and value >= least):
+            raise SettingError(name, got=str(value), expected=f"a finite number from {least:g} on")
+    aside = _Aside.of(recording, displaced_m, recovery_s, seed)
+    last = recording.offsets[1:] - 1
+    step_m = place.dt_s * place.motion.max_speed_mps
     inside = _trained_on(blocks_of(recording, place).training(part).frames, recording.frames)
 
     person: list[np.ndarray] = []
@@ -161,14 +169,19 @@ def demonstrations(
             event = slots.event[0, there]
             person.append(event)
             frame.append(np.full(len(there), t))
-            stood = slots.position[0, there]
-            moved = aside[event] != 0
-            moved &= place.walkable((stood + aside[event]).astype(np.float64))[:, None]
-            slots.position[0, there] += np.where(moved, aside[event], 0)
+            now = actions_now[0, there]
+            stood, went = slots.position[0, there], slots.velocity[0, there]
+            row = np.minimum(recording.offsets[event] + t - recording.first[event], last[event])
+            after = np.minimum(row + 1, last[event])
+            here = (stood + aside.now[row]).astype(np.float64)
+            moved = aside.now[row].any(axis=1) | aside.after[row].any(axis=1)
+            moved &= place.walkable(here) & place.walkable(recording.xy[after] + aside.after[row])
+            slots.position[0, there[moved]] = here[moved]
+            slots.velocity[0, there[moved]] += aside.drift[row[moved]].astype(np.float32)
             observations.append(simulation.observe()[0, there])
-            back = _back(recording, place, event, t, ahead, slots.position[0, there])
-            slots.position[0, there] = stood
-            now = np.where(moved, back, actions_now[0, there])
+            slots.position[0, there], slots.velocity[0, there] = stood, went
+            way = recording.xy[after] + aside.after[row] - here
+            now[moved] = (way / step_m).clip(-1, 1)[moved]
             now[~slots.alive[0, there]] = np.nan
             actions.append(now)
         simulation.step(actions_now)
@@ -182,30 +195,46 @@ def demonstrations(
     )
 
 
-def _displacements(persons: int, displaced_m: float, seed: int) -> Float32[np.ndarray, "P 2"]:
-    if not (np.isfinite(displaced_m) and displaced_m >= 0):
-        raise SettingError("displaced_m", got=str(displaced_m), expected="metres, 0 or more")
-    rng = np.random.default_rng(seed)
-    aside = rng.normal(0.0, displaced_m, (persons, 2))
-    aside[rng.random(persons) < 0.5] = 0.0
-    return aside.astype(np.float32)
+@dataclass(frozen=True, eq=False)
+class _Aside:
+    """Where each row of a recording is shown instead, beside its place, and how fast."""
 
+    now: Float[np.ndarray, "R 2"]
+    """Metres."""
+    drift: Float[np.ndarray, "R 2"]
+    """Added to the velocity, m/s."""
+    after: Float[np.ndarray, "R 2"]
+    """Where its action leads to, beside the next row's place, metres."""
 
-def _back(
-    recording: Trajectories,
-    scene: Scene,
-    person: Int[np.ndarray, " A"],
-    frame: int,
-    ahead: int,
-    position: Float32[np.ndarray, "A 2"],
-) -> Float32[np.ndarray, "A 2"]:
-    """The actions that lead from `position` to where the records are `ahead` frames later."""
-    last = recording.offsets[person + 1] - 1
-    row = np.minimum(recording.offsets[person] + frame - recording.first[person], last)
-    left = np.clip(last - row, 1, ahead)
-    way = recording.xy[np.minimum(row + left, last)].astype(np.float64) - position
-    action = way / (left * scene.dt_s * scene.motion.max_speed_mps)[:, None]
-    return action.clip(-1, 1).astype(np.float32)
+    @classmethod
+    def of(
+        cls, recording: Trajectories, displaced_m: float, recovery_s: float, seed: int
+    ) -> "_Aside":
+        """Half of the persons are on a spring at each time, a new one after 4 τ."""
+        shape = (len(recording.xy), 2)
+        found = cls(np.zeros(shape), np.zeros(shape), np.zeros(shape))
+        rng = np.random.default_rng(seed)
+        chosen = rng.random(len(recording)) < 0.5
+        if displaced_m == 0:
+            return found
+        dt_s, every = recording.dt_s, max(1, round(4 * recovery_s / recording.dt_s))
+        for person in np.flatnonzero(chosen).tolist():
+            rows = slice(*recording.offsets[person : person + 2].tolist())
+            length = rows.stop - rows.start
+            k, step = np.divmod(np.arange(length) + int(rng.integers(every)), every)
+            delta, epsilon = rng.normal(0.0, displaced_m, (2, k[-1] + 1, 2))[:, k]
+            rate = (epsilon + delta) / recovery_s
+            left_s = np.arange(length - 1, -1, -1) * dt_s
+
+            def spring(ahead: int) -> np.ndarray:
+                t = (step + ahead)[:, None] * dt_s  # noqa: B023  # called before they change
+                fade = np.clip((left_s - ahead * dt_s) / recovery_s, 0, 1)[:, None]  # noqa: B023
+                return (delta + rate * t) * np.exp(-t / recovery_s) * fade  # noqa: B023
+
+            found.now[rows], found.after[rows] = spring(0), spring(1)
+            # Also of who has just been displaced: as if it had come along the same spring.
+            found.drift[rows] = (found.now[rows] - spring(-1)) / dt_s
+        return found
 
 
 def _trained_on(blocks: Int[np.ndarray, "B 2"], frames: int) -> Bool[np.ndarray, " frames"]:

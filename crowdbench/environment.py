@@ -333,7 +333,7 @@ def parallel_env(
         if max_persons is None:
             max_persons = 2 * len(sample) + 100
         if max_alive is None:
-            max_alive = max(LEAST_SLOTS, 3 * _most_at_once(sample, scene) // 2)
+            max_alive = max(LEAST_SLOTS, 3 * most_at_once(sample, scene) // 2)
     settings = Settings(
         max_alive=max_alive,
         max_persons=max_persons,
@@ -352,7 +352,7 @@ def parallel_env(
     )
 
 
-def _most_at_once(events: SpawnEvents, scene: Scene) -> int:
+def most_at_once(events: SpawnEvents, scene: Scene) -> int:
     """Persons who are there at once if all of them stay until the scene's patience ends."""
     patience_s = TIMEOUT_DWELLS * scene.recording.dwell_p99_s
     gone = np.searchsorted(events.time_s, events.time_s + patience_s)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 from numpy.random import Generator, SeedSequence, default_rng
 
 from crowdbench.errors import ActionError, CapacityError, SettingError
@@ -92,18 +92,26 @@ def begin(
         simulation.number_anew()
 
 
-def actions_of(policy: Policy, simulation: Simulation) -> Float32[np.ndarray, "W N 2"]:
-    """Let a policy act for everyone present."""
+def actions_of(
+    policy: Policy, simulation: Simulation, who: Bool[np.ndarray, "W N"] | None = None
+) -> Float32[np.ndarray, "W N 2"]:
+    """Let a policy act for everyone present, or for those of them in `who`; zeros elsewhere.
+
+    One that sees the state sees everyone all the same.
+    """
+    there = simulation.slots.alive
     actions = np.zeros(simulation.slots.position.shape, np.float32)
-    if not simulation.slots.alive.any():  # nobody to act for: not every policy knows what to do
+    who = there if who is None else there & who
+    if not who.any():  # nobody to act for: not every policy knows what to do
         return actions
     if policy.sees == "state":
         view = StateView.of(simulation)
         actions[view.world, view.slot] = _checked(policy.act(view), len(view.slot), policy)
+        if who is not there:
+            actions[~who] = 0
     else:
-        alive = simulation.slots.alive
-        seen = simulation.observe()[alive]
-        actions[alive] = _checked(policy.act(seen), len(seen), policy)
+        seen = simulation.observe()[who]
+        actions[who] = _checked(policy.act(seen), len(seen), policy)
     return actions
 
 

@@ -54,6 +54,8 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.tables",
         "crowdbench.torchrl_env",
         "crowdbench.trajectories",
+        "crowdbench.vec_env",
+        "crowdbench.walks",
     ],
     "beartype.beartype",
 )

@@ -60,7 +60,7 @@ def test_noise_chooses_components_by_their_weight() -> None:
 
 def test_batches_show_everything_once_in_another_order_each_time() -> None:
     x = np.arange(40, dtype=np.float32).reshape(20, 2)
-    batches = bc.Batches(x, x + 100, 5, np.random.default_rng(0))
+    batches = bc.Batches({"obs": x, "acts": x + 100}, 5, np.random.default_rng(0))
     first, second = (np.concatenate([b["obs"].numpy() for b in batches]) for _ in range(2))
     assert sorted(first[:, 0].tolist()) == x[:, 0].tolist() == sorted(second[:, 0].tolist())
     assert first.tolist() != second.tolist()

@@ -71,54 +71,49 @@ def test_observations_are_those_of_the_environment(version: str, recorded) -> No
     assert compared > 100
 
 
-def test_the_displaced_know_the_way_back(shown, recorded) -> None:
+def test_the_displaced_come_back_as_smoothly_as_people_walk(shown, recorded) -> None:
     other = demonstrations("plaza-v0", rays=8, displaced_m=0.5, recovery_s=2.0, seed=3)
     assert other.person.tolist() == shown.person.tolist()
     assert other.offsets.tolist() == shown.offsets.tolist()
     seen, acts = other.pairs()
     before, did = shown.pairs()
-    # Velocities and preferred speeds stay; where someone is displaced, goals look displaced.
-    assert (seen[:, [0, 1, 5]] == before[:, [0, 1, 5]]).all()
+    assert (seen[:, 5] == before[:, 5]).all()  # preferred speeds stay
     there = np.repeat(shown.person, np.diff(shown.offsets) - 1)
     displaced = np.unique(there[(seen[:, 2:5] != before[:, 2:5]).any(axis=1)])
     assert 0.4 < len(displaced) / len(shown) < 0.6
-    same = ~np.isin(there, displaced)
-    assert (acts[same] == did[same]).all()
-    # An action for two seconds leads to where the record is then. The plan of the way is not asked.
-    ahead, step = 5, PLAZA.dt_s * PLAZA.motion.max_speed_mps
-    tried = 0
-    for person in displaced[:20].tolist():
-        k = int(np.flatnonzero(other.person == person)[0])
-        path = recorded.path(person).astype(np.float64)
-        for t in range(len(path) - ahead):
-            act = other.actions[rows(other, k)][t].astype(np.float64)
-            if (act == shown.actions[rows(shown, k)][t]).all():
-                continue  # aside would have been in a wall
-            start = path[t + ahead] - act * ahead * step
-            aside = start - path[t]
-            assert 0 < np.linalg.norm(aside) < 3.0
-            tried += 1
-    assert tried > 100
+    moved = np.isin(there, displaced)
+    assert (acts[~moved] == did[~moved]).all()
+    # Goals look elsewhere by about what people were displaced by.
+    of_goal = (seen[moved, 2:3] * seen[moved, 3:5] - before[moved, 2:3] * before[moved, 3:5]) * 30
+    assert 0.1 < of_goal.std() < 1.0
+    # An action leads on along the curve: what comes next has its velocity, but for a new curve
+    # every 8 s and for walls.
+    follows = (there[1:] == there[:-1]) & moved[1:]
+    off = np.abs(seen[1:, :2] - acts[:-1]).max(axis=1)[follows]
+    assert (off > 1e-3).mean() < 1.5 * PLAZA.dt_s / 8.0
+    # What was added to the changes of velocity is little.
+    change = np.abs(acts - seen[:, :2])[moved] - np.abs(did - before[:, :2])[moved]
+    assert abs(change.mean()) * PLAZA.motion.max_speed_mps / PLAZA.dt_s < 0.15  # m/s²
     again = demonstrations("plaza-v0", rays=8, displaced_m=0.5, recovery_s=2.0, seed=3)
     assert again.observations.tobytes() == other.observations.tobytes()
 
 
-def test_a_displacement_is_the_same_all_life_long(shown, recorded) -> None:
-    other = demonstrations("plaza-v0", rays=8, displaced_m=0.1, recovery_s=0.4, seed=1)
-    step = PLAZA.dt_s * PLAZA.motion.max_speed_mps
-    for k in range(60):
-        acts, did = other.actions[rows(other, k)][:-1], shown.actions[rows(shown, k)][:-1]
-        asides = (did.astype(np.float64) - acts) * step  # recovered within one frame
-        moved = np.linalg.norm(asides, axis=1) > 1e-6
-        np.testing.assert_allclose(
-            asides[moved], asides[moved][:1].repeat(moved.sum(), 0), atol=1e-5
-        )
+def test_whoever_was_displaced_ends_where_the_record_does(shown, recorded) -> None:
+    other = demonstrations("plaza-v0", rays=8, displaced_m=0.5, recovery_s=1.0, seed=1)
+    ends = other.offsets[1:][other.complete] - 1
+    to_goal = [lot.observations[ends, 2] * 30 for lot in (other, shown)]  # metres
+    np.testing.assert_allclose(*to_goal, atol=0.02)
 
 
 @pytest.mark.parametrize("displaced_m", [-1.0, float("nan"), float("inf")])
 def test_impossible_displacements_are_refused(displaced_m: float) -> None:
     with pytest.raises(SettingError, match="displaced_m"):
         demonstrations("plaza-v0", displaced_m=displaced_m)
+
+
+def test_nobody_comes_back_at_once() -> None:
+    with pytest.raises(SettingError, match="recovery_s"):
+        demonstrations("plaza-v0", displaced_m=0.5, recovery_s=0.0)
 
 
 def test_a_fold_shows_nothing_of_its_scored_blocks(recorded) -> None:

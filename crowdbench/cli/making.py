@@ -1,4 +1,4 @@
-"""`fit`, `spawn`, `anchors`, `power`, `results` and `ablation`: for who makes a scene."""
+"""`fit`, `spawn`, `anchors`, `power`, `results`, `walks` and `ablation`: for who makes a scene."""
 
 import argparse
 from pathlib import Path
@@ -70,6 +70,30 @@ def add(commands: "Commands") -> None:
         "--seeds", type=int, help="rollouts per crowd and fold (default: the scene's protocol)"
     )
     results.set_defaults(run=_results)
+
+    walks = commands.add_parser(
+        "walks", help="write the page on how policies walk on some scenes, with pictures (minutes)"
+    )
+    walks.add_argument("scenes", nargs="+", metavar="SCENE", help="id of a scene, or its folder")
+    walks.add_argument(
+        "--policy",
+        nargs="+",
+        default=[],
+        metavar="POLICY",
+        help="policies besides random, straight, social-force and those that come with each scene",
+    )
+    walks.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs"),
+        metavar="DIR",
+        help="folder of walks.md and its pictures (default: docs)",
+    )
+    walks.add_argument("--workers", type=int, help="processes (default: one per core)")
+    walks.add_argument(
+        "--seeds", type=int, help="rollouts per policy and fold (default: two per fit)"
+    )
+    walks.set_defaults(run=_walks)
 
     ablation = commands.add_parser(
         "ablation",
@@ -196,6 +220,21 @@ def _results(asked: argparse.Namespace) -> None:
     with progress_bar("rollouts") as progress:
         page = write_results(
             asked.scene,
+            out=asked.out,
+            seeds=asked.seeds,
+            workers=asked.workers,
+            progress=progress,
+        )
+    print(f"written to {page} and {page.with_suffix('')}/")
+
+
+def _walks(asked: argparse.Namespace) -> None:
+    from crowdbench.walks import write_walks
+
+    with progress_bar("rollouts") as progress:
+        page = write_walks(
+            asked.scenes,
+            more=asked.policy,
             out=asked.out,
             seeds=asked.seeds,
             workers=asked.workers,

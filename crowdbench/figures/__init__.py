@@ -23,15 +23,16 @@ def draw_figures(sight: Sight, out: Path) -> list[Path]:
     return [draw_figure(name, sight, out) for name in FIGURES]
 
 
-def draw_figure(name: str, sight: Sight, out: Path) -> Path:
-    """Draw one of `FIGURES` into `out`.
+def draw_figure(name: str, sight: Sight, out: Path, *, named: str = "") -> Path:
+    """Draw one of `FIGURES` into `out`, under its own name or as the file `named`.
 
     Raises:
         OutputError: the picture cannot be written.
     """
-    with replacing(out / name) as temporary:
+    path = out / (named or name)
+    with replacing(path) as temporary:
         temporary.write_bytes(_DRAWN[name](sight))
-    return out / name
+    return path
 
 
 def _agents_over_time(sight: Sight) -> bytes:

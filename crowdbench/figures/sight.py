@@ -41,8 +41,8 @@ class Group:
 
     @property
     def label(self) -> str:
-        """The pair."""
-        return f"{self.spawn} × {self.policy}"
+        """The pair, or the policy where no spawn model is named."""
+        return f"{self.spawn} × {self.policy}" if self.spawn else self.policy
 
 
 @dataclass(frozen=True, eq=False)

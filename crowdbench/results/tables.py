@@ -1,6 +1,6 @@
 """The page's tables, in Markdown: scores, and plain distances metric by metric."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -31,13 +31,21 @@ def score_table(rows: Sequence[Row]) -> str:
     return table(head, lines)
 
 
-def distance_table(card: Scorecard) -> str:
-    """Plain distances of every metric and entry: mean ± standard deviation over the rollouts."""
+def distance_table(
+    card: Scorecard,
+    families: Sequence[str] = FAMILIES,
+    names: Mapping[str, str] | None = None,
+) -> str:
+    """Plain distances by metric and entry: mean ± standard deviation over the rollouts.
+
+    `names` are those of policies, where they are all that tells entries apart.
+    """
     first = card.entries[0].metrics
-    names = [pair(entry) for entry in card.entries]
+    names = {} if names is None else names
+    columns = [names.get(entry.policy, pair(entry)) for entry in card.entries]
     lines = []
     for metric in METRICS:
-        if metric.name in first:
+        if metric.name in first and metric.family in families:
             lines.append(
                 [
                     metric.family,
@@ -47,7 +55,7 @@ def distance_table(card: Scorecard) -> str:
                     *(_distance(entry.metrics[metric.name]) for entry in card.entries),
                 ]
             )
-    return table(["family", "metric", "", "recorded", *names], lines, text=3)
+    return table(["family", "metric", "", "recorded", *columns], lines, text=3)
 
 
 def with_unit(value: float | None, unit: str) -> str:

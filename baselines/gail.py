@@ -1,0 +1,285 @@
+"""GAIL: walk so that a discriminator cannot tell it from recorded people, with `imitation`.
+
+    python -m baselines.gail --scene eth-v0
+
+writes `results/gail-eth-v0/full.onnx`, and `full.csv` with the curves of the training. Generative
+adversarial imitation learning is Ho & Ermon (2016), NeurIPS; the walkers are improved by PPO.
+
+Lives differ in length, and a reward that is always positive, as GAIL's −log(1 − D), pays people
+for staying, one that is always negative for leaving (Kostrikov et al. 2019, Discriminator-Actor-
+Critic, ICLR, sec. 4.1). So the reward here is their difference log D − log(1 − D), as in Fu et al.
+(2018, AIRL, ICLR): where the discriminator is at a loss it is zero, and nobody gains by the length
+of a life. That is what `imitation`'s `allow_variable_horizon` is set for.
+
+Everyone in the crowd is walked by the policy that is being trained; the persons of the
+sub-environments are those it learns from.
+"""
+
+import argparse
+import csv
+import shlex
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import torch
+from imitation.algorithms.adversarial.gail import GAIL
+from imitation.rewards.reward_nets import RewardNet
+from imitation.util import logger
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecEnvWrapper
+from torch import Tensor, nn
+
+from baselines import bc
+from baselines.mixture import NOISE, MixturePolicy, Sampler
+from crowdbench import Demonstrations, demonstrations, load_scene, spawn_model
+from crowdbench.errors import CrowdbenchError
+from crowdbench.files import replacing
+from crowdbench.policies import PolicyCard
+from crowdbench.policies.export import export_policy, revision
+from crowdbench.scene import Scene
+from crowdbench.vec_env import LivesVecEnv
+
+OBSERVATION = bc.OBSERVATION
+CHANGES = 10.0
+"""How much larger the discriminator sees changes of velocity, which are small, than velocities."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a policy is trained; how it is cloned first stands in `baselines.bc`."""
+
+    spawn: str = "ntpp-gmm"
+    persons: int = 64
+    """Sub-environments."""
+    steps: int = 500_000
+    """Of persons, all together."""
+    horizon_s: float = 120.0
+    round_steps: int = 64
+    """Steps of each person between two improvements."""
+    ppo_epochs: int = 5
+    learning_rate: float = 1e-4
+    clip: float = 0.1
+    gamma: float = 0.95
+    discriminator: int = 64
+    """Width of its two layers."""
+    discriminator_rate: float = 1e-3
+    discriminator_updates: int = 8
+    discriminator_batch: int = 512
+
+
+class Discriminator(RewardNet):
+    """Log-odds that a person who does this in this situation is a recorded one."""
+
+    def __init__(self, observation_space: Any, action_space: Any, hidden: int) -> None:
+        super().__init__(observation_space, action_space)
+        numbers = observation_space.shape[0] + 4
+        self.layers = nn.Sequential(
+            nn.Linear(numbers, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh(),
+            nn.Linear(hidden, 1),
+        )  # fmt: skip
+
+    def forward(self, state: Tensor, action: Tensor, next_state: Tensor, done: Tensor) -> Tensor:
+        """Of states (A, obs) and actions (A, 2); shape (A,)."""
+        change = CHANGES * (action - state[:, :2])
+        return self.layers(torch.cat([state, action, change], dim=1))[:, 0]
+
+
+class FairGAIL(GAIL):
+    """GAIL whose reward is log D − log(1 − D): the discriminator's log-odds as they are."""
+
+    @property
+    def reward_train(self) -> RewardNet:
+        """The discriminator."""
+        return self._reward_net
+
+
+class Learner:
+    """The policy under training as a walker of everyone else."""
+
+    name = "learner"
+    sees: ClassVar[Literal["observation"]] = "observation"
+    observation = OBSERVATION
+
+    def __init__(self, policy: MixturePolicy) -> None:
+        self.sampler = Sampler(policy)
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Draw from `rng` from now on."""
+        self._rng = rng
+
+    def act(self, seen: np.ndarray) -> np.ndarray:
+        """One action per observation."""
+        noise = self._rng.standard_normal((len(seen), NOISE), dtype=np.float32)
+        with torch.no_grad():
+            return self.sampler(torch.from_numpy(seen), torch.from_numpy(noise)).numpy()
+
+
+class Outcomes(VecEnvWrapper):
+    """Counts how lives end."""
+
+    def __init__(self, venv: LivesVecEnv) -> None:
+        super().__init__(venv)
+        self.ended: Counter[str] = Counter()
+
+    def reset(self) -> Any:
+        """Pass it on."""
+        return self.venv.reset()
+
+    def step_wait(self) -> Any:
+        """Count, and pass it on."""
+        seen, rewards, dones, infos = self.venv.step_wait()
+        self.ended.update(info["outcome"] for info in infos if "outcome" in info)
+        return seen, rewards, dones, infos
+
+
+def experts(shown: Demonstrations, size: int, rng: np.random.Generator) -> bc.Batches:
+    """Batches of recorded transitions."""
+    acted = ~np.isnan(shown.actions[:, 0])
+    after = np.flatnonzero(acted) + 1
+    return bc.Batches(
+        {
+            "obs": shown.observations[acted],
+            "acts": shown.actions[acted],
+            "next_obs": shown.observations[after],
+            "dones": ~acted[after],
+        },
+        size,
+        rng,
+    )
+
+
+def train(
+    scene: str, part: str, policy: MixturePolicy, settings: Settings, seed: int
+) -> Iterator[dict[str, float]]:
+    """Improve the policy in place; yields figures after each round."""
+    torch.manual_seed(seed)
+    rng = np.random.default_rng(seed)
+    lives = LivesVecEnv(
+        scene,
+        settings.persons,
+        spawn=spawn_model(settings.spawn, scene, part),
+        horizon_s=settings.horizon_s,
+        observation=OBSERVATION,
+        seed=seed,
+    )
+    venv = Outcomes(lives)
+    per_round = settings.round_steps * settings.persons
+    generator = PPO(
+        MixturePolicy,
+        venv,
+        n_steps=settings.round_steps,
+        batch_size=per_round // max(1, per_round // 512),
+        n_epochs=settings.ppo_epochs,
+        learning_rate=settings.learning_rate,
+        clip_range=settings.clip,
+        gamma=settings.gamma,
+        ent_coef=0.0,
+        seed=seed,
+        device="cpu",
+        policy_kwargs={"net_arch": [layer.out_features for layer in _hidden(policy)]},
+    )
+    generator.policy.load_state_dict(policy.state_dict())
+    lives.others = Learner(generator.policy)
+    size = min(settings.discriminator_batch, per_round)
+    shown = demonstrations(scene, part=part, observation=OBSERVATION)
+    trainer = FairGAIL(
+        demonstrations=experts(shown, size, rng),
+        demo_batch_size=size,
+        venv=venv,
+        gen_algo=generator,
+        reward_net=Discriminator(venv.observation_space, venv.action_space, settings.discriminator),
+        disc_opt_kwargs={"lr": settings.discriminator_rate},
+        gen_replay_buffer_capacity=8 * per_round,
+        n_disc_updates_per_round=settings.discriminator_updates,
+        custom_logger=logger.configure(format_strs=[]),
+        allow_variable_horizon=True,
+    )
+    for k in range(max(1, settings.steps // per_round)):
+        venv.ended.clear()
+        trainer.train_gen(per_round)
+        found = [trainer.train_disc() for _ in range(settings.discriminator_updates)]
+        policy.load_state_dict(generator.policy.state_dict())
+        yield {
+            "steps": (k + 1) * per_round,
+            "at goal": venv.ended["goal"] / max(1, venv.ended.total()),
+            "recorded told": float(np.mean([f["disc_acc_expert"] for f in found])),
+            "walked told": float(np.mean([f["disc_acc_gen"] for f in found])),
+            "waited": lives.waited,
+        }
+
+
+def _hidden(policy: MixturePolicy) -> list[nn.Linear]:
+    return [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Clone, train and write policies."""
+    default = Settings()
+    parser = argparse.ArgumentParser(prog="python -m baselines.gail", description=__doc__)
+    parser.add_argument("--scene", required=True)
+    parser.add_argument("--parts", nargs="+", default=["full"], metavar="PART")
+    parser.add_argument("--steps", type=int, default=default.steps)
+    parser.add_argument("--persons", type=int, default=default.persons)
+    parser.add_argument("--spawn", default=default.spawn)
+    parser.add_argument("--horizon-s", type=float, default=default.horizon_s)
+    parser.add_argument("--learning-rate", type=float, default=default.learning_rate)
+    parser.add_argument("--discriminator-rate", type=float, default=default.discriminator_rate)
+    cloning = parser.add_argument_group("cloning, from which it starts (0 epochs: from nothing)")
+    bc.add_settings(cloning, "cloning-")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, help="folder (default: results/gail-SCENE)")
+    asked = parser.parse_args(arguments)
+    names = ("steps", "persons", "spawn", "horizon_s", "learning_rate", "discriminator_rate")
+    settings = replace(default, **{name: getattr(asked, name) for name in names})
+    first = replace(bc.settings_from(asked, "cloning_"), seed=asked.seed)
+    given = sys.argv[1:] if arguments is None else arguments
+    try:
+        scene = load_scene(asked.scene)
+        out = asked.out or Path("results") / f"gail-{scene.id}"
+        out.mkdir(parents=True, exist_ok=True)
+        for part in asked.parts:
+            policy, _, _ = bc.clone(bc.shown(asked.scene, part, first), first)
+            curves = _watched(train(asked.scene, part, policy, settings, asked.seed))
+            card = PolicyCard(
+                name="gail",
+                observation=OBSERVATION,
+                scene=scene.id,
+                part=part,
+                command=f"python -m baselines.gail {shlex.join(given)}",
+                revision=revision(Path(__file__).parent),
+            )
+            print(export_policy(Sampler(policy), out / f"{part}.onnx", card, noise=NOISE))
+            _write(curves, out / f"{part}.csv")
+    except CrowdbenchError as error:
+        print(f"baselines.gail: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _watched(rounds: Iterator[dict[str, float]]) -> list[dict[str, float]]:
+    curves, began, said = [], time.monotonic(), -np.inf
+    for row in rounds:
+        curves.append(row)
+        took = time.monotonic() - began
+        if took - said > 10:
+            said = took
+            figures = "  ".join(f"{name} {v:.2f}" for name, v in row.items() if name != "steps")
+            print(f"{row['steps']:9,} steps  {figures}  {row['steps'] / took:,.0f}/s", flush=True)
+    return curves
+
+
+def _write(curves: list[dict[str, float]], path: Path) -> None:
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(curves[0]))
+        writer.writeheader()
+        writer.writerows(curves)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,106 @@
+"""GAIL: who walks so that a discriminator is at a loss, with a reward that pays nobody for time."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from conftest import need_imitation
+
+need_imitation()
+
+import torch  # noqa: E402
+from gymnasium import spaces  # noqa: E402
+from imitation.data.types import Transitions  # noqa: E402
+
+from baselines import bc, gail  # noqa: E402
+from baselines.mixture import NOISE, MixturePolicy  # noqa: E402
+from crowdbench import demonstrations, rollout, spawn_model  # noqa: E402
+from crowdbench.policies import OnnxPolicy  # noqa: E402
+from crowdbench.scene import load_scene  # noqa: E402
+
+PLAZA = load_scene("plaza-v0")
+TINY = gail.Settings(persons=8, steps=512, round_steps=32, horizon_s=60.0, discriminator_batch=64)
+
+
+def fresh(hidden: int = 16) -> MixturePolicy:
+    torch.manual_seed(0)
+    return MixturePolicy(
+        spaces.Box(-1.0, 1.0, (38,), np.float32), spaces.Box(-1.0, 1.0, (2,), np.float32),
+        lambda _: 1e-3, net_arch=[hidden, hidden],
+    )  # fmt: skip
+
+
+def test_experts_are_the_recorded_transitions() -> None:
+    shown = demonstrations("plaza-v0")
+    batch = next(iter(gail.experts(shown, 256, np.random.default_rng(0))))
+    assert set(batch) >= {"obs", "acts", "next_obs", "dones"} - {"infos"}
+    assert {f for f in Transitions.__dataclass_fields__ if f != "infos"} == set(batch)
+    # Where the action leads: the velocity that the next observation begins with, walls excepted.
+    led = (batch["next_obs"][:, :2] - batch["acts"]).abs().max(dim=1).values
+    assert (led < 1e-3).float().mean() > 0.95
+    lives = sum(1 for _ in shown.person)
+    everything = gail.experts(shown, len(shown.pairs()[1]), np.random.default_rng(0))
+    (whole,) = list(everything)
+    assert int(whole["dones"].sum()) == lives
+
+
+def test_the_reward_is_the_discriminators_log_odds() -> None:
+    seen, act = torch.rand(5, 38) - 0.5, torch.rand(5, 2) - 0.5
+    space = spaces.Box(-1.0, 1.0, (38,), np.float32), spaces.Box(-1.0, 1.0, (2,), np.float32)
+    net = gail.Discriminator(*space, 8)
+    logits = net(seen, act, seen, torch.zeros(5))
+    d = torch.sigmoid(logits)
+    torch.testing.assert_close(logits, torch.log(d) - torch.log(1 - d))
+    for parameter in net.parameters():
+        parameter.data.zero_()
+    assert not net(seen, act, seen, torch.zeros(5)).any()  # at a loss: no reward for time
+    assert gail.FairGAIL.reward_train.fget is not gail.GAIL.reward_train.fget
+
+
+def test_training_changes_the_policy_and_the_same_seed_changes_it_alike() -> None:
+    first, again, other = fresh(), fresh(), fresh()
+    rows = [list(gail.train("plaza-v0", "full", p, TINY, seed)) for p, seed in
+            ((first, 1), (again, 1), (other, 2))]  # fmt: skip
+    assert rows[0] == rows[1]
+    assert [row["steps"] for row in rows[0]] == [256, 512]
+    untouched = fresh().state_dict()
+    a, b, c = (p.state_dict() for p in (first, again, other))
+    assert all(torch.equal(a[name], b[name]) for name in a)
+    assert any(not torch.equal(a[name], c[name]) for name in a)
+    assert any(not torch.equal(a[name], untouched[name]) for name in a)
+
+
+def test_a_discriminator_tells_wanderers_from_recorded_people() -> None:
+    settings = gail.Settings(persons=16, steps=4096, round_steps=32, horizon_s=60.0,
+                             discriminator_batch=256, discriminator_rate=3e-3, learning_rate=0.0)  # fmt: skip
+    *_, last = gail.train("plaza-v0", "full", fresh(), settings, 0)
+    assert last["recorded told"] > 0.9
+    assert last["walked told"] > 0.9
+
+
+def test_the_file_and_the_curves_are_written(tmp_path: Path, capsys) -> None:
+    asked = ["--scene", "plaza-v0", "--steps", "2048", "--persons", "16", "--horizon-s", "60",
+             "--cloning-epochs", "1", "--cloning-batch-size", "512", "--out", str(tmp_path)]  # fmt: skip
+    assert gail.main(asked) == 0
+    assert "steps  at goal" in capsys.readouterr().out
+    policy = OnnxPolicy(tmp_path / "full.onnx")
+    assert policy.noise == NOISE
+    assert policy.card.name == "gail"
+    assert policy.card.command.startswith("python -m baselines.gail --scene plaza-v0")
+    with (tmp_path / "full.csv").open() as file:
+        curves = list(csv.DictReader(file))
+    assert [int(row["steps"]) for row in curves] == [1024, 2048]
+    crowd = rollout(PLAZA, spawn_model("poisson-gmm", PLAZA), policy, seed=0, horizon_s=60.0)
+    assert len(crowd) > 10
+
+
+def test_it_can_begin_with_nothing() -> None:
+    settings = bc.Settings(hidden=(8, 8), epochs=0)
+    policy, _, epochs = bc.clone([demonstrations("plaza-v0")], settings)
+    assert epochs == 0
+    assert [layer.out_features for layer in gail._hidden(policy)] == [8, 8]
+
+
+def test_unknown_scenes_are_said(capsys, tmp_path: Path) -> None:
+    assert gail.main(["--scene", "moon-v0", "--out", str(tmp_path)]) == 2
+    assert "moon-v0" in capsys.readouterr().err

@@ -1,0 +1,169 @@
+"""The view of Stable-Baselines3: the other views' crowd bit for bit, an episode for each life."""
+
+import numpy as np
+import pytest
+from conftest import need_imitation
+
+need_imitation()
+
+from given import Given  # noqa: E402
+from stable_baselines3 import PPO  # noqa: E402
+from stable_baselines3.common.vec_env import VecMonitor  # noqa: E402
+from worlds import Person, square  # noqa: E402
+
+import crowdbench  # noqa: E402
+from crowdbench.errors import ActionError, CapacityError, SettingError  # noqa: E402
+from crowdbench.policies import Random  # noqa: E402
+from crowdbench.simulation.lidar import GOAL_RANGE_M  # noqa: E402
+from crowdbench.vec_env import LivesVecEnv  # noqa: E402
+
+EAST = [1.0, 0.0]
+
+
+def test_it_is_the_crowd_of_the_pettingzoo_view() -> None:
+    asked = {"horizon_s": 40.0, "rays": 8, "observation": "lidar-2"}
+    lives = LivesVecEnv("plaza-v0", 80, worlds=1, seed=7, **asked)
+    env = crowdbench.parallel_env("plaza-v0", **asked)
+    seen, (observations, _) = lives.reset(), env.reset(seed=7)
+    rng = np.random.default_rng(0)
+    for _ in range(99):  # in the hundredth the episode ends, and the next begins
+        who = lives.person_id
+        there = np.flatnonzero(who >= 0)
+        assert {f"person_{p}" for p in who[there]} == set(env.agents)
+        for k in there:
+            assert (seen[k] == observations[f"person_{who[k]}"]).all()
+        actions = rng.uniform(-1, 1, (80, 2)).astype(np.float32)
+        seen, rewards, dones, infos = lives.step(actions)
+        observations, of_agents, terminated, truncated, _ = env.step(
+            {f"person_{who[k]}": actions[k] for k in there}
+        )
+        for k in there:
+            name = f"person_{who[k]}"
+            assert infos[k]["person_id"] == who[k]
+            assert rewards[k] == pytest.approx(of_agents[name], abs=1e-6)
+            assert dones[k] == (terminated[name] or truncated[name])
+            if dones[k]:
+                assert infos[k]["TimeLimit.truncated"] == truncated[name]
+                assert (infos[k]["terminal_observation"] == observations[name]).all()
+    assert lives.waited > 0
+
+
+def lives_of(*people: Person, num_envs: int = 1, **changes: object) -> LivesVecEnv:
+    asked = {"worlds": 1, "rays": 4, "horizon_s": 8.0, "max_alive": 4, "seed": 0, **changes}
+    return LivesVecEnv(square(), num_envs, spawn=Given(*people), **asked)
+
+
+def test_after_a_life_comes_another_person() -> None:
+    env = lives_of(
+        Person(start=(0.0, 0.0), goal=(2.0, 0.0)),
+        Person(time_s=0.4, start=(0.0, 5.0), goal=(9.0, 5.0)),
+    )
+    first = env.reset()
+    assert env.person_id.tolist() == [0]
+    assert first[0, 2] == pytest.approx(2.0 / GOAL_RANGE_M)
+    seen, rewards, dones, infos = env.step(np.array([EAST]))
+    assert dones.tolist() == [True]
+    assert rewards[0] > 1.0
+    assert infos[0]["outcome"] == "goal"
+    assert not infos[0]["TimeLimit.truncated"]
+    assert infos[0]["terminal_observation"][2] < 0.02
+    assert env.person_id.tolist() == [1]
+    assert seen[0, :2].tolist() == [0.0, 0.0]
+    assert seen[0, 2] == pytest.approx(9.0 / GOAL_RANGE_M)
+
+
+def test_of_those_whom_nobody_has_the_one_who_entered_last_is_chosen() -> None:
+    env = lives_of(
+        Person(start=(0.0, 0.0), goal=(2.0, 0.0)),
+        Person(start=(0.0, 5.0), goal=(9.0, 5.0)),
+        Person(time_s=0.4, start=(0.0, -5.0), goal=(9.0, -5.0)),
+    )
+    env.reset()
+    env.step(np.array([EAST]))
+    assert env.person_id.tolist() == [2]
+
+
+def test_the_others_walk() -> None:
+    people = (Person(start=(0.0, -5.0), goal=(9.0, -5.0)), Person(goal=(8.0, 0.0), speed=1.0))
+    env = lives_of(*people)
+    env.reset()
+    for _ in range(5):
+        env.step(np.zeros((1, 2)))
+    slots = env._simulation.slots
+    assert slots.position[0, :2].tolist() == [[0.0, -5.0], pytest.approx([2.0, 0.0])]
+    env.others = Random()
+    env.reset()
+    env.step(np.zeros((1, 2)))
+    assert slots.position[0, 1, 1] != env._simulation.slots.position[0, 1, 1]
+
+
+def test_who_finds_nobody_waits_and_learns_nothing_of_it() -> None:
+    env = lives_of(Person(), Person(time_s=0.8, start=(0.0, 5.0)), num_envs=2)
+    seen = env.reset()
+    assert env.person_id.tolist() == [0, -1]
+    assert not seen[1].any()
+    seen, rewards, dones, infos = env.step(np.zeros((2, 2)))
+    assert dones.tolist() == [False, True]
+    assert rewards[1] == 0.0
+    assert infos[1]["waiting"]
+    assert not infos[1]["terminal_observation"].any()
+    seen, _, dones, _ = env.step(np.zeros((2, 2)))  # someone came
+    assert dones.tolist() == [False, True]
+    assert env.person_id.tolist() == [0, 1]
+    assert seen[1].any()
+    assert env.waited == 2
+
+
+def test_the_horizon_truncates_all_and_begins_anew() -> None:
+    env = lives_of(Person(), horizon_s=0.8)
+    env.reset()
+    _, _, dones, _ = env.step(np.zeros((1, 2)))
+    assert not dones.any()
+    seen, _, dones, infos = env.step(np.zeros((1, 2)))
+    assert dones.all()
+    assert infos[0]["outcome"] == "horizon"
+    assert infos[0]["TimeLimit.truncated"]
+    assert (seen == env.reset()).all()  # these people always come in the same way
+
+
+def test_the_seed_decides() -> None:
+    first = LivesVecEnv("plaza-v0", 4, worlds=2, horizon_s=20.0, seed=3).reset()
+    env = LivesVecEnv("plaza-v0", 4, worlds=2, horizon_s=20.0)
+    env.seed(3)
+    assert (env.reset() == first).all()
+    assert (env.reset() != first).any()
+
+
+def test_persons_are_enough_where_nothing_is_said_of_worlds() -> None:
+    env = LivesVecEnv("plaza-v0", 32, horizon_s=80.0, seed=0)
+    env.reset()
+    for _ in range(150):
+        env.step(np.zeros((32, 2)))
+    assert env.waited < 0.01 * 150 * 32
+
+
+def test_what_does_not_fit_is_said() -> None:
+    for asked in ({"num_envs": 0}, {"worlds": 0}, {"horizon_s": -1.0}):
+        with pytest.raises(SettingError, match=next(iter(asked))):
+            LivesVecEnv("plaza-v0", **asked)
+    env = lives_of(Person())
+    env.reset()
+    with pytest.raises(ActionError, match=r"\(1, 2\)"):
+        env.step(np.zeros((2, 2)))
+    with pytest.raises(ActionError, match="not finite"):
+        env.step(np.full((1, 2), np.nan))
+    with pytest.raises(CapacityError, match="max_alive"):
+        lives_of(Person(), Person(), max_alive=1).reset()
+    with pytest.raises(SettingError, match="persons of the same worlds"):
+        env.env_method("step")
+
+
+def test_stable_baselines_trains_in_it() -> None:
+    env = VecMonitor(LivesVecEnv("plaza-v0", 16, horizon_s=120.0, rays=8, seed=0))
+    model = PPO("MlpPolicy", env, n_steps=128, batch_size=512, n_epochs=4, learning_rate=1e-3,
+                gamma=0.95, seed=0, device="cpu")  # fmt: skip
+    model.learn(2048)
+    early = np.mean([e["r"] for e in model.ep_info_buffer])
+    model.learn(40_960, reset_num_timesteps=False)
+    late = np.mean([e["r"] for e in model.ep_info_buffer])
+    assert late > early + 2.0  # metres nearer to the goal

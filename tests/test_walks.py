@@ -1,0 +1,122 @@
+"""The page on how policies walk: everyone under the recorded arrivals, and their pictures."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crowdbench import cli
+from crowdbench.errors import RecordingError, SettingError
+from crowdbench.registry import recording_of
+from crowdbench.scene import load_scene
+from crowdbench.trajectories import Trajectories, from_rows
+from crowdbench.walks import RecordedPaths, write_walks
+from crowdbench.walks.pictures import _entries, _people, common_ways
+
+PLAZA = load_scene("plaza-v0")
+HEURISTIC = "baselines.heuristic:Heuristic"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("walks")
+
+
+@pytest.fixture(scope="module")
+def text(folder: Path) -> str:
+    """The page of the plaza; two rollouts of each policy make distances, but no scores."""
+    path = write_walks(
+        ["plaza-v0"], more=[HEURISTIC], out=folder / "docs", work=folder / "work", seeds=2,
+        workers=2,
+    )  # fmt: skip
+    return path.read_text()
+
+
+def section(text: str, title: str) -> list[list[str]]:
+    """The cells of the table under a heading."""
+    (body,) = re.findall(rf"### {re.escape(title)}\n\n((?:\|.*\n)+)", text)
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in body.strip().split("\n")]
+
+
+def test_policies_without_chance_have_scores_and_ranks(text: str) -> None:
+    for title in ("Full", "Held out"):
+        head, _, *lines = section(text, title)
+        assert head[:5] == ["policy", "rank", "walk", "motion", "interaction"]
+        of = {line[0]: line for line in lines}
+        assert set(of) == {"straight", "social-force"}  # random's two rollouts are too few
+        assert of["straight"][2] == "0.00 [0.00, 0.00]"
+        assert of["social-force"][1] == "1"
+
+
+def test_distances_are_of_those_who_walk_the_same_arrivals(text: str) -> None:
+    for title in ("Distances, full", "Distances, held out"):
+        head, _, *lines = section(text, title)
+        assert head[-4:] == ["random", "straight", "social-force", "heuristic"]
+        assert {line[0] for line in lines} == {"lives", "motion", "interaction"}
+        (dwell,) = (line for line in lines if line[1] == "dwell")
+        assert float(dwell[-3].split(" ")[0]) < 0.1
+
+
+def test_it_is_told_who_arrives_under_both_arrivals(text: str) -> None:
+    head, _, *lines = section(text, "Do they arrive?")
+    assert head[1] == "at goal (recorded)"
+    assert head[5] == "at goal (ntpp-gmm)"
+    of = {line[0]: line for line in lines}
+    assert float(of["straight"][1].rstrip(" %")) > 99
+    assert float(of["random"][5].rstrip(" %")) < 5
+    assert "0.022 from the recording’s" in re.sub(r"\s+", " ", text)
+
+
+def test_its_pictures_are_there_and_its_command_is_named(text: str, folder: Path) -> None:
+    linked = re.findall(r"!\[[^]]+\]\(([^)]+)\)", text)
+    assert linked == ["walks/plaza-v0-paths.png", "walks/plaza-v0-dwell.png"]
+    for name in linked:
+        assert (folder / "docs" / name).read_bytes().startswith(b"\x89PNG")
+    assert f"crowdbench walks plaza-v0 --policy {HEURISTIC} --seeds 2" in text
+
+
+def test_the_same_evaluations_give_the_same_page(text: str, folder: Path) -> None:
+    path = write_walks(
+        ["plaza-v0"], more=[HEURISTIC], out=folder / "again", work=folder / "work", seeds=2,
+        workers=1,
+    )  # fmt: skip
+    assert path.read_text() == text
+
+
+def test_recorded_paths_end_at_their_goals() -> None:
+    crowd = recording_of(PLAZA)
+    assert RecordedPaths(crowd).name != "replay"  # which rollouts let walk on
+
+
+def drawn(*ways: tuple[int, int]) -> Trajectories:
+    """People who walk from one area to another, two frames each."""
+    frame = np.repeat(np.arange(len(ways)), 2) + np.tile([1, 2], len(ways))
+    crowd = from_rows(
+        scene="drawn", dt_s=0.4, frames=len(ways) + 4, where="test", frame=frame,
+        person_id=np.repeat(np.arange(len(ways)), 2), xy=np.stack([frame, frame], axis=1),
+    )  # fmt: skip
+    areas = np.array(ways)
+    return replace(crowd, spawn_area=areas[:, 0], goal_area=areas[:, 1])
+
+
+def test_the_commonest_ways_come_first() -> None:
+    crowd = drawn((0, 1), (2, 0), (2, 0), (0, 1), (2, 0), (1, 1), (-1, 0), (-1, 0), (-1, 0))
+    assert common_ways(crowd, 2).tolist() == [[2, 0], [0, 1]]
+    assert _people(crowd, common_ways(crowd, 2)) == [[1, 2, 4], [0, 3]]
+
+
+def test_people_are_known_by_when_and_where_they_were_to_enter() -> None:
+    crowd = drawn((0, 1), (0, 1))
+    assert _entries(crowd) == [(0.4, 1.0, 1.0), (0.8, 2.0, 2.0)]
+
+
+def test_what_is_missing_is_said_before_anything_is_walked(tmp_path: Path, capsys) -> None:
+    with pytest.raises(SettingError, match="no scene"):
+        write_walks([], out=tmp_path)
+    with pytest.raises(RecordingError, match="data fetch eth"):
+        write_walks(["eth-v0"], out=tmp_path)
+    assert cli.main(["walks", "eth-v0", "--out", str(tmp_path)]) == 2
+    assert "data fetch eth" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
