@@ -5,16 +5,20 @@ path, and what each person sees there is written down beside the action that tak
 pairs are those of the environment, observation for observation, walls and speed limit included.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+import shutil
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int
 
+from crowdbench import __version__
 from crowdbench.episode import actions_of, begin, check_capacity, generator
-from crowdbench.errors import SettingError
+from crowdbench.errors import OutputError, SettingError
 from crowdbench.policies import ReplayPolicy
+from crowdbench.recordings.catalogue import source
 from crowdbench.reference import blocks_of
 from crowdbench.registry import recording_of
 from crowdbench.scene import Scene, load_scene
@@ -25,6 +29,7 @@ from crowdbench.trajectories import Trajectories
 
 if TYPE_CHECKING:
     from imitation.data.types import Trajectory
+    from minari import MinariDataset
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +51,8 @@ class Demonstrations:
     """Frame of each piece's first row."""
     complete: Bool[np.ndarray, " L"]
     """Whether the piece ends where the person left, or is cut off."""
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    """Whose they are and how they were made: the recording, whom to cite, and all settings."""
 
     def __len__(self) -> int:
         return len(self.person)
@@ -69,6 +76,7 @@ class Demonstrations:
             offsets,
             self.first[chosen],
             self.complete[chosen],
+            self.provenance,
         )
 
     def split(self, share: float, seed: int) -> tuple["Demonstrations", "Demonstrations"]:
@@ -93,6 +101,94 @@ class Demonstrations:
                 self.offsets[:-1].tolist(), self.offsets[1:].tolist(), self.complete, strict=True
             )
         ]
+
+    def to_minari(self, dataset_id: str) -> "MinariDataset":
+        """Write the pieces as a dataset of Minari; needs the extra `minari`.
+
+        It lies where Minari keeps its own: in the folder that the environment variable
+        `MINARI_DATASETS_PATH` names, by default `~/.minari/datasets`. Each piece is an episode of
+        one observation more than actions. It ends terminated where the person left and truncated
+        where it is cut off; its metadata hold `person` and `first_frame`. Rewards are zero: nobody
+        recorded any. The dataset's metadata hold `provenance`, with whom to cite, as `crowdbench`.
+
+        A recording stays under its owners' terms, and so does what is made of it: the dataset is
+        for your own use, not to be published.
+
+        Args:
+            dataset_id: as Minari wants it, like `crowdbench/eth-full-v0`.
+
+        Raises:
+            SettingError: there are no pieces, or Minari does not take the id.
+            OutputError: there is a dataset of that id, or it cannot be written.
+        """
+        from minari.dataset.minari_dataset import parse_dataset_id
+        from minari.storage import get_dataset_path
+
+        if not len(self):
+            raise SettingError("to_minari", got="no demonstrations", expected="one or more")
+        try:
+            parse_dataset_id(dataset_id)
+        except (TypeError, ValueError) as error:  # TypeError: an id without a version
+            raise SettingError(
+                "dataset_id", got=repr(dataset_id), expected="an id like crowdbench/eth-full-v0"
+            ) from error
+        try:
+            folder = get_dataset_path(dataset_id)
+            if folder.exists():
+                raise OutputError(
+                    folder,
+                    got="a dataset that is there already",
+                    expected="a new id",
+                    mend=f"Count its version up, or run `minari delete {dataset_id}`.",
+                )
+            try:
+                return self._write_minari(dataset_id)
+            except (FileExistsError, ValueError):  # someone else has made one meanwhile
+                raise
+            except BaseException:  # half a dataset would look like a whole one
+                shutil.rmtree(folder, ignore_errors=True)
+                raise
+        except OSError as error:
+            raise OutputError(
+                dataset_id,
+                got=str(error),
+                expected="a place that can be written to",
+                mend="Name one in MINARI_DATASETS_PATH.",
+            ) from error
+
+    def _write_minari(self, dataset_id: str) -> "MinariDataset":
+        from gymnasium.spaces import Box
+        from minari import create_dataset_from_buffers
+        from minari.data_collector import EpisodeBuffer
+
+        episodes, notes = [], []
+        for k, complete in enumerate(self.complete.tolist()):
+            start, stop = self.offsets[k : k + 2].tolist()
+            last = np.arange(start + 1, stop) == stop - 1
+            episodes.append(
+                EpisodeBuffer(
+                    observations=self.observations[start:stop],
+                    actions=self.actions[start : stop - 1],
+                    rewards=np.zeros(len(last), np.float32),
+                    terminations=last & complete,
+                    truncations=last & (not complete),
+                )
+            )
+            notes.append({"person": int(self.person[k]), "first_frame": int(self.first[k])})
+        with warnings.catch_warnings():
+            # Minari asks for an author, an address and an environment of Gymnasium's: none of them.
+            warnings.filterwarnings("ignore", ".* is set to None|env_spec is None", UserWarning)
+            dataset = create_dataset_from_buffers(
+                dataset_id,
+                episodes,
+                observation_space=Box(-1.0, 1.0, self.observations.shape[1:], np.float32),
+                action_space=Box(-1.0, 1.0, self.actions.shape[1:], np.float32),
+                algorithm_name="recorded persons",
+                description=_description(self.provenance),
+            )
+        dataset.storage.update_episode_metadata(notes)
+        dataset.storage.update_metadata({"crowdbench": dict(self.provenance)})
+        return dataset
 
 
 def demonstrations(
@@ -173,13 +269,48 @@ def demonstrations(
             actions.append(now)
         simulation.step(actions_now)
     check_capacity(simulation)
+    provenance = {
+        "version": __version__,
+        "scene": place.id,
+        "recording": place.recording.name,
+        "sha256": recording.provenance.get("sha256", ""),
+        "cite": _cite(place.recording.name),
+        "dt_s": place.dt_s,
+        "max_speed_mps": place.motion.max_speed_mps,
+        "part": part,
+        "observation": observation,
+        "rays": rays,
+        "ray_range_m": ray_range_m,
+        "displaced_m": displaced_m,
+        "recovery_s": recovery_s,
+        "seed": seed,
+    }
     return _pieces(
         np.concatenate(person),
         np.concatenate(frame),
         np.concatenate(observations),
         np.concatenate(actions),
         np.where(recording.left, recording.last, -1),
+        provenance,
     )
+
+
+def _cite(name: str) -> str:
+    """The paper to cite for a recording; empty for what is generated or somebody's own."""
+    try:
+        return source(name).cite
+    except SettingError:
+        return ""
+
+
+def _description(provenance: Mapping[str, Any]) -> str:
+    """What a dataset says of itself where it is listed."""
+    words = "What pedestrians saw and did, one episode for each piece of a life; rewards are zero."
+    if name := provenance.get("recording"):
+        words += f" Of the recording {name}, scene {provenance['scene']}, by crowdbench."
+    if cite := provenance.get("cite"):
+        words += f" It stays under its owners' terms, for your own use; cite {cite}."
+    return words
 
 
 def _displacements(persons: int, displaced_m: float, seed: int) -> Float32[np.ndarray, "P 2"]:
@@ -221,6 +352,7 @@ def _pieces(
     observations: Float32[np.ndarray, "n obs"],
     actions: Float32[np.ndarray, "n 2"],
     last: Int[np.ndarray, " P"],
+    provenance: Mapping[str, Any],
 ) -> Demonstrations:
     """Rows sorted into runs of frames of one person; runs of one row show no action."""
     order = np.lexsort((frame, person))
@@ -237,4 +369,7 @@ def _pieces(
     actions[offsets[1:] - 1] = np.nan
     whose = person[begins].astype(np.int64)
     ends = frame[offsets[1:] - 1]
-    return Demonstrations(observations, actions, whose, offsets, frame[begins], ends == last[whose])
+    complete = ends == last[whose]
+    return Demonstrations(
+        observations, actions, whose, offsets, frame[begins], complete, provenance
+    )
