@@ -10,6 +10,9 @@ import numpy as np
 import pages
 import pytest
 from conftest import need
+from given import env_of
+from given import run as walk
+from worlds import Person
 
 import crowdbench
 from crowdbench import Demonstrations, demonstrations, parallel_env
@@ -415,3 +418,16 @@ def test_rllibs_own_wrapper_knows_only_those_who_were_there_first(rllib: dict[st
     with pytest.raises(KeyError, match="person_"):
         algorithm.train()
     algorithm.stop()
+
+
+@pytest.mark.slow
+def test_rllibs_own_wrapper_does_not_tell_a_mixed_end(rllib: dict[str, Any]) -> None:
+    from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
+
+    bare = env_of(Person(goal=(1.0, 0.0)), Person(start=(0.0, -5.0)), horizon_s=0.4)
+    env = ParallelPettingZooEnv(bare)
+    env.reset()
+    _, _, terminated, truncated, _ = env.step(walk(bare))
+    assert not bare.agents
+    assert terminated == {"person_0": True, "person_1": False, "__all__": False}
+    assert truncated == {"person_0": False, "person_1": True, "__all__": False}
