@@ -3,10 +3,11 @@
 # make lint       format, lint and types
 #
 # Another set of dependencies: make test VENV=.venv-imitation EXTRAS=all
+# With RLlib, about a minute:  make test VENV=.venv-rllib EXTRAS=dev,rllib ARGS="-m slow"
 
 PYTHON ?= python3
 VENV ?= .venv
-EXTRAS ?= dev,fit,onnx,torchrl,viewer
+EXTRAS ?= dev,fit,minari,onnx,torchrl,viewer
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 

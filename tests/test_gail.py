@@ -71,17 +71,19 @@ def test_training_changes_the_policy_and_the_same_seed_changes_it_alike() -> Non
 
 
 def test_a_discriminator_tells_wanderers_from_recorded_people() -> None:
-    settings = gail.Settings(persons=16, steps=4096, round_steps=32, horizon_s=60.0,
-                             discriminator_batch=256, discriminator_rate=3e-3, learning_rate=0.0)  # fmt: skip
+    settings = gail.Settings(
+        persons=16, steps=4096, round_steps=32, horizon_s=60.0, discriminator_batch=256,
+        discriminator_rate=3e-3, learning_rate=0.0,
+    )  # fmt: skip
     *_, last = gail.train("plaza-v0", "full", fresh(), settings, 0)
     assert last["recorded told"] > 0.9
     assert last["walked told"] > 0.9
 
 
 def test_the_file_and_the_curves_are_written(tmp_path: Path, capsys) -> None:
-    asked = ["--scene", "plaza-v0", "--steps", "2048", "--persons", "16", "--horizon-s", "60",
-             "--cloning-epochs", "1", "--cloning-batch-size", "512", "--out", str(tmp_path)]  # fmt: skip
-    assert gail.main(asked) == 0
+    asked = "--scene plaza-v0 --steps 2048 --persons 16 --horizon-s 60 --cloning-epochs 1"
+    more = ["--cloning-batch-size", "512", "--out", str(tmp_path)]
+    assert gail.main([*asked.split(), *more]) == 0
     assert "steps  at goal" in capsys.readouterr().out
     policy = OnnxPolicy(tmp_path / "full.onnx")
     assert policy.noise == NOISE

@@ -5,26 +5,31 @@ path, and what each person sees there is written down beside the action that tak
 pairs are those of the environment, observation for observation, walls and speed limit included.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+import shutil
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float32, Int
 
+from crowdbench import __version__
+from crowdbench.demos.aside import Aside
 from crowdbench.episode import actions_of, begin, check_capacity, generator
-from crowdbench.errors import SettingError
+from crowdbench.errors import OutputError, SettingError
 from crowdbench.policies import ReplayPolicy
+from crowdbench.recordings.catalogue import source
 from crowdbench.reference import blocks_of
 from crowdbench.registry import recording_of
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn import Replay
 from crowdbench.spawn.weights import check_part
-from crowdbench.trajectories import Trajectories
 
 if TYPE_CHECKING:
     from imitation.data.types import Trajectory
+    from minari import MinariDataset
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +51,8 @@ class Demonstrations:
     """Frame of each piece's first row."""
     complete: Bool[np.ndarray, " L"]
     """Whether the piece ends where the person left, or is cut off."""
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    """Whose they are and how they were made: the recording, whom to cite, and all settings."""
 
     def __len__(self) -> int:
         return len(self.person)
@@ -69,6 +76,7 @@ class Demonstrations:
             offsets,
             self.first[chosen],
             self.complete[chosen],
+            self.provenance,
         )
 
     def split(self, share: float, seed: int) -> tuple["Demonstrations", "Demonstrations"]:
@@ -93,6 +101,94 @@ class Demonstrations:
                 self.offsets[:-1].tolist(), self.offsets[1:].tolist(), self.complete, strict=True
             )
         ]
+
+    def to_minari(self, dataset_id: str) -> "MinariDataset":
+        """Write the pieces as a dataset of Minari; needs the extra `minari`.
+
+        It lies where Minari keeps its own: in the folder that the environment variable
+        `MINARI_DATASETS_PATH` names, by default `~/.minari/datasets`. Each piece is an episode of
+        one observation more than actions. It ends terminated where the person left and truncated
+        where it is cut off; its metadata hold `person` and `first_frame`. Rewards are zero: nobody
+        recorded any. The dataset's metadata hold `provenance`, with whom to cite, as `crowdbench`.
+
+        A recording stays under its owners' terms, and so does what is made of it: the dataset is
+        for your own use, not to be published.
+
+        Args:
+            dataset_id: as Minari wants it, like `crowdbench/eth-full-v0`.
+
+        Raises:
+            SettingError: there are no pieces, or Minari does not take the id.
+            OutputError: there is a dataset of that id, or it cannot be written.
+        """
+        from minari.dataset.minari_dataset import parse_dataset_id
+        from minari.storage import get_dataset_path
+
+        if not len(self):
+            raise SettingError("to_minari", got="no demonstrations", expected="one or more")
+        try:
+            parse_dataset_id(dataset_id)
+        except (TypeError, ValueError) as error:  # TypeError: an id without a version
+            raise SettingError(
+                "dataset_id", got=repr(dataset_id), expected="an id like crowdbench/eth-full-v0"
+            ) from error
+        try:
+            folder = get_dataset_path(dataset_id)
+            if folder.exists():
+                raise OutputError(
+                    folder,
+                    got="a dataset that is there already",
+                    expected="a new id",
+                    mend=f"Count its version up, or run `minari delete {dataset_id}`.",
+                )
+            try:
+                return self._write_minari(dataset_id)
+            except (FileExistsError, ValueError):  # someone else has made one meanwhile
+                raise
+            except BaseException:  # half a dataset would look like a whole one
+                shutil.rmtree(folder, ignore_errors=True)
+                raise
+        except OSError as error:
+            raise OutputError(
+                dataset_id,
+                got=str(error),
+                expected="a place that can be written to",
+                mend="Name one in MINARI_DATASETS_PATH.",
+            ) from error
+
+    def _write_minari(self, dataset_id: str) -> "MinariDataset":
+        from gymnasium.spaces import Box
+        from minari import create_dataset_from_buffers
+        from minari.data_collector import EpisodeBuffer
+
+        episodes, notes = [], []
+        for k, complete in enumerate(self.complete.tolist()):
+            start, stop = self.offsets[k : k + 2].tolist()
+            last = np.arange(start + 1, stop) == stop - 1
+            episodes.append(
+                EpisodeBuffer(
+                    observations=self.observations[start:stop],
+                    actions=self.actions[start : stop - 1],
+                    rewards=np.zeros(len(last), np.float32),
+                    terminations=last & complete,
+                    truncations=last & (not complete),
+                )
+            )
+            notes.append({"person": int(self.person[k]), "first_frame": int(self.first[k])})
+        with warnings.catch_warnings():
+            # Minari asks for an author, an address and an environment of Gymnasium's: none of them.
+            warnings.filterwarnings("ignore", ".* is set to None|env_spec is None", UserWarning)
+            dataset = create_dataset_from_buffers(
+                dataset_id,
+                episodes,
+                observation_space=Box(-1.0, 1.0, self.observations.shape[1:], np.float32),
+                action_space=Box(-1.0, 1.0, self.actions.shape[1:], np.float32),
+                algorithm_name="recorded persons",
+                description=_description(self.provenance),
+            )
+        dataset.storage.update_episode_metadata(notes)
+        dataset.storage.update_metadata({"crowdbench": dict(self.provenance)})
+        return dataset
 
 
 def demonstrations(
@@ -152,7 +248,7 @@ def demonstrations(
     for name, value, least in (("displaced_m", displaced_m, 0), ("recovery_s", recovery_s, 1e-3)):
         if not (np.isfinite(value) and value >= least):
             raise SettingError(name, got=str(value), expected=f"a finite number from {least:g} on")
-    aside = _Aside.of(recording, displaced_m, recovery_s, seed)
+    aside = Aside.of(recording, displaced_m, recovery_s, seed)
     last = recording.offsets[1:] - 1
     step_m = place.dt_s * place.motion.max_speed_mps
     inside = _trained_on(blocks_of(recording, place).training(part).frames, recording.frames)
@@ -186,55 +282,48 @@ def demonstrations(
             actions.append(now)
         simulation.step(actions_now)
     check_capacity(simulation)
+    provenance = {
+        "version": __version__,
+        "scene": place.id,
+        "recording": place.recording.name,
+        "sha256": recording.provenance.get("sha256", ""),
+        "cite": _cite(place.recording.name),
+        "dt_s": place.dt_s,
+        "max_speed_mps": place.motion.max_speed_mps,
+        "part": part,
+        "observation": observation,
+        "rays": rays,
+        "ray_range_m": ray_range_m,
+        "displaced_m": displaced_m,
+        "recovery_s": recovery_s,
+        "seed": seed,
+    }
     return _pieces(
         np.concatenate(person),
         np.concatenate(frame),
         np.concatenate(observations),
         np.concatenate(actions),
         np.where(recording.left, recording.last, -1),
+        provenance,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Aside:
-    """Where each row of a recording is shown instead, beside its place, and how fast."""
+def _cite(name: str) -> str:
+    """The paper to cite for a recording; empty for what is generated or somebody's own."""
+    try:
+        return source(name).cite
+    except SettingError:
+        return ""
 
-    now: Float[np.ndarray, "R 2"]
-    """Metres."""
-    drift: Float[np.ndarray, "R 2"]
-    """Added to the velocity, m/s."""
-    after: Float[np.ndarray, "R 2"]
-    """Where its action leads to, beside the next row's place, metres."""
 
-    @classmethod
-    def of(
-        cls, recording: Trajectories, displaced_m: float, recovery_s: float, seed: int
-    ) -> "_Aside":
-        """Half of the persons are on a spring at each time, a new one after 4 τ."""
-        shape = (len(recording.xy), 2)
-        found = cls(np.zeros(shape), np.zeros(shape), np.zeros(shape))
-        rng = np.random.default_rng(seed)
-        chosen = rng.random(len(recording)) < 0.5
-        if displaced_m == 0:
-            return found
-        dt_s, every = recording.dt_s, max(1, round(4 * recovery_s / recording.dt_s))
-        for person in np.flatnonzero(chosen).tolist():
-            rows = slice(*recording.offsets[person : person + 2].tolist())
-            length = rows.stop - rows.start
-            k, step = np.divmod(np.arange(length) + int(rng.integers(every)), every)
-            delta, epsilon = rng.normal(0.0, displaced_m, (2, k[-1] + 1, 2))[:, k]
-            rate = (epsilon + delta) / recovery_s
-            left_s = np.arange(length - 1, -1, -1) * dt_s
-
-            def spring(ahead: int) -> np.ndarray:
-                t = (step + ahead)[:, None] * dt_s  # noqa: B023  # called before they change
-                fade = np.clip((left_s - ahead * dt_s) / recovery_s, 0, 1)[:, None]  # noqa: B023
-                return (delta + rate * t) * np.exp(-t / recovery_s) * fade  # noqa: B023
-
-            found.now[rows], found.after[rows] = spring(0), spring(1)
-            # Also of who has just been displaced: as if it had come along the same spring.
-            found.drift[rows] = (found.now[rows] - spring(-1)) / dt_s
-        return found
+def _description(provenance: Mapping[str, Any]) -> str:
+    """What a dataset says of itself where it is listed."""
+    words = "What pedestrians saw and did, one episode for each piece of a life; rewards are zero."
+    if name := provenance.get("recording"):
+        words += f" Of the recording {name}, scene {provenance['scene']}, by crowdbench."
+    if cite := provenance.get("cite"):
+        words += f" It stays under its owners' terms, for your own use; cite {cite}."
+    return words
 
 
 def _trained_on(blocks: Int[np.ndarray, "B 2"], frames: int) -> Bool[np.ndarray, " frames"]:
@@ -250,6 +339,7 @@ def _pieces(
     observations: Float32[np.ndarray, "n obs"],
     actions: Float32[np.ndarray, "n 2"],
     last: Int[np.ndarray, " P"],
+    provenance: Mapping[str, Any],
 ) -> Demonstrations:
     """Rows sorted into runs of frames of one person; runs of one row show no action."""
     order = np.lexsort((frame, person))
@@ -266,4 +356,7 @@ def _pieces(
     actions[offsets[1:] - 1] = np.nan
     whose = person[begins].astype(np.int64)
     ends = frame[offsets[1:] - 1]
-    return Demonstrations(observations, actions, whose, offsets, frame[begins], ends == last[whose])
+    complete = ends == last[whose]
+    return Demonstrations(
+        observations, actions, whose, offsets, frame[begins], complete, provenance
+    )
