@@ -29,7 +29,7 @@ from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value.functional import vec_generalized_advantage_estimate
 
-from crowdbench import Reward, load_scene
+from crowdbench import Reward, load_scene, spawn_model
 from crowdbench.errors import CrowdbenchError
 from crowdbench.policies import PolicyCard
 from crowdbench.policies.export import export_policy, revision
@@ -119,13 +119,13 @@ def advantages(
 
 
 def train(
-    scene: str, settings: Settings, reward: Reward | None = None
+    scene: str, settings: Settings, reward: Reward | None = None, part: str = "full"
 ) -> Iterator[tuple[Around, dict[str, float]]]:
     """Yield the network and figures of what it did after each improvement."""
     torch.manual_seed(settings.seed)
     env = CrowdEnv(
         scene,
-        spawn=settings.spawn,
+        spawn=spawn_model(settings.spawn, scene, part),
         worlds=settings.worlds,
         max_alive=settings.max_alive,
         horizon_s=settings.horizon_s,
@@ -219,6 +219,7 @@ def main(arguments: list[str] | None = None) -> int:
     default = Settings()
     parser = argparse.ArgumentParser(prog="python -m baselines.ppo", description=__doc__)
     parser.add_argument("--scene", required=True)
+    parser.add_argument("--parts", nargs="+", default=["full"], metavar="PART")
     parser.add_argument("--spawn", default=default.spawn)
     parser.add_argument("--worlds", type=int, default=default.worlds)
     parser.add_argument("--max-alive", type=int, default=default.max_alive)
@@ -229,28 +230,30 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=default.seed)
     parser.add_argument("--out", type=Path, help="folder (default: results/ppo-SCENE)")
     asked = parser.parse_args(arguments)
-    names = set(vars(asked)) - {"scene", "out"}
+    names = set(vars(asked)) - {"scene", "parts", "out"}
     settings = Settings(**{name: getattr(asked, name) for name in names})
     given = sys.argv[1:] if arguments is None else arguments
     try:
         scene = load_scene(asked.scene)
         out = asked.out or Path("results") / f"ppo-{scene.id}"
         out.mkdir(parents=True, exist_ok=True)
-        network = None
-        for k, (network, figures) in enumerate(train(asked.scene, settings), 1):  # noqa: B007
-            if k % 20 == 1:
-                said = "  ".join(f"{name} {value:,.3g}" for name, value in figures.items())
-                print(f"{k * settings.batch_frames:9,} frames  {said}", flush=True)
-        assert network is not None
-        card = PolicyCard(
-            name="ppo",
-            observation=OBSERVATION,
-            scene=scene.id,
-            part="full",
-            command=f"python -m baselines.ppo {shlex.join(given)}",
-            revision=revision(Path(__file__).parent),
-        )
-        print(export_policy(Sampler(network), out / "full.onnx", card, noise=NOISE))
+        for part in asked.parts:
+            network = None
+            rounds = train(asked.scene, settings, part=part)
+            for k, (network, figures) in enumerate(rounds, 1):  # noqa: B007
+                if k % 20 == 1:
+                    said = "  ".join(f"{name} {value:,.3g}" for name, value in figures.items())
+                    print(f"{k * settings.batch_frames:9,} frames  {said}", flush=True)
+            assert network is not None
+            card = PolicyCard(
+                name="ppo",
+                observation=OBSERVATION,
+                scene=scene.id,
+                part=part,
+                command=f"python -m baselines.ppo {shlex.join(given)}",
+                revision=revision(Path(__file__).parent),
+            )
+            print(export_policy(Sampler(network), out / f"{part}.onnx", card, noise=NOISE))
     except CrowdbenchError as error:
         print(f"baselines.ppo: {error}", file=sys.stderr)
         return 2

@@ -97,7 +97,7 @@ def test_cloning_learns_what_was_shown_and_the_same_from_the_same_seed() -> None
     seen, _ = lives().pairs()
     mode = policy.get_distribution(torch.from_numpy(seen)).mode().detach().numpy()
     expected = (0.8 * seen[:, :2] + 0.2 * seen[:, 3:5]).clip(-1, 1)
-    assert np.abs(mode - expected).mean() < 0.03
+    assert np.abs(mode - expected).mean() < 0.06
 
 
 def test_training_stops_when_nothing_gets_better() -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pages
 import pytest
+from conftest import need_imitation
 from servers import serving
 
 from crowdbench.cli import main
@@ -33,9 +34,17 @@ def test_the_first_example_runs_to_the_end_and_scores(capsys: pytest.CaptureFixt
     assert "inter_spawn" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("block", "file"), [(1, "slow.py"), (3, "clock.py")])
-def test_a_class_of_ones_own_is_evaluated(tmp_path: Path, block: int, file: str) -> None:
-    (tmp_path / file).write_text(blocks("python")[block])
+def block_with(words: str) -> str:
+    """The only Python block of the page that has these words in it."""
+    (found,) = (block for block in blocks("python") if words in block)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("words", "file"), [("class Slow", "slow.py"), ("class Clockwork", "clock.py")]
+)
+def test_a_class_of_ones_own_is_evaluated(tmp_path: Path, words: str, file: str) -> None:
+    (tmp_path / file).write_text(block_with(words))
     asked = re.search(rf"`(crowdbench evaluate [^`]*{file[:-3]}:[^`]*)`", README)
     assert asked is not None
     script = Path(sys.executable).with_name("crowdbench")
@@ -43,6 +52,21 @@ def test_a_class_of_ones_own_is_evaluated(tmp_path: Path, block: int, file: str)
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "written to" in done.stdout
+
+
+def test_the_torchrl_example_trains(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(block_with("CrowdEnv("), "README", "exec"), {})
+    reward = float(capsys.readouterr().out.split()[0])
+    assert reward > 0.1  # a random policy comes no nearer, and pays for its effort
+
+
+# imitation logs tensors that know their gradient.
+@pytest.mark.filterwarnings("ignore:Converting a tensor with requires_grad")
+def test_the_imitation_example_trains(capsys: pytest.CaptureFixture[str]) -> None:
+    need_imitation()
+    exec(compile(block_with("demonstrations("), "README", "exec"), {})
+    reward = float(capsys.readouterr().out.split()[0])
+    assert reward > 5  # metres nearer to the goal
 
 
 @pytest.fixture
@@ -67,7 +91,7 @@ def test_every_command_runs_in_the_order_of_the_page(
     frames = np.arange(1934)
     rows = [f"1,{frame},{0.005 * frame:.3f},5.0" for frame in frames]
     Path("mine.csv").write_text("\n".join(["person_id,frame,x,y", *rows]))
-    Path("walkers.py").write_text(blocks("python")[2])
+    Path("walkers.py").write_text(block_with("class Walker"))
     for command in commands():
         arguments = shlex.split(command.replace("path/to/OpenTraj", str(opentraj)))[1:]
         if arguments[0] == "evaluate":  # the next test makes all its rollouts

@@ -26,7 +26,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def text(folder: Path) -> str:
-    """The page of the plaza; two rollouts of each policy make distances, but no scores."""
+    """The page of the plaza; two rollouts of a policy make distances, but no scores."""
     path = write_walks(
         ["plaza-v0"], more=[HEURISTIC], out=folder / "docs", work=folder / "work", seeds=2,
         workers=2,
@@ -95,7 +95,7 @@ def drawn(*ways: tuple[int, int]) -> Trajectories:
     frame = np.repeat(np.arange(len(ways)), 2) + np.tile([1, 2], len(ways))
     crowd = from_rows(
         scene="drawn", dt_s=0.4, frames=len(ways) + 4, where="test", frame=frame,
-        person_id=np.repeat(np.arange(len(ways)), 2), xy=np.stack([frame, frame], axis=1),
+        person_id=np.repeat(np.arange(len(ways)), 2), xy=np.stack([frame, frame], axis=1).astype(float),
     )  # fmt: skip
     areas = np.array(ways)
     return replace(crowd, spawn_area=areas[:, 0], goal_area=areas[:, 1])

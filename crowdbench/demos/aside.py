@@ -1,11 +1,20 @@
-"""Displacements: where people are shown instead of on their recorded paths, and come back."""
+"""Displacements: where people are shown instead of on their recorded paths, and come back.
+
+Where a recording was annotated in some frames only and lies straight in between, displaced people
+change their velocity in these frames only too: else they would be told by their unrest.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from crowdbench.trajectories import Trajectories
+
+HOMING_S = 2.0
+"""So long before its record ends whoever is displaced goes straight to where that is, from any
+frame as if it had not begun to yet. This looks like no unrest, since the goal is in sight, and is
+what a clone needs so as not to miss it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,24 +39,45 @@ class Aside:
         chosen = rng.random(len(recording)) < 0.5
         if displaced_m == 0:
             return found
-        dt_s, every = recording.dt_s, max(1, round(4 * recovery_s / recording.dt_s))
+        dt_s = recording.dt_s
+        knot = max(1, round(recording.grid_s / dt_s))
+        every = max(1, round(4 * recovery_s / (knot * dt_s)))
         for person in np.flatnonzero(chosen).tolist():
             rows = slice(*recording.offsets[person : person + 2].tolist())
             length = rows.stop - rows.start
-            k, step = np.divmod(np.arange(length) + int(rng.integers(every)), every)
+            at, within = np.divmod(recording.first[person] + np.arange(length), knot)
+            k, step = np.divmod(at - at[0] + int(rng.integers(every)), every)
             delta, epsilon = rng.normal(0.0, displaced_m, (2, k[-1] + 1, 2))[:, k]
             velocity = epsilon / recovery_s
-            left_s = (np.arange(length - 1, -1, -1) * dt_s)[:, None]
-            # The steps before, now and after, each on the spring of now: who has just been
+            # The frames before, now and after, each on the spring of now: who has just been
             # displaced has a velocity as if it had come along that.
             before, now, after = (
-                _spring(delta, velocity, step[:, None] * dt_s + step_s, recovery_s)
-                * np.clip((left_s - step_s) / recovery_s, 0, 1)
-                for step_s in (-dt_s, 0.0, dt_s)
+                _between_knots(delta, velocity, step, within + ahead, knot, dt_s, recovery_s)
+                for ahead in (-1, 0, 1)
             )
+            left = np.arange(length - 1, -1, -1)[:, None]  # frames
+            homing = (left > 0) & (left * dt_s <= HOMING_S)
+            after = np.where(homing, now * (1 - 1 / np.maximum(left, 1)), after)
+            now[-1] = before[-1] = 0.0  # at the goal
             found.now[rows], found.after[rows] = now, after
             found.drift[rows] = (now - before) / dt_s
         return found
+
+
+def _between_knots(
+    displaced: Float[np.ndarray, "n 2"],
+    velocity: Float[np.ndarray, "n 2"],
+    step: Int[np.ndarray, " n"],
+    within: Int[np.ndarray, " n"],
+    knot: int,
+    dt_s: float,
+    tau: float,
+) -> Float[np.ndarray, "n 2"]:
+    """The spring at the frames `step` · `knot` + `within`, straight from one knot to the next."""
+    first = (step + within // knot)[:, None] * knot * dt_s
+    share = (within % knot / knot)[:, None]
+    ends = [_spring(displaced, velocity, t, tau) for t in (first, first + knot * dt_s)]
+    return (1 - share) * ends[0] + share * ends[1]
 
 
 def _spring(
