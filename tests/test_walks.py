@@ -93,9 +93,10 @@ def test_recorded_paths_end_at_their_goals() -> None:
 def drawn(*ways: tuple[int, int]) -> Trajectories:
     """People who walk from one area to another, two frames each."""
     frame = np.repeat(np.arange(len(ways)), 2) + np.tile([1, 2], len(ways))
+    xy = np.stack([frame, frame], axis=1).astype(float)
     crowd = from_rows(
         scene="drawn", dt_s=0.4, frames=len(ways) + 4, where="test", frame=frame,
-        person_id=np.repeat(np.arange(len(ways)), 2), xy=np.stack([frame, frame], axis=1).astype(float),
+        person_id=np.repeat(np.arange(len(ways)), 2), xy=xy,
     )  # fmt: skip
     areas = np.array(ways)
     return replace(crowd, spawn_area=areas[:, 0], goal_area=areas[:, 1])
