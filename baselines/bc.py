@@ -51,12 +51,24 @@ class Settings:
     displaced_m: float = 0.5
     homing: int = 1
     """Times that what is done near a goal is shown: it is rare, and who misses it never arrives."""
+    width: float = 1.0
+    """By which standard deviations are multiplied in the end. Gaussians that are fitted to what is
+    not Gaussian are wide: those who draw from them are less steady than who was recorded."""
     copies: int = 1
     """Times that the recording is shown, with other persons displaced."""
     seed: int = 0
 
 
-SETTABLE = ("learning_rate", "batch_size", "epochs", "patience", "displaced_m", "homing", "copies")
+SETTABLE = (
+    "learning_rate",
+    "batch_size",
+    "epochs",
+    "patience",
+    "displaced_m",
+    "homing",
+    "width",
+    "copies",
+)
 
 
 class Clipped(torch.optim.Adam):
@@ -161,6 +173,7 @@ def clone(lots: list[Demonstrations], settings: Settings) -> tuple[MixturePolicy
         if epoch - best_epoch >= settings.patience:
             break
     policy.load_state_dict(weights)
+    policy.narrow(settings.width)
     return policy, best, best_epoch
 
 

@@ -119,6 +119,11 @@ class MixturePolicy(ActorCriticPolicy):
             self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs
         )
 
+    def narrow(self, width: float) -> None:
+        """Multiply all standard deviations by `width`."""
+        with torch.no_grad():
+            self.action_net.bias.unflatten(0, (self.components, 5))[:, 2:4] += math.log(width)
+
     def get_distribution(self, obs: Tensor) -> Mixture:
         """Of the action in each observation."""
         features = self.extract_features(obs, self.pi_features_extractor)

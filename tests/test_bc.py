@@ -1,5 +1,6 @@
 """Behaviour cloning: a proper distribution, learned from what was shown, exported as it is."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -131,6 +132,30 @@ def test_the_sampler_draws_from_the_policy() -> None:
     torch.testing.assert_close(again, values)
     torch.testing.assert_close(same, log_prob)
     assert entropy is None
+
+
+def test_a_narrower_policy_does_the_same_more_steadily() -> None:
+    policy = MixturePolicy(
+        spaces.Box(-1.0, 1.0, (38,), np.float32), spaces.Box(-1.0, 1.0, (2,), np.float32),
+        lambda _: 1e-3,
+    )  # fmt: skip
+    seen = torch.rand(5, 38) - 0.5
+    wide = policy.get_distribution(seen)
+    policy.narrow(0.5)
+    narrow = policy.get_distribution(seen)
+    assert torch.equal(wide.mean, narrow.mean)
+    assert torch.equal(wide.log_weight, narrow.log_weight)
+    torch.testing.assert_close(0.5 * wide.log_std.exp(), narrow.log_std.exp())
+
+
+def test_what_is_done_near_goals_can_be_shown_more_often() -> None:
+    near = lives()
+    near.observations[:, 2] = np.tile(np.repeat([0.01, 0.5], 21), 30)[: len(near.observations)]
+    brief = bc.Settings(learning_rate=5e-3, batch_size=64, epochs=3)
+    (_, once, _), (_, often, _) = (
+        bc.clone([near], replace(brief, homing=homing)) for homing in (1, 5)
+    )
+    assert once != often
 
 
 def test_unknown_scenes_are_said(capsys, tmp_path: Path) -> None:
