@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -65,6 +65,7 @@ def measure() -> Iterator[Figure]:
         name = f"core with observations, {worlds} × {persons}"
         yield Figure(name, _core(worlds, persons), "agent-steps/s")
     yield Figure("PettingZoo view, 20 agents", _pettingzoo(20), "agent-steps/s")
+    yield from _torchrl(64, 50)
     scene = load_scene("eth-v0")
     for name in FITTED:
         spawn = spawn_model(name, scene)
@@ -213,6 +214,46 @@ def _pettingzoo(persons: int) -> float:
         return steps
 
     return _best_rate(chunk)
+
+
+def _torchrl(worlds: int, persons: int) -> Iterator[Figure]:
+    """TorchRL's collector with a random policy and with a small network; none without TorchRL."""
+    if find_spec("torchrl") is None:
+        return
+    from tensordict.nn import TensorDictModule
+    from torch import nn
+    from torchrl.collectors import Collector
+
+    from crowdbench.torchrl_env import CrowdEnv
+
+    where = f"TorchRL collector, {worlds} × {persons}"
+    layers = (nn.LazyLinear(32), nn.Tanh(), nn.Linear(32, 32), nn.Tanh(), nn.Linear(32, 2))
+    network = TensorDictModule(
+        nn.Sequential(*layers, nn.Tanh()), [("agents", "observation")], [("agents", "action")]
+    )
+    for what, policy in (("random", None), ("MLP 32-32", network)):
+        env = CrowdEnv(
+            open_square(persons),
+            spawn=_AtOnce(persons),
+            worlds=worlds,
+            max_alive=persons,
+            horizon_s=1e8,
+            seed=0,
+        )
+        collector = Collector(
+            env,
+            policy,
+            frames_per_batch=10 * worlds,
+            total_frames=-1,
+            auto_register_policy_transforms=False,
+        )
+        batches = iter(collector)
+
+        def chunk(batches: Iterator[Any] = batches) -> int:
+            return int(next(batches)["agents", "mask"].sum())
+
+        yield Figure(f"{where}, {what}", _best_rate(chunk), "agent-steps/s")
+        collector.shutdown()
 
 
 def _rolling(scene: Scene, spawn: SpawnModel, policy: Policy) -> Callable[[], object]:

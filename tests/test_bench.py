@@ -16,6 +16,8 @@ NAMES = [
     "core with observations, 1 × 300",
     "core with observations, 64 × 50",
     "PettingZoo view, 20 agents",
+    "TorchRL collector, 64 × 50, random",
+    "TorchRL collector, 64 × 50, MLP 32-32",
     "poisson-gmm, sampling 10,000 frames of ETH",
     "renewal-gmm, sampling 10,000 frames of ETH",
     "ntpp-gmm, sampling 10,000 frames of ETH",

@@ -1,6 +1,7 @@
 """The page of results: all crowds, pictures that are there, and what the models miss."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -16,9 +17,9 @@ from crowdbench.report.words import plainly, with_interval
 from crowdbench.results import write_results
 from crowdbench.results.correlations import Lag, at_lags
 from crowdbench.results.misses import QUANTITIES
-from crowdbench.results.page import page
+from crowdbench.results.page import of_recording, page
 from crowdbench.results.pictures import Picture
-from crowdbench.scene import load_scene
+from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring import RESAMPLES
 from crowdbench.tables import read_own
 
@@ -278,3 +279,14 @@ def test_the_picture_of_the_autocorrelation_shows_what_the_metric_compares(
 
 def test_every_metric_has_words_for_what_it_is_of() -> None:
     assert list(QUANTITIES) == [metric.name for metric in METRICS]
+
+
+def test_whom_to_cite_is_known_for_every_recording() -> None:
+    def with_recording(name: str) -> Scene:
+        return replace(PLAZA, recording=msgspec.structs.replace(PLAZA.recording, name=name))
+
+    assert "Majecka" in of_recording(with_recording("forum-14jul"))
+    assert "no paper to cite" in of_recording(PLAZA)
+    own = of_recording(with_recording("my-hall"))
+    assert "my-hall" in own
+    assert "cites" not in own

@@ -1,0 +1,40 @@
+"""Trained policies that come with scenes: whole, honest about where they come from, and good."""
+
+import pytest
+
+from crowdbench import list_scenes, load_scene, rollout, spawn_model
+from crowdbench.blocks import PARTS
+from crowdbench.policies import OnnxPolicy
+from crowdbench.registry import policy, trained_policies
+from crowdbench.trajectories import OUTCOMES
+
+SHIPPED = [(scene, name) for scene in list_scenes() for name in trained_policies(load_scene(scene))]
+
+
+def test_there_are_some() -> None:
+    assert {("eth-v0", "bc"), ("eth-v0", "gail"), ("eth-v0", "ppo")} <= set(SHIPPED)
+
+
+@pytest.mark.parametrize(("scene", "name"), SHIPPED)
+def test_there_is_one_for_each_part_made_by_one_command(scene: str, name: str) -> None:
+    folder = load_scene(scene).folder / "policies" / name
+    assert sorted(f.name for f in folder.iterdir()) == sorted(f"{part}.onnx" for part in PARTS)
+    cards = [OnnxPolicy(folder / f"{part}.onnx").card for part in PARTS]
+    assert [card.part for card in cards] == list(PARTS)
+    assert {(card.scene, card.name) for card in cards} == {(scene, name)}
+    (command,) = {card.command for card in cards}
+    assert command.startswith(f"python -m baselines.{name} --scene {scene} ")
+    assert f"--parts {' '.join(PARTS)}" in command
+    assert all(card.revision and not card.revision.endswith("-dirty") for card in cards)
+
+
+@pytest.mark.parametrize(("scene", "name"), SHIPPED)
+def test_people_get_to_their_goals(scene: str, name: str) -> None:
+    place = load_scene(scene)
+    spawn = spawn_model("ntpp-gmm", place)
+    horizon_s = min(place.horizon_s, 300.0)
+    crowd = rollout(place, spawn, policy(name, place), seed=1, horizon_s=horizon_s)
+    ended = [OUTCOMES[k] for k in crowd.outcome.tolist()]
+    arrived, failed = ended.count("goal"), ended.count("exit") + ended.count("timeout")
+    assert arrived > 20
+    assert arrived / (arrived + failed) > 0.9
