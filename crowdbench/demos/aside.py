@@ -7,7 +7,7 @@ change their velocity in these frames only too: else they would be told by their
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float32, Int
 
 from crowdbench.trajectories import Trajectories
 
@@ -15,6 +15,12 @@ HOMING_S = 2.0
 """So long before its record ends whoever is displaced goes straight to where that is, from any
 frame as if it had not begun to yet. This looks like no unrest, since the goal is in sight, and is
 what a clone needs so as not to miss it."""
+
+
+PACE_S = 4.0
+WALKING_MPS = 0.8
+"""Who goes more slowly than this, over 4 s, is displaced by less, and who stands by nothing: else
+a clone would not know how to stand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +55,13 @@ class Aside:
             k, step = np.divmod(at - at[0] + int(rng.integers(every)), every)
             delta, epsilon = rng.normal(0.0, displaced_m, (2, k[-1] + 1, 2))[:, k]
             velocity = epsilon / recovery_s
+            pace = _pace(recording.path(person), dt_s)
+
             # The frames before, now and after, each on the spring of now: who has just been
             # displaced has a velocity as if it had come along that.
             before, now, after = (
                 _between_knots(delta, velocity, step, within + ahead, knot, dt_s, recovery_s)
+                * pace[1 + ahead : 1 + ahead + length]
                 for ahead in (-1, 0, 1)
             )
             left = np.arange(length - 1, -1, -1)[:, None]  # frames
@@ -62,6 +71,14 @@ class Aside:
             found.now[rows], found.after[rows] = now, after
             found.drift[rows] = (now - before) / dt_s
         return found
+
+
+def _pace(path: Float32[np.ndarray, "n 2"], dt_s: float) -> Float[np.ndarray, "n+2 1"]:
+    """0 for who stands to 1 for who walks, in each frame, the one before them and the one after."""
+    half = max(1, round(PACE_S / dt_s / 2))
+    known = np.pad(path.astype(np.float64), ((half + 1, half + 1), (0, 0)), mode="edge")
+    way = np.linalg.norm(known[2 * half :] - known[: -2 * half], axis=1)
+    return np.clip(way / (2 * half * dt_s) / WALKING_MPS, 0, 1)[:, None]
 
 
 def _between_knots(
