@@ -6,9 +6,11 @@ from conftest import need_imitation
 
 import crowdbench
 from crowdbench import Demonstrations, demonstrations, load_scene, recording
+from crowdbench.demos.aside import HOMING_S, Aside
 from crowdbench.errors import SettingError
 from crowdbench.reference import blocks_of
 from crowdbench.registry import import_recording
+from crowdbench.trajectories import from_rows
 
 PLAZA = load_scene("plaza-v0")
 
@@ -87,13 +89,20 @@ def test_the_displaced_come_back_as_smoothly_as_people_walk(shown, recorded) -> 
     of_goal = (seen[moved, 2:3] * seen[moved, 3:5] - before[moved, 2:3] * before[moved, 3:5]) * 30
     assert 0.1 < of_goal.std() < 1.0
     # An action leads on along the curve: what comes next has its velocity, but for a new curve
-    # every 8 s and for walls.
-    follows = (there[1:] == there[:-1]) & moved[1:]
+    # every 8 s, for walls, and for the last 2 s, in which everyone goes straight to the goal.
+    steps = np.diff(shown.offsets) - 1
+    left_s = (np.repeat(np.cumsum(steps), steps) - np.arange(steps.sum())) * PLAZA.dt_s
+    follows = (there[1:] == there[:-1]) & moved[1:] & (left_s[:-1] > HOMING_S + PLAZA.dt_s / 2)
     off = np.abs(seen[1:, :2] - acts[:-1]).max(axis=1)[follows]
     assert (off > 1e-3).mean() < 1.5 * PLAZA.dt_s / 8.0
     # What was added to the changes of velocity is little.
     change = np.abs(acts - seen[:, :2])[moved] - np.abs(did - before[:, :2])[moved]
     assert abs(change.mean()) * PLAZA.motion.max_speed_mps / PLAZA.dt_s < 0.15  # m/s²
+    # Close to the goal an action leads to it, from wherever one is.
+    last = moved & (left_s < 1.5 * PLAZA.dt_s)
+    step_m = acts[last] * PLAZA.dt_s * PLAZA.motion.max_speed_mps
+    way = seen[last, 2:3] * 30 * seen[last, 3:5]
+    assert np.median(np.abs(step_m - way)) < 0.01
     again = demonstrations("plaza-v0", rays=8, displaced_m=0.5, recovery_s=2.0, seed=3)
     assert again.observations.tobytes() == other.observations.tobytes()
 
@@ -176,3 +185,16 @@ def test_every_step_of_eth_is_there(opentraj) -> None:
 def test_an_unknown_part_is_refused(part: str) -> None:
     with pytest.raises(SettingError, match="fold0"):
         demonstrations("plaza-v0", part=part)
+
+
+def test_who_stands_is_not_displaced() -> None:
+    walks = np.stack([np.arange(40) * 0.4, np.zeros(40)], axis=1)
+    stands = np.zeros((40, 2))
+    crowd = from_rows(
+        scene="drawn", dt_s=0.4, where="test", person_id=np.repeat(np.arange(12), 40),
+        frame=np.tile(np.arange(40), 12), xy=np.concatenate([walks] * 6 + [stands] * 6),
+    )  # fmt: skip
+    aside = Aside.of(crowd, 0.5, 1.0, seed=0)
+    assert np.abs(aside.now[: 6 * 40]).max() > 0.3
+    for shown in (aside.now, aside.after, aside.drift):
+        assert not shown[6 * 40 :].any()

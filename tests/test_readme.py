@@ -18,6 +18,7 @@ from crowdbench.cli import main
 from crowdbench.recordings.catalogue import SOURCES
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
+SCENES = Path(__file__).parents[1] / "scenes"
 
 
 def blocks(language: str) -> list[str]:
@@ -93,7 +94,9 @@ def test_every_command_runs_in_the_order_of_the_page(
     Path("mine.csv").write_text("\n".join(["person_id,frame,x,y", *rows]))
     Path("walkers.py").write_text(block_with("class Walker"))
     for command in commands():
-        arguments = shlex.split(command.replace("path/to/OpenTraj", str(opentraj)))[1:]
+        # Where the page is read: in a clone, with recordings somewhere.
+        there = command.replace("path/to/OpenTraj", str(opentraj)).replace("scenes/", f"{SCENES}/")
+        arguments = shlex.split(there)[1:]
         if arguments[0] == "evaluate":  # the next test makes all its rollouts
             arguments += ["--seeds", "1"]
         if arguments[0] == "fit":  # tests of their own hold the network's fits
