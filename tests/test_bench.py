@@ -68,7 +68,7 @@ def test_each_figure_is_positive(figures: dict[str, dict[str, Any]]) -> None:
 
 def test_each_figure_has_a_unit(figures: dict[str, dict[str, Any]]) -> None:
     units = {name: figure["unit"] for name, figure in figures.items()}
-    assert units == dict.fromkeys(NAMES[:5], "agent-steps/s") | dict.fromkeys(NAMES[5:], "s")
+    assert units == dict.fromkeys(NAMES[:7], "agent-steps/s") | dict.fromkeys(NAMES[7:], "s")
 
 
 @pytest.mark.parametrize(

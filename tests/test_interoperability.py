@@ -232,7 +232,7 @@ def test_a_dataset_tells_how_it_was_made(shown: Demonstrations, datasets: Path) 
         "rays": 8,
         "ray_range_m": 10.0,
         "displaced_m": 0.0,
-        "recovery_s": 4.0,
+        "recovery_s": 1.5,
         "seed": 7,
     }
     assert "cite" not in made["description"]
