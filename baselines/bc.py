@@ -11,7 +11,6 @@ held out no longer gets better.
 import argparse
 import copy
 import math
-import shlex
 import sys
 import time
 import warnings
@@ -26,11 +25,10 @@ from gymnasium import spaces
 from imitation.algorithms import bc
 from imitation.util import logger
 
+from baselines.command import Command, check_numbers
 from baselines.mixture import NEAR_GOAL_M, NOISE, MixturePolicy, Sampler
-from crowdbench import Demonstrations, demonstrations, load_scene
+from crowdbench import Demonstrations, demonstrations
 from crowdbench.errors import CrowdbenchError
-from crowdbench.policies import PolicyCard
-from crowdbench.policies.export import export_policy, revision
 from crowdbench.simulation.lidar import GOAL_RANGE_M
 
 OBSERVATION = "lidar-2"
@@ -69,6 +67,15 @@ SETTABLE = (
     "width",
     "copies",
 )
+
+
+def check(settings: Settings) -> None:
+    """Raise where nothing could be cloned with these settings.
+
+    Raises:
+        SettingError: a number is out of range.
+    """
+    check_numbers(settings, or_zero=("epochs", "patience", "displaced_m", "seed"))
 
 
 class Clipped(torch.optim.Adam):
@@ -217,22 +224,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder (default: results/bc-SCENE)")
     asked = parser.parse_args(arguments)
     settings = replace(settings_from(asked), seed=asked.seed)
-    given = sys.argv[1:] if arguments is None else arguments
     try:
-        scene = load_scene(asked.scene)
-        out = asked.out or Path("results") / f"bc-{scene.id}"
-        out.mkdir(parents=True, exist_ok=True)
+        check(settings)
+        command = Command.of("bc", asked.scene, asked.parts, asked.out, arguments)
         for part in asked.parts:
             policy, likelihood, epochs = clone(shown(asked.scene, part, settings), settings)
-            card = PolicyCard(
-                name="bc",
-                observation=OBSERVATION,
-                scene=scene.id,
-                part=part,
-                command=f"python -m baselines.bc {shlex.join(given)}",
-                revision=revision(Path(__file__).parent),
-            )
-            path = export_policy(Sampler(policy), out / f"{part}.onnx", card, noise=NOISE)
+            path = command.write(part, Sampler(policy), observation=OBSERVATION, noise=NOISE)
             print(f"{path}: {likelihood:.4f} nats per action after {epochs} epochs")
     except CrowdbenchError as error:
         print(f"baselines.bc: {error}", file=sys.stderr)

@@ -17,7 +17,6 @@ sub-environments are those it learns from.
 
 import argparse
 import csv
-import shlex
 import sys
 import time
 from collections import Counter
@@ -36,12 +35,11 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 from torch import Tensor, nn
 
 from baselines import bc
+from baselines.command import Command, check_numbers
 from baselines.mixture import NOISE, MixturePolicy, Sampler
-from crowdbench import Demonstrations, demonstrations, load_scene, spawn_model
+from crowdbench import Demonstrations, demonstrations, spawn_model
 from crowdbench.errors import CrowdbenchError
 from crowdbench.files import replacing
-from crowdbench.policies import PolicyCard
-from crowdbench.policies.export import export_policy, revision
 from crowdbench.scene import Scene
 from crowdbench.vec_env import LivesVecEnv
 
@@ -238,24 +236,17 @@ def main(arguments: list[str] | None = None) -> int:
     names = ("steps", "persons", "spawn", "horizon_s", "learning_rate", "discriminator_rate")
     settings = replace(default, **{name: getattr(asked, name) for name in names})
     first = replace(bc.settings_from(asked, "cloning_"), seed=asked.seed)
-    given = sys.argv[1:] if arguments is None else arguments
     try:
-        scene = load_scene(asked.scene)
-        out = asked.out or Path("results") / f"gail-{scene.id}"
-        out.mkdir(parents=True, exist_ok=True)
+        check_numbers(settings, or_zero=("learning_rate", "gamma"))
+        bc.check(first)
+        command = Command.of("gail", asked.scene, asked.parts, asked.out, arguments)
+        spawn_model(settings.spawn, command.scene)  # if there is none, before anything is cloned
         for part in asked.parts:
             policy, _, _ = bc.clone(bc.shown(asked.scene, part, first), first)
             curves = _watched(train(asked.scene, part, policy, settings, asked.seed))
-            card = PolicyCard(
-                name="gail",
-                observation=OBSERVATION,
-                scene=scene.id,
-                part=part,
-                command=f"python -m baselines.gail {shlex.join(given)}",
-                revision=revision(Path(__file__).parent),
-            )
-            print(export_policy(Sampler(policy), out / f"{part}.onnx", card, noise=NOISE))
-            _write(curves, out / f"{part}.csv")
+            path = command.write(part, Sampler(policy), observation=OBSERVATION, noise=NOISE)
+            _write(curves, path.with_suffix(".csv"))
+            print(path)
     except CrowdbenchError as error:
         print(f"baselines.gail: {error}", file=sys.stderr)
         return 2

@@ -13,7 +13,6 @@ that of its own last observation, never of whoever came into the slot next.
 """
 
 import argparse
-import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -29,10 +28,9 @@ from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value.functional import vec_generalized_advantage_estimate
 
-from crowdbench import Reward, load_scene, spawn_model
+from baselines.command import Command, check_numbers
+from crowdbench import Reward, spawn_model
 from crowdbench.errors import CrowdbenchError
-from crowdbench.policies import PolicyCard
-from crowdbench.policies.export import export_policy, revision
 from crowdbench.torchrl_env import CrowdEnv
 
 OBSERVATION = "lidar-2"
@@ -232,11 +230,9 @@ def main(arguments: list[str] | None = None) -> int:
     asked = parser.parse_args(arguments)
     names = set(vars(asked)) - {"scene", "parts", "out"}
     settings = Settings(**{name: getattr(asked, name) for name in names})
-    given = sys.argv[1:] if arguments is None else arguments
     try:
-        scene = load_scene(asked.scene)
-        out = asked.out or Path("results") / f"ppo-{scene.id}"
-        out.mkdir(parents=True, exist_ok=True)
+        check_numbers(settings, or_zero=("gamma", "lmbda", "entropy", "seed"))
+        command = Command.of("ppo", asked.scene, asked.parts, asked.out, arguments)
         for part in asked.parts:
             network = None
             rounds = train(asked.scene, settings, part=part)
@@ -245,15 +241,8 @@ def main(arguments: list[str] | None = None) -> int:
                     said = "  ".join(f"{name} {value:,.3g}" for name, value in figures.items())
                     print(f"{k * settings.batch_frames:9,} frames  {said}", flush=True)
             assert network is not None
-            card = PolicyCard(
-                name="ppo",
-                observation=OBSERVATION,
-                scene=scene.id,
-                part=part,
-                command=f"python -m baselines.ppo {shlex.join(given)}",
-                revision=revision(Path(__file__).parent),
-            )
-            print(export_policy(Sampler(network), out / f"{part}.onnx", card, noise=NOISE))
+            path = command.write(part, Sampler(network), observation=OBSERVATION, noise=NOISE)
+            print(path)
     except CrowdbenchError as error:
         print(f"baselines.ppo: {error}", file=sys.stderr)
         return 2

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from conftest import need_imitation
 
 need_imitation()
@@ -161,3 +162,13 @@ def test_what_is_done_near_goals_can_be_shown_more_often() -> None:
 def test_unknown_scenes_are_said(capsys, tmp_path: Path) -> None:
     assert bc.main(["--scene", "moon-v0", "--out", str(tmp_path)]) == 2
     assert "moon-v0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    ["--width 0", "--homing 0", "--hidden 0", "--batch-size 0", "--copies 0", "--parts fold9"],
+)
+def test_what_cannot_be_trained_is_said(wrong: str, capsys, tmp_path: Path) -> None:
+    asked = ["--scene", "plaza-v0", "--out", str(tmp_path), *wrong.split()]
+    assert bc.main(asked) == 2
+    assert "baselines.bc: " in capsys.readouterr().err

@@ -4,6 +4,7 @@ import csv
 from pathlib import Path
 
 import numpy as np
+import pytest
 from conftest import need_imitation
 
 need_imitation()
@@ -106,3 +107,13 @@ def test_it_can_begin_with_nothing() -> None:
 def test_unknown_scenes_are_said(capsys, tmp_path: Path) -> None:
     assert gail.main(["--scene", "moon-v0", "--out", str(tmp_path)]) == 2
     assert "moon-v0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    ["--steps 0", "--persons 0", "--spawn nobody", "--cloning-width 0", "--parts fold9"],
+)
+def test_what_cannot_be_trained_is_said(wrong: str, capsys, tmp_path: Path) -> None:
+    asked = ["--scene", "plaza-v0", "--out", str(tmp_path), *wrong.split()]
+    assert gail.main(asked) == 2
+    assert "baselines.gail: " in capsys.readouterr().err

@@ -1,0 +1,84 @@
+"""What the baselines' commands share: what is checked before training, and a policy's file."""
+
+import math
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+
+from crowdbench import load_scene
+from crowdbench.errors import SettingError
+from crowdbench.files import unwritable
+from crowdbench.policies import PolicyCard
+from crowdbench.policies.export import export_policy, revision
+from crowdbench.scene import Scene
+from crowdbench.spawn.weights import check_part
+
+
+def check_numbers(settings: Any, *, or_zero: Sequence[str] = ()) -> None:
+    """Raise where a number of a dataclass is not positive, or not at least 0 if it may be that.
+
+    Raises:
+        SettingError: one is not.
+    """
+    for name in (f.name for f in fields(settings)):
+        value = getattr(settings, name)
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, str):
+                continue
+            if not math.isfinite(number) or number < 0 or (number == 0 and name not in or_zero):
+                least = "0 or more" if name in or_zero else "above 0"
+                raise SettingError(
+                    name.replace("_", "-"), got=f"{number:g}", expected=f"a number, {least}"
+                )
+
+
+@dataclass(frozen=True)
+class Command:
+    """A call of `python -m baselines.NAME`, all of which can be done as far as one can tell."""
+
+    name: str
+    scene: Scene
+    out: Path
+    given: Sequence[str]
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        scene: str,
+        parts: Sequence[str],
+        out: Path | None,
+        arguments: Sequence[str] | None,
+    ) -> "Command":
+        """Find the scene and make the folder, by default `results/NAME-SCENE`.
+
+        Raises:
+            SceneError, SettingError: there is no such scene or part.
+            OutputError: the folder cannot be made.
+        """
+        place = load_scene(scene)
+        for part in parts:
+            check_part(part, 0)
+        folder = out or Path("results") / f"{name}-{place.id}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise unwritable(folder, error) from error
+        return cls(name, place, folder, sys.argv[1:] if arguments is None else arguments)
+
+    def write(self, part: str, network: nn.Module, *, observation: str, noise: int) -> Path:
+        """Write the policy of a part, with this call in its card; see `export_policy`."""
+        card = PolicyCard(
+            name=self.name,
+            observation=observation,
+            scene=self.scene.id,
+            part=part,
+            command=f"python -m baselines.{self.name} {shlex.join(self.given)}",
+            revision=revision(Path(__file__).parent),
+        )
+        return export_policy(network, self.out / f"{part}.onnx", card, noise=noise)
