@@ -32,11 +32,11 @@ def test_the_page_of_the_plaza(tmp_path: Path) -> None:
     text = path.read_text()
     for title in ("Full", "Held out"):
         head, _, *lines = section(text, title)
-        assert head[:5] == ["policy", "rank", "walk", "motion", "interaction"]
+        assert head[:6] == ["policy", "sees", "rank", "walk", "motion", "interaction"]
         of = {line[0]: line for line in lines}
         assert set(of) == {"straight", "social-force"}  # random's two rollouts are too few
-        assert of["straight"][2] == "0.00 [0.00, 0.00]"
-        assert of["social-force"][1] == "1"
+        assert of["straight"][3] == "0.00 [0.00, 0.00]"
+        assert of["social-force"][1:3] == ["state", "1"]
     for title in ("Distances, full", "Distances, held out"):
         head, _, *lines = section(text, title)
         assert head[-3:] == ["random", "straight", "social-force"]

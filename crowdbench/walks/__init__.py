@@ -91,7 +91,9 @@ def _walk(
     progress: Progress,
 ) -> Walked:
     policies = list(dict.fromkeys([*PLAIN, *more, *trained_policies(place)]))
-    names = {p: find_policy(p, place).name for p in policies}
+    walkers = {p: find_policy(p, place) for p in policies}
+    names = {p: walker.name for p, walker in walkers.items()}
+    sees = {p: str(walker.sees) for p, walker in walkers.items()}
     seeds = 2 * place.protocol.fits if seeds is None else seeds
     folder = work / f"walks-{place.id}-full"
     cards: dict[Protocol, Scorecard] = {}
@@ -122,7 +124,7 @@ def _walk(
     recording, reference = recording_of(place), read_reference(place)
     draw_pictures(place, reference, crowds, names, recording, out / "walks")
     walked = rollout(place, Replay(recording), RecordedPaths(recording), seed=0)
-    return Walked(place, names, cards, sampled, reference.score(walked))
+    return Walked(place, names, sees, cards, sampled, reference.score(walked))
 
 
 __all__ = ["write_walks"]

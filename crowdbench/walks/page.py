@@ -25,6 +25,8 @@ class Walked:
     scene: Scene
     names: dict[str, str]
     """How tables call each policy."""
+    sees: dict[str, str]
+    """What each policy acts on, `observation` or `state`."""
     cards: dict[Protocol, Scorecard]
     """Under the recorded arrivals."""
     sampled: Scorecard
@@ -46,11 +48,12 @@ def page(found: Sequence[Walked], more: Sequence[str], seeds: int | None) -> str
 
 Everyone enters when and where recorded people did, with the speed and the goal that they had, and
 is walked by a policy. A score of 0 is that of straight walkers, 1 that of the recording itself;
-brackets are 95 % intervals, of resamples of time blocks, fits and rollouts. *walk* is the mean of
-motion and interaction. Equal ranks cannot be told apart (5 %, Holm). Policies that were trained
-(bc, gail, ppo) see the crowd by their rays alone; all others but random see positions and goals.
-In protocol `full` they are trained on all of the recording, held out on two thirds of its time
-blocks and compared with the other, three times.
+brackets are 95 % intervals, of resamples of time blocks, fits and rollouts. *walk* is the mean of
+motion and interaction. Equal ranks cannot be told apart (5 %, Holm). Who sees *observations* sees
+what an agent in the environment does, its rays among it; who sees the *state*, positions,
+velocities and goals of everyone (random looks at nothing). In protocol `full` policies are trained
+on all of the recording, held out on two thirds of its time blocks and compared with the other,
+three times.
 
 Made with crowdbench {first.cards["full"].crowdbench} by
 
@@ -77,7 +80,7 @@ def _scene(walked: Walked) -> str:
         "same people in each picture: as recorded, and as each policy walks them.",
         f"### Dwell times\n\n![Dwell times](walks/{scene.id}-dwell.png)",
         "Share of people who stay longer, all rollouts under the recorded arrivals together; grey "
-        "is what 95 % of the resamples of the recording’s time blocks lie between.",
+        "is what 95 % of the resamples of the recording’s time blocks lie between.",
     ]
     return "\n\n".join(parts)
 
@@ -86,20 +89,21 @@ def _scores(walked: Walked, card: Scorecard) -> str:
     known = [row for row in rows(card) if row.kind == "entry" and row.walk is not None]
     rank = ranks([row.walk for row in known if row.walk is not None])
     scored = [m for m in METRICS if m.family in WALK and m.name in card.scored]
-    head = ["policy", "rank", "walk", *WALK, *(m.name.replace("_", " ") for m in scored)]
+    head = ["policy", "sees", "rank", "walk", *WALK, *(m.name.replace("_", " ") for m in scored)]
     lines = []
     for row, of_row in zip(known, rank, strict=True):
         each = metric_scores(card, row.entry)
         lines.append(
             [
                 walked.names[row.policy],
+                walked.sees[row.policy],
                 str(of_row),
                 interval(row.walk),
                 *(interval(row.families.get(family)) for family in WALK),
                 *(interval(each.get(m.name)) for m in scored),
             ]
         )
-    return table(head, lines)
+    return table(head, lines, text=2)
 
 
 def _distances(walked: Walked, card: Scorecard) -> str:
