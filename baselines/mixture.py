@@ -19,10 +19,11 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
+from crowdbench.simulation import Settings
 from crowdbench.simulation.lidar import GOAL_RANGE_M, OBSERVATIONS
 
 HEAD = OBSERVATIONS["lidar-2"]
-RAY_RANGE_M = 10.0
+RAY_RANGE_M = Settings().ray_range_m
 NEAR_GOAL_M = 2.0
 NEAR_M = 1.0
 """Distances at which people and goals matter are small beside the ranges they are divided by."""
