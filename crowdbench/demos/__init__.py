@@ -210,7 +210,8 @@ def demonstrations(
     comes back as a critically damped spring of time constant τ does, with
     (δ + (ε + δ/τ) t) exp(−t/τ) from where it was recorded after t. (Laskey et al. 2017, DART,
     CoRL, disturb the demonstrator for the same reason.) What displaced people do is as smooth as
-    what was recorded: no displacement comes back in one step, which would look like unrest.
+    what was recorded: a displacement that came back in one step would look like unrest. In their
+    last 2 s they go straight to where the record ends, and who stands is not displaced.
 
     Args:
         scene: an id, or a scene.
@@ -219,8 +220,7 @@ def demonstrations(
         observation: what they see, as in `parallel_env`; so are `rays` and `ray_range_m`.
         displaced_m: standard deviation of both components of δ, metres, and times 1/τ of those
             of ε; 0 for none.
-        recovery_s: τ. A displacement lasts for 4 τ, and fades in the last τ before the record's
-            end.
+        recovery_s: τ. A displacement lasts for 4 τ, and then there is another.
         seed: of the displacements.
 
     Raises:
@@ -229,6 +229,9 @@ def demonstrations(
     """
     place = load_scene(scene)
     check_part(part, 0)
+    for name, value, least in (("displaced_m", displaced_m, 0), ("recovery_s", recovery_s, 1e-3)):
+        if not (np.isfinite(value) and value >= least):
+            raise SettingError(name, got=str(value), expected=f"a finite number from {least:g} on")
     recording = recording_of(place)
     # A slot is free in the frame after the last, when others have entered already.
     most = 2 * int(recording.present().max())
@@ -245,9 +248,6 @@ def demonstrations(
         scripted=True,
     )
     walker.reset(place, generator(0, 0, "policy"))
-    for name, value, least in (("displaced_m", displaced_m, 0), ("recovery_s", recovery_s, 1e-3)):
-        if not (np.isfinite(value) and value >= least):
-            raise SettingError(name, got=str(value), expected=f"a finite number from {least:g} on")
     aside = Aside.of(recording, displaced_m, recovery_s, seed)
     last = recording.offsets[1:] - 1
     step_m = place.dt_s * place.motion.max_speed_mps

@@ -15,8 +15,6 @@ HOMING_S = 2.0
 """So long before its record ends whoever is displaced goes straight to where that is, from any
 frame as if it had not begun to yet. This looks like no unrest, since the goal is in sight, and is
 what a clone needs so as not to miss it."""
-
-
 PACE_S = 4.0
 WALKING_MPS = 0.8
 """Who goes more slowly than this, over 4 s, is displaced by less, and who stands by nothing: else
