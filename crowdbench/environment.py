@@ -13,7 +13,7 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
-from crowdbench.episode import Recorder, begin, check_capacity, warm_up_s
+from crowdbench.episode import Recorder, begin, check_capacity, check_horizon, warm_up_s
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import spawn_model
@@ -21,14 +21,12 @@ from crowdbench.rewards import Reward
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.simulation import TIMEOUT_DWELLS
-from crowdbench.simulation.state import EXIT, GOAL, RECORDED
+from crowdbench.simulation.state import TERMINAL
 from crowdbench.spawn import SpawnEvents, SpawnModel
 from crowdbench.spawn.model import Start
 from crowdbench.trajectories import OUTCOMES, Trajectories
 
 LEAST_SLOTS = 512
-TERMINAL = (GOAL, EXIT, RECORDED)
-"""Outcomes that terminate a person; timeout and horizon truncate it."""
 
 
 class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped
@@ -75,7 +73,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
                 "start", got=repr(start), expected=f"one of {', '.join(get_args(Start))}"
             )
         horizon_s = scene.horizon_s if horizon_s is None else horizon_s
-        _check_horizon(horizon_s)
+        check_horizon(horizon_s)
         self.scene = scene
         self.spawn = spawn
         self.frames = scene.frames(horizon_s)
@@ -326,14 +324,14 @@ def parallel_env(
     scene = load_scene(scene)
     model = spawn_model(spawn, scene)
     horizon_s = scene.horizon_s if horizon_s is None else horizon_s
-    _check_horizon(horizon_s)
+    check_horizon(horizon_s)
     if max_persons is None or max_alive is None:
         whole_s = warm_up_s(scene) + horizon_s
         sample = model.sample(whole_s, scene, np.random.default_rng(0))
         if max_persons is None:
             max_persons = 2 * len(sample) + 100
         if max_alive is None:
-            max_alive = max(LEAST_SLOTS, 3 * most_at_once(sample, scene) // 2)
+            max_alive = slots_for(sample, scene)
     settings = Settings(
         max_alive=max_alive,
         max_persons=max_persons,
@@ -352,13 +350,13 @@ def parallel_env(
     )
 
 
-def most_at_once(events: SpawnEvents, scene: Scene) -> int:
+def slots_for(events: SpawnEvents, scene: Scene) -> int:
+    """Slots that have room for crowds like this one, even if nobody reaches a goal."""
+    return max(LEAST_SLOTS, 3 * _most_at_once(events, scene) // 2)
+
+
+def _most_at_once(events: SpawnEvents, scene: Scene) -> int:
     """Persons who are there at once if all of them stay until the scene's patience ends."""
     patience_s = TIMEOUT_DWELLS * scene.recording.dwell_p99_s
     gone = np.searchsorted(events.time_s, events.time_s + patience_s)
     return int((gone - np.arange(len(events))).max(initial=0))
-
-
-def _check_horizon(horizon_s: float) -> None:
-    if not (np.isfinite(horizon_s) and horizon_s > 0):
-        raise SettingError("horizon_s", got=str(horizon_s), expected="a positive number of seconds")

@@ -217,6 +217,16 @@ class Recorder:
         )
 
 
+def check_horizon(horizon_s: float) -> None:
+    """Raise where an episode cannot be so long.
+
+    Raises:
+        SettingError: it is not a positive number of seconds.
+    """
+    if not (np.isfinite(horizon_s) and horizon_s > 0):
+        raise SettingError("horizon_s", got=str(horizon_s), expected="a positive number of seconds")
+
+
 def check_capacity(simulation: Simulation) -> None:
     """Raise where persons were turned away for want of slots or ids.
 

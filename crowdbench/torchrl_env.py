@@ -12,14 +12,14 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from crowdbench.episode import begin, check_capacity
+from crowdbench.episode import begin, check_capacity, check_horizon
 from crowdbench.errors import SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import spawn_model
 from crowdbench.rewards import PARTS, Reward
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.state import EXIT, GOAL, RECORDED
+from crowdbench.simulation.state import TERMINAL
 from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.model import Start
 
@@ -88,8 +88,7 @@ class CrowdEnv(EnvBase):
         self.scene = load_scene(scene)
         self.spawn = spawn_model(spawn, self.scene)
         horizon_s = self.scene.horizon_s if horizon_s is None else horizon_s
-        if not (np.isfinite(horizon_s) and horizon_s > 0):
-            raise SettingError("horizon_s", got=str(horizon_s), expected="a positive number")
+        check_horizon(horizon_s)
         self.frames = self.scene.frames(horizon_s)
         self._start = start
         self._drop = drop
@@ -200,7 +199,7 @@ class CrowdEnv(EnvBase):
         """Who ended in this step; where nobody acted there is nothing to carry on."""
         simulation = self._simulation
         ended = simulation.slots.ended
-        terminated = np.isin(ended, (GOAL, EXIT, RECORDED)) | nobody
+        terminated = np.isin(ended, TERMINAL) | nobody
         truncated = (ended != 0) & ~terminated
         over = torch.from_numpy(simulation.clock.frame >= self.frames)[:, None]
         agents = {

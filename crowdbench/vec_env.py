@@ -13,8 +13,8 @@ from gymnasium import spaces
 from jaxtyping import Float32, Int
 from stable_baselines3.common.vec_env import VecEnv
 
-from crowdbench.environment import LEAST_SLOTS, most_at_once
-from crowdbench.episode import actions_of, begin, check_capacity, generator
+from crowdbench.environment import slots_for
+from crowdbench.episode import actions_of, begin, check_capacity, check_horizon, generator
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Policy, Straight
 from crowdbench.registry import spawn_model
@@ -22,7 +22,7 @@ from crowdbench.rewards import Reward
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.simulation import TIMEOUT_DWELLS
-from crowdbench.simulation.state import HORIZON, TIMEOUT
+from crowdbench.simulation.state import TERMINAL
 from crowdbench.spawn import SpawnEvents, SpawnModel
 from crowdbench.spawn.model import Start
 from crowdbench.trajectories import OUTCOMES
@@ -92,8 +92,7 @@ class LivesVecEnv(VecEnv):
         self.scene = load_scene(scene)
         self.spawn = spawn_model(spawn, self.scene)
         horizon_s = self.scene.horizon_s if horizon_s is None else horizon_s
-        if not (np.isfinite(horizon_s) and horizon_s > 0):
-            raise SettingError("horizon_s", got=str(horizon_s), expected="a positive number")
+        check_horizon(horizon_s)
         self.frames = self.scene.frames(horizon_s)
         self.others: Policy = others or Straight()
         self.waited = 0
@@ -101,7 +100,7 @@ class LivesVecEnv(VecEnv):
         if worlds is None:
             worlds = max(1, math.ceil(RESERVE * num_envs / _persons_at_once(sample, self.scene)))
         if max_alive is None:
-            max_alive = max(LEAST_SLOTS, 3 * most_at_once(sample, self.scene) // 2)
+            max_alive = slots_for(sample, self.scene)
         self._start = start
         self._reward = reward or Reward()
         self._simulation = Simulation(
@@ -219,7 +218,7 @@ class LivesVecEnv(VecEnv):
             how = int(ended[k])
             infos[k] |= {
                 "outcome": OUTCOMES[how],
-                "TimeLimit.truncated": how in (TIMEOUT, HORIZON),
+                "TimeLimit.truncated": how not in TERMINAL,
                 "terminal_observation": before[k],
             }
         for k in np.flatnonzero(self._waits).tolist():

@@ -8,6 +8,8 @@ import numpy as np
 from crowdbench.spawn.events import SpawnEvents
 
 GOAL, EXIT, TIMEOUT, RECORDED, HORIZON = 1, 2, 3, 4, 5  # indices into trajectories.OUTCOMES
+TERMINAL = (GOAL, EXIT, RECORDED)
+"""Outcomes that terminate a life; a timeout and the horizon truncate it."""
 PENDING, ENTERED, DROPPED = 0, 1, 2  # what became of an event
 
 
