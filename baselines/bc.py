@@ -31,7 +31,7 @@ from crowdbench import Demonstrations, demonstrations
 from crowdbench.errors import CrowdbenchError
 from crowdbench.simulation.lidar import GOAL_RANGE_M
 
-OBSERVATION = "lidar-2"
+OBSERVATION = "lidar-3"
 
 
 @dataclass(frozen=True)

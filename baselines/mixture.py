@@ -20,9 +20,10 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
 from crowdbench.simulation import Settings
-from crowdbench.simulation.lidar import GOAL_RANGE_M, OBSERVATIONS
+from crowdbench.simulation.lidar import GOAL_RANGE_M
 
-HEAD = OBSERVATIONS["lidar-2"]
+SELF = 6
+"""Values of a `lidar-3` observation before its distances, to bounds and along rays."""
 RAY_RANGE_M = Settings().ray_range_m
 NEAR_GOAL_M = 2.0
 NEAR_M = 1.0
@@ -39,22 +40,22 @@ between two annotations, makes up all of the likelihood, and nobody turns to the
 
 
 class Scales(BaseFeaturesExtractor):
-    """A `lidar-2` observation, and of what is in it what a small network would not find by itself.
+    """A `lidar-3` observation, and of what is in it what a small network would not find by itself.
 
     That is the change of velocity that would lead to the goal at the preferred speed, the way to
-    the goal where it is near, and how near each ray ends.
+    the goal where it is near, and how near each bound is and each ray ends.
     """
 
     def __init__(self, observation_space: spaces.Box) -> None:
         numbers = int(observation_space.shape[0])
-        super().__init__(observation_space, 2 * numbers - HEAD + 4)
+        super().__init__(observation_space, 2 * numbers - SELF + 4)
 
     def forward(self, seen: Tensor) -> Tensor:
         """Of observations (A, obs)."""
         towards = seen[:, 3:5]
         change = CHANGES * (towards * seen[:, 5:6] - seen[:, :2])
         way = (seen[:, 2:3] * (GOAL_RANGE_M / NEAR_GOAL_M)).clamp(max=1) * towards
-        nearness = torch.exp(-seen[:, HEAD:] * (RAY_RANGE_M / NEAR_M))
+        nearness = torch.exp(-seen[:, SELF:] * (RAY_RANGE_M / NEAR_M))
         return torch.cat([seen, change, way, nearness], dim=1)
 
 

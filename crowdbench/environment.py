@@ -41,7 +41,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     `infos` tells the `frame`, the `frames_skipped` and, with a person's last entries, the
     `outcome`. `agents` is thus empty only when the episode is over.
 
-    - Observation: `lidar-1` or `lidar-2`, see `crowdbench.simulation.lidar`.
+    - Observation: `lidar-1` to `lidar-3`, see `crowdbench.simulation.lidar`.
     - Action: velocity in units of the scene's greatest speed, Box(−1, 1, (2,)). Values out of
       range are clipped; NaN or infinity, a missing agent, or one that is not there raise.
     - Reward: progress, arrival, overlap, walls and effort, see `crowdbench.rewards.Reward`; the
@@ -307,8 +307,8 @@ def parallel_env(
             `empty`; by default the spawn model's own.
         rays: R, number of rays that a person sees by.
         ray_range_m: their range in metres.
-        observation: `lidar-1`, or `lidar-2`, which knows the way around walls and the speed
-            that each person prefers.
+        observation: `lidar-1`; `lidar-2`, which knows the way around walls and the speed that
+            each person prefers; or `lidar-3`, which sees the bounds too.
         max_alive: persons at once; by default 512, or more where a crowd of which nobody reaches
             a goal would grow to more.
         max_persons: persons per episode and its warm-up, all of them in `possible_agents`; by

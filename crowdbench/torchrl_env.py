@@ -72,7 +72,7 @@ class CrowdEnv(EnvBase):
             start: how it begins, as in `parallel_env`.
             rays: R, number of rays that a person sees by.
             ray_range_m: their range in metres.
-            observation: `lidar-1` or `lidar-2`.
+            observation: `lidar-1`, `lidar-2` or `lidar-3`.
             reward: weights of its parts, by default those of `Reward()`.
             drop: whether people for whom there is no slot are turned away, and counted in
                 `dropped`; else they are an error.

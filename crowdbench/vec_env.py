@@ -78,7 +78,7 @@ class LivesVecEnv(VecEnv):
             start: how it begins, as in `parallel_env`.
             rays: R, number of rays that a person sees by.
             ray_range_m: their range in metres.
-            observation: `lidar-1` or `lidar-2`.
+            observation: `lidar-1`, `lidar-2` or `lidar-3`.
             reward: weights of its parts, by default those of `Reward()`.
             seed: of the first episode and of the seeds of all others; `seed()` sets it too.
 

@@ -47,7 +47,7 @@ def test_actions_are_displacements_in_units_of_the_greatest_speed(shown, recorde
         np.testing.assert_allclose(shown.actions[rows(shown, k)][:-1], expected, atol=1e-4)
 
 
-@pytest.mark.parametrize("version", ["lidar-1", "lidar-2"])
+@pytest.mark.parametrize("version", ["lidar-1", "lidar-2", "lidar-3"])
 def test_observations_are_those_of_the_environment(version: str, recorded) -> None:
     shown = demonstrations("plaza-v0", observation=version, rays=8)
     of = {int(p): k for k, p in enumerate(shown.person)}

@@ -160,6 +160,19 @@ def test_a_person_sees_its_velocity_and_the_way_to_its_goal() -> None:
     np.testing.assert_allclose(head, [0.5, -0.2, 5 / 30, 0.6, 0.8], atol=1e-6)
 
 
+def test_the_third_version_sees_the_bounds_and_else_what_the_second_sees() -> None:
+    person = Person(start=(-7.0, 1.0), goal=(9.0, 1.0))
+    two, three = (
+        simulate(BLOCKS, person, settings=Settings(observation=f"lidar-{v}")).observe()[0, 0]
+        for v in (2, 3)
+    )
+    b = BLOCKS.bounds
+    away = [-7.0 - b.x_min_m, b.x_max_m + 7.0, 1.0 - b.y_min_m, b.y_max_m - 1.0]
+    assert min(away) < 10 < max(away)
+    np.testing.assert_allclose(three[6:10], np.minimum(away, 10) / 10, atol=1e-6)
+    assert np.delete(three, range(6, 10)).tolist() == two.tolist()
+
+
 def test_far_goals_look_equally_far() -> None:
     simulation = simulate(square(100.0), Person(goal=(-60, 0)))
     head = simulation.observe()[0, 0, :HEAD]
@@ -182,7 +195,8 @@ def test_every_value_lies_between_minus_one_and_one() -> None:
         )
         for k in range(60)
     ]
-    simulation = simulate(BLOCKS, *people, settings=Settings(max_alive=64))
+    asked = Settings(max_alive=64, observation="lidar-3")
+    simulation = simulate(BLOCKS, *people, settings=asked)
     for _ in range(40):
         observation = simulation.observe()
         there = simulation.slots.alive | (simulation.slots.ended != 0)

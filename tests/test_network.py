@@ -278,7 +278,7 @@ def of_the_future(model: onnx.ModelProto) -> None:
         (carded(name="<script>"), "the name"),
         (carded(name="x" * 41), "the name"),
         (carded(schema=2), "schema"),
-        (carded(observation="lidar-9"), "lidar-1 or lidar-2"),
+        (carded(observation="lidar-9"), "one of lidar-1, lidar-2, lidar-3"),
         (carded(observation="lidar-1"), "13 numbers"),
         (carded(action="force-1"), "velocity-1"),
         (carded(rays=9), "15 numbers"),

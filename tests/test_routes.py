@@ -180,7 +180,7 @@ def test_the_last_observation_of_a_life_knows_the_way_too() -> None:
 
 @pytest.mark.parametrize("version", ["lidar-0", "lidar", ""])
 def test_an_unknown_version_of_the_observation_is_refused(version: str) -> None:
-    with pytest.raises(SettingError, match="lidar-1 or lidar-2"):
+    with pytest.raises(SettingError, match="one of lidar-1, lidar-2, lidar-3"):
         Settings(observation=version)
 
 

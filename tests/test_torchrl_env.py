@@ -15,7 +15,7 @@ from crowdbench.rewards import PARTS
 from crowdbench.torchrl_env import CrowdEnv
 
 
-@pytest.mark.parametrize("observation", ["lidar-1", "lidar-2"])
+@pytest.mark.parametrize("observation", ["lidar-1", "lidar-2", "lidar-3"])
 @pytest.mark.parametrize("worlds", [1, 3])
 def test_specs_hold(worlds: int, observation: str) -> None:
     env = CrowdEnv("plaza-v0", worlds=worlds, max_alive=16, horizon_s=20.0, seed=0,

@@ -33,7 +33,9 @@ def add(commands: "Commands") -> None:
         help="what of the recording it was trained on: full, fold0, fold1 or fold2 (default: full)",
     )
     export.add_argument(
-        "--observation", default="lidar-2", help="what it sees: lidar-1 or lidar-2 (default)"
+        "--observation",
+        default="lidar-2",
+        help="what it sees: lidar-1, lidar-2 or lidar-3 (default: lidar-2)",
     )
     export.add_argument("--rays", type=int, default=32, help="how many (default: 32)")
     export.add_argument(

@@ -76,7 +76,7 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
                 "observation",
                 self.observation,
                 self.observation in OBSERVATIONS,
-                " or ".join(OBSERVATIONS),
+                f"one of {', '.join(OBSERVATIONS)}",
             ),
             ("rays", self.rays, 1 <= self.rays <= 1024, "1 to 1024"),
             ("ray_range_m", self.ray_range_m, 0 < self.ray_range_m <= 1000, "metres up to 1000"),

@@ -1,6 +1,6 @@
 """The observation kernel: what each person sees of itself, the walls and the others.
 
-Two versions, float32, every value in [−1, 1], a head and then R rays. `lidar-1`:
+Three versions, float32, every value in [−1, 1], a head and then R rays. `lidar-1`:
 
 - 0, 1: velocity / max_speed
 - 2: min(distance to goal, GOAL_RANGE_M) / GOAL_RANGE_M
@@ -15,6 +15,12 @@ the goal itself where it is in sight; and
 - 5: preferred speed / max_speed
 - 6 …: the rays.
 
+`lidar-3` sees the bounds too: a life ends beyond them, nothing stands there, and who walks along
+them to a goal leaves by mistake. Between the speed and the rays it has
+
+- 6 … 9: min(distance to the western, eastern, southern, northern bound, ray_range) / ray_range
+- 10 …: the rays.
+
 Rays meet walls and the discs of other persons. Who stands inside another's disc sees distance 0
 in the half plane towards that person's centre.
 """
@@ -28,7 +34,7 @@ from numba import njit, prange
 from crowdbench.simulation.compilation import kernel
 from crowdbench.simulation.walls import CELL_M, cell_of
 
-OBSERVATIONS = {"lidar-1": 5, "lidar-2": 6}
+OBSERVATIONS = {"lidar-1": 5, "lidar-2": 6, "lidar-3": 10}
 """Versions of the observation, and how many values stand before the rays."""
 GOAL_RANGE_M = 30.0
 CHUNK = 10  # persons a thread takes at a time
@@ -71,11 +77,14 @@ class Cells(NamedTuple):
 
 
 @kernel
-def observe(slots, target, beyond, head, cells, walls, max_speed, radius, reach, nearest, out):
+def observe(
+    slots, target, beyond, head, bounds, cells, walls, max_speed, radius, reach, nearest, out
+):
     """Write the observation of everyone alive, or ended in this step, into `out` (W, N, head + R).
 
-    `target` (W, N, 2) is where they are to walk, `beyond` (W, N) how far it is from there. The
-    distance to the nearest person that each sees goes into `nearest` (W, N), infinite for none.
+    `target` (W, N, 2) is where they are to walk, `beyond` (W, N) how far it is from there, and
+    `bounds` least and greatest x, least and greatest y. The distance to the nearest person that
+    each sees goes into `nearest` (W, N), infinite for none.
     """
     # Arrays are unpacked once: reaching into a bundle costs as much as a ray.
     alive, ended, spawned = slots.alive, slots.ended, slots.spawned
@@ -85,6 +94,7 @@ def observe(slots, target, beyond, head, cells, walls, max_speed, radius, reach,
     wall_grid = (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows)
     cos, sin, lines = walls.cos, walls.sin, walls.lines
     cos32, sin32 = cos.astype(np.float32), sin.astype(np.float32)
+    x_min, x_max, y_min, y_max = bounds[0], bounds[1], bounds[2], bounds[3]
     ray_start, meeting = walls.ray_start, walls.meeting
     for w in prange(alive.shape[0]):
         _sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_slot)
@@ -103,6 +113,11 @@ def observe(slots, target, beyond, head, cells, walls, max_speed, radius, reach,
             if head > 5:
                 out[w, i, 5] = min(1.0, speed[w, i] / max_speed)
             x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
+            if head > 6:
+                out[w, i, 6] = _near(x - x_min, reach)
+                out[w, i, 7] = _near(x_max - x, reach)
+                out[w, i, 8] = _near(y - y_min, reach)
+                out[w, i, 9] = _near(y_max - y, reach)
             cell = cell_of(x, y, wall_grid)
             rays = out[w, i, head:]
             _see_walls(x, y, cos, sin, lines, ray_start[cell], ray_start[cell + 1], meeting, reach,
@@ -150,6 +165,12 @@ def _see_itself(w, i, position, velocity, target, beyond, max_speed, out):
     out[w, i, 2] = min(distance + beyond[w, i], GOAL_RANGE_M) / GOAL_RANGE_M
     out[w, i, 3] = gx / distance if distance > 0.0 else 1.0
     out[w, i, 4] = gy / distance if distance > 0.0 else 0.0
+
+
+@njit(error_model="numpy")
+def _near(distance, reach):
+    """0 at a bound and beyond it, 1 where it is out of reach."""
+    return min(max(distance, 0.0), reach) / reach
 
 
 @njit(error_model="numpy")

@@ -1,4 +1,4 @@
-"""Ways around walls: for walkers that know the plan of the place, and for `lidar-2`.
+"""Ways around walls: for walkers that know the plan of the place, and for observations.
 
 Shortest paths among polygons turn at corners only: a graph joins the corners, moved off the walls
 a little, that see each other (Lozano-Pérez & Wesley, Communications of the ACM 22, 1979).

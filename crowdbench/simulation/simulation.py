@@ -30,7 +30,7 @@ class Settings:
     rays: int = 32
     ray_range_m: float = 10.0
     observation: str = "lidar-1"
-    """Version of what they see, `lidar-1` or `lidar-2`: see `crowdbench.simulation.lidar`."""
+    """Version of what they see, `lidar-1` to `lidar-3`: see `crowdbench.simulation.lidar`."""
 
     def __post_init__(self) -> None:
         for name in ("max_alive", "max_persons", "rays"):
@@ -43,7 +43,9 @@ class Settings:
             )
         if self.observation not in OBSERVATIONS:
             raise SettingError(
-                "observation", got=repr(self.observation), expected=" or ".join(OBSERVATIONS)
+                "observation",
+                got=repr(self.observation),
+                expected=f"one of {', '.join(OBSERVATIONS)}",
             )
 
 
@@ -96,13 +98,14 @@ class Simulation:
             y_max=bounds.y_max_m,
         )
         self._head = OBSERVATIONS[s.observation]
+        self._bounds = np.array([bounds.x_min_m, bounds.x_max_m, bounds.y_min_m, bounds.y_max_m])
         self.observation: Float32[np.ndarray, "W N obs"] = np.zeros(
             (worlds, s.max_alive, self._head + s.rays), np.float32
         )
         self.nearest: Float32[np.ndarray, "W N"] = np.full(
             (worlds, s.max_alive), np.inf, np.float32
         )
-        self._routes = Routes.on(scene) if s.observation == "lidar-2" else None
+        self._routes = Routes.on(scene) if s.observation != "lidar-1" else None
         self._target = np.zeros((worlds, s.max_alive, 2), np.float32)
         self._beyond = np.zeros((worlds, s.max_alive))
         self.slots = Slots.empty(worlds, s.max_alive)
@@ -154,6 +157,7 @@ class Simulation:
             self._towards(),
             self._beyond,
             self._head,
+            self._bounds,
             self._cells,
             self._walls,
             self._limits.max_speed,
