@@ -8,7 +8,7 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from worlds import FAR, Person, alive, box, events, poisson, simulate, square
+from worlds import FAR, Person, alive, box, events, poisson, ready, simulate, square, walked
 
 from baselines.orca import BODY_M, NUDGE_MPS, ORCA
 from crowdbench.episode import actions_of
@@ -16,29 +16,11 @@ from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, StateView, Straight
 from crowdbench.registry import policy as named
 from crowdbench.rollouts import rollout
-from crowdbench.scene import Scene
 from crowdbench.simulation import Settings, Simulation
 
 DT = 0.4
 OPEN = square()
 TOUCH_M = 2 * BODY_M
-
-
-def ready(policy: Policy, scene: Scene = OPEN, seed: int = 0) -> Policy:
-    policy.reset(scene, np.random.default_rng(seed))
-    return policy
-
-
-def walked(policy: Policy, scene: Scene, *people: Person, frames: int) -> np.ndarray:
-    """(frames + 1, N, 2) positions, NaN from the arrival on."""
-    simulation = simulate(scene, *people, settings=Settings(max_alive=len(people)))
-    ready(policy, scene)
-    path = [simulation.slots.position[0].copy()]
-    for _ in range(frames):
-        simulation.step(actions_of(policy, simulation))
-        there = simulation.slots.alive[0, :, None]
-        path.append(np.where(there, simulation.slots.position[0], np.nan))
-    return np.array(path)
 
 
 def nearest_m(path: np.ndarray) -> float:
@@ -68,7 +50,7 @@ def test_who_is_alone_walks_like_straight_and_arrives() -> None:
 
 def test_nobody_passes_the_goal() -> None:
     simulation = simulate(OPEN, Person(goal=(0.5, 0), speed=4.0, velocity=(4.0, 0)))
-    step = actions_of(ready(ORCA()), simulation)[0, 0] * OPEN.motion.max_speed_mps * DT
+    step = actions_of(ready(ORCA(), OPEN), simulation)[0, 0] * OPEN.motion.max_speed_mps * DT
     np.testing.assert_allclose(step, [0.5, 0.0], atol=1.1 * NUDGE_MPS * DT)
 
 
@@ -114,7 +96,7 @@ def test_actions_are_finite_and_no_faster_than_1_3_times_the_preference(
         for (x, y), goal, velocity in people
     ]
     simulation = simulate(OPEN, *crowd, settings=Settings(max_alive=len(crowd)))
-    speed = np.linalg.norm(actions_of(ready(ORCA()), simulation)[0], axis=1)
+    speed = np.linalg.norm(actions_of(ready(ORCA(), OPEN), simulation)[0], axis=1)
     assert (speed * OPEN.motion.max_speed_mps <= 1.3 + 1e-3).all()
 
 
@@ -209,8 +191,8 @@ def actions_in(policy: Policy, *worlds: list[Person]) -> np.ndarray:
 
 def test_worlds_do_not_see_each_other() -> None:
     one, other = crowd(1), crowd(2, 7)
-    together = actions_in(ready(ORCA()), one, other, one)
-    alone = [actions_in(ready(ORCA()), people).tolist() for people in (one, other, one)]
+    together = actions_in(ready(ORCA(), OPEN), one, other, one)
+    alone = [actions_in(ready(ORCA(), OPEN), people).tolist() for people in (one, other, one)]
     assert together.tolist() == [row for actions in alone for row in actions]
 
 
@@ -225,7 +207,7 @@ def test_who_is_far_away_makes_no_difference() -> None:
 
 @pytest.mark.parametrize("seed", [0, 7])
 def test_a_crowd_is_the_same_each_time_whatever_the_random_numbers(seed: int) -> None:
-    first, again = (actions_in(ready(ORCA(), seed=s), crowd(5)) for s in (0, seed))
+    first, again = (actions_in(ready(ORCA(), OPEN, s), crowd(5)) for s in (0, seed))
     assert first.tobytes() == again.tobytes()
 
 

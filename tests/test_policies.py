@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from worlds import FAR, Person, box, events, simulate, square
+from worlds import FAR, Person, box, events, ready, simulate, square, walked
 
 from crowdbench.episode import actions_of
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, Random, ReplayPolicy, SocialForce, StateView, Straight
 from crowdbench.policies.social_force import _repulsion, _wall_force
-from crowdbench.scene import Scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.trajectories import Trajectories, from_rows
 
@@ -16,26 +15,10 @@ DT = 0.4
 OPEN = square()
 
 
-def ready(policy: Policy, scene: Scene = OPEN) -> Policy:
-    policy.reset(scene, np.random.default_rng(0))
-    return policy
-
-
-def walked(policy: Policy, scene: Scene, *people: Person, frames: int) -> np.ndarray:
-    """(frames + 1, N, 2) positions; the people must live that long."""
-    simulation = simulate(scene, *people, settings=Settings(max_alive=len(people)))
-    ready(policy, scene)
-    path = [simulation.slots.position[0].copy()]
-    for _ in range(frames):
-        simulation.step(actions_of(policy, simulation))
-        path.append(simulation.slots.position[0].copy())
-    return np.array(path)
-
-
 @pytest.mark.parametrize("policy", [Straight(), Random(), SocialForce()], ids=lambda p: p.name)
 def test_a_policy_acts_for_nobody(policy: Policy) -> None:
     simulation = simulate(OPEN, Person(time_s=9 * DT))
-    assert not actions_of(ready(policy), simulation).any()
+    assert not actions_of(ready(policy, OPEN), simulation).any()
 
 
 @pytest.mark.parametrize("policy", [Straight(), Random(), SocialForce()], ids=lambda p: p.name)
@@ -51,7 +34,7 @@ def test_straight_walkers_keep_their_speed_and_direction() -> None:
 
 def test_straight_walkers_arrive() -> None:
     simulation = simulate(OPEN, Person(goal=(3.1, 0), speed=1.0))
-    policy = ready(Straight())
+    policy = ready(Straight(), OPEN)
     while simulation.slots.alive.any():
         simulation.step(actions_of(policy, simulation))
     # The first step whose way comes within 0.3 m of the goal.
@@ -76,7 +59,7 @@ def crowd_of(size: int) -> StateView:
 
 
 def test_random_actions_fill_the_action_space() -> None:
-    actions = ready(Random()).act(crowd_of(4000))
+    actions = ready(Random(), OPEN).act(crowd_of(4000))
     assert (np.abs(actions) <= 1).all()
     np.testing.assert_allclose(np.quantile(actions, [0, 0.25, 0.5, 0.75, 1]), [-1, -0.5, 0, 0.5, 1],
                                atol=0.05)  # fmt: skip
@@ -84,7 +67,7 @@ def test_random_actions_fill_the_action_space() -> None:
 
 def test_random_actions_come_from_the_seed() -> None:
     seen = crowd_of(5)
-    assert (ready(Random()).act(seen) == ready(Random()).act(seen)).all()
+    assert (ready(Random(), OPEN).act(seen) == ready(Random(), OPEN).act(seen)).all()
 
 
 def recording(path: np.ndarray, first: int = 0) -> Trajectories:
@@ -110,7 +93,7 @@ def test_replay_stands_at_the_end_of_its_record() -> None:
 def test_replay_refuses_arrivals_that_it_has_no_record_of() -> None:
     simulation = simulate(OPEN, Person(), Person())
     with pytest.raises(SettingError, match="spawn model replay"):
-        actions_of(ready(ReplayPolicy(recording(np.zeros((3, 2))))), simulation)
+        actions_of(ready(ReplayPolicy(recording(np.zeros((3, 2)))), OPEN), simulation)
 
 
 def potential(r: np.ndarray, s: np.ndarray) -> float:
@@ -196,7 +179,7 @@ def crowd(turn: float = 0.0) -> list[Person]:
 def social_actions(*worlds: list[Person]) -> np.ndarray:
     simulation = Simulation(OPEN, worlds=len(worlds), settings=Settings(max_alive=12))
     simulation.reset([events(*people) for people in worlds], horizon=FAR)
-    return ready(SocialForce()).act(StateView.of(simulation))
+    return ready(SocialForce(), OPEN).act(StateView.of(simulation))
 
 
 @pytest.mark.parametrize("turn", [0.3, np.pi / 2, 2.5])
@@ -230,7 +213,7 @@ def test_social_walkers_are_never_faster_than_1_3_times_their_preference() -> No
 def test_people_in_one_place_leave_social_force_finite(beside_m: float) -> None:
     people = [Person(start=(0, y), goal=(0, 0)) for y in (0.0, beside_m)]
     simulation = simulate(OPEN, *people)
-    assert np.isfinite(actions_of(ready(SocialForce()), simulation)).all()
+    assert np.isfinite(actions_of(ready(SocialForce(), OPEN), simulation)).all()
 
 
 def test_who_is_behind_counts_half() -> None:

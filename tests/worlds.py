@@ -6,6 +6,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from msgspec import structs
 
+from crowdbench.episode import actions_of
+from crowdbench.policies import Policy
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn import Areas, PoissonGMM, SpawnEvents
@@ -160,3 +162,21 @@ def disc_distances(xy: np.ndarray, rays: int, radius_m: float) -> np.ndarray:
     t = np.where((beside <= radius_m) & (along >= 0), np.maximum(0, along - half_chord), np.inf)
     t[np.arange(len(xy)), np.arange(len(xy))] = np.inf  # nobody sees itself
     return t.min(axis=1)
+
+
+def ready(policy: Policy, scene: Scene, seed: int = 0) -> Policy:
+    """The policy, about to act in the scene."""
+    policy.reset(scene, np.random.default_rng(seed))
+    return policy
+
+
+def walked(policy: Policy, scene: Scene, *people: Person, frames: int) -> np.ndarray:
+    """(frames + 1, N, 2) positions of those whom a policy walks, NaN after the arrival."""
+    simulation = simulate(scene, *people, settings=Settings(max_alive=len(people)))
+    ready(policy, scene)
+    path = [simulation.slots.position[0].copy()]
+    for _ in range(frames):
+        simulation.step(actions_of(policy, simulation))
+        there = simulation.slots.alive[0] | (simulation.slots.ended[0] != 0)
+        path.append(np.where(there[:, None], simulation.slots.position[0], np.nan))
+    return np.array(path)
