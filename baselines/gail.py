@@ -36,7 +36,7 @@ from torch import Tensor, nn
 
 from baselines import bc
 from baselines.command import Command, check_numbers
-from baselines.mixture import NOISE, MixturePolicy, Sampler
+from baselines.mixture import BOUNDS, NOISE, MixturePolicy, Sampler, nearness
 from crowdbench import Demonstrations, demonstrations, spawn_model
 from crowdbench.errors import CrowdbenchError
 from crowdbench.files import replacing
@@ -72,11 +72,14 @@ class Settings:
 
 
 class Discriminator(RewardNet):
-    """Log-odds that a person who does this in this situation is a recorded one."""
+    """Log-odds that a person who does this in this situation is a recorded one.
+
+    It sees where that leads, too: who walks out of the bounds was not recorded.
+    """
 
     def __init__(self, observation_space: Any, action_space: Any, hidden: int) -> None:
         super().__init__(observation_space, action_space)
-        numbers = observation_space.shape[0] + 4
+        numbers = observation_space.shape[0] + 2 + 2 + 4
         self.layers = nn.Sequential(
             nn.Linear(numbers, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh(),
             nn.Linear(hidden, 1),
@@ -85,7 +88,8 @@ class Discriminator(RewardNet):
     def forward(self, state: Tensor, action: Tensor, next_state: Tensor, done: Tensor) -> Tensor:
         """Of states (A, obs) and actions (A, 2); shape (A,)."""
         change = CHANGES * (action - state[:, :2])
-        return self.layers(torch.cat([state, action, change], dim=1))[:, 0]
+        bounds = nearness(next_state[:, BOUNDS])
+        return self.layers(torch.cat([state, action, change, bounds], dim=1))[:, 0]
 
 
 class FairGAIL(GAIL):

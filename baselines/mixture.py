@@ -24,6 +24,7 @@ from crowdbench.simulation.lidar import GOAL_RANGE_M
 
 SELF = 6
 """Values of a `lidar-3` observation before its distances, to bounds and along rays."""
+BOUNDS = slice(SELF, 10)
 RAY_RANGE_M = Settings().ray_range_m
 NEAR_GOAL_M = 2.0
 NEAR_M = 1.0
@@ -37,6 +38,11 @@ _WIDTH = -3.0  # log standard deviation that a fresh network starts from, in uni
 _NARROWEST, _WIDEST = -6.0, 1.0
 """The narrowest is millimetres in a step. With less, who keeps the velocity exactly, as people do
 between two annotations, makes up all of the likelihood, and nobody turns to the goal."""
+
+
+def nearness(distance: Tensor) -> Tensor:
+    """1 for what is here, 1/e for what is a metre away; of distances as observations hold them."""
+    return torch.exp(-distance * (RAY_RANGE_M / NEAR_M))
 
 
 class Scales(BaseFeaturesExtractor):
@@ -55,8 +61,7 @@ class Scales(BaseFeaturesExtractor):
         towards = seen[:, 3:5]
         change = CHANGES * (towards * seen[:, 5:6] - seen[:, :2])
         way = (seen[:, 2:3] * (GOAL_RANGE_M / NEAR_GOAL_M)).clamp(max=1) * towards
-        nearness = torch.exp(-seen[:, SELF:] * (RAY_RANGE_M / NEAR_M))
-        return torch.cat([seen, change, way, nearness], dim=1)
+        return torch.cat([seen, change, way, nearness(seen[:, SELF:])], dim=1)
 
 
 class Mixture(Distribution):
