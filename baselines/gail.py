@@ -36,7 +36,7 @@ from torch import Tensor, nn
 
 from baselines import bc
 from baselines.command import Command, check_numbers
-from baselines.mixture import BOUNDS, NOISE, MixturePolicy, Sampler, nearness
+from baselines.mixture import BOUNDS, NOISE, MixturePolicy, Sampler
 from crowdbench import Demonstrations, demonstrations, spawn_model
 from crowdbench.errors import CrowdbenchError
 from crowdbench.files import replacing
@@ -46,6 +46,8 @@ from crowdbench.vec_env import LivesVecEnv
 OBSERVATION = bc.OBSERVATION
 CHANGES = 10.0
 """How much larger the discriminator sees changes of velocity, which are small, than velocities."""
+AGAINST = 10.0
+"""Log-odds against those who walk out of the bounds."""
 
 
 @dataclass(frozen=True)
@@ -74,12 +76,13 @@ class Settings:
 class Discriminator(RewardNet):
     """Log-odds that a person who does this in this situation is a recorded one.
 
-    It sees where that leads, too: who walks out of the bounds was not recorded.
+    What it need not learn is that nobody recorded walks out of the bounds: so rare an end, even if
+    it is one life in ten, it would learn too slowly.
     """
 
     def __init__(self, observation_space: Any, action_space: Any, hidden: int) -> None:
         super().__init__(observation_space, action_space)
-        numbers = observation_space.shape[0] + 2 + 2 + 4
+        numbers = observation_space.shape[0] + 4
         self.layers = nn.Sequential(
             nn.Linear(numbers, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh(),
             nn.Linear(hidden, 1),
@@ -88,8 +91,9 @@ class Discriminator(RewardNet):
     def forward(self, state: Tensor, action: Tensor, next_state: Tensor, done: Tensor) -> Tensor:
         """Of states (A, obs) and actions (A, 2); shape (A,)."""
         change = CHANGES * (action - state[:, :2])
-        bounds = nearness(next_state[:, BOUNDS])
-        return self.layers(torch.cat([state, action, change, bounds], dim=1))[:, 0]
+        odds = self.layers(torch.cat([state, action, change], dim=1))[:, 0]
+        outside = (next_state[:, BOUNDS] <= 0).any(dim=1)
+        return odds - AGAINST * outside
 
 
 class FairGAIL(GAIL):

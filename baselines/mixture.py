@@ -40,11 +40,6 @@ _NARROWEST, _WIDEST = -6.0, 1.0
 between two annotations, makes up all of the likelihood, and nobody turns to the goal."""
 
 
-def nearness(distance: Tensor) -> Tensor:
-    """1 for what is here, 1/e for what is a metre away; of distances as observations hold them."""
-    return torch.exp(-distance * (RAY_RANGE_M / NEAR_M))
-
-
 class Scales(BaseFeaturesExtractor):
     """A `lidar-3` observation, and of what is in it what a small network would not find by itself.
 
@@ -61,7 +56,8 @@ class Scales(BaseFeaturesExtractor):
         towards = seen[:, 3:5]
         change = CHANGES * (towards * seen[:, 5:6] - seen[:, :2])
         way = (seen[:, 2:3] * (GOAL_RANGE_M / NEAR_GOAL_M)).clamp(max=1) * towards
-        return torch.cat([seen, change, way, nearness(seen[:, SELF:])], dim=1)
+        nearness = torch.exp(-seen[:, SELF:] * (RAY_RANGE_M / NEAR_M))
+        return torch.cat([seen, change, way, nearness], dim=1)
 
 
 class Mixture(Distribution):
