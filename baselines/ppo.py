@@ -33,7 +33,7 @@ from crowdbench import Reward, spawn_model
 from crowdbench.errors import CrowdbenchError
 from crowdbench.torchrl_env import CrowdEnv
 
-OBSERVATION = "lidar-3"
+OBSERVATION = "lidar-2"
 NOISE = 2
 
 
