@@ -89,14 +89,11 @@ def spawn_model(
         RecordingError: it needs a recording that has not been imported.
     """
     place = load_scene(scene)
-    steps: list[Scenario | Path | None] = [scenario]
     if isinstance(model, str):
         base, file = split(model)
         model = _unsteered(base, place, part, fit)
-        steps = [file, scenario]
-    for step in steps:
-        model = model if step is None else _steered(model, place, step)
-    return model
+        model = model if file is None else _steered(model, place, file)
+    return model if scenario is None else _steered(model, place, scenario)
 
 
 def _steered(model: SpawnModel, scene: Scene, scenario: Scenario | Path) -> Steered:

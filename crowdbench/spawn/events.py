@@ -110,12 +110,12 @@ def check_events(events: object, model: str) -> SpawnEvents:
 
 
 def joined(parts: Sequence[SpawnEvents]) -> SpawnEvents:
-    """The events of all parts, by ascending time."""
+    """The events of all parts by ascending time, at the same time by spawn area as models do."""
     parts = [no_events(), *parts]
     columns = {
         f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(parts[0])
     }
-    return SpawnEvents(**columns)[np.argsort(columns["time_s"], kind="stable")]
+    return SpawnEvents(**columns)[np.lexsort((columns["spawn_area"], columns["time_s"]))]
 
 
 def no_events() -> SpawnEvents:

@@ -38,9 +38,10 @@ SCHEMA = 1
 MOST_FACTOR = 100.0
 _MEND = "Compare with the scenarios in docs/steering.md."
 
-Profile = float | tuple[tuple[float, float], ...]
+Number = float | int
+Profile = Number | tuple[tuple[Number, Number], ...]
 """A number, or steps: pairs of a time in seconds and the number that holds from then on."""
-Goals = Mapping[int, float]
+Goals = Mapping[int, Number]
 """P(goal area); areas that are not named have 0."""
 
 
@@ -50,23 +51,23 @@ class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     area: int
     factor: Profile = 1.0
     """What its rate is multiplied by: 1 before the first step, 0 while it is closed."""
-    shift_s: float = 0.0
+    shift_s: Number = 0.0
     """How much later its arrivals come, before `factor` is applied; negative is earlier."""
-    goals: dict[int, float] | None = None
+    goals: dict[int, Number] | None = None
     """P(goal | this area), which sum to 1; None leaves the scene's."""
 
 
 class Addition(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A spawn area that the scene does not have: Poisson groups, speeds as the scene's."""
 
-    mean_m: tuple[float, float]
-    sd_m: tuple[float, float]
+    mean_m: tuple[Number, Number]
+    sd_m: tuple[Number, Number]
     """Standard deviations of the starts in x and in y."""
     persons_per_min: Profile
     """0 before the first step."""
-    group_size: float = 1.0
+    group_size: Number = 1.0
     """Mean of the sizes, which are geometric."""
-    goals: dict[int, float]
+    goals: dict[int, Number]
     """P(goal | this area), which sum to 1."""
 
 
@@ -213,7 +214,7 @@ def _check_area(area: int, number: int, kind: str, where: str, scene: Scene) -> 
 
 
 def _check_profile(profile: Profile, most: float, where: str) -> None:
-    if isinstance(profile, float | int):
+    if isinstance(profile, Number):
         _check_range(profile, 0.0, most, where)
         return
     times = [time_s for time_s, _ in profile]
@@ -229,7 +230,7 @@ def _check_profile(profile: Profile, most: float, where: str) -> None:
         _check_range(value, 0.0, most, where)
 
 
-def _check_range(value: float, least: float, most: float, where: str) -> None:
+def _check_range(value: Number, least: float, most: float, where: str) -> None:
     if not (math.isfinite(value) and least <= value <= most):
         bounds = f"{least:g} to {most:g}" if math.isfinite(most) else f"{least:g} or more"
         expected = bounds if math.isfinite(least) else "a finite number"

@@ -38,7 +38,7 @@ from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, Gaussians
 from crowdbench.spawn.events import Arrivals, SpawnEvents, entering, joined
 from crowdbench.spawn.model import SpawnModel, Start
-from crowdbench.spawn.scenario import Addition, Profile, Scenario, row
+from crowdbench.spawn.scenario import Addition, Number, Profile, Scenario, row
 
 _PURPOSES = ("more", "earlier", "goals", "add")
 
@@ -62,7 +62,7 @@ class Clock:
 
         `before` is the factor before the first step; in the warm-up holds what holds at time 0.
         """
-        steps = ((0.0, profile),) if isinstance(profile, float | int) else profile
+        steps = ((0.0, profile),) if isinstance(profile, Number) else profile
         start = np.array([0.0, *(warm_up_s + t for t, _ in steps)])
         factor = np.array([before, *(f for _, f in steps)], dtype=np.float64)
         if steps[0][0] == 0:
@@ -77,7 +77,9 @@ class Clock:
     def when(self, reading_s: Float[np.ndarray, " E"]) -> Float[np.ndarray, " E"]:
         """The times at which it reads these numbers, each from 0 to below `end_s`."""
         at = np.searchsorted(self.reading_s, reading_s, side="right") - 1
-        return self.start_s[at] + (reading_s - self.reading_s[at]) / self.factor[at]
+        # So that before the first change it is, to the last bit, what the clock reads.
+        late = self.start_s[at] - self.reading_s[at] / self.factor[at]
+        return reading_s / self.factor[at] + late
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +98,15 @@ class Steered:
         """Refuse models that cannot be asked for more of the same.
 
         Raises:
-            SettingError: its episodes do not begin stationary.
+            SettingError: its episodes do not begin stationary, or it is steered already.
         """
+        if isinstance(self.model, Steered):
+            raise SettingError(
+                self.name,
+                got="a second scenario",
+                expected="one scenario over a model",
+                mend="Put both into one.",
+            )
         if self.model.start != "stationary":
             raise SettingError(
                 self.name,
@@ -204,7 +213,7 @@ class _Chance:
         return self.model.sample(self.horizon_s, self.scene, rng).shifted(j * self.horizon_s)
 
 
-def _retimed(area: int, clock: Clock, shift_s: float, chance: _Chance) -> SpawnEvents:
+def _retimed(area: int, clock: Clock, shift_s: Number, chance: _Chance) -> SpawnEvents:
     """An area's people, each when its clock reads when they would have come, and `shift_s`."""
     first = int(np.floor(-shift_s / chance.horizon_s))
     last = int(np.ceil((clock.end_s - shift_s) / chance.horizon_s))

@@ -133,7 +133,7 @@ def area_changes(found: Steering) -> list[AreaChange]:
     return [
         AreaChange(
             k,
-            (centres[k][0], centres[k][1]),
+            (float(centres[k][0]), float(centres[k][1])),
             float(usual[k]),
             float(asked[k]),
             float(steered[k]),

@@ -1,7 +1,7 @@
 """Maps: a scene's numbered areas, and where people are more and less under a scenario."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -38,7 +38,7 @@ def areas_picture(scene: Scene, areas: Areas) -> bytes:
             axis.set_title(f"{scene.id}: {title}")
         axes[1].set_ylabel("")
 
-    return _maps(draw, scene)
+    return _maps(draw, scene, "small png")
 
 
 def changes_picture(
@@ -69,14 +69,14 @@ def changes_picture(
             for k, gaussians in enumerate(added, len(found.areas.spawn)):
                 _named(axis, gaussians, 0, SPAWN, f"S{k}")
 
-    return _maps(draw, found.scene, below=0.8)
+    return _maps(draw, found.scene, "png", below=0.8)
 
 
-def _maps(draw: Draw, scene: Scene, *, below: float = 0.0) -> bytes:
+def _maps(draw: Draw, scene: Scene, kind: Literal["png", "small png"], below: float = 0.0) -> bytes:
     """Two maps side by side, with some inches below them."""
     b = scene.bounds
     height = _WIDTH * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m) + 0.6 + below
-    return picture(draw, width=2 * _WIDTH + 0.6, height=height, columns=2, kind="png")
+    return picture(draw, width=2 * _WIDTH + 0.6, height=height, columns=2, kind=kind)
 
 
 def _named(

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from crowdbench.figures.canvas import picture
 from crowdbench.figures.sight import COLOURS
 from crowdbench.spawn import SpawnEvents
-from crowdbench.spawn.scenario import Profile
+from crowdbench.spawn.scenario import Number, Profile
 from crowdbench.steering.changes import Steering, total
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def _asked(axis: "Axes", found: Steering, area: int) -> None:
         profile = next(c.factor for c in found.scenario.change if c.area == area)
         before = 1.0
         unit = float(_per_minute(found.usual_events, [area], np.array([0.0, horizon_s]))[0])
-    steps = [0.0, *([] if isinstance(profile, float | int) else [t for t, _ in profile]), horizon_s]
+    steps = [0.0, *([] if isinstance(profile, Number) else [t for t, _ in profile]), horizon_s]
     edges = np.unique([t for t in steps if t <= horizon_s])
     ends = np.array([total(profile, before, float(t)) for t in edges[1:]])
     asked = unit * np.diff(ends, prepend=0.0) / np.diff(edges)
