@@ -125,7 +125,7 @@ def _print_card(card: "Scorecard") -> None:
         "Below the line: anchors; replay has the recording by heart, block-replay pieces of it.\n"
     )
     if any(steered(entry.spawn) for entry in card.entries):
-        console.print(STEERED, "\n")
+        new_console().print(STEERED, "\n")
     entries = [e for e in card.entries if e.spawn != "replay"] or card.entries
     distances = new_table("distance", "", "recorded", *[f"{k}" for k in range(1, len(entries) + 1)])
     known = entries[0].metrics
