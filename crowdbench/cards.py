@@ -19,6 +19,7 @@ from crowdbench.files import read_struct, sha256, write_json
 from crowdbench.metrics import METRICS, WALK
 from crowdbench.scene import Scene
 from crowdbench.scoring import RESAMPLES, Energy, Score, family_scores, overall, ranks, score_of
+from crowdbench.spawn.scenario import split
 
 SCHEMA = 2
 
@@ -205,9 +206,21 @@ def rows(card: Scorecard) -> list[Row]:
     return [*_ranked(entries), *anchors]
 
 
+def steered(spawn: str) -> bool:
+    """Whether a spawn model is under a scenario."""
+    return split(spawn)[1] is not None
+
+
+def may_rank(spawn: str) -> bool:
+    """Whether a spawn model is to be as the recording by what it learned.
+
+    Played recordings are so by heart, and steered models are to be different.
+    """
+    return spawn not in ("replay", "block-replay") and not steered(spawn)
+
+
 def _ranked(entries: Sequence[Row]) -> list[Row]:
-    """Rank entries whose arrivals are simulated: played recordings compete with nobody."""
-    competing = [r for r in entries if r.spawn not in ("replay", "block-replay")]
+    competing = [r for r in entries if may_rank(r.spawn)]
     by_overall = all(r.overall is not None for r in competing)
     scores = [r.overall if by_overall else r.crowd for r in competing]
     known = [s for s in scores if s is not None]

@@ -1,6 +1,6 @@
 """How an episode begins, and what of it is written down: shared by rollouts and environments."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from crowdbench.policies import Policy, StateView
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.state import EXIT, GOAL, HORIZON, RECORDED, TIMEOUT
-from crowdbench.spawn import SpawnModel
+from crowdbench.spawn import SpawnEvents, SpawnModel, Steered
 from crowdbench.spawn.events import check_events
 from crowdbench.spawn.model import Start
 from crowdbench.trajectories import Trajectories, from_rows
@@ -67,11 +67,9 @@ def begin(
     warm_up = 0
     if start == "stationary":
         warm_up = scene.frames(warm_up_s(scene))
-    horizon_s = (warm_up + frames) * scene.dt_s
     events = []
     for world in range(simulation.worlds):
-        sample = spawn.sample(horizon_s, scene, generator(seed, world, "spawn"))
-        sample = check_events(sample, spawn.name)
+        sample = arrivals(spawn, scene, seed=seed, world=world, warm_up=warm_up, frames=frames)
         outside = sample.entered & ~scene.inside(sample.start.astype(np.float64))
         if outside.any():
             raise SettingError(
@@ -83,13 +81,28 @@ def begin(
             sample = spawn.scripted(sample)  # type: ignore[attr-defined]  # Replay alone has scripts
         if start == "empty":
             sample = sample[sample.entered]
-        events.append(sample.shifted(-warm_up * scene.dt_s))
+        events.append(sample)
     simulation.reset(events, horizon=frames, first_frame=-warm_up)
     walker.reset(scene, generator(seed, 0, "warm-up"))
     for _ in range(warm_up):
         simulation.step(actions_of(walker, simulation))
     if warm_up:
         simulation.number_anew()
+
+
+def arrivals(
+    spawn: SpawnModel, scene: Scene, *, seed: int, world: int, warm_up: int, frames: int
+) -> SpawnEvents:
+    """Who is to enter a world in `warm_up` frames before time 0 and `frames` after it.
+
+    Raises:
+        SettingError: the model made what no simulation can let in.
+    """
+    if isinstance(spawn, Steered):  # its times count from the episode's start
+        spawn = replace(spawn, warm_up_s=warm_up * scene.dt_s)
+    horizon_s = (warm_up + frames) * scene.dt_s
+    events = spawn.sample(horizon_s, scene, generator(seed, world, "spawn"))
+    return check_events(events, spawn.name).shifted(-warm_up * scene.dt_s)
 
 
 def actions_of(

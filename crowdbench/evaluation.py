@@ -74,7 +74,8 @@ def evaluate(
     `full` fits and compares on the whole recording, `heldout` fits on two thirds of its time
     blocks and scores the third, three times. `seeds` rollouts are made of each pair (in each
     fold), by default as many as the scene's protocol says; rollout k is of fit k modulo the
-    number of fits. With fewer than two rollouts per fit there are distances but no scores.
+    number of fits. With fewer than two rollouts per fit there are distances but no scores. The
+    spawn model `MODEL+FILE.toml` is MODEL under the scenario of that file; it is not ranked.
 
     Policies are scored under the recorded arrivals too, where the recording is imported. Where
     they leave nothing to chance, one rollout does. The policy `replay` walks recorded arrivals

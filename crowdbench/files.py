@@ -97,8 +97,9 @@ def read_struct(path: Path, kind: type[T], error: type[CrowdbenchError], mend: s
         kind_of_file = path.suffix.lstrip(".").upper()
         raise error(path, got=str(cause), expected=f"valid {kind_of_file}", mend=mend) from cause
     try:
-        # TOML writes 1 for 1.0, and JSON has no tuples: the conversions of those two are wanted.
-        return msgspec.convert(raw, kind, strict=True)
+        # TOML writes 1 for 1.0, JSON has no tuples, and keys of both are text: the conversions of
+        # these are wanted.
+        return msgspec.convert(raw, kind, strict=True, str_keys=True)
     except msgspec.ValidationError as cause:
         raise error(
             path, got=str(cause), expected="the fields that its format defines", mend=mend

@@ -27,6 +27,7 @@ from crowdbench.registry import policy as find_policy
 from crowdbench.registry import policy_file, spawn_model
 from crowdbench.rollouts import rollout
 from crowdbench.scene import Scene, load_scene
+from crowdbench.spawn.scenario import split
 from crowdbench.tables import read_own, write_parquet
 from crowdbench.trajectories import OUTCOMES
 
@@ -193,16 +194,17 @@ def _cached_models(  # type: ignore[no-untyped-def]
 
 
 def _fingerprint(scene: Scene, spawn: str, policy: str, part: str) -> str:
-    """Hash of what a rollout depends on: our code, the scene's files, the recording, own classes.
+    """Hash of what a rollout depends on: our code, the scene's files, the recording, the scenario
+    and the policy's file, own classes.
 
     Of an own class these are all files in the folder of its module: weights lie beside the code.
     """
     files: list[Path] = []
-    if spawn in ("replay", "block-replay") and cached(scene.recording.name).exists():
+    base, scenario = split(spawn)
+    if base in ("replay", "block-replay") and cached(scene.recording.name).exists():
         files.append(cached(scene.recording.name))
-    if file := policy_file(policy, scene, part):
-        files.append(file)
-    for name in (spawn, policy):
+    files += [file for file in (scenario, policy_file(policy, scene, part)) if file]
+    for name in (base, policy):
         module, colon, _ = name.partition(":")
         found = importlib.util.find_spec(module) if colon else None
         if found is not None and found.origin is not None:

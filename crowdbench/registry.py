@@ -18,10 +18,13 @@ from crowdbench.spawn import (
     PoissonGMM,
     RenewalGMM,
     Replay,
+    Scenario,
     SpawnModel,
+    Steered,
     fit_areas,
 )
-from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.areas import Areas, read_areas
+from crowdbench.spawn.scenario import check_scenario, read_scenario, split
 from crowdbench.spawn.weights import check_part
 from crowdbench.tables import read_own, write_parquet
 from crowdbench.trajectories import Trajectories
@@ -67,22 +70,43 @@ def recording_of(scene: Scene) -> Trajectories:
 
 
 def spawn_model(
-    model: str | SpawnModel, scene: str | Scene, part: str = "full", fit: int = 0
+    model: str | SpawnModel,
+    scene: str | Scene,
+    part: str = "full",
+    fit: int = 0,
+    scenario: Scenario | None = None,
 ) -> SpawnModel:
     """A spawn model by its name, fitted for a part (one of `blocks.PARTS`) of the recording.
 
     Of a model with several fits the one of index `fit`, counted round. `replay` is the whole
     recording in any part. `pkg.module:Class` is called with the scene, and with `part` and `fit`
-    where it takes arguments of these names.
+    where it takes arguments of these names. A `scenario` steers the model; `MODEL+FILE.toml` is
+    the model MODEL under the scenario that the file holds.
 
     Raises:
-        SettingError: there is no such model, part or fit.
+        SettingError: there is no such model, part or fit, or the scenario does not fit.
         WeightsError: the scene ships no weights for it.
         RecordingError: it needs a recording that has not been imported.
     """
-    if not isinstance(model, str):
-        return model
-    scene = load_scene(scene)
+    place = load_scene(scene)
+    if isinstance(model, str):
+        base, file = split(model)
+        model = _unsteered(base, place, part, fit)
+        model = model if file is None else _steered(model, place, file)
+    return model if scenario is None else _steered(model, place, scenario)
+
+
+def _steered(model: SpawnModel, scene: Scene, scenario: Scenario | Path) -> Steered:
+    own = getattr(model, "areas", None)
+    areas = own if isinstance(own, Areas) else read_areas(scene)
+    if isinstance(scenario, Path):
+        scenario = read_scenario(scenario, scene, areas)
+    else:
+        check_scenario(scenario, scene, areas, f"scenario {scenario.name}")
+    return Steered(model, scenario, areas)
+
+
+def _unsteered(model: str, scene: Scene, part: str, fit: int) -> SpawnModel:
     check_part(part, fit)
     if model in FITTED:
         return FITTED[model].read(scene, read_areas(scene), part, fit)

@@ -37,6 +37,11 @@ def add(commands: "Commands") -> None:
         "fold, or pkg.module:Class (default: straight social-force)",
     )
     evaluate.add_argument(
+        "--scenario",
+        metavar="FILE.toml",
+        help="steer each spawn model by it: other rates, goals and areas, without retraining",
+    )
+    evaluate.add_argument(
         "--protocol",
         choices=["full", "heldout"],
         default="full",
@@ -67,7 +72,7 @@ def _evaluate(asked: argparse.Namespace) -> None:
     with progress_bar("rollouts") as progress:
         card = evaluate(
             asked.scene,
-            spawn=asked.spawn,
+            spawn=[f"{s}+{asked.scenario}" for s in asked.spawn] if asked.scenario else asked.spawn,
             policy=asked.policy,
             protocol=asked.protocol,
             seeds=asked.seeds,
@@ -82,9 +87,9 @@ def _evaluate(asked: argparse.Namespace) -> None:
 
 
 def _print_card(card: "Scorecard") -> None:
-    from crowdbench.cards import rows, walked
+    from crowdbench.cards import rows, steered, walked
     from crowdbench.metrics import FAMILIES, METRICS, WALK
-    from crowdbench.report.words import interval, number
+    from crowdbench.report.words import STEERED, interval, number
 
     table = rows(card)
     print(
@@ -119,6 +124,8 @@ def _print_card(card: "Scorecard") -> None:
         "crowd: mean of the first four families. Equal ranks cannot be told apart (5 %, Holm).\n"
         "Below the line: anchors; replay has the recording by heart, block-replay pieces of it.\n"
     )
+    if any(steered(entry.spawn) for entry in card.entries):
+        new_console().print(STEERED, "\n")
     entries = [e for e in card.entries if e.spawn != "replay"] or card.entries
     distances = new_table("distance", "", "recorded", *[f"{k}" for k in range(1, len(entries) + 1)])
     known = entries[0].metrics

@@ -9,7 +9,7 @@ import shlex
 from html import escape
 from pathlib import Path
 
-from crowdbench.cards import ANCHOR, Row, Scorecard, rows, walked
+from crowdbench.cards import ANCHOR, Row, Scorecard, rows, steered, walked
 from crowdbench.figures import Crowds, Sight
 from crowdbench.files import write_text
 from crowdbench.metrics import FAMILIES
@@ -21,7 +21,7 @@ from crowdbench.report.tables import (
     outcome_table,
     score_table,
 )
-from crowdbench.report.words import PROTOCOLS, named, with_interval
+from crowdbench.report.words import PROTOCOLS, STEERED, named, with_interval
 from crowdbench.scene import Scene
 
 _FAMILIES = {
@@ -140,6 +140,8 @@ def _summary(card: Scorecard, table: list[Row]) -> str:
     ranked = by_rank(row for row in table if row.rank is not None)
     if not card.scored:
         return "<p>No metric of this scene counts yet: there are distances, but no scores.</p>"
+    if not ranked and any(steered(row.spawn) for row in table):
+        return f"<p>No ranks. {STEERED}</p>"
     if not ranked:
         return (
             f"<p>No ranks: {card.rollouts} rollout{'s' * (card.rollouts != 1)} of each crowd with "
@@ -167,6 +169,8 @@ def _below_the_table(card: Scorecard) -> str:
         f"<div><dt>{family}</dt><dd>{_FAMILIES[family]}</dd></div>" for family in FAMILIES
     )
     note = "" if walked(card) else _missing_recording()
+    if any(steered(entry.spawn) for entry in card.entries):
+        note += f'<p class="note">{STEERED}</p>'
     return f"""{note}<dl class="families">{families}
 <div><dt>crowd</dt><dd>mean of the first four families; with straight walkers the score of the
 spawn model</dd></div>

@@ -11,6 +11,11 @@ PROTOCOLS = {
     "fitted on two and compared with the third, three times, and what is shown is the mean.",
 }
 
+STEERED = (
+    "A crowd under a scenario (model+file) is to be different from the recording: its distances "
+    "say how different it is, and it has no rank."
+)
+
 
 def plainly(value: float) -> str:
     """Two decimals and a true minus sign; no −0.00."""

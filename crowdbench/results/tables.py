@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from crowdbench.cards import Entry, MetricCard, Row, Scorecard
+from crowdbench.cards import Entry, MetricCard, Row, Scorecard, may_rank
 from crowdbench.metrics import FAMILIES, METRICS, WALK
 from crowdbench.report.markdown import table
 from crowdbench.report.words import NOTHING, digits, interval, number
@@ -65,7 +65,7 @@ def with_unit(value: float | None, unit: str) -> str:
 
 def competes(row: Row) -> bool:
     """Whether it is a crowd that was evaluated, and no played recording."""
-    return row.kind == "entry" and row.spawn not in ("replay", "block-replay")
+    return row.kind == "entry" and may_rank(row.spawn)
 
 
 def pair(crowd: Row | Entry) -> str:

@@ -8,17 +8,23 @@ from crowdbench.spawn.ntpp import NtppGMM
 from crowdbench.spawn.poisson import PoissonGMM
 from crowdbench.spawn.renewal import RenewalGMM
 from crowdbench.spawn.replay import Replay
+from crowdbench.spawn.scenario import Addition, Change, Scenario
+from crowdbench.spawn.steered import Steered
 
 __all__ = [
+    "Addition",
     "Areas",
     "Arrivals",
     "BlockReplay",
+    "Change",
     "NtppGMM",
     "PoissonGMM",
     "RenewalGMM",
     "Replay",
+    "Scenario",
     "SpawnEvents",
     "SpawnModel",
+    "Steered",
     "arrivals_in",
     "arrivals_of",
     "fit_areas",

@@ -1,5 +1,6 @@
 """What a spawn model makes (`SpawnEvents`) and what it is fitted to (`Arrivals`)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -106,6 +107,15 @@ def check_events(events: object, model: str) -> SpawnEvents:
     if (np.diff(events.time_s) < 0).any():
         raise SettingError(where, got="times in disorder", expected="ascending time_s")
     return events
+
+
+def joined(parts: Sequence[SpawnEvents]) -> SpawnEvents:
+    """The events of all parts by ascending time, at the same time by spawn area as models do."""
+    parts = [no_events(), *parts]
+    columns = {
+        f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(parts[0])
+    }
+    return SpawnEvents(**columns)[np.lexsort((columns["spawn_area"], columns["time_s"]))]
 
 
 def no_events() -> SpawnEvents:

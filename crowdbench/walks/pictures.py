@@ -76,7 +76,7 @@ def _ways(sight: Sight) -> bytes:
         for axis in axes[len(shown) :]:
             axis.set_visible(False)
         for k, (axis, (label, crowd)) in enumerate(zip(axes, shown, strict=False)):
-            panels.place(axis, sight)
+            panels.place(axis, sight.scene)
             index = {of: k for k, of in enumerate(_entries(crowd))}
             for colour, of_way in zip(COLOURS, people, strict=False):
                 for person in of_way:
