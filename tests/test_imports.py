@@ -86,6 +86,11 @@ def test_modules_import_only_what_stands_to_their_left(path: Path) -> None:
     assert imported(path.read_text()) <= allowed
 
 
+def test_only_who_shows_something_imports_the_viewer() -> None:
+    users = {part_of(path) for path in MODULES if "viewer" in imported(path.read_text())}
+    assert users == {"viewer", "environment", "bench", "cli"}
+
+
 def test_the_walk_sees_imports_in_functions_and_not_those_for_types() -> None:
     code = (
         "from typing import TYPE_CHECKING\n"
@@ -152,6 +157,17 @@ def test_scoring_a_table_loads_neither_torch_nor_the_simulation(tmp_path: Path) 
 def test_the_environment_needs_no_torch() -> None:
     loaded = loaded_by("import crowdbench; crowdbench.parallel_env('plaza-v0').reset(seed=0)")
     assert "pettingzoo" in loaded
+    assert loaded & {"torch", "matplotlib", "rerun", "pyarrow", "crowdbench.viewer"} == set()
+
+
+def test_pictures_need_neither_matplotlib_nor_rerun() -> None:
+    loaded = loaded_by(
+        "import crowdbench\n"
+        "env = crowdbench.parallel_env('plaza-v0', render_mode='rgb_array')\n"
+        "env.reset(seed=0)\n"
+        "env.render()"
+    )
+    assert "PIL" in loaded
     assert loaded & {"torch", "matplotlib", "rerun", "pyarrow"} == set()
 
 
