@@ -1,16 +1,22 @@
 """The viewer: a file of it shows what the tables say, and the real viewer draws it."""
 
+import re
+import shlex
 import socket
 import sys
+import time
+from collections.abc import Iterator
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pages
 import pytest
 import shapely
 from conftest import REQUIRE_ALL, need
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 from rrds import always, entities, rerun, rows
@@ -232,6 +238,7 @@ def test_a_crowd_that_is_nobodys_is_shown_alone(crowd: Trajectories, tmp_path: P
     assert "/world/recording/people" not in entities(tmp_path / "square.rrd")
 
 
+@settings(deadline=None)
 @given(st.floats(-4, 3), st.floats(-4, 3), st.floats(0.5, 6), st.floats(0.5, 6))
 def test_hatching_lies_within_walls(x: float, y: float, width: float, height: float) -> None:
     wall = box(x, y, x + width, y + height)
@@ -248,6 +255,12 @@ def test_dashes_have_one_length_however_far_their_line_turns() -> None:
     assert len(found) > 20
 
 
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
 def colours_of(picture: Path) -> tuple[np.ndarray, np.ndarray]:
     """The left and the right half of a screenshot where the places are, below rerun's notices."""
     with Image.open(picture) as image:
@@ -259,12 +272,9 @@ def colours_of(picture: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def test_the_real_viewer_draws_discs_where_people_are(saved: Path, tmp_path: Path) -> None:
     need(list(Path("/usr/share/vulkan/icd.d").glob("*")), "mesa-vulkan-drivers")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
     picture = tmp_path / "viewer.png"
-    rerun("--headless", "--port", port, "--window-size", "1000x800", "--screenshot-to", picture,
-          saved)  # fmt: skip
+    window = ("--headless", "--port", free_port(), "--window-size", "1000x800")
+    rerun(*window, "--screenshot-to", picture, saved)
     left, right = colours_of(picture)
     assert len(np.unique(left.reshape(-1, 3), axis=0)) > 50
     shown = np.array(
@@ -276,6 +286,37 @@ def test_the_real_viewer_draws_discs_where_people_are(saved: Path, tmp_path: Pat
     # The areas are drawn in both halves, people only in the left: the right is not observed yet.
     assert (np.sort(shown, axis=1)[:, 1:] > 200).all(), shown
     assert (shown[0] - shown[1]).sum() > 500, shown
+
+
+@pytest.fixture
+def viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A real viewer that listens and has no window: what it tells of itself."""
+    need(list(Path("/usr/share/vulkan/icd.d").glob("*")), "mesa-vulkan-drivers")
+    from rerun.experimental import ViewerClient
+
+    port = free_port()
+    monkeypatch.setattr(access, "PORT", port)
+    with ViewerClient.spawn(headless=True, port=port) as client:
+        yield client
+
+
+def arrived(viewer: Any, recordings: int) -> list[str]:
+    """Ids of the viewer's recordings when they all have come; none of its views has a fault."""
+    for _ in range(100):
+        state = viewer.get_state()
+        if len(state.recordings) >= recordings and all(r.timelines for r in state.recordings):
+            break
+        time.sleep(0.1)
+    assert [report.summary for view in state.views for report in view.reports] == []
+    return [str(recording.store_id) for recording in state.recordings]
+
+
+def test_an_environment_opens_the_real_viewer(viewer: Any) -> None:
+    env = parallel_env("plaza-v0", horizon_s=20.0, render_mode="human")
+    env.reset(seed=0)
+    env.close()
+    (recording,) = arrived(viewer, 1)
+    assert "crowdbench plaza-v0" in recording
 
 
 def test_nobody_of_that_id(crowd: Trajectories, tmp_path: Path) -> None:
@@ -304,9 +345,7 @@ def no_screen(monkeypatch: pytest.MonkeyPatch) -> int:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setattr(sys, "platform", "linux")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
+    port = free_port()
     monkeypatch.setattr(access, "PORT", port)
     return port
 
@@ -327,14 +366,6 @@ def test_the_command_writes_a_file(
     assert f"written to {out}" in capsys.readouterr().out
     assert {"/world/simulation/people", "/world/against/people"} <= entities(out)
     assert [path.name for path in out.parent.iterdir()] == ["rollout.rrd"]
-
-
-def test_the_recording_stands_beside(tmp_path: Path) -> None:
-    spawn = spawn_model("poisson-gmm", PLAZA)
-    table, out = tmp_path / "rollout.parquet", tmp_path / "rollout.rrd"
-    write_parquet(rollout(PLAZA, spawn, Straight(), seed=0, horizon_s=20.0), table)
-    assert main(["view", str(table), "--against", "recording", "--save", str(out)]) == 0
-    assert "/agents/recording" in entities(out)
 
 
 def test_another_simulators_people_have_colours_too(tmp_path: Path) -> None:
@@ -389,3 +420,48 @@ def test_a_crowd_of_one_frame(tmp_path: Path) -> None:
     save(one, PLAZA, tmp_path / "one.rrd", person=7)
     shown = rows(tmp_path / "one.rrd", "/world/simulation/people", "Points2D:positions")
     assert shown[0].tolist() == [[3.0, 4.0]]
+
+
+PAGE = (Path(__file__).parents[1] / "docs" / "viewer.md").read_text()
+
+
+def test_the_pages_commands_open_the_real_viewer(
+    viewer: Any, opentraj: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["data", "import", "eth", "--source", str(opentraj)]) == 0
+    for block in pages.blocks(PAGE, "sh"):
+        for command in block.splitlines():
+            arguments = shlex.split(command)[1:]
+            if arguments[0] == "evaluate":
+                arguments += ["--seeds", "1", "--workers", "1", "--view"]
+            assert main(arguments) == 0, command
+    assert "/world/recording/people" in entities(tmp_path / "crowd.rrd")
+    # The pair, its policy under the recorded arrivals, and what `view` opened.
+    assert len(arrived(viewer, 3)) == 3
+
+
+def test_the_pages_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import rerun as rr
+
+    monkeypatch.chdir(tmp_path)
+    film, live = pages.blocks(PAGE, "python")
+    exec(compile(film, "viewer.md", "exec"), {})
+    with Image.open("crowd.gif") as image:
+        assert getattr(image, "n_frames", 1) > 50
+    exec(compile(live, "viewer.md", "exec"), {})
+    rr.disconnect()
+    rr.set_global_data_recording(None)
+    shown = rows(tmp_path / "training.rrd", "/world/simulation/people", "Points2D:positions")
+    rewards = rows(tmp_path / "training.rrd", "/reward", "Scalars:scalars")
+    assert len(set(rewards) & set(shown)) > 100
+
+
+def test_the_pages_pictures_are_small() -> None:
+    linked = re.findall(r"!\[[^]]+\]\(([^)]+)\)", PAGE)
+    assert len(linked) == 2
+    for name in linked:
+        picture = Path(__file__).parents[1] / "docs" / name
+        assert picture.stat().st_size < 400_000
+        with Image.open(picture) as image:
+            assert image.width >= 1200

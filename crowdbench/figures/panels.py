@@ -185,7 +185,7 @@ def paths(axis: "Axes", sight: Sight, crowd: Trajectories) -> None:
     """The ways of a crowd's first people, each in its goal area's colour."""
     place(axis, sight)
     for p in range(min(len(crowd), MOST_PATHS)):
-        colour = goal_colour(crowd.goal_area[p])
+        colour = goal_colour(int(crowd.goal_area[p]))
         axis.plot(*crowd.path(p).T, color=colour, linewidth=0.5, alpha=0.5)
     goal_ellipses(axis, sight)
     for k in range(len(sight.areas.spawn)):

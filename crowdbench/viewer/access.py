@@ -11,17 +11,30 @@ from crowdbench.scene import Scene
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
+    from rerun.blueprint import Blueprint
 
 PORT = 9876
 """Where viewers listen."""
 
 
 def new_stream(scene: Scene, title: str) -> "RecordingStream":
-    """A stream for one recording of the viewer; scenes do not share their layouts."""
+    """A stream for one recording of the viewer, which has a layout for each scene."""
     import rerun as rr
 
     stream = rr.RecordingStream(f"crowdbench {scene.id}")
     stream.send_recording_name(title)
+    return stream
+
+
+def open_stream(scene: Scene, title: str, first_look: "Blueprint") -> "RecordingStream":
+    """A stream to a viewer: the one that is open, or a new window.
+
+    Raises:
+        SettingError: there can be none, see `check_screen`.
+    """
+    check_screen()
+    stream = new_stream(scene, title)
+    stream.spawn(port=PORT, default_blueprint=first_look)
     return stream
 
 

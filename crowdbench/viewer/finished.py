@@ -9,7 +9,7 @@ import numpy as np
 from crowdbench.files import replacing
 from crowdbench.scene import Scene
 from crowdbench.trajectories import Trajectories
-from crowdbench.viewer.access import check_rerun, check_screen, new_stream
+from crowdbench.viewer.access import check_rerun, new_stream, open_stream
 from crowdbench.viewer.chosen import index_of, log_chosen
 from crowdbench.viewer.crowd import (
     WINDOW,
@@ -72,12 +72,11 @@ def show(
     Raises:
         SettingError: rerun is not installed, there is no screen, or there is no such person.
     """
-    check_screen()
     if person is not None:
         index_of(person, crowd)
     sides = _sides(crowd, scene, against)
-    stream = new_stream(scene, title_of(crowd))
-    stream.spawn(default_blueprint=_layout(scene, sides))
+    check_rerun()
+    stream = open_stream(scene, title_of(crowd), _layout(scene, sides))
     _log(stream, scene, sides, person)
 
 

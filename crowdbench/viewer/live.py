@@ -3,7 +3,7 @@
 import numpy as np
 
 from crowdbench.scene import Scene
-from crowdbench.viewer.access import check_screen, new_stream
+from crowdbench.viewer.access import open_stream
 from crowdbench.viewer.crowd import WINDOW, class_of, ending, log_looks, log_series
 from crowdbench.viewer.finished import SERIES
 from crowdbench.viewer.layout import layout
@@ -37,9 +37,7 @@ class Live:
             self._stream = given
             given.send_blueprint(first_look, make_active=False)
         else:
-            check_screen()
-            self._stream = new_stream(scene, title)
-            self._stream.spawn(default_blueprint=first_look)
+            self._stream = open_stream(scene, title, first_look)
         log_place(self._stream, scene)
         log_looks(self._stream, _SIDE, scene)
         dot = rr.Points2D.from_fields(radii=rr.Radius.ui_points(2.0), show_labels=False)
