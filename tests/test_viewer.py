@@ -1,8 +1,11 @@
 """The viewer: a file of it shows what the tables say, and the real viewer draws it."""
 
+import os
 import re
 import shlex
+import signal
 import socket
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -289,15 +292,23 @@ def test_the_real_viewer_draws_discs_where_people_are(saved: Path, tmp_path: Pat
 
 
 @pytest.fixture
-def viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def viewer(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """A real viewer that listens and has no window: what it tells of itself."""
     need(list(Path("/usr/share/vulkan/icd.d").glob("*")), "mesa-vulkan-drivers")
     from rerun.experimental import ViewerClient
 
     port = free_port()
     monkeypatch.setattr(access, "PORT", port)
-    with ViewerClient.spawn(headless=True, port=port) as client:
-        yield client
+    small = ["--headless", "--window-size", "320x240", "--port", str(port)]  # all that it draws
+    process = subprocess.Popen([sys.executable, "-m", "rerun", *small], start_new_session=True)
+    try:
+        while not access._listens():
+            assert process.poll() is None
+            time.sleep(0.1)
+        yield ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+    finally:
+        os.killpg(process.pid, signal.SIGTERM)
+        process.wait()
 
 
 def arrived(viewer: Any, recordings: int) -> list[str]:

@@ -42,12 +42,8 @@ def add(commands: "Commands") -> None:
 def _view(asked: argparse.Namespace) -> None:
     from crowdbench.scene import load_scene
     from crowdbench.tables import read_own
-    from crowdbench.viewer import check_rerun, check_screen, save, show
+    from crowdbench.viewer import save, show
 
-    if asked.save:
-        check_rerun()
-    else:
-        check_screen()
     if asked.scene is None:
         crowd = read_own(asked.table)
         scene = load_scene(crowd.scene)

@@ -4,7 +4,7 @@ Nobody imports it but the command line and an environment that is asked to rende
 when they need it.
 """
 
-from crowdbench.viewer.access import check_rerun, check_screen
+from crowdbench.viewer.access import check_screen
 from crowdbench.viewer.finished import save, show
 
-__all__ = ["check_rerun", "check_screen", "save", "show"]
+__all__ = ["check_screen", "save", "show"]

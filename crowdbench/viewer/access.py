@@ -30,11 +30,15 @@ def open_stream(scene: Scene, title: str, first_look: "Blueprint") -> "Recording
     """A stream to a viewer: the one that is open, or a new window.
 
     Raises:
-        SettingError: there can be none, see `check_screen`.
+        SettingError: there can be none, see `check_screen`, or the window did not open.
     """
     check_screen()
     stream = new_stream(scene, title)
-    stream.spawn(port=PORT, default_blueprint=first_look)
+    stream.spawn(port=PORT, connect=False)
+    if not _listens():
+        raise _no_screen("a window that did not open")
+    address = f"rerun+http://127.0.0.1:{PORT}/proxy"
+    stream.connect_grpc(address, default_blueprint=first_look)
     return stream
 
 
@@ -63,14 +67,18 @@ def check_screen() -> None:
     check_rerun()
     screen = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
     if sys.platform.startswith("linux") and not screen and not _listens():
-        raise SettingError(
-            "the viewer",
-            got="no screen",
-            expected="one to open a window on",
-            mend="Write a file with `crowdbench view … --save crowd.rrd` and open it with `rerun "
-            "crowd.rrd` where there is one, or start `rerun --serve-web` here and look at it in a "
-            "browser.",
-        )
+        raise _no_screen("no screen")
+
+
+def _no_screen(got: str) -> SettingError:
+    return SettingError(
+        "the viewer",
+        got=got,
+        expected="a screen with room for its window",
+        mend="Write a file with `crowdbench view … --save crowd.rrd` and open it with `rerun "
+        "crowd.rrd` where there is a screen, or start `rerun --serve-web` here first and look at "
+        "it in a browser.",
+    )
 
 
 def _listens() -> bool:

@@ -83,7 +83,7 @@ def show(
 def title_of(crowd: Trajectories) -> str:
     """What a crowd is called: by its models and seed, or by its file."""
     told = crowd.provenance
-    if "spawn" in told:
+    if {"spawn", "policy", "seed"} <= told.keys():
         return f"{told['spawn']} × {told['policy']}, seed {told['seed']}"
     return str(told.get("file", crowd.scene))
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Bool, Float32, Int
 
 from crowdbench.simulation import Simulation
 
@@ -28,8 +28,8 @@ class Now:
     first position."""
     born: Int[np.ndarray, " n"]
     """Frame of entry."""
-    spawned: Int[np.ndarray, " n"]
-    """1 for those who entered in this frame."""
+    spawned: Bool[np.ndarray, " n"]
+    """Who entered in this frame."""
     ended: Int[np.ndarray, " n"]
     """How the life ended that ended in this frame (an index into `OUTCOMES`), 0 for none."""
 
@@ -47,7 +47,7 @@ class Now:
             goal=slots.goal[0, there],
             trail=_trails(person, xy, past),
             born=slots.born[0, there],
-            spawned=slots.spawned[0, there].astype(np.int8),
+            spawned=slots.spawned[0, there],
             ended=slots.ended[0, there],
         )
 
