@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from crowdbench.scene import Scene
-from crowdbench.viewer.place import WORLD
+from crowdbench.viewer.place import WORLD, extent_m
 
 if TYPE_CHECKING:
     from rerun.blueprint import Blueprint, Spatial2DView
@@ -75,7 +75,7 @@ def _place(scene: Scene, side: str, title: str) -> "Spatial2DView":
     import rerun.blueprint as rrb
 
     b = scene.bounds
-    margin = _MARGIN * max(b.x_max_m - b.x_min_m, b.y_max_m - b.y_min_m)
+    margin = _MARGIN * extent_m(scene)
     # In the view's own frame, which is above the flip of `place`: y downwards.
     bounds = rrb.VisualBounds2D(
         x_range=(b.x_min_m - margin, b.x_max_m + margin),

@@ -8,7 +8,7 @@ from jaxtyping import UInt8
 from crowdbench.figures.sight import goal_colour
 from crowdbench.scene import Scene
 from crowdbench.viewer.now import Now
-from crowdbench.viewer.place import GREY, areas_of, corners, dashes
+from crowdbench.viewer.place import GREY, areas_of, corners, dashed_areas, extent_m
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
@@ -27,7 +27,7 @@ class Pictures:
 
         b = scene.bounds
         extent = np.array([b.x_max_m - b.x_min_m, b.y_max_m - b.y_min_m])
-        self._per_m = _FINER * (LONGEST_PX - 2 * _MARGIN_PX) / extent.max()
+        self._per_m = _FINER * (LONGEST_PX - 2 * _MARGIN_PX) / extent_m(scene)
         self._corner = np.array([b.x_min_m, b.y_max_m])
         self._scene = scene
         self._font = ImageFont.load_default(13 * _FINER)
@@ -65,9 +65,8 @@ class Pictures:
         areas = areas_of(self._scene)
         if areas is None:
             return
-        for k in range(len(areas.spawn)):
-            for dash in dashes(areas.spawn.outline(k)):
-                ink.line(self._pixels(dash), fill=_SPAWN, width=_FINER)
+        for dash in dashed_areas(self._scene, areas):
+            ink.line(self._pixels(dash), fill=_SPAWN, width=_FINER)
         for k in range(len(areas.goal)):
             line = self._pixels(areas.goal.outline(k))
             ink.line(line, fill=goal_colour(k), width=2 * _FINER)

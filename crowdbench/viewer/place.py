@@ -20,8 +20,8 @@ UNKNOWN = 2**16 - 1
 """Class of people whose goal area is not known."""
 GREY = "#9A9A9A"
 _DIM = "#5A5A5A"
-_HATCH_M = 0.6
-_DASH_M = 0.4
+_HATCHES, _DASHES = 50, 80  # so many beside each other across a place
+_LEAST_DASHES = 8
 _DRAW_ORDER = -1.0  # below everyone
 
 
@@ -41,7 +41,7 @@ def log_place(stream: "RecordingStream", scene: Scene) -> None:
     # once, above all else, so that what is logged and what is read under the cursor are metres.
     stream.log(WORLD, rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
     areas = areas_of(scene)
-    spawns = [areas.spawn.outline(k) for k in range(len(areas.spawn))] if areas else []
+    spawns = dashed_areas(scene, areas) if areas else []
     goals = [areas.goal.outline(k) for k in range(len(areas.goal))] if areas else []
     classes = [(UNKNOWN, "goal area unknown", rgb(GREY))]
     classes += [(k, f"to goal area {k}", rgb(goal_colour(k))) for k in range(len(goals))]
@@ -60,7 +60,7 @@ def log_place(stream: "RecordingStream", scene: Scene) -> None:
     lines("bounds", [_closed(corners(scene))], 1.0, _DIM)
     lines("walls", [_closed(wall.corners_m) for wall in scene.walls], 1.5, GREY)
     lines("walls/hatching", hatching(scene), 1.0, _DIM)
-    lines("spawn_areas", [dash for line in spawns for dash in dashes(line)], 1.0, "#CCCCCC")
+    lines("spawn_areas", spawns, 1.0, "#CCCCCC")
     lines("goal_areas", goals, 2.0, *map(goal_colour, range(len(goals))))
 
 
@@ -87,7 +87,7 @@ def hatching(scene: Scene) -> list[Float[np.ndarray, "2 2"]]:
 
     b = scene.bounds
     height = b.y_max_m - b.y_min_m
-    x = np.arange(b.x_min_m - height, b.x_max_m, _HATCH_M)
+    x = np.arange(b.x_min_m - height, b.x_max_m, extent_m(scene) / _HATCHES)
     strokes = shapely.linestrings(
         [[[left, b.y_min_m], [left + height, b.y_max_m]] for left in x.tolist()]
     )
@@ -96,12 +96,25 @@ def hatching(scene: Scene) -> list[Float[np.ndarray, "2 2"]]:
     return list(shapely.get_coordinates(strokes[~shapely.is_empty(strokes)]).reshape(-1, 2, 2))
 
 
-def dashes(line: Float[np.ndarray, "n 2"]) -> list[Float[np.ndarray, "2 2"]]:
-    """A line as dashes of equal length."""
+def dashed_areas(scene: Scene, areas: Areas) -> list[Float[np.ndarray, "2 2"]]:
+    """The outlines of the spawn areas, dashed: goal areas lie over them."""
+    lines = [areas.spawn.outline(k) for k in range(len(areas.spawn))]
+    return [dash for line in lines for dash in dashes(line, extent_m(scene) / _DASHES)]
+
+
+def dashes(line: Float[np.ndarray, "n 2"], length_m: float) -> list[Float[np.ndarray, "2 2"]]:
+    """A line as dashes of one length, about `length_m`, with as much between them."""
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    at = np.linspace(0, along[-1], 2 * max(4, round(along[-1] / (2 * _DASH_M))) + 1)
+    pairs = max(_LEAST_DASHES, round(along[-1] / (2 * length_m)))
+    at = np.linspace(0, along[-1], 2 * pairs + 1)
     points = np.stack([np.interp(at, along, line[:, k]) for k in (0, 1)], axis=1)
     return [points[k : k + 2] for k in range(0, len(points) - 1, 2)]
+
+
+def extent_m(scene: Scene) -> float:
+    """The longer side of the scene's bounds, metres."""
+    b = scene.bounds
+    return max(b.x_max_m - b.x_min_m, b.y_max_m - b.y_min_m)
 
 
 def _closed(polygon: Sequence[tuple[float, float]]) -> np.ndarray:
