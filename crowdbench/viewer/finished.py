@@ -1,11 +1,13 @@
 """A finished crowd in the viewer, or in a file for it."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crowdbench.errors import OutputError
 from crowdbench.files import replacing
 from crowdbench.scene import Scene
 from crowdbench.trajectories import Trajectories
@@ -58,6 +60,17 @@ def save(
         stream = new_stream(scene, title_of(crowd))
         stream.save(temporary, default_blueprint=_layout(scene, sides))
         _log(stream, scene, sides, person)
+        try:
+            stream.flush()
+        except RuntimeError as error:
+            raise OutputError(
+                path,
+                got=f"a file that could not be finished ({error})",
+                expected="room for the file",
+                mend="Free some, or name another folder.",
+            ) from error
+        finally:
+            stream.disconnect()
 
 
 def show(
@@ -78,6 +91,9 @@ def show(
     check_rerun()
     stream = open_stream(scene, title_of(crowd), _layout(scene, sides))
     _log(stream, scene, sides, person)
+    with suppress(RuntimeError):  # who closed the window wants to see no more
+        stream.flush()
+    stream.disconnect()
 
 
 def title_of(crowd: Trajectories) -> str:
@@ -124,5 +140,3 @@ def _log(
     log_outcomes(stream, crowd)
     if person is not None:
         log_chosen(stream, "simulation", crowd, scene, person)
-    stream.flush()
-    stream.disconnect()
