@@ -6,11 +6,13 @@ chunks; compare figures of one run with each other rather than across machines.
 
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, ClassVar
 
 import msgspec
@@ -109,6 +111,21 @@ def _large() -> Iterator[Figure]:
     reference = read_reference(scene)
     took_s = _once_s(_scoring(reference, crowds[1:]))
     yield Figure("scoring a rollout of GC, all metrics", took_s, "s")
+    yield from _viewing(scene, crowds[1])
+
+
+def _viewing(scene: Scene, crowd: Trajectories) -> Iterator[Figure]:
+    """A file for the viewer; nothing where rerun or the recording is missing."""
+    if find_spec("rerun") is None or not has_recording(scene):
+        return
+    from crowdbench.viewer import save
+
+    recording = recording_of(scene)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "crowd.rrd"
+        took_s = _once_s(partial(save, crowd, scene, path, against=recording))
+        yield Figure("viewer file of GC beside its recording", took_s, "s")
+        yield Figure("size of that file", path.stat().st_size / 1e6, "MB")
 
 
 def open_square(persons: int) -> Scene:

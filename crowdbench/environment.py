@@ -6,11 +6,12 @@ It adds names, dictionaries and a reward to `Simulation`, and no physics.
 import operator
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
-from gymnasium import spaces
+from gymnasium import logger, spaces
 from gymnasium.utils import seeding
+from jaxtyping import UInt8
 from pettingzoo import ParallelEnv
 
 from crowdbench.episode import Recorder, begin, check_capacity, check_horizon, warm_up_s
@@ -26,7 +27,11 @@ from crowdbench.spawn import SpawnEvents, SpawnModel
 from crowdbench.spawn.model import Start
 from crowdbench.trajectories import OUTCOMES, Trajectories
 
+if TYPE_CHECKING:
+    from crowdbench.viewer.renderer import Renderer, RenderMode
+
 LEAST_SLOTS = 512
+RENDER_MODES = ("human", "rgb_array")
 
 
 class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped
@@ -46,14 +51,16 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
       range are clipped; NaN or infinity, a missing agent, or one that is not there raise.
     - Reward: progress, arrival, overlap, walls and effort, see `crowdbench.rewards.Reward`; the
       parts stand in `infos` as `reward_parts`, in the order of `crowdbench.rewards.PARTS`.
+    - Rendering: with `render_mode="rgb_array"` a call of `render` gives a picture; with `"human"`
+      a rerun viewer shows each frame as it comes. Neither changes what happens.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
         "name": "crowdbench",
-        "render_modes": [],
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 10,  # of a video: four times as fast as the frames of most scenes
         "is_parallelizable": True,
     }
-    render_mode = None
 
     def __init__(
         self,
@@ -65,6 +72,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         settings: Settings,
         on_full: Literal["error", "drop"],
         reward: Reward,
+        render_mode: "RenderMode | None" = None,
     ) -> None:
         if on_full not in ("error", "drop"):
             raise SettingError("on_full", got=repr(on_full), expected="'error' or 'drop'")
@@ -72,8 +80,13 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             raise SettingError(
                 "start", got=repr(start), expected=f"one of {', '.join(get_args(Start))}"
             )
+        if render_mode not in (None, *RENDER_MODES):
+            raise SettingError(
+                "render_mode", got=repr(render_mode), expected="None, 'human' or 'rgb_array'"
+            )
         horizon_s = scene.horizon_s if horizon_s is None else horizon_s
         check_horizon(horizon_s)
+        self.render_mode = render_mode
         self.scene = scene
         self.spawn = spawn
         self.frames = scene.frames(horizon_s)
@@ -91,6 +104,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         self._action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._recorder: Recorder | None = None
         self._seed = 0
+        self._renderer = None if render_mode is None else _renderer(scene, spawn, render_mode)
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The same for each agent."""
@@ -123,6 +137,8 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         )
         self._recorder = Recorder(simulation)
         self._recorder.write()
+        if self._renderer is not None:
+            self._renderer.begin(self._recorder)
         skipped = self._skip_empty()
         self._check_capacity()
         self._there = simulation.slots.alive[0].nonzero()[0]
@@ -152,6 +168,8 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         simulation.step(commands)
         assert self._recorder is not None
         self._recorder.write()
+        if self._renderer is not None:
+            self._renderer.go_on(self._recorder)
 
         frame = int(simulation.clock.frame[0])
         observations = dict(zip(acting, simulation.observe()[0].take(acted, axis=0), strict=True))
@@ -203,11 +221,25 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         clock = self._simulation.clock
         return int(clock.no_slot[0] + clock.no_id[0])
 
-    def render(self) -> None:
-        """Draw nothing: there is no render mode yet."""
+    def render(self) -> UInt8[np.ndarray, "h w 3"] | None:
+        """The present frame as a picture, if `render_mode` is `rgb_array`.
+
+        With `human` there is nothing left to do: the viewer shows each frame when it comes.
+
+        Raises:
+            ActionError: before `reset`.
+        """
+        if self._renderer is None:
+            logger.warn("Without a render_mode, render draws nothing: make it with one.")
+            return None
+        if self._recorder is None:
+            raise ActionError("render", got="no episode", expected="a call of reset first")
+        return self._renderer.picture(self._recorder)
 
     def close(self) -> None:
-        """Hold nothing that needs closing."""
+        """Send the viewer what is left, if there is one; it stays open."""
+        if self._renderer is not None:
+            self._renderer.close()
 
     def _commands(self, actions: Mapping[str, np.ndarray]) -> np.ndarray:
         if not self.agents:
@@ -267,9 +299,12 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             simulation.skip_to(self.frames if due is None else min(due, self.frames))
             simulation.step(nobody)
         assert self._recorder is not None
-        if clock.frame[0] > first:
+        skipped = int(clock.frame[0]) - first
+        if skipped:
             self._recorder.write()
-        return int(clock.frame[0]) - first
+            if self._renderer is not None:
+                self._renderer.go_on(self._recorder, skipped)
+        return skipped
 
     def _names(self, slots: np.ndarray) -> list[str]:
         return [self.possible_agents[k] for k in self._simulation.slots.person[0, slots].tolist()]
@@ -296,6 +331,7 @@ def parallel_env(
     max_persons: int | None = None,
     on_full: Literal["error", "drop"] = "error",
     reward: Reward | None = None,
+    render_mode: "RenderMode | None" = None,
 ) -> CrowdParallelEnv:
     """Make a PettingZoo environment of a scene.
 
@@ -316,6 +352,9 @@ def parallel_env(
         on_full: what happens when either runs out: `error` raises, `drop` turns the person
             away and counts it in `env.dropped`.
         reward: weights of its parts, by default those of `Reward()`.
+        render_mode: `rgb_array` for pictures from `render`, or `human` for a rerun viewer that
+            shows what happens while it does (needs the extra `viewer`). If you log to rerun
+            yourself, the crowd joins your recording stream.
 
     Raises:
         SceneError, SettingError, WeightsError, RecordingError: what was asked for does not
@@ -347,7 +386,14 @@ def parallel_env(
         settings=settings,
         on_full=on_full,
         reward=reward or Reward(),
+        render_mode=render_mode,
     )
+
+
+def _renderer(scene: Scene, spawn: SpawnModel, mode: "RenderMode") -> "Renderer":
+    from crowdbench.viewer.renderer import Renderer
+
+    return Renderer(scene, mode, f"{spawn.name} × environment")
 
 
 def slots_for(events: SpawnEvents, scene: Scene) -> int:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Int
 from numpy.random import Generator, SeedSequence, default_rng
 
 from crowdbench.errors import ActionError, CapacityError, SettingError
@@ -181,6 +181,13 @@ class Recorder:
                 column.append(column[-1])
         self._xy.append(slots.position[0].take(self._there, axis=0))
         self._frame.append(int(clock.frame[0]))
+
+    def latest(self, frames: int) -> list[tuple[Int[np.ndarray, " _"], Float32[np.ndarray, "_ 2"]]]:
+        """Ids and positions of those who were there in the frames written last, the last one last.
+
+        Frames in which nobody was there are not all written.
+        """
+        return list(zip(self._person[-frames:], self._xy[-frames:], strict=True))
 
     def trajectories(self, provenance: dict[str, Any]) -> Trajectories:
         """The table of what was written down so far.

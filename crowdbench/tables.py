@@ -150,7 +150,11 @@ def read_own(path: Path) -> Trajectories:
     metadata = _own_metadata(path, _read_table(path))
     if metadata is None:
         raise RecordingError(
-            path, got="a table without crowdbench's metadata", expected="a file of crowdbench's"
+            path,
+            got="a table without crowdbench's metadata",
+            expected="a file of crowdbench's",
+            mend="Another program's table does not say its scene; name it, as in `crowdbench view "
+            "--scene eth-v0`, or `crowdbench score eth-v0`.",
         )
     return read(path, scene=metadata.scene, dt_s=metadata.dt_s)
 

@@ -58,6 +58,7 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.torchrl_env",
         "crowdbench.trajectories",
         "crowdbench.vec_env",
+        "crowdbench.viewer",
         "crowdbench.walks",
     ],
     "beartype.beartype",

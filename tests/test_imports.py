@@ -17,7 +17,8 @@ ORDER = (
     "scene", "spawn", "reference", "scoring_kernel", "scoring", "power", "cards", "simulation",
     "policies", "episode", "rollouts", "plaza", "registry", "demos", "fit", "spawn_check",
     "replay_check", "figures", "report", "jobs", "evaluation", "results", "ablation", "walks",
-    "steering", "rewards", "environment", "torchrl_env", "vec_env", "bench", "cli", "__main__",
+    "steering", "rewards", "viewer", "environment", "torchrl_env", "vec_env", "bench", "cli",
+    "__main__",
 )  # fmt: skip
 HEAVY = (
     "torch",
@@ -86,6 +87,11 @@ def test_modules_import_only_what_stands_to_their_left(path: Path) -> None:
     assert imported(path.read_text()) <= allowed
 
 
+def test_only_who_shows_something_imports_the_viewer() -> None:
+    users = {part_of(path) for path in MODULES if "viewer" in imported(path.read_text())}
+    assert users == {"viewer", "environment", "bench", "cli"}
+
+
 def test_the_walk_sees_imports_in_functions_and_not_those_for_types() -> None:
     code = (
         "from typing import TYPE_CHECKING\n"
@@ -152,6 +158,17 @@ def test_scoring_a_table_loads_neither_torch_nor_the_simulation(tmp_path: Path) 
 def test_the_environment_needs_no_torch() -> None:
     loaded = loaded_by("import crowdbench; crowdbench.parallel_env('plaza-v0').reset(seed=0)")
     assert "pettingzoo" in loaded
+    assert loaded & {"torch", "matplotlib", "rerun", "pyarrow", "crowdbench.viewer"} == set()
+
+
+def test_pictures_need_neither_matplotlib_nor_rerun() -> None:
+    loaded = loaded_by(
+        "import crowdbench\n"
+        "env = crowdbench.parallel_env('plaza-v0', render_mode='rgb_array')\n"
+        "env.reset(seed=0)\n"
+        "env.render()"
+    )
+    assert "PIL" in loaded
     assert loaded & {"torch", "matplotlib", "rerun", "pyarrow"} == set()
 
 

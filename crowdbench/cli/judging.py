@@ -12,6 +12,7 @@ from crowdbench.cli.printing import new_console, new_table, print_facts, progres
 if TYPE_CHECKING:
     from crowdbench.cards import Scorecard
     from crowdbench.cli.printing import Commands
+    from crowdbench.trajectories import Trajectories
 
 
 def add(commands: "Commands") -> None:
@@ -52,6 +53,11 @@ def add(commands: "Commands") -> None:
     )
     evaluate.add_argument("--workers", type=int, help="processes (default: one per core)")
     evaluate.add_argument("--out", type=Path, help="folder of the results (default: results/…)")
+    evaluate.add_argument(
+        "--view",
+        action="store_true",
+        help="open the viewer with the first rollout of each pair when all are made",
+    )
     evaluate.set_defaults(run=_evaluate)
 
     score = commands.add_parser("score", help="score trajectories that any simulator made")
@@ -66,7 +72,10 @@ def _evaluate(asked: argparse.Namespace) -> None:
     from crowdbench.evaluation import evaluate
 
     sys.path.insert(0, os.getcwd())  # one's own pkg.module:Class may lie beside
+    if asked.view:  # found out before minutes of rollouts
+        from crowdbench.viewer import check_screen
 
+        check_screen()
     when = time.strftime("%Y%m%d-%H%M%S")
     out = asked.out or Path("results") / f"{Path(asked.scene).name}-{when}"
     with progress_bar("rollouts") as progress:
@@ -84,6 +93,8 @@ def _evaluate(asked: argparse.Namespace) -> None:
     if any(entry.spawn == entry.policy == "replay" for entry in card.entries):
         _print_replay(asked.scene, out)
     print(f"written to {out}: report.html, scorecard.json, run.json, rollouts/ and pictures")
+    if asked.view:
+        _show_first(card, asked.scene, out)
 
 
 def _print_card(card: "Scorecard") -> None:
@@ -160,6 +171,24 @@ def _print_replay(scene: str, out: Path) -> None:
     print_facts("replay against the recording", compare_replay(recording, walked, place))
     print_facts("what the arrival rule would change", arrival_rule_changes(recording, place))
     print()
+
+
+def _show_first(card: "Scorecard", named: str, out: Path) -> None:
+    """Show the first rollout of each pair beside the recording, where that is at hand."""
+    from crowdbench.evaluation import has_recording
+    from crowdbench.registry import recording_of
+    from crowdbench.scene import load_scene
+    from crowdbench.tables import read_own
+    from crowdbench.viewer import show
+
+    scene = load_scene(named)
+    against = recording_of(scene) if has_recording(scene) else None
+    first: dict[tuple[str, str], Trajectories] = {}
+    for path in sorted((out / "rollouts").glob("*_0.parquet")):
+        crowd = read_own(path)
+        first.setdefault((crowd.provenance["spawn"], crowd.provenance["policy"]), crowd)
+    for entry in card.entries:
+        show(first[entry.spawn, entry.policy], scene, against=against)
 
 
 def _score(asked: argparse.Namespace) -> None:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crowdbench.figures.sight import COLOURS, Curves, Group, Sight
+from crowdbench.figures.sight import Curves, Group, Sight, goal_colour
 from crowdbench.scene import Scene
 from crowdbench.simulation.simulation import TIMEOUT_DWELLS
 from crowdbench.spawn.areas import Gaussians
@@ -186,7 +186,7 @@ def paths(axis: "Axes", sight: Sight, crowd: Trajectories) -> None:
     """The ways of a crowd's first people, each in its goal area's colour."""
     place(axis, sight.scene)
     for p in range(min(len(crowd), MOST_PATHS)):
-        colour = COLOURS[crowd.goal_area[p] % len(COLOURS)]
+        colour = goal_colour(int(crowd.goal_area[p]))
         axis.plot(*crowd.path(p).T, color=colour, linewidth=0.5, alpha=0.5)
     goal_ellipses(axis, sight)
     for k in range(len(sight.areas.spawn)):
@@ -196,14 +196,12 @@ def paths(axis: "Axes", sight: Sight, crowd: Trajectories) -> None:
 def goal_ellipses(axis: "Axes", sight: Sight) -> None:
     """Each goal area in its colour."""
     for k in range(len(sight.areas.goal)):
-        ellipse(axis, sight.areas.goal, k, color=COLOURS[k % len(COLOURS)], linewidth=1.8)
+        ellipse(axis, sight.areas.goal, k, color=goal_colour(k), linewidth=1.8)
 
 
 def ellipse(axis: "Axes", gaussians: Gaussians, k: int, **style: Any) -> None:
     """Two standard deviations around an area's centre."""
-    root = np.linalg.cholesky(gaussians.covariance[k])
-    angle = np.linspace(0, 2 * np.pi, 60)
-    axis.plot(*(gaussians.mean[k][:, None] + 2 * root @ [np.cos(angle), np.sin(angle)]), **style)
+    axis.plot(*gaussians.outline(k).T, **style)
 
 
 def flows(axis: "Axes", sight: Sight, share: np.ndarray) -> None:
@@ -227,7 +225,7 @@ def flows(axis: "Axes", sight: Sight, share: np.ndarray) -> None:
                 "markerfacecolor": "none",
                 "markeredgewidth": width,
             }
-            axis.plot(*start, "o", color=COLOURS[g % len(COLOURS)], alpha=0.8, **ring)
+            axis.plot(*start, "o", color=goal_colour(g), alpha=0.8, **ring)
             continue
         axis.add_patch(
             FancyArrowPatch(
@@ -236,7 +234,7 @@ def flows(axis: "Axes", sight: Sight, share: np.ndarray) -> None:
                 connectionstyle=f"arc3,rad={_BEND}",
                 arrowstyle=f"simple,tail_width={width:.3f},head_width={width + 4:.3f},"
                 f"head_length={4 + width / 2:.3f}",
-                color=COLOURS[g % len(COLOURS)],
+                color=goal_colour(g),
                 linewidth=0,
                 alpha=0.8,
                 shrinkA=3,
@@ -252,7 +250,7 @@ def flows(axis: "Axes", sight: Sight, share: np.ndarray) -> None:
                 path_effects=[withStroke(linewidth=2.5, foreground="white")],
             )  # fmt: skip
     for g in range(len(goal)):
-        axis.plot(*goal.mean[g], "o", color=COLOURS[g % len(COLOURS)], markersize=6,
+        axis.plot(*goal.mean[g], "o", color=goal_colour(g), markersize=6,
                   markeredgecolor="white", markeredgewidth=0.8)  # fmt: skip
 
 

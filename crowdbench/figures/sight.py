@@ -29,6 +29,11 @@ _LONGEST_LAG_S = 120.0
 _TAILS = (100 * LEVEL / 2, 100 * (1 - LEVEL / 2))
 
 
+def goal_colour(area: int) -> str:
+    """The colour of a goal area and of all who walk there, `#RRGGBB`."""
+    return COLOURS[area % len(COLOURS)]
+
+
 @dataclass(frozen=True, eq=False)
 class Group:
     """Rollouts of one pair, and how they are drawn: a colour per spawn model, dashes per policy."""

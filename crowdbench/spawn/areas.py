@@ -65,6 +65,13 @@ class Gaussians:
             mend="Check the bounds and walls, or fit the scene again.",
         )
 
+    def outline(self, area: int) -> Float[np.ndarray, "60 2"]:
+        """The line two standard deviations around an area's centre, metres, closed."""
+        root = np.linalg.cholesky(self.covariance[area])
+        angle = np.linspace(0, 2 * np.pi, 60)
+        circle = np.array([np.cos(angle), np.sin(angle)])
+        return (self.mean[area][:, None] + 2 * root @ circle).T
+
     def likeliest(self, points: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
         """The area under whose Gaussian each point is the most probable."""
         from scipy.stats import multivariate_normal

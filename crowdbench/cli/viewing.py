@@ -1,0 +1,73 @@
+"""`view`: look at a crowd."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+    from crowdbench.scene import Scene
+    from crowdbench.trajectories import Trajectories
+
+
+def add(commands: "Commands") -> None:
+    """Add it to the command line."""
+    view = commands.add_parser("view", help="look at a crowd in the rerun viewer")
+    view.add_argument(
+        "table",
+        type=Path,
+        metavar="ROLLOUT.parquet",
+        help="a rollout; with --scene any CSV or Parquet with person_id, frame (or time_s), x, y",
+    )
+    view.add_argument(
+        "--against",
+        metavar="recording|TABLE",
+        help="what to show beside it on the same clock: the scene's recording, or another table",
+    )
+    view.add_argument(
+        "--scene", help="id of a scene, or its folder (default: the one that the rollout names)"
+    )
+    view.add_argument(
+        "--person", type=int, metavar="ID", help="show what this person sees by its rays"
+    )
+    view.add_argument(
+        "--save",
+        type=Path,
+        metavar="FILE.rrd",
+        help="write a file that `rerun FILE.rrd` opens, instead of opening the viewer",
+    )
+    view.set_defaults(run=_view)
+
+
+def _view(asked: argparse.Namespace) -> None:
+    from crowdbench.scene import load_scene
+    from crowdbench.tables import read_own
+    from crowdbench.viewer import save, show
+
+    if asked.scene is None:
+        crowd = read_own(asked.table)
+        scene = load_scene(crowd.scene)
+    else:
+        scene = load_scene(asked.scene)
+        crowd = _read(asked.table, scene)
+    against = None if asked.against is None else _against(asked.against, scene)
+    if asked.save:
+        save(crowd, scene, asked.save, against=against, person=asked.person)
+        print(f"written to {asked.save}: open it with `rerun {asked.save}`")
+    else:
+        show(crowd, scene, against=against, person=asked.person)
+
+
+def _against(named: str, scene: "Scene") -> "Trajectories":
+    from crowdbench.registry import recording_of
+
+    return recording_of(scene) if named == "recording" else _read(Path(named), scene)
+
+
+def _read(path: Path, scene: "Scene") -> "Trajectories":
+    from crowdbench.tables import read
+    from crowdbench.viewer.place import areas_of
+
+    crowd = read(path, scene=scene.id, dt_s=scene.dt_s)
+    areas = areas_of(scene)  # another simulator knows no areas: they give people their colours
+    return crowd if areas is None else areas.assign(crowd)

@@ -1,0 +1,88 @@
+"""Whether there is a rerun to log to, and a stream of it."""
+
+import os
+import socket
+import sys
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+from crowdbench.errors import SettingError
+from crowdbench.scene import Scene
+
+if TYPE_CHECKING:
+    from rerun import RecordingStream
+    from rerun.blueprint import Blueprint
+
+PORT = 9876
+"""Where viewers listen."""
+
+
+def new_stream(scene: Scene, title: str) -> "RecordingStream":
+    """A stream for one recording of the viewer, which has a layout for each scene."""
+    import rerun as rr
+
+    stream = rr.RecordingStream(f"crowdbench {scene.id}")
+    stream.send_recording_name(title)
+    return stream
+
+
+def open_stream(scene: Scene, title: str, first_look: "Blueprint") -> "RecordingStream":
+    """A stream to a viewer: the one that is open, or a new window.
+
+    Raises:
+        SettingError: there can be none, see `check_screen`, or the window did not open.
+    """
+    check_screen()
+    stream = new_stream(scene, title)
+    stream.spawn(port=PORT, connect=False)
+    if not _listens():
+        raise _no_screen("a window that did not open")
+    address = f"rerun+http://127.0.0.1:{PORT}/proxy"
+    stream.connect_grpc(address, default_blueprint=first_look)
+    return stream
+
+
+def check_rerun() -> None:
+    """Raise where rerun is not installed.
+
+    Raises:
+        SettingError: it is not.
+    """
+    if find_spec("rerun") is None:
+        raise SettingError(
+            "the viewer",
+            got="no rerun",
+            expected="rerun, which draws",
+            mend='Install it: pip install "crowdbench[viewer]".',
+        )
+
+
+def check_screen() -> None:
+    """Raise where the viewer cannot open.
+
+    Raises:
+        SettingError: rerun is not installed, or there is neither a screen nor a viewer that
+            listens already.
+    """
+    check_rerun()
+    screen = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    if sys.platform.startswith("linux") and not screen and not _listens():
+        raise _no_screen("no screen")
+
+
+def _no_screen(got: str) -> SettingError:
+    return SettingError(
+        "the viewer",
+        got=got,
+        expected="a screen with room for its window",
+        mend="Write a file with `crowdbench view … --save crowd.rrd` and open it with `rerun "
+        "crowd.rrd` where there is a screen, or start `rerun --serve-web` here first and look at "
+        "it in a browser.",
+    )
+
+
+def _listens() -> bool:
+    """Whether a viewer is open already, be it at the other end of a tunnel."""
+    with socket.socket() as probe:
+        probe.settimeout(0.2)
+        return probe.connect_ex(("127.0.0.1", PORT)) == 0

@@ -1,0 +1,128 @@
+"""One chosen person: what it sees by its rays, and the way it walks."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float32
+
+from crowdbench.errors import SettingError
+from crowdbench.scene import Scene
+from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation.lidar import OBSERVATIONS
+from crowdbench.simulation.state import GOAL
+from crowdbench.trajectories import Trajectories
+from crowdbench.viewer.crowd import time_columns
+from crowdbench.viewer.place import WORLD
+
+if TYPE_CHECKING:
+    from rerun import RecordingStream
+
+_HIT, _FREE = (255, 235, 130, 200), (255, 235, 130, 50)
+_WHITE = (255, 255, 255)
+
+
+def index_of(person_id: int, crowd: Trajectories) -> int:
+    """Index of the person in the table.
+
+    Raises:
+        SettingError: nobody has that id.
+    """
+    found = np.flatnonzero(crowd.person_id == person_id)
+    if not len(found):
+        raise SettingError(
+            "person",
+            got=str(person_id),
+            expected=f"an id from the table, {crowd.person_id.min()} to {crowd.person_id.max()}",
+            mend="The viewer's log and what it shows under the cursor tell ids.",
+        )
+    return int(found[0])
+
+
+def log_chosen(
+    stream: "RecordingStream", side: str, crowd: Trajectories, scene: Scene, person_id: int
+) -> None:
+    """Log a person's rays, frame by frame, and its whole way while it is there.
+
+    Raises:
+        SettingError: nobody has that id.
+    """
+    import rerun as rr
+
+    chosen = index_of(person_id, crowd)
+    settings = Settings(max_alive=int(crowd.present().max()))
+    length = ray_lengths(crowd, chosen, scene, settings)
+    path = crowd.path(chosen)
+    angle = 2 * np.pi * np.arange(settings.rays) / settings.rays
+    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    ends = path[:, None] + length[..., None] * way
+    strips = np.stack([np.broadcast_to(path[:, None], ends.shape), ends], axis=2)
+    met = (length < settings.ray_range_m).ravel()
+    # One frame more, without any: rays go when the person does.
+    count = np.append(np.full(len(path), settings.rays), 0)
+    times = time_columns(crowd.first[chosen] + np.arange(len(path) + 1), crowd.dt_s)
+    where = f"{WORLD}/{side}/chosen"
+    rays = rr.LineStrips2D.columns(
+        strips=strips.reshape(-1, 2, 2).astype(np.float32),
+        colors=np.where(met[:, None], _HIT, _FREE).astype(np.uint8),
+    )
+    stream.send_columns(f"{where}/rays", times, rays.partition(count))
+    thin = rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(0.5), draw_order=0.0)
+    stream.log(f"{where}/rays", thin, static=True)
+    ring = rr.Points2D.columns(positions=path)
+    stream.send_columns(f"{where}/ring", times, ring.partition(np.minimum(count, 1)))
+    wide = rr.Points2D.from_fields(
+        radii=1.5 * scene.motion.person_radius_m, colors=_WHITE, draw_order=1.5
+    )
+    stream.log(f"{where}/ring", wide, static=True)
+    _log_way(stream, where, crowd, chosen)
+
+
+def _log_way(stream: "RecordingStream", where: str, crowd: Trajectories, chosen: int) -> None:
+    import rerun as rr
+
+    path = crowd.path(chosen)
+    ends = time_columns(
+        crowd.first[chosen] + np.array([0, len(path)]), crowd.dt_s
+    )  # comes and goes with the person
+    there = np.array([1, 0])
+    way = rr.LineStrips2D.columns(strips=path[None])
+    stream.send_columns(f"{where}/way", ends, way.partition(there))
+    thin = rr.LineStrips2D.from_fields(
+        radii=rr.Radius.ui_points(0.75), colors=_WHITE, draw_order=0.5
+    )
+    stream.log(f"{where}/way", thin, static=True)
+    what = "goal" if crowd.outcome[chosen] == GOAL else "end"
+    end = rr.Points2D.columns(
+        positions=path[-1:], labels=[f"{what} of person {crowd.person_id[chosen]}"]
+    )
+    stream.send_columns(f"{where}/goal", ends, end.partition(there))
+    dot = rr.Points2D.from_fields(
+        radii=rr.Radius.ui_points(4.0), colors=_WHITE, show_labels=True, draw_order=3.0
+    )
+    stream.log(f"{where}/goal", dot, static=True)
+
+
+def ray_lengths(
+    crowd: Trajectories, chosen: int, scene: Scene, settings: Settings
+) -> Float32[np.ndarray, "n R"]:
+    """How far the person at index `chosen` sees along each ray, in each frame of its life, metres.
+
+    The environment's own kernel looks at the crowd of the table. As there, nobody sees who has
+    just ended, and who has just ended sees the crowd of before the entries.
+    """
+    simulation = Simulation(scene, settings=settings)
+    slots, head = simulation.slots, OBSERVATIONS[settings.observation]
+    last, final = crowd.last, crowd.frames - 1
+    seen = np.empty((len(crowd.path(chosen)), settings.rays), np.float32)
+    for k, frame in enumerate(range(crowd.first[chosen], last[chosen] + 1)):
+        here = np.flatnonzero((crowd.first <= frame) & (frame <= last))
+        n = len(here)
+        ends = (last[here] == frame) & crowd.left[here] & (frame < final)
+        slots.alive[0] = slots.spawned[0] = slots.ended[0] = 0
+        slots.alive[0, :n] = ~ends
+        slots.ended[0, :n] = np.where(ends, GOAL, 0)
+        slots.spawned[0, :n] = crowd.entered[here] & (crowd.first[here] == frame)
+        slots.position[0, :n] = crowd.xy[crowd.offsets[here] + frame - crowd.first[here]]
+        slot = int(np.searchsorted(here, chosen))
+        seen[k] = simulation.observe()[0, slot, head:]
+    return seen * np.float32(settings.ray_range_m)

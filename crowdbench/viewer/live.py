@@ -1,0 +1,109 @@
+"""An environment in the viewer, frame by frame as it is stepped."""
+
+from contextlib import suppress
+
+import numpy as np
+
+from crowdbench.scene import Scene
+from crowdbench.viewer.access import open_stream
+from crowdbench.viewer.crowd import WINDOW, class_of, ending, log_looks, log_series
+from crowdbench.viewer.finished import SERIES
+from crowdbench.viewer.layout import layout
+from crowdbench.viewer.now import Now
+from crowdbench.viewer.place import WORLD, log_place
+
+_SIDE = "simulation"
+
+
+class Live:
+    """Logs to the user's recording stream where there is one, else to a viewer that it opens.
+
+    Episodes follow each other on one clock.
+    """
+
+    def __init__(self, scene: Scene, title: str) -> None:
+        """Open the viewer and log the place.
+
+        Raises:
+            SettingError: there is no stream, and the viewer cannot open.
+        """
+        import rerun as rr
+
+        self._scene = scene
+        self._begun = 0  # frame of the clock at which the episode began
+        self._until = 0
+        self._window, self._spawned = 0, 0
+        given = rr.get_data_recording()
+        first_look = layout(scene, {_SIDE: title}, length_s=None, most={})
+        if given is not None:
+            self._stream = given
+            given.send_blueprint(first_look, make_active=False)
+        else:
+            self._stream = open_stream(scene, title, first_look)
+        log_place(self._stream, scene)
+        log_looks(self._stream, _SIDE, scene)
+        dot = rr.Points2D.from_fields(radii=rr.Radius.ui_points(2.0), show_labels=False)
+        self._stream.log(f"{WORLD}/{_SIDE}/goals", dot, static=True)
+        log_series(self._stream, _SIDE, SERIES[0])
+
+    def begin(self) -> None:
+        """An episode begins, after what was logged before."""
+        self._log_spawns(self._until)
+        self._begun = self._until
+
+    def log(self, now: Now, skipped: int = 0) -> None:
+        """Log a frame; `skipped` frames before it nobody was there."""
+        import rerun as rr
+
+        frame = self._begun + now.frame
+        if skipped:
+            self._at(frame - skipped + 1)
+            self._log_people(None)
+        self._log_spawns(frame)
+        if now.frame > 0:  # who is there from the start has not come
+            self._spawned += int(now.spawned.sum())
+        self._until = frame + 1
+        self._at(frame)
+        self._log_people(now)
+        for k in np.flatnonzero(now.ended).tolist():
+            from_s, to_s = (f * self._scene.dt_s for f in (self._begun + int(now.born[k]), frame))
+            text, level = ending(int(now.person_id[k]), int(now.ended[k]), from_s, to_s)
+            self._stream.log("outcomes", rr.TextLog(text, level=level))
+
+    def close(self) -> None:
+        """Send what is left; the viewer stays open."""
+        with suppress(RuntimeError):  # who closed the window wants to see no more
+            self._stream.flush()
+
+    def _log_people(self, now: Now | None) -> None:
+        import rerun as rr
+
+        stream, where = self._stream, f"{WORLD}/{_SIDE}"
+        there = 0 if now is None else len(now.xy)
+        stream.log(f"agents/{_SIDE}", rr.Scalars(float(there)))
+        if now is None:
+            for name in ("people", "trails", "goals"):
+                stream.log(f"{where}/{name}", rr.Clear(recursive=False))
+            return
+        goal = class_of(now.goal_area)
+        # Fields one by one: what is not named here stays as it was logged for all times.
+        stream.log(
+            f"{where}/people",
+            rr.Points2D.from_fields(positions=now.xy, class_ids=goal),
+            rr.AnyValues(person_id=now.person_id.astype(np.int64)),
+        )
+        stream.log(f"{where}/trails", rr.LineStrips2D.from_fields(strips=now.trail, class_ids=goal))
+        stream.log(f"{where}/goals", rr.Points2D.from_fields(positions=now.goal, class_ids=goal))
+
+    def _log_spawns(self, frame: int) -> None:
+        """Log the windows that have gone by."""
+        import rerun as rr
+
+        while (self._window + 1) * WINDOW <= frame:
+            self._at(self._window * WINDOW)
+            self._stream.log(f"spawns/{_SIDE}", rr.Scalars(float(self._spawned)))
+            self._window, self._spawned = self._window + 1, 0
+
+    def _at(self, frame: int) -> None:
+        self._stream.set_time("time", duration=frame * self._scene.dt_s)
+        self._stream.set_time("frame", sequence=frame)

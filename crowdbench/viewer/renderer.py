@@ -1,0 +1,66 @@
+"""What an environment's `render_mode` stands for."""
+
+from typing import Literal
+
+import numpy as np
+from jaxtyping import UInt8
+
+from crowdbench.episode import Recorder
+from crowdbench.scene import Scene
+from crowdbench.viewer.access import check_rerun
+from crowdbench.viewer.crowd import trail_steps
+from crowdbench.viewer.live import Live
+from crowdbench.viewer.now import Now
+from crowdbench.viewer.picture import Pictures
+
+RenderMode = Literal["human", "rgb_array"]
+
+
+class Renderer:
+    """Shows an environment as it goes on; it reads what the environment wrote down, no more."""
+
+    def __init__(self, scene: Scene, mode: RenderMode, title: str) -> None:
+        """Open nothing yet.
+
+        Raises:
+            SettingError: mode `human`, and rerun is not installed.
+        """
+        if mode == "human":
+            check_rerun()
+        self._scene, self._mode, self._title = scene, mode, title
+        self._live: Live | None = None
+        self._pictures: Pictures | None = None
+
+    def begin(self, recorder: Recorder) -> None:
+        """Show the first frame of an episode, if the mode is `human`.
+
+        Raises:
+            SettingError: there is no screen.
+        """
+        if self._mode == "human":
+            if self._live is None:
+                self._live = Live(self._scene, self._title)
+            self._live.begin()
+            self._live.log(self._now(recorder))
+
+    def go_on(self, recorder: Recorder, skipped: int = 0) -> None:
+        """Show the next frame, if the mode is `human`; in `skipped` before it nobody was there."""
+        if self._live is not None:
+            self._live.log(self._now(recorder), skipped)
+
+    def picture(self, recorder: Recorder) -> UInt8[np.ndarray, "h w 3"] | None:
+        """The present frame as pixels, if the mode is `rgb_array`."""
+        if self._mode != "rgb_array":
+            return None
+        if self._pictures is None:
+            self._pictures = Pictures(self._scene)
+        return self._pictures.draw(self._now(recorder))
+
+    def close(self) -> None:
+        """Send the viewer what is left; it stays open."""
+        if self._live is not None:
+            self._live.close()
+
+    def _now(self, recorder: Recorder) -> Now:
+        past = recorder.latest(trail_steps(self._scene.dt_s) + 1)
+        return Now.of(recorder.simulation, past)
