@@ -31,13 +31,16 @@ from crowdbench import Demonstrations, demonstrations
 from crowdbench.errors import CrowdbenchError
 from crowdbench.simulation.lidar import GOAL_RANGE_M
 
-OBSERVATION = "lidar-3"
+OBSERVATIONS = ("lidar-3", "lidar-2")
+"""What can be cloned from. Where goals lie along the bounds, only who sees these gets there; where
+they do not, a small recording is more easily learned by heart by who knows where it is."""
 
 
 @dataclass(frozen=True)
 class Settings:
     """How a policy is cloned."""
 
+    observation: str = OBSERVATIONS[0]
     hidden: tuple[int, ...] = (32, 32)
     learning_rate: float = 1e-4
     batch_size: int = 32
@@ -120,7 +123,7 @@ def shown(scene: str, part: str, settings: Settings) -> list[Demonstrations]:
         demonstrations(
             scene,
             part=part,
-            observation=OBSERVATION,
+            observation=settings.observation,
             displaced_m=settings.displaced_m,
             seed=settings.seed + k,
         )
@@ -199,7 +202,7 @@ def _likelihood(policy: MixturePolicy, seen: torch.Tensor, did: torch.Tensor) ->
 
 
 def add_settings(parser: argparse._ActionsContainer, prefix: str = "") -> None:
-    """Give a parser the options of `Settings`, but for the seed."""
+    """Give a parser the options of `Settings`, but for the observation and the seed."""
     default = Settings()
     parser.add_argument(f"--{prefix}hidden", nargs="+", type=int, default=list(default.hidden))
     for name in SETTABLE:
@@ -220,16 +223,19 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--scene", required=True)
     parser.add_argument("--parts", nargs="+", default=["full"], metavar="PART")
     add_settings(parser)
+    parser.add_argument("--observation", choices=OBSERVATIONS, default=OBSERVATIONS[0])
     parser.add_argument("--seed", type=int, default=Settings.seed)
     parser.add_argument("--out", type=Path, help="folder (default: results/bc-SCENE)")
     asked = parser.parse_args(arguments)
-    settings = replace(settings_from(asked), seed=asked.seed)
+    settings = replace(settings_from(asked), observation=asked.observation, seed=asked.seed)
     try:
         check(settings)
         command = Command.of("bc", asked.scene, asked.parts, asked.out, arguments)
         for part in asked.parts:
             policy, likelihood, epochs = clone(shown(asked.scene, part, settings), settings)
-            path = command.write(part, Sampler(policy), observation=OBSERVATION, noise=NOISE)
+            path = command.write(
+                part, Sampler(policy), observation=settings.observation, noise=NOISE
+            )
             print(f"{path}: {likelihood:.4f} nats per action after {epochs} epochs")
     except CrowdbenchError as error:
         print(f"baselines.bc: {error}", file=sys.stderr)

@@ -43,7 +43,6 @@ from crowdbench.files import replacing
 from crowdbench.scene import Scene
 from crowdbench.vec_env import LivesVecEnv
 
-OBSERVATION = bc.OBSERVATION
 CHANGES = 10.0
 """How much larger the discriminator sees changes of velocity, which are small, than velocities."""
 AGAINST = 10.0
@@ -55,6 +54,7 @@ class Settings:
     """How a policy is trained; how it is cloned first stands in `baselines.bc`."""
 
     spawn: str = "ntpp-gmm"
+    observation: str = bc.OBSERVATIONS[0]
     persons: int = 64
     """Sub-environments."""
     steps: int = 500_000
@@ -76,12 +76,15 @@ class Settings:
 class Discriminator(RewardNet):
     """Log-odds that a person who does this in this situation is a recorded one.
 
-    What it need not learn is that nobody recorded walks out of the bounds: so rare an end, even if
-    it is one life in ten, it would learn too slowly.
+    Where they see the bounds it need not learn that nobody recorded walks out of them: so rare an
+    end, even if it is one life in ten, it would learn too slowly.
     """
 
-    def __init__(self, observation_space: Any, action_space: Any, hidden: int) -> None:
+    def __init__(
+        self, observation_space: Any, action_space: Any, hidden: int, *, bounds: bool
+    ) -> None:
         super().__init__(observation_space, action_space)
+        self.bounds = bounds
         numbers = observation_space.shape[0] + 4
         self.layers = nn.Sequential(
             nn.Linear(numbers, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh(),
@@ -92,8 +95,9 @@ class Discriminator(RewardNet):
         """Of states (A, obs) and actions (A, 2); shape (A,)."""
         change = CHANGES * (action - state[:, :2])
         odds = self.layers(torch.cat([state, action, change], dim=1))[:, 0]
-        outside = (next_state[:, BOUNDS] <= 0).any(dim=1)
-        return odds - AGAINST * outside
+        if not self.bounds:
+            return odds
+        return odds - AGAINST * (next_state[:, BOUNDS] <= 0).any(dim=1)
 
 
 class FairGAIL(GAIL):
@@ -110,10 +114,10 @@ class Learner:
 
     name = "learner"
     sees: ClassVar[Literal["observation"]] = "observation"
-    observation = OBSERVATION
 
-    def __init__(self, policy: MixturePolicy) -> None:
+    def __init__(self, policy: MixturePolicy, observation: str) -> None:
         self.sampler = Sampler(policy)
+        self.observation = observation
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
         """Draw from `rng` from now on."""
@@ -171,7 +175,7 @@ def train(
         settings.persons,
         spawn=spawn_model(settings.spawn, scene, part),
         horizon_s=settings.horizon_s,
-        observation=OBSERVATION,
+        observation=settings.observation,
         seed=seed,
     )
     venv = Outcomes(lives)
@@ -191,15 +195,20 @@ def train(
         policy_kwargs={"net_arch": [layer.out_features for layer in _hidden(policy)]},
     )
     generator.policy.load_state_dict(policy.state_dict())
-    lives.others = Learner(generator.policy)
+    lives.others = Learner(generator.policy, settings.observation)
     size = min(settings.discriminator_batch, per_round)
-    shown = demonstrations(scene, part=part, observation=OBSERVATION)
+    shown = demonstrations(scene, part=part, observation=settings.observation)
     trainer = FairGAIL(
         demonstrations=experts(shown, size, rng),
         demo_batch_size=size,
         venv=venv,
         gen_algo=generator,
-        reward_net=Discriminator(venv.observation_space, venv.action_space, settings.discriminator),
+        reward_net=Discriminator(
+            venv.observation_space,
+            venv.action_space,
+            settings.discriminator,
+            bounds=settings.observation == "lidar-3",
+        ),
         disc_opt_kwargs={"lr": settings.discriminator_rate},
         gen_replay_buffer_capacity=8 * per_round,
         n_disc_updates_per_round=settings.discriminator_updates,
@@ -233,6 +242,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, default=default.steps)
     parser.add_argument("--persons", type=int, default=default.persons)
     parser.add_argument("--spawn", default=default.spawn)
+    parser.add_argument("--observation", choices=bc.OBSERVATIONS, default=default.observation)
     parser.add_argument("--horizon-s", type=float, default=default.horizon_s)
     parser.add_argument("--learning-rate", type=float, default=default.learning_rate)
     parser.add_argument("--discriminator-rate", type=float, default=default.discriminator_rate)
@@ -241,9 +251,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="folder (default: results/gail-SCENE)")
     asked = parser.parse_args(arguments)
-    names = ("steps", "persons", "spawn", "horizon_s", "learning_rate", "discriminator_rate")
+    names = ("steps", "persons", "spawn", "observation", "horizon_s", "learning_rate",
+             "discriminator_rate")  # fmt: skip
     settings = replace(default, **{name: getattr(asked, name) for name in names})
-    first = replace(bc.settings_from(asked, "cloning_"), seed=asked.seed)
+    first = bc.settings_from(asked, "cloning_")
+    first = replace(first, observation=settings.observation, seed=asked.seed)
     try:
         check_numbers(settings, or_zero=("learning_rate", "gamma"))
         bc.check(first)
@@ -252,7 +264,9 @@ def main(arguments: list[str] | None = None) -> int:
         for part in asked.parts:
             policy, _, _ = bc.clone(bc.shown(asked.scene, part, first), first)
             curves = _watched(train(asked.scene, part, policy, settings, asked.seed))
-            path = command.write(part, Sampler(policy), observation=OBSERVATION, noise=NOISE)
+            path = command.write(
+                part, Sampler(policy), observation=settings.observation, noise=NOISE
+            )
             _write(curves, path.with_suffix(".csv"))
             print(path)
     except CrowdbenchError as error:

@@ -23,7 +23,7 @@ from crowdbench.simulation import Settings
 from crowdbench.simulation.lidar import GOAL_RANGE_M
 
 SELF = 6
-"""Values of a `lidar-3` observation before its distances, to bounds and along rays."""
+"""Values of an observation before its distances, to bounds and along rays."""
 BOUNDS = slice(SELF, 10)
 RAY_RANGE_M = Settings().ray_range_m
 NEAR_GOAL_M = 2.0
@@ -41,10 +41,10 @@ between two annotations, makes up all of the likelihood, and nobody turns to the
 
 
 class Scales(BaseFeaturesExtractor):
-    """A `lidar-3` observation, and of what is in it what a small network would not find by itself.
+    """An observation, and of what is in it what a small network would not find by itself.
 
-    That is the change of velocity that would lead to the goal at the preferred speed, the way to
-    the goal where it is near, and how near each bound is and each ray ends.
+    It may be `lidar-2` or `lidar-3`. That is the change of velocity that would lead to the goal at the preferred speed, the way to
+    the goal where it is near, and how near each ray ends and, if it is seen, each bound is.
     """
 
     def __init__(self, observation_space: spaces.Box) -> None:
