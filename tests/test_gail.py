@@ -58,6 +58,18 @@ def test_the_reward_is_the_discriminators_log_odds() -> None:
     assert gail.FairGAIL.reward_train.fget is not gail.GAIL.reward_train.fget
 
 
+def test_who_walks_out_of_bounds_that_it_sees_was_not_recorded() -> None:
+    space = spaces.Box(-1.0, 1.0, (42,), np.float32), spaces.Box(-1.0, 1.0, (2,), np.float32)
+    net = gail.Discriminator(*space, 8, bounds=True)
+    seen, act, over = torch.rand(3, 42), torch.rand(3, 2), torch.zeros(3)
+    after = torch.rand(3, 42) + 0.01
+    inside = net(seen, act, after, over)
+    after[1, 8] = 0.0  # beyond the southern bound
+    after[2, 20] = 0.0  # at a wall
+    odds = net(seen, act, after, over) - inside
+    torch.testing.assert_close(odds, torch.tensor([0.0, -gail.AGAINST, 0.0]))
+
+
 def test_training_changes_the_policy_and_the_same_seed_changes_it_alike() -> None:
     first, again, other = fresh(), fresh(), fresh()
     rows = [list(gail.train("plaza-v0", "full", p, TINY, seed)) for p, seed in
