@@ -225,13 +225,16 @@ def list_scenes() -> list[str]:
 def load_scene(scene: str | Path | Scene) -> Scene:
     """A scene by its id, or from a folder that holds a `scene.toml`.
 
+    A folder in the working directory whose name is an id is found by it too, unless a scene of
+    that id comes with crowdbench.
+
     Raises:
         SceneError: there is no such scene, or its file is broken or contradicts itself.
     """
     if isinstance(scene, Scene):
         return scene
     folder = Path(scene)
-    if _ID.fullmatch(str(scene)):
+    if _ID.fullmatch(str(scene)) and (scenes_folder() / str(scene)).is_dir():
         folder = scenes_folder() / str(scene)
     if not (folder / "scene.toml").is_file():
         raise SceneError(

@@ -27,7 +27,7 @@ from crowdbench.processes import checked_workers
 from crowdbench.recordings import own
 from crowdbench.recordings.catalogue import cached
 from crowdbench.registry import recording_of
-from crowdbench.scene import Recording, Scene, load_scene, write_scored
+from crowdbench.scene import Recording, Scene, list_scenes, load_scene, write_scored
 from crowdbench.trajectories import Trajectories
 
 _ID = re.compile(r"([a-z][a-z0-9_]*)-v[0-9]+")
@@ -108,6 +108,10 @@ def _checked(name: str, place: Path, fits: int | None, rollouts_per_fit: int | N
         raise SettingError(
             "scene", got=f"the name {name!r}", expected="small letters, digits and _, then -v0"
         )
+    if name in list_scenes():
+        raise SettingError(
+            "scene", got=f"the name {name}, of a scene that comes with crowdbench", expected="yours"
+        )
     own.check_name(found[1])
     if place.exists():
         raise _there_already(place)
@@ -162,7 +166,7 @@ def _check_walls(scene: Scene, crowd: Trajectories, walls: Path) -> None:
     """Refuse walls that people walk through."""
     inside = ~scene.walkable(crowd.xy.astype(np.float64))
     if inside.mean() > ASTRAY:
-        at = crowd.xy[np.flatnonzero(inside)[0]].round(2).tolist()
+        at = crowd.xy[np.flatnonzero(inside)[0]].astype(np.float64).round(2).tolist()
         raise SceneError(
             walls,
             got=f"walls in which {inside.mean():.1%} of the recorded positions lie, one at {at} m",

@@ -14,7 +14,7 @@ from jaxtyping import Float, Shaped
 
 from crowdbench.errors import RecordingError
 from crowdbench.files import write_text
-from crowdbench.recordings.timing import checked_dt_s, usual_step
+from crowdbench.recordings.timing import checked_dt_s, plain_positions, usual_step
 from crowdbench.trajectories import Trajectories, from_rows
 
 _SQLITE = b"SQLite format 3\0"
@@ -60,7 +60,7 @@ def write_jupedsim(crowd: Trajectories, path: Path) -> None:
         OutputError: the place cannot be written.
     """
     ids = crowd.person_id[crowd.row_person()]
-    rows = zip(ids.tolist(), crowd.row_frame().tolist(), crowd.xy.tolist(), strict=True)
+    rows = zip(ids.tolist(), crowd.row_frame().tolist(), plain_positions(crowd), strict=True)
     lines = [
         f"# framerate: {round(1 / crowd.dt_s, 9)}",
         "# id frame x/m y/m z/m",

@@ -40,7 +40,7 @@ def checked_dt_s(where: object, stated_s: float | None, asked_s: float | None) -
             where,
             got="no word of the time from one row to the next",
             expected="--dt-s SECONDS",
-            mend="Two rows of a person, one after the other, are so far apart.",
+            mend="It is the time from one row of a person to the next.",
         )
     if stated_s is not None and asked_s is not None and not np.isclose(stated_s, asked_s, 0.05):
         raise RecordingError(
@@ -57,6 +57,11 @@ def checked_dt_s(where: object, stated_s: float | None, asked_s: float | None) -
             mend="Between rows that far apart nobody knows how people walked.",
         )
     return dt_s
+
+
+def plain_positions(crowd: Trajectories) -> list[list[float]]:
+    """Positions with as few digits as tell float32 numbers apart, to be written as text."""
+    return crowd.xy.astype(str).astype(np.float64).tolist()
 
 
 def at_scene_frames(crowd: Trajectories, *, pauses: bool, where: object) -> Trajectories:

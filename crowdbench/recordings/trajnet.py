@@ -13,7 +13,7 @@ import numpy as np
 
 from crowdbench.errors import RecordingError
 from crowdbench.files import write_text
-from crowdbench.recordings.timing import checked_dt_s, usual_step
+from crowdbench.recordings.timing import checked_dt_s, plain_positions, usual_step
 from crowdbench.trajectories import Trajectories, from_rows
 
 _MEND = 'Lines look like {"track": {"f": 10, "p": 3, "x": 1.25, "y": 4.5}}.'
@@ -97,7 +97,7 @@ def write_trajnet(crowd: Trajectories, path: Path) -> None:
     lines += [
         encode({"track": {"f": f, "p": p, "x": x, "y": y}})
         for f, p, (x, y) in zip(
-            crowd.row_frame().tolist(), ids.tolist(), crowd.xy.tolist(), strict=True
+            crowd.row_frame().tolist(), ids.tolist(), plain_positions(crowd), strict=True
         )
     ]
     write_text(path, b"\n".join([*lines, b""]).decode())
