@@ -26,8 +26,7 @@ def blocks(language: str) -> list[str]:
 
 
 def commands() -> list[str]:
-    lines = "\n".join(blocks("sh")).splitlines()
-    return [line.split("#")[0].strip() for line in lines if line.startswith("crowdbench")]
+    return pages.commands(README)
 
 
 def test_the_first_example_runs_to_the_end_and_scores(capsys: pytest.CaptureFixture[str]) -> None:

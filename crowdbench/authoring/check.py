@@ -49,7 +49,11 @@ def check_scene(scene: str | Path) -> Iterator[Finding]:
     )
     areas, finding = _read("areas", partial(read_areas, place), partial(_areas, place))
     yield finding
-    reference, finding = _read("reference", partial(read_reference, place), partial(_blocks, place))
+    reference, finding = None, Finding("reference", _NOT_LOOKED_AT)
+    if areas is not None:
+        reference, finding = _read(
+            "reference", partial(read_reference, place), partial(_blocks, place)
+        )
     yield finding
     for model in FITTED:
         yield _look(model, partial(_weights, model, place, areas))

@@ -66,7 +66,7 @@ def _geojson(text: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
 
 
 def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
-    import shapely
+    from shapely.errors import ShapelyError
     from shapely.geometry import shape
 
     kind = item.get("type") if isinstance(item, dict) else None
@@ -79,7 +79,7 @@ def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.
             yield from _features(item["geometry"], str(properties.get("name") or name), path)
         else:
             yield name, shape(item)
-    except (shapely.ShapelyError, KeyError, TypeError, AttributeError, IndexError) as error:
+    except (ShapelyError, KeyError, TypeError, AttributeError, IndexError) as error:
         raise SceneError(
             path,
             got=f"a {kind or 'thing without a type'} that is broken ({error})",
@@ -90,10 +90,11 @@ def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.
 
 def _wkt(text: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
     import shapely
+    from shapely.errors import ShapelyError
 
     try:
         yield "", shapely.from_wkt(text)
-    except shapely.ShapelyError as error:
+    except ShapelyError as error:
         raise SceneError(
             path, got=str(error).splitlines()[0], expected="GeoJSON or WKT", mend=_MEND
         ) from error
