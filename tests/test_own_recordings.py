@@ -1,5 +1,6 @@
 """Recordings that nobody here has seen, in every format, and what is refused of them."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,8 +9,9 @@ import numpy as np
 import pytest
 from strategies import crowd_of
 
-from crowdbench.cli import main
+from crowdbench.cli import data, main
 from crowdbench.errors import CrowdbenchError, RecordingError, SettingError
+from crowdbench.recordings.convert import WRITERS
 from crowdbench.recordings.own import FORMATS, import_own, read_recording
 from crowdbench.recordings.timing import at_scene_frames
 from crowdbench.registry import recording
@@ -167,9 +169,16 @@ def test_the_command_imports_an_own_recording(
     asked = ["data", "import", "yard", "--source", str(path), "--format", "jupedsim"]
     assert main(asked) == 0
     assert f"persons           {len(yard)}" in capsys.readouterr().out
+    assert main(["data", "list"]) == 0
+    assert re.search(r"^yard +imported +your own$", capsys.readouterr().out, re.M)
     assert main(["data", "describe", "yard"]) == 0
     assert main(["data", "import", "yard", "--format", "csv"]) == 2
     assert "expected --source PATH" in capsys.readouterr().err
+
+
+def test_the_command_line_knows_all_formats() -> None:
+    assert tuple(FORMATS) == data.FORMATS
+    assert tuple(WRITERS) == data.WRITTEN
 
 
 def test_eth_as_an_own_recording_is_the_published_one(opentraj: Path) -> None:

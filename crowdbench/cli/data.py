@@ -130,7 +130,7 @@ def _bring(name: str, folder: Path | None) -> None:
 
 
 def _list(asked: argparse.Namespace) -> None:
-    from crowdbench.recordings.catalogue import SOURCES, cached
+    from crowdbench.recordings.catalogue import OWN_NAME, SOURCES, cached
     from crowdbench.registry import RECORDINGS
 
     for name in RECORDINGS:
@@ -139,6 +139,9 @@ def _list(asked: argparse.Namespace) -> None:
         if origin == "generated":
             state = "always there"
         print(f"{name:<8} {state:<13} {origin}")
+    for path in sorted(cached("").parent.glob("*.parquet")):
+        if OWN_NAME.fullmatch(path.stem) and path.stem not in RECORDINGS:
+            print(f"{path.stem:<8} {'imported':<13} your own")
 
 
 def _describe(asked: argparse.Namespace) -> None:
