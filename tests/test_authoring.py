@@ -12,9 +12,11 @@ from pathlib import Path
 import made_up
 import numpy as np
 import pytest
+from msgspec import structs
 from strategies import crowd_of
 
 from crowdbench.authoring import check_scene, create, create_scene, rules
+from crowdbench.authoring.toml import scene_toml
 from crowdbench.cli import main
 from crowdbench.errors import CrowdbenchError, OutputError, RecordingError, SceneError, SettingError
 from crowdbench.reference import read_reference
@@ -102,6 +104,20 @@ def test_its_settings_follow_from_the_recording(made: Made) -> None:
     assert (scene.protocol.block_s, scene.protocol.resample_s) == (30.0, 30.0)
     assert (scene.protocol.fits, scene.protocol.rollouts_per_fit) == (1, 2)
     assert "inter_spawn" in scene.protocol.scored
+
+
+def test_what_is_written_of_a_scene_is_read_again(tmp_path: Path) -> None:
+    shipped = load_scene("gc-v0")
+    scene = replace(
+        shipped,
+        title='Two "lines",\nand a back\\slash – é',
+        clustering={"default": shipped.clustering["default"]},
+        protocol=structs.replace(shipped.protocol, scored=()),
+        folder=tmp_path,
+    )
+    text = scene_toml(scene, source="a\nb.csv", walls_file="w\nx.geojson")
+    (tmp_path / "scene.toml").write_text(text)
+    assert load_scene(tmp_path) == scene
 
 
 def test_it_tells_times_and_what_was_left_out(made: Made) -> None:

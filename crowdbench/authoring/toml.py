@@ -50,10 +50,9 @@ def _one_line(text: str) -> str:
 
 def _table(name: str, values: msgspec.Struct) -> list[str]:
     why = ["# " + _WHY[name]] if name in _WHY else []
-    fields = {
-        k: v for k, v in msgspec.structs.asdict(values).items() if k != "scored"
-    }  # not yet known
-    return ["", *why, f"[{name}]", *_fields(fields)]
+    known = msgspec.structs.asdict(values)
+    known.pop("scored", None)  # the power study writes it at the end
+    return ["", *why, f"[{name}]", *_fields(known)]
 
 
 def _fields(values: dict[str, object]) -> list[str]:
