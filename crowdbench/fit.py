@@ -29,7 +29,7 @@ from crowdbench.spawn.areas import write_areas
 from crowdbench.trajectories import OUTCOMES, Trajectories
 
 MODELS = tuple(FITTED)
-_ASTRAY = 0.03
+ASTRAY = 0.03
 """Share of the recorded positions that may lie outside the bounds or in a wall: where someone was
 not seen for minutes, a straight line through a kiosk is all that a recording knows."""
 Progress = Callable[[int, int], None]
@@ -64,7 +64,7 @@ def fit_scene(
             expected=f"one of {', '.join(scene.clustering)}",
         )
     _check_models(models)
-    _check_against(scene, recording)
+    check_against(scene, recording)
     place = replace(scene, folder=out or scene.folder)
     try:  # before the fits, which take minutes
         place.folder.mkdir(parents=True, exist_ok=True)
@@ -112,13 +112,18 @@ def _check_models(models: Sequence[str]) -> None:
         check_torch(", or leave it out: --models poisson-gmm renewal-gmm")
 
 
+def has_torch() -> bool:
+    """Whether torch, which `ntpp-gmm` is fitted with, is installed."""
+    return importlib.util.find_spec("torch") is not None
+
+
 def check_torch(mend: str = "") -> None:
     """Refuse to begin what cannot be ended; `mend` is what else than installing torch would help.
 
     Raises:
         SettingError: torch, which `ntpp-gmm` is fitted with, is not installed.
     """
-    if importlib.util.find_spec("torch") is None:
+    if not has_torch():
         raise SettingError(
             "ntpp-gmm",
             got="no torch to fit it with",
@@ -137,7 +142,8 @@ def _fit_models(
 ) -> dict[str, dict[str, list[Any]]]:
     """The fits of each model for each part."""
     light = [(n, part, 0) for n in models if n != "ntpp-gmm" for part in PARTS]
-    heavy = [("ntpp-gmm", part, k) for part in PARTS for k in range(_number_of_fits(models))]
+    seeds = range(scene.protocol.fits if "ntpp-gmm" in models else 0)
+    heavy = [("ntpp-gmm", part, k) for part in PARTS for k in seeds]
     done: dict[tuple[str, str, int], SpawnModel] = {}
     for jobs, processes in ((light, 1), (heavy, workers)):
         settings = _ntpp_settings() if jobs is heavy and jobs else None
@@ -152,14 +158,6 @@ def _fit_models(
     for name, part, k in light + heavy:
         fits[name][part].append(done[name, part, k])
     return fits
-
-
-def _number_of_fits(models: Sequence[str]) -> int:
-    if "ntpp-gmm" not in models:
-        return 0
-    from crowdbench.spawn import ntpp_training
-
-    return ntpp_training.FITS
 
 
 def _ntpp_settings() -> Any:
@@ -190,16 +188,24 @@ def _likelihood(fits: Sequence[SpawnModel], arrivals: Arrivals) -> str:
     return f"{np.mean(each):.3f} nats per person{spread}"
 
 
-def _check_against(scene: Scene, recording: Trajectories) -> None:
-    """The facts that `scene.toml` states of its recording must be the recording's."""
+def dwell_p99_s(recording: Trajectories) -> float:
+    """The 99th percentile of the dwell times of those who entered and left."""
     whole = recording.entered & recording.left
     cut_off = recording.outcome == OUTCOMES.index("timeout")  # says how patient the rule is
     dwell = (recording.last - recording.first)[whole & ~cut_off] * recording.dt_s
-    p99_s = float(np.percentile(dwell, 99))
+    return float(np.percentile(dwell, 99))
+
+
+def check_against(scene: Scene, recording: Trajectories) -> None:
+    """Hold the facts that `scene.toml` states of its recording against the recording.
+
+    Raises:
+        SceneError: they differ, or people walk outside the bounds or in walls.
+    """
     facts = (
         ("dt_s", scene.dt_s, recording.dt_s),
         ("recording.frames", scene.recording.frames, recording.frames),
-        ("recording.dwell_p99_s", scene.recording.dwell_p99_s, p99_s),
+        ("recording.dwell_p99_s", scene.recording.dwell_p99_s, dwell_p99_s(recording)),
     )
     for name, stated, found in facts:
         if not np.isclose(stated, found, rtol=1e-3):
@@ -211,12 +217,12 @@ def _check_against(scene: Scene, recording: Trajectories) -> None:
             )
     outside = ~scene.walkable(recording.xy.astype(np.float64))
     outside[recording.offsets[1:] - 1] = False  # a simulated person's last step may lead there
-    if outside.mean() > _ASTRAY:
+    if outside.mean() > ASTRAY:
         row = int(np.flatnonzero(outside)[0])
         raise SceneError(
             scene.folder / "scene.toml",
             got=f"{outside.mean():.1%} of the recorded positions outside the bounds or in a wall, "
             f"the first at {recording.xy[row].round(2).tolist()} m",
-            expected=f"{_ASTRAY:.0%} at most",
+            expected=f"{ASTRAY:.0%} at most",
             mend="Correct the bounds and walls, or the units of the recording.",
         )

@@ -30,7 +30,7 @@ _MARGIN_M = 0.01  # a place beside a wall or the bounds, not on the line
 _MEND = "Compare with scenes/plaza-v0/scene.toml."
 
 
-class Recording(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Recording(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """The recording that the scene's models and statistics are computed from."""
 
     name: str
@@ -38,6 +38,8 @@ class Recording(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Its length in frames of the scene; a rollout is by default as long."""
     dwell_p99_s: float
     """99th percentile of the dwell times of those who entered and left."""
+    sha256: str = ""
+    """Of the data it was read from, where it is a user's own."""
 
 
 class Bounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -223,13 +225,16 @@ def list_scenes() -> list[str]:
 def load_scene(scene: str | Path | Scene) -> Scene:
     """A scene by its id, or from a folder that holds a `scene.toml`.
 
+    A folder in the working directory whose name is an id is found by it too, unless a scene of
+    that id comes with crowdbench.
+
     Raises:
         SceneError: there is no such scene, or its file is broken or contradicts itself.
     """
     if isinstance(scene, Scene):
         return scene
     folder = Path(scene)
-    if _ID.fullmatch(str(scene)):
+    if _ID.fullmatch(str(scene)) and (scenes_folder() / str(scene)).is_dir():
         folder = scenes_folder() / str(scene)
     if not (folder / "scene.toml").is_file():
         raise SceneError(

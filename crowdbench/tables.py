@@ -39,19 +39,9 @@ def write_parquet(trajectories: Trajectories, path: Path) -> None:
     Raises:
         OutputError: the place cannot be written.
     """
-    import pyarrow as pa
     from pyarrow import parquet
 
     t = trajectories
-    per_row = np.diff(t.offsets)
-    columns: dict[str, np.ndarray] = {
-        "person_id": np.repeat(t.person_id, per_row).astype(np.int64),
-        "frame": t.row_frame().astype(np.int32),
-        "x": t.xy[:, 0],
-        "y": t.xy[:, 1],
-    }
-    for name in PERSON_COLUMNS:
-        columns[name] = np.repeat(getattr(t, name), per_row)
     metadata = _Metadata(
         schema=SCHEMA,
         scene=t.scene,
@@ -61,11 +51,38 @@ def write_parquet(trajectories: Trajectories, path: Path) -> None:
         observed=[(int(a), int(b)) for a, b in t.observed],
         provenance=dict(t.provenance),
     )
-    table = pa.table(columns).replace_schema_metadata(
+    table = _flat(t).replace_schema_metadata(
         {_KEY: msgspec.json.encode(metadata, order="deterministic")}
     )
     with replacing(path) as temporary:
         parquet.write_table(table, temporary, compression="zstd")
+
+
+def write_csv(trajectories: Trajectories, path: Path) -> None:
+    """Write the table to `path` for other programs; who reads it must know its time step.
+
+    Raises:
+        OutputError: the place cannot be written.
+    """
+    from pyarrow import csv
+
+    with replacing(path) as temporary:
+        csv.write_csv(_flat(trajectories), temporary)
+
+
+def _flat(t: Trajectories) -> "pyarrow.Table":
+    import pyarrow as pa
+
+    per_row = np.diff(t.offsets)
+    columns: dict[str, np.ndarray] = {
+        "person_id": np.repeat(t.person_id, per_row).astype(np.int64),
+        "frame": t.row_frame().astype(np.int32),
+        "x": t.xy[:, 0],
+        "y": t.xy[:, 1],
+    }
+    for name in PERSON_COLUMNS:
+        columns[name] = np.repeat(getattr(t, name), per_row)
+    return pa.table(columns)
 
 
 def read(path: Path, *, scene: str, dt_s: float, frames: int | None = None) -> Trajectories:
@@ -157,6 +174,15 @@ def read_own(path: Path) -> Trajectories:
             "--scene eth-v0`, or `crowdbench score eth-v0`.",
         )
     return read(path, scene=metadata.scene, dt_s=metadata.dt_s)
+
+
+def is_own(path: Path) -> bool:
+    """Whether crowdbench wrote the table.
+
+    Raises:
+        RecordingError: it cannot be read, or its metadata are broken.
+    """
+    return _own_metadata(path, _read_table(path)) is not None
 
 
 def _read_table(path: Path) -> "pyarrow.Table":

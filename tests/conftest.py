@@ -15,6 +15,7 @@ import pytest
 _hook = jaxtyping.install_import_hook(
     [
         "crowdbench.ablation",
+        "crowdbench.authoring",
         "crowdbench.blocks",
         "crowdbench.demos",
         "crowdbench.episode",

@@ -1,4 +1,4 @@
-"""The code that pages of documentation show."""
+"""The code and the commands that pages of documentation show."""
 
 import re
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from crowdbench import registry
 from crowdbench.blocks import PARTS
@@ -17,10 +18,11 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import Arrivals, NtppGMM, arrivals_of, fit_areas, ntpp_training
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.ntpp import SHAPES
-from crowdbench.spawn.ntpp_training import FITS, Settings
+from crowdbench.spawn.ntpp_training import Settings
 from crowdbench.trajectories import Trajectories
 
 PLAZA, ETH = load_scene("plaza-v0"), load_scene("eth-v0")
+FITS = PLAZA.protocol.fits
 FRAMES = 25
 
 
@@ -119,16 +121,20 @@ def test_a_fold_is_fitted_without_its_scored_blocks(plaza: Case) -> None:
         np.testing.assert_allclose(model.rate, count / arrivals.exposure_s())  # type: ignore[union-attr]
 
 
+def with_fits(fits: int) -> Scene:
+    """The plaza with another protocol."""
+    return replace(PLAZA, protocol=structs.replace(PLAZA.protocol, fits=fits))
+
+
 def test_neural_fits_are_made_for_every_part_and_told_of(
     plaza: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ntpp_training, "FITS", 2)
     monkeypatch.setattr(
         ntpp_training, "SETTINGS", Settings(epochs=3, patience=1, calibration_points=2000)
     )
     told: list[tuple[int, int]] = []
     found = fit_scene(
-        PLAZA,
+        with_fits(2),
         plaza.crowd,
         models=["ntpp-gmm"],
         out=tmp_path,
@@ -147,11 +153,10 @@ def test_neural_fits_are_made_for_every_part_and_told_of(
 def test_two_workers_write_what_one_writes(
     plaza: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ntpp_training, "FITS", 1)
     brief = Settings(epochs=2, patience=1, calibration_points=2000)
     monkeypatch.setattr(ntpp_training, "SETTINGS", brief)
     for workers in (1, 2):
-        fit_scene(PLAZA, plaza.crowd, out=tmp_path / str(workers), workers=workers)
+        fit_scene(with_fits(1), plaza.crowd, out=tmp_path / str(workers), workers=workers)
     one, two = (
         {path.name: path.read_bytes() for path in (tmp_path / str(workers)).iterdir()}
         for workers in (1, 2)

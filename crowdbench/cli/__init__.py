@@ -1,5 +1,6 @@
-"""The command line: `crowdbench evaluate | score | view | steer | areas | policy | data | scenes |
-bench`, and for who makes a scene `fit | spawn | anchors | power | results | walks | ablation`.
+"""The command line: `crowdbench evaluate | score | view | steer | areas | policy | data | convert |
+scenes | bench`, and for who makes a scene `scene | fit | spawn | anchors | power | results | walks |
+ablation`.
 
 A user's error is one message and exit code 2; an interrupt exits with 130.
 """
@@ -9,7 +10,16 @@ import sys
 from collections.abc import Sequence
 
 from crowdbench import __version__
-from crowdbench.cli import data, judging, making, policies, speed, steering, viewing
+from crowdbench.cli import (
+    authoring,
+    data,
+    judging,
+    making,
+    policies,
+    speed,
+    steering,
+    viewing,
+)
 from crowdbench.errors import CrowdbenchError
 
 
@@ -33,6 +43,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"crowdbench {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for room in (judging, viewing, steering, policies, making, data, speed):
+    rooms = (judging, viewing, steering, policies, authoring, making, data, speed)
+    for room in rooms:
         room.add(commands)
     return parser

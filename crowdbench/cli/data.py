@@ -1,4 +1,4 @@
-"""`data` and `scenes`: what there is."""
+"""`data`, `convert` and `scenes`: what there is."""
 
 import argparse
 from pathlib import Path
@@ -8,6 +8,9 @@ from crowdbench.cli.printing import print_facts, progress_bar
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
+
+FORMATS = ("obsmat", "gc", "forum", "csv", "trajnet", "jupedsim")
+WRITTEN = ("csv", "trajnet", "jupedsim")
 
 
 def add(commands: "Commands") -> None:
@@ -26,12 +29,20 @@ def add(commands: "Commands") -> None:
     )
     fetch.set_defaults(run=_fetch)
     bring = of_data.add_parser("import", help="read a recording and keep it for later use")
-    bring.add_argument("name", help="name of a recording (see `crowdbench data list`)")
+    bring.add_argument(
+        "name", help="name of a recording (see `crowdbench data list`), or with --format your own"
+    )
     bring.add_argument(
         "--source",
         type=Path,
-        metavar="DIR",
-        help="folder in OpenTraj's layout (default: $CROWDBENCH_DATA)",
+        metavar="PATH",
+        help="folder in OpenTraj's layout (default: $CROWDBENCH_DATA), or your own recording",
+    )
+    bring.add_argument(
+        "--format", choices=FORMATS, help="of your own recording (see `crowdbench scene create`)"
+    )
+    bring.add_argument(
+        "--dt-s", type=float, metavar="SECONDS", help="from one of its rows to the next"
     )
     bring.set_defaults(run=_import)
     listing = of_data.add_parser("list", help="list the known recordings")
@@ -39,6 +50,26 @@ def add(commands: "Commands") -> None:
     describe = of_data.add_parser("describe", help="print a recording's figures")
     describe.add_argument("name", help="name of a recording")
     describe.set_defaults(run=_describe)
+
+    converted = commands.add_parser(
+        "convert", help="write a crowd in a format that other programs read, or read theirs"
+    )
+    converted.add_argument("table", type=Path, metavar="FILE", help="what is to be converted")
+    converted.add_argument(
+        "--format",
+        choices=FORMATS,
+        default="csv",
+        help="of that file (default: csv, a table in CSV or Parquet)",
+    )
+    converted.add_argument(
+        "--dt-s",
+        type=float,
+        metavar="SECONDS",
+        help="from one row of a person to the next, where the file does not say it",
+    )
+    converted.add_argument("--to", choices=WRITTEN, required=True, help="format to write")
+    converted.add_argument("--out", type=Path, required=True, metavar="FILE")
+    converted.set_defaults(run=_convert)
 
     scenes = commands.add_parser("scenes", help="list the scenes")
     scenes.set_defaults(run=_scenes)
@@ -58,7 +89,28 @@ def _fetch(asked: argparse.Namespace) -> None:
 
 
 def _import(asked: argparse.Namespace) -> None:
-    _bring(asked.name, asked.source)
+    from crowdbench.errors import SettingError
+    from crowdbench.recordings.catalogue import cached
+    from crowdbench.recordings.describe import describe
+    from crowdbench.recordings.own import import_own
+
+    if asked.format is None:
+        _bring(asked.name, asked.source)
+        return
+    if asked.source is None:
+        raise SettingError(
+            "crowdbench data import", got="--format without --source", expected="--source PATH"
+        )
+    crowd = import_own(asked.name, asked.source, asked.format, asked.dt_s)
+    print_facts(asked.name, describe(crowd) | {"kept at": str(cached(asked.name))})
+
+
+def _convert(asked: argparse.Namespace) -> None:
+    from crowdbench.recordings.convert import convert
+
+    crowd = convert(asked.table, asked.out, to=asked.to, layout=asked.format, dt_s=asked.dt_s)
+    print(f"{len(crowd)} persons, {crowd.frames} frames of {crowd.dt_s:.4g} s")
+    print(f"written to {asked.out}")
 
 
 def _bring(name: str, folder: Path | None) -> None:
@@ -78,7 +130,7 @@ def _bring(name: str, folder: Path | None) -> None:
 
 
 def _list(asked: argparse.Namespace) -> None:
-    from crowdbench.recordings.catalogue import SOURCES, cached
+    from crowdbench.recordings.catalogue import OWN_NAME, SOURCES, cached
     from crowdbench.registry import RECORDINGS
 
     for name in RECORDINGS:
@@ -87,6 +139,9 @@ def _list(asked: argparse.Namespace) -> None:
         if origin == "generated":
             state = "always there"
         print(f"{name:<8} {state:<13} {origin}")
+    for path in sorted(cached("").parent.glob("*.parquet")):
+        if OWN_NAME.fullmatch(path.stem) and path.stem not in RECORDINGS:
+            print(f"{path.stem:<8} {'imported':<13} your own")
 
 
 def _describe(asked: argparse.Namespace) -> None:

@@ -12,7 +12,7 @@ from crowdbench.errors import RecordingError, SettingError
 from crowdbench.files import home, read_bytes, sha256
 from crowdbench.recordings import first_use
 from crowdbench.recordings.forum import read_forum
-from crowdbench.recordings.gc import HOMOGRAPHY, read_gc
+from crowdbench.recordings.gc import files_in, read_gc
 from crowdbench.recordings.obsmat import read_obsmat
 from crowdbench.trajectories import Trajectories
 
@@ -110,6 +110,8 @@ SOURCES = {
 _FORUM_DAY = re.compile(
     r"forum-(0[1-9]|[12]\d|3[01])(jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec)"
 )
+OWN_NAME = re.compile(r"[a-z][a-z0-9_]*")
+"""What users may call recordings of their own."""
 _FORUM_DAYS = "https://homepages.inf.ed.ac.uk/rbf/FORUMTRACKING/DAYS"
 
 
@@ -134,7 +136,8 @@ def source(name: str) -> Source:
     raise SettingError(
         "recording",
         got=f"the name {name!r}",
-        expected=f"one of {', '.join(SOURCES)}, or a day of the Forum like forum-14jul",
+        expected=f"one of {', '.join(SOURCES)}, a day of the Forum like forum-14jul, or your own",
+        mend="`crowdbench data import NAME --source FILE --format FORMAT` imports your own.",
     )
 
 
@@ -144,14 +147,15 @@ def cached(name: str) -> Path:
 
 
 def load_imported(name: str) -> Trajectories:
-    """The imported recording `name`.
+    """The imported recording `name`, a published one or the user's own (see `own`).
 
     Raises:
         SettingError: there is no recording of that name.
         RecordingError: it has not been imported.
     """
-    source(name)
     path = cached(name)
+    if not (OWN_NAME.fullmatch(name) and path.exists()):
+        source(name)
     if not path.exists():
         raise RecordingError(
             f"recording {name}",
@@ -194,7 +198,7 @@ def known_sha256(source: Source) -> str | None:
 def sha256_in(source: Source, folder: Path) -> str | None:
     """The hash of a recording's data in a folder, right or wrong; None where a file is missing."""
     try:
-        return _hash(_files(source, folder / source.path))
+        return hash_of(_files(source, folder / source.path))
     except RecordingError:
         return None
 
@@ -216,7 +220,7 @@ def read_files(source: Source, files: Mapping[str, bytes], where: object) -> Tra
         RecordingError: a file is broken, or the data are others than the published.
     """
     crowd = _read(source, files, where)
-    found = _hash(files)
+    found = hash_of(files)
     known = known_sha256(source)
     if known is not None and found != known:
         raise _changed(source, crowd, found, known, where)
@@ -246,8 +250,7 @@ def _files(source: Source, path: Path) -> dict[str, bytes]:
     mend = f"Run `crowdbench data fetch {source.name}`, or bring {source.address} into that place."
     if source.format != "gc":
         return {path.name: read_bytes(path, RecordingError, mend)}
-    names = [HOMOGRAPHY, *(f"Annotation/{p.name}" for p in (path / "Annotation").glob("*.txt"))]
-    return {name: read_bytes(path / name, RecordingError, mend) for name in sorted(names)}
+    return files_in(path, mend)
 
 
 def _read(source: Source, files: Mapping[str, bytes], where: object) -> Trajectories:
@@ -261,7 +264,7 @@ def _read(source: Source, files: Mapping[str, bytes], where: object) -> Trajecto
     )
 
 
-def _hash(files: Mapping[str, bytes]) -> str:
+def hash_of(files: Mapping[str, bytes]) -> str:
     """SHA-256 of a file; of several that of the lines `HASH  NAME`, sorted by name."""
     if len(files) == 1:
         return sha256(*files.values())

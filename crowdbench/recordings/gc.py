@@ -7,11 +7,13 @@ A person's file is a list of numbers, three per annotated frame: column and row 
 import json
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.errors import RecordingError
+from crowdbench.files import read_bytes
 from crowdbench.trajectories import Trajectories, from_rows
 
 FPS = 25.0
@@ -28,27 +30,36 @@ UNIT_M = 0.8
 _MEND = "Take the folder datasets/GC of github.com/crowdbotp/OpenTraj as it is."
 
 
-def read_gc(files: Mapping[str, bytes], where: object) -> Trajectories:
+def read_gc(
+    files: Mapping[str, bytes],
+    where: object,
+    *,
+    name: str = "gc",
+    video_frames: int | None = VIDEO_FRAMES,
+) -> Trajectories:
     """Read the folder's files by name: `H.json`, and `Annotation/NUMBER.txt` of each person.
 
     One file is one person: while nothing is annotated, the person is taken to walk on straight.
-    Positions after the recording's 100,000 frames are cut off (who has one there is still present
-    at the end); a person who is then left with a single annotation is left out.
+    Positions after the recording's 100,000 frames (or `video_frames`; None: up to the last
+    annotation) are cut off (who has one there is still present at the end); a person who is then
+    left with a single annotation is left out.
 
     Raises:
         RecordingError: a file is missing or broken.
     """
     homography = homography_of(files.get(HOMOGRAPHY), where)
     tracks = annotations(files, where)
+    if video_frames is None:
+        video_frames = max(int(rows[-1, 2]) for rows in tracks.values()) + FRAME
     pieces, persons, single, beyond = [], [], 0, 0
     for person, rows in tracks.items():
-        inside = rows[:, 2] < VIDEO_FRAMES
+        inside = rows[:, 2] < video_frames
         beyond += int((~inside).sum())
         if inside.sum() < 2:
             single += 1
             continue
         upto = inside.sum() + (not inside.all())  # interpolated up to the end
-        frame, at = _each_frame(rows[:upto], VIDEO_FRAMES)
+        frame, at = _each_frame(rows[:upto], video_frames)
         pieces.append(np.column_stack([frame, at]))
         persons.append(np.full(len(frame), person))
     if not pieces:
@@ -60,10 +71,10 @@ def read_gc(files: Mapping[str, bytes], where: object) -> Trajectories:
         )
     table = np.concatenate(pieces)
     crowd = from_rows(
-        scene="gc",
+        scene=name,
         dt_s=FRAME / FPS,
         grid_s=STEP / FPS,
-        frames=VIDEO_FRAMES // FRAME,
+        frames=video_frames // FRAME,
         person_id=np.concatenate(persons),
         frame=table[:, 0].astype(np.int64),
         xy=metres(table[:, 1:], homography),
@@ -71,9 +82,19 @@ def read_gc(files: Mapping[str, bytes], where: object) -> Trajectories:
     )
     notes = {
         "files": f"{len(tracks)}, {single} of them of a single annotation and left out",
-        "cut off": f"{beyond} positions after video frame {VIDEO_FRAMES}",
+        "cut off": f"{beyond} positions after video frame {video_frames}",
     }
     return replace(crowd, provenance={"notes": notes})
+
+
+def files_in(folder: Path, mend: str = _MEND) -> dict[str, bytes]:
+    """What `read_gc` reads, by name.
+
+    Raises:
+        RecordingError: a file cannot be read.
+    """
+    names = [HOMOGRAPHY, *(f"Annotation/{p.name}" for p in (folder / "Annotation").glob("*.txt"))]
+    return {name: read_bytes(folder / name, RecordingError, mend) for name in sorted(names)}
 
 
 def annotations(files: Mapping[str, bytes], where: object) -> dict[int, Int[np.ndarray, "n 3"]]:

@@ -11,9 +11,11 @@ from jaxtyping import Float, Int
 
 from crowdbench.errors import RecordingError
 from crowdbench.recordings.gaps import observed_intervals
+from crowdbench.recordings.timing import usual_step
 from crowdbench.trajectories import Trajectories, from_rows
 
 _COLUMNS = 8
+_STANDING_MPS = 0.2
 _MEND = "Take the file from the address that `crowdbench data list` names."
 
 
@@ -43,6 +45,27 @@ def read_obsmat(
         where=where,
     )
     return crowd.observed_in(observed_intervals(crowd))
+
+
+def step_of(data: bytes, where: object) -> tuple[int, float | None]:
+    """How far apart a person's rows are, in frames of the video, and in seconds.
+
+    The seconds are the median of way over speed, by the velocities in the file; None where it
+    has none.
+
+    Raises:
+        RecordingError: the data are broken.
+    """
+    table = _parse(data, where)
+    person = _whole(table[:, 1], "person", where)
+    frame = _whole(table[:, 0], "frame", where)
+    order = np.lexsort((frame, person))
+    step = usual_step(person, frame)
+    follows = (np.diff(person[order]) == 0) & (np.diff(frame[order]) == step)
+    way = np.linalg.norm(np.diff(table[order][:, [2, 4]], axis=0), axis=1)[follows]
+    speed = np.linalg.norm(table[order][1:, [5, 7]], axis=1)[follows]
+    walks = speed > _STANDING_MPS
+    return step, float(np.median(way[walks] / speed[walks])) if walks.any() else None
 
 
 def _parse(data: bytes, where: object) -> Float[np.ndarray, "R 8"]:

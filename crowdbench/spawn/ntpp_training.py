@@ -71,9 +71,6 @@ from crowdbench.spawn.ntpp_sequences import (
     within,
 )
 
-FITS = 5
-"""Fits per part, of the seeds 0, 1, …"""
-
 _FURTHEST = 1.0  # that an area's log scale is shifted
 _JUDGED_EVERY = 8
 """Steps, at most, from one look at the held-out likelihood to the next. Looked at once all parts

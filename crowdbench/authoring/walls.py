@@ -1,0 +1,141 @@
+"""Walls from a file of polygons: GeoJSON or WKT, in metres, in the recording's frame."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from crowdbench.errors import SceneError
+from crowdbench.files import read_bytes
+from crowdbench.scene import Bounds, Wall
+
+if TYPE_CHECKING:
+    import shapely
+
+_GRID_M = 0.001  # walls are written in millimetres
+_LEAST_M2 = 0.001
+_MEND = "Name a file of polygons, in GeoJSON or WKT, in metres in the recording's frame."
+
+
+def read_walls(path: Path, bounds: Bounds) -> tuple[Wall, ...]:
+    """The walls in a file, as far as they stand within the bounds.
+
+    A wall is named by its feature's property `name`. Holes are kept free: a polygon with holes
+    becomes several walls that touch.
+
+    Raises:
+        SceneError: the file is missing or broken, holds what is no polygon, or no wall stands
+            within the bounds.
+    """
+    import shapely
+
+    text = read_bytes(path, SceneError, _MEND).decode("utf-8-sig", "replace")
+    shapes = list(_geojson(text, path) if text.lstrip().startswith("{") else _wkt(text, path))
+    place = shapely.box(bounds.x_min_m, bounds.y_min_m, bounds.x_max_m, bounds.y_max_m)
+    walls: list[Wall] = []
+    number = 0
+    for name, shape in shapes:
+        for polygon in _polygons(shape, path):
+            number += 1
+            named = name or f"wall {number}"
+            inside = shapely.set_precision(polygon.intersection(place), _GRID_M)
+            for piece in _solid(inside):
+                corners = piece.exterior.coords[:-1]
+                walls.append(Wall(named, tuple((float(x), float(y)) for x, y, *_ in corners)))
+    if not walls:
+        extent = [shape.bounds for _, shape in shapes if not shape.is_empty]
+        raise SceneError(
+            path,
+            got=f"walls at {', '.join(_rounded(e) for e in extent[:3])}" if extent else "no wall",
+            expected=f"at least one within the bounds {_rounded(place.bounds)} "
+            "(x min, y min, x max, y max)",
+            mend=_MEND,
+        )
+    return tuple(walls)
+
+
+def _rounded(extent: tuple[float, ...]) -> str:
+    return "(" + ", ".join(f"{x:.6g}" for x in extent) + ")"
+
+
+def _geojson(text: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
+    try:
+        yield from _features(json.loads(text), "", path)
+    except (ValueError, RecursionError) as error:
+        raise SceneError(path, got=str(error), expected="valid GeoJSON", mend=_MEND) from error
+
+
+def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
+    from shapely.errors import ShapelyError
+    from shapely.geometry import shape
+
+    kind = item.get("type") if isinstance(item, dict) else None
+    try:
+        if kind == "FeatureCollection":
+            for feature in item["features"]:
+                yield from _features(feature, name, path)
+        elif kind == "Feature":
+            properties = item.get("properties") or {}
+            yield from _features(item["geometry"], str(properties.get("name") or name), path)
+        else:
+            yield name, shape(item)
+    except (ShapelyError, KeyError, TypeError, AttributeError, IndexError) as error:
+        raise SceneError(
+            path,
+            got=f"a {kind or 'thing without a type'} that is broken ({error})",
+            expected="GeoJSON's features with polygons",
+            mend=_MEND,
+        ) from error
+
+
+def _wkt(text: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
+    import shapely
+    from shapely.errors import ShapelyError
+
+    try:
+        yield "", shapely.from_wkt(text)
+    except ShapelyError as error:
+        raise SceneError(
+            path, got=str(error).splitlines()[0], expected="GeoJSON or WKT", mend=_MEND
+        ) from error
+
+
+def _polygons(shape: "shapely.Geometry", where: object) -> "Iterator[shapely.Polygon]":
+    import shapely
+
+    if isinstance(shape, shapely.MultiPolygon | shapely.GeometryCollection):
+        for part in shape.geoms:
+            yield from _polygons(part, where)
+        return
+    if not isinstance(shape, shapely.Polygon):
+        raise SceneError(
+            where,
+            got=f"a {shape.geom_type}",
+            expected="polygons: a wall has an inside",
+            mend="Give a line its thickness first, like shapely's line.buffer(0.1).",
+        )
+    if not shape.is_valid:
+        raise SceneError(
+            where,
+            got=f"a polygon that is none ({shapely.is_valid_reason(shape)})",
+            expected="polygons that do not cross themselves",
+            mend="shapely.make_valid mends most of them.",
+        )
+    yield shape
+
+
+def _solid(shape: "shapely.Geometry") -> "Iterator[shapely.Polygon]":
+    """The polygons of a shape, cut in two through a hole until none has any."""
+    import shapely
+
+    for piece in getattr(shape, "geoms", [shape]):
+        if not isinstance(piece, shapely.Polygon) or piece.area < _LEAST_M2:
+            continue
+        if not piece.interiors:
+            yield piece
+            continue
+        x0, y0, x1, y1 = piece.bounds
+        hole = shapely.Polygon(piece.interiors[0]).bounds
+        middle = (hole[0] + hole[2]) / 2
+        for half in (shapely.box(x0, y0, middle, y1), shapely.box(middle, y0, x1, y1)):
+            yield from _solid(shapely.set_precision(piece.intersection(half), _GRID_M))

@@ -1,0 +1,114 @@
+"""`scene create` and `scene check`: a place of one's own."""
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from crowdbench.cli.data import FORMATS
+from crowdbench.cli.printing import new_console, new_table, print_facts, progress_bar
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+    from crowdbench.jobs import Progress
+
+
+def add(commands: "Commands") -> None:
+    """Add them to the command line."""
+    scene = commands.add_parser("scene", help="make a scene from a recording of your own, or check")
+    of_scene = scene.add_subparsers(required=True, metavar="COMMAND")
+    create = of_scene.add_parser(
+        "create", help="make a scene: areas, models, anchors and scored metrics (minutes)"
+    )
+    create.add_argument("name", metavar="NAME-v0", help="the new scene's name, small letters")
+    create.add_argument("--recording", type=Path, required=True, metavar="PATH")
+    create.add_argument(
+        "--format",
+        choices=FORMATS,
+        required=True,
+        help="obsmat: rows as of ETH and UCY; gc, forum: as of these places; csv: a table with "
+        "person_id, frame or time_s, x, y; trajnet: TrajNet++; jupedsim: as PedPy reads it",
+    )
+    create.add_argument(
+        "--dt-s",
+        type=float,
+        metavar="SECONDS",
+        help="from one row of a person to the next; obsmat and csv do not say it themselves",
+    )
+    create.add_argument(
+        "--walls", type=Path, metavar="FILE", help="polygons in GeoJSON or WKT, in metres"
+    )
+    create.add_argument("--title", default="", help="what the place is called in pictures")
+    create.add_argument(
+        "--out", type=Path, metavar="DIR", help="the new folder (default: ./NAME-v0)"
+    )
+    create.add_argument(
+        "--fits", type=int, metavar="N", help="fits of ntpp-gmm for each part (default: 5)"
+    )
+    create.add_argument(
+        "--rollouts-per-fit",
+        type=int,
+        metavar="N",
+        help="of the protocol (default: 3 to 10, by the length of the recording)",
+    )
+    create.add_argument("--workers", type=int, help="processes (default: one per core)")
+    create.set_defaults(run=_create)
+
+    check = of_scene.add_parser("check", help="tell what is there of a scene, and what is wrong")
+    check.add_argument("scene", help="folder of a scene, or its id")
+    check.set_defaults(run=_check)
+
+
+@contextmanager
+def _timed(what: str) -> "Iterator[Progress]":
+    began = time.perf_counter()
+    with progress_bar(what) as progress:
+        yield progress
+    print(f"{what:<12} {time.perf_counter() - began:6.1f} s", flush=True)
+
+
+def _create(asked: argparse.Namespace) -> None:
+    from crowdbench.authoring import create_scene
+    from crowdbench.recordings.describe import describe
+
+    created = create_scene(
+        asked.name,
+        asked.recording,
+        layout=asked.format,
+        dt_s=asked.dt_s,
+        walls=asked.walls,
+        title=asked.title,
+        out=asked.out,
+        fits=asked.fits,
+        rollouts_per_fit=asked.rollouts_per_fit,
+        workers=asked.workers,
+        stage=_timed,
+    )
+    scene, crowd = created.scene, created.recording
+    print()
+    print_facts(f"recording {crowd.scene}", describe(crowd))
+    print_facts(scene.id, created.facts)
+    models = "" if (scene.folder / "ntpp-gmm.safetensors").exists() else " --spawn renewal-gmm"
+    print(f"Look at place.png and time.png there. Next: crowdbench evaluate {scene.asked}{models}")
+
+
+def _check(asked: argparse.Namespace) -> None:
+    from crowdbench.authoring import check_scene
+    from crowdbench.errors import SceneError
+
+    findings = list(check_scene(asked.scene))
+    table = new_table("part", "state")
+    table.columns[1].justify = "left"
+    for finding in findings:
+        table.add_row(finding.part, finding.state)
+    new_console().print(table)
+    problems = [finding.problem for finding in findings if finding.problem is not None]
+    for problem in problems:
+        print(f"crowdbench: {problem}", file=sys.stderr)
+    if problems:
+        raise SceneError(
+            asked.scene, got=f"{len(problems)} problems", expected="none", mend="They stand above."
+        )

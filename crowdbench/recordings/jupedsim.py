@@ -1,0 +1,106 @@
+"""Trajectories of JuPedSim and PedPy: its text files, and the SQLite files of its simulations.
+
+A text file says `# framerate: 16.00`, perhaps a unit (`x/cm`, by default metres), and has a row
+`id frame x y z` per person and frame. A SQLite file has the tables `trajectory_data(frame, id,
+pos_x, pos_y, …)` and `metadata(key, value)`, with the key `fps`.
+"""
+
+import re
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from crowdbench.errors import RecordingError
+from crowdbench.files import write_text
+from crowdbench.recordings.timing import checked_dt_s, plain_positions, usual_step
+from crowdbench.trajectories import Trajectories, from_rows
+
+_SQLITE = b"SQLite format 3\0"
+_RATE = re.compile(r"framerate\D*(\d+(?:\.\d+)?)")
+_MEND = "PedPy's loaders tell more of what is wrong with a file."
+
+
+def read_jupedsim(data: bytes, *, name: str, dt_s: float | None, where: object) -> Trajectories:
+    """Read the bytes of a text or a SQLite file; `dt_s` is needed where a text states no rate.
+
+    Frames are the file's, divided by their usual step. Where a person has no row in a frame, it
+    walked on straight.
+
+    Raises:
+        RecordingError: the file is broken, empty, or states another rate than `dt_s`.
+    """
+    rate, rows = (_sqlite if data.startswith(_SQLITE) else _text)(data, where)
+    if rate is not None and not 0 < rate < np.inf:
+        raise RecordingError(where, got=f"{rate:g} frames a second", expected="a positive rate")
+    if not len(rows):
+        raise RecordingError(where, got="no rows", expected="at least one row", mend=_MEND)
+    whole = (np.abs(rows[:, :2]) < 2.0**53) & (rows[:, :2] == np.floor(rows[:, :2]))
+    if not whole.all():
+        raise RecordingError(
+            where, got="an id or a frame that is no whole number", expected="id, frame, x, y"
+        )
+    person, frame = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
+    step = usual_step(person, frame)  # some keep the camera's numbers and rate, not all its rows
+    return from_rows(
+        scene=name,
+        dt_s=checked_dt_s(where, step / rate if rate is not None else None, dt_s),
+        person_id=person,
+        frame=frame // step,
+        xy=rows[:, 2:4],
+        where=where,
+    )
+
+
+def write_jupedsim(crowd: Trajectories, path: Path) -> None:
+    """Write the crowd as a text file, frames numbered as they are.
+
+    Raises:
+        OutputError: the place cannot be written.
+    """
+    ids = crowd.person_id[crowd.row_person()]
+    rows = zip(ids.tolist(), crowd.row_frame().tolist(), plain_positions(crowd), strict=True)
+    lines = [
+        f"# framerate: {round(1 / crowd.dt_s, 9)}",
+        "# id frame x/m y/m z/m",
+        *(f"{p}\t{f}\t{x!r}\t{y!r}\t0.0" for p, f, (x, y) in rows),
+        "",
+    ]
+    write_text(path, "\n".join(lines))
+
+
+def _text(data: bytes, where: object) -> tuple[float | None, Float[np.ndarray, "R 4"]]:
+    """Frames a second, if stated, and the columns id, frame, x and y in metres."""
+    lines = data.decode("utf-8-sig", "replace").splitlines()
+    header = " ".join(line for line in lines if line.lstrip().startswith("#")).lower()
+    body = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    stated = _RATE.search(header)
+    try:
+        rows = np.loadtxt(body, ndmin=2, usecols=(0, 1, 2, 3)) if body else np.empty((0, 4))
+    except (ValueError, IndexError) as error:
+        raise RecordingError(
+            where, got=str(error), expected="rows of numbers: id frame x y z", mend=_MEND
+        ) from error
+    if "x/cm" in header or "in cm" in header:
+        rows[:, 2:] /= 100
+    return float(stated[1]) if stated else None, rows
+
+
+def _sqlite(data: bytes, where: object) -> tuple[float, Shaped[np.ndarray, "R 4"]]:
+    """Frames a second, and the columns id, frame, x and y in metres."""
+    connection = sqlite3.connect(":memory:")
+    try:
+        connection.deserialize(data)
+        (rate,) = connection.execute("SELECT value FROM metadata WHERE key = 'fps'").fetchone()
+        rows = connection.execute("SELECT id, frame, pos_x, pos_y FROM trajectory_data").fetchall()
+        return float(rate), np.array(rows, dtype=np.float64).reshape(-1, 4)
+    except (sqlite3.Error, TypeError, ValueError) as error:
+        raise RecordingError(
+            where,
+            got=str(error),
+            expected="JuPedSim's tables trajectory_data and metadata, with its fps",
+            mend=_MEND,
+        ) from error
+    finally:
+        connection.close()

@@ -1,0 +1,209 @@
+"""Recordings of places that nobody here has seen: read from the user's files, kept by name."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from crowdbench import tables
+from crowdbench.errors import RecordingError, SettingError
+from crowdbench.files import read_bytes
+from crowdbench.recordings import gc
+from crowdbench.recordings.catalogue import OWN_NAME, SOURCES, cached, hash_of
+from crowdbench.recordings.forum import FPS as FORUM_FPS
+from crowdbench.recordings.forum import PIXEL_M, read_forum
+from crowdbench.recordings.jupedsim import read_jupedsim
+from crowdbench.recordings.obsmat import read_obsmat, step_of
+from crowdbench.recordings.timing import at_scene_frames, checked_dt_s
+from crowdbench.recordings.trajnet import read_trajnet
+from crowdbench.trajectories import Trajectories
+
+FORMATS = {
+    "obsmat": "rows `frame person x z y vx vz vy`, metres, each person in every n-th frame",
+    "gc": "a folder with H.json and Annotation/NUMBER.txt of each person (six digits), in pixels",
+    "forum": "Matlab code, `TRACK.Rn=[[x y t];…];`, in pixels of a camera of 640 × 480",
+    "csv": "a table (.csv or .parquet): person_id, frame (rows of --dt-s, from 0) or time_s, x, y",
+    "trajnet": 'TrajNet++, lines like {"track": {"f": 10, "p": 3, "x": 1.25, "y": 4.5}}',
+    "jupedsim": "`# framerate: 16.00` and rows `id frame x y z`, or JuPedSim's SQLite",
+}
+"""What a recording can be read from, and what it looks like."""
+
+_SPEEDS_MPS = (0.2, 3.0)
+"""Between these lies the median of people's mean speeds, or numbers are no metres or seconds."""
+_LONGEST_M = 300.0
+
+
+def read_recording(
+    path: Path, layout: str, *, name: str, dt_s: float | None = None
+) -> Trajectories:
+    """Read a recording in one of `FORMATS` and put it on a scene's frames.
+
+    `dt_s` are the seconds from one row of a person to the next; what the file says of it must
+    agree. A table that crowdbench wrote is taken as it is.
+
+    Raises:
+        SettingError: there is no such format.
+        RecordingError: the file is missing or broken, states another time step, or its people
+            move as no people do.
+    """
+    crowd = read_rows(path, layout, name=name, dt_s=dt_s)
+    if not (layout == "csv" and tables.is_own(path)):
+        # Pauses are a habit of annotators; a camera that tracks people by itself makes none, and
+        # loses people mid-scene all the time.
+        crowd = at_scene_frames(crowd, pauses=layout not in ("gc", "forum"), where=path)
+    _check_motion(crowd, path)
+    return replace(crowd, scene=name)
+
+
+def read_rows(path: Path, layout: str, *, name: str, dt_s: float | None = None) -> Trajectories:
+    """Read a crowd in one of `FORMATS` at the rate of its rows; see `read_recording`.
+
+    Raises:
+        SettingError: there is no such format.
+        RecordingError: the file is missing or broken, or states another time step.
+    """
+    if layout not in FORMATS:
+        raise SettingError("--format", got=repr(layout), expected=f"one of {', '.join(FORMATS)}")
+    mend = f"The format {layout}: {FORMATS[layout]}."
+    if layout == "gc":
+        files: Mapping[str, bytes] = gc.files_in(path, mend)
+    else:
+        files = {path.name: read_bytes(path, RecordingError, mend)}
+    try:
+        crowd = _rows(files, path, layout, name, dt_s)
+    except RecordingError as error:
+        if layout in ("csv", "trajnet", "jupedsim") or "--dt-s" in f"{error}":
+            raise
+        # The readers of published recordings would tell to fetch them anew.
+        raise RecordingError(
+            error.where, got=error.got, expected=error.expected, mend=mend
+        ) from error
+    notes = {**crowd.provenance.get("notes", {}), **_transform(layout)}
+    provenance = {"source": path.name, "sha256": hash_of(files), "notes": notes}
+    return replace(crowd, provenance=provenance)
+
+
+def import_own(name: str, path: Path, layout: str, dt_s: float | None = None) -> Trajectories:
+    """Read a recording and keep it for later use under a name of the user's choice.
+
+    Raises:
+        SettingError: the name is taken or no name, or there is no such format.
+        RecordingError: the file cannot be read; see `read_recording`.
+        OutputError: the imported table cannot be written.
+    """
+    check_name(name)
+    crowd = read_recording(path, layout, name=name, dt_s=dt_s)
+    keep(crowd)
+    return crowd
+
+
+def check_name(name: str) -> None:
+    """Refuse a name that is not the user's to give.
+
+    Raises:
+        SettingError: it is a published recording's, or no name.
+    """
+    if name in (*SOURCES, "plaza") or not OWN_NAME.fullmatch(name):
+        raise SettingError(
+            "recording",
+            got=f"the name {name!r}",
+            expected="a name of your own: small letters, digits and _, a letter first, and none of "
+            f"{', '.join((*SOURCES, 'plaza'))}",
+        )
+
+
+def keep(crowd: Trajectories) -> bool:
+    """Keep a recording by its name; False where that very table is kept already.
+
+    Raises:
+        SettingError: another recording is kept by that name.
+        OutputError: the table cannot be written.
+    """
+    path = cached(crowd.scene)
+    if not path.exists():
+        tables.write_parquet(crowd, path)
+        return True
+    kept = tables.read_own(path)
+    if kept.dt_s == crowd.dt_s and np.array_equal(kept.xy, crowd.xy):
+        return False
+    raise SettingError(
+        f"recording {crowd.scene}",
+        got="another one that is imported by that name",
+        expected="a name that is free",
+        mend=f"Choose another one; or delete {path} if you need it no more.",
+    )
+
+
+def _rows(
+    files: Mapping[str, bytes], path: Path, layout: str, name: str, dt_s: float | None
+) -> Trajectories:
+    if layout == "gc":
+        checked_dt_s(path, gc.STEP / gc.FPS, dt_s)
+        return gc.read_gc(files, path, name=name, video_frames=None)
+    if layout == "csv":
+        return _table(path, name, dt_s)
+    (data,) = files.values()
+    if layout == "forum":
+        checked_dt_s(path, 1 / FORUM_FPS, dt_s)
+        return read_forum(data, name=name, where=path)
+    if layout == "obsmat":
+        return _obsmat(data, path, name, dt_s)
+    read = {"trajnet": read_trajnet, "jupedsim": read_jupedsim}[layout]
+    return read(data, name=name, dt_s=dt_s, where=path)
+
+
+def _table(path: Path, name: str, dt_s: float | None) -> Trajectories:
+    if not tables.is_own(path):
+        return tables.read(path, scene=name, dt_s=checked_dt_s(path, None, dt_s))
+    crowd = tables.read_own(path)
+    checked_dt_s(path, crowd.dt_s, dt_s)
+    return crowd
+
+
+def _obsmat(data: bytes, path: Path, name: str, dt_s: float | None) -> Trajectories:
+    step, by_speed_s = step_of(data, path)
+    dt_s = checked_dt_s(path, None, dt_s)
+    if by_speed_s is not None and not np.isclose(by_speed_s, dt_s, rtol=0.1):
+        raise RecordingError(
+            path,
+            got=f"rows {by_speed_s:.2f} s apart, by the positions and velocities in them",
+            expected=f"{dt_s:g} s, as asked by --dt-s",
+            mend="Correct --dt-s; or make the velocities zero if it is they that are wrong.",
+        )
+    fps = round(step / dt_s, 9)  # or 6 / (6 / 0.4) would not be 0.4
+    return read_obsmat(data, name=name, fps=fps, frame_step=step, where=path)
+
+
+def _transform(layout: str) -> dict[str, str]:
+    """How pixels became metres, to be looked at by who knows the place."""
+    return {
+        "gc": {"metres": f"by H.json × {gc.UNIT_M} m, as in Grand Central"},
+        "forum": {"metres": f"{1000 * PIXEL_M:.1f} mm per pixel, as in the Edinburgh Forum"},
+    }.get(layout, {})
+
+
+def _check_motion(crowd: Trajectories, path: Path) -> None:
+    speeds = crowd.mean_speeds()
+    size = float(np.ptp(crowd.xy.astype(np.float64), axis=0).max())
+    mend = "Positions must be metres, no pixels or centimetres, and --dt-s the seconds from one "
+    mend += "row of a person to the next."
+    if np.isnan(speeds).all():
+        raise RecordingError(
+            path, got="nobody with more than one row", expected="people who walk", mend=mend
+        )
+    median = float(np.nanmedian(speeds))
+    if not _SPEEDS_MPS[0] <= median <= _SPEEDS_MPS[1]:
+        raise RecordingError(
+            path,
+            got=f"people half of whom are faster than {median:.3g} m/s",
+            expected=f"{_SPEEDS_MPS[0]:g} to {_SPEEDS_MPS[1]:g} m/s",
+            mend=mend,
+        )
+    if size > _LONGEST_M:
+        raise RecordingError(
+            path,
+            got=f"positions {size:.0f} m apart",
+            expected=f"a place of {_LONGEST_M:g} m at most",
+            mend=f"{mend} Remove strays, and cut out the part where people come and go.",
+        )

@@ -1,0 +1,119 @@
+"""TrajNet++: JSON objects, one a line, of people's positions (`track`) and of scenes.
+
+A track has a frame `f`, a person `p`, and `x` and `y` in metres. A scene names a person whose way
+from frame `s` to `e` is to be predicted, and the rows a second (`fps`); crowdbench takes the rate
+from there and no more. Frame numbers are those of a video: rows are several numbers apart.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from crowdbench.errors import RecordingError
+from crowdbench.files import write_text
+from crowdbench.recordings.timing import checked_dt_s, plain_positions, usual_step
+from crowdbench.trajectories import Trajectories, from_rows
+
+_MEND = 'Lines look like {"track": {"f": 10, "p": 3, "x": 1.25, "y": 4.5}}.'
+
+
+class _Track(msgspec.Struct, frozen=True):
+    f: int
+    p: int
+    x: float
+    y: float
+    prediction_number: int | None = None
+
+
+class _Scene(msgspec.Struct, frozen=True):
+    fps: float | None = None
+
+
+class _Line(msgspec.Struct, frozen=True):
+    track: _Track | None = None
+    scene: _Scene | None = None
+
+
+def read_trajnet(data: bytes, *, name: str, dt_s: float | None, where: object) -> Trajectories:
+    """Read the bytes of a file; `dt_s` is needed where no scene states its `fps`.
+
+    Frames are the file's, divided by their usual step. Where a person has no row in a frame, it
+    walked on straight.
+
+    Raises:
+        RecordingError: a line is broken, there are no tracks, the rates differ, or the tracks are
+            predictions.
+    """
+    tracks, rates = [], set()
+    for number, line in _lines(data, where):
+        if line.scene is not None and line.scene.fps is not None:
+            rates.add(line.scene.fps)
+        if line.track is None:
+            continue
+        if line.track.prediction_number is not None:
+            raise RecordingError(
+                f"{where}, line {number}",
+                got="a predicted track",
+                expected="tracks of people who were seen",
+                mend="Name the file that the predictions were made from.",
+            )
+        tracks.append(line.track)
+    if not tracks:
+        raise RecordingError(where, got="no track", expected="at least one", mend=_MEND)
+    if len(rates) > 1 or not all(0 < rate < np.inf for rate in rates):
+        shown = ", ".join(f"{rate:g}" for rate in sorted(rates))
+        raise RecordingError(
+            where, got=f"scenes of {shown} rows a second", expected="one positive rate for all"
+        )
+    person = np.array([track.p for track in tracks])
+    frame = np.array([track.f for track in tracks])
+    return from_rows(
+        scene=name,
+        dt_s=checked_dt_s(where, 1 / rates.pop() if rates else None, dt_s),
+        person_id=person,
+        frame=frame // usual_step(person, frame),
+        xy=np.array([(track.x, track.y) for track in tracks], dtype=np.float64),
+        where=where,
+    )
+
+
+def write_trajnet(crowd: Trajectories, path: Path) -> None:
+    """Write the crowd, frames numbered as they are, with one scene for each person's whole life.
+
+    Raises:
+        OutputError: the place cannot be written.
+    """
+    fps = round(1 / crowd.dt_s, 9)
+    encode = msgspec.json.encode
+    lines = [
+        encode({"scene": {"id": k, "p": p, "s": s, "e": e, "fps": fps, "tag": 0}})
+        for k, (p, s, e) in enumerate(
+            zip(crowd.person_id.tolist(), crowd.first.tolist(), crowd.last.tolist(), strict=True)
+        )
+    ]
+    ids = crowd.person_id[crowd.row_person()]
+    lines += [
+        encode({"track": {"f": f, "p": p, "x": x, "y": y}})
+        for f, p, (x, y) in zip(
+            crowd.row_frame().tolist(), ids.tolist(), plain_positions(crowd), strict=True
+        )
+    ]
+    write_text(path, b"\n".join([*lines, b""]).decode())
+
+
+def _lines(data: bytes, where: object) -> Iterator[tuple[int, _Line]]:
+    decoder = msgspec.json.Decoder(_Line)
+    for number, line in enumerate(data.splitlines(), start=1):
+        if not line.strip():
+            continue
+        try:
+            yield number, decoder.decode(line)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise RecordingError(
+                f"{where}, line {number}",
+                got=str(error),
+                expected="a JSON object with a track or a scene",
+                mend=_MEND,
+            ) from error
