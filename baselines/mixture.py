@@ -44,8 +44,8 @@ class Scales(BaseFeaturesExtractor):
     """An observation, and of what is in it what a small network would not find by itself.
 
     The observation may be `lidar-2` or `lidar-3`. What is added is the change of velocity that
-    would lead to the goal at the preferred speed, the way to the goal where it is near, and how near
-    each ray ends and each bound is that is seen.
+    would lead to the goal at the preferred speed, the way to the goal where it is near, and how
+    near each ray ends and each bound is that is seen.
     """
 
     def __init__(self, observation_space: spaces.Box) -> None:

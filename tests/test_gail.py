@@ -26,7 +26,7 @@ TINY = gail.Settings(persons=8, steps=512, round_steps=32, horizon_s=60.0, discr
 def fresh(hidden: int = 16) -> MixturePolicy:
     torch.manual_seed(0)
     return MixturePolicy(
-        spaces.Box(-1.0, 1.0, (38,), np.float32), spaces.Box(-1.0, 1.0, (2,), np.float32),
+        spaces.Box(-1.0, 1.0, (42,), np.float32), spaces.Box(-1.0, 1.0, (2,), np.float32),
         lambda _: 1e-3, net_arch=[hidden, hidden],
     )  # fmt: skip
 

@@ -1,6 +1,6 @@
 """The command line: `crowdbench evaluate | score | view | steer | areas | policy | data | convert |
-scenes | bench`, and for who makes a scene `scene | fit | spawn | anchors | power | results | walks |
-ablation`.
+scenes | bench`, and for who makes a scene `scene | fit | spawn | anchors | power | results |
+walks | ablation`.
 
 A user's error is one message and exit code 2; an interrupt exits with 130.
 """
