@@ -90,7 +90,7 @@ def test_a_discriminator_tells_wanderers_from_recorded_people() -> None:
     )  # fmt: skip
     *_, last = gail.train("plaza-v0", "full", fresh(), settings, 0)
     assert last["recorded told"] > 0.9
-    assert last["walked told"] > 0.9
+    assert last["walked told"] > 0.8
 
 
 def test_the_file_and_the_curves_are_written(tmp_path: Path, capsys) -> None:
