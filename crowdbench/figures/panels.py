@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crowdbench.figures.sight import COLOURS, Curves, Group, Sight
+from crowdbench.scene import Scene
 from crowdbench.simulation.simulation import TIMEOUT_DWELLS
 from crowdbench.spawn.areas import Gaussians
 from crowdbench.trajectories import Trajectories
@@ -148,10 +149,10 @@ def patience(axis: "Axes", sight: Sight) -> None:
         )
 
 
-def place(axis: "Axes", sight: Sight, *, fill: str = "0.75") -> None:
+def place(axis: "Axes", scene: Scene, *, fill: str = "0.75") -> None:
     """The scene's bounds and walls, in metres."""
-    b = sight.scene.bounds
-    for wall in sight.scene.walls:
+    b = scene.bounds
+    for wall in scene.walls:
         axis.fill(*np.array(wall.corners_m).T, color=fill, linewidth=0)
     axis.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
     axis.set(xlim=(b.x_min_m, b.x_max_m), ylim=(b.y_min_m, b.y_max_m))
@@ -183,7 +184,7 @@ def autocorrelation(axis: "Axes", sight: Sight) -> None:
 
 def paths(axis: "Axes", sight: Sight, crowd: Trajectories) -> None:
     """The ways of a crowd's first people, each in its goal area's colour."""
-    place(axis, sight)
+    place(axis, sight.scene)
     for p in range(min(len(crowd), MOST_PATHS)):
         colour = COLOURS[crowd.goal_area[p] % len(COLOURS)]
         axis.plot(*crowd.path(p).T, color=colour, linewidth=0.5, alpha=0.5)
@@ -210,7 +211,7 @@ def flows(axis: "Axes", sight: Sight, share: np.ndarray) -> None:
     from matplotlib.patches import FancyArrowPatch
     from matplotlib.patheffects import withStroke
 
-    place(axis, sight)
+    place(axis, sight.scene)
     spawn, goal = sight.areas.spawn, sight.areas.goal
     for k in range(len(spawn)):
         ellipse(axis, spawn, k, color="0.35", linewidth=0.8, linestyle="--")
@@ -265,5 +266,5 @@ def occupancy(axis: "Axes", sight: Sight, share: np.ndarray, top: float) -> "Axe
         np.ma.masked_equal(cells, 0), origin="lower", cmap="viridis", vmin=0, vmax=top,
         extent=(low[0], high[0] + 1, low[1], high[1] + 1), interpolation="nearest",
     )  # fmt: skip
-    place(axis, sight)
+    place(axis, sight.scene)
     return image
