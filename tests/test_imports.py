@@ -17,7 +17,7 @@ ORDER = (
     "scene", "spawn", "reference", "scoring_kernel", "scoring", "power", "cards", "simulation",
     "policies", "episode", "rollouts", "plaza", "registry", "demos", "fit", "spawn_check",
     "replay_check", "figures", "report", "jobs", "evaluation", "results", "ablation", "walks",
-    "rewards", "environment", "torchrl_env", "vec_env", "bench", "cli", "__main__",
+    "gallery", "rewards", "environment", "torchrl_env", "vec_env", "bench", "cli", "__main__",
 )  # fmt: skip
 HEAVY = (
     "torch",

@@ -1,5 +1,5 @@
 """The command line: `crowdbench evaluate | score | policy | data | scenes | bench`, and for who
-makes a scene `fit | spawn | anchors | power | results | ablation`.
+makes a scene `fit | spawn | anchors | power | results | walks | figures | ablation`.
 
 A user's error is one message and exit code 2; an interrupt exits with 130.
 """
@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from crowdbench import __version__
-from crowdbench.cli import data, judging, making, policies, speed
+from crowdbench.cli import data, drawing, judging, making, policies, speed
 from crowdbench.errors import CrowdbenchError
 
 
@@ -33,6 +33,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"crowdbench {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for room in (judging, policies, making, data, speed):
+    for room in (judging, policies, making, drawing, data, speed):
         room.add(commands)
     return parser

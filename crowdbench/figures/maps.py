@@ -13,6 +13,7 @@ Map = tuple[str, Callable[["Axes"], None]]
 """A title, and what draws the place and more onto the axes."""
 
 _TITLE_IN = 0.22
+_LEGEND_IN = 0.18
 _MARGIN_IN = 0.3
 
 
@@ -33,6 +34,7 @@ def maps(
     columns = min(columns, len(shown))
     rows = -(-len(shown) // columns)
     lines = 1 + max(title.count("\n") for title, _ in shown)
+    explained = -(-len(handles) // legend_columns)
     height = width * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m)
 
     def draw(axes: "list[Axes]") -> None:
@@ -53,7 +55,7 @@ def maps(
     return picture(
         draw,
         width=width * columns + 0.6,
-        height=(height + _TITLE_IN * lines + 0.25) * rows + _MARGIN_IN + 0.2 * bool(handles),
+        height=(height + _TITLE_IN * lines + 0.1) * rows + _MARGIN_IN + _LEGEND_IN * explained,
         rows=rows,
         columns=columns,
         kind="small png",

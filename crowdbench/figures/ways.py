@@ -6,7 +6,7 @@ A way is a pair of areas that people carry as labels, so that no trajectory has 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
@@ -22,9 +22,15 @@ if TYPE_CHECKING:
 
 PER_WAY = 12
 """People drawn of each way: more would hide each other."""
+LEAST_PEOPLE = 10
+"""In a mean: that of fewer says more of them than of the way."""
 FRACTIONS = np.linspace(0, 1, 21)
 """Where, along their ways, people are compared."""
 _ASTRAY = [OUTCOMES.index(how) for how in ("exit", "timeout")]
+
+
+Numbers = dict[str, Any]
+"""What a figure was drawn from, as JSON holds it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +42,10 @@ class MeanWay:
     """Metres."""
     across_m: Float[np.ndarray, " 21"]
     """Standard deviation of the people to the sides of their mean."""
+
+    def numbers(self) -> Numbers:
+        """As JSON holds it, to the centimetre."""
+        return {"mean_m": self.mean.round(2).tolist(), "across_m": self.across_m.round(2).tolist()}
 
 
 def whole(crowd: Trajectories) -> Bool[np.ndarray, " P"]:
@@ -104,6 +114,8 @@ def draw_ways(
     scene: Scene, recording: Trajectories, walked: Sequence[tuple[str, Trajectories]]
 ) -> bytes:
     """The same people of the commonest ways, as recorded and as they were walked, by title."""
+    from matplotlib.lines import Line2D
+
     ways = common_ways(recording, len(COLOURS))
     people, known = examples(recording, ways), entries(recording)
 
@@ -118,4 +130,13 @@ def draw_ways(
     shown = [
         (title, partial(draw, crowd=crowd)) for title, crowd in [("recorded", recording), *walked]
     ]
-    return maps(scene, shown, width=2.8, columns=4)
+    handles = [
+        Line2D(
+            [],
+            [],
+            color=colour,
+            label=f"spawn area {k} → goal area {g}: {len(walking(recording, k, g))} people",
+        )
+        for colour, (k, g) in zip(COLOURS, ways.tolist(), strict=False)
+    ]
+    return maps(scene, shown, width=2.8, columns=4, handles=handles, legend_columns=3)
