@@ -5,9 +5,11 @@ drawn from. No recorded path and no recorded arrival is among the numbers.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+
+import numpy as np
 
 from crowdbench import __version__
 from crowdbench.errors import RecordingError, SettingError
@@ -24,7 +26,7 @@ from crowdbench.reference import read_reference
 from crowdbench.registry import policy as find_policy
 from crowdbench.registry import recording_of, trained_policies
 from crowdbench.scene import Scene, load_scene
-from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.tables import read_own
 from crowdbench.trajectories import Trajectories
 
@@ -66,7 +68,7 @@ def write_figures(
         OutputError: `out` or `work` cannot be written.
     """
     places = [load_scene(scene) for scene in dict.fromkeys(scenes)]
-    _check(places, figures)
+    _check(places, figures, spawn)
     shown = [_Shown.of(place, figures, spawn, policy, seeds, work) for place in places]
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -88,13 +90,16 @@ def write_figures(
     return made
 
 
-def _check(places: Sequence[Scene], figures: Sequence[str]) -> None:
+def _check(places: Sequence[Scene], figures: Sequence[str], spawn: str) -> None:
     """Refuse what cannot be drawn, before anything is rolled out."""
     if not places:
         raise SettingError("figures", got="no scene", expected="one or more")
+    if spawn == "replay":
+        raise SettingError("spawn", got="replay, the recording itself",
+                           expected="a model that makes crowds of its own")  # fmt: skip
     for figure in figures:
         if figure not in FIGURES:
-            raise SettingError("figures", got=repr(figure), expected=f"of {', '.join(FIGURES)}")
+            raise SettingError("figures", got=repr(figure), expected=f"one of {', '.join(FIGURES)}")
     wanted = [figure for figure in OF_RECORDING if figure in figures]
     for place in places:
         if wanted and not has_recording(place):
@@ -102,7 +107,7 @@ def _check(places: Sequence[Scene], figures: Sequence[str]) -> None:
             raise RecordingError(
                 place.id,
                 got="no recording",
-                expected=f"its recording, of which {' and '.join(wanted)} is a part",
+                expected=f"its recording, for {' and '.join(wanted)}",
                 mend=f"Run `crowdbench data fetch {place.recording.name}`, or ask for "
                 f"--figure {' '.join(others)} alone.",
             )
@@ -146,6 +151,10 @@ class _Shown:
     def recording(self) -> Trajectories | None:
         return recording_of(self.scene) if has_recording(self.scene) else None
 
+    @cached_property
+    def areas(self) -> Areas:
+        return read_areas(self.scene)
+
     @property
     def sight(self) -> Sight:
         """Both spawn models against the recording's statistics."""
@@ -166,7 +175,7 @@ class _Shown:
         return _write(folder / f"{figure}.png", picture, about | numbers)
 
     def _draw(self, figure: str) -> tuple[bytes, Numbers]:
-        scene, areas, policy = self.scene, read_areas(self.scene), self._named(self.policy)
+        scene, areas, policy = self.scene, self.areas, self._named(self.policy)
         if figure == "flows":
             crowds = self._crowds(self.spawn, self.policy)
             return draw_flows(scene, areas, crowds, self.recording, f"{self.spawn} × {policy}")
@@ -180,10 +189,20 @@ class _Shown:
 
     def _crowds(self, spawn: str, policy: str) -> list[Trajectories]:
         of_pair = [job for job in self.jobs if (job.spawn, job.policy) == (spawn, policy)]
-        return [read_own(job.path) for job in of_pair]
+        return [with_areas(read_own(job.path), self.areas) for job in of_pair]
 
     def _named(self, policy: str) -> str:
         return find_policy(policy, self.scene).name
+
+
+def with_areas(crowd: Trajectories, areas: Areas) -> Trajectories:
+    """The crowd, where a spawn model of one's own named areas that there are not the likeliest."""
+    known = replace(
+        crowd,
+        spawn_area=np.where(crowd.spawn_area < len(areas.spawn), crowd.spawn_area, -1),
+        goal_area=np.where(crowd.goal_area < len(areas.goal), crowd.goal_area, -1),
+    )
+    return areas.assign(known)
 
 
 def _write(path: Path, picture: bytes, numbers: Numbers) -> Path:

@@ -9,8 +9,6 @@ from crowdbench.cli.printing import progress_bar
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
 
-_FIGURES = ("policies", "flows", "situations", "sheet")
-
 
 def add(commands: "Commands") -> None:
     """Add it to the command line."""
@@ -21,12 +19,10 @@ def add(commands: "Commands") -> None:
     figures.add_argument(
         "--figure",
         nargs="+",
-        choices=_FIGURES,
-        default=_FIGURES,
         metavar="FIGURE",
         help="policies (ways beside the recorded ones), flows (density and mean ways per spawn "
-        "area), situations (recorded windows and the rollouts' most similar ones), sheet (all "
-        "scenes on one; default: all of them)",
+        "area), situations (recorded windows and the most similar simulated ones), sheet (curves "
+        "of all scenes on one); default: all four",
     )
     figures.add_argument("--spawn", default="ntpp-gmm", metavar="MODEL",
                          help="spawn model, beside poisson-gmm (default: ntpp-gmm)")  # fmt: skip
@@ -51,12 +47,12 @@ def add(commands: "Commands") -> None:
 
 
 def _figures(asked: argparse.Namespace) -> None:
-    from crowdbench.gallery import write_figures
+    from crowdbench.gallery import FIGURES, write_figures
 
     with progress_bar("rollouts") as progress:
         made = write_figures(
             asked.scenes,
-            figures=asked.figure,
+            figures=asked.figure or FIGURES,
             spawn=asked.spawn,
             policy=asked.policy,
             out=asked.out,

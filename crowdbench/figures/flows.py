@@ -113,11 +113,11 @@ def draw_flows(
     found = [Outflow.of(k, crowds, scene, goals, recording) for k in busiest]
     shown = []
     for flow in found:
-        title = f"spawn area {flow.area}: {_percent(entered[flow.area] / entered.sum())} of people"
+        head = f"spawn area {flow.area}: {_percent(entered[flow.area] / entered.sum())} of people"
         rest = 1 - flow.share[flow.drawn].sum()
         if rest >= 0.005:
-            title += f"; {_percent(rest)} not drawn"
-        shown.append((title, partial(_map, scene=scene, areas=areas, flow=flow)))
+            head += f"; {_percent(rest)} not drawn"
+        shown.append((head, partial(_map, scene=scene, areas=areas, flow=flow)))
     left_out = spawns - len(busiest)
     their_share = 1 - float(entered[busiest].sum() / entered.sum())
     handles = [*_key(recording is not None), _words(f"{title}, {len(crowds)} rollouts")]

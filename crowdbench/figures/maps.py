@@ -12,9 +12,10 @@ if TYPE_CHECKING:
 Map = tuple[str, Callable[["Axes"], None]]
 """A title, and what draws the place and more onto the axes."""
 
-_TITLE_IN = 0.22
+_TITLE_IN = 0.2
+_GAP_IN = 0.2
 _LEGEND_IN = 0.18
-_MARGIN_IN = 0.3
+_MARGIN_IN = 0.4
 
 
 def maps(
@@ -55,7 +56,7 @@ def maps(
     return picture(
         draw,
         width=width * columns + 0.6,
-        height=(height + _TITLE_IN * lines + 0.1) * rows + _MARGIN_IN + _LEGEND_IN * explained,
+        height=(height + _TITLE_IN * lines + _GAP_IN) * rows + _MARGIN_IN + _LEGEND_IN * explained,
         rows=rows,
         columns=columns,
         kind="small png",

@@ -65,8 +65,11 @@ def _way(k: int, g: int, recording: Trajectories, walked: Mapping[str, Trajector
     found: Numbers = {"spawn_area": k, "goal_area": g, "people": len(who)}
     if len(who) >= LEAST_PEOPLE:
         found["recorded"] = mean_way([recording.path(p) for p in who.tolist()]).numbers()
-    for policy, crowd in walked.items():
-        arrived = walking(crowd, k, g).tolist()
-        if arrived:
-            found[policy] = mean_way([crowd.path(p) for p in arrived]).numbers()
-    return found
+    arrived = {policy: walking(crowd, k, g).tolist() for policy, crowd in walked.items()}
+    return found | {
+        "walked": {
+            policy: mean_way([walked[policy].path(p) for p in people]).numbers()
+            for policy, people in arrived.items()
+            if people
+        }
+    }

@@ -89,9 +89,10 @@ def _over_time(sight: Sight) -> Numbers:
         "block_s": (blocks.frames * blocks.dt_s).round(2).tolist(),
         "recorded_mean": panels.recorded_means(sight).round(3).tolist(),
         "recorded_range": [panels.recorded_range(of_block) for of_block in counts],
-    } | {
-        group.spawn: panels.block_means(sight, group.crowds[0]).round(3).tolist()
-        for group in sight.groups
+        "simulated_mean": {
+            group.spawn: panels.block_means(sight, group.crowds[0]).round(3).tolist()
+            for group in sight.groups
+        },
     }
 
 
@@ -107,4 +108,7 @@ def _curves(sight: Sight, curves: Curves, unit: float) -> Numbers:
         "x": (curves.support[every] * unit).round(3).tolist(),
         "recorded": above(curves.recorded),
         "band": [above(curves.band[1]), above(curves.band[0])],
-    } | {g.spawn: above(f) for g, f in zip(sight.groups, curves.groups, strict=True)}
+        "simulated": {
+            group.spawn: above(f) for group, f in zip(sight.groups, curves.groups, strict=True)
+        },
+    }

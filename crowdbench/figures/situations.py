@@ -101,7 +101,9 @@ def draw_situations(
                 start = int(windows[model][match.rollout].start[match.window])
                 crowd = rollouts[model][match.rollout]
                 shown.append((_title(model, match), partial(drawn, crowd=crowd, start=start)))
-            numbers[-1][model] = _of_model(of_model, windows[model], own, scene)
+        numbers[-1]["simulated"] = {
+            m: _of_model(of_model, windows[m], own, scene) for m, of_model in found.items()
+        }
     picture = maps(scene, shown, width=_WIDTH_IN, columns=1 + sum(wanted.values()),
                    handles=_key(policy), legend_columns=2)  # fmt: skip
     return picture, {
