@@ -138,13 +138,13 @@ class _Shown:
         best = next((name for name in _BEST if name in trained), WALKERS[-1])
         walker = policy or best
         walkers = tuple(dict.fromkeys([*WALKERS, *trained, walker]))
-        pairs = [("replay", name) for name in walkers if "policies" in figures]
-        if set(figures) - {"policies"}:
-            pairs.append((spawn, walker))
-        if {"situations", "sheet"} & set(figures):
-            pairs.append((BASELINE, walker))
+        recorded = [("replay", name) for name in walkers if "policies" in figures]
+        crowds = [(spawn, walker)] if set(figures) - {"policies"} else []
+        if spawn != BASELINE and {"situations", "sheet"} & set(figures):
+            crowds.append((BASELINE, walker))
         folder = work / f"figures-{scene.id}" / "rollouts"
-        jobs = plan(scene.asked, scene, list(dict.fromkeys(pairs)), "full", seeds, folder)
+        jobs = plan(scene.asked, scene, recorded, "full", 1, folder)
+        jobs += plan(scene.asked, scene, crowds, "full", seeds, folder)
         return cls(scene, spawn, walker, walkers, jobs)
 
     @cached_property

@@ -10,17 +10,18 @@ from models import AREAS
 from strategies import crowd_of
 
 from crowdbench.figures.situations import search
-from crowdbench.figures.windows import GROUP_S, WINDOW_S, Windows, situations
+from crowdbench.figures.windows import GROUP_S, Windows, situations
 from crowdbench.trajectories import Trajectories
 
-FRAMES = 200
+FRAMES = 500
+WINDOW = 50
 
 
 def crowd(arrivals: list[tuple[int, int, int]]) -> Trajectories:
-    """People by entry, spawn area and goal area, in frames of 1 s, who stay for 5 s."""
+    """People by frame of entry, spawn area and goal area, in frames of 0.4 s, who stay for five."""
     first, spawn, goal = (list(column) for column in zip(*arrivals, strict=True))
     persons = {"entered": [True] * len(first), "spawn_area": spawn, "goal_area": goal}
-    return crowd_of([(f, f + 4) for f in first], frames=FRAMES, persons=persons)
+    return crowd_of([(f, f + 4) for f in first], frames=FRAMES, dt_s=0.4, persons=persons)
 
 
 def people() -> st.SearchStrategy[Trajectories]:
@@ -33,8 +34,8 @@ def window_at(windows: Windows, frame: int) -> int:
 
 
 def test_what_happens_is_counted_in_people() -> None:
-    found = Windows.of(crowd([(3, 0, 1), (4, 0, 1), (4, 0, 1), (4, 1, 0), (50, 0, 1)]), AREAS)
-    k = window_at(found, 2)
+    found = Windows.of(crowd([(3, 0, 1), (4, 0, 1), (4, 0, 1), (4, 1, 0), (60, 0, 1)]), AREAS)
+    k = window_at(found, 0)
     assert found.entered[k] == 4
     assert found.largest[k] == 2
     assert found.alone[k] == 2
@@ -42,17 +43,17 @@ def test_what_happens_is_counted_in_people() -> None:
     ways = found.ways[k].reshape(3, 3)
     assert ways[0, 1] == 3
     assert ways[1, 0] == 1
-    assert found.present[k, :8].tolist() == [0, 1, 4, 4, 4, 4, 3, 0]
+    assert found.present[k, :8].tolist() == [0, 0, 0, 1, 4, 4, 4, 4]
 
 
 @given(people())
 def test_each_arrival_is_counted_where_it_happens(of: Trajectories) -> None:
     found = Windows.of(of, AREAS)
-    assert found.frames == WINDOW_S
+    assert found.frames == WINDOW
     for k, start in enumerate(found.start.tolist()):
         inside = (of.first >= start) & (of.first < start + found.frames)
         assert found.entered[k] == inside.sum() == found.ways[k].sum()
-        groups = np.stack([of.spawn_area, of.first], axis=1)[inside]
+        groups = np.stack([of.spawn_area, of.first // 2], axis=1)[inside]
         sizes = np.unique(groups, axis=0, return_counts=True)[1]
         assert found.largest[k] == sizes.max(initial=0)
         assert found.alone[k] == (sizes == 1).sum()
@@ -85,24 +86,24 @@ def test_groups_are_those_of_the_same_moment_on_any_grid() -> None:
     of = replace(
         crowd([(8, 0, 1), (8, 0, 1), (8, 0, 1)]),
         grid_s=1 / 9,
-        spawn_s=np.array([8.0, 8.0 + 1 / 9, 8.0 + GROUP_S]),
+        spawn_s=np.array([3.2, 3.2 + 1 / 9, 3.2 + GROUP_S]),
     )
     assert Windows.of(of, AREAS).members[:, :3].max(axis=0).tolist() == [2, 1, 0]
 
 
 def test_windows_lie_in_what_was_observed() -> None:
     of = replace(
-        crowd([(3, 0, 1), (120, 0, 1)]), observed=np.array([[0, 50], [55, 70], [100, 200]])
+        crowd([(3, 0, 1), (300, 0, 1)]), observed=np.array([[0, 120], [125, 160], [250, 500]])
     )
     start = Windows.of(of, AREAS).start
     assert start.min() == 0
-    assert ((start <= 30) | ((start >= 100) & (start <= 180))).all()
+    assert ((start <= 70) | ((start >= 250) & (start <= 450))).all()
 
 
 def test_situations_are_what_they_are_called() -> None:
     of = crowd(
-        [(10, 0, 1)] * 6 + [(50, 1, 0)] * 2 + [(90 + k, 0, 1) for k in range(9)]
-        + [(130 + k, k % 2, 1 - k % 2) for k in range(18)]
+        [(20, 0, 1)] * 6 + [(110, 1, 0)] * 2 + [(200 + 2 * k, 0, 1) for k in range(9)]
+        + [(300 + 2 * k, k % 2, 1 - k % 2) for k in range(18)]
     )  # fmt: skip
     found = Windows.of(of, AREAS)
     chosen = situations(found, AREAS)
@@ -110,7 +111,7 @@ def test_situations_are_what_they_are_called() -> None:
         "large group": 6, "small group": 2, "single walkers": 18, "strong flow": 9,
     }  # fmt: skip
     when = {kind: found.start[k] for kind, (k, _) in chosen.items()}
-    for kind, frame in (("large group", 10), ("small group", 50), ("strong flow", 94)):
+    for kind, frame in (("large group", 20), ("small group", 110), ("strong flow", 208)):
         assert when[kind] <= frame < when[kind] + found.frames
     starts = sorted(when.values())
     assert (np.diff(starts) >= found.frames).all()

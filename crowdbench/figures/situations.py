@@ -92,7 +92,7 @@ def draw_situations(
         drawn = partial(_map, scene=scene, colours=colours, frames=recorded.frames)
         title = (
             f"{kind}: {people} of {recorded.entered[k]} who enter\n"
-            f"own nearest {own.min():.1f}, median {np.median(own):.1f}"
+            f"others: nearest {own.min():.1f}, median {np.median(own):.1f}"
         )
         shown.append((title, partial(drawn, crowd=recording, start=int(recorded.start[k]))))
         numbers.append(_of_recording(kind, k, people, recorded, own, scene))

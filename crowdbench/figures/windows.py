@@ -46,18 +46,17 @@ class Windows:
         who, _, tick = blocks.of_arrivals(crowd)
         spawns, goals = len(areas.spawn) + 1, len(areas.goal) + 1
         spawn, goal = crowd.spawn_area[who] % spawns, crowd.goal_area[who] % goals  # −1 is last
-        way = spawn.astype(np.int64) * goals + goal
         moment = _whole(tick * crowd.grid_s / GROUP_S)
-        member = np.minimum(_place_in_group(spawn.astype(np.int64), moment), _LARGEST - 1)
         at = _whole(tick * crowd.grid_s / crowd.dt_s)
         low, high = np.searchsorted(at, start), np.searchsorted(at, start + frames)
         seen = np.repeat(low - np.r_[0, (high - low).cumsum()[:-1]], high - low)
         seen += np.arange(len(seen))  # arrivals, window by window
         window = np.repeat(np.arange(len(start)), high - low)
-        shape = (len(start), spawns * goals)
-        ways, members = np.zeros(shape, np.int16), np.zeros((len(start), _LARGEST), np.int16)
-        np.add.at(ways, (window, way[seen]), 1)
-        np.add.at(members, (window, member[seen]), 1)
+        ways = np.zeros((len(start), spawns * goals), np.int16)
+        np.add.at(ways, (window, spawn[seen].astype(np.int64) * goals + goal[seen]), 1)
+        members = np.zeros((len(start), _LARGEST), np.int16)
+        place = _place_in_group(np.stack([window, spawn[seen], moment[seen]], axis=1))
+        np.add.at(members, (window, np.minimum(place, _LARGEST - 1)), 1)
         present = crowd.present()[start[:, None] + np.arange(frames)].astype(np.int16)
         return cls(start, ways, members, present)
 
@@ -138,13 +137,11 @@ def _whole(steps: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     return np.floor(steps + 1e-6).astype(np.int64)
 
 
-def _place_in_group(
-    area: Int[np.ndarray, " n"], moment: Int[np.ndarray, " n"]
-) -> Int[np.ndarray, " n"]:
+def _place_in_group(group: Int[np.ndarray, "n k"]) -> Int[np.ndarray, " n"]:
     """0 for the first member of each group, 1 for the second, and so on."""
-    order = np.lexsort((moment, area))
-    new = np.r_[True, (np.diff(area[order]) != 0) | (np.diff(moment[order]) != 0)][: len(area)]
-    first = np.maximum.accumulate(np.where(new, np.arange(len(area)), 0))
-    place = np.empty(len(area), dtype=np.int64)
-    place[order] = np.arange(len(area)) - first
+    order = np.lexsort(group.T)
+    new = np.r_[True, (np.diff(group[order], axis=0) != 0).any(axis=1)][: len(group)]
+    first = np.maximum.accumulate(np.where(new, np.arange(len(group)), 0))
+    place = np.empty(len(group), dtype=np.int64)
+    place[order] = np.arange(len(group)) - first
     return place
