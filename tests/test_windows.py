@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from models import AREAS
 from strategies import crowd_of
 
-from crowdbench.figures.situations import search
+from crowdbench.errors import RecordingError
+from crowdbench.figures.situations import draw_situations, search
 from crowdbench.figures.windows import GROUP_S, Windows, situations
+from crowdbench.scene import load_scene
 from crowdbench.trajectories import Trajectories
 
 FRAMES = 500
@@ -115,6 +117,13 @@ def test_situations_are_what_they_are_called() -> None:
         assert when[kind] <= frame < when[kind] + found.frames
     starts = sorted(when.values())
     assert (np.diff(starts) >= found.frames).all()
+
+
+def test_little_that_was_observed_has_no_situations() -> None:
+    for observed in ([[0, 149]], [[0, 40], [60, 100]]):
+        short = replace(crowd([(3, 0, 1)]), observed=np.array(observed))
+        with pytest.raises(RecordingError, match="windows over 60 s or more"):
+            draw_situations(load_scene("eth-v0"), AREAS, short, {"any": [short]}, "anyone")
 
 
 def test_what_never_happens_is_not_shown() -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from crowdbench.errors import RecordingError
 from crowdbench.figures import panels
 from crowdbench.figures.maps import Map, maps
 from crowdbench.figures.sight import COLOURS
@@ -79,8 +80,19 @@ def draw_situations(
     rollouts: Mapping[str, Sequence[Trajectories]],
     policy: str,
 ) -> tuple[bytes, Numbers]:
-    """The picture and its numbers; `rollouts` are those of spawn models, all walked by `policy`."""
+    """The picture and its numbers; `rollouts` are those of spawn models, all walked by `policy`.
+
+    Raises:
+        RecordingError: too little was observed to compare windows.
+    """
     recorded = Windows.of(recording, areas)
+    if not len(recorded) or np.ptp(recorded.start) < 2 * recorded.frames:  # none beside some
+        raise RecordingError(
+            f"situations of {scene.id}",
+            got=f"{len(recorded)} windows of {WINDOW_S:g} s that were observed",
+            expected=f"windows over {3 * WINDOW_S:g} s or more",
+            mend="Ask for other figures.",
+        )
     windows = {model: [Windows.of(c, areas) for c in crowds] for model, crowds in rollouts.items()}
     wanted = {model: SHOWN if n == 0 else 1 for n, model in enumerate(rollouts)}
     shown: list[Map] = []
