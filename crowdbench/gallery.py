@@ -21,7 +21,7 @@ from crowdbench.figures.sheet import draw_sheet
 from crowdbench.figures.situations import draw_situations
 from crowdbench.figures.ways import Numbers
 from crowdbench.files import replacing, unwritable, write_json
-from crowdbench.jobs import Job, Progress, alone_in, plan, roll_out
+from crowdbench.jobs import Job, Progress, alone_in, make, plan
 from crowdbench.reference import read_reference
 from crowdbench.registry import policy as find_policy
 from crowdbench.registry import recording_of, trained_policies
@@ -77,7 +77,7 @@ def write_figures(
     for of_scene in shown:
         folder = work / f"figures-{of_scene.scene.id}"
         with alone_in(folder):
-            roll_out(of_scene.jobs, read_reference(of_scene.scene), workers, progress)
+            make(of_scene.jobs, workers, progress)
     made = [
         of_scene.write(figure, out / of_scene.scene.id)
         for of_scene in shown
