@@ -104,7 +104,7 @@ def draw_situations(
         drawn = partial(_map, scene=scene, colours=colours, frames=recorded.frames)
         title = (
             f"{kind}: {people} of {recorded.entered[k]} who enter\n"
-            f"others: nearest {own.min():.1f}, median {np.median(own):.1f}"
+            f"others: nearest {own.min():.3g}, median {np.median(own):.3g}"
         )
         shown.append((title, partial(drawn, crowd=recording, start=int(recorded.start[k]))))
         numbers.append(_of_recording(kind, k, people, recorded, own, scene))
@@ -129,8 +129,8 @@ def draw_situations(
 
 def _title(model: str, match: Match) -> str:
     ways, groups, presence = match.apart
-    parts = f"ways {ways:.0f}, groups {groups:.0f}, N {presence:.1f}"
-    return f"{model}: {match.distance:.1f} apart\n{parts}"
+    parts = f"ways {ways:.0f}, groups {groups:.0f}, N {presence:.3g}"
+    return f"{model}: {match.distance:.3g} apart\n{parts}"
 
 
 def _colours(recorded: Windows, k: int, areas: Areas) -> dict[tuple[int, int], str]:
