@@ -29,7 +29,7 @@ from crowdbench.rollouts import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn.scenario import split
 from crowdbench.tables import read_own, write_parquet
-from crowdbench.trajectories import OUTCOMES
+from crowdbench.trajectories import OUTCOMES, Trajectories
 
 _LARGE = 2**26  # bytes of a file beyond which its age is looked at, not what is in it
 
@@ -151,7 +151,31 @@ def roll_out(
     return {job: rolled[job] for job in jobs}
 
 
+def make(jobs: list[Job], workers: int | None, progress: Progress) -> None:
+    """Make all rollouts that are missing, as `roll_out` does, and leave it at that."""
+    progress(0, len(jobs))
+    tasks = [(job,) for job in jobs]
+    for done, _ in enumerate(call_each(_make, tasks, checked_workers(workers)), 1):
+        progress(done, len(jobs))
+
+
+def _make(job: Job) -> None:
+    _made(job)
+
+
 def _roll_out(job: Job, reference: Reference) -> Rolled:
+    crowd = _made(job)
+    statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]] = {}
+    for metric, of_metric in summarise(crowd, reference.blocks, reference.place).items():
+        statistics[metric] = {}
+        for name, values in of_metric.items():
+            columns = np.flatnonzero(values.any(axis=0))
+            statistics[metric][name] = (columns, values[:, columns], values.shape[1])
+    return Rolled(statistics, np.bincount(crowd.outcome, minlength=len(OUTCOMES)))
+
+
+def _made(job: Job) -> Trajectories:
+    """The rollout, from its file if that is of this job, else made and written there."""
     provenance = {
         "spawn": job.spawn,
         "policy": job.policy,
@@ -172,13 +196,7 @@ def _roll_out(job: Job, reference: Reference) -> Rolled:
         seed = job.seed * len(PARTS) + PARTS.index(job.part)
         crowd = replace(rollout(scene, spawn, policy, seed=seed), provenance=provenance)
         write_parquet(crowd, job.path)
-    statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]] = {}
-    for metric, of_metric in summarise(crowd, reference.blocks, reference.place).items():
-        statistics[metric] = {}
-        for name, values in of_metric.items():
-            columns = np.flatnonzero(values.any(axis=0))
-            statistics[metric][name] = (columns, values[:, columns], values.shape[1])
-    return Rolled(statistics, np.bincount(crowd.outcome, minlength=len(OUTCOMES)))
+    return crowd
 
 
 def _models(job: Job):  # type: ignore[no-untyped-def]  # what _cached_models returns

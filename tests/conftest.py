@@ -23,6 +23,7 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.figures",
         "crowdbench.files",
         "crowdbench.fit",
+        "crowdbench.gallery",
         "crowdbench.jobs",
         "crowdbench.metrics",
         "crowdbench.policies.export",

@@ -1,19 +1,15 @@
 """The page on how policies walk: everyone under the recorded arrivals, and their pictures."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from crowdbench import cli
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.registry import recording_of
 from crowdbench.scene import load_scene
-from crowdbench.trajectories import Trajectories, from_rows
 from crowdbench.walks import RecordedPaths, write_walks
-from crowdbench.walks.pictures import _entries, _people, common_ways
 
 PLAZA = load_scene("plaza-v0")
 
@@ -60,29 +56,6 @@ def test_the_page_of_the_plaza(tmp_path: Path) -> None:
 def test_recorded_paths_end_at_their_goals() -> None:
     crowd = recording_of(PLAZA)
     assert RecordedPaths(crowd).name != "replay"  # which rollouts let walk on
-
-
-def drawn(*ways: tuple[int, int]) -> Trajectories:
-    """People who walk from one area to another, two frames each."""
-    frame = np.repeat(np.arange(len(ways)), 2) + np.tile([1, 2], len(ways))
-    xy = np.stack([frame, frame], axis=1).astype(float)
-    crowd = from_rows(
-        scene="drawn", dt_s=0.4, frames=len(ways) + 4, where="test", frame=frame,
-        person_id=np.repeat(np.arange(len(ways)), 2), xy=xy,
-    )  # fmt: skip
-    areas = np.array(ways)
-    return replace(crowd, spawn_area=areas[:, 0], goal_area=areas[:, 1])
-
-
-def test_the_commonest_ways_come_first() -> None:
-    crowd = drawn((0, 1), (2, 0), (2, 0), (0, 1), (2, 0), (1, 1), (-1, 0), (-1, 0), (-1, 0))
-    assert common_ways(crowd, 2).tolist() == [[2, 0], [0, 1]]
-    assert _people(crowd, common_ways(crowd, 2)) == [[1, 2, 4], [0, 3]]
-
-
-def test_people_are_known_by_when_and_where_they_were_to_enter() -> None:
-    crowd = drawn((0, 1), (0, 1))
-    assert _entries(crowd) == [(0.4, 1.0, 1.0), (0.8, 2.0, 2.0)]
 
 
 def test_what_is_missing_is_said_before_anything_is_walked(tmp_path: Path, capsys) -> None:

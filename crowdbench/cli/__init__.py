@@ -1,6 +1,6 @@
 """The command line: `crowdbench evaluate | score | view | steer | areas | policy | data | convert |
 scenes | bench`, and for who makes a scene `scene | fit | spawn | anchors | power | results |
-walks | ablation`.
+walks | figures | ablation`.
 
 A user's error is one message and exit code 2; an interrupt exits with 130.
 """
@@ -13,6 +13,7 @@ from crowdbench import __version__
 from crowdbench.cli import (
     authoring,
     data,
+    drawing,
     judging,
     making,
     policies,
@@ -43,7 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"crowdbench {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    rooms = (judging, viewing, steering, policies, authoring, making, data, speed)
+    rooms = (judging, viewing, steering, policies, authoring, making, drawing, data, speed)
     for room in rooms:
         room.add(commands)
     return parser

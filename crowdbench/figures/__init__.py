@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from crowdbench.figures import panels
 from crowdbench.figures.canvas import Draw, picture
+from crowdbench.figures.maps import maps
 from crowdbench.figures.sight import Crowds, Sight
 from crowdbench.files import replacing
 
@@ -90,35 +91,18 @@ def _paths(sight: Sight) -> bytes:
     """Draw the paths of each crowd's first rollout over the scene's walls and areas."""
     from matplotlib.lines import Line2D
 
-    b = sight.scene.bounds
     shown = [(f"{group.label}, seed 0", group.crowds[0]) for group in sight.groups]
     if sight.recording is not None:
         shown.insert(0, ("recorded", sight.recording))
+    b = sight.scene.bounds
     steep = (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m)
     columns, width = (4, 2.7) if steep > _TALL else (2, 4.0)
-    columns = min(columns, len(shown))
-    rows = -(-len(shown) // columns)
-    height = width * steep + 0.6
-
-    def draw(axes: "list[Axes]") -> None:
-        for axis in axes[len(shown) :]:
-            axis.set_visible(False)
-        for k, (axis, (label, crowd)) in enumerate(zip(axes, shown, strict=False)):
-            panels.paths(axis, sight, crowd)
-            axis.set_title(label, fontsize=9)
-            axis.set_ylabel("y (m)" if k % columns == 0 else "")
-            below = k + columns < len(shown)
-            axis.set_xlabel("" if below else "x (m)")
-            axis.tick_params(labelbottom=not below)  # also above an empty place
-        handles = [
-            Line2D([], [], color="black", linewidth=1.0, linestyle="--", label="spawn area, 2 σ"),
-            Line2D([], [], color="0.4", linewidth=1.8, label="goal area, 2 σ, and paths to it"),
-        ]
-        # Below all maps: an area may lie in any of their corners.
-        axes[0].figure.legend(handles=handles, loc="outside lower center", ncols=2)
-
-    size = {"width": width * columns + 0.6, "height": height * rows + 0.3}
-    return picture(draw, **size, rows=rows, columns=columns, kind="small png")
+    handles = [
+        Line2D([], [], color="black", linewidth=1.0, linestyle="--", label="spawn area, 2 σ"),
+        Line2D([], [], color="0.4", linewidth=1.8, label="goal area, 2 σ, and paths to it"),
+    ]
+    drawn = [(title, partial(panels.paths, sight=sight, crowd=crowd)) for title, crowd in shown]
+    return maps(sight.scene, drawn, width=width, columns=columns, handles=handles)
 
 
 _DRAWN: dict[str, Callable[[Sight], bytes]] = {

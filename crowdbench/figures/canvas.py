@@ -34,8 +34,9 @@ def picture(
     rows: int = 1,
     columns: int = 1,
     kind: Literal["png", "small png", "svg"] = "svg",
+    shared: bool = True,
 ) -> bytes:
-    """Let `draw` fill rows × columns axes of a figure (inches).
+    """Let `draw` fill rows × columns axes of a figure (inches), which share their scales or not.
 
     A `small png` keeps 64 colours: a fraction of the size where lines lie thick over each other.
     """
@@ -48,7 +49,9 @@ def picture(
     with matplotlib.style.context(["default", _STYLE]):
         figure = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasAgg(figure)
-        axes = figure.subplots(rows, columns, sharex=True, sharey=columns > 1, squeeze=False)
+        axes = figure.subplots(
+            rows, columns, sharex=shared, sharey=shared and columns > 1, squeeze=False
+        )
         draw(list(axes.ravel()))
         if kind == "svg":
             nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}

@@ -32,6 +32,11 @@ def linestyle(group: Group) -> Any:
 def agents_over_time(axis: "Axes", sight: Sight, group: Group) -> None:
     """The rollouts' N(t), the first one drawn out, over the recording's N in each time block."""
     recorded_bands(axis, sight)
+    rollouts_over_time(axis, sight, group)
+
+
+def rollouts_over_time(axis: "Axes", sight: Sight, group: Group) -> None:
+    """The rollouts' N(t), the first one drawn out."""
     frames = sight.scene.recording.frames
     for k, crowd in enumerate(group.crowds):
         drawn_out: dict[str, Any] = {"linewidth": 0.9, "zorder": 3}
@@ -99,8 +104,7 @@ def recorded_bands(axis: "Axes", sight: Sight) -> None:
     counts = sight.reference.statistics["agents_over_time"]["counts"]
     blocks, means = sight.reference.blocks, recorded_means(sight)
     for b, (start, stop) in enumerate(blocks.frames * blocks.dt_s):
-        cumulative = counts[b].cumsum() / counts[b].sum()
-        low, high = (np.searchsorted(cumulative, q) for q in (0.05, 0.95))
+        low, high = recorded_range(counts[b])
         first = b == 0
         if not in_blocks(sight):
             axis.fill_between(
@@ -111,6 +115,13 @@ def recorded_bands(axis: "Axes", sight: Sight) -> None:
             [start, stop], [means[b], means[b]], color="black", linewidth=1.6,
             label="recorded, mean of a block" if first else None,
         )  # fmt: skip
+
+
+def recorded_range(counts: np.ndarray) -> tuple[int, int]:
+    """What a number lies between for 90 % of the time, by how often it has each value."""
+    cumulative = counts.cumsum() / counts.sum()
+    low, high = (int(np.searchsorted(cumulative, q)) for q in (0.05, 0.95))
+    return low, high
 
 
 def survival(

@@ -1,0 +1,64 @@
+"""`figures`: pictures of scenes, with their numbers."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from crowdbench.cli.printing import progress_bar
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+
+
+def add(commands: "Commands") -> None:
+    """Add it to the command line."""
+    figures = commands.add_parser(
+        "figures", help="draw how people walk and come on some scenes, with the numbers (minutes)"
+    )
+    figures.add_argument("scenes", nargs="+", metavar="SCENE", help="id of a scene, or its folder")
+    figures.add_argument(
+        "--figure",
+        nargs="+",
+        metavar="FIGURE",
+        help="policies (ways beside the recorded ones), flows (density and mean ways per spawn "
+        "area), situations (recorded windows and the most similar simulated ones), sheet (curves "
+        "of all scenes on one); default: all four",
+    )
+    figures.add_argument("--spawn", default="ntpp-gmm", metavar="MODEL",
+                         help="spawn model, beside poisson-gmm (default: ntpp-gmm)")  # fmt: skip
+    figures.add_argument(
+        "--policy",
+        metavar="POLICY",
+        help="who walks the crowds (default: gail or bc if they come with the scene, else "
+        "social-force)",
+    )
+    figures.add_argument(
+        "--seeds", type=int, default=5, help="rollouts of each spawn model (default: 5)"
+    )
+    figures.add_argument("--workers", type=int, help="processes (default: one per core)")
+    figures.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs/figures"),
+        metavar="DIR",
+        help="folder of the pictures and numbers (default: docs/figures)",
+    )
+    figures.set_defaults(run=_figures)
+
+
+def _figures(asked: argparse.Namespace) -> None:
+    from crowdbench.gallery import FIGURES, write_figures
+
+    with progress_bar("rollouts") as progress:
+        made = write_figures(
+            asked.scenes,
+            figures=asked.figure or FIGURES,
+            spawn=asked.spawn,
+            policy=asked.policy,
+            out=asked.out,
+            seeds=asked.seeds,
+            workers=asked.workers,
+            progress=progress,
+        )
+    for path in made:
+        print(f"written to {path} and {path.with_suffix('.json').name}")
