@@ -274,7 +274,7 @@ def colours_of(picture: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_the_real_viewer_draws_discs_where_people_are(saved: Path, tmp_path: Path) -> None:
-    need(list(Path("/usr/share/vulkan/icd.d").glob("*")), "mesa-vulkan-drivers")
+    need(list(Path("/usr/share/vulkan/icd.d").glob("lvp_*")), "mesa-vulkan-drivers")
     picture = tmp_path / "viewer.png"
     window = ("--headless", "--port", free_port(), "--window-size", "1000x800")
     rerun(*window, "--screenshot-to", picture, saved)
@@ -294,7 +294,7 @@ def test_the_real_viewer_draws_discs_where_people_are(saved: Path, tmp_path: Pat
 @pytest.fixture
 def viewer(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """A real viewer that listens and has no window: what it tells of itself."""
-    need(list(Path("/usr/share/vulkan/icd.d").glob("*")), "mesa-vulkan-drivers")
+    need(list(Path("/usr/share/vulkan/icd.d").glob("lvp_*")), "mesa-vulkan-drivers")
     from rerun.experimental import ViewerClient
 
     port = free_port()
@@ -340,6 +340,23 @@ def test_where_it_cannot_be_written(crowd: Trajectories, tmp_path: Path) -> None
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="Name another folder"):
         save(crowd, PLAZA, tmp_path / "file" / "x.rrd")
+
+
+def test_a_disk_that_is_full_is_an_error_and_leaves_nothing(
+    crowd: Trajectories, tmp_path: Path
+) -> None:
+    table = tmp_path / "rollout.parquet"
+    write_parquet(crowd, table)
+    code = (
+        "import resource, sys; from crowdbench.cli import main\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))\n"
+        "sys.exit(main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", code, "view", table, "--save", tmp_path / "crowd.rrd"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 2
+    assert "crowd.rrd: got File too large" in done.stderr
+    assert list(tmp_path.iterdir()) == [table]
 
 
 def test_without_rerun_it_is_said_how_to_install_it(

@@ -1,6 +1,7 @@
 """A finished crowd in the viewer, or in a file for it."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,13 +52,18 @@ def save(
         OutputError: the file cannot be written.
     """
     check_rerun()
+    import rerun as rr
+
     if person is not None:
         index_of(person, crowd)
     sides = _sides(crowd, scene, against)
+    stream = new_stream(scene, title_of(crowd))
+    # Kept in memory first: on a full disk rerun's own writer waits for ever.
+    kept = rr.binary_stream(stream)
+    stream.send_blueprint(_layout(scene, sides), make_active=False)
+    _log(stream, scene, sides, person)
     with replacing(path) as temporary:
-        stream = new_stream(scene, title_of(crowd))
-        stream.save(temporary, default_blueprint=_layout(scene, sides))
-        _log(stream, scene, sides, person)
+        temporary.write_bytes(kept.read() or b"")
 
 
 def show(
@@ -78,6 +84,9 @@ def show(
     check_rerun()
     stream = open_stream(scene, title_of(crowd), _layout(scene, sides))
     _log(stream, scene, sides, person)
+    with suppress(RuntimeError):  # who closed the window wants to see no more
+        stream.flush()
+    stream.disconnect()
 
 
 def title_of(crowd: Trajectories) -> str:
@@ -124,5 +133,3 @@ def _log(
     log_outcomes(stream, crowd)
     if person is not None:
         log_chosen(stream, "simulation", crowd, scene, person)
-    stream.flush()
-    stream.disconnect()

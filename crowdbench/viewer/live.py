@@ -1,5 +1,7 @@
 """An environment in the viewer, frame by frame as it is stepped."""
 
+from contextlib import suppress
+
 import numpy as np
 
 from crowdbench.scene import Scene
@@ -70,7 +72,8 @@ class Live:
 
     def close(self) -> None:
         """Send what is left; the viewer stays open."""
-        self._stream.flush()
+        with suppress(RuntimeError):  # who closed the window wants to see no more
+            self._stream.flush()
 
     def _log_people(self, now: Now | None) -> None:
         import rerun as rr
