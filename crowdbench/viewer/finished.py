@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crowdbench.errors import OutputError
 from crowdbench.files import replacing
 from crowdbench.scene import Scene
 from crowdbench.trajectories import Trajectories
@@ -53,24 +52,18 @@ def save(
         OutputError: the file cannot be written.
     """
     check_rerun()
+    import rerun as rr
+
     if person is not None:
         index_of(person, crowd)
     sides = _sides(crowd, scene, against)
+    stream = new_stream(scene, title_of(crowd))
+    # Kept in memory first: on a full disk rerun's own writer waits for ever.
+    kept = rr.binary_stream(stream)
+    stream.send_blueprint(_layout(scene, sides), make_active=False)
+    _log(stream, scene, sides, person)
     with replacing(path) as temporary:
-        stream = new_stream(scene, title_of(crowd))
-        stream.save(temporary, default_blueprint=_layout(scene, sides))
-        _log(stream, scene, sides, person)
-        try:
-            stream.flush()
-        except RuntimeError as error:
-            raise OutputError(
-                path,
-                got=f"a file that could not be finished ({error})",
-                expected="room for the file",
-                mend="Free some, or name another folder.",
-            ) from error
-        finally:
-            stream.disconnect()
+        temporary.write_bytes(kept.read() or b"")
 
 
 def show(
