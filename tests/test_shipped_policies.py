@@ -33,7 +33,8 @@ def test_there_is_one_for_each_part_made_by_one_command(scene: str, name: str) -
 def test_people_get_to_their_goals(scene: str, name: str) -> None:
     place = load_scene(scene)
     spawn = spawn_model("ntpp-gmm", place)
-    horizon_s = min(place.horizon_s, 300.0)
+    persons_per_s = spawn_model("poisson-gmm", place).rate.sum()
+    horizon_s = min(place.horizon_s, max(300.0, 60 / persons_per_s))
     crowd = rollout(place, spawn, policy(name, place), seed=1, horizon_s=horizon_s)
     ended = [OUTCOMES[k] for k in crowd.outcome.tolist()]
     arrived, failed = ended.count("goal"), ended.count("exit") + ended.count("timeout")
