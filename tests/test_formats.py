@@ -189,8 +189,9 @@ def test_converting_goes_round(tmp_path: Path, capsys: pytest.CaptureFixture[str
     np.testing.assert_array_equal(crowd.xy, read_rows(here, "jupedsim", name="here").xy)
 
 
+@pytest.mark.slow
 def test_pedpy_loads_what_is_written(tmp_path: Path) -> None:
-    pedpy = pytest.importorskip("pedpy")
+    pedpy = pytest.importorskip("pedpy")  # pip install pedpy, and run with -m slow
     path = tmp_path / "crowd.txt"
     write_jupedsim(trajnet(scene(2.25), *tracks()), path)
     loaded = pedpy.load_trajectory(trajectory_file=path)
