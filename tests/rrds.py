@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pytest
 
 
 def rerun(*arguments: object) -> str:
@@ -15,6 +16,13 @@ def rerun(*arguments: object) -> str:
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout + done.stderr
+
+
+def forget_types(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rerun learns a value's type when it is first logged: as if nothing had been logged yet."""
+    from rerun.any_batch_value import ANY_VALUE_TYPE_REGISTRY
+
+    monkeypatch.setattr(ANY_VALUE_TYPE_REGISTRY, "_entries", {})
 
 
 def chunks(path: Path) -> list[Any]:

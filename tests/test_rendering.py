@@ -15,7 +15,7 @@ from given import DT, env_of, run, stand
 from pettingzoo.test import render_test
 from pettingzoo.test.example_envs import generated_agents_parallel_v0
 from pettingzoo.utils import BaseParallelWrapper, parallel_to_aec
-from rrds import entities, rows
+from rrds import entities, forget_types, rows
 from worlds import Person, box, square
 
 from crowdbench.environment import CrowdParallelEnv, parallel_env
@@ -30,12 +30,13 @@ PEOPLE = "/world/simulation/people"
 
 
 @pytest.fixture
-def streamed(tmp_path: Path) -> Iterator[Callable[[], Path]]:
+def streamed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], Path]]:
     """What a user's program logs to rerun goes to a file: a call closes and names it."""
     need(find_spec("rerun"), "rerun, of the extra viewer,")
     import rerun as rr
 
     path = tmp_path / "mine.rrd"
+    forget_types(monkeypatch)
 
     def closed() -> Path:
         stream.disconnect()

@@ -1,5 +1,6 @@
 """The viewer: a file of it shows what the tables say, and the real viewer draws it."""
 
+import io
 import os
 import re
 import shlex
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,7 +24,7 @@ from conftest import REQUIRE_ALL, need
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
-from rrds import always, entities, rerun, rows
+from rrds import always, entities, forget_types, rerun, rows
 from worlds import box, square
 
 from crowdbench.cli import main
@@ -264,51 +266,67 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def colours_of(picture: Path) -> tuple[np.ndarray, np.ndarray]:
-    """The left and the right half of a screenshot where the places are, below rerun's notices."""
-    with Image.open(picture) as image:
-        pixels = np.asarray(image.convert("RGB")).astype(int)
-    height, width = pixels.shape[:2]
-    places = pixels[round(0.35 * height) : round(0.65 * height)]
-    return places[:, : width // 2], places[:, width // 2 :]
+def listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
-def test_the_real_viewer_draws_discs_where_people_are(saved: Path, tmp_path: Path) -> None:
-    need(list(Path("/usr/share/vulkan/icd.d").glob("lvp_*")), "mesa-vulkan-drivers")
-    picture = tmp_path / "viewer.png"
-    window = ("--headless", "--port", free_port(), "--window-size", "1000x800")
-    rerun(*window, "--screenshot-to", picture, saved)
-    left, right = colours_of(picture)
-    assert len(np.unique(left.reshape(-1, 3), axis=0)) > 50
-    shown = np.array(
-        [
-            [(np.abs(half - rgb(goal_colour(area))).sum(axis=2) < 40).sum() for area in range(4)]
-            for half in (left, right)
-        ]
-    )
-    # The areas are drawn in both halves, people only in the left: the right is not observed yet.
-    assert (np.sort(shown, axis=1)[:, 1:] > 200).all(), shown
-    assert (shown[0] - shown[1]).sum() > 500, shown
-
-
-@pytest.fixture
-def viewer(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """A real viewer that listens and has no window: what it tells of itself."""
+@contextmanager
+def real_viewer(window_size: str) -> Iterator[tuple[Any, int]]:
+    """A viewer that listens on a port and has no window: what it tells of itself."""
     need(list(Path("/usr/share/vulkan/icd.d").glob("lvp_*")), "mesa-vulkan-drivers")
     from rerun.experimental import ViewerClient
 
     port = free_port()
-    monkeypatch.setattr(access, "PORT", port)
-    small = ["--headless", "--window-size", "320x240", "--port", str(port)]  # all that it draws
-    process = subprocess.Popen([sys.executable, "-m", "rerun", *small], start_new_session=True)
+    options = ["--headless", "--window-size", window_size, "--port", str(port)]
+    process = subprocess.Popen([sys.executable, "-m", "rerun", *options], start_new_session=True)
     try:
-        while not access._listens():
+        while not listens(port):
             assert process.poll() is None
             time.sleep(0.1)
-        yield ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+        yield ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy"), port
     finally:
         os.killpg(process.pid, signal.SIGTERM)
         process.wait()
+
+
+@pytest.fixture
+def viewer(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """The viewer that crowdbench finds, small: it draws all that it gets."""
+    with real_viewer("320x240") as (client, port):
+        monkeypatch.setattr(access, "PORT", port)
+        yield client
+
+
+def goals_shown(picture: bytes) -> np.ndarray:
+    """Pixels of each goal area's colour in the left and the right half, below rerun's notices."""
+    with Image.open(io.BytesIO(picture)) as image:
+        pixels = np.asarray(image.convert("RGB")).astype(int)
+    height, width = pixels.shape[:2]
+    places = pixels[round(0.35 * height) : round(0.65 * height)]
+    return np.array(
+        [
+            [(np.abs(half - rgb(goal_colour(area))).sum(axis=2) < 40).sum() for area in range(4)]
+            for half in (places[:, : width // 2], places[:, width // 2 :])
+        ]
+    )
+
+
+def test_the_real_viewer_draws_discs_where_people_are(saved: Path) -> None:
+    with real_viewer("1000x800") as (client, _):
+        (recording,) = client.open(str(saved)).store_ids
+        client.set_time("frame", sequence=0, play_state="paused", recording=recording)
+        for _ in range(60):  # a busy machine draws bit by bit
+            shown = goals_shown(client.take_screenshot())
+            # Both halves have the areas, one of which lies outside; only the left has people:
+            # the right is not observed yet.
+            areas = np.sort(shown, axis=1)[:, 1:].min()
+            people = (shown[0] - shown[1]).sum()
+            if areas > 100 and people > 80:
+                break
+            time.sleep(0.5)
+    assert areas > 100, shown
+    assert people > 80, shown
 
 
 def arrived(viewer: Any, recordings: int) -> list[str]:
@@ -448,6 +466,15 @@ def test_a_crowd_of_one_frame(tmp_path: Path) -> None:
     save(one, PLAZA, tmp_path / "one.rrd", person=7)
     shown = rows(tmp_path / "one.rrd", "/world/simulation/people", "Points2D:positions")
     assert shown[0].tolist() == [[3.0, 4.0]]
+
+
+def test_a_place_may_be_empty_for_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    forget_types(monkeypatch)
+    late = from_rows(scene="plaza-v0", dt_s=0.4, person_id=np.array([7]), frame=np.array([900]),
+                     xy=np.array([[3.0, 4.0]]), frames=1000, where="test")  # fmt: skip
+    save(late, PLAZA, tmp_path / "late.rrd")
+    ids = rows(tmp_path / "late.rrd", "/world/simulation/people", "person_id")
+    assert {frame: there.tolist() for frame, there in ids.items() if len(there)} == {900: [7]}
 
 
 PAGE = (Path(__file__).parents[1] / "docs" / "viewer.md").read_text()

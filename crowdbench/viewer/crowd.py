@@ -11,6 +11,7 @@ from crowdbench.trajectories import OUTCOMES, Trajectories
 from crowdbench.viewer.place import UNKNOWN, WORLD, corners
 
 if TYPE_CHECKING:
+    import pyarrow as pa
     from rerun import RecordingStream, TimeColumn
 
 TRAIL_S = 2.0
@@ -49,9 +50,9 @@ def log_crowd(stream: "RecordingStream", side: str, crowd: Trajectories, scene: 
         times = time_columns(np.arange(start, stop), crowd.dt_s)
         goal = class_of(crowd.goal_area[here])
         people = rr.Points2D.columns(positions=crowd.xy[rows[now]], class_ids=goal)
-        ids = rr.AnyValues.columns(person_id=crowd.person_id[here].astype(np.int64))
+        who = rr.AnyValues.columns(person_id=ids(crowd.person_id[here]))
         stream.send_columns(
-            f"{where}/people", times, [*people.partition(length), *ids.partition(length)]
+            f"{where}/people", times, [*people.partition(length), *who.partition(length)]
         )
         strips = trails(crowd, rows[now], crowd.offsets[here])
         lines = rr.LineStrips2D.columns(strips=strips, class_ids=goal)
@@ -124,6 +125,13 @@ def ending(person_id: int, outcome: int, from_s: float, to_s: float) -> tuple[st
 def class_of(goal_area: Int[np.ndarray, " n"]) -> UInt16[np.ndarray, " n"]:
     """Class of people who walk to these goal areas: it gives them colour and label."""
     return np.where(goal_area < 0, UNKNOWN, goal_area).astype(np.uint16)
+
+
+def ids(person_id: Int[np.ndarray, " n"]) -> "pa.Array":
+    """Persons' numbers for `rerun.AnyValues`, which knows no type for none of them by itself."""
+    import pyarrow as pa
+
+    return pa.array(person_id, pa.int64())
 
 
 def trail_steps(dt_s: float) -> int:

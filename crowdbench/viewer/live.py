@@ -6,7 +6,7 @@ import numpy as np
 
 from crowdbench.scene import Scene
 from crowdbench.viewer.access import open_stream
-from crowdbench.viewer.crowd import WINDOW, class_of, ending, log_looks, log_series
+from crowdbench.viewer.crowd import WINDOW, class_of, ending, ids, log_looks, log_series
 from crowdbench.viewer.finished import SERIES
 from crowdbench.viewer.layout import layout
 from crowdbench.viewer.now import Now
@@ -90,7 +90,7 @@ class Live:
         stream.log(
             f"{where}/people",
             rr.Points2D.from_fields(positions=now.xy, class_ids=goal),
-            rr.AnyValues(person_id=now.person_id.astype(np.int64)),
+            rr.AnyValues(person_id=ids(now.person_id)),
         )
         stream.log(f"{where}/trails", rr.LineStrips2D.from_fields(strips=now.trail, class_ids=goal))
         stream.log(f"{where}/goals", rr.Points2D.from_fields(positions=now.goal, class_ids=goal))
