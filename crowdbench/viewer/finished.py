@@ -62,8 +62,9 @@ def save(
     kept = rr.binary_stream(stream)
     stream.send_blueprint(_layout(scene, sides), make_active=False)
     _log(stream, scene, sides, person)
+    data = kept.read() or b""
     with replacing(path) as temporary:
-        temporary.write_bytes(kept.read() or b"")
+        temporary.write_bytes(data)
 
 
 def show(
