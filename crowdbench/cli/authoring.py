@@ -109,6 +109,5 @@ def _check(asked: argparse.Namespace) -> None:
     for problem in problems:
         print(f"crowdbench: {problem}", file=sys.stderr)
     if problems:
-        raise SceneError(
-            asked.scene, got=f"{len(problems)} problems", expected="none", mend="They stand above."
-        )
+        number = f"{len(problems)} problem{'s' * (len(problems) != 1)}"
+        raise SceneError(asked.scene, got=number, expected="none", mend="See above.")
