@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.figures import panels
-from crowdbench.figures.maps import maps
-from crowdbench.figures.sight import COLOURS
+from crowdbench.figures.maps import CELL_M, draw_cells, in_cells, maps
+from crowdbench.figures.sight import COLOURS, goal_colour
 from crowdbench.figures.ways import LEAST_PEOPLE, MeanWay, Numbers, mean_way, sides, walking
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
@@ -26,7 +26,6 @@ MOST_AREAS = 6
 """Spawn areas that get a map, the busiest."""
 LEAST_SHARE = 0.03
 """Of an area's people who walk a way that is drawn."""
-CELL_M = 0.5
 DENSITY_PARTS = 100_000
 """In which the numbers count the density."""
 _THINNEST, _WIDEST = 1.1, 5.0
@@ -142,16 +141,9 @@ def draw_flows(
 
 def density(crowds: Sequence[Trajectories], area: int, scene: Scene) -> Float[np.ndarray, "Y X"]:
     """Share of the time of those who enter at an area in each cell of `CELL_M`; it sums to 1."""
-    b = scene.bounds
-    edges = [
-        low + CELL_M * np.arange(int(np.ceil((high - low) / CELL_M)) + 1)
-        for low, high in ((b.y_min_m, b.y_max_m), (b.x_min_m, b.x_max_m))
-    ]
-    found = np.zeros([len(edge) - 1 for edge in edges])
-    for crowd in crowds:
-        theirs = (crowd.entered & (crowd.spawn_area == area))[crowd.row_person()]
-        x, y = crowd.xy[theirs].T
-        found += np.histogram2d(y, x, bins=edges)[0]
+    theirs = [(c.entered & (c.spawn_area == area))[c.row_person()] for c in crowds]
+    xy = np.concatenate([crowd.xy[rows] for crowd, rows in zip(crowds, theirs, strict=True)])
+    found = in_cells(xy, scene)
     return found / max(1.0, found.sum())
 
 
@@ -168,16 +160,12 @@ def _map(axis: "Axes", scene: Scene, areas: Areas, flow: Outflow) -> None:
     from matplotlib.colors import PowerNorm
     from matplotlib.patheffects import withStroke
 
-    b, (rows, columns) = scene.bounds, flow.density.shape
-    axis.imshow(
-        np.ma.masked_equal(flow.density, 0), origin="lower", cmap="Greys",
-        norm=PowerNorm(0.4, vmin=0, vmax=flow.density.max()), interpolation="nearest",
-        extent=(b.x_min_m, b.x_min_m + CELL_M * columns, b.y_min_m, b.y_min_m + CELL_M * rows),
-    )  # fmt: skip
+    norm = PowerNorm(0.4, vmin=0, vmax=flow.density.max())
+    draw_cells(axis, np.ma.masked_equal(flow.density, 0), scene, cmap="Greys", norm=norm)
     panels.place(axis, scene, fill=_WALLS)
     labels: list[np.ndarray] = []
     for g in sorted(flow.drawn, key=lambda g: -flow.share[g]):
-        way, colour = flow.ways[g], COLOURS[g % len(COLOURS)]
+        way, colour = flow.ways[g], goal_colour(g)
         aside = way.across_m[:, None] * sides(way.mean)
         axis.fill(*np.concatenate([way.mean + aside, (way.mean - aside)[::-1]]).T, color=colour,
                   alpha=0.25, linewidth=0)  # fmt: skip

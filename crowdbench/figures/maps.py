@@ -1,7 +1,10 @@
-"""Maps of one scene side by side, on one scale."""
+"""Maps of one scene side by side, on one scale, and how many people are in each of its cells."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float, Float32
 
 from crowdbench.figures.canvas import picture
 from crowdbench.scene import Scene
@@ -9,6 +12,7 @@ from crowdbench.scene import Scene
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+CELL_M = 0.5
 Map = tuple[str, Callable[["Axes"], None]]
 """A title, and what draws the place and more onto the axes."""
 
@@ -16,6 +20,25 @@ _TITLE_IN = 0.2
 _GAP_IN = 0.2
 _LEGEND_IN = 0.18
 _MARGIN_IN = 0.4
+
+
+def in_cells(xy: Float32[np.ndarray, "n 2"], scene: Scene) -> Float[np.ndarray, "Y X"]:
+    """How many positions lie in each cell of `CELL_M`, the first one at the lowest x and y."""
+    b = scene.bounds
+    edges = [
+        low + CELL_M * np.arange(int(np.ceil((high - low) / CELL_M)) + 1)
+        for low, high in ((b.y_min_m, b.y_max_m), (b.x_min_m, b.x_max_m))
+    ]
+    x, y = xy.T
+    return np.histogram2d(y, x, bins=edges)[0]
+
+
+def draw_cells(axis: "Axes", values: Float[np.ndarray, "Y X"], scene: Scene, **style: Any) -> Any:
+    """Draw a value of each cell; the image, for a colour bar."""
+    b, (rows, columns) = scene.bounds, values.shape
+    x, y = b.x_min_m, b.y_min_m
+    extent = (x, x + CELL_M * columns, y, y + CELL_M * rows)
+    return axis.imshow(values, origin="lower", interpolation="nearest", extent=extent, **style)
 
 
 def maps(

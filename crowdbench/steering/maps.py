@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from crowdbench.figures import panels
 from crowdbench.figures.canvas import Draw, picture
+from crowdbench.figures.maps import CELL_M, draw_cells, in_cells
 from crowdbench.figures.sight import COLOURS
 from crowdbench.scene import Scene
 from crowdbench.spawn import Areas
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _WIDTH = 4.2
-_CELL_M = 0.5
 SPAWN, GOAL = "black", COLOURS[0]
 
 
@@ -110,29 +110,17 @@ def _spot(gaussians: Gaussians, k: int, scene: Scene) -> Float[np.ndarray, " 2"]
     return gaussians.mean[k] + (2 * of_y / np.sqrt(of_y[1]) if hidden.any() else 0)
 
 
-def _density(scene: Scene, crowds: Sequence[Trajectories]) -> Float[np.ndarray, "x y"]:
+def _density(scene: Scene, crowds: Sequence[Trajectories]) -> Float[np.ndarray, "Y X"]:
     """Mean number of persons in each cell, per 100 m²."""
-    edges = _edges(scene)
-    each = [
-        np.histogramdd(crowd.xy.astype(np.float64), bins=edges)[0] / crowd.frames
-        for crowd in crowds
-    ]
-    density: np.ndarray = 100 / _CELL_M**2 * np.mean(each, axis=0)
+    each = [in_cells(crowd.xy, scene) / crowd.frames for crowd in crowds]
+    density: np.ndarray = 100 / CELL_M**2 * np.mean(each, axis=0)
     return density
-
-
-def _edges(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    b = scene.bounds
-    return (
-        np.arange(b.x_min_m, b.x_max_m + _CELL_M, _CELL_M),
-        np.arange(b.y_min_m, b.y_max_m + _CELL_M, _CELL_M),
-    )
 
 
 def _shown(
     axis: "Axes",
     scene: Scene,
-    density: Float[np.ndarray, "x y"],
+    density: Float[np.ndarray, "Y X"],
     colours: str,
     least: float | None,
     what: str,
@@ -140,11 +128,8 @@ def _shown(
     """A map of numbers; without a `least` the scale is as long below 0 as above."""
     # A cell where people pile up must not darken all others.
     top = float(np.percentile(np.abs(density[density != 0]), 99)) if density.any() else 1.0
-    x, y = _edges(scene)
-    image = axis.imshow(
-        density.T, origin="lower", extent=(x[0], x[-1], y[0], y[-1]), cmap=colours,
-        vmin=-top if least is None else least, vmax=top, interpolation="nearest",
-    )  # fmt: skip
+    low = -top if least is None else least
+    image = draw_cells(axis, density, scene, cmap=colours, vmin=low, vmax=top)
     panels.place(axis, scene)
     bar = axis.figure.colorbar(
         image, ax=axis, location="bottom", aspect=40, pad=0.02,
