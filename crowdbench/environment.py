@@ -14,23 +14,21 @@ from gymnasium.utils import seeding
 from jaxtyping import UInt8
 from pettingzoo import ParallelEnv
 
-from crowdbench.episode import Recorder, begin, check_capacity, check_horizon, warm_up_s
+from crowdbench.episode import Recorder, begin, check_capacity, check_horizon, slots_for, warm_up_s
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import spawn_model
 from crowdbench.rewards import Reward
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.simulation import TIMEOUT_DWELLS
 from crowdbench.simulation.state import TERMINAL
-from crowdbench.spawn import SpawnEvents, SpawnModel
+from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.model import Start
 from crowdbench.trajectories import OUTCOMES, Trajectories
 
 if TYPE_CHECKING:
     from crowdbench.viewer.renderer import Renderer, RenderMode
 
-LEAST_SLOTS = 512
 RENDER_MODES = ("human", "rgb_array")
 
 
@@ -394,15 +392,3 @@ def _renderer(scene: Scene, spawn: SpawnModel, mode: "RenderMode") -> "Renderer"
     from crowdbench.viewer.renderer import Renderer
 
     return Renderer(scene, mode, f"{spawn.name} × environment")
-
-
-def slots_for(events: SpawnEvents, scene: Scene) -> int:
-    """Slots that have room for crowds like this one, even if nobody reaches a goal."""
-    return max(LEAST_SLOTS, 3 * _most_at_once(events, scene) // 2)
-
-
-def _most_at_once(events: SpawnEvents, scene: Scene) -> int:
-    """Persons who are there at once if all of them stay until the scene's patience ends."""
-    patience_s = TIMEOUT_DWELLS * scene.recording.dwell_p99_s
-    gone = np.searchsorted(events.time_s, events.time_s + patience_s)
-    return int((gone - np.arange(len(events))).max(initial=0))

@@ -11,6 +11,7 @@ from crowdbench.errors import ActionError, CapacityError, SettingError
 from crowdbench.policies import Policy, StateView
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
+from crowdbench.simulation.simulation import TIMEOUT_DWELLS
 from crowdbench.simulation.state import EXIT, GOAL, HORIZON, RECORDED, TIMEOUT
 from crowdbench.spawn import SpawnEvents, SpawnModel, Steered
 from crowdbench.spawn.events import check_events
@@ -19,6 +20,7 @@ from crowdbench.trajectories import Trajectories, from_rows
 
 PURPOSES = ("spawn", "policy", "warm-up")
 WARM_UP_S = 60.0
+LEAST_SLOTS = 512
 
 
 def generator(seed: int, world: int, purpose: str) -> Generator:
@@ -235,6 +237,18 @@ class Recorder:
             where=" × ".join(str(provenance.get(k, "")) for k in ("spawn", "policy"))
             + f", seed {provenance.get('seed', '')}",
         )
+
+
+def slots_for(events: SpawnEvents, scene: Scene) -> int:
+    """Slots that have room for crowds like this one, even if nobody reaches a goal."""
+    return max(LEAST_SLOTS, 3 * _most_at_once(events, scene) // 2)
+
+
+def _most_at_once(events: SpawnEvents, scene: Scene) -> int:
+    """Persons who are there at once if all of them stay until the scene's patience ends."""
+    patience_s = TIMEOUT_DWELLS * scene.recording.dwell_p99_s
+    gone = np.searchsorted(events.time_s, events.time_s + patience_s)
+    return int((gone - np.arange(len(events))).max(initial=0))
 
 
 def check_horizon(horizon_s: float) -> None:

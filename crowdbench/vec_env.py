@@ -13,8 +13,14 @@ from gymnasium import spaces
 from jaxtyping import Float32, Int
 from stable_baselines3.common.vec_env import VecEnv
 
-from crowdbench.environment import slots_for
-from crowdbench.episode import actions_of, begin, check_capacity, check_horizon, generator
+from crowdbench.episode import (
+    actions_of,
+    begin,
+    check_capacity,
+    check_horizon,
+    generator,
+    slots_for,
+)
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Policy, Straight
 from crowdbench.registry import spawn_model
