@@ -20,11 +20,11 @@ import numpy as np
 
 from crowdbench.environment import CrowdParallelEnv
 from crowdbench.errors import SettingError
-from crowdbench.evaluation import draws_of, has_recording
+from crowdbench.evaluation import draws_of
 from crowdbench.metrics import WALK, metrics_for
 from crowdbench.policies import Policy, SocialForce, Straight
 from crowdbench.reference import Reference, blocks_of, read_reference, summarise
-from crowdbench.registry import FITTED, recording_of, spawn_model
+from crowdbench.registry import FITTED, has_recording, recording_of, spawn_model
 from crowdbench.rewards import Reward
 from crowdbench.rollouts import rollout
 from crowdbench.scene import Bounds, Scene, Wall, load_scene

@@ -44,8 +44,8 @@ from crowdbench.jobs import (
 from crowdbench.metrics import WALK, Metric, Statistics, metrics_for
 from crowdbench.power import Power, power
 from crowdbench.processes import checked_workers
-from crowdbench.recordings.catalogue import cached
 from crowdbench.reference import Reference, read_reference
+from crowdbench.registry import has_recording
 from crowdbench.report import write_report
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring import RESAMPLES, Draws, FloorDraws, energy, floor, mean_of
@@ -267,12 +267,6 @@ def _pairs(place: Scene, spawn: Sequence[str], policy: Sequence[str]) -> list[Pa
     if not has_recording(place):
         recorded = []
     return list(dict.fromkeys([*walkable, *recorded]))
-
-
-def has_recording(scene: Scene) -> bool:
-    """Whether the scene's recording is imported, or is one that is generated."""
-    name = scene.recording.name
-    return name == "plaza" or cached(name).exists()
 
 
 def _prepare(out: Path) -> None:

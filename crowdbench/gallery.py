@@ -13,7 +13,6 @@ import numpy as np
 
 from crowdbench import __version__
 from crowdbench.errors import RecordingError, SettingError
-from crowdbench.evaluation import has_recording
 from crowdbench.figures import Sight
 from crowdbench.figures.flows import draw_flows
 from crowdbench.figures.policies import draw_policies
@@ -23,8 +22,8 @@ from crowdbench.figures.ways import Numbers
 from crowdbench.files import replacing, unwritable, write_json
 from crowdbench.jobs import Job, Progress, alone_in, make, plan
 from crowdbench.reference import read_reference
+from crowdbench.registry import has_recording, recording_of, trained_policies
 from crowdbench.registry import policy as find_policy
-from crowdbench.registry import recording_of, trained_policies
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.tables import read_own

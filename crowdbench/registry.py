@@ -69,6 +69,12 @@ def recording_of(scene: Scene) -> Trajectories:
     return crowd
 
 
+def has_recording(scene: Scene) -> bool:
+    """Whether the scene's recording is imported, or is one that is generated."""
+    name = scene.recording.name
+    return name == "plaza" or catalogue.cached(name).exists()
+
+
 def spawn_model(
     model: str | SpawnModel,
     scene: str | Scene,

@@ -12,12 +12,11 @@ from crowdbench.authoring.rules import LEFT_OUT
 from crowdbench.blocks import FOLDS, PARTS
 from crowdbench.cards import read_anchors
 from crowdbench.errors import CrowdbenchError, SceneError, WeightsError
-from crowdbench.evaluation import has_recording
 from crowdbench.fit import check_against
 from crowdbench.metrics import metrics_for
 from crowdbench.recordings.catalogue import SOURCES
 from crowdbench.reference import Reference, read_reference
-from crowdbench.registry import FITTED, recording, trained_policies
+from crowdbench.registry import FITTED, has_recording, recording, trained_policies
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import Areas, fit_areas
 from crowdbench.spawn.areas import read_areas

@@ -175,8 +175,7 @@ def _print_replay(scene: str, out: Path) -> None:
 
 def _show_first(card: "Scorecard", named: str, out: Path) -> None:
     """Show the first rollout of each pair beside the recording, where that is at hand."""
-    from crowdbench.evaluation import has_recording
-    from crowdbench.registry import recording_of
+    from crowdbench.registry import has_recording, recording_of
     from crowdbench.scene import load_scene
     from crowdbench.tables import read_own
     from crowdbench.viewer import show

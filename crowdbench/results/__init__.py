@@ -8,12 +8,12 @@ come from the two scorecards and their rollouts: the same evaluations give the s
 from pathlib import Path
 
 from crowdbench.cards import Protocol, Scorecard
-from crowdbench.evaluation import evaluate, has_recording
+from crowdbench.evaluation import evaluate
 from crowdbench.figures import Sight
 from crowdbench.files import replacing, write_text
 from crowdbench.jobs import Job, Progress, parts_of, plan
 from crowdbench.reference import Reference, read_reference
-from crowdbench.registry import recording_of
+from crowdbench.registry import has_recording, recording_of
 from crowdbench.results.correlations import Lag, at_lags
 from crowdbench.results.misses import best_of
 from crowdbench.results.page import page

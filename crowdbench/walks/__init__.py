@@ -10,14 +10,14 @@ from pathlib import Path
 
 from crowdbench.cards import Protocol, Scorecard
 from crowdbench.errors import RecordingError, SettingError
-from crowdbench.evaluation import evaluate, has_recording
+from crowdbench.evaluation import evaluate
 from crowdbench.figures.sight import Crowds
 from crowdbench.files import replacing, write_text
 from crowdbench.jobs import Progress, plan
 from crowdbench.policies import ReplayPolicy
 from crowdbench.reference import read_reference
+from crowdbench.registry import has_recording, recording_of, trained_policies
 from crowdbench.registry import policy as find_policy
-from crowdbench.registry import recording_of, trained_policies
 from crowdbench.rollouts import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import Replay
