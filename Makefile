@@ -14,7 +14,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 .PHONY: evaluate test lint clean
 
 evaluate: $(VENV)/core.stamp
-	$(BIN)/crowdbench evaluate eth-v0
+	$(BIN)/crowdbench evaluate eth-v0 --out results/eth
 
 ARGS ?= -n auto
 

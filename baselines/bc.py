@@ -131,6 +131,13 @@ def shown(scene: str, part: str, settings: Settings) -> list[Demonstrations]:
     ]
 
 
+def everything(lots: list[Demonstrations], settings: Settings) -> Batches:
+    """All that is shown, nobody held out."""
+    seen, did = (np.concatenate(each) for each in zip(*(lot.pairs() for lot in lots), strict=True))
+    rng = np.random.default_rng(settings.seed)
+    return Batches({"obs": seen, "acts": did}, min(settings.batch_size, len(did)), rng)
+
+
 def clone(lots: list[Demonstrations], settings: Settings) -> tuple[MixturePolicy, float, int]:
     """The policy, its held-out log-likelihood in nats per action, and the epochs trained."""
     torch.manual_seed(settings.seed)

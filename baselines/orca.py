@@ -3,7 +3,7 @@
 The method is van den Berg, Guy, Lin & Manocha (2011), Reciprocal n-body collision avoidance,
 Springer Tracts in Advanced Robotics 70, 3: everyone takes the velocity that, of those at which
 nobody is met for a while if all do their half of the avoiding, is nearest to the preferred one.
-`pip install "crowdbench[orca]"`, then `crowdbench evaluate eth-v0 --policy baselines.orca:ORCA`.
+`pip install -e ".[orca]"`, then `crowdbench evaluate eth-v0 --policy baselines.orca:ORCA`.
 
 Parameters are those that RVO2's authors gave pedestrians in Menge (Curtis, Best & Manocha 2016,
 Collective Dynamics 1, A1): its default horizons, and the neighbours of its documentation, whose
@@ -61,7 +61,7 @@ class ORCA:
                 "policy orca",
                 got=f"no {error.name}",
                 expected="the package that computes it",
-                mend='Install it: pip install "crowdbench[orca]".',
+                mend='Install it, in the clone: pip install -e ".[orca]".',
             ) from error
 
     def reset(self, scene: Scene, rng: Generator) -> None:

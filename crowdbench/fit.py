@@ -128,7 +128,7 @@ def check_torch(mend: str = "") -> None:
             "ntpp-gmm",
             got="no torch to fit it with",
             expected="torch 2.4 or newer",
-            mend=f"Install crowdbench[fit]{mend}.",
+            mend=f'Install it, in the clone: pip install -e ".[fit]"{mend}.',
         )
 
 

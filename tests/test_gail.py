@@ -1,6 +1,8 @@
 """GAIL: who walks so that a discriminator is at a loss, with a reward that pays nobody for time."""
 
 import csv
+import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from gymnasium import spaces  # noqa: E402
 from imitation.data.types import Transitions  # noqa: E402
 
 from baselines import bc, gail  # noqa: E402
+from baselines.command import Command  # noqa: E402
 from baselines.mixture import NOISE, MixturePolicy  # noqa: E402
 from crowdbench import demonstrations, rollout, spawn_model  # noqa: E402
 from crowdbench.policies import OnnxPolicy  # noqa: E402
@@ -91,6 +94,36 @@ def test_a_discriminator_tells_wanderers_from_recorded_people() -> None:
     *_, last = gail.train("plaza-v0", "full", fresh(), settings, 0)
     assert last["recorded told"] > 0.9
     assert last["walked told"] > 0.8
+
+
+def test_reminders_make_what_recorded_people_did_likelier() -> None:
+    lots, first = [demonstrations("plaza-v0", observation="lidar-3")], bc.Settings(batch_size=256)
+    settings = replace(TINY, steps=256, learning_rate=1e-3)
+    told = next(iter(bc.everything(lots, first)))
+    likely = {}
+    for reminders in (0, 20):
+        policy, lessons = fresh(), itertools.cycle(bc.everything(lots, first))
+        asked = replace(settings, reminders=reminders)
+        assert len([*gail.train("plaza-v0", "full", policy, asked, 0, lessons)]) == 1
+        with torch.no_grad():
+            likely[reminders] = policy.get_distribution(told["obs"]).log_prob(told["acts"]).mean()
+    assert likely[20] > likely[0] + 0.1
+
+
+def test_who_is_reminded_is_made_steadier_in_the_end(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    asked = "--scene plaza-v0 --steps 512 --persons 8 --cloning-epochs 0 --cloning-width 0.5"
+    written = []
+    monkeypatch.setattr(
+        Command, "write", lambda _, part, sampler, **__: written.append(sampler) or tmp_path
+    )
+    monkeypatch.setattr(gail, "_write", lambda *_: None)
+    for reminders in (0, 1):
+        more = f"--learning-rate 0 --reminders {reminders} --out {tmp_path}"
+        assert gail.main(f"{asked} {more}".split()) == 0
+    before, after = (sampler.head.bias.detach() for sampler in written)
+    torch.testing.assert_close(before, after)  # once, be it before or after
 
 
 def test_the_file_and_the_curves_are_written(tmp_path: Path, capsys) -> None:

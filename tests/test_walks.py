@@ -47,7 +47,7 @@ def test_the_page_of_the_plaza(tmp_path: Path) -> None:
     assert float(of["random"][5].rstrip(" %")) < 5
     assert "0.022 from the recording’s" in re.sub(r"\s+", " ", text)
     linked = re.findall(r"!\[[^]]+\]\(([^)]+)\)", text)
-    assert linked == ["walks/plaza-v0-paths.png", "walks/plaza-v0-dwell.png"]
+    assert linked == ["walks/plaza-v0-dwell.png"]
     for name in linked:
         assert (tmp_path / "docs" / name).read_bytes().startswith(b"\x89PNG")
     assert "crowdbench walks plaza-v0 --seeds 2" in text

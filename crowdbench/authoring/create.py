@@ -182,7 +182,7 @@ def _fill(built: Path, crowd: Trajectories, workers: int, stage: Stage) -> dict[
     with stage("fits") as progress:
         facts = fit_scene(scene, crowd, models=models, workers=workers, progress=progress)
     if "ntpp-gmm" not in models:
-        facts["ntpp-gmm"] = "left out: no torch to fit it with (pip install crowdbench[fit])"
+        facts["ntpp-gmm"] = "left out: no torch to fit it with (extra `fit`)"
     with tempfile.TemporaryDirectory() as temporary:
         rollouts = Path(temporary)
         with stage("power study") as progress:

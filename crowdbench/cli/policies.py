@@ -88,7 +88,7 @@ def _network(path: str) -> Any:
             "policy export",
             got="no torch",
             expected="torch, which networks are made of",
-            mend='Install it: pip install "crowdbench[fit]".',
+            mend='Install it, in the clone: pip install -e ".[fit]".',
         ) from error
     sys.path.insert(0, os.getcwd())
     module, _, name = path.partition(":")

@@ -95,7 +95,7 @@ def _onnx(
             "policy",
             got=f"no {error.name}",
             expected="the packages that export needs",
-            mend='Install them: pip install "crowdbench[onnx]".',
+            mend='Install them, in the clone: pip install -e ".[onnx]".',
         ) from error
     except Exception as error:  # torch's errors have no base of their own
         raise WeightsError(

@@ -145,7 +145,7 @@ def check_onnx() -> None:
             "policy",
             got=f"no {error.name}",
             expected="the packages that ONNX files need",
-            mend='Install them: pip install "crowdbench[onnx]".',
+            mend='Install them, in the clone: pip install -e ".[onnx]".',
         ) from error
 
 

@@ -46,11 +46,10 @@ def page(
 
 ## Scores
 
-A score of 0 is the anchor (poisson-gmm × straight; in motion and interaction straight walkers
-under the recorded arrivals), 1 is what the true process gets on average; brackets are 95 %
-intervals. *crowd* is the mean of the families before it, *walk* that of motion and interaction,
-*overall* that of all. Equal ranks cannot be told apart (5 %, Holm). Rows in italics do not compete:
-*replay* has the recording by heart, *block-replay* pieces of it. – stands where there is no score.
+What scores, brackets and ranks are is explained in `docs/metrics.md`. *crowd* is the mean of the
+families before it, *walk* that of motion and interaction, *overall* that of all. Rows in italics do
+not compete: *replay* has the recording by heart, *block-replay* pieces of it. – stands where there
+is no score.
 {_no_walk(full)}
 
 {scores}

@@ -53,7 +53,7 @@ def check_rerun() -> None:
             "the viewer",
             got="no rerun",
             expected="rerun, which draws",
-            mend='Install it: pip install "crowdbench[viewer]".',
+            mend='Install it, in the clone: pip install -e ".[viewer]".',
         )
 
 

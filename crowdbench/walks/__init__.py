@@ -23,7 +23,7 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import Replay
 from crowdbench.tables import read_own
 from crowdbench.walks.page import Walked, page
-from crowdbench.walks.pictures import draw_pictures
+from crowdbench.walks.pictures import draw_dwell
 
 PLAIN = ("random", "straight", "social-force")
 ARRIVALS = "ntpp-gmm"
@@ -51,7 +51,7 @@ def write_walks(
     workers: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Path:
-    """Evaluate policies on scenes and write `walks.md` and `walks/<scene>-*.png` into `out`.
+    """Evaluate policies on scenes and write `walks.md` and `walks/<scene>-dwell.png` into `out`.
 
     These are `random`, `straight`, `social-force`, `more`, and those that each scene ships. The
     rollouts are left in `walks-<scene>-…` of `work`, where another call takes up what is there.
@@ -122,7 +122,7 @@ def _walk(
     jobs = plan(place.asked, place, pairs, "full", seeds, folder / "rollouts")
     crowds: Crowds = {(j.spawn, j.policy, j.seed): read_own(j.path) for j in jobs}
     recording, reference = recording_of(place), read_reference(place)
-    draw_pictures(place, reference, crowds, names, recording, out / "walks")
+    draw_dwell(place, reference, crowds, names, out / "walks")
     walked = rollout(place, Replay(recording), RecordedPaths(recording), seed=0)
     return Walked(place, names, sees, cards, sampled, reference.score(walked))
 

@@ -47,13 +47,10 @@ def page(found: Sequence[Walked], more: Sequence[str], seeds: int | None) -> str
     return flowed(f"""# How policies walk
 
 Everyone enters when and where recorded people did, with the speed and the goal that they had, and
-is walked by a policy. A score of 0 is that of straight walkers, 1 that of the recording itself;
-brackets are 95 % intervals, of resamples of time blocks, fits and rollouts. *walk* is the mean of
-motion and interaction. Equal ranks cannot be told apart (5 %, Holm). Who sees *observations* sees
-what an agent in the environment does, its rays among it; who sees the *state*, positions,
-velocities and goals of everyone (random looks at nothing). In protocol `full` policies are trained
-on all of the recording, held out on two thirds of its time blocks and compared with the other,
-three times.
+is walked by a policy. What scores, brackets, ranks and protocols are is explained in
+`docs/metrics.md`; *walk* is the mean of motion and interaction. Who sees *observations* sees what
+an agent in the environment does, its rays among it; who sees the *state*, positions, velocities and
+goals of everyone (random looks at nothing).
 
 Made with crowdbench {first.cards["full"].crowdbench} by
 
@@ -75,9 +72,6 @@ def _scene(walked: Walked) -> str:
     ]
     parts += [f"### Do they arrive?\n\n{_lives(walked)}", _rule(walked)]
     parts += [
-        f"### Ways\n\n![Ways](walks/{scene.id}-paths.png)",
-        "People of the commonest ways from a spawn area to a goal area, a colour for each way, the "
-        "same people in each picture: as recorded, and as each policy walks them.",
         f"### Dwell times\n\n![Dwell times](walks/{scene.id}-dwell.png)",
         "Share of people who stay longer, all rollouts under the recorded arrivals together; grey "
         "is what 95 % of the resamples of the recording’s time blocks lie between.",
