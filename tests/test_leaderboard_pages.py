@@ -523,7 +523,12 @@ def test_filters_leave_who_fits_and_the_references(board: Path, browser: Browser
     assert "ppo" not in names(browser, "walk")
     choose(browser, "walk", "scene", "hotel-v0")
     assert names(browser, "walk") == ["social-force"]
-    assert "theirs" in browser.run("document.querySelector('#spawn').innerText")
+    listed = "document.querySelector('#spawn .listed').hidden"
+    assert browser.run(listed) is False
+    choose(browser, "spawn", "scene", "gc-v0")
+    assert browser.run(listed) is True
+    choose(browser, "spawn", "scene", "eth-v0")
+    assert browser.run(listed) is False
 
 
 def test_the_keyboard_reaches_and_turns_everything(board: Path, browser: Browser) -> None:

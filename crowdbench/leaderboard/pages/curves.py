@@ -13,7 +13,7 @@ from crowdbench.report.words import digits
 _WIDTH, _HEIGHT = 340.0, 200.0  # pixels
 _LEFT, _RIGHT, _TOP, _BOTTOM = 44.0, 12.0, 16.0, 38.0
 _LABEL = 58.0, 13.0
-_PIECE = 26.0
+_PIECE = 30.0
 _Corner = tuple[float, float]
 
 

@@ -156,7 +156,7 @@ def _verify(entry: Entry) -> str:
 <pre tabindex="0"><code>crowdbench leaderboard verify {submission} --out verified</code></pre>
 {facts_list({"Scorer": f"{entry.scorer}", "crowdbench": in_html(entry.crowdbench)} | hashes)}
 <div class="scroll" role="region" aria-label="Artefacts" tabindex="0">
-<table class="artefacts"><caption>Artefacts</caption>
+<table class="plain artefacts"><caption>Artefacts</caption>
 <thead><tr><th scope="col">file</th><th scope="col">SHA-256</th></tr></thead>
 <tbody>
 {rows}</tbody></table>
@@ -176,7 +176,7 @@ def _history(entry: Entry) -> str:
     )
     return f"""<p>Earlier results, which scorer {entry.scorer} has replaced.</p>
 <div class="scroll" role="region" aria-label="Earlier results" tabindex="0">
-<table><thead><tr><th scope="col">scorer</th><th scope="col">crowdbench</th>
+<table class="plain"><thead><tr><th scope="col">scorer</th><th scope="col">crowdbench</th>
 <th scope="col">overall</th>{heads}
 <th scope="col" class="words">scored anew because</th></tr></thead>
 <tbody>

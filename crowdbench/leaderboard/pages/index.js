@@ -70,6 +70,9 @@ function show(filters, tables) {
       part.hidden =
         (part.dataset.family ?? family) !== family || (part.dataset.scene ?? scene) !== scene;
     }
+    for (const cell of table.querySelectorAll("[data-column]")) {
+      cell.hidden = cell.dataset.column === scene;  // it is what the first column shows
+    }
     for (const row of table.tBodies[0].rows) {
       row.hidden =
         (scene !== "" && !row.dataset.scenes.split(" ").includes(scene)) ||
@@ -78,6 +81,8 @@ function show(filters, tables) {
       all += 1;
       shown += row.hidden ? 0 : 1;
     }
+    const listed = table.closest(".listed");
+    if (listed) listed.hidden = [...table.tBodies[0].rows].every((row) => row.hidden);
     const first = table.querySelector("th.rank") ?? table.querySelector("th.score");
     sort(table, first, first.dataset.sort === "up" ? "ascending" : "descending");
   }

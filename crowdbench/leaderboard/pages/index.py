@@ -95,7 +95,8 @@ def _track(standing: Standing) -> str:
     if standing.lines:
         parts.append(ranked_table(standing))
     if standing.listed:
-        parts += ["<h3>Listed</h3>", f"<p>{LISTED}</p>", listed_table(standing)]
+        parts.append(f'<div class="listed"><h3>Listed</h3>\n<p>{LISTED}</p>')
+        parts.append(f"{listed_table(standing)}</div>")
     return "\n".join([*parts, "</section>"])
 
 
@@ -136,7 +137,7 @@ def _scorer(entries: Sequence[Entry]) -> str:
         return f"{said}\n<p>There are no earlier results.</p>"
     return f"""{said}
 <div class="scroll" role="region" aria-label="Earlier results" tabindex="0">
-<table><caption>Earlier results</caption>
+<table class="plain"><caption>Earlier results</caption>
 <thead><tr><th scope="col" class="name">entry</th><th scope="col">scorer</th>
 <th scope="col">overall</th><th scope="col" class="words">scored anew because</th></tr></thead>
 <tbody>{rows}</tbody></table>

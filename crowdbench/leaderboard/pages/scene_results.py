@@ -108,7 +108,7 @@ def _fits(name: str, scene: SceneEntry, families: Sequence[str], parts: Sequence
     heads = "".join(f'<th scope="col">{in_html(part, 20)}</th>' for part in parts)
     return f"""<details><summary>Scores of each fold and fit in numbers</summary>
 <div class="scroll" role="region" aria-label="Each fold and fit on {name}" tabindex="0">
-<table class="fits"><thead><tr><th scope="col" class="name">metric</th>{heads}</tr></thead>
+<table class="plain"><thead><tr><th scope="col" class="name">metric</th>{heads}</tr></thead>
 <tbody>
 {rows}</tbody></table>
 </div></details>"""

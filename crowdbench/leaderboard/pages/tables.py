@@ -55,7 +55,8 @@ def _table(
     heads = f'<th scope="col" class="score" data-sort="down"><span>{chosen}</span></th>'
     heads += f'<th scope="col" class="plot" aria-label="drawn">{axis.ticks(axis.WIDE)}</th>'
     for scene in standing.scenes:
-        heads += f'<th scope="col" class="scene" data-sort="down"><span>{scene}</span></th>'
+        heads += f'<th scope="col" class="scene" data-sort="down" data-column="{scene}">'
+        heads += f"<span>{scene}</span></th>"
     for what in ["arrivals"] * arrivals + ["lives"]:
         heads += '<th scope="col" class="copy" data-sort="down">'
         heads += f"<span>copy of&nbsp;{what}</span></th>"
@@ -93,7 +94,8 @@ def _row(line: Line, standing: Standing, *, arrivals: bool, first: str, edge: bo
     entry = line.entry
     kind = entry.declared.kind if entry.status != "reference" else "reference"
     cells = _chosen(line, standing) + "".join(
-        f'<td class="scene">{_families(line, standing, scene)}</td>' for scene in standing.scenes
+        f'<td class="scene" data-column="{scene}">{_families(line, standing, scene)}</td>'
+        for scene in standing.scenes
     )
     copies = _copies(line, standing, 0) if arrivals else ""
     return (
