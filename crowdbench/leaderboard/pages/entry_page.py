@@ -44,8 +44,9 @@ def entry_page(line: Line, standing: Standing) -> str:
 <section id="results">
 <h2>Metric by metric</h2>
 <p>A <b>distance</b> of 0 is equal to the recording. <b>Scores</b> are of the metrics that count on
-the scene, on the axis from 0, the anchor, to 1, the true process on average. Beside them a dot for
-each fit of the model, a line for each fold. Metrics in grey are shown and do not count.</p>
+the scene, on the axis from 0, the anchor, to 1, the true process on average; arrows point to what
+lies beyond it. Beside them stands a dot for each fit of the model, a line for each fold, at the
+ends of the axis what lies beyond. Metrics in grey are shown and do not count.</p>
 {scenes}
 </section>
 <section id="verify">

@@ -66,7 +66,7 @@ function show(filters, tables) {
   );
   let shown = 0, all = 0;
   for (const table of tables) {
-    for (const part of table.querySelectorAll("[data-value]")) {
+    for (const part of table.querySelectorAll("[data-scene], [data-family]")) {
       part.hidden =
         (part.dataset.family ?? family) !== family || (part.dataset.scene ?? scene) !== scene;
     }
@@ -86,5 +86,5 @@ function show(filters, tables) {
     const first = table.querySelector("th.rank") ?? table.querySelector("th.score");
     sort(table, first, first.dataset.sort === "up" ? "ascending" : "descending");
   }
-  filters.querySelector("output").textContent = `${shown} of ${all} entries`;
+  filters.querySelector("output").textContent = `${shown} of ${all} ${all === 1 ? "entry" : "entries"}`;
 }

@@ -1,6 +1,6 @@
 """The tables of a track: who is ranked with the references between them, and who is listed."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 from crowdbench.leaderboard.entry import Entry
@@ -22,66 +22,58 @@ def ranked_table(standing: Standing) -> str:
     """Ranks and scores in every view; the page shows one at a time."""
     order = {view: standing.ordered(view) for view in standing.views}
     places = {view: {o.entry.id: k for k, o in enumerate(order[view])} for view in order}
-
-    def ranks(line: Line) -> str:
-        cells = "".join(
-            f'<span data-family="{view.family}" data-scene="{view.scene}" '
-            f'data-value="{places[view][line.entry.id]}"{_hidden(view == OVERALL)}>'
+    edges = _edges(order[OVERALL], standing.ranks[OVERALL])
+    rows = ""
+    for line in order[OVERALL]:
+        ranks = "".join(
+            f'<span {_which(view)} data-value="{places[view][line.entry.id]}">'
             f"{standing.rank(line, view)}</span>"
             for view in standing.views
         )
-        return f'<td class="rank">{cells}</td>'
-
-    return _table(standing, order[OVERALL], f"Track {standing.track}", ranks)
+        cells = f'<td class="rank">{ranks}</td>{_cells(line, standing)}'
+        rows += _row(line, cells, edge=line.entry.id in edges)
+    rank = '<th scope="col" class="rank" data-sort="up" aria-sort="ascending">'
+    return _table(standing, f"{rank}<span>rank</span></th>", rows, ranked=True)
 
 
 def listed_table(standing: Standing) -> str:
     """Scores alone."""
     best = sorted(standing.listed, key=lambda line: line.worth(OVERALL))
-    return _table(standing, best, f"Track {standing.track}, listed", None)
+    rows = "".join(_row(line, _cells(line, standing), edge=True) for line in best)
+    return _table(standing, "", rows, ranked=False)
 
 
-def _table(
-    standing: Standing,
-    lines: Sequence[Line],
-    caption: str,
-    ranks: Callable[[Line], str] | None,
-) -> str:
-    arrivals = standing.track != "walk"
-    chosen = "".join(
-        f'<span data-scene="{scene}" data-value=""{_hidden(not scene)}>{scene or "overall"}</span>'
-        for scene in ("", *standing.scenes)
-    )
-    heads = f'<th scope="col" class="score" data-sort="down"><span>{chosen}</span></th>'
-    heads += f'<th scope="col" class="plot" aria-label="drawn">{axis.ticks(axis.WIDE)}</th>'
-    for scene in standing.scenes:
-        heads += f'<th scope="col" class="scene" data-sort="down" data-column="{scene}">'
-        heads += f"<span>{scene}</span></th>"
-    for what in ["arrivals"] * arrivals + ["lives"]:
-        heads += '<th scope="col" class="copy" data-sort="down">'
-        heads += f"<span>copy of&nbsp;{what}</span></th>"
-    rank = '<th scope="col" class="rank" data-sort="up" aria-sort="ascending">'
-    rank += "<span>rank</span></th>"
-    edges = _edges(lines, standing.ranks[OVERALL]) if ranks else {line.entry.id for line in lines}
-    rows = "".join(
-        _row(
-            line,
-            standing,
-            arrivals=arrivals,
-            first="" if ranks is None else ranks(line),
-            edge=line.entry.id in edges,
-        )
-        for line in lines
-    )
-    return f"""<div class="scroll" role="region" aria-label="{caption}" tabindex="0">
-<table class="standing{"" if ranks is None else " ranked"}">
-<caption>{_SCORES}{_RANKS if ranks else ""}</caption>
-<thead><tr>{"" if ranks is None else rank}<th scope="col" class="name" data-sort="up">\
-<span>entry</span></th>{heads}</tr></thead>
+def _table(standing: Standing, first: str, rows: str, *, ranked: bool) -> str:
+    label = f"Track {standing.track}{'' if ranked else ', listed'}"
+    return f"""<div class="scroll" role="region" aria-label="{label}" tabindex="0">
+<table class="standing{" ranked" * ranked}">
+<caption>{_SCORES}{_RANKS * ranked}</caption>
+<thead><tr>{first}{_heads(standing)}</tr></thead>
 <tbody>
 {rows}</tbody>
 </table>
 </div>"""
+
+
+def _heads(standing: Standing) -> str:
+    """All but the rank's."""
+    chosen = "".join(
+        f'<span data-scene="{scene}"{_hidden(not scene)}>{scene or "overall"}</span>'
+        for scene in ("", *standing.scenes)
+    )
+    scenes = "".join(
+        f'<th scope="col" class="scene" data-sort="down" data-column="{scene}">'
+        f"<span>{scene}</span></th>"
+        for scene in standing.scenes
+    )
+    copies = "".join(
+        f'<th scope="col" class="copy" data-sort="down"><span>copy of&nbsp;{what}</span></th>'
+        for what in _copied(standing)
+    )
+    return f"""<th scope="col" class="name" data-sort="up"><span>entry</span></th>
+<th scope="col" class="score" data-sort="down"><span>{chosen}</span></th>
+<th scope="col" class="plot" aria-label="drawn">{axis.ticks(axis.WIDE)}</th>
+{scenes}{copies}"""
 
 
 def _edges(lines: Sequence[Line], ranks: Mapping[str, int]) -> set[str]:
@@ -90,24 +82,39 @@ def _edges(lines: Sequence[Line], ranks: Mapping[str, int]) -> set[str]:
     return {b for a, b in pairwise(competing) if ranks[a] != ranks[b]}
 
 
-def _row(line: Line, standing: Standing, *, arrivals: bool, first: str, edge: bool) -> str:
+def _row(line: Line, cells: str, *, edge: bool) -> str:
     entry = line.entry
     kind = entry.declared.kind if entry.status != "reference" else "reference"
-    cells = _chosen(line, standing) + "".join(
+    return (
+        f'<tr class="{entry.status}{" edge" * edge}" data-kind="{kind}" '
+        f'data-scenes="{" ".join(entry.scenes)}">{cells}</tr>\n'
+    )
+
+
+def _cells(line: Line, standing: Standing) -> str:
+    """All but the rank's."""
+    scenes = "".join(
         f'<td class="scene" data-column="{scene}">{_families(line, standing, scene)}</td>'
         for scene in standing.scenes
     )
-    copies = _copies(line, standing, 0) if arrivals else ""
-    return (
-        f'<tr class="{entry.status}{" edge" * edge}" data-kind="{kind}" '
-        f'data-scenes="{" ".join(entry.scenes)}">'
-        f'{first}<th scope="row" class="name">{_name(entry)}</th>{cells}{copies}'
-        f"{_copies(line, standing, 1)}</tr>\n"
-    )
+    copies = "".join(_copies(line, standing, what) for what in _copied(standing))
+    name = f'<th scope="row" class="name">{_name(line.entry)}</th>'
+    return f"{name}{_chosen(line, standing)}{scenes}{copies}"
+
+
+def _copied(standing: Standing) -> tuple[str, ...]:
+    """Of what copies are told; arrivals on track walk are the recorded ones by rule."""
+    return ("lives",) if standing.track == "walk" else ("arrivals", "lives")
 
 
 def _hidden(shown: bool) -> str:
     return "" if shown else " hidden"
+
+
+def _which(view: View) -> str:
+    """Marks what is shown in this view alone."""
+    hidden = _hidden(view == OVERALL)
+    return f'data-family="{view.family}" data-scene="{view.scene}"{hidden}'
 
 
 def _chosen(line: Line, standing: Standing) -> str:
@@ -115,8 +122,7 @@ def _chosen(line: Line, standing: Standing) -> str:
     numbers, bars = "", ""
     for view in standing.views:
         score = line.scores.get(view)
-        which = f'data-family="{view.family}" data-scene="{view.scene}" {_value(score)}'
-        which += _hidden(view == OVERALL)
+        which = f"{_which(view)} {_value(score)}"
         numbers += f"<div {which}>{axis.number(score)}</div>"
         drawn = axis.no_bar(axis.WIDE)
         if score is not None:
@@ -141,14 +147,15 @@ def _value(score: Score | None) -> str:
     return f'data-value="{"" if score is None else f"{score.value:.6f}"}"'
 
 
-def _copies(line: Line, standing: Standing, which: int) -> str:
+def _copies(line: Line, standing: Standing, what: str) -> str:
     found = ""
     for scene in ("", *standing.scenes):
-        value = line.copied(scene)[which]
+        arrivals, lives = line.copied(scene)
+        value = arrivals if what == "arrivals" else lives
+        shown = correlation(value) if what == "arrivals" else share(value)
         number = "" if value is None else f"{value:.6f}"
         found += (
-            f'<span data-scene="{scene}" data-value="{number}"{_hidden(not scene)}>'
-            f"{(correlation, share)[which](value)}</span>"
+            f'<span data-scene="{scene}" data-value="{number}"{_hidden(not scene)}>{shown}</span>'
         )
     return f'<td class="copy">{found}</td>'
 
