@@ -15,6 +15,7 @@ from crowdbench.files import write_text
 from crowdbench.metrics import FAMILIES
 from crowdbench.reference import Reference
 from crowdbench.report.pictures import pictures
+from crowdbench.report.shell import html_page
 from crowdbench.report.tables import (
     by_rank,
     metric_tables,
@@ -53,21 +54,7 @@ def write_report(
 def _page(card: Scorecard, sight: Sight) -> str:
     scene, table = sight.scene, rows(card)
     style = (Path(__file__).parent / "style.css").read_text(encoding="utf-8")
-    # The policy makes the browser itself refuse whatever would have to be fetched.
-    return f"""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<meta http-equiv="Content-Security-Policy"
- content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
-<title>{escape(scene.title)}: crowdbench report</title>
-<style>
-{style}</style>
-</head>
-<body>
-<header>
+    body = f"""<header>
 <p class="kicker">crowdbench · evaluation report</p>
 <h1>{escape(scene.title)}</h1>
 <p class="lead">{_evaluated(card)}</p>
@@ -97,9 +84,8 @@ def _page(card: Scorecard, sight: Sight) -> str:
 {_method(card, scene)}
 </section>
 </main>
-</body>
-</html>
 """
+    return html_page(f"{scene.title}: crowdbench report", body, style=style)
 
 
 def _listed(names: list[str]) -> str:

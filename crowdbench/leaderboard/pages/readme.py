@@ -1,0 +1,111 @@
+"""`README.md`: the tables in Markdown, for where the page is not at hand."""
+
+from collections.abc import Sequence
+
+from crowdbench.leaderboard.declared import SCENES
+from crowdbench.leaderboard.pages.index import JUDGED, LISTED
+from crowdbench.leaderboard.pages.standings import Line, Standing, View
+from crowdbench.leaderboard.pages.tables import OVERALL, correlation, share
+from crowdbench.leaderboard.pages.text import in_markdown
+from crowdbench.report.markdown import flowed, table
+from crowdbench.report.words import interval, number
+
+
+def readme(standings: Sequence[Standing]) -> str:
+    """The whole file."""
+    tracks = "\n\n".join(_track(standing) for standing in standings)
+    listed = [line for standing in standings for line in standing.listed]
+    return flowed(f"""# Leaderboard
+
+Crowds that come and go, rolled out by crowdbench itself on what they have not seen, and compared
+with recordings of real places. [index.html](index.html), opened in a browser, shows the same with
+intervals drawn, by scene, kind and family, and has a page for each entry;
+[the rules](RULES.md) say what is ranked, listed, refused and flagged. This file is made by
+`crowdbench leaderboard build`, from `entries/` alone.
+
+## How to read the tables
+
+{_HOW}
+
+{tracks}
+
+## Listed
+
+{LISTED}
+
+{_listed(listed, standings) if listed else "No entries yet."}
+
+## Submit
+
+A submission is a folder with `submission.toml` and its artefacts, sent as a pull request that adds
+it under `leaderboard/submissions/`:
+
+```sh
+crowdbench submit init my-policy --track walk
+crowdbench submit check my-policy
+crowdbench leaderboard verify my-policy --out verified
+```
+""")
+
+
+_HOW = "\n".join(
+    (
+        "- A score of 0 is the anchor, a crowd that knows next to nothing; 1 is what the true "
+        "process gets on average; brackets are 95 % intervals.",
+        "- A rank is 1 + the number of entries that are significantly better. Entries marked = "
+        "share theirs and form a tie group: they cannot be told apart, whatever their order in it.",
+        f"- *Overall* is the mean of {', '.join(SCENES[:-1])} and {SCENES[-1]}; who lacks one of "
+        "them has none.",
+        "- Names in italics, below the ranked ones, are references: what scores 0 by definition, "
+        "the recording itself, blocks of it from memory, chance.",
+        "- *Copy* is the correlation of a crowd’s arrivals with recorded ones and the share of "
+        "lives that stay within 0.1 m of a recorded one; the highest of all scenes.",
+    )
+)
+
+
+def _track(standing: Standing) -> str:
+    ranks = standing.ranks[OVERALL]
+    ordered = standing.ordered(OVERALL)
+    lines = [line for line in ordered if line.entry.status == "ranked"]
+    lines.sort(key=lambda line: line.entry.id not in ranks)  # who has no overall score stands last
+    lines += [line for line in ordered if line.entry.status == "reference"]
+    title = f"## {standing.track.capitalize()}\n\n{JUDGED[standing.track]}\n\n"
+    if not lines:
+        return f"{title}No entries yet."
+    head = ["rank", "entry", "kind", "overall", *standing.scenes, *_COPY, "flags"]
+    rows = [
+        [standing.rank(line, OVERALL), *_cells(line, standing.scenes), _flags(line)]
+        for line in lines
+    ]
+    return title + table(head, rows, text=3)
+
+
+_COPY = ("copy of arrivals", "of lives")
+
+
+def _listed(lines: Sequence[Line], standings: Sequence[Standing]) -> str:
+    scenes = tuple(dict.fromkeys(name for standing in standings for name in standing.scenes))
+    head = ["track", "entry", "kind", "overall", *scenes, *_COPY, "flags"]
+    rows = [[o.entry.declared.track, *_cells(o, scenes), _flags(o)] for o in lines]
+    return table(head, rows, text=3)
+
+
+def _cells(line: Line, scenes: Sequence[str]) -> list[str]:
+    """Name, kind, scores and copies."""
+    entry = line.entry
+    name = f"[{in_markdown(entry.declared.name)}](pages/{entry.id}.html)"
+    reference = entry.status == "reference"
+    arrivals, lives = line.copied()
+    return [
+        f"*{name}*" if reference else name,
+        "reference" if reference else entry.declared.kind,
+        interval(line.scores.get(OVERALL)),
+        *(number(line.scores.get(View(scene=scene))) for scene in scenes),
+        correlation(arrivals),
+        share(lives),
+    ]
+
+
+def _flags(line: Line) -> str:
+    return ", ".join(dict.fromkeys(flag.what for flag in line.entry.flags))
