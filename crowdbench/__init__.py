@@ -5,9 +5,10 @@
     env = crowdbench.parallel_env("eth-v0", spawn="poisson-gmm")
     observations, infos = env.reset(seed=0)
     while env.agents:
-        actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+        actions = {agent: 0.3 * observations[agent][3:5] for agent in env.agents}  # to their goals
         observations, rewards, terminations, truncations, infos = env.step(actions)
-    print(crowdbench.score("eth-v0", env.trajectories()))
+    for name, result in crowdbench.score("eth-v0", env.trajectories()).items():
+        print(f"{name:22}{result.distance:.3f}")
 
 Names are loaded when they are first used: importing crowdbench is quick.
 """
@@ -18,31 +19,31 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from crowdbench.crowds import read, rollout
     from crowdbench.demos import Demonstrations, demonstrations
     from crowdbench.environment import CrowdParallelEnv, parallel_env
     from crowdbench.errors import CrowdbenchError
     from crowdbench.evaluation import evaluate
     from crowdbench.metrics import METRICS, MetricResult, distance
     from crowdbench.reference import score
-    from crowdbench.registry import policy, recording, spawn_model
+    from crowdbench.registry import policy, recording, recording_of, spawn_model
     from crowdbench.rewards import Reward
-    from crowdbench.rollouts import rollout
     from crowdbench.scene import Scene, list_scenes, load_scene
-    from crowdbench.tables import read, read_own, write_parquet
+    from crowdbench.tables import read_own, write_parquet
     from crowdbench.trajectories import Trajectories
 
 _HOME = {
+    "crowds": ("read", "rollout"),
     "demos": ("Demonstrations", "demonstrations"),
     "environment": ("CrowdParallelEnv", "parallel_env"),
     "errors": ("CrowdbenchError",),
     "evaluation": ("evaluate",),
     "metrics": ("METRICS", "MetricResult", "distance"),
     "reference": ("score",),
-    "registry": ("policy", "recording", "spawn_model"),
+    "registry": ("policy", "recording", "recording_of", "spawn_model"),
     "rewards": ("Reward",),
-    "rollouts": ("rollout",),
     "scene": ("Scene", "list_scenes", "load_scene"),
-    "tables": ("read", "read_own", "write_parquet"),
+    "tables": ("read_own", "write_parquet"),
     "trajectories": ("Trajectories",),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
@@ -66,6 +67,7 @@ __all__ = [
     "read",
     "read_own",
     "recording",
+    "recording_of",
     "rollout",
     "score",
     "spawn_model",

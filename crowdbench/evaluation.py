@@ -59,17 +59,19 @@ SHOWN = 6
 
 
 def evaluate(
-    scene: str | Path,
+    scene: str | Path | Scene,
     *,
-    spawn: Sequence[str] = DEFAULT_SPAWN,
-    policy: Sequence[str] = DEFAULT_POLICY,
+    spawn: str | Sequence[str] = DEFAULT_SPAWN,
+    policy: str | Sequence[str] = DEFAULT_POLICY,
     protocol: Protocol = "full",
     seeds: int | None = None,
     workers: int | None = None,
-    out: Path,
+    out: str | Path,
     progress: Progress = lambda done, total: None,
 ) -> Scorecard:
-    """Evaluate each spawn model with each policy on a scene.
+    """Evaluate each spawn model with each policy on a scene, all given by name.
+
+    Workers read the scene anew: a scene that was loaded stands for the folder it came from.
 
     `full` fits and compares on the whole recording, `heldout` fits on two thirds of its time
     blocks and scores the third, three times. `seeds` rollouts are made of each pair (in each
@@ -92,17 +94,17 @@ def evaluate(
         OutputError: `out` cannot be written.
     """
     began = time.time()
-    place = load_scene(scene)
+    place, out = load_scene(scene), Path(out)
     reference = read_reference(place)
     scale = read_anchors(place).protocols[_known_protocol(protocol)]
-    pairs = _pairs(place, spawn, policy)
+    pairs = _pairs(place, _listed(spawn), _listed(policy))
     seeds = place.protocol.fits * place.protocol.rollouts_per_fit if seeds is None else seeds
     workers = checked_workers(workers)
     if protocol == "heldout" and len(reference.blocks) < FOLDS:
         raise SettingError(
             "protocol", got=f"{len(reference.blocks)} time blocks", expected=f"{FOLDS} at least"
         )
-    jobs = plan(str(scene), place, pairs, protocol, seeds, out / "rollouts")
+    jobs = plan(place.asked, place, pairs, protocol, seeds, out / "rollouts")
     with alone_in(out):
         _prepare(out)
         rolled = roll_out(jobs, reference, workers, progress)
@@ -247,6 +249,11 @@ def floors(scene: Scene, reference: Reference, protocol: str) -> dict[str, Energ
         if len(known) == len(parts):
             found[metric.name] = EnergyCard.of(mean_of(known))
     return found
+
+
+def _listed(names: str | Sequence[str]) -> Sequence[str]:
+    """Names, of which there may be a single one."""
+    return [names] if isinstance(names, str) else names
 
 
 def _pairs(place: Scene, spawn: Sequence[str], policy: Sequence[str]) -> list[Pair]:

@@ -4,7 +4,7 @@ They are the metrics' statistics per time block. Distances computed from them eq
 from the recording, and no path, no arrival time and no per-frame series can be read back from them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -75,10 +75,16 @@ def summarise(crowd: Trajectories, blocks: TimeBlocks, place: Place) -> dict[str
     return {m.name: m.summarise(crowd, blocks, place) for m in metrics_for(blocks)}
 
 
-def score(scene: str | Path | Scene, crowd: Trajectories) -> dict[str, MetricResult]:
-    """Score any simulator's crowd against a scene's recording.
+def score(
+    scene: str | Path | Scene, crowd: Trajectories, *, against: Trajectories | None = None
+) -> dict[str, MetricResult]:
+    """Score any simulator's crowd against a scene's recording, or against another crowd.
 
-    The crowd is a continuous run as long as the recording, its first frame being frame 0: it is
+    Gives the result of each metric that the scene's time blocks can tell something by, by name.
+    With `against`, that crowd takes the place of the recording: its values are the `recorded`
+    ones, and distances are divided by its means.
+
+    A crowd is a continuous run as long as the recording, its first frame being frame 0: it is
     looked at in the same time blocks. A table does not tell an empty scene at its end from an
     end that came early; up to one time block is taken for empty. More than a block shorter or
     longer is refused. Persons without areas are given the likeliest ones.
@@ -86,11 +92,26 @@ def score(scene: str | Path | Scene, crowd: Trajectories) -> dict[str, MetricRes
     Raises:
         SceneError: there is no such scene.
         WeightsError: the scene has no reference statistics.
-        RecordingError: the crowd is another scene's, or its time step or length is not the
+        RecordingError: a crowd is another scene's, or its time step or length is not the
             scene's.
     """
     scene = load_scene(scene)
     reference = read_reference(scene)
+    areas = read_areas(scene)
+    _check_fits(crowd, scene)
+    if against is not None:
+        _check_fits(against, scene)
+        there = summarise(areas.assign(against), reference.blocks, reference.place)
+        reference = replace(reference, statistics=there)
+    return reference.score(areas.assign(crowd))
+
+
+def _check_fits(crowd: Trajectories, scene: Scene) -> None:
+    """Raise where a crowd cannot be looked at in the scene's time blocks.
+
+    Raises:
+        RecordingError: it is another scene's, or its time step or length is not the scene's.
+    """
     if not np.isclose(crowd.dt_s, scene.dt_s):
         raise RecordingError(
             f"crowd scored on {scene.id}",
@@ -111,7 +132,6 @@ def score(scene: str | Path | Scene, crowd: Trajectories) -> dict[str, MetricRes
             mend="Both sides are looked at in the same time blocks: simulate as long, and "
             "check the time step.",
         )
-    return reference.score(read_areas(scene).assign(crowd))
 
 
 _Count = Annotated[int, msgspec.Meta(ge=0)]

@@ -63,9 +63,15 @@ def import_recording(name: str, source: Path | None = None) -> Trajectories:
     return catalogue.import_recording(name, source)
 
 
-def recording_of(scene: Scene) -> Trajectories:
-    """The recording of a scene, its persons assigned to the scene's areas."""
-    _, crowd = fit_areas(recording(scene.recording.name), scene, scene.clustering["default"])
+def recording_of(scene: str | Path | Scene) -> Trajectories:
+    """The recording of a scene, its persons assigned to the scene's areas.
+
+    Raises:
+        SceneError: there is no such scene.
+        RecordingError: the recording has not been imported.
+    """
+    place = load_scene(scene)
+    _, crowd = fit_areas(recording(place.recording.name), place, place.clustering["default"])
     return crowd
 
 
@@ -77,7 +83,7 @@ def has_recording(scene: Scene) -> bool:
 
 def spawn_model(
     model: str | SpawnModel,
-    scene: str | Scene,
+    scene: str | Path | Scene,
     part: str = "full",
     fit: int = 0,
     scenario: Scenario | None = None,
@@ -126,7 +132,7 @@ def _unsteered(model: str, scene: Scene, part: str, fit: int) -> SpawnModel:
     return _having(made, model, ("name", "start", "sample"))
 
 
-def policy(named: str | Policy, scene: str | Scene, part: str = "full") -> Policy:
+def policy(named: str | Policy, scene: str | Path | Scene, part: str = "full") -> Policy:
     """A policy by its name, or from an ONNX file; `pkg.module:Class` is called without arguments.
 
     A folder is one of files for each part (one of `blocks.PARTS`) of the recording: `full.onnx`,

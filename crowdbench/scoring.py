@@ -292,6 +292,10 @@ class Score:
         low, high = np.percentile(self.resampled, [100 * LEVEL / 2, 100 * (1 - LEVEL / 2)])
         return float(low), float(high)
 
+    def __repr__(self) -> str:
+        low, high = self.interval
+        return f"Score({self.value:.2f} [{low:.2f}, {high:.2f}])"
+
 
 def score_of(es: Energy, floor_: Energy, anchor: Energy) -> Score | None:
     """S = 1 − (ES − F)/(ES_anchor − F), clipped below at −1, never above.

@@ -33,7 +33,7 @@ class _Metadata(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     provenance: dict[str, Any]
 
 
-def write_parquet(trajectories: Trajectories, path: Path) -> None:
+def write_parquet(trajectories: Trajectories, path: str | Path) -> None:
     """Write the table to `path`, whole or not at all; equal tables give equal bytes.
 
     Raises:
@@ -54,11 +54,11 @@ def write_parquet(trajectories: Trajectories, path: Path) -> None:
     table = _flat(t).replace_schema_metadata(
         {_KEY: msgspec.json.encode(metadata, order="deterministic")}
     )
-    with replacing(path) as temporary:
+    with replacing(Path(path)) as temporary:
         parquet.write_table(table, temporary, compression="zstd")
 
 
-def write_csv(trajectories: Trajectories, path: Path) -> None:
+def write_csv(trajectories: Trajectories, path: str | Path) -> None:
     """Write the table to `path` for other programs; who reads it must know its time step.
 
     Raises:
@@ -66,7 +66,7 @@ def write_csv(trajectories: Trajectories, path: Path) -> None:
     """
     from pyarrow import csv
 
-    with replacing(path) as temporary:
+    with replacing(Path(path)) as temporary:
         csv.write_csv(_flat(trajectories), temporary)
 
 
@@ -85,7 +85,7 @@ def _flat(t: Trajectories) -> "pyarrow.Table":
     return pa.table(columns)
 
 
-def read(path: Path, *, scene: str, dt_s: float, frames: int | None = None) -> Trajectories:
+def read(path: str | Path, *, scene: str, dt_s: float, frames: int | None = None) -> Trajectories:
     """Read a Parquet or CSV table of trajectories, crowdbench's own or another simulator's.
 
     Needs the columns `person_id`, `x`, `y` (metres) and `frame` or `time_s` (seconds, on the
@@ -97,6 +97,7 @@ def read(path: Path, *, scene: str, dt_s: float, frames: int | None = None) -> T
         RecordingError: the file is missing, is no table, lacks a column, holds values that
             are not finite, or belongs to another scene or time step.
     """
+    path = Path(path)
     table = _read_table(path)
     metadata = _own_metadata(path, table)
     named = table.column_names
@@ -158,12 +159,13 @@ def _frames(path: Path, columns: dict[str, np.ndarray], dt_s: float) -> np.ndarr
     return frame
 
 
-def read_own(path: Path) -> Trajectories:
+def read_own(path: str | Path) -> Trajectories:
     """Read a Parquet file that crowdbench wrote, whatever its scene.
 
     Raises:
         RecordingError: the file is missing, broken, or was written by something else.
     """
+    path = Path(path)
     metadata = _own_metadata(path, _read_table(path))
     if metadata is None:
         raise RecordingError(
@@ -171,7 +173,7 @@ def read_own(path: Path) -> Trajectories:
             got="a table without crowdbench's metadata",
             expected="a file of crowdbench's",
             mend="Another program's table does not say its scene; name it, as in `crowdbench view "
-            "--scene eth-v0`, or `crowdbench score eth-v0`.",
+            '--scene eth-v0`, `crowdbench score eth-v0`, or `crowdbench.read(path, "eth-v0")`.',
         )
     return read(path, scene=metadata.scene, dt_s=metadata.dt_s)
 

@@ -75,6 +75,12 @@ class Trajectories:
     def __len__(self) -> int:
         return len(self.person_id)
 
+    def __repr__(self) -> str:
+        return (
+            f"Trajectories({self.scene!r}, {len(self)} persons, "
+            f"{self.frames} frames of {self.dt_s:g} s)"
+        )
+
     @property
     def last(self) -> Int[np.ndarray, " P"]:
         """Frame of each person's last row."""

@@ -4,12 +4,18 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pages
 import pytest
 
+from crowdbench import load_scene, rollout
 from crowdbench.cli import main
+from crowdbench.policies import StateView
+from crowdbench.trajectories import OUTCOMES, PERSON_COLUMNS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -41,6 +47,60 @@ def test_the_environments_example_runs_to_the_end() -> None:
     world: dict[str, object] = {}
     exec(compile(example, "environment.md", "exec"), world)
     assert world["observations"]
+
+
+def test_the_page_on_python_runs_from_top_to_bottom_and_prints_what_it_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    world: dict[str, object] = {}
+    for block in pages.blocks(page("python.md"), "python"):
+        quick = block.replace("seeds=10", "seeds=1, workers=1")
+        exec(compile(quick, "python.md", "exec"), world)
+    printed = without_numbers(capsys.readouterr().out)
+    for shown in pages.blocks(page("python.md"), "text"):
+        assert without_numbers(shown) in printed
+    assert "expected one of poisson-gmm" in printed
+    assert "renewal-gmm straight" in printed
+
+
+def without_numbers(text: str) -> str:
+    """Another processor rounds otherwise."""
+    return re.sub(r"\d+(\.\d+)?", "#", text)
+
+
+def test_the_page_on_python_names_every_outcome_and_column() -> None:
+    listed = re.findall(r"^\| (\d) \| `(\w+)` \|", page("python.md"), re.M)
+    assert [(int(k), name) for k, name in listed] == list(enumerate(OUTCOMES))
+    (table,) = re.findall(r"\| column .*?\n\n", page("python.md"), re.S)
+    columns = re.findall(r"`(\w+)`", table)
+    assert set(columns) >= {"person_id", "first", "last", *PERSON_COLUMNS}
+
+
+def test_a_class_that_sees_the_state_walks_as_fast_as_people_prefer() -> None:
+    world: dict[str, Any] = {"np": np}
+    exec(compile(pages.block_with(page("training.md"), "class Direct"), "page", "exec"), world)
+    crowd = rollout("plaza-v0", "poisson-gmm", world["Direct"](), seed=0, horizon_s=60.0)
+    arrived = crowd.outcome == OUTCOMES.index("goal")
+    assert arrived.sum() > 10
+    assert 1.0 < np.nanmedian(crowd.mean_speeds()) < 1.6
+
+
+def test_the_fields_of_the_state_are_those_that_the_page_lists() -> None:
+    (table,) = re.findall(r"\| field .*?\n\n", page("training.md"), re.S)
+    first_cells = " ".join(line.split("|")[1] for line in table.strip().splitlines())
+    assert set(re.findall(r"`(\w+)`", first_cells)) == {f.name for f in fields(StateView)}
+
+
+def test_the_scene_of_another_day_of_the_forum_says_which(tmp_path: Path) -> None:
+    (commands,) = pages.blocks(page("forum.md"), "sh")
+    copying = commands[commands.index("mkdir") : commands.index("crowdbench fit")]
+    script = copying.replace("path/to/crowdbench", shlex.quote(str(ROOT)))
+    subprocess.run(["bash", "-euc", script], cwd=tmp_path, check=True)
+    scene = load_scene(tmp_path / "forum14jul-v0")
+    assert (scene.id, scene.recording.name) == ("forum14jul-v0", "forum-14jul")
+    assert scene.title == "Informatics Forum, Edinburgh, 14 July"
+    assert " 1 July" not in (tmp_path / "forum14jul-v0/scene.toml").read_text()
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ PACKAGE = Path(crowdbench.__file__).parent
 ORDER = (
     "errors", "files", "processes", "trajectories", "tables", "blocks", "metrics", "recordings",
     "scene", "spawn", "reference", "scoring_kernel", "scoring", "power", "cards", "simulation",
-    "policies", "episode", "rollouts", "plaza", "registry", "demos", "fit", "spawn_check",
+    "policies", "episode", "rollouts", "plaza", "registry", "crowds", "demos", "fit", "spawn_check",
     "replay_check", "figures", "report", "jobs", "evaluation", "authoring", "results", "ablation",
     "walks", "gallery", "steering", "leaderboard", "rewards", "viewer", "environment",
     "torchrl_env", "vec_env", "bench", "cli", "__main__",
@@ -146,8 +146,8 @@ def test_scoring_a_table_loads_neither_torch_nor_the_simulation(tmp_path: Path) 
     rows = "\n".join(f"0,{frame},1.0,2.0" for frame in range(1934))
     (tmp_path / "mine.csv").write_text(f"person_id,frame,x,y\n{rows}\n")
     loaded = loaded_by(
-        "import crowdbench\nfrom pathlib import Path\n"
-        "crowd = crowdbench.read(Path('mine.csv'), scene='eth-v0', dt_s=0.4)\n"
+        "import crowdbench\n"
+        "crowd = crowdbench.read('mine.csv', 'eth-v0')\n"
         "crowdbench.score('eth-v0', crowd)",
         cwd=tmp_path,
     )

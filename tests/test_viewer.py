@@ -463,7 +463,7 @@ def test_a_users_error_is_a_message_and_exit_code_2(
 def test_a_crowd_of_one_frame(tmp_path: Path) -> None:
     one = from_rows(scene="plaza-v0", dt_s=0.4, person_id=np.array([7]), frame=np.array([0]),
                     xy=np.array([[3.0, 4.0]]), where="test")  # fmt: skip
-    save(one, PLAZA, tmp_path / "one.rrd", person=7)
+    save(one, "plaza-v0", str(tmp_path / "one.rrd"), person=7)
     shown = rows(tmp_path / "one.rrd", "/world/simulation/people", "Points2D:positions")
     assert shown[0].tolist() == [[3.0, 4.0]]
 

@@ -93,16 +93,18 @@ recording ({whole}) and, apart from it, {SCHEMES[1]} of a tenth ({tenth}), which
 recording is cut the same way, and pauses of its annotation are left out of the rollouts too. ± is
 the standard deviation over samples.
 
-*sd of N* is the standard deviation over time. The autocorrelation is that of N(t) within stretches
-of observed time. *distance* is the Wasserstein-1 distance of the distributions of N(t) to that of
-the recording, divided by the recording’s mean; 0 is equal. Scores (S) are those of protocol `full`
-for the rollouts as long as the recording: 0 is the anchor, poisson-gmm × straight, 1 what the true
-process gets on average. A score needs several rollouts of a model; here the samples of a
+*sd of N* is the standard deviation over time. The autocorrelation is that of N(t) within
+stretches of observed time, over all frames 60 s apart; the metric of that name counts only those
+within one time block ({scene.protocol.block_s:g} s), so that pages of results have another
+number. *distance* is the Wasserstein-1 distance of the distributions of N(t) to that of the
+recording, divided by the recording’s mean; 0 is equal. Scores (S) are those of protocol `full`
+for the rollouts as long as the recording: 0 is the anchor, poisson-gmm × straight, 1 what the
+true process gets on average. A score needs several rollouts of a model; here the samples of a
 configuration are taken for rollouts of one model, though each is of a fit of its own, so that the
 spread over fits counts as the model’s own chance. *S crowd* is the mean over arrivals, presence,
-lives and space, with its 95 % interval. {_without_scores(scene)} The likelihood is that of the very
-arrivals that were trained on; it does not test anything new. Training times are those
-of one core of the machine that made this page.
+lives and space, with its 95 % interval. {_without_scores(scene)} The likelihood is that of the
+very arrivals that were trained on; it does not test anything new. Training times are those of one
+core of the machine that made this page.
 
 ## Number of agents
 

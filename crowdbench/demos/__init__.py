@@ -9,6 +9,7 @@ import shutil
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -192,7 +193,7 @@ class Demonstrations:
 
 
 def demonstrations(
-    scene: str | Scene,
+    scene: str | Path | Scene,
     *,
     part: str = "full",
     observation: str = "lidar-2",
@@ -214,7 +215,7 @@ def demonstrations(
     last 2 s they go straight to where the record ends, and who stands is not displaced.
 
     Args:
-        scene: an id, or a scene.
+        scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a scene.
         part: `full`, or `fold0` … for what a fold of the protocol `heldout` is fitted on, which
             knows nothing of the blocks it is scored on.
         observation: what they see, as in `parallel_env`; so are `rays` and `ray_range_m`.

@@ -62,12 +62,24 @@ class MetricResult:
     distance: float
     """0 is equal. What it is divided by, the metric says."""
     recorded: float
-    """Typical value of the recording, in `unit`; NaN where a metric has none."""
+    """Typical value of the recording, or of the crowd that stands for it, in `unit`; NaN where a
+    metric has none."""
     simulated: float
     """That of the other crowd."""
     unit: str
     n: int
     """Size of the other crowd's sample."""
+
+    def __repr__(self) -> str:
+        if np.isnan(self.recorded):
+            return f"MetricResult({self.distance:.3f}, n = {self.n})"
+        recorded, simulated = (
+            f"{value:.3g} {self.unit}".rstrip() for value in (self.recorded, self.simulated)
+        )
+        return (
+            f"MetricResult({self.distance:.3f}: recorded {recorded}, simulated {simulated}, "
+            f"n = {self.n})"
+        )
 
 
 class Metric(ABC):
@@ -77,6 +89,9 @@ class Metric(ABC):
     family: ClassVar[Family]
     unit: ClassVar[str]
     """Of the typical value."""
+
+    def __repr__(self) -> str:
+        return f"<metric {self.name}, {self.family}>"
 
     def applies(self, blocks: TimeBlocks) -> bool:
         """Whether blocks so long can tell anything."""

@@ -24,8 +24,11 @@ class StateView:
     frame: Int[np.ndarray, " A"]
     """Present frame of each person's world."""
     position: Float32[np.ndarray, "A 2"]
+    """Metres."""
     velocity: Float32[np.ndarray, "A 2"]
+    """m/s."""
     goal: Float32[np.ndarray, "A 2"]
+    """Metres."""
     speed: Float32[np.ndarray, " A"]
     """Preferred walking speed, m/s."""
 
@@ -91,5 +94,6 @@ Policy = ObservationPolicy | StatePolicy
 A policy that leaves nothing to chance may say so by `deterministic = True`: under recorded
 arrivals one rollout of it is as good as many.
 
-An action is a velocity in units of the scene's `max_speed_mps`, both components in [−1, 1].
+An action is a velocity in units of the scene's `max_speed_mps`, both components in [−1, 1]; what is
+beyond is clipped, as in the environment.
 """

@@ -1,4 +1,4 @@
-"""Spawn models: when, where and whither persons enter."""
+"""Spawn models: when, where and with which goal persons enter."""
 
 from crowdbench.spawn.areas import Areas, fit_areas
 from crowdbench.spawn.block_replay import BlockReplay

@@ -14,7 +14,7 @@ recorded initial population, or with nobody."""
 
 @runtime_checkable  # tests check annotations at run time
 class SpawnModel(Protocol):
-    """When, where and whither people enter.
+    """When, where and with which goal people enter.
 
     Likelihoods are comparable between models because all mean the same thing: the probability
     of the *number of persons that each area lets in at each point of the annotation grid*, in

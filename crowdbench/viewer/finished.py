@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crowdbench.files import replacing
-from crowdbench.scene import Scene
+from crowdbench.scene import Scene, load_scene
 from crowdbench.trajectories import Trajectories
 from crowdbench.viewer.access import check_rerun, new_stream, open_stream
 from crowdbench.viewer.chosen import index_of, log_chosen
@@ -32,8 +32,8 @@ SERIES = ((230, 159, 0), (150, 150, 150))
 
 def save(
     crowd: Trajectories,
-    scene: Scene,
-    path: Path,
+    scene: str | Path | Scene,
+    path: str | Path,
     *,
     against: Trajectories | None = None,
     person: int | None = None,
@@ -42,34 +42,36 @@ def save(
 
     Args:
         crowd: what to show.
-        scene: where it walks.
+        scene: where it walks: an id from `list_scenes()`, a folder with a `scene.toml`, or a scene.
         path: the file, by custom `.rrd`.
         against: another crowd, by custom the recording, shown beside it on the same clock.
         person: id of a person in `crowd`, whose rays and whole way are shown too.
 
     Raises:
         SettingError: rerun is not installed, or there is no such person.
+        SceneError: there is no such scene.
         OutputError: the file cannot be written.
     """
     check_rerun()
     import rerun as rr
 
+    place = load_scene(scene)
     if person is not None:
         index_of(person, crowd)
-    sides = _sides(crowd, scene, against)
-    stream = new_stream(scene, title_of(crowd))
+    sides = _sides(crowd, place, against)
+    stream = new_stream(place, title_of(crowd))
     # Kept in memory first: on a full disk rerun's own writer waits for ever.
     kept = rr.binary_stream(stream)
-    stream.send_blueprint(_layout(scene, sides), make_active=False)
-    _log(stream, scene, sides, person)
+    stream.send_blueprint(_layout(place, sides), make_active=False)
+    _log(stream, place, sides, person)
     data = kept.read() or b""
-    with replacing(path) as temporary:
+    with replacing(Path(path)) as temporary:
         temporary.write_bytes(data)
 
 
 def show(
     crowd: Trajectories,
-    scene: Scene,
+    scene: str | Path | Scene,
     *,
     against: Trajectories | None = None,
     person: int | None = None,
@@ -78,13 +80,15 @@ def show(
 
     Raises:
         SettingError: rerun is not installed, there is no screen, or there is no such person.
+        SceneError: there is no such scene.
     """
+    place = load_scene(scene)
     if person is not None:
         index_of(person, crowd)
-    sides = _sides(crowd, scene, against)
+    sides = _sides(crowd, place, against)
     check_rerun()
-    stream = open_stream(scene, title_of(crowd), _layout(scene, sides))
-    _log(stream, scene, sides, person)
+    stream = open_stream(place, title_of(crowd), _layout(place, sides))
+    _log(stream, place, sides, person)
     with suppress(RuntimeError):  # who closed the window wants to see no more
         stream.flush()
     stream.disconnect()

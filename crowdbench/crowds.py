@@ -1,0 +1,90 @@
+"""Crowds as a user names them: rolled out by names, or read from a file of some scene.
+
+The parts that work on objects are `crowdbench.rollouts` and `crowdbench.tables`.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from crowdbench import tables
+from crowdbench.scene import Scene, load_scene
+from crowdbench.trajectories import Trajectories
+
+if TYPE_CHECKING:
+    from crowdbench.policies import Policy
+    from crowdbench.simulation import Settings
+    from crowdbench.spawn import SpawnModel
+    from crowdbench.spawn.model import Start
+
+
+def rollout(
+    scene: str | Path | Scene,
+    spawn: "str | SpawnModel",
+    policy: "str | Policy",
+    *,
+    seed: int,
+    horizon_s: float | None = None,
+    start: "Start | None" = None,
+    settings: "Settings | None" = None,
+) -> Trajectories:
+    """Let `spawn` people a scene and `policy` walk them for `horizon_s` seconds.
+
+    The same seed gives the same table. Models may be given by name; of one with several fits that
+    is the first, fitted to the whole recording (`spawn_model(…, part=…, fit=…)` gives the others).
+
+    Args:
+        scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a scene.
+        spawn: who enters when and where: a name, `pkg.module:Class`, or a model.
+        policy: who walks them: a name, `pkg.module:Class`, an ONNX file, or a policy. One that
+            sees observations may say which, by its attributes `observation` (`lidar-1` by
+            default), `rays` and `ray_range_m`.
+        seed: of all that is left to chance.
+        horizon_s: length in seconds, by default the recording's.
+        start: `stationary` (after a discarded warm-up), `recorded` (replay only) or `empty`; by
+            default the spawn model's own.
+        settings: of the simulation, by default what the policy asks for.
+
+    Raises:
+        SceneError, SettingError, WeightsError, RecordingError: what was asked for does not exist
+            or does not fit, or nobody came.
+        ActionError: the policy does not give one finite action per person.
+        CapacityError: more people than slots.
+    """
+    from crowdbench import registry, rollouts
+    from crowdbench.episode import check_horizon
+
+    place = load_scene(scene)
+    if horizon_s is not None:
+        check_horizon(horizon_s)
+    return rollouts.rollout(
+        place,
+        registry.spawn_model(spawn, place),
+        registry.policy(policy, place),
+        seed=seed,
+        horizon_s=horizon_s,
+        start=start,
+        settings=settings,
+    )
+
+
+def read(path: str | Path, scene: str | Path | Scene | None = None) -> Trajectories:
+    """Read a Parquet or CSV table of trajectories, crowdbench's own or another simulator's.
+
+    A file that crowdbench wrote knows its scene. Another's needs the columns `person_id`, `x`,
+    `y` (metres) and `frame` or `time_s` (seconds, on the frames of the scene), and may have the
+    others of `Trajectories`.
+
+    Args:
+        path: a `.parquet` or `.csv`.
+        scene: whose crowd it is: an id from `list_scenes()`, a folder with a `scene.toml`, or a
+            scene. Needed for another program's table.
+
+    Raises:
+        RecordingError: the file is missing, is no table, lacks a column, holds values that
+            are not finite, or belongs to another scene or time step.
+        SceneError: there is no such scene.
+    """
+    if scene is None:
+        return tables.read_own(path)
+    place = load_scene(scene)
+    return tables.read(path, scene=place.id, dt_s=place.dt_s)
