@@ -26,6 +26,7 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.gallery",
         "crowdbench.jobs",
         "crowdbench.metrics",
+        "crowdbench.names",
         "crowdbench.policies.export",
         "crowdbench.policies.network",
         "crowdbench.policies.policy",

@@ -15,7 +15,7 @@ PACKAGE = Path(crowdbench.__file__).parent
 ORDER = (
     "errors", "files", "processes", "trajectories", "tables", "blocks", "metrics", "recordings",
     "scene", "spawn", "reference", "scoring_kernel", "scoring", "power", "cards", "simulation",
-    "policies", "episode", "rollouts", "plaza", "registry", "demos", "fit", "spawn_check",
+    "policies", "episode", "rollouts", "plaza", "registry", "names", "demos", "fit", "spawn_check",
     "replay_check", "figures", "report", "jobs", "evaluation", "authoring", "results", "ablation",
     "walks", "gallery", "steering", "rewards", "viewer", "environment", "torchrl_env", "vec_env",
     "bench", "cli", "__main__",

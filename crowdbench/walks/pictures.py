@@ -33,12 +33,12 @@ def draw_pictures(
     sight = Sight.of(scene, reference, shown, "full", recording)
     # One spawn model: the colour tells the policy.
     groups = [
-        replace(group, spawn="", policy=names[group.policy], dashes=(),
+        replace(group, label=names[group.policy], dashes=(),
                 colour=COLOURS[k % len(COLOURS)])
         for k, group in enumerate(sight.groups)
     ]  # fmt: skip
     sight = replace(sight, groups=groups)
     draw_figure("dwell.png", sight, folder, named=f"{scene.id}-dwell.png")
     with replacing(folder / f"{scene.id}-paths.png") as temporary:
-        walked = [(group.policy, group.crowds[0]) for group in groups]
+        walked = [(group.label, group.crowds[0]) for group in groups]
         temporary.write_bytes(draw_ways(scene, recording, walked))
