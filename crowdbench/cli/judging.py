@@ -50,7 +50,12 @@ def add(commands: "Commands") -> None:
         help="fit and compare on the whole recording, or on what was held out (default: full)",
     )
     evaluate.add_argument(
-        "--seeds", type=int, help="rollouts per pair and fold (default: the scene's protocol)"
+        "--seeds",
+        type=int,
+        metavar="N",
+        help="rollouts of each pair (in each fold); a score needs at least two of each of the "
+        "scene's fits, which are 5 as a rule: 10, 15, 20 and so on make scores, 1 to 9 only plain "
+        "distances (default: the scene's protocol, 15 to 50)",
     )
     evaluate.add_argument("--workers", type=int, help="processes (default: one per core)")
     evaluate.add_argument("--out", type=Path, help="folder of the results (default: results/…)")

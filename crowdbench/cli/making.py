@@ -67,7 +67,11 @@ def add(commands: "Commands") -> None:
     )
     results.add_argument("--workers", type=int, help="processes (default: one per core)")
     results.add_argument(
-        "--seeds", type=int, help="rollouts per crowd and fold (default: the scene's protocol)"
+        "--seeds",
+        type=int,
+        metavar="N",
+        help="rollouts of each crowd (in each fold); fewer than two of each of the scene's fits, "
+        "as a rule 10, make no scores (default: the scene's protocol)",
     )
     results.set_defaults(run=_results)
 
@@ -91,7 +95,11 @@ def add(commands: "Commands") -> None:
     )
     walks.add_argument("--workers", type=int, help="processes (default: one per core)")
     walks.add_argument(
-        "--seeds", type=int, help="rollouts per policy and fold (default: two per fit)"
+        "--seeds",
+        type=int,
+        metavar="N",
+        help="rollouts of each policy (in each fold); fewer than two of each of the scene's fits "
+        "make no scores of policies that leave anything to chance (default: two of each)",
     )
     walks.set_defaults(run=_walks)
 

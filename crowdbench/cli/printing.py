@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 _UNLIMITED = 10_000  # characters; tables are as wide as what is in them
 _PARAGRAPH = 90
-_LEAST = 16  # characters of a first column
 
 
 def new_console() -> "Console":
@@ -36,7 +35,7 @@ def new_table(*columns: str) -> "Table":
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     for k, column in enumerate(columns):
         if k == 0:
-            table.add_column(column, overflow="fold", min_width=_LEAST)
+            table.add_column(column, overflow="fold")
         else:
             table.add_column(column, justify="right", no_wrap=True)
     return table

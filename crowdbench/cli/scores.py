@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     Column: TypeAlias = tuple[str, Callable[[Row], str]]
 
+_NAME = 16  # characters that a name is folded to at the least
+
 
 def print_card(card: "Scorecard", scene: "Scene") -> None:
     """Print scores and plain distances of all crowds, and what they mean."""
@@ -80,6 +82,7 @@ def _score_tables(table: "Sequence[Row]", names: "Names") -> "Iterator[Sequence[
 
 def _score_table(columns: "Sequence[Column]", table: "Sequence[Row]", names: "Names") -> "Table":
     made = new_table("spawn × policy", *(head for head, _ in columns))
+    made.columns[0].min_width = _NAME
     for k, row in enumerate(table):
         if row.kind == "anchor" and table[k - 1].kind == "entry":
             made.add_section()

@@ -103,7 +103,20 @@ def _scores(walked: Walked, card: Scorecard) -> str:
                 *(interval(each.get(m.name)) for m in scored),
             ]
         )
-    return table(head, lines, text=2)
+    scores = [table(head, lines, text=2)] if lines else []
+    return "\n\n".join(scores + _unscored(walked, card, {row.policy for row in known}))
+
+
+def _unscored(walked: Walked, card: Scorecard, scored: set[str]) -> list[str]:
+    """Why policies are missing from the table of scores."""
+    missing = [name for policy, name in walked.names.items() if policy not in scored]
+    if not missing:
+        return []
+    made = f"{card.rollouts} {'was' if card.rollouts == 1 else 'were'} made"
+    return [
+        f"No score of {', '.join(missing)}: that needs at least two rollouts of each of the "
+        f"{card.fits} fits, {2 * card.fits} in all; {made}."
+    ]
 
 
 def _distances(walked: Walked, card: Scorecard) -> str:
