@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench.cli.printing import new_console, new_table, progress_bar
+from crowdbench.cli.printing import new_console, new_table, print_note, progress_bar
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -102,9 +102,9 @@ def _print_changes(found: "Steering") -> None:
         goal.add_row(f"{g.area}", *_cells(g.centre_m, g.usual, g.asked, g.steered))
     console = new_console()
     console.print(spawn)
-    print(
-        "same entry: share of the people as fitted who come under the scenario too, at the same\n"
-        "time and place with the same speed, bit for bit; same goal too: and to the same goal.\n"
+    print_note(
+        "same entry: share of the people as fitted who come under the scenario too, at the same "
+        "time and place with the same speed, bit for bit; same goal too: and to the same goal."
     )
     console.print(goal)
 
