@@ -106,14 +106,6 @@ def test_the_list_tells_what_is_imported(opentraj: Path, capsys: Printed) -> Non
     assert SOURCES["gc"].address == f"{root}/{SOURCES['gc'].path}"
 
 
-def test_own_recordings_are_listed(table: Path, capsys: Printed) -> None:
-    asked = ["data", "import", "mine", "--source", str(table), "--format", "csv", "--dt-s", "0.4"]
-    assert main(asked) == 0
-    capsys.readouterr()
-    assert main(["data", "list"]) == 0
-    assert re.search(r"^ *mine +imported +your own", capsys.readouterr().out, re.MULTILINE)
-
-
 @pytest.mark.parametrize("scene", list_scenes())
 def test_areas_are_listed_without_goals_that_nobody_has(scene: str, capsys: Printed) -> None:
     assert main(["areas", scene]) == 0
