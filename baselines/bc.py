@@ -16,20 +16,23 @@ import time
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from gymnasium import spaces
-from imitation.algorithms import bc
-from imitation.util import logger
 
-from baselines.command import Command, check_numbers
-from baselines.mixture import NEAR_GOAL_M, NOISE, MixturePolicy, Sampler
+from baselines.packages import needs
 from crowdbench import Demonstrations, demonstrations
 from crowdbench.errors import CrowdbenchError
 from crowdbench.simulation.lidar import GOAL_RANGE_M
+
+with needs("imitation", __name__):
+    import torch
+    from gymnasium import spaces
+    from imitation.algorithms import bc
+    from imitation.util import logger
+
+    from baselines.command import Command, add_settings, check_numbers, new_parser
+    from baselines.mixture import NEAR_GOAL_M, NOISE, MixturePolicy, Sampler
 
 OBSERVATIONS = ("lidar-3", "lidar-2")
 """What can be cloned from. Where goals lie along the bounds, only who sees these gets there; where
@@ -60,16 +63,18 @@ class Settings:
     seed: int = 0
 
 
-SETTABLE = (
-    "learning_rate",
-    "batch_size",
-    "epochs",
-    "patience",
-    "displaced_m",
-    "homing",
-    "width",
-    "copies",
-)
+SETTABLE = {
+    "learning_rate": "Adam's in the first epoch; it falls to 0 along half a cosine",
+    "batch_size": "situations in a batch",
+    "epochs": "at most so many times through all that is shown",
+    "patience": "epochs without a better held-out likelihood after which training ends",
+    "displaced_m": "standard deviation of how far persons are shown off their paths, in metres, "
+    "from where they come back; 0: never",
+    "homing": "times that what is done near a goal is shown",
+    "width": "by which standard deviations are multiplied in the end",
+    "copies": "times that the recording is shown, with other persons displaced",
+}
+"""Settings that the command line takes, and what it says of them."""
 
 
 def check(settings: Settings) -> None:
@@ -208,14 +213,27 @@ def _likelihood(policy: MixturePolicy, seen: torch.Tensor, did: torch.Tensor) ->
     return float(torch.cat(each).mean())
 
 
-def add_settings(parser: argparse._ActionsContainer, prefix: str = "") -> None:
+def add_cloning(parser: argparse._ActionsContainer, prefix: str = "") -> None:
     """Give a parser the options of `Settings`, but for the observation and the seed."""
-    default = Settings()
-    parser.add_argument(f"--{prefix}hidden", nargs="+", type=int, default=list(default.hidden))
-    for name in SETTABLE:
-        value = getattr(default, name)
-        option = f"--{prefix}{name.replace('_', '-')}"
-        parser.add_argument(option, type=type(value), default=value)
+    parser.add_argument(
+        f"--{prefix}hidden",
+        nargs="+",
+        type=int,
+        default=list(Settings.hidden),
+        metavar="N",
+        help=f"widths of its layers (default: {' '.join(map(str, Settings.hidden))})",
+    )
+    add_settings(parser, Settings(), SETTABLE, prefix)
+
+
+def add_observation(parser: argparse.ArgumentParser) -> None:
+    """Give a parser the choice of what can be cloned from."""
+    parser.add_argument(
+        "--observation",
+        choices=OBSERVATIONS,
+        default=OBSERVATIONS[0],
+        help="what it sees; lidar-3 has the bounds too (default: %(default)s)",
+    )
 
 
 def settings_from(asked: argparse.Namespace, prefix: str = "") -> Settings:
@@ -224,16 +242,17 @@ def settings_from(asked: argparse.Namespace, prefix: str = "") -> Settings:
     return Settings(hidden=tuple(getattr(asked, f"{prefix}hidden")), **named)
 
 
+def command_line() -> argparse.ArgumentParser:
+    """The options of this script."""
+    parser = new_parser("bc", __doc__)
+    add_cloning(parser)
+    add_observation(parser)
+    return parser
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Clone and write policies."""
-    parser = argparse.ArgumentParser(prog="python -m baselines.bc", description=__doc__)
-    parser.add_argument("--scene", required=True)
-    parser.add_argument("--parts", nargs="+", default=["full"], metavar="PART")
-    add_settings(parser)
-    parser.add_argument("--observation", choices=OBSERVATIONS, default=OBSERVATIONS[0])
-    parser.add_argument("--seed", type=int, default=Settings.seed)
-    parser.add_argument("--out", type=Path, help="folder (default: results/bc-SCENE)")
-    asked = parser.parse_args(arguments)
+    asked = command_line().parse_args(arguments)
     settings = replace(settings_from(asked), observation=asked.observation, seed=asked.seed)
     try:
         check(settings)

@@ -1,9 +1,10 @@
 """What the baselines' commands share: what is checked before training, and a policy's file."""
 
+import argparse
 import math
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,46 @@ def check_numbers(settings: Any, *, or_zero: Sequence[str] = ()) -> None:
                 raise SettingError(
                     name.replace("_", "-"), got=f"{number:g}", expected=f"a number, {least}"
                 )
+
+
+def new_parser(name: str, description: str | None) -> argparse.ArgumentParser:
+    """A parser of `python -m baselines.NAME` with the options that all of them have."""
+    parser = argparse.ArgumentParser(
+        prog=f"python -m baselines.{name}",
+        description=description,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--scene", required=True, help="id of a scene, or its folder")
+    parser.add_argument(
+        "--parts",
+        nargs="+",
+        default=["full"],
+        metavar="PART",
+        help="what to train on, a policy for each: full is all of the recording, fold0, fold1 and "
+        "fold2 are two thirds of it, for --protocol heldout (default: full)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of all chance (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help=f"folder (default: results/{name}-SCENE)"
+    )
+    return parser
+
+
+def add_settings(
+    parser: argparse._ActionsContainer, default: Any, told: Mapping[str, str], prefix: str = ""
+) -> None:
+    """Give a parser options for some settings of a dataclass, by name with what is told of them."""
+    for name, what in told.items():
+        value = getattr(default, name)
+        parser.add_argument(
+            f"--{prefix}{name.replace('_', '-')}",
+            type=type(value),
+            default=value,
+            metavar={int: "N", float: "X"}.get(type(value), "NAME"),
+            help=f"{what} (default: %(default)s)",
+        )
 
 
 @dataclass(frozen=True)

@@ -32,22 +32,26 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-import torch
-from imitation.algorithms.adversarial.gail import GAIL
-from imitation.rewards.reward_nets import RewardNet
-from imitation.util import logger
-from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecEnvWrapper
-from torch import Tensor, nn
 
-from baselines import bc
-from baselines.command import Command, check_numbers
-from baselines.mixture import BOUNDS, NOISE, MixturePolicy, Sampler
+from baselines.packages import needs
 from crowdbench import Demonstrations, demonstrations, spawn_model
 from crowdbench.errors import CrowdbenchError
 from crowdbench.files import replacing
 from crowdbench.scene import Scene
-from crowdbench.vec_env import LivesVecEnv
+
+with needs("imitation", __name__):
+    import torch
+    from imitation.algorithms.adversarial.gail import GAIL
+    from imitation.rewards.reward_nets import RewardNet
+    from imitation.util import logger
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecEnvWrapper
+    from torch import Tensor, nn
+
+    from baselines import bc
+    from baselines.command import Command, add_settings, check_numbers, new_parser
+    from baselines.mixture import BOUNDS, NOISE, MixturePolicy, Sampler
+    from crowdbench.vec_env import LivesVecEnv
 
 CHANGES = 10.0
 """How much larger the discriminator sees changes of velocity, which are small, than velocities."""
@@ -261,28 +265,33 @@ def _hidden(policy: MixturePolicy) -> list[nn.Linear]:
     return [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
 
 
+SETTABLE = {
+    "steps": "steps of persons to train for, all together",
+    "persons": "persons it learns from at a time; the crowd around them is walked by it too",
+    "spawn": "spawn model that lets people in",
+    "horizon_s": "length of an episode, in seconds",
+    "learning_rate": "Adam's, of the policy",
+    "discriminator_rate": "Adam's, of the discriminator",
+    "reminders": "batches of recorded people from whom it clones anew after each improvement",
+}
+"""Settings that the command line takes, and what it says of them."""
+
+
+def command_line() -> argparse.ArgumentParser:
+    """The options of this script."""
+    parser = new_parser("gail", __doc__)
+    add_settings(parser, Settings(), SETTABLE)
+    bc.add_observation(parser)
+    cloning = parser.add_argument_group("cloning, from which it starts (0 epochs: from nothing)")
+    bc.add_cloning(cloning, "cloning-")
+    return parser
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Clone, train and write policies."""
-    default = Settings()
-    parser = argparse.ArgumentParser(prog="python -m baselines.gail", description=__doc__)
-    parser.add_argument("--scene", required=True)
-    parser.add_argument("--parts", nargs="+", default=["full"], metavar="PART")
-    parser.add_argument("--steps", type=int, default=default.steps)
-    parser.add_argument("--persons", type=int, default=default.persons)
-    parser.add_argument("--spawn", default=default.spawn)
-    parser.add_argument("--observation", choices=bc.OBSERVATIONS, default=default.observation)
-    parser.add_argument("--horizon-s", type=float, default=default.horizon_s)
-    parser.add_argument("--learning-rate", type=float, default=default.learning_rate)
-    parser.add_argument("--discriminator-rate", type=float, default=default.discriminator_rate)
-    parser.add_argument("--reminders", type=int, default=default.reminders)
-    cloning = parser.add_argument_group("cloning, from which it starts (0 epochs: from nothing)")
-    bc.add_settings(cloning, "cloning-")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, help="folder (default: results/gail-SCENE)")
-    asked = parser.parse_args(arguments)
-    names = ("steps", "persons", "spawn", "observation", "horizon_s", "learning_rate",
-             "discriminator_rate", "reminders")  # fmt: skip
-    settings = replace(default, **{name: getattr(asked, name) for name in names})
+    asked = command_line().parse_args(arguments)
+    names = (*SETTABLE, "observation")
+    settings = Settings(**{name: getattr(asked, name) for name in names})
     first = bc.settings_from(asked, "cloning_")
     first = replace(first, observation=settings.observation, seed=asked.seed)
     try:

@@ -17,21 +17,27 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
-import torch
-from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import NormalParamExtractor, ProbabilisticTensorDictSequential, TensorDictModule
-from torch import Tensor, nn
-from torchrl.collectors import Collector
-from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
-from torchrl.objectives import ClipPPOLoss
-from torchrl.objectives.value.functional import vec_generalized_advantage_estimate
-
-from baselines.command import Command, check_numbers
+from baselines.packages import needs
 from crowdbench import Reward, spawn_model
 from crowdbench.errors import CrowdbenchError
-from crowdbench.torchrl_env import CrowdEnv
+
+with needs("torchrl", __name__):
+    import torch
+    from tensordict import TensorDict, TensorDictBase
+    from tensordict.nn import (
+        NormalParamExtractor,
+        ProbabilisticTensorDictSequential,
+        TensorDictModule,
+    )
+    from torch import Tensor, nn
+    from torchrl.collectors import Collector
+    from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
+    from torchrl.objectives import ClipPPOLoss
+    from torchrl.objectives.value.functional import vec_generalized_advantage_estimate
+
+    from baselines.command import Command, add_settings, check_numbers, new_parser
+    from crowdbench.torchrl_env import CrowdEnv
 
 OBSERVATION = "lidar-2"
 NOISE = 2
@@ -212,24 +218,29 @@ def _steps(batch: TensorDictBase, advantage: Tensor, target: Tensor) -> TensorDi
     )
 
 
+SETTABLE = {
+    "spawn": "spawn model that lets people in",
+    "worlds": "crowds side by side",
+    "max_alive": "persons that a world has room for",
+    "frames": "frames to train for, those of all worlds together",
+    "batch_frames": "frames between two improvements, those of all worlds together",
+    "horizon_s": "length of an episode, in seconds",
+    "learning_rate": "Adam's",
+}
+"""Settings that the command line takes, and what it says of them."""
+
+
+def command_line() -> argparse.ArgumentParser:
+    """The options of this script."""
+    parser = new_parser("ppo", __doc__)
+    add_settings(parser, Settings(), SETTABLE)
+    return parser
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Train and write a policy."""
-    default = Settings()
-    parser = argparse.ArgumentParser(prog="python -m baselines.ppo", description=__doc__)
-    parser.add_argument("--scene", required=True)
-    parser.add_argument("--parts", nargs="+", default=["full"], metavar="PART")
-    parser.add_argument("--spawn", default=default.spawn)
-    parser.add_argument("--worlds", type=int, default=default.worlds)
-    parser.add_argument("--max-alive", type=int, default=default.max_alive)
-    parser.add_argument("--frames", type=int, default=default.frames)
-    parser.add_argument("--batch-frames", type=int, default=default.batch_frames)
-    parser.add_argument("--horizon-s", type=float, default=default.horizon_s)
-    parser.add_argument("--learning-rate", type=float, default=default.learning_rate)
-    parser.add_argument("--seed", type=int, default=default.seed)
-    parser.add_argument("--out", type=Path, help="folder (default: results/ppo-SCENE)")
-    asked = parser.parse_args(arguments)
-    names = set(vars(asked)) - {"scene", "parts", "out"}
-    settings = Settings(**{name: getattr(asked, name) for name in names})
+    asked = command_line().parse_args(arguments)
+    settings = Settings(**{name: getattr(asked, name) for name in (*SETTABLE, "seed")})
     try:
         check_numbers(settings, or_zero=("gamma", "lmbda", "entropy", "seed"))
         command = Command.of("ppo", asked.scene, asked.parts, asked.out, arguments)

@@ -27,6 +27,7 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.jobs",
         "crowdbench.leaderboard",
         "crowdbench.metrics",
+        "crowdbench.names",
         "crowdbench.policies.export",
         "crowdbench.policies.network",
         "crowdbench.policies.policy",

@@ -133,7 +133,7 @@ def test_it_is_evaluated_with_its_recording(at_home: Made, tmp_path: Path, capsy
     assert main(["evaluate", folder, *pairs, "--workers", "1", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert "renewal-gmm × straight" in out
-    assert "needs   recording" not in out
+    assert "need the recording" not in out
     entries = {
         (e["spawn"], e["policy"]): e
         for e in json.loads((tmp_path / "scorecard.json").read_text())["entries"]

@@ -13,6 +13,7 @@ import pytest
 
 from crowdbench import __version__
 from crowdbench.cli import main
+from crowdbench.recordings.catalogue import SOURCES
 from crowdbench.reference import score
 from crowdbench.scene import list_scenes, load_scene
 from crowdbench.tables import read
@@ -43,6 +44,8 @@ def test_a_table_is_scored(table: Path, capsys: Printed) -> None:
     assert main(["score", "eth-v0", str(table)]) == 0
     out = capsys.readouterr().out
     assert "mine.csv on eth-v0: 97 persons" in out
+    assert "nan" not in out
+    assert "0 is equal" in out
     for name, result in score("eth-v0", read(table, scene="eth-v0", dt_s=0.4)).items():
         cells = f"{name.replace('_', ' ')} .*{result.distance:.3f} .*{result.n}"
         assert re.search(cells, out), name
@@ -89,12 +92,26 @@ def test_the_list_tells_what_is_imported(opentraj: Path, capsys: Printed) -> Non
     main(["data", "import", "hotel", "--source", str(opentraj)])
     capsys.readouterr()
     assert main(["data", "list"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    states = {line.split()[0]: " ".join(line.split()[1:-1]) for line in lines}
-    assert states == {
-        "eth": "not imported", "hotel": "imported", "zara01": "not imported",
-        "gc": "not imported", "forum": "not imported", "plaza": "always there",
-    }  # fmt: skip
+    printed = capsys.readouterr().out
+    lines = [re.split(r"  +", line.strip()) for line in printed.splitlines() if "-v0" in line]
+    assert lines == [
+        ["eth", "eth-v0", "not imported", SOURCES["eth"].path],
+        ["hotel", "hotel-v0", "imported", SOURCES["hotel"].path],
+        ["zara01", "zara1-v0", "not imported", SOURCES["zara01"].path],
+        ["gc", "gc-v0", "not imported", SOURCES["gc"].path],
+        ["forum", "forum-v0", "not imported", SOURCES["forum"].path],
+        ["plaza", "plaza-v0", "always there", "generated"],
+    ]
+    root = printed.split("OpenTraj, ")[1].split()[0]
+    assert SOURCES["gc"].address == f"{root}/{SOURCES['gc'].path}"
+
+
+@pytest.mark.parametrize("scene", list_scenes())
+def test_areas_are_listed_without_goals_that_nobody_has(scene: str, capsys: Printed) -> None:
+    assert main(["areas", scene]) == 0
+    out = capsys.readouterr().out
+    assert "(100)" in out or re.search(r"\d \(\d+\)", out)
+    assert "(0)" not in out
 
 
 def test_a_scene_is_fitted_into_another_folder(tmp_path: Path, capsys: Printed) -> None:
@@ -182,6 +199,16 @@ def test_a_process_ends_with_exit_code_2_and_no_traceback() -> None:
     assert (process.returncode, out) == (2, "")
     assert err.startswith("crowdbench: scene: got 'moon-v0'")
     assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("arguments", [["scenes"], ["areas", "eth-v0"], ["--help"]])
+def test_output_that_nobody_reads_ends_quietly(arguments: list[str]) -> None:
+    with started(*arguments) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()  # before anything is printed
+        assert process.stderr.read() == ""
+    assert process.returncode == 1 or "--help" in arguments  # argparse says nothing of it
 
 
 def test_an_interrupt_ends_with_exit_code_130_and_no_half_file(tmp_path: Path) -> None:

@@ -1,9 +1,13 @@
 """The commands of the baselines say what is wrong before they train anything."""
 
+import importlib
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from conftest import need_imitation
 
 from baselines import ppo
 from baselines.command import Command, check_numbers
@@ -63,3 +67,31 @@ def test_ppo_refuses_what_cannot_be_trained(wrong: str, tmp_path: Path, capsys) 
     asked = ["--scene", "plaza-v0", "--out", str(tmp_path), *wrong.split()]
     assert ppo.main(asked) == 2
     assert "baselines.ppo: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "extra"), [("bc", "imitation"), ("gail", "imitation"),
+                                             ("ppo", "torchrl")])  # fmt: skip
+def test_without_its_packages_a_baseline_says_what_to_install(name: str, extra: str) -> None:
+    code = (
+        "import runpy, sys\n"
+        "sys.modules['torch'] = None\n"  # as if it were not installed
+        f"runpy.run_module('baselines.{name}', run_name='__main__')"
+    )
+    run = [sys.executable, "-c", code]
+    done = subprocess.run(run, capture_output=True, text=True, cwd=Path(__file__).parents[1])
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(
+        f"baselines: packages: got no torch; expected those of the extra {extra}."
+    )
+    assert f'-e ".[{extra},onnx]"' in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["bc", "gail", "ppo"])
+def test_every_option_is_told(name: str) -> None:
+    if name != "ppo":
+        need_imitation()
+    parser = importlib.import_module(f"baselines.{name}").command_line()
+    assert [a.dest for a in parser._actions if not a.help] == []
+    assert "%(" not in parser.format_help()
+    assert "(default: results/" in parser.format_help()

@@ -122,7 +122,7 @@ def test_but_for_the_order_scorecards_are_the_same_bytes(
 
 def test_the_command_line_prints_a_row_per_pair(card: Scorecard, again: tuple[Path, str]) -> None:
     for entry in card.entries:
-        assert re.search(rf"\d poisson-gmm × {entry.policy}\b", again[1])
+        assert re.search(rf"\d  poisson-gmm × {entry.policy}\b", again[1])
         assert f"{entry.metrics['dwell'].distance:.3f}" in again[1]
 
 

@@ -15,9 +15,9 @@ PACKAGE = Path(crowdbench.__file__).parent
 ORDER = (
     "errors", "files", "processes", "trajectories", "tables", "blocks", "metrics", "recordings",
     "scene", "spawn", "reference", "scoring_kernel", "scoring", "power", "cards", "simulation",
-    "policies", "episode", "rollouts", "plaza", "registry", "crowds", "demos", "fit", "spawn_check",
-    "replay_check", "figures", "report", "jobs", "evaluation", "authoring", "results", "ablation",
-    "walks", "gallery", "steering", "leaderboard", "rewards", "viewer", "environment",
+    "policies", "episode", "rollouts", "plaza", "registry", "crowds", "names", "demos", "fit",
+    "spawn_check", "replay_check", "figures", "report", "jobs", "evaluation", "authoring", "results",
+    "ablation", "walks", "gallery", "steering", "leaderboard", "rewards", "viewer", "environment",
     "torchrl_env", "vec_env", "bench", "cli", "__main__",
 )  # fmt: skip
 HEAVY = (

@@ -362,7 +362,12 @@ def test_the_command_line_writes_and_shows_them(
     assert "full of plaza-v0" in shown
     assert "lidar-2, 32 rays of 10 m (38 numbers)" in shown
     assert "python walkers.py" in shown
-    assert main(["evaluate", "plaza-v0", "--policy", "slow.onnx", "--seeds", "1"]) == 0
+    evaluate = ["evaluate", "plaza-v0", "--policy", "slow.onnx", "--seeds", "1", "--out", "out"]
+    assert main(evaluate) == 0
+    assert "ntpp-gmm × slow\n" in capsys.readouterr().out
+    report = Path("out/report.html").read_text()
+    assert "× slow</" in report
+    assert "--policy slow.onnx" in report  # what makes it anew
     for named in ("walkers", "walkers:none", "nobody:net", "walkers:number", "walkers:made"):
         assert main(["policy", "export", named, "no.onnx", *asked]) == 2
         assert capsys.readouterr().err.startswith("crowdbench: network: got")

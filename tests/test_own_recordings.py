@@ -168,9 +168,9 @@ def test_the_command_imports_an_own_recording(
     path = made_up.write(yard, "jupedsim", tmp_path)
     asked = ["data", "import", "yard", "--source", str(path), "--format", "jupedsim"]
     assert main(asked) == 0
-    assert f"persons           {len(yard)}" in capsys.readouterr().out
+    assert f"persons         {len(yard)}" in capsys.readouterr().out
     assert main(["data", "list"]) == 0
-    assert re.search(r"^yard +imported +your own$", capsys.readouterr().out, re.M)
+    assert re.search(r"^ yard +imported +your own *$", capsys.readouterr().out, re.M)
     assert main(["data", "describe", "yard"]) == 0
     assert main(["data", "import", "yard", "--format", "csv"]) == 2
     assert "expected --source PATH" in capsys.readouterr().err

@@ -76,19 +76,25 @@ def numbers(line: str) -> list[float]:
     return [float(n.replace("−", "-")) for n in re.findall(r"−?\d+\.\d+", line)]
 
 
-def test_the_table_is_the_one_that_its_command_prints(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def rows_of(text: str) -> list[str]:
+    """The lines of tables of scores."""
+    return [line for line in text.splitlines() if re.match(r" \S+ × \S+ ", line)]
+
+
+def test_the_tables_are_those_that_its_command_prints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
     command = next(c for c in pages.commands(README) if c.startswith("crowdbench evaluate eth-v0"))
     arguments = shlex.split(command)[1:]
     arguments[arguments.index("--out") + 1] = str(tmp_path / "out")
     assert main(arguments) == 0
-    printed = {line[:30]: line for line in capsys.readouterr().out.splitlines() if "×" in line}
-    shown = [line for line in pages.blocks(README, "text")[0].splitlines() if "×" in line]
-    assert len(shown) == 12  # the heading, six crowds and five anchors
-    for line in shown:
+    printed = rows_of(capsys.readouterr().out)
+    shown = rows_of(pages.blocks(README, "text")[0])
+    assert len(shown) == 24  # twice the heading, six crowds and five anchors
+    for line, of_page in zip(printed, shown, strict=True):
         # Another processor rounds otherwise, and crowds are chaotic: not to the last digit.
-        assert numbers(printed[line[:30]]) == pytest.approx(numbers(line), abs=0.03)
-        assert re.sub(r"−?\d+\.\d+", "", printed[line[:30]]).split() == (
-            re.sub(r"−?\d+\.\d+", "", line).split()
+        assert numbers(line) == pytest.approx(numbers(of_page), abs=0.03)
+        assert re.sub(r"−?\d+\.\d+", "", line).split() == (
+            re.sub(r"−?\d+\.\d+", "", of_page).split()
         )

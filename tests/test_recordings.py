@@ -168,15 +168,23 @@ def test_the_description_counts_only_observed_frames():
     crowd = crowd_of([(0, 3), (1, 2)], frames=10, observed=[(0, 4)], dt_s=0.5)
     figures = describe(crowd)
     assert figures["agents at once"] == "mean 1.50, max 2"
-    assert figures["observed"] == "2.0 s in 1 intervals"
+    assert figures["observed"] == "2.0 s in 1 interval"
     assert figures["total duration"] == "5.0 s"
 
 
 def test_the_description_tells_who_was_not_seen_to_enter_or_leave():
     figures = describe(crowd_of([(0, 3), (1, 2), (1, 3)], frames=4))
-    assert figures["present at start"] == "1"
-    assert figures["entered"] == "2 (1 were there when observation began)"
-    assert figures["censored"] == "2 (there when observation ended)"
+    assert figures["in frame 0"] == "1"
+    assert figures["entered"] == "2 (1 was there at the start)"
+    assert figures["left"] == "1 (2 were still there at the end)"
+
+
+def test_the_description_tells_that_people_stand_there_at_the_start_of_each_interval():
+    crowd = crowd_of([(0, 3), (6, 8), (6, 8)], frames=10, observed=[(0, 4), (6, 10)])
+    figures = describe(replace(crowd, entered=np.zeros(3, bool)))
+    assert figures["in frame 0"] == "1"
+    assert figures["observed"].endswith(" in 2 intervals")
+    assert figures["entered"] == "0 (3 were there at the start of one of the 2 intervals)"
 
 
 def test_the_description_takes_dwell_times_of_whole_lives_only():

@@ -131,7 +131,7 @@ def test_an_evaluation_under_a_scenario_has_distances_and_no_ranks(
     asked += ["--policy", "straight", "--seeds", "1", "--workers", "1", "--out", "out"]
     assert main(asked) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "renewal-gmm+quiet.toml × straight" in printed
+    assert "renewal-gmm+quiet × straight" in printed
     assert "is to be different from the recording" in printed
     (entry,) = read_scorecard(Path("out/scorecard.json")).entries
     assert (entry.spawn, entry.policy) == ("renewal-gmm+quiet.toml", "straight")

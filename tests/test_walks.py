@@ -3,13 +3,17 @@
 import re
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from crowdbench import cli
+from crowdbench.cards import SCHEMA, Scorecard, read_anchors
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.registry import recording_of
 from crowdbench.scene import load_scene
+from crowdbench.scoring import RESAMPLES
 from crowdbench.walks import RecordedPaths, write_walks
+from crowdbench.walks.page import Walked, scores
 
 PLAZA = load_scene("plaza-v0")
 
@@ -33,6 +37,8 @@ def test_the_page_of_the_plaza(tmp_path: Path) -> None:
         assert set(of) == {"straight", "social-force"}  # random's two rollouts are too few
         assert of["straight"][3] == "0.00 [0.00, 0.00]"
         assert of["social-force"][1:3] == ["state", "1"]
+    said = "No score of random: that needs at least two rollouts of each of the 5 fits, 10 in all;"
+    assert re.sub(r"\s+", " ", text).count(f"{said} 2 were made.") == 2
     for title in ("Distances, full", "Distances, held out"):
         head, _, *lines = section(text, title)
         assert head[-3:] == ["random", "straight", "social-force"]
@@ -51,6 +57,28 @@ def test_the_page_of_the_plaza(tmp_path: Path) -> None:
     for name in linked:
         assert (tmp_path / "docs" / name).read_bytes().startswith(b"\x89PNG")
     assert "crowdbench walks plaza-v0 --seeds 2" in text
+
+
+def test_where_nobody_has_a_score_the_page_has_no_table_but_says_why() -> None:
+    scale = read_anchors(PLAZA).protocols["full"]
+    walkers = [e for e in scale.anchors if e.spawn == "replay" and e.policy != "replay"]
+    entries = [
+        msgspec.structs.replace(
+            e, metrics={n: msgspec.structs.replace(m, energy=None) for n, m in e.metrics.items()}
+        )
+        for e in walkers
+    ]
+    card = Scorecard(
+        schema=SCHEMA, crowdbench="0", scene=PLAZA.id, made_from="", protocol="full",
+        horizon_s=PLAZA.horizon_s, blocks=30, fits=5, rollouts=1, resamples=RESAMPLES,
+        scored=list(PLAZA.protocol.scored), scale=scale, entries=entries,
+    )  # fmt: skip
+    names = {e.policy: e.policy for e in entries}
+    walked = Walked(PLAZA, names, dict.fromkeys(names, "state"), {"full": card}, card, {})
+    assert scores(walked, card) == (
+        "No score of straight, random: that needs at least two rollouts of each of the 5 fits, "
+        "10 in all; 1 was made."
+    )
 
 
 def test_recorded_paths_end_at_their_goals() -> None:

@@ -2,10 +2,12 @@
 data | convert | scenes | bench`, and for who makes a scene `scene | fit | spawn | anchors | power |
 results | walks | figures | ablation`.
 
-A user's error is one message and exit code 2; an interrupt exits with 130.
+A user's error is one message and exit code 2; an interrupt exits with 130. Output that nobody reads
+on, as of `crowdbench … | head`, ends quietly with 1.
 """
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 
@@ -27,6 +29,18 @@ from crowdbench.errors import CrowdbenchError
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; the return value is the exit code."""
+    try:
+        try:
+            return _run(arguments)
+        finally:
+            sys.stdout.flush()  # where a pipe that nobody reads from any more is found out in time
+    except BrokenPipeError:
+        # The interpreter flushes once more when it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     asked = _parser().parse_args(arguments)
     try:
         asked.run(asked)

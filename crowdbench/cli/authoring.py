@@ -101,7 +101,7 @@ def _check(asked: argparse.Namespace) -> None:
 
     findings = list(check_scene(asked.scene))
     table = new_table("part", "state")
-    table.columns[1].justify = "left"
+    table.columns[1].justify, table.columns[1].no_wrap = "left", False
     for finding in findings:
         table.add_row(finding.part, finding.state)
     new_console().print(table)

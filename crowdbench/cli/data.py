@@ -4,7 +4,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench.cli.printing import print_facts, progress_bar
+from crowdbench.cli.printing import (
+    new_console,
+    new_table,
+    print_facts,
+    print_fitting,
+    print_note,
+    progress_bar,
+)
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -130,18 +137,26 @@ def _bring(name: str, folder: Path | None) -> None:
 
 
 def _list(asked: argparse.Namespace) -> None:
-    from crowdbench.recordings.catalogue import OWN_NAME, SOURCES, cached
+    from crowdbench.recordings.catalogue import COMMIT, OWN_NAME, REPOSITORY, SOURCES, cached
     from crowdbench.registry import RECORDINGS
+    from crowdbench.scene import list_scenes, load_scene
 
+    scenes = {load_scene(scene).recording.name: scene for scene in list_scenes()}
+    table = new_table("name", "scene", "state", "where it is from")
+    for column in table.columns:
+        column.justify = "left"
     for name in RECORDINGS:
         state = "imported" if cached(name).exists() else "not imported"
-        origin = SOURCES[name].address if name in SOURCES else "generated"
-        if origin == "generated":
+        path = SOURCES[name].path if name in SOURCES else "generated"
+        if path == "generated":
             state = "always there"
-        print(f"{name:<8} {state:<13} {origin}")
-    for path in sorted(cached("").parent.glob("*.parquet")):
-        if OWN_NAME.fullmatch(path.stem) and path.stem not in RECORDINGS:
-            print(f"{path.stem:<8} {'imported':<13} your own")
+        table.add_row(name, scenes.get(name, ""), state, path)
+    for file in sorted(cached("").parent.glob("*.parquet")):
+        if OWN_NAME.fullmatch(file.stem) and file.stem not in RECORDINGS:
+            table.add_row(file.stem, scenes.get(file.stem, ""), "imported", "your own")
+    print_fitting([[table]], new_console())
+    print(f"Files are those of OpenTraj, {REPOSITORY}/tree/{COMMIT}")
+    print_note("Other days of the Forum have names like forum-14jul (`crowdbench data fetch`).")
 
 
 def _describe(asked: argparse.Namespace) -> None:

@@ -7,7 +7,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench.cli.printing import new_console, new_table, print_facts, progress_bar
+from crowdbench.cli.printing import print_facts, progress_bar
+from crowdbench.cli.scores import print_card, print_results
 
 if TYPE_CHECKING:
     from crowdbench.cards import Scorecard
@@ -49,7 +50,12 @@ def add(commands: "Commands") -> None:
         help="fit and compare on the whole recording, or on what was held out (default: full)",
     )
     evaluate.add_argument(
-        "--seeds", type=int, help="rollouts per pair and fold (default: the scene's protocol)"
+        "--seeds",
+        type=int,
+        metavar="N",
+        help="rollouts of each pair (in each fold); a score needs at least two of each of the "
+        "scene's fits, which are 5 as a rule: 10, 15, 20 and so on make scores, 1 to 9 only plain "
+        "distances (default: the scene's protocol, 15 to 50)",
     )
     evaluate.add_argument("--workers", type=int, help="processes (default: one per core)")
     evaluate.add_argument("--out", type=Path, help="folder of the results (default: results/…)")
@@ -70,6 +76,7 @@ def add(commands: "Commands") -> None:
 
 def _evaluate(asked: argparse.Namespace) -> None:
     from crowdbench.evaluation import evaluate
+    from crowdbench.scene import load_scene
 
     sys.path.insert(0, os.getcwd())  # one's own pkg.module:Class may lie beside
     if asked.view:  # found out before minutes of rollouts
@@ -89,73 +96,12 @@ def _evaluate(asked: argparse.Namespace) -> None:
             out=out,
             progress=progress,
         )
-    _print_card(card)
+    print_card(card, load_scene(asked.scene))
     if any(entry.spawn == entry.policy == "replay" for entry in card.entries):
         _print_replay(asked.scene, out)
     print(f"written to {out}: report.html, scorecard.json, run.json, rollouts/ and pictures")
     if asked.view:
         _show_first(card, asked.scene, out)
-
-
-def _print_card(card: "Scorecard") -> None:
-    from crowdbench.cards import rows, steered, walked
-    from crowdbench.metrics import FAMILIES, METRICS, WALK
-    from crowdbench.report.words import STEERED, interval, number
-
-    table = rows(card)
-    print(
-        f"\n{card.scene}, protocol {card.protocol}: {card.horizon_s:.0f} s, {card.blocks} time "
-        f"blocks, {card.rollouts} rollouts of each pair"
-        f"{' in each fold' if card.protocol == 'heldout' else ''}."
-    )
-    if not card.scored:
-        print("No metric of this scene is scored yet: run `crowdbench power`.")
-    console = new_console(140)
-    wide = console.width >= 135  # room for the interval of the first four families too
-    heads = [f.replace("interaction", "inter-\naction") for f in FAMILIES]
-    scores = new_table("spawn × policy", *heads[:4], "crowd", *heads[4:], "overall", "rank")
-    for column in (scores.columns[0], scores.columns[5], scores.columns[8]):
-        column.no_wrap = True
-    for k, row in enumerate(table):
-        if row.kind == "anchor" and table[k - 1].kind == "entry":
-            scores.add_section()
-        missing = row.kind == "entry" and row.walk is None and not walked(card)
-        scores.add_row(
-            f"{row.spawn} × {row.policy}",
-            *[number(row.families.get(f)) for f in FAMILIES[:4]],
-            interval(row.crowd) if wide else number(row.crowd),
-            *(["needs", "recording"] if missing else map(number, map(row.families.get, WALK))),
-            interval(row.overall),
-            "" if row.rank is None else f"{row.rank}",
-        )
-    console.print(scores)
-    print(
-        "Scores: 0 is the anchor (poisson-gmm × straight; in motion and interaction straight\n"
-        "walkers under the recorded arrivals), 1 what the true process gets on average; [95 %].\n"
-        "crowd: mean of the first four families. Equal ranks cannot be told apart (5 %, Holm).\n"
-        "Below the line: anchors; replay has the recording by heart, block-replay pieces of it.\n"
-    )
-    if any(steered(entry.spawn) for entry in card.entries):
-        new_console().print(STEERED, "\n")
-    entries = [e for e in card.entries if e.spawn != "replay"] or card.entries
-    distances = new_table("distance", "", "recorded", *[f"{k}" for k in range(1, len(entries) + 1)])
-    known = entries[0].metrics
-    for name, first in ((m.name, known[m.name]) for m in METRICS if m.name in known):
-        mark = "scored" if name in card.scored else ""
-        value = "" if first.recorded is None else f"{first.recorded:.2f} {first.unit}"
-        cells = [e.metrics[name].distance for e in entries]
-        distances.add_row(
-            name.replace("_", " "),
-            mark,
-            value,
-            *["–" if c is None else f"{c:.3f}" for c in cells],
-        )
-    console.print(distances)
-    print(
-        "Plain distances to the recording, mean over the rollouts; 0 is equal. "
-        + ", ".join(f"{k} {e.spawn} × {e.policy}" for k, e in enumerate(entries, 1))
-        + "\n"
-    )
 
 
 def _print_replay(scene: str, out: Path) -> None:
@@ -198,14 +144,5 @@ def _score(asked: argparse.Namespace) -> None:
     scene = load_scene(asked.scene)
     crowd = read(asked.table, scene=scene.id, dt_s=scene.dt_s)
     results = score(scene, crowd)
-    table = new_table("metric", "distance", "recorded mean", "your mean", "your n")
-    for name, r in results.items():
-        table.add_row(
-            name.replace("_", " "),
-            f"{r.distance:.3f}",
-            f"{r.recorded:.2f} {r.unit}",
-            f"{r.simulated:.2f} {r.unit}",
-            f"{r.n}",
-        )
-    new_console().print(f"\n{asked.table.name} on {scene.id}: {len(crowd)} persons")
-    new_console().print(table)
+    print(f"\n{asked.table.name} on {scene.id}: {len(crowd)} persons")
+    print_results(results)

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench.cli.printing import new_console, new_table, print_facts, progress_bar
+from crowdbench.cli.printing import new_console, new_table, print_facts, print_note, progress_bar
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -67,7 +67,11 @@ def add(commands: "Commands") -> None:
     )
     results.add_argument("--workers", type=int, help="processes (default: one per core)")
     results.add_argument(
-        "--seeds", type=int, help="rollouts per crowd and fold (default: the scene's protocol)"
+        "--seeds",
+        type=int,
+        metavar="N",
+        help="rollouts of each crowd (in each fold); fewer than two of each of the scene's fits, "
+        "as a rule 10, make no scores (default: the scene's protocol)",
     )
     results.set_defaults(run=_results)
 
@@ -91,7 +95,11 @@ def add(commands: "Commands") -> None:
     )
     walks.add_argument("--workers", type=int, help="processes (default: one per core)")
     walks.add_argument(
-        "--seeds", type=int, help="rollouts per policy and fold (default: two per fit)"
+        "--seeds",
+        type=int,
+        metavar="N",
+        help="rollouts of each policy (in each fold); fewer than two of each of the scene's fits "
+        "make no scores of policies that leave anything to chance (default: two of each)",
     )
     walks.set_defaults(run=_walks)
 
@@ -156,15 +164,15 @@ def _spawn(asked: argparse.Namespace) -> None:
             rescaling.add_row(c.model, *map(ks, tests))
     console = new_console()
     console.print(likelihood)
-    print(
-        "Log-probability of the persons per area and grid point, means over the fits: of the\n"
-        "recording, of each fold by models fitted to the others, of ten fresh hours (where the\n"
-        "truth is known). persons: in samples, per recorded one. first 25 frames: per average.\n"
+    print_note(
+        "Log-probability of the persons per area and grid point, means over the fits: of the "
+        "recording, of each fold by models fitted to the others, of ten fresh hours (where the "
+        "truth is known). persons: in samples, per recorded one. first 25 frames: per average."
     )
     console.print(rescaling)
-    print(
-        "Time rescaling: Kolmogorov-Smirnov statistic of the recording's gaps and group sizes\n"
-        "under each model, and of ten hours of its own samples; a small p is a misfit.\n"
+    print_note(
+        "Time rescaling: Kolmogorov-Smirnov statistic of the recording's gaps and group sizes "
+        "under each model, and of ten hours of its own samples; a small p is a misfit."
     )
 
 
@@ -203,10 +211,10 @@ def _power(asked: argparse.Namespace) -> None:
             "scored" if s.counts else "",
         )
     new_console().print(table)
-    print(
-        "Energy scores on synthetic recordings: of the true process (floor: mean and 95th\n"
-        "percentile) and of the anchor. power: how often the anchor's lies beyond the percentile;\n"
-        "from 0.8 on a metric is scored, unless the recording knows only one value of it.\n"
+    print_note(
+        "Energy scores on synthetic recordings: of the true process (floor: mean and 95th "
+        "percentile) and of the anchor. power: how often the anchor's lies beyond the percentile; "
+        "from 0.8 on a metric is scored, unless the recording knows only one value of it."
     )
     scored = [s.metric for s in studies if s.counts]
     print(f"scored = {scored}".replace("'", '"'))

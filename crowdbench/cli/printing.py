@@ -1,9 +1,12 @@
 """How the command line prints: tables, facts and bars."""
 
 import argparse
+import os
 import sys
-from collections.abc import Callable, Iterator
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import product
 from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
@@ -12,24 +15,52 @@ if TYPE_CHECKING:
 
     Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
+_UNLIMITED = 10_000  # characters; tables are as wide as what is in them
+_PARAGRAPH = 90
 
-def new_console(width: int = 100) -> "Console":
-    """A console that is so wide where it is a pipe."""
+
+def new_console() -> "Console":
+    """The terminal; a file, where lines are as long as they need to be; or as wide as `COLUMNS`."""
     from rich.console import Console
 
-    # A pipe has no width; tables need about this much.
-    return Console(highlight=False, width=None if sys.stdout.isatty() else width)
+    unlimited = not sys.stdout.isatty() and "COLUMNS" not in os.environ
+    return Console(highlight=False, width=_UNLIMITED if unlimited else None)
 
 
 def new_table(*columns: str) -> "Table":
-    """An empty table, its first column to the left."""
+    """An empty table, its first column to the left; that alone is folded where there is no room."""
     from rich import box
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     for k, column in enumerate(columns):
-        table.add_column(column, justify="left" if k == 0 else "right", overflow="fold")
+        if k == 0:
+            table.add_column(column, overflow="fold")
+        else:
+            table.add_column(column, justify="right", no_wrap=True)
     return table
+
+
+def print_fitting(layouts: "Iterable[Sequence[Table]]", console: "Console") -> None:
+    """Print the first layout whose tables have room without folding anything, else the last.
+
+    Each is tried with two spaces between its columns, then with one.
+    """
+    unlimited = console.options.update(width=_UNLIMITED)
+    for tables, padding in product(layouts, (1, 0)):
+        for table in tables:
+            table.padding = (0, padding)
+        needed = max(console.measure(table, options=unlimited).maximum for table in tables)
+        if needed <= console.width:
+            break
+    for table in tables:
+        console.print(table)
+
+
+def print_note(text: str) -> None:
+    """Print a paragraph, folded between words."""
+    width = min(new_console().width, _PARAGRAPH)
+    print(textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False))
 
 
 def print_facts(title: str, facts: dict[str, str]) -> None:

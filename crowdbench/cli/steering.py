@@ -6,11 +6,13 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench.cli.printing import new_console, new_table, progress_bar
+from crowdbench.cli.printing import new_console, new_table, print_note, progress_bar
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
     from crowdbench.steering import Steering
+
+_LEAST = 0.005  # of the people, to be shown: half a per cent
 
 
 def add(commands: "Commands") -> None:
@@ -54,9 +56,11 @@ def _areas(asked: argparse.Namespace) -> None:
     assert isinstance(model, PoissonGMM)
     areas, per_minute = model.areas, 60 * model.rate
     spawn = new_table("spawn area", "centre (m)", "persons/min", "goals (%)")
+    spawn.columns[3].justify = "left"
     for k, (x, y) in enumerate(areas.spawn.mean):
         goals = sorted(range(len(areas.goal)), key=lambda g: (-areas.flow[k, g], g))
-        shown = ", ".join(f"{g} ({100 * areas.flow[k, g]:.0f})" for g in goals[:4])
+        likely = [g for g in goals[:4] if areas.flow[k, g] >= _LEAST]
+        shown = ", ".join(f"{g} ({100 * areas.flow[k, g]:.0f})" for g in likely)
         spawn.add_row(f"{k}", f"{x:.1f}, {y:.1f}", f"{per_minute[k]:.2f}", shown)
     goal = new_table("goal area", "centre (m)", "persons/min")
     for g, (x, y) in enumerate(areas.goal.mean):
@@ -98,9 +102,9 @@ def _print_changes(found: "Steering") -> None:
         goal.add_row(f"{g.area}", *_cells(g.centre_m, g.usual, g.asked, g.steered))
     console = new_console()
     console.print(spawn)
-    print(
-        "same entry: share of the people as fitted who come under the scenario too, at the same\n"
-        "time and place with the same speed, bit for bit; same goal too: and to the same goal.\n"
+    print_note(
+        "same entry: share of the people as fitted who come under the scenario too, at the same "
+        "time and place with the same speed, bit for bit; same goal too: and to the same goal."
     )
     console.print(goal)
 

@@ -8,9 +8,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.blocks import PARTS
+from crowdbench.cards import ANCHORS
 from crowdbench.metrics import METRICS, Metric, Statistics, Sums, Support, total
 from crowdbench.metrics.lattice import correlation
 from crowdbench.metrics.presence import LAGS_S, counted, lag_key, lagged
+from crowdbench.names import names_of
 from crowdbench.reference import Reference
 from crowdbench.scene import Scene
 from crowdbench.scoring import LEVEL, Draws
@@ -43,11 +45,8 @@ class Group:
     colour: str
     dashes: tuple[float, ...]
     crowds: list[Trajectories]
-
-    @property
-    def label(self) -> str:
-        """The pair, or the policy where no spawn model is named."""
-        return f"{self.spawn} × {self.policy}" if self.spawn else self.policy
+    label: str
+    """What the pair is called."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +115,7 @@ class Sight:
             },
         )
         pairs = list(dict.fromkeys((spawn, policy) for spawn, policy, _ in crowds))
+        names = names_of([*pairs, *ANCHORS], scene)  # tables show the anchors beside them
         pairs = [pair for pair in pairs if pair[0] != "replay"] or pairs
         spawns = list(dict.fromkeys(spawn for spawn, _ in pairs))
         policies = list(dict.fromkeys(policy for _, policy in pairs))
@@ -126,6 +126,7 @@ class Sight:
                 COLOURS[spawns.index(spawn) % len(COLOURS)],
                 DASHES[policies.index(policy) % len(DASHES)],
                 [crowd for key, crowd in crowds.items() if key[:2] == (spawn, policy)],
+                names.pair(spawn, policy),
             )
             for spawn, policy in pairs
         ]

@@ -149,10 +149,20 @@ def check_onnx() -> None:
         ) from error
 
 
-def _read(path: Path) -> tuple[PolicyCard, int, Any]:
+def read_card(path: Path) -> PolicyCard:
+    """What a file says of its policy; whether that can walk anyone is not looked at.
+
+    Raises:
+        WeightsError: it is missing, too large, not ONNX, or has no card.
+        SettingError: onnx or onnxruntime is not installed.
+    """
+    return _card(path, _model(path)[1])
+
+
+def _model(path: Path) -> tuple[bytes, "ModelProto"]:
+    """A file as it is, and as ONNX."""
     check_onnx()
     import onnx
-    import onnxruntime
     from google.protobuf.message import DecodeError
 
     if path.is_file() and path.stat().st_size > LARGEST:
@@ -163,11 +173,17 @@ def _read(path: Path) -> tuple[PolicyCard, int, Any]:
         )
     data = read_bytes(path, WeightsError, _MEND)
     try:
-        model = onnx.ModelProto.FromString(data)
+        return data, onnx.ModelProto.FromString(data)
     except (DecodeError, ValueError) as error:
         raise WeightsError(
             path, got=f"no ONNX file ({error})", expected="one", mend=_MEND
         ) from error
+
+
+def _read(path: Path) -> tuple[PolicyCard, int, Any]:
+    data, model = _model(path)
+    import onnxruntime
+
     card = _card(path, model)
     _check_operators(path, model)
     noise = _check_shapes(path, model, card)

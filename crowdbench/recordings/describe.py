@@ -18,22 +18,28 @@ def describe(crowd: Trajectories) -> dict[str, str]:
     dwell = (crowd.last - crowd.first)[crowd.entered & crowd.left] * crowd.dt_s
     person = crowd.row_person()
     steps = np.linalg.norm(np.diff(crowd.xy, axis=0), axis=1)[np.diff(person) == 0] / crowd.dt_s
+    intervals = f"{len(observed)} interval{'s' * (len(observed) != 1)}"
+    of_one = f" of one of the {intervals}" if len(observed) > 1 else ""
     notes = crowd.provenance.get("notes", {})
     return {
         **{name: str(fact) for name, fact in notes.items()},
         "persons": f"{len(crowd)}",
         "rows": f"{len(crowd.xy)}",
         "frames": f"{crowd.frames} of {crowd.dt_s:.4g} s",
-        "observed": f"{observed.sum() * crowd.dt_s:.1f} s in {len(observed)} intervals",
+        "observed": f"{observed.sum() * crowd.dt_s:.1f} s in {intervals}",
         "total duration": f"{crowd.duration_s:.1f} s",
-        "present at start": f"{begins_with}",
-        "entered": f"{int(crowd.entered.sum())}"
-        f" ({int((~crowd.entered).sum())} were there when observation began)",
-        "censored": f"{int((~crowd.left).sum())} (there when observation ended)",
+        "in frame 0": f"{begins_with}",
+        "entered": f"{crowd.entered.sum()} ({_were(~crowd.entered)} there at the start{of_one})",
+        "left": f"{crowd.left.sum()} ({_were(~crowd.left)} still there at the end{of_one})",
         "agents at once": f"mean {present.mean():.2f}, max {present.max()}",
         "dwell time": _percentiles(dwell, "s"),
         "speed": _percentiles(steps, "m/s"),
     }
+
+
+def _were(those: np.ndarray) -> str:
+    number = int(those.sum())
+    return f"{number} {'was' if number == 1 else 'were'}"
 
 
 def _percentiles(values: np.ndarray, unit: str) -> str:

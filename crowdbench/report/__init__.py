@@ -13,6 +13,7 @@ from crowdbench.cards import ANCHOR, Row, Scorecard, rows, steered, walked
 from crowdbench.figures import Crowds, Sight
 from crowdbench.files import write_text
 from crowdbench.metrics import FAMILIES
+from crowdbench.names import Names, names_of
 from crowdbench.reference import Reference
 from crowdbench.report.pictures import pictures
 from crowdbench.report.shell import html_page
@@ -53,11 +54,12 @@ def write_report(
 
 def _page(card: Scorecard, sight: Sight) -> str:
     scene, table = sight.scene, rows(card)
+    names = names_of([(row.spawn, row.policy) for row in table], scene)
     style = (Path(__file__).parent / "style.css").read_text(encoding="utf-8")
     body = f"""<header>
 <p class="kicker">crowdbench · evaluation report</p>
 <h1>{escape(scene.title)}</h1>
-<p class="lead">{_evaluated(card)}</p>
+<p class="lead">{_evaluated(card, names)}</p>
 <nav aria-label="Sections">
 <a href="#scores">Scores</a> <a href="#metrics">Metrics</a> <a href="#pictures">Pictures</a>
 <a href="#method">How it was made</a>
@@ -67,13 +69,13 @@ def _page(card: Scorecard, sight: Sight) -> str:
 {_how_to_read(card)}
 <section id="scores">
 <h2>Scores</h2>
-{_summary(card, table)}
-{score_table(card, table)}
+{_summary(card, table, names)}
+{score_table(card, table, names)}
 {_below_the_table(card)}
 </section>
 <section id="metrics">
 <h2>Metric by metric</h2>
-{metric_tables(card, sight)}
+{metric_tables(card, sight, names)}
 </section>
 <section id="pictures">
 <h2>Pictures</h2>
@@ -81,7 +83,7 @@ def _page(card: Scorecard, sight: Sight) -> str:
 </section>
 <section id="method">
 <h2>How it was made</h2>
-{_method(card, scene)}
+{_method(card, scene, names)}
 </section>
 </main>
 """
@@ -93,10 +95,10 @@ def _listed(names: list[str]) -> str:
     return each[0] if len(each) == 1 else f"{', '.join(each[:-1])} and {each[-1]}"
 
 
-def _evaluated(card: Scorecard) -> str:
+def _evaluated(card: Scorecard, names: Names) -> str:
     shown = [e for e in card.entries if e.spawn != "replay"] or card.entries
-    spawn = list(dict.fromkeys(e.spawn for e in shown))
-    policy = list(dict.fromkeys(e.policy for e in shown))
+    spawn = list(dict.fromkeys(names.spawn[e.spawn] for e in shown))
+    policy = list(dict.fromkeys(names.policy[e.policy] for e in shown))
     return (
         f"{_listed(spawn)} let people in, {_listed(policy)} walk{'s' * (len(policy) == 1)} them: "
         f"{len(shown)} crowd{'s' * (len(shown) != 1)} on scene <b>{escape(card.scene)}</b>, "
@@ -122,7 +124,7 @@ grasp, but favour crowds that vary too little, so that they do not rank.</li>
 </section>"""
 
 
-def _summary(card: Scorecard, table: list[Row]) -> str:
+def _summary(card: Scorecard, table: list[Row], names: Names) -> str:
     ranked = by_rank(row for row in table if row.rank is not None)
     if not card.scored:
         return "<p>No metric of this scene counts yet: there are distances, but no scores.</p>"
@@ -141,7 +143,7 @@ def _summary(card: Scorecard, table: list[Row]) -> str:
     for row in (row for row in ranked if row.rank == 1):
         score = row.overall if whole else row.crowd
         if score is not None:
-            name = escape(f"{row.spawn} × {row.policy}")
+            name = escape(names.pair(row.spawn, row.policy))
             first.append(f"<b>{name}</b> {with_interval(score)}")
     if len(ranked) == 1:
         return f"<p>By {by}: {first[0]}.</p>"
@@ -191,7 +193,7 @@ def _command(card: Scorecard, scene: Scene) -> str:
     return shlex.join([*words, "--protocol", card.protocol, "--seeds", str(card.rollouts)])
 
 
-def _method(card: Scorecard, scene: Scene) -> str:
+def _method(card: Scorecard, scene: Scene, names: Names) -> str:
     folds = " in each of three folds" if card.protocol == "heldout" else ""
     protocol = scene.protocol
     facts = {
@@ -220,7 +222,7 @@ def _method(card: Scorecard, scene: Scene) -> str:
 <h3>The same again</h3>
 <pre tabindex="0"><code>{escape(_command(card, scene))}</code></pre>
 <h3>How lives ended</h3>
-{outcome_table(card)}"""
+{outcome_table(card, names)}"""
 
 
 __all__ = ["write_report"]

@@ -8,6 +8,7 @@ from crowdbench.cards import Entry, Row, Scorecard, metric_scores, walked
 from crowdbench.figures import Sight
 from crowdbench.metrics import FAMILIES, METRICS, WALK, Metric
 from crowdbench.metrics.arrivals import burstiness, memory
+from crowdbench.names import Names
 from crowdbench.report.words import NOTHING, digits, plainly
 from crowdbench.scoring import LOWEST, Score
 from crowdbench.trajectories import OUTCOMES
@@ -15,7 +16,7 @@ from crowdbench.trajectories import OUTCOMES
 _BAR = 76.0  # pixels
 
 
-def score_table(card: Scorecard, table: Sequence[Row]) -> str:
+def score_table(card: Scorecard, table: Sequence[Row], names: Names) -> str:
     """All crowds by rank, those under the recorded arrivals, and the anchors."""
     crowds = by_rank(row for row in table if row.kind == "entry" and row.spawn != "replay")
     parts = {
@@ -36,6 +37,7 @@ def score_table(card: Scorecard, table: Sequence[Row]) -> str:
             _score_row(
                 row,
                 scale,
+                names,
                 tie=row.rank is not None and ranks.count(row.rank) > 1,
                 edge=k > 0 and row.rank != ranks[k - 1],
                 walk=kind == "anchor" or walked(card),
@@ -75,7 +77,9 @@ def _value(score: Score | None) -> float:
     return LOWEST if score is None else score.value
 
 
-def _score_row(row: Row, scale: "_Scale", *, tie: bool, edge: bool, walk: bool) -> str:
+def _score_row(
+    row: Row, scale: "_Scale", names: Names, *, tie: bool, edge: bool, walk: bool
+) -> str:
     rank = "" if row.rank is None else f"{row.rank}"
     if tie:
         rank += '<span class="tie" title="cannot be told apart from crowds of the same rank">'
@@ -89,11 +93,12 @@ def _score_row(row: Row, scale: "_Scale", *, tie: bool, edge: bool, walk: bool) 
     cells += [scale.cell(row.overall) if walk else missing]
     return (
         f'<tr{" class=edge" if edge else ""}><td class="rank">{rank}</td>'
-        f'<th scope="row" class="name">{_pair(row.spawn, row.policy)}</th>{"".join(cells)}</tr>\n'
+        f'<th scope="row" class="name">{_pair(row, names)}</th>{"".join(cells)}</tr>\n'
     )
 
 
-def _pair(spawn: str, policy: str) -> str:
+def _pair(crowd: Row | Entry, names: Names) -> str:
+    spawn, policy = names.spawn[crowd.spawn], names.policy[crowd.policy]
     return f"<span>{escape(spawn)}</span> <span>× {escape(policy)}</span>"
 
 
@@ -141,18 +146,18 @@ class _Scale:
         )
 
 
-def metric_tables(card: Scorecard, sight: Sight) -> str:
+def metric_tables(card: Scorecard, sight: Sight, names: Names) -> str:
     """Every metric of the crowds, then the walking ones of policies under recorded arrivals."""
     crowds = [e for e in card.entries if e.spawn != "replay"]
     walkers = [e for e in card.entries if e.spawn == "replay"]
     if not crowds:
-        return _metric_table(card, sight, walkers, METRICS, "Metrics of each crowd")
+        return _metric_table(card, sight, names, walkers, METRICS, "Metrics of each crowd")
     policies = [metric for metric in METRICS if metric.family in WALK]
-    first = _metric_table(card, sight, crowds, METRICS, "Metrics of each crowd")
+    first = _metric_table(card, sight, names, crowds, METRICS, "Metrics of each crowd")
     if not walkers:
         return first
     second = _metric_table(
-        card, sight, walkers, policies, "Metrics of walking, under the recorded arrivals"
+        card, sight, names, walkers, policies, "Metrics of walking, under the recorded arrivals"
     )
     return f"{first}\n<h3>Walking under the recorded arrivals</h3>\n{second}"
 
@@ -160,12 +165,13 @@ def metric_tables(card: Scorecard, sight: Sight) -> str:
 def _metric_table(
     card: Scorecard,
     sight: Sight,
+    names: Names,
     entries: Sequence[Entry],
     metrics: Sequence[Metric],
     caption: str,
 ) -> str:
     each = [metric_scores(card, entry) for entry in entries]
-    heads = "".join(f'<th scope="col">{_pair(e.spawn, e.policy)}</th>' for e in entries)
+    heads = "".join(f'<th scope="col">{_pair(e, names)}</th>' for e in entries)
     bodies = []
     for family in FAMILIES:
         lines = []
@@ -266,7 +272,7 @@ def _gap_rows(sight: Sight, entries: Sequence[Entry]) -> list[str]:
     return found
 
 
-def outcome_table(card: Scorecard) -> str:
+def outcome_table(card: Scorecard, names: Names) -> str:
     """Persons of each crowd, and the shares of their outcomes."""
     outcomes = [o for o in OUTCOMES if any(o in e.outcomes for e in card.entries)]
     lines = []
@@ -274,7 +280,7 @@ def outcome_table(card: Scorecard) -> str:
         shares = [entry.outcomes.get(o, 0) / max(1, entry.persons) for o in outcomes]
         cells = "".join(f"<td>{100 * share:.1f}&nbsp;%</td>" for share in shares)
         lines.append(
-            f'<tr><th scope="row" class="name">{_pair(entry.spawn, entry.policy)}</th>'
+            f'<tr><th scope="row" class="name">{_pair(entry, names)}</th>'
             f"<td>{len(entry.seeds)}</td><td>{entry.persons:,}</td>{cells}</tr>\n"
         )
     heads = "".join(f'<th scope="col">{outcome}</th>' for outcome in outcomes)

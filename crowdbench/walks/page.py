@@ -65,7 +65,7 @@ Made with crowdbench {first.cards["full"].crowdbench} by
 def _scene(walked: Walked) -> str:
     scene = walked.scene
     parts = [f"## {scene.title} ({scene.id})", of_recording(scene)]
-    parts += [f"### {_NAMES[p]}\n\n{_scores(walked, card)}" for p, card in walked.cards.items()]
+    parts += [f"### {_NAMES[p]}\n\n{scores(walked, card)}" for p, card in walked.cards.items()]
     parts += [
         f"### Distances, {_NAMES[p].lower()}\n\n{_distances(walked, card)}"
         for p, card in walked.cards.items()
@@ -79,7 +79,8 @@ def _scene(walked: Walked) -> str:
     return "\n\n".join(parts)
 
 
-def _scores(walked: Walked, card: Scorecard) -> str:
+def scores(walked: Walked, card: Scorecard) -> str:
+    """A table of those who have a score, and why others have none."""
     known = [row for row in rows(card) if row.kind == "entry" and row.walk is not None]
     rank = ranks([row.walk for row in known if row.walk is not None])
     scored = [m for m in METRICS if m.family in WALK and m.name in card.scored]
@@ -97,7 +98,20 @@ def _scores(walked: Walked, card: Scorecard) -> str:
                 *(interval(each.get(m.name)) for m in scored),
             ]
         )
-    return table(head, lines, text=2)
+    shown = [table(head, lines, text=2)] if lines else []
+    return "\n\n".join(shown + _unscored(walked, card, {row.policy for row in known}))
+
+
+def _unscored(walked: Walked, card: Scorecard, scored: set[str]) -> list[str]:
+    """Why policies are missing from the table of scores."""
+    missing = [name for policy, name in walked.names.items() if policy not in scored]
+    if not missing:
+        return []
+    made = f"{card.rollouts} {'was' if card.rollouts == 1 else 'were'} made"
+    return [
+        f"No score of {', '.join(missing)}: that needs at least two rollouts of each of the "
+        f"{card.fits} fits, {2 * card.fits} in all; {made}."
+    ]
 
 
 def _distances(walked: Walked, card: Scorecard) -> str:

@@ -29,7 +29,7 @@ def draw_dwell(
     sight = Sight.of(scene, reference, shown, "full")
     # One spawn model: the colour tells the policy.
     groups = [
-        replace(group, spawn="", policy=names[group.policy], dashes=(),
+        replace(group, label=names[group.policy], dashes=(),
                 colour=COLOURS[k % len(COLOURS)])
         for k, group in enumerate(sight.groups)
     ]  # fmt: skip

@@ -1,0 +1,57 @@
+"""Names in tables and pictures: short, and never two of the same."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from conftest import need
+from hypothesis import given
+from hypothesis import strategies as st
+
+from crowdbench.errors import WeightsError
+from crowdbench.names import names_of
+from crowdbench.scene import load_scene
+
+ETH = load_scene("eth-v0")
+SHIPPED = ETH.folder / "policies" / "bc"
+
+
+def test_a_model_under_a_scenario_is_called_by_its_stem() -> None:
+    names = names_of([("ntpp-gmm+docs/rush_hour.toml", "straight"), ("replay", "straight")], ETH)
+    assert names.pair("ntpp-gmm+docs/rush_hour.toml", "straight") == "ntpp-gmm+rush_hour × straight"
+    assert names.pair("replay", "straight") == "replay × straight"
+
+
+def test_scenarios_of_the_same_stem_keep_their_folders() -> None:
+    asked = ["ntpp-gmm+a/busy.toml", "ntpp-gmm+b/busy.toml", "poisson-gmm+a/busy.toml"]
+    names = names_of([(spawn, "straight") for spawn in asked], ETH)
+    assert list(names.spawn.values()) == [*asked[:2], "poisson-gmm+busy"]
+
+
+@pytest.mark.parametrize("asked", [SHIPPED, SHIPPED / "fold1.onnx"])
+def test_a_policy_in_a_file_is_called_as_its_card_says(asked: Path) -> None:
+    need(find_spec("onnx"), "onnx")
+    assert names_of([("ntpp-gmm", str(asked))], ETH).policy == {str(asked): "bc"}
+
+
+def test_policies_of_the_same_name_keep_their_files() -> None:
+    need(find_spec("onnx"), "onnx")
+    asked = ["bc", str(SHIPPED / "fold0.onnx"), str(SHIPPED / "fold1.onnx")]
+    names = names_of([("ntpp-gmm", policy) for policy in asked], ETH)
+    assert names.policy == {policy: policy for policy in asked}
+
+
+def test_a_missing_file_is_said_to_be_missing(tmp_path: Path) -> None:
+    need(find_spec("onnx"), "onnx")
+    with pytest.raises(WeightsError, match=r"none\.onnx"):
+        names_of([("ntpp-gmm", str(tmp_path / "none.onnx"))], ETH)
+
+
+WORDS = st.sampled_from(["ntpp-gmm", "pkg.module:Class", "m+a/x.toml", "m+b/x.toml", "m+x.toml",
+                         "m+x", "<b>/&"])  # fmt: skip
+
+
+@given(st.lists(st.tuples(WORDS, WORDS), min_size=1))
+def test_no_two_share_a_name(pairs: list[tuple[str, str]]) -> None:
+    names = names_of(pairs, ETH)
+    assert len({names.pair(*pair) for pair in pairs}) == len(set(pairs))
