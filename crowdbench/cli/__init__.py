@@ -1,6 +1,6 @@
-"""The command line: `crowdbench evaluate | score | view | steer | areas | policy | data | convert |
-scenes | bench`, and for who makes a scene `scene | fit | spawn | anchors | power | results |
-walks | figures | ablation`.
+"""The command line: `crowdbench evaluate | score | view | steer | areas | policy | submit | data |
+convert | scenes | bench`, and for who makes a scene `scene | fit | spawn | anchors | power |
+results | walks | figures | ablation`.
 
 A user's error is one message and exit code 2; an interrupt exits with 130.
 """
@@ -19,6 +19,7 @@ from crowdbench.cli import (
     policies,
     speed,
     steering,
+    submitting,
     viewing,
 )
 from crowdbench.errors import CrowdbenchError
@@ -44,7 +45,18 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"crowdbench {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    rooms = (judging, viewing, steering, policies, authoring, making, drawing, data, speed)
+    rooms = (
+        judging,
+        viewing,
+        steering,
+        policies,
+        authoring,
+        making,
+        drawing,
+        submitting,
+        data,
+        speed,
+    )
     for room in rooms:
         room.add(commands)
     return parser
