@@ -18,7 +18,7 @@ from submissions import (
     write_network,
 )
 
-import crowdbench
+from crowdbench import rollout
 from crowdbench.blocks import PARTS
 from crowdbench.leaderboard.declaration import _EXPECTED
 from crowdbench.leaderboard.declared import Declared, Trained
@@ -392,15 +392,10 @@ def test_ids_are_made_of_names(name: str, made: str) -> None:
     assert slug("行人").startswith("submission-")
 
 
-def test_a_submission_can_be_evaluated(walker: Path, tmp_path: Path) -> None:
+def test_a_submission_can_be_rolled_out(walker: Path, tmp_path: Path) -> None:
+    edit(walker, '"walk"', '"crowd"')
+    (spawn_submission(tmp_path / "rates") / "plaza-v0" / "spawn").rename(walker / "plaza-v0/spawn")
     with open_submission(walker) as submission:
-        card = crowdbench.evaluate(
-            "plaza-v0",
-            spawn=["poisson-gmm"],
-            policy=[submission.policy_of("plaza-v0")],
-            protocol="heldout",
-            seeds=1,
-            workers=1,
-            out=tmp_path / "out",
-        )
-    assert submission.policy_of("plaza-v0") in {entry.policy for entry in card.entries}
+        spawn = spawn_model(submission.spawn_of("plaza-v0"), PLAZA, "fold2", fit=1)
+        walks = policy(submission.policy_of("plaza-v0"), PLAZA, "fold2")
+        assert len(rollout(PLAZA, spawn, walks, seed=0, horizon_s=40.0)) > 5

@@ -9,8 +9,9 @@ import stat
 import struct
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Iterable, Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from crowdbench.files import replacing
 from crowdbench.leaderboard.limits import LARGEST_SUBMISSION, LONGEST_PATH, MOST_FILES
@@ -134,20 +135,23 @@ def wrong_name(name: str) -> RefusedError | None:
 
 
 def _wrong_names(members: list[zipfile.ZipInfo]) -> Iterator[RefusedError]:
-    seen: set[str] = set()
-    for member in members:
-        name = member.orig_filename  # `filename` is what is left of it after a null byte
-        if refusal := wrong_name(name):
-            yield refusal
-            continue
-        plain = name.rstrip("/").casefold()
-        folders = {"/".join(plain.split("/")[:k]) for k in range(1, plain.count("/") + 1)}
-        if plain in seen or folders & seen:
+    names = [
+        member.orig_filename for member in members
+    ]  # `filename` may be less, up to a null byte
+    for name in names:
+        if refused := wrong_name(name):
+            yield refused
+    files = Counter(name.casefold() for name in names if not name.endswith("/"))
+    folders = {str(parent) for name in names for parent in PurePosixPath(name.casefold()).parents}
+    folders |= {name.casefold().rstrip("/") for name in names if name.endswith("/")}
+    for name, times in files.items():
+        if times > 1 or name in folders:
             yield RefusedError(
-                name, got="a name twice", expected="each once, also by case", mend=_MEND
+                ascii(name[:LONGEST_PATH]),
+                got="a name twice",
+                expected="each once, in capitals or not",
+                mend=_MEND,
             )
-        if not member.is_dir():
-            seen.add(plain)
 
 
 def _wrong_kinds(members: list[zipfile.ZipInfo]) -> Iterator[RefusedError]:
