@@ -6,8 +6,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import onnx
+import pytest
 from onnx import TensorProto, helper, numpy_helper
 
+from crowdbench.leaderboard.problems import SubmissionError
+from crowdbench.leaderboard.submission import open_submission
 from crowdbench.policies import PolicyCard
 from crowdbench.scene import load_scene
 from crowdbench.tables import write_csv, write_parquet
@@ -110,3 +113,25 @@ def crowd(seed: int = 0, **changed: object) -> Trajectories:
         "where": "test",
     }
     return from_rows(**(rows | changed))  # type: ignore[arg-type]
+
+
+def refusal(path: Path) -> str:
+    """All that is told of a submission that is refused."""
+    with pytest.raises(SubmissionError) as caught, open_submission(path):
+        pass
+    return str(caught.value)
+
+
+def problem(path: Path) -> str:
+    """The one thing that is wrong with it."""
+    told = refusal(path)
+    assert ": 1 problem.\n" in told
+    return told
+
+
+def edit(folder: Path, old: str, new: str) -> Path:
+    path = folder / "submission.toml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    return folder

@@ -12,7 +12,10 @@ from submissions import (
     PLAZA,
     crowd,
     declare,
+    edit,
     listed_submission,
+    problem,
+    refusal,
     spawn_submission,
     walk_submission,
     write_network,
@@ -27,28 +30,6 @@ from crowdbench.leaderboard.problems import RefusedError, SubmissionError
 from crowdbench.leaderboard.submission import open_submission, slug
 from crowdbench.registry import WEIGHTS, policy, spawn_model
 from crowdbench.tables import write_parquet
-
-
-def refusal(path: Path) -> str:
-    """All that is told of a submission that is refused."""
-    with pytest.raises(SubmissionError) as caught, open_submission(path):
-        pass
-    return str(caught.value)
-
-
-def problem(path: Path) -> str:
-    """The one thing that is wrong with it."""
-    told = refusal(path)
-    assert ": 1 problem.\n" in told
-    return told
-
-
-def edit(folder: Path, old: str, new: str) -> Path:
-    path = folder / "submission.toml"
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new))
-    return folder
 
 
 @pytest.fixture

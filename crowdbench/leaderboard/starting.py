@@ -83,7 +83,7 @@ def start_submission(
 
     Raises:
         OutputError: the folder exists, or cannot be written.
-        SettingError: the policies do not fit the track, or each other.
+        SettingError: the policies do not fit the track, or each other; or the name is no text.
         WeightsError: a policy's file is missing or broken.
         SceneError: there is no such scene.
     """
@@ -91,6 +91,8 @@ def start_submission(
         raise OutputError(
             folder, got="a folder that exists", expected="a new one", mend="Name another."
         )
+    if not name.isprintable():
+        raise SettingError("--name", got=ascii(name), expected="printable characters")
     files, read = _networks(policies, track)
     known = dict.fromkeys(policy.card.scene for policy in read)
     chosen = [load_scene(scene).id for scene in scenes or ([] if NETWORK in files else known)]
