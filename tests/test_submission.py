@@ -1,5 +1,6 @@
 """Submissions: read, judged by what they declare, and refused with everything that is wrong."""
 
+import os
 import pickle
 from pathlib import Path
 
@@ -7,6 +8,8 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
 from submissions import (
     FOLDS,
     PLAZA,
@@ -302,8 +305,28 @@ def test_broken_fits_are_told_by_their_own_reader(tmp_path: Path) -> None:
     ):
         file.write_text(bad)
         assert "plaza-v0/spawn/poisson-gmm.json" in problem(folder)
-    file.write_bytes(b" " * 20_000_001)
-    assert "at most 20 MB" in problem(folder)
+    file.write_bytes(b" " * 1_000_001)
+    assert "at most 1 MB" in problem(folder)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"fits":5', '"fits":1000000000000'),
+        ('"fits":5', '"fits":0'),
+        ('"model":"ntpp-gmm"', '"model":"other"'),
+        ('"memory":', '"memory":-'),
+        ("{", "[" * 3000),
+    ],
+)
+def test_a_header_that_lies_is_refused(old: str, new: str, tmp_path: Path) -> None:
+    folder = spawn_submission(tmp_path / "net", "ntpp-gmm.safetensors")
+    path = folder / "plaza-v0" / "spawn" / "ntpp-gmm.safetensors"
+    with safe_open(path, "numpy") as file:
+        header = file.metadata()["crowdbench"]
+    assert old in header
+    save_file(load_file(path), path, {"crowdbench": header.replace(old, new, 1)})
+    assert "plaza-v0/spawn/ntpp-gmm.safetensors" in problem(folder)
 
 
 def test_no_fits_and_two_fits_are_refused(tmp_path: Path) -> None:
@@ -330,6 +353,19 @@ def test_too_many_files_are_refused(walker: Path) -> None:
     for k in range(MOST_FILES + 1):
         (walker / f"{k}.txt").touch()
     assert f"more than {MOST_FILES} files" in problem(walker)
+
+
+def test_folders_in_folders_without_end_are_refused(walker: Path) -> None:
+    (walker / "/".join("d" * 900)).mkdir(parents=True)
+    assert "got a path of 101 characters" in problem(walker)
+
+
+def test_files_that_cannot_be_read_are_told(walker: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(path: object) -> None:
+        raise PermissionError(13, "Permission denied", "secret")
+
+    monkeypatch.setattr(os, "scandir", fail)
+    assert "got secret: Permission denied; expected files that can be read" in problem(walker)
 
 
 def test_notes_are_neither_read_nor_packed(walker: Path) -> None:

@@ -9,7 +9,7 @@ from crowdbench.blocks import PARTS
 from crowdbench.errors import CrowdbenchError, WeightsError
 from crowdbench.leaderboard.declared import FILE, Declared
 from crowdbench.leaderboard.layout import NETWORK, Layout, parts_of
-from crowdbench.leaderboard.limits import LARGEST_WEIGHTS
+from crowdbench.leaderboard.limits import LARGEST_FITS
 from crowdbench.leaderboard.problems import RefusedError, collecting
 from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.registry import FITTED, POLICIES, WEIGHTS, policy, policy_file, trained_policies
@@ -42,9 +42,10 @@ def check_models(
 
 
 def _read_weights(path: Path, scene: str) -> None:
-    if (size := path.stat().st_size) > LARGEST_WEIGHTS:
+    size, most = path.stat().st_size, LARGEST_FITS[path.suffix]
+    if size > most:
         raise WeightsError(
-            path, got=f"{size / 1e6:.1f} MB", expected=f"at most {LARGEST_WEIGHTS / 1e6:.0f} MB"
+            path, got=f"{size / 1e6:.1f} MB", expected=f"at most {most / 1e6:.0f} MB"
         )
     place = load_scene(scene)
     areas = read_areas(place)

@@ -3,7 +3,6 @@
 import os
 import re
 import stat
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -36,40 +35,40 @@ class Layout:
 def files_in(folder: Path, problems: list[CrowdbenchError]) -> list[str]:
     """Paths of the regular files in a submission's folder; what else is there is a problem."""
     found: list[str] = []
-    size = 0
-    for path in _walk(folder):
-        name = path.relative_to(folder).as_posix()
-        status = path.lstat()
-        if refusal := wrong_name(os.fsencode(name).decode("ascii", "replace")):
-            problems.append(refusal)
-        elif not stat.S_ISREG(status.st_mode):
-            problems.append(
-                RefusedError(name, got="a link or a device", expected="files", mend="Remove it.")
-            )
-        elif name != NOTES:
-            found.append(name)
-            size += status.st_size
-        if len(found) + len(problems) > MOST_FILES or size > LARGEST_SUBMISSION:
-            problems.append(
-                RefusedError(
-                    folder.name,
-                    got=f"more than {MOST_FILES} files or {LARGEST_SUBMISSION / 1e6:.0f} MB",
-                    expected="less",
-                    mend="Is this the folder of the submission alone?",
-                )
-            )
-            return []
+    seen = size = 0
+    folders = [folder]
+    while folders:
+        with os.scandir(folders.pop()) as entries:
+            for entry in entries:
+                path = Path(entry.path)
+                name = path.relative_to(folder).as_posix()
+                status = path.lstat()
+                seen, size = seen + 1, size + status.st_size
+                if seen > MOST_FILES or size > LARGEST_SUBMISSION:
+                    problems.append(_too_much(folder))
+                    return []
+                if refused := wrong_name(os.fsencode(name).decode("ascii", "replace")):
+                    problems.append(refused)
+                elif stat.S_ISDIR(status.st_mode):
+                    folders.append(path)
+                elif not stat.S_ISREG(status.st_mode):
+                    problems.append(
+                        RefusedError(
+                            name, got="a link or a device", expected="files", mend="Remove it."
+                        )
+                    )
+                elif name != NOTES:
+                    found.append(name)
     return sorted(found)
 
 
-def _walk(folder: Path) -> Iterator[Path]:
-    """All that is in a folder, or in one of its folders, but folders."""
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            if entry.is_dir(follow_symlinks=False):
-                yield from _walk(Path(entry.path))
-            else:
-                yield Path(entry.path)
+def _too_much(folder: Path) -> RefusedError:
+    return RefusedError(
+        folder.name,
+        got=f"more than {MOST_FILES} files and folders, or {LARGEST_SUBMISSION / 1e6:.0f} MB",
+        expected="less",
+        mend="Is this the folder of the submission alone?",
+    )
 
 
 def lay_out(declared: Declared, names: list[str], problems: list[CrowdbenchError]) -> Layout:

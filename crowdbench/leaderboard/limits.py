@@ -10,7 +10,7 @@ __all__ = ["LARGEST_NETWORK"]
 
 LARGEST_SUBMISSION = 200_000_000  # bytes, unpacked
 LARGEST_DECLARATION = 64_000  # bytes of submission.toml
-LARGEST_WEIGHTS = 20_000_000  # bytes of a spawn model's fits
+LARGEST_FITS = {".json": 1_000_000, ".safetensors": 20_000_000}  # bytes, of a spawn model
 LARGEST_TABLE = 60_000_000  # bytes of a file of trajectories
 LARGEST_DECODED = 300_000_000  # bytes that it may become in memory
 MOST_FILES = 400

@@ -132,6 +132,15 @@ def pack_submission(folder: Path, out: Path | None = None) -> Path:
 
 
 def _read(folder: Path, named: Path) -> Submission:
+    try:
+        return _checked(folder, named)
+    except OSError as error:
+        got = f"{error.filename}: {error.strerror}"
+        unreadable = RefusedError(named, got=got, expected="files that can be read")
+        raise SubmissionError(named, [unreadable]) from error
+
+
+def _checked(folder: Path, named: Path) -> Submission:
     problems: list[CrowdbenchError] = []
     names = files_in(folder, problems)
     declared = read_declared(folder / FILE, problems) if not problems else None
