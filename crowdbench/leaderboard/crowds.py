@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 IN_WALLS = 0.01
 """Share of positions that may lie in walls, by more than `WALL_M`."""
 WALL_M = 0.1
-OUTSIDE_M = 5.0
-"""How far from the scene's bounds positions may lie: more than any step leads."""
+OUTSIDE_M = 10.0
+"""How far from the scene's bounds positions may lie, which is more than any step leads."""
 TOO_FAST = 0.01
 """Share of speeds over 0.8 s that may exceed the scene's greatest."""
 SPEED_S = 0.8

@@ -33,7 +33,10 @@ def read_table(path: Path) -> "pyarrow.Table":
     import pyarrow as pa
 
     size = path.stat().st_size
-    _refuse(path, size > LARGEST_TABLE, f"{size / 1e6:.1f} MB", f"{LARGEST_TABLE / 1e6:.0f} MB")
+    if size > LARGEST_TABLE:
+        most = f"at most {LARGEST_TABLE / 1e6:.0f} MB"
+        mend = "Parquet takes a tenth of CSV."
+        raise RecordingError(path, got=f"{size / 1e6:.1f} MB", expected=most, mend=mend)
     read = _parquet if path.suffix == ".parquet" else _csv
     try:
         table = read(path)
