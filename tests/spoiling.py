@@ -312,7 +312,8 @@ def _pack(folder: Path, path: Path, rng: Random) -> str:
     data = path.read_bytes()
     if kind == "flip":
         at = data.index(b"PK\x01\x02") if rng.random() < 0.6 and b"PK\x01\x02" in data else 0
-        data = data[:at] + _flipped(data[at:], rng)
+        end = -22 if rng.random() < 0.8 else len(data)  # of the directory; its end is read first
+        data = data[:at] + _flipped(data[at:end], rng) + data[end:]
     elif kind == "cut":
         data = rng.choice([data[: rng.randrange(len(data))], data[rng.randrange(len(data)) :]])
     elif rng.random() < 0.1:

@@ -280,6 +280,10 @@ def test_files_of_another_kind_are_surplus(walker: Path) -> None:
     (walker / "plaza-v0" / "spawn" / "poisson-gmm.json").unlink()
     write_network(walker / "plaza-v0" / "policy" / "full.onnx", "full")
     assert "policy/full.onnx: got a file that has no place here" in problem(walker)
+    (walker / "plaza-v0" / "policy" / "full.onnx").unlink()
+    write_network(walker / "policy.onnx", "full", scene="eth-v0")
+    told = refusal(walker)
+    assert told.count("expected policy.onnx in place of networks for each scene.") == 3
 
 
 def test_models_and_trajectories_do_not_mix(tmp_path: Path) -> None:

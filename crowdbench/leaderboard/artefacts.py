@@ -37,6 +37,7 @@ def check_models(
                 f"{FILE}, kind",
                 got="'privileged'",
                 expected="learned or model-based: files see observations, not the state",
+                mend="Say which of the two it is.",
             )
         )
 

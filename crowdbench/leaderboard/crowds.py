@@ -102,7 +102,12 @@ def _check_lives(path: Path, table: "pyarrow.Table") -> None:
     same = ids[1:] == ids[:-1]
     persons = len(ids) - int(same.sum())
     if persons > MOST_PERSONS:
-        raise RecordingError(path, got=f"{persons} persons", expected=f"at most {MOST_PERSONS}")
+        raise RecordingError(
+            path,
+            got=f"{persons} persons",
+            expected=f"at most {MOST_PERSONS}",
+            mend="Give each person one id for its whole life.",
+        )
     steps = np.diff(when)[same]
     # Twice in a frame is told by the reader; the usual step is the shortest that is one.
     step = 1.0 if time == "frame" else float(steps[steps > 0].min(initial=np.inf))

@@ -85,29 +85,35 @@ def lay_out(declared: Declared, names: list[str], problems: list[CrowdbenchError
         if needs_spawn:
             layout.weights = _weights(declared, found, problems)
     used = {*layout.networks, *layout.weights.values()}.union(*layout.crowds.values())
+    places = _places(declared, layout, needs_policy, needs_spawn)
     for name in sorted(found - used):
         problems.append(
             RefusedError(
                 name,
                 got="a file that has no place here",
-                expected=_places(declared, bool(layout.crowds), needs_policy, needs_spawn),
+                expected=places,
                 mend=f"Remove it, or correct its name or {FILE}.",
             )
         )
     return layout
 
 
-def _places(declared: Declared, crowds: bool, policy: bool, spawn: bool) -> str:
-    places = []
-    if crowds:
-        places = ["trajectories/0.parquet or .csv, …"]
+def _places(declared: Declared, layout: Layout, policy: bool, spawn: bool) -> str:
+    """Where files may lie, in words."""
+    of_scene, alone = [], ""
+    if layout.crowds:
+        of_scene = ["trajectories/0.parquet or .csv, …"]
     else:
-        files = [f"{part}.onnx" for part in parts_of(declared)]
-        places += [f"policy/{', '.join(files)}"] if policy else []
-        places += [f"one of spawn/{', '.join(WEIGHTS)}"] if spawn else []
-    if not places:
-        return f"{FILE} alone, since it names what comes with crowdbench"
-    return f"in a folder for each of {', '.join(declared.scenes)}: {'; '.join(places)}"
+        if policy and layout.networks == [NETWORK]:
+            alone = f"{NETWORK} in place of networks for each scene; "
+        elif policy:
+            of_scene.append("policy/" + ", ".join(f"{part}.onnx" for part in parts_of(declared)))
+        if spawn:
+            of_scene.append(f"one of spawn/{', '.join(WEIGHTS)}")
+    if of_scene:
+        folders = ", ".join(declared.scenes)
+        return f"{alone}in a folder for each of {folders}: {'; '.join(of_scene)}"
+    return alone.rstrip("; ") or f"{FILE} alone, since it names what comes with crowdbench"
 
 
 def parts_of(declared: Declared) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _COLUMNS = ("person_id", "frame", "time_s", "x", "y", *PERSON_COLUMNS)
 _BATCH = 2**16
+_MEND = "Write one row per person and frame, with person_id, frame, x and y, and no more than that."
 _LONGEST_HEADER = 10_000  # bytes of the first line of a CSV file
 
 
@@ -42,7 +43,7 @@ def read_table(path: Path) -> "pyarrow.Table":
         table = read(path)
     except (pa.ArrowException, OSError, MemoryError, UnicodeDecodeError) as error:
         told = (str(error) or type(error).__name__).splitlines()[0]
-        raise RecordingError(path, got=told, expected="a readable table") from error
+        raise RecordingError(path, got=told, expected="a readable table", mend=_MEND) from error
     named = [name.strip() for name in table.column_names]
     _refuse(path, len(set(named)) < len(named), "two columns of one name", "one")
     return table.rename_columns(named).replace_schema_metadata(table.schema.metadata)
@@ -50,7 +51,7 @@ def read_table(path: Path) -> "pyarrow.Table":
 
 def _refuse(path: Path, wrong: bool, got: str, most: str) -> None:
     if wrong:
-        raise RecordingError(path, got=got, expected=f"at most {most}")
+        raise RecordingError(path, got=got, expected=f"at most {most}", mend=_MEND)
 
 
 def _csv(path: Path) -> "pyarrow.Table":
@@ -84,7 +85,9 @@ def _parquet(path: Path) -> "pyarrow.Table":
         if not (
             pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
         ):
-            raise RecordingError(path, got=f"{kind} in column {name}", expected="numbers")
+            raise RecordingError(
+                path, got=f"{kind} in column {name}", expected="numbers", mend=_MEND
+            )
     batches, rows, size = [], 0, 0
     for batch in file.iter_batches(_BATCH, columns=wanted, use_threads=False):
         rows, size = rows + batch.num_rows, size + batch.nbytes
