@@ -207,6 +207,7 @@ BIDI = "\u202etxt.exe"
         ("parameters = 28", "parameters = -1", "training.parameters"),
         ("parameters = 28", "parameters = 1e999", "training.parameters"),
         ("parameters = 28", f"parameters = 0x{'f' * 9000}", "training.parameters"),
+        ('"A walker"', f"0x{'f' * 9000}", "name: got what is too long to be written"),
         ("parameters = 28", 'parameters = 28\nsecret = "x"', "training.secret"),
         ('data = "the plaza"', f'data = "{"x" * 1001}"', "training.data"),
     ],

@@ -226,6 +226,23 @@ def test_text_where_numbers_belong_is_refused_before_it_is_read(tmp_path: Path) 
         read_table(path)
 
 
+def test_columns_of_one_name_are_refused(tmp_path: Path) -> None:
+    twice = pa.table([[1], [2]], names=["x", "x"])
+    parquet.write_table(twice, tmp_path / "0.parquet")
+    with pytest.raises(RecordingError, match="two columns of one name"):
+        read_table(tmp_path / "0.parquet")
+    (tmp_path / "0.csv").write_text("x, x\n1,2\n")
+    with pytest.raises(RecordingError, match="two columns of one name"):
+        read_table(tmp_path / "0.csv")
+
+
+def test_columns_whose_names_are_no_text_are_refused(tmp_path: Path) -> None:
+    path = made_of(tmp_path / "0.parquet", 10)
+    path.write_bytes(path.read_bytes().replace(b"frame", b"\xff\xff\xff\xff\xff"))
+    with pytest.raises(RecordingError, match=r"0\.parquet"):
+        read_table(path)
+
+
 def test_other_columns_are_left_unread(tmp_path: Path) -> None:
     path = made_of(tmp_path / "0.parquet", 10, note=pa.array(["x"] * 10))
     assert read_table(path).column_names == ["person_id", "frame", "x", "y"]

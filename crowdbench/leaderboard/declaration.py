@@ -124,7 +124,7 @@ def _mend(name: str, value: Any, kind: Any) -> str | None:
         return None if isinstance(value, dict) else "Write its fields below [training]."
     try:
         msgspec.convert(value, kind, strict=True)
-    except msgspec.ValidationError as error:
+    except ValueError as error:  # of msgspec, or of Python for numbers of 5000 digits
         return f"{error}."
     for text in texts:
         if not text.isprintable():

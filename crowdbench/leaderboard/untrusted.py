@@ -41,11 +41,11 @@ def read_table(path: Path) -> "pyarrow.Table":
     read = _parquet if path.suffix == ".parquet" else _csv
     try:
         table = read(path)
+        named = [name.strip() for name in table.column_names]
     except (pa.ArrowException, OSError, MemoryError, UnicodeDecodeError) as error:
         told = (str(error) or type(error).__name__).splitlines()[0]
         raise RecordingError(path, got=told, expected="a readable table", mend=_MEND) from error
-    named = [name.strip() for name in table.column_names]
-    _refuse(path, len(set(named)) < len(named), "two columns of one name", "one")
+    _check_names(path, named)
     return table.rename_columns(named).replace_schema_metadata(table.schema.metadata)
 
 
@@ -79,6 +79,7 @@ def _parquet(path: Path) -> "pyarrow.Table":
     sizes = [told.row_group(k).total_byte_size for k in range(told.num_row_groups)]
     _check_bytes(path, sum(sizes) if min(sizes, default=0) >= 0 else LARGEST_DECODED + 1)
     schema = file.schema_arrow
+    _check_names(path, schema.names)
     wanted = [name for name in schema.names if name.strip() in _COLUMNS]
     for name in wanted:
         kind = schema.field(name).type
@@ -97,6 +98,10 @@ def _parquet(path: Path) -> "pyarrow.Table":
     kept = pa.schema([schema.field(name) for name in wanted], schema.metadata)
     table = pa.Table.from_batches(batches) if batches else kept.empty_table()
     return table.replace_schema_metadata(schema.metadata)
+
+
+def _check_names(path: Path, names: list[str]) -> None:
+    _refuse(path, len(set(names)) < len(names), "two columns of one name", "one")
 
 
 def _check_columns(path: Path, columns: int) -> None:
