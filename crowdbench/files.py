@@ -93,14 +93,14 @@ def read_struct(path: Path, kind: type[T], error: type[CrowdbenchError], mend: s
     data = read_bytes(path, error, mend)
     try:
         raw = tomllib.loads(data.decode()) if path.suffix == ".toml" else msgspec.json.decode(data)
-    except (tomllib.TOMLDecodeError, msgspec.DecodeError, UnicodeDecodeError) as cause:
+    except (ValueError, RecursionError) as cause:  # no text, no JSON or TOML, or nested deeply
         kind_of_file = path.suffix.lstrip(".").upper()
         raise error(path, got=str(cause), expected=f"valid {kind_of_file}", mend=mend) from cause
     try:
         # TOML writes 1 for 1.0, JSON has no tuples, and keys of both are text: the conversions of
         # these are wanted.
         return msgspec.convert(raw, kind, strict=True, str_keys=True)
-    except msgspec.ValidationError as cause:
+    except (msgspec.ValidationError, OverflowError) as cause:
         raise error(
             path, got=str(cause), expected="the fields that its format defines", mend=mend
         ) from cause

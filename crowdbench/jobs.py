@@ -24,7 +24,7 @@ from crowdbench.processes import call_each, checked_workers
 from crowdbench.recordings.catalogue import cached
 from crowdbench.reference import Reference, summarise
 from crowdbench.registry import policy as find_policy
-from crowdbench.registry import policy_file, spawn_model
+from crowdbench.registry import policy_file, spawn_model, weights_file
 from crowdbench.rollouts import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn.scenario import split
@@ -212,8 +212,8 @@ def _cached_models(  # type: ignore[no-untyped-def]
 
 
 def _fingerprint(scene: Scene, spawn: str, policy: str, part: str) -> str:
-    """Hash of what a rollout depends on: our code, the scene's files, the recording, the scenario
-    and the policy's file, own classes.
+    """Hash of what a rollout depends on: our code, the scene's files, the recording, the scenario,
+    the files of a spawn model's fits and of a policy, own classes.
 
     Of an own class these are all files in the folder of its module: weights lie beside the code.
     """
@@ -221,7 +221,8 @@ def _fingerprint(scene: Scene, spawn: str, policy: str, part: str) -> str:
     base, scenario = split(spawn)
     if base in ("replay", "block-replay") and cached(scene.recording.name).exists():
         files.append(cached(scene.recording.name))
-    files += [file for file in (scenario, policy_file(policy, scene, part)) if file]
+    named = (scenario, weights_file(base), policy_file(policy, scene, part))
+    files += [file for file in named if file]
     for name in (base, policy):
         module, colon, _ = name.partition(":")
         found = importlib.util.find_spec(module) if colon else None

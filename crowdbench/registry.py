@@ -3,6 +3,7 @@
 import importlib
 import inspect
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,12 @@ FITTED: dict[str, type[PoissonGMM] | type[RenewalGMM] | type[NtppGMM]] = {
     "ntpp-gmm": NtppGMM,
 }
 """The spawn models whose fits scenes ship."""
+WEIGHTS = {
+    "poisson-gmm.json": "poisson-gmm",
+    "renewal-gmm.json": "renewal-gmm",
+    "ntpp-gmm.safetensors": "ntpp-gmm",
+}
+"""The files that fits are in, and whose fits these are."""
 SPAWN_MODELS = (*FITTED, "block-replay", "replay")
 POLICIES = ("straight", "social-force", "random", "replay")
 
@@ -91,13 +98,14 @@ def spawn_model(
     """A spawn model by its name, fitted for a part (one of `blocks.PARTS`) of the recording.
 
     Of a model with several fits the one of index `fit`, counted round. `replay` is the whole
-    recording in any part. `pkg.module:Class` is called with the scene, and with `part` and `fit`
-    where it takes arguments of these names. A `scenario` steers the model; `MODEL+FILE.toml` is
-    the model MODEL under the scenario that the file holds.
+    recording in any part. A folder holds the fits of one of `FITTED`, in a file as scenes ship it.
+    `pkg.module:Class` is called with the scene, and with `part` and `fit` where it takes arguments
+    of these names. A `scenario` steers the model; `MODEL+FILE.toml` is the model MODEL under the
+    scenario that the file holds.
 
     Raises:
         SettingError: there is no such model, part or fit, or the scenario does not fit.
-        WeightsError: the scene ships no weights for it.
+        WeightsError: the scene ships no weights for it, or those of a folder are broken.
         RecordingError: it needs a recording that has not been imported.
     """
     place = load_scene(scene)
@@ -122,12 +130,15 @@ def _unsteered(model: str, scene: Scene, part: str, fit: int) -> SpawnModel:
     check_part(part, fit)
     if model in FITTED:
         return FITTED[model].read(scene, read_areas(scene), part, fit)
+    if file := weights_file(model):
+        holding = replace(scene, folder=file.parent)
+        return FITTED[WEIGHTS[file.name]].read(holding, read_areas(scene), part, fit)
     if model == "block-replay":
         crowd = recording_of(scene)
         return BlockReplay(crowd, blocks_of(crowd, scene).training(part), read_areas(scene))
     if model == "replay":
         return Replay(recording_of(scene))
-    kind = _own(model, "spawn model", SPAWN_MODELS)
+    kind = _own(model, "spawn model", (*SPAWN_MODELS, "a folder with the fits of one"))
     made: SpawnModel = _made(kind, model, scene, **_understood(kind, part=part, fit=fit))
     return _having(made, model, ("name", "start", "sample"))
 
@@ -175,6 +186,26 @@ def policy_file(named: str, scene: Scene, part: str) -> Path | None:
     own = Path(named)
     folder = own if len(own.parts) > 1 else scene.folder / "policies" / named
     return folder / f"{part}.onnx" if folder.is_dir() else None
+
+
+def weights_file(named: str) -> Path | None:
+    """The file of fits that a spawn model's name stands for, None if it names no folder.
+
+    Raises:
+        SettingError: the folder does not hold the fits of exactly one model.
+    """
+    folder = Path(named)
+    if named in SPAWN_MODELS or not folder.is_dir():
+        return None
+    found = [folder / name for name in WEIGHTS if (folder / name).is_file()]
+    if len(found) != 1:
+        raise SettingError(
+            f"spawn model {named}",
+            got=f"a folder with {', '.join(f.name for f in found) or 'no fits'}",
+            expected=f"exactly one of {', '.join(WEIGHTS)}",
+            mend="Put the fits of one model into a folder of their own.",
+        )
+    return found[0]
 
 
 def trained_policies(scene: Scene) -> list[str]:

@@ -98,7 +98,13 @@ def read(path: str | Path, *, scene: str, dt_s: float, frames: int | None = None
             are not finite, or belongs to another scene or time step.
     """
     path = Path(path)
-    table = _read_table(path)
+    return of_table(_read_table(path), path, scene=scene, dt_s=dt_s, frames=frames)
+
+
+def of_table(
+    table: "pyarrow.Table", path: Path, *, scene: str, dt_s: float, frames: int | None = None
+) -> Trajectories:
+    """What `read` makes of the table that it reads from `path`."""
     metadata = _own_metadata(path, table)
     named = table.column_names
     for name in ("person_id", "x", "y"):
@@ -214,7 +220,7 @@ def _own_metadata(path: Path, table: "pyarrow.Table") -> _Metadata | None:
         return None
     try:
         metadata = msgspec.json.decode(raw, type=_Metadata)
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise RecordingError(
             path, got=f"metadata that do not fit: {error}", expected="crowdbench's metadata"
         ) from error

@@ -334,6 +334,19 @@ def test_what_is_no_onnx_is_refused(tmp_path: Path, data: bytes) -> None:
         OnnxPolicy(path)
 
 
+@pytest.mark.parametrize("text", [b"lidar-2", b"Tanh", b"action"])
+def test_text_that_is_no_text_is_refused_in_one_message(
+    text: bytes, plain: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    data = plain.read_bytes()
+    assert text in data
+    path = tmp_path / "bytes.onnx"
+    path.write_bytes(data.replace(text, b"\xff" * len(text)))
+    with pytest.raises(WeightsError):
+        OnnxPolicy(path)
+    assert capfd.readouterr() == ("", "")
+
+
 def test_a_missing_file_is_said_to_be_missing(tmp_path: Path, capsys) -> None:
     missing = tmp_path / "none.onnx"
     assert main(["evaluate", "plaza-v0", "--policy", str(missing), "--seeds", "1"]) == 2

@@ -1,18 +1,23 @@
 """Names of recordings, spawn models and policies."""
 
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from crowdbench.blocks import PARTS
-from crowdbench.errors import RecordingError, SettingError
+from crowdbench.cli import main
+from crowdbench.errors import RecordingError, SettingError, WeightsError
+from crowdbench.jobs import plan
 from crowdbench.policies import ReplayPolicy
 from crowdbench.recordings.catalogue import cached
 from crowdbench.registry import (
     POLICIES,
     RECORDINGS,
     SPAWN_MODELS,
+    WEIGHTS,
     import_recording,
     policy,
     recording,
@@ -23,6 +28,8 @@ from crowdbench.scene import load_scene
 from crowdbench.spawn import Replay
 from crowdbench.tables import write_parquet
 from crowdbench.trajectories import Trajectories
+
+PLAZA = load_scene("plaza-v0")
 
 
 @pytest.fixture(scope="module")
@@ -121,3 +128,46 @@ def test_both_replays_walk_the_same_recording(imported: Path) -> None:
     assert isinstance(spawn, Replay)
     assert isinstance(walker, ReplayPolicy)
     assert np.array_equal(spawn.recording.xy, walker.recording.xy)
+
+
+@pytest.mark.parametrize("file", WEIGHTS)
+def test_a_folder_with_fits_is_the_model_that_they_are_of(file: str, tmp_path: Path) -> None:
+    folder = tmp_path / "one+more"
+    folder.mkdir()
+    shutil.copy(PLAZA.folder / file, folder)
+    events = [
+        spawn_model(name, PLAZA, "fold1", fit=2).sample(200.0, PLAZA, np.random.default_rng(0))
+        for name in (str(folder), WEIGHTS[file])
+    ]
+    assert np.array_equal(events[0].time_s, events[1].time_s)
+    with pytest.raises(WeightsError, match=r"crowdbench fit eth-v0 --out FOLDER"):
+        spawn_model(str(folder), "eth-v0")
+
+
+def test_a_folder_holds_the_fits_of_one_model(tmp_path: Path) -> None:
+    with pytest.raises(SettingError, match="no fits"):
+        spawn_model(str(tmp_path), PLAZA)
+    for file in ("poisson-gmm.json", "renewal-gmm.json"):
+        shutil.copy(PLAZA.folder / file, tmp_path)
+    with pytest.raises(
+        SettingError, match=r"poisson-gmm\.json, renewal-gmm\.json; expected exactly"
+    ):
+        spawn_model(str(tmp_path), PLAZA)
+
+
+def test_evaluate_takes_a_folder_of_fits_and_sees_that_they_changed(tmp_path: Path) -> None:
+    folder = tmp_path / "rates"
+    folder.mkdir()
+    file = Path(shutil.copy(PLAZA.folder / "poisson-gmm.json", folder))
+    asked = ["evaluate", "plaza-v0", "--spawn", str(folder), "--policy", "straight", "--seeds", "2"]
+    assert main([*asked, "--workers", "1", "--out", str(tmp_path / "out")]) == 0
+    cards = json.loads((tmp_path / "out" / "scorecard.json").read_text())["entries"]
+    assert str(folder) in {entry["spawn"] for entry in cards}
+
+    def fingerprints() -> set[str]:
+        pairs = [(str(folder), "straight")]
+        return {job.fingerprint for job in plan("plaza-v0", PLAZA, pairs, "full", 1, tmp_path)}
+
+    before = fingerprints()
+    file.write_text(file.read_text() + " ")
+    assert fingerprints() != before

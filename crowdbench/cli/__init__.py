@@ -1,6 +1,6 @@
-"""The command line: `crowdbench evaluate | score | view | steer | areas | policy | leaderboard |
-data | convert | scenes | bench`, and for who makes a scene `scene | fit | spawn | anchors | power |
-results | walks | figures | ablation`.
+"""The command line: `crowdbench evaluate | score | view | steer | areas | policy | submit |
+leaderboard | data | convert | scenes | bench`, and for who makes a scene `scene | fit | spawn |
+anchors | power | results | walks | figures | ablation`.
 
 A user's error is one message and exit code 2; an interrupt exits with 130. Output that nobody reads
 on, as of `crowdbench … | head`, ends quietly with 1.
@@ -22,6 +22,7 @@ from crowdbench.cli import (
     policies,
     speed,
     steering,
+    submitting,
     viewing,
 )
 from crowdbench.errors import CrowdbenchError
@@ -67,6 +68,7 @@ def _parser() -> argparse.ArgumentParser:
         authoring,
         making,
         drawing,
+        submitting,
         leaderboard,
         data,
         speed,

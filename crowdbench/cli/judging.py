@@ -27,8 +27,8 @@ def add(commands: "Commands") -> None:
         nargs="+",
         default=["poisson-gmm", "renewal-gmm", "ntpp-gmm"],
         metavar="MODEL",
-        help="poisson-gmm, renewal-gmm, ntpp-gmm, block-replay, replay or pkg.module:Class "
-        "(default: the first three)",
+        help="poisson-gmm, renewal-gmm, ntpp-gmm, block-replay, replay, a folder with the fits of "
+        "one model, or pkg.module:Class (default: the first three)",
     )
     evaluate.add_argument(
         "--policy",

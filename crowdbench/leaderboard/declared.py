@@ -3,10 +3,11 @@
 A submission's folder holds it beside its artefacts, whose places are fixed, one folder per scene:
 
     submission.toml
-    eth-v0/policy/fold0.onnx, fold1.onnx, fold2.onnx     tracks walk and crowd
+    eth-v0/policy/fold0.onnx, fold1.onnx, fold2.onnx     tracks walk and crowd; full.onnx alone
+                                                         where training.protocol is full
     eth-v0/spawn/ntpp-gmm.safetensors                    tracks spawn and crowd: a file as scenes
                                                          ship it, of any family they ship
-    eth-v0/trajectories/0.parquet, 1.parquet, …          instead of both: listed, never ranked
+    eth-v0/trajectories/0.parquet, 1.csv, …              instead of both: listed, never ranked
     policy.onnx                                          instead of policies per scene: one that
                                                          has seen none of the recordings
 

@@ -192,14 +192,17 @@ def _read(path: Path) -> tuple[PolicyCard, int, Any]:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     try:
-        session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(
+            data, options, providers=["CPUExecutionProvider"], enable_fallback=False
+        )
         _try(path, session, card, noise)
     except WeightsError:
         raise
     except Exception as error:  # onnxruntime's errors have no base of their own
+        told = (str(error) or type(error).__name__).splitlines()[0][:200]
         raise WeightsError(
             path,
-            got=f"a network that onnxruntime refuses ({str(error).splitlines()[0][:200]})",
+            got=f"a network that onnxruntime refuses ({told})",
             expected="one that runs",
             mend=_MEND,
         ) from error
@@ -216,8 +219,10 @@ def _card(path: Path, model: "ModelProto") -> PolicyCard:
             mend=_MEND,
         )
     try:
-        card = msgspec.json.decode(found[0].encode(), type=PolicyCard)
-    except (msgspec.ValidationError, msgspec.DecodeError) as error:
+        # What is no UTF-8 comes as bytes.
+        text = found[0] if isinstance(found[0], bytes) else found[0].encode()
+        card = msgspec.json.decode(text, type=PolicyCard)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise WeightsError(path, got=f"a card that {error}", expected="one", mend=_MEND) from error
     return card.checked(path)
 

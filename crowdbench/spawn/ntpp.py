@@ -187,11 +187,12 @@ class NtppGMM:
             raise WeightsError(
                 path, got=f"memory {header.memory}", expected="1 grid step or more", mend=how
             )
-        if header.fits < 1 or not np.isclose(header.grid_s, scene.grid_s):
+        most = len(tensors) // len(SHAPES)
+        if not 1 <= header.fits <= max(1, most) or not np.isclose(header.grid_s, scene.grid_s):
             raise WeightsError(
                 path,
                 got=f"{header.fits} fits on a grid of {header.grid_s:g} s",
-                expected=f"one fit or more, on a grid of {scene.grid_s:g} s",
+                expected=f"as many fits as it holds, 1 or more, on a grid of {scene.grid_s:g} s",
                 mend=how,
             )
         k = len(areas.spawn)
@@ -229,7 +230,7 @@ def _decode(path: Path, data: bytes, how: str) -> tuple[_Header, dict[str, np.nd
         raw = msgspec.json.decode(data[8 : 8 + int.from_bytes(data[:8], "little")])
         text = raw["__metadata__"]["crowdbench"]
         return msgspec.json.decode(text, type=_Header), tensors
-    except (SafetensorError, msgspec.MsgspecError, KeyError) as error:
+    except (SafetensorError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise WeightsError(
             path,
             got=f"no readable weights ({error})",

@@ -114,7 +114,12 @@ def row(goals: Goals, number: int) -> Float[np.ndarray, " G"]:
 
 
 def split(named: str) -> tuple[str, Path | None]:
-    """A spawn model's name without its scenario, and the scenario's file: MODEL+FILE.toml."""
+    """A spawn model's name without its scenario, and the scenario's file: MODEL+FILE.toml.
+
+    A folder that holds a model may have a plus in its name.
+    """
+    if Path(named).is_dir():
+        return named, None
     model, plus, file = named.partition("+")
     return model, Path(file) if plus else None
 

@@ -35,8 +35,10 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 def mend(scene: Scene) -> str:
-    """How to mend weights that are missing or broken."""
-    return f"Run `crowdbench fit {scene.asked}`."
+    """How to mend weights that are missing or broken, in a scene's folder or in another."""
+    if (scene.folder / "scene.toml").is_file():
+        return f"Run `crowdbench fit {scene.asked}`."
+    return f"Make them with `crowdbench fit {scene.id} --out FOLDER`."
 
 
 def check_part(part: str, fit: int) -> None:

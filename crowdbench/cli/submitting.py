@@ -1,0 +1,100 @@
+"""`submit`: begin, check and pack a submission to the leaderboard."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from crowdbench.cli.printing import print_facts
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+    from crowdbench.leaderboard.submission import Submission
+
+
+def add(commands: "Commands") -> None:
+    """Add it to the command line."""
+    submit = commands.add_parser("submit", help="begin, check and pack a leaderboard submission")
+    of_submit = submit.add_subparsers(required=True, metavar="COMMAND")
+    init = of_submit.add_parser("init", help="write a new submission's folder, to be filled in")
+    init.add_argument("folder", type=Path, metavar="DIR", help="the new folder")
+    init.add_argument(
+        "--track",
+        choices=["walk", "spawn", "crowd"],
+        required=True,
+        help="walk: a policy under the recorded arrivals; spawn: a spawn model with straight "
+        "walkers; crowd: both",
+    )
+    init.add_argument("--name", default="", help="under which the leaderboard is to show it")
+    init.add_argument(
+        "--policy",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="PATH",
+        help="folders with fold0.onnx, fold1.onnx and fold2.onnx, one for each scene, which are "
+        "copied; or one FILE.onnx that knows none of the scenes",
+    )
+    init.add_argument(
+        "--scene",
+        nargs="+",
+        default=[],
+        metavar="SCENE",
+        help="scenes to submit for (default: those of the policies, else eth-v0 gc-v0 forum-v0)",
+    )
+    init.set_defaults(run=_init)
+    check = of_submit.add_parser("check", help="tell everything that is wrong with a submission")
+    check.add_argument("submission", type=Path, metavar="DIR_OR_ZIP")
+    check.set_defaults(run=_check)
+    pack = of_submit.add_parser("pack", help="check a submission's folder and pack it as a zip")
+    pack.add_argument("folder", type=Path, metavar="DIR")
+    pack.add_argument(
+        "--out", type=Path, metavar="FILE.zip", help="where to (default: beside the folder)"
+    )
+    pack.set_defaults(run=_pack)
+
+
+def _init(asked: argparse.Namespace) -> None:
+    from crowdbench.leaderboard.starting import start_submission
+
+    scenes = start_submission(
+        asked.folder, asked.track, name=asked.name, scenes=asked.scene, policies=asked.policy
+    )
+    print(f"{asked.folder}: track {asked.track} on {', '.join(scenes)}")
+    print(
+        f"Fill in {asked.folder / 'submission.toml'}; {asked.folder / 'README.md'} tells what goes "
+        f"where. Next: crowdbench submit check {asked.folder}"
+    )
+
+
+def _check(asked: argparse.Namespace) -> None:
+    from crowdbench.leaderboard.submission import open_submission
+
+    with open_submission(asked.submission) as submission:
+        _print(submission)
+
+
+def _pack(asked: argparse.Namespace) -> None:
+    from crowdbench.leaderboard.submission import pack_submission
+
+    print(f"written to {pack_submission(asked.folder, asked.out)}")
+
+
+def _print(submission: "Submission") -> None:
+    declared, layout = submission.declared, submission.layout
+    counted = {
+        "networks": len(layout.networks),
+        "files of fits": len(layout.weights),
+        "rollouts": sum(map(len, layout.crowds.values())),
+    }
+    models = [declared.shipped_spawn, declared.shipped_policy]
+    models += [f"{what}: {count}" for what, count in counted.items() if count]
+    print_facts(
+        declared.name,
+        {
+            "id": submission.id,
+            "track": f"{declared.track}, {declared.kind}, trained: {declared.training.protocol}",
+            "scenes": ", ".join(declared.scenes),
+            "models": ", ".join(filter(None, models)),
+            "status": f"{submission.status}: {submission.why}",
+        },
+    )

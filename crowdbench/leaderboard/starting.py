@@ -1,0 +1,178 @@
+"""`crowdbench submit init`: the folder that a submission begins with."""
+
+import json
+import shutil
+import tempfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from crowdbench.blocks import PARTS
+from crowdbench.errors import OutputError, SettingError
+from crowdbench.files import unwritable
+from crowdbench.leaderboard.declaration import PLACEHOLDER
+from crowdbench.leaderboard.declared import FILE, SCENES, SCHEMA, Track
+from crowdbench.leaderboard.layout import NETWORK, NOTES
+from crowdbench.policies import OnnxPolicy
+from crowdbench.scene import load_scene
+
+_TOML = """\
+# What this submission says of itself. `crowdbench submit check` tells what is missing.
+schema = {schema}
+name = {name}  # under which the leaderboard shows it
+authors = ["{fill}: your name"]
+contact = "{fill}: an e-mail address, or where issues are opened"
+link = "{fill}: https://… of the paper or the code"
+licence = "{fill}: of the files here, an SPDX identifier such as Apache-2.0"
+
+track = "{track}"  # {meaning}
+kind = "learned"  # or "model-based"; "privileged": it sees the simulation's state
+scenes = {scenes}  # eth-v0, gc-v0 and forum-v0 make the overall score
+
+# In place of files, what comes with crowdbench:
+# shipped_policy = "social-force"
+# shipped_spawn = "ntpp-gmm"
+
+[training]
+data = {data}  # in your words
+protocol = "{protocol}"  # "heldout": each fold's file has seen that fold's training blocks only;
+# "none": no recording of these scenes; "full": whole recordings, which is listed, not ranked
+parameters = {parameters}  # numbers that were learned, files of one scene and fold together
+"""
+_MEANING = {
+    "walk": "a policy, under the recorded arrivals",
+    "spawn": "a spawn model, with straight walkers",
+    "crowd": "a spawn model and a policy",
+}
+_README = """\
+# What goes where
+
+| file | what it is |
+|---|---|
+{rows}
+Then `crowdbench submit check FOLDER` and `crowdbench submit pack FOLDER`. This file is for you: it
+is not packed.
+"""
+_ROWS = {
+    "policy": "| `SCENE/policy/fold0.onnx`, `fold1.onnx`, `fold2.onnx` | networks trained on what "
+    "each fold trains on, by `crowdbench policy export` |\n| or `policy.onnx` | one network for "
+    "all scenes that knows none of them |\n",
+    "spawn": "| `SCENE/spawn/ntpp-gmm.safetensors`, or `poisson-gmm.json`, `renewal-gmm.json` | "
+    "fits of a spawn model, as `crowdbench fit SCENE --out FOLDER` writes them |\n",
+    "trajectories": "| or `SCENE/trajectories/0.parquet`, `1.parquet`, … | rollouts (or CSV) in "
+    "place of models: listed, never ranked |\n",
+}
+
+
+def start_submission(
+    folder: Path,
+    track: Track,
+    *,
+    name: str = "",
+    scenes: Sequence[str] = (),
+    policies: Sequence[Path] = (),
+) -> list[str]:
+    """Write a submission's folder, and return its scenes.
+
+    Args:
+        folder: the new folder.
+        track: one of `declared.Track`.
+        name: under which the leaderboard is to show it, by default that of its networks.
+        scenes: by default those that the networks know, or those of the overall score.
+        policies: folders that hold `fold0.onnx` and so on, one for each scene; or one file, of a
+            network that knows none of the scenes.
+
+    Raises:
+        OutputError: the folder exists, or cannot be written.
+        SettingError: the policies do not fit the track, or each other; or the name is no text.
+        WeightsError: a policy's file is missing or broken.
+        SceneError: there is no such scene.
+    """
+    if folder.exists() or folder.is_symlink():
+        raise OutputError(
+            folder, got="a folder that exists", expected="a new one", mend="Name another."
+        )
+    if not name.isprintable():
+        raise SettingError("--name", got=ascii(name), expected="printable characters")
+    files, read = _networks(policies, track)
+    known = dict.fromkeys(policy.card.scene for policy in read)
+    chosen = [load_scene(scene).id for scene in scenes or ([] if NETWORK in files else known)]
+    chosen = chosen or list(SCENES)
+    places = ["policy"] * (track != "spawn") + ["spawn"] * (track != "walk")
+    fill = f"{PLACEHOLDER}: "
+    data = f"recordings of {', '.join(known)}" if known else f"{fill}what it was trained on"
+    text = _TOML.format(
+        schema=SCHEMA,
+        fill=PLACEHOLDER,
+        name=_quoted(name or (read[0].card.name if read else f"{fill}a name")),
+        track=track,
+        meaning=_MEANING[track],
+        scenes=json.dumps(chosen),
+        data=_quoted(data),
+        protocol="none" if NETWORK in files else "heldout",
+        parameters=_parameters(read[0].path) if read else _quoted(f"{fill}a number"),
+    )
+    rows = "".join(_ROWS[place] for place in (*places, "trajectories"))
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".submission-") as temporary:
+            made = Path(temporary) / folder.name
+            for scene in chosen:
+                for place in places:
+                    if not (place == "policy" and NETWORK in files):
+                        (made / scene / place).mkdir(parents=True)
+            for to, path in files.items():
+                (made / to).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path, made / to)
+            (made / FILE).write_text(text, encoding="utf-8")
+            (made / NOTES).write_text(_README.format(rows=rows), encoding="utf-8")
+            made.rename(folder)
+    except OSError as error:
+        raise unwritable(folder, error) from error
+    return chosen
+
+
+def _networks(policies: Sequence[Path], track: Track) -> tuple[dict[str, Path], list[OnnxPolicy]]:
+    """Each network's file by its place in the submission, and what was read of them."""
+    if policies and track == "spawn":
+        raise SettingError("--policy", got="one", expected="none: track spawn has straight walkers")
+    if any(path.is_file() for path in policies):
+        if len(policies) > 1:
+            raise SettingError(
+                "--policy",
+                got=f"a file among {len(policies)} policies",
+                expected="one file, or a folder for each scene",
+            )
+        return {NETWORK: policies[0]}, [OnnxPolicy(policies[0])]
+    files: dict[str, Path] = {}
+    read = []
+    for path in policies:
+        for part in PARTS[1:]:
+            network = OnnxPolicy(path / f"{part}.onnx")
+            files[f"{network.card.scene}/policy/{part}.onnx"] = network.path
+            read.append(network)
+    if len(files) < len(read):
+        raise SettingError(
+            "--policy", got="folders of networks of one scene", expected="one folder for each scene"
+        )
+    return files, read
+
+
+def _parameters(path: Path) -> int:
+    """How many numbers a network's file holds: its weights."""
+    import onnx
+
+    graph = onnx.load(path).graph
+    floats = (onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT16, onnx.TensorProto.DOUBLE)
+    return sum(_size(t.dims) for t in graph.initializer if t.data_type in floats)
+
+
+def _size(shape: Iterable[int]) -> int:
+    size = 1
+    for length in shape:
+        size *= length
+    return size
+
+
+def _quoted(text: str) -> str:
+    # Text looks the same in JSON and in TOML.
+    return json.dumps(text, ensure_ascii=False)

@@ -1,0 +1,145 @@
+"""`crowdbench submit`: from a trained network to a packed submission."""
+
+from pathlib import Path
+
+import pytest
+from submissions import FOLDS, PLAZA, edit, listed_submission, write_network
+
+from crowdbench.cli import main
+from crowdbench.leaderboard.submission import open_submission
+from crowdbench.registry import WEIGHTS
+
+Printed = pytest.CaptureFixture[str]
+FILLED = {
+    '"FILL IN: your name"': '"Ada Lovelace"',
+    '"FILL IN: an e-mail address, or where issues are opened"': '"ada@example.org"',
+    '"FILL IN: https://… of the paper or the code"': '"https://example.org"',
+    '"FILL IN: of the files here, an SPDX identifier such as Apache-2.0"': '"MIT"',
+    '"FILL IN: a name"': '"A crowd"',
+    '"FILL IN: what it was trained on"': '"the plaza"',
+    '"FILL IN: a number"': "12",
+}
+
+
+def submit(*arguments: object) -> int:
+    return main(["submit", *map(str, arguments)])
+
+
+def fill_in(folder: Path) -> None:
+    text = (folder / "submission.toml").read_text()
+    for old, new in FILLED.items():
+        if old in text:
+            edit(folder, old, new)
+
+
+def networks(folder: Path, scene: str = "plaza-v0") -> Path:
+    for part in ("full", *FOLDS):
+        write_network(folder / f"{part}.onnx", part, scene)
+    return folder
+
+
+def test_from_a_trained_network_to_a_packed_submission(tmp_path: Path, capsys: Printed) -> None:
+    folder = tmp_path / "my-walker"
+    trained = networks(tmp_path / "ppo-plaza-v0")
+    assert submit("init", folder, "--track", "walk", "--policy", trained) == 0
+    assert f"{folder}: track walk on plaza-v0" in capsys.readouterr().out
+    assert submit("check", folder) == 2
+    told = capsys.readouterr().err
+    assert f"crowdbench: {folder}: 4 problems.\n" in told
+    assert told.count("Replace the template's placeholder.") == 4
+
+    fill_in(folder)
+    assert submit("check", folder) == 0
+    out = capsys.readouterr().out
+    assert "walk, learned, trained: heldout" in out
+    assert "networks: 3" in out
+    assert "ranked: crowdbench rolls it out, held out" in out
+    assert submit("pack", folder) == 0
+    packed = tmp_path / "my-walker.zip"
+    assert f"written to {packed}" in capsys.readouterr().out
+    assert submit("check", packed) == 0
+    with open_submission(packed) as submission:
+        assert submission.declared.name == "tiny"
+        assert submission.declared.training.parameters == 28
+
+
+def test_folders_of_several_scenes_find_their_places(tmp_path: Path) -> None:
+    folder = tmp_path / "both"
+    trained = [networks(tmp_path / scene, scene) for scene in ("eth-v0", "plaza-v0")]
+    assert submit("init", folder, "--track", "walk", "--name", "Both", "--policy", *trained) == 0
+    fill_in(folder)
+    with open_submission(folder) as submission:
+        assert submission.declared.scenes == ["eth-v0", "plaza-v0"]
+        assert len(submission.layout.networks) == 6
+
+
+def test_one_network_that_knows_no_scene_is_for_those_of_the_overall_score(tmp_path: Path) -> None:
+    folder = tmp_path / "stranger"
+    file = write_network(tmp_path / "full.onnx", "full")
+    assert submit("init", folder, "--track", "walk", "--policy", file) == 0
+    fill_in(folder)
+    with open_submission(folder) as submission:
+        assert submission.declared.scenes == ["eth-v0", "gc-v0", "forum-v0"]
+        assert submission.declared.training.protocol == "none"
+
+
+@pytest.mark.parametrize("file", WEIGHTS)
+def test_files_are_put_into_the_empty_places(file: str, tmp_path: Path) -> None:
+    folder = tmp_path / "crowd"
+    assert submit("init", folder, "--track", "crowd", "--scene", "plaza-v0") == 0
+    notes = (folder / "README.md").read_text()
+    fill_in(folder)
+    for part in FOLDS:
+        write_network(folder / "plaza-v0" / "policy" / f"{part}.onnx", part)
+    (folder / "plaza-v0" / "spawn" / file).write_bytes((PLAZA.folder / file).read_bytes())
+    with open_submission(folder) as submission:
+        assert submission.status == "ranked"
+    assert file in notes
+    assert "fold0.onnx" in notes
+
+
+def test_rollouts_are_told_by_their_number(tmp_path: Path, capsys: Printed) -> None:
+    assert submit("check", listed_submission(tmp_path / "crowd")) == 0
+    assert "rollouts: 3" in capsys.readouterr().out
+
+
+def test_what_exists_is_not_overwritten(tmp_path: Path, capsys: Printed) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "file").write_text("mine")
+    for there in (tmp_path, tmp_path / "link", tmp_path / "file"):
+        assert submit("init", there, "--track", "walk") == 2
+        assert "expected a new one" in capsys.readouterr().err
+    assert submit("init", tmp_path / "file" / "new", "--track", "walk") == 2
+    assert "a file where a folder should be" in capsys.readouterr().err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "link"]
+
+
+def test_policies_that_do_not_fit_are_refused_and_nothing_is_left(
+    tmp_path: Path, capsys: Printed
+) -> None:
+    trained, again = networks(tmp_path / "one"), networks(tmp_path / "two")
+    file = trained / "full.onnx"
+    folder = tmp_path / "new"
+    for arguments, told in (
+        (["--track", "spawn", "--policy", trained], "track spawn has straight walkers"),
+        (["--track", "walk", "--policy", trained, again], "one folder for each scene"),
+        (["--track", "walk", "--policy", trained, file], "a file among 2 policies"),
+        (["--track", "walk", "--policy", tmp_path / "x.onnx"], "x.onnx"),
+        (["--track", "walk", "--policy", tmp_path], "fold0.onnx: got no such file"),
+        (["--track", "walk", "--scene", "moon-v0"], "'moon-v0'"),
+        (["--track", "walk", "--name", "a\x1b"], "got 'a\\x1b'; expected printable"),
+    ):
+        assert submit("init", folder, *arguments) == 2
+        assert told in capsys.readouterr().err
+        assert not folder.exists()
+    assert {p.name for p in tmp_path.iterdir()} == {"one", "two"}
+
+
+def test_names_are_written_as_they_are(tmp_path: Path) -> None:
+    folder = tmp_path / "named"
+    trained = networks(tmp_path / "net")
+    name = 'Ada\'s "best" \\ walker é'
+    assert submit("init", folder, "--track", "walk", "--policy", trained, "--name", name) == 0
+    fill_in(folder)
+    with open_submission(folder) as submission:
+        assert submission.declared.name == name
