@@ -17,8 +17,8 @@ ORDER = (
     "scene", "spawn", "reference", "scoring_kernel", "scoring", "power", "cards", "simulation",
     "policies", "episode", "rollouts", "plaza", "registry", "crowds", "names", "demos", "fit",
     "spawn_check", "replay_check", "figures", "report", "jobs", "evaluation", "authoring",
-    "results", "ablation", "walks", "gallery", "steering", "leaderboard", "rewards", "viewer", "environment",
-    "torchrl_env", "vec_env", "bench", "cli", "__main__",
+    "results", "ablation", "walks", "gallery", "steering", "leaderboard", "rewards", "viewer",
+    "environment", "torchrl_env", "vec_env", "bench", "cli", "__main__",
 )  # fmt: skip
 HEAVY = (
     "torch",
