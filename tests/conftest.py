@@ -25,6 +25,7 @@ _hook = jaxtyping.install_import_hook(
         "crowdbench.fit",
         "crowdbench.gallery",
         "crowdbench.jobs",
+        "crowdbench.leaderboard",
         "crowdbench.metrics",
         "crowdbench.policies.export",
         "crowdbench.policies.network",

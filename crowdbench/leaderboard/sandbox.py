@@ -1,0 +1,312 @@
+"""A function in a child process that cannot harm: limits on memory, time and files, no network.
+
+The child is a fresh interpreter in a session of its own. It cuts itself off from the network and
+limits itself before anything else is imported; the parent watches the memory and the number of
+all its processes, and ends them together. What comes back is JSON: nothing a child says is run.
+"""
+
+import ctypes
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from crowdbench.errors import CrowdbenchError
+
+Result = TypeVar("Result")
+LARGEST_ANSWER = 2**26
+_KEPT = (
+    "PATH", "HOME", "USER", "LANG", "LC_ALL", "TMPDIR", "TZ", "VIRTUAL_ENV", "LD_LIBRARY_PATH",
+)  # fmt: skip
+_KEPT_STARTS = ("CROWDBENCH_", "NUMBA_", "OMP_", "PYTHON", "XDG_")
+_WATCH_S = 0.1
+_CLONE_NEWUSER, _CLONE_NEWNET = 0x10000000, 0x40000000
+
+
+class SandboxError(CrowdbenchError):
+    """What was tried did not end well: it crashed, or met a limit."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a child may use."""
+
+    memory_bytes: int = 12 * 2**30
+    """Address space of each process, and resident memory of all together."""
+    wall_s: float = 24 * 3600.0
+    cpu_s: int = 48 * 3600
+    """Of each process."""
+    file_bytes: int = 2**30
+    """Of each file it writes."""
+    open_files: int = 1024
+    processes: int = 256
+    """Processes (of all of them together, not counting threads)."""
+
+
+@dataclass(frozen=True)
+class Ran:
+    """How a child ran, in numbers that depend on the machine."""
+
+    wall_s: float
+    cpu_s: float
+    """Of the processes that were there at once, as far as was seen."""
+    peak_bytes: int
+    """Largest resident memory of all its processes together that was seen."""
+    network: str
+    """`none`, or why it could not be cut off."""
+
+
+class _Failure(msgspec.Struct, forbid_unknown_fields=True):
+    where: str
+    got: str
+    expected: str
+    mend: str
+
+
+class _Answer(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    network: str
+    value: msgspec.Raw = msgspec.Raw(b"null")
+    failure: _Failure | None = None
+
+
+def call(
+    target: str,
+    arguments: dict[str, object],
+    kind: type[Result],
+    *,
+    where: object,
+    limits: Limits,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[Result, Ran]:
+    """Call `module:function(progress, **arguments)` in a child; its result, read as `kind`.
+
+    `arguments` and the result travel as JSON. `progress(done, total)` says here what the function
+    says there. `where` names the cause in messages.
+
+    Raises:
+        SandboxError: it crashed, met a limit, or its answer is not of this kind.
+        CrowdbenchError: the function raised one: one with its message.
+    """
+    with tempfile.TemporaryDirectory(prefix="crowdbench-sandbox-") as folder:
+        desk = Path(folder)
+        asked = {"target": target, "arguments": arguments, "limits": asdict(limits)}
+        (desk / "asked.json").write_text(json.dumps(asked))
+        ran = _run(desk, where, limits, progress)
+        try:
+            answer = msgspec.json.decode(_bounded(desk / "answer.json"), type=_Answer)
+            if answer.failure is not None:
+                f = answer.failure
+                raise CrowdbenchError(f.where, got=f.got, expected=f.expected, mend=f.mend)
+            value = msgspec.json.decode(answer.value, type=kind)
+        except (OSError, msgspec.DecodeError) as error:
+            raise SandboxError(
+                where, got=f"an answer that cannot be read ({error})", expected=kind.__name__
+            ) from error
+    return value, Ran(**ran, network=answer.network)
+
+
+def _run(
+    desk: Path, where: object, limits: Limits, progress: Callable[[int, int], None]
+) -> dict[str, Any]:
+    """Start the child, watch it until it ends, and end what it leaves behind."""
+    began, peak, cpu = time.monotonic(), 0, 0.0
+    with (desk / "said.txt").open("wb") as said:
+        child = subprocess.Popen(
+            [sys.executable, "-m", "crowdbench.leaderboard.sandbox", str(desk)],
+            stdin=subprocess.DEVNULL,
+            stdout=said,
+            stderr=said,
+            env=_environment(),
+            start_new_session=True,
+        )
+    broken = ""
+    family: set[int] = {child.pid}
+    try:
+        while not broken and child.poll() is None:
+            with suppress(subprocess.TimeoutExpired):
+                child.wait(_WATCH_S)
+            seen = _family(child.pid)
+            family = set(seen) | {child.pid}
+            peak = max(peak, sum(memory for memory, _ in seen.values()))
+            cpu = max(cpu, sum(spent for _, spent in seen.values()))
+            broken = _broken(limits, len(seen), peak, time.monotonic() - began)
+            _tell(desk / "progress", progress)
+    finally:
+        _end(child, family)
+    if not broken:
+        broken = _died(child.returncode, limits)
+    if broken:
+        last = _last_line(desk / "said.txt")
+        raise SandboxError(
+            where,
+            got=f"{broken}{f'; it said last: {last}' if last else ''}",
+            expected="one that ends by itself within the limits",
+            mend="If it is sound and the limits are narrow, raise them.",
+        )
+    return {
+        "wall_s": round(time.monotonic() - began, 2),
+        "cpu_s": round(cpu, 2),
+        "peak_bytes": peak,
+    }
+
+
+def _environment() -> dict[str, str]:
+    """What the child knows of its surroundings: no keys, no tokens."""
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if name in _KEPT or name.startswith(_KEPT_STARTS)
+    }
+    # Threads that nobody asked for would each reserve memory.
+    return {"OPENBLAS_NUM_THREADS": "1", **kept}
+
+
+def _family(root: int) -> dict[int, tuple[int, float]]:
+    """Resident bytes and CPU seconds of a process and all it started, by id; Linux only."""
+    known: dict[int, tuple[int, int, int, float]] = {}
+    page, tick = os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_CLK_TCK")
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError, ValueError, IndexError):
+            # The name in brackets may hold anything.
+            fields = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()
+            spent = (int(fields[11]) + int(fields[12])) / tick
+            known[int(folder.name)] = (
+                int(fields[1]), int(fields[3]), int(fields[21]) * page, spent,
+            )  # fmt: skip
+    found = {root} | {pid for pid, (_, session, _, _) in known.items() if session == root}
+    before = 0
+    while len(found) > before:
+        before = len(found)
+        found |= {pid for pid, (parent, *_) in known.items() if parent in found}
+    return {pid: known[pid][2:] for pid in found if pid in known}
+
+
+def _broken(limits: Limits, processes: int, peak: int, wall_s: float) -> str:
+    """Which limit the child has broken, in words; empty for none."""
+    if wall_s > limits.wall_s:
+        return f"no end after {limits.wall_s:g} s"
+    if peak > limits.memory_bytes:
+        return f"more than {limits.memory_bytes / 2**30:g} GiB of memory"
+    if processes > limits.processes:
+        return f"more than {limits.processes} processes"
+    return ""
+
+
+def _died(code: int, limits: Limits) -> str:
+    """How it ended if not well, in words."""
+    if code == -signal.SIGXCPU:
+        return f"more than {limits.cpu_s} s of CPU time"
+    if code < 0:
+        return f"a crash ({signal.Signals(-code).name})"
+    return "" if code == 0 else f"an end with code {code}"
+
+
+def _end(child: "subprocess.Popen[bytes]", family: set[int]) -> None:
+    """Kill the child, its session, and those who left that but were seen before."""
+    with suppress(ProcessLookupError):
+        os.killpg(child.pid, signal.SIGKILL)
+    if child.returncode is None:
+        for pid in (family | set(_family(child.pid))) - {child.pid}:
+            with suppress(ProcessLookupError, PermissionError):
+                os.kill(pid, signal.SIGKILL)
+    child.wait()
+
+
+def _tell(path: Path, progress: Callable[[int, int], None]) -> None:
+    with suppress(OSError, ValueError):
+        done, total = path.read_text().split()
+        progress(int(done), int(total))
+
+
+def _bounded(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(LARGEST_ANSWER)
+
+
+def _last_line(path: Path) -> str:
+    """The end of what a child printed, as one line of plain text."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - 2000))
+        lines = file.read().decode(errors="replace").split("\n")
+    plain = ["".join(c for c in line if c.isprintable()).strip() for line in lines]
+    return next((line for line in reversed(plain) if line), "")[:200]
+
+
+def main(arguments: Sequence[str]) -> None:
+    """What the child does: limit itself, call, answer."""
+    desk = Path(arguments[0])
+    asked = json.loads((desk / "asked.json").read_text())
+    network = _leave_network()
+    _limit(Limits(**asked["limits"]))
+    answer: dict[str, object] = {"network": network}
+    try:
+        answer["value"] = _called(asked["target"], asked["arguments"], desk)
+    except CrowdbenchError as error:
+        answer["failure"] = _Failure(error.where, error.got, error.expected, error.mend)
+    except MemoryError:
+        sys.exit("out of memory")
+    (desk / "answer.json").write_bytes(msgspec.json.encode(answer))
+
+
+def _called(target: str, arguments: dict[str, object], desk: Path) -> object:
+    import importlib
+
+    module, _, name = target.partition(":")
+
+    def progress(done: int, total: int) -> None:
+        half = desk / "progress.half"
+        half.write_text(f"{done} {total}")
+        half.replace(desk / "progress")
+
+    return getattr(importlib.import_module(module), name)(progress, **arguments)
+
+
+def _leave_network() -> str:
+    """Move into an empty network of its own; `none`, or why that was not possible.
+
+    An ordinary user may do that inside a user namespace of its own, where the system allows one.
+    """
+    if not sys.platform.startswith("linux"):
+        return f"not cut off: {sys.platform} has no network namespaces"
+    user, group = os.getuid(), os.getgid()
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.unshare(_CLONE_NEWUSER | _CLONE_NEWNET) != 0:
+        return f"not cut off: {os.strerror(ctypes.get_errno())}"
+    # Files it writes are to be the user's.
+    with suppress(OSError):
+        Path("/proc/self/setgroups").write_text("deny")
+        Path("/proc/self/uid_map").write_text(f"{user} {user} 1")
+        Path("/proc/self/gid_map").write_text(f"{group} {group} 1")
+    return "none"
+
+
+def _limit(limits: Limits) -> None:
+    import resource
+
+    for what, most in (
+        (resource.RLIMIT_AS, limits.memory_bytes),
+        (resource.RLIMIT_CPU, limits.cpu_s),
+        (resource.RLIMIT_FSIZE, limits.file_bytes),
+        (resource.RLIMIT_NOFILE, limits.open_files),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        hard = resource.getrlimit(what)[1]
+        if hard != resource.RLIM_INFINITY:
+            most = min(most, hard)
+        # Who does not end at the first signal of spent time ends at the second.
+        last = most + 5 if what == resource.RLIMIT_CPU and hard == resource.RLIM_INFINITY else most
+        resource.setrlimit(what, (most, last))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
