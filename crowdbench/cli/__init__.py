@@ -1,6 +1,6 @@
-"""The command line: `crowdbench evaluate | score | view | steer | areas | policy | data | convert |
-scenes | bench`, and for who makes a scene `scene | fit | spawn | anchors | power | results |
-walks | figures | ablation`.
+"""The command line: `crowdbench evaluate | score | leaderboard | view | steer | areas | policy |
+data | convert | scenes | bench`, and for who makes a scene `scene | fit | spawn | anchors |
+power | results | walks | figures | ablation`.
 
 A user's error is one message and exit code 2; an interrupt exits with 130.
 """
@@ -15,6 +15,7 @@ from crowdbench.cli import (
     data,
     drawing,
     judging,
+    leaderboard,
     making,
     policies,
     speed,
@@ -44,7 +45,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"crowdbench {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    rooms = (judging, viewing, steering, policies, authoring, making, drawing, data, speed)
+    rooms = (
+        judging, leaderboard, viewing, steering, policies, authoring, making, drawing, data, speed,
+    )  # fmt: skip
     for room in rooms:
         room.add(commands)
     return parser
