@@ -65,14 +65,14 @@ def multiply(progress: Progress) -> None:
     time.sleep(600)
 
 
-def outlive(progress: Progress, note: str) -> None:
-    """Leave a child behind that left the session, and hang."""
+def outlive(progress: Progress, note: str, hang_s: float) -> None:
+    """Leave a child behind that left the session."""
     child = subprocess.Popen(
         [sys.executable, "-c", "import time; time.sleep(600)"], start_new_session=True
     )
     with open(note, "w") as file:
         file.write(str(child.pid))
-    time.sleep(600)
+    time.sleep(hang_s)
 
 
 def write_much(progress: Progress, path: str) -> str:
@@ -91,6 +91,8 @@ def open_many(progress: Progress) -> int:
         while True:
             opened.append(os.open(os.devnull, os.O_RDONLY))
     except OSError:
+        for descriptor in opened:
+            os.close(descriptor)
         return len(opened)
 
 

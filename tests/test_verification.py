@@ -151,13 +151,13 @@ def test_rollouts_lie_in_the_folder_of_work(walked: tuple[Path, Entry]) -> None:
 
 @pytest.fixture(scope="module")
 def blocks(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Entry]:
-    """The recording's blocks, played by a model that hides it; one rollout of each fit."""
+    """The recording's blocks, played by a model that hides it; a rollout of each of two fits."""
     folder = tmp_path_factory.mktemp("blocks")
     submitted(folder / "mine", "spawn", trained="full", shipped_spawn="block-replay")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CROWDBENCH_HOME", str(recorded))
         patch.setattr(Submission, "spawn_of", lambda self, scene: "copier:JitteredBlocks")
-        return folder, make_entry(quietly, str(folder / "mine"), str(folder), 1, 1)
+        return folder, make_entry(quietly, str(folder / "mine"), str(folder), 1, 2)
 
 
 def test_blocks_of_the_recording_with_a_frame_of_jitter_are_flagged_as_a_model(
@@ -172,7 +172,7 @@ def test_blocks_of_the_recording_with_a_frame_of_jitter_are_flagged_as_a_model(
 
 def test_a_rollout_of_each_fit_gives_distances_and_no_score(blocks: tuple[Path, Entry]) -> None:
     scene = blocks[1].scenes["plaza-v0"]
-    assert (scene.fits, scene.rollouts) == (5, 5)
+    assert (scene.fits, scene.rollouts) == (2, 2)
     assert scene.families == {}
     assert scene.metrics["inter_spawn"].distance is not None
     assert scene.metrics["inter_spawn"].score is None
@@ -190,11 +190,11 @@ def test_entries_do_not_depend_on_the_number_of_workers(
     def tell(done: int, total: int) -> None:
         told.append((done, total))
 
-    again = make_entry(tell, str(folder / "mine"), str(tmp_path), 2, 1)
+    again = make_entry(tell, str(folder / "mine"), str(tmp_path), 2, 2)
     write_json(tmp_path / "a.json", entry)
     write_json(tmp_path / "b.json", again)
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
-    assert told[-1] == (5, 5)
+    assert told[-1] == (2, 2)
 
 
 @pytest.fixture(scope="module")
@@ -318,3 +318,10 @@ def test_what_cannot_be_scored_anew_is_said(
 ) -> None:
     assert rescored(root, *named, reason=reason) == 2
     assert re.search(message, capsys.readouterr().err)
+
+
+def test_a_leaderboard_without_entries_is_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert rescored(tmp_path / "nowhere") == 2
+    assert "got no entries" in capsys.readouterr().err

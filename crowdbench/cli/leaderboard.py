@@ -111,7 +111,12 @@ def _rescore(asked: argparse.Namespace) -> None:
             progress=progress,
         )
 
-    _each(asked.entry or entry_ids(asked.root), one)
+    named = asked.entry or entry_ids(asked.root)
+    if not named:
+        raise SettingError(
+            f"{asked.root}/entries", got="no entries", expected="some", mend="Name it by --root."
+        )
+    _each(named, one)
 
 
 def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> None:
@@ -122,6 +127,8 @@ def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> 
             with progress_bar(f"{name}") as progress:
                 entry = one(name, progress)
         except CrowdbenchError as error:
+            if len(named) == 1:
+                raise
             print(f"crowdbench: {error}", file=sys.stderr)
             refused.append(f"{name}")
         else:

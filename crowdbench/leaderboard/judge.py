@@ -50,11 +50,11 @@ def make_entry(
     submission: str,
     work: str,
     workers: int | None,
-    rollouts_per_fit: int | None = None,
+    rollouts: int | None = None,
 ) -> Entry:
     """Roll out what a submission brings and score it.
 
-    `progress(done, total)` counts rollouts. `rollouts_per_fit` is by default the protocol's.
+    `progress(done, total)` counts rollouts. `rollouts` of each part are by default the protocol's.
 
     Raises:
         CrowdbenchError: the submission, or what it brings, is not as it should be.
@@ -67,7 +67,7 @@ def make_entry(
         before = Path.cwd()
         os.chdir(given.folder)
         try:
-            tasks = [_task(given, name, folder, rollouts_per_fit) for name in _scenes(given)]
+            tasks = [_task(given, name, folder, rollouts) for name in _scenes(given)]
             with alone_in(folder):
                 return _entry(given, tasks, workers, progress)
         finally:
@@ -122,7 +122,7 @@ def _entry(
     )
 
 
-def _task(given: Submission, name: str, folder: Path, rollouts_per_fit: int | None) -> _Task:
+def _task(given: Submission, name: str, folder: Path, rollouts: int | None) -> _Task:
     place = load_scene(name)
     _recording(place)
     reference = read_reference(place)
@@ -141,8 +141,8 @@ def _task(given: Submission, name: str, folder: Path, rollouts_per_fit: int | No
     crowd = None if track == "walk" else (spawn, policy)
     walk = None if track == "spawn" else ("replay", policy)
     protocol: Protocol = "full" if given.status == "listed" else "heldout"
-    each = place.protocol.rollouts_per_fit if rollouts_per_fit is None else rollouts_per_fit
-    seeds = place.protocol.fits * each
+    default = place.protocol.fits * place.protocol.rollouts_per_fit
+    seeds = default if rollouts is None else rollouts
     pairs = list(dict.fromkeys(pair for pair in (crowd, walk) if pair is not None))
     jobs = plan(name, place, pairs, protocol, seeds, folder / name)
     return _Task(place, reference, protocol, crowd, walk, jobs, seeds)

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 
@@ -130,19 +130,19 @@ def _run(
             start_new_session=True,
         )
     broken = ""
-    family: set[int] = {child.pid}
+    ever: dict[int, _Process] = {}
     try:
         while not broken and child.poll() is None:
             with suppress(subprocess.TimeoutExpired):
                 child.wait(_WATCH_S)
             seen = _family(child.pid)
-            family = set(seen) | {child.pid}
-            peak = max(peak, sum(memory for memory, _ in seen.values()))
-            cpu = max(cpu, sum(spent for _, spent in seen.values()))
+            ever |= seen
+            peak = max(peak, sum(process.memory_bytes for process in seen.values()))
+            cpu = max(cpu, sum(process.cpu_s for process in seen.values()))
             broken = _broken(limits, len(seen), peak, time.monotonic() - began)
             _tell(desk / "progress", progress)
     finally:
-        _end(child, family)
+        _end(child, ever)
     if not broken:
         broken = _died(child.returncode, limits)
     if broken:
@@ -171,24 +171,41 @@ def _environment() -> dict[str, str]:
     return {"OPENBLAS_NUM_THREADS": "1", **kept}
 
 
-def _family(root: int) -> dict[int, tuple[int, float]]:
-    """Resident bytes and CPU seconds of a process and all it started, by id; Linux only."""
-    known: dict[int, tuple[int, int, int, float]] = {}
+class _Process(NamedTuple):
+    parent: int
+    session: int
+    began: int
+    """In ticks since the machine started: with its id this is a process and no later one."""
+    memory_bytes: int
+    cpu_s: float
+
+
+def _processes() -> dict[int, _Process]:
+    """All processes by id; empty where the system does not tell."""
+    found = {}
     page, tick = os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_CLK_TCK")
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError, ValueError, IndexError):
             # The name in brackets may hold anything.
             fields = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()
-            spent = (int(fields[11]) + int(fields[12])) / tick
-            known[int(folder.name)] = (
-                int(fields[1]), int(fields[3]), int(fields[21]) * page, spent,
-            )  # fmt: skip
-    found = {root} | {pid for pid, (_, session, _, _) in known.items() if session == root}
+            parent, session, user, system, began, pages = (
+                int(fields[k]) for k in (1, 3, 11, 12, 19, 21)
+            )
+            found[int(folder.name)] = _Process(
+                parent, session, began, pages * page, (user + system) / tick
+            )
+    return found
+
+
+def _family(root: int) -> dict[int, _Process]:
+    """A process, its session, and all that these started and that did not lose their parents."""
+    everyone = _processes()
+    found = {root} | {pid for pid, process in everyone.items() if process.session == root}
     before = 0
     while len(found) > before:
         before = len(found)
-        found |= {pid for pid, (parent, *_) in known.items() if parent in found}
-    return {pid: known[pid][2:] for pid in found if pid in known}
+        found |= {pid for pid, process in everyone.items() if process.parent in found}
+    return {pid: everyone[pid] for pid in found if pid in everyone}
 
 
 def _broken(limits: Limits, processes: int, peak: int, wall_s: float) -> str:
@@ -211,13 +228,15 @@ def _died(code: int, limits: Limits) -> str:
     return "" if code == 0 else f"an end with code {code}"
 
 
-def _end(child: "subprocess.Popen[bytes]", family: set[int]) -> None:
+def _end(child: "subprocess.Popen[bytes]", seen: dict[int, _Process]) -> None:
     """Kill the child, its session, and those who left that but were seen before."""
+    seen = seen | _family(child.pid)
     with suppress(ProcessLookupError):
         os.killpg(child.pid, signal.SIGKILL)
-    if child.returncode is None:
-        for pid in (family | set(_family(child.pid))) - {child.pid}:
-            with suppress(ProcessLookupError, PermissionError):
+    now = _processes()
+    for pid, process in seen.items():
+        if pid in now and now[pid].began == process.began:
+            with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
     child.wait()
 
