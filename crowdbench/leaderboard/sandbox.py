@@ -1,11 +1,11 @@
 """A function in a child process that cannot harm: limits on memory, time and files, no network.
 
 The child is a fresh interpreter in a session of its own. It cuts itself off from the network and
-limits itself before anything else is imported; the parent watches the memory and the number of
-all its processes, and ends them together. What comes back is JSON: nothing a child says is run.
+limits itself first (`crowdbench.leaderboard.confined`); the parent watches the memory and the
+number of all its processes, and ends them together. What comes back is JSON: nothing that a child
+says is run.
 """
 
-import ctypes
 import json
 import os
 import signal
@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -30,7 +30,6 @@ _KEPT = (
 )  # fmt: skip
 _KEPT_STARTS = ("CROWDBENCH_", "NUMBA_", "OMP_", "PYTHON", "XDG_")
 _WATCH_S = 0.1
-_CLONE_NEWUSER, _CLONE_NEWNET = 0x10000000, 0x40000000
 
 
 class SandboxError(CrowdbenchError):
@@ -66,17 +65,21 @@ class Ran:
     """`none`, or why it could not be cut off."""
 
 
-class _Failure(msgspec.Struct, forbid_unknown_fields=True):
+class Failure(msgspec.Struct, forbid_unknown_fields=True):
+    """An error that a child raised."""
+
     where: str
     got: str
     expected: str
     mend: str
 
 
-class _Answer(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+class Answer(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    """What a child writes when it is done."""
+
     network: str
     value: msgspec.Raw = msgspec.Raw(b"null")
-    failure: _Failure | None = None
+    failure: Failure | None = None
 
 
 def call(
@@ -103,7 +106,7 @@ def call(
         (desk / "asked.json").write_text(json.dumps(asked))
         ran = _run(desk, where, limits, progress)
         try:
-            answer = msgspec.json.decode(_bounded(desk / "answer.json"), type=_Answer)
+            answer = msgspec.json.decode(_bounded(desk / "answer.json"), type=Answer)
             if answer.failure is not None:
                 f = answer.failure
                 raise CrowdbenchError(f.where, got=f.got, expected=f.expected, mend=f.mend)
@@ -122,7 +125,7 @@ def _run(
     began, peak, cpu = time.monotonic(), 0, 0.0
     with (desk / "said.txt").open("wb") as said:
         child = subprocess.Popen(
-            [sys.executable, "-m", "crowdbench.leaderboard.sandbox", str(desk)],
+            [sys.executable, "-m", "crowdbench.leaderboard.confined", str(desk)],
             stdin=subprocess.DEVNULL,
             stdout=said,
             stderr=said,
@@ -259,73 +262,3 @@ def _last_line(path: Path) -> str:
         lines = file.read().decode(errors="replace").split("\n")
     plain = ["".join(c for c in line if c.isprintable()).strip() for line in lines]
     return next((line for line in reversed(plain) if line), "")[:200]
-
-
-def main(arguments: Sequence[str]) -> None:
-    """What the child does: limit itself, call, answer."""
-    desk = Path(arguments[0])
-    asked = json.loads((desk / "asked.json").read_text())
-    network = _leave_network()
-    _limit(Limits(**asked["limits"]))
-    answer: dict[str, object] = {"network": network}
-    try:
-        answer["value"] = _called(asked["target"], asked["arguments"], desk)
-    except CrowdbenchError as error:
-        answer["failure"] = _Failure(error.where, error.got, error.expected, error.mend)
-    except MemoryError:
-        sys.exit("out of memory")
-    (desk / "answer.json").write_bytes(msgspec.json.encode(answer))
-
-
-def _called(target: str, arguments: dict[str, object], desk: Path) -> object:
-    import importlib
-
-    module, _, name = target.partition(":")
-
-    def progress(done: int, total: int) -> None:
-        half = desk / "progress.half"
-        half.write_text(f"{done} {total}")
-        half.replace(desk / "progress")
-
-    return getattr(importlib.import_module(module), name)(progress, **arguments)
-
-
-def _leave_network() -> str:
-    """Move into an empty network of its own; `none`, or why that was not possible.
-
-    An ordinary user may do that inside a user namespace of its own, where the system allows one.
-    """
-    if not sys.platform.startswith("linux"):
-        return f"not cut off: {sys.platform} has no network namespaces"
-    user, group = os.getuid(), os.getgid()
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.unshare(_CLONE_NEWUSER | _CLONE_NEWNET) != 0:
-        return f"not cut off: {os.strerror(ctypes.get_errno())}"
-    # Files it writes are to be the user's.
-    with suppress(OSError):
-        Path("/proc/self/setgroups").write_text("deny")
-        Path("/proc/self/uid_map").write_text(f"{user} {user} 1")
-        Path("/proc/self/gid_map").write_text(f"{group} {group} 1")
-    return "none"
-
-
-def _limit(limits: Limits) -> None:
-    import resource
-
-    for what, most in (
-        (resource.RLIMIT_AS, limits.memory_bytes),
-        (resource.RLIMIT_CPU, limits.cpu_s),
-        (resource.RLIMIT_FSIZE, limits.file_bytes),
-        (resource.RLIMIT_NOFILE, limits.open_files),
-        (resource.RLIMIT_CORE, 0),
-    ):
-        hard = resource.getrlimit(what)[1]
-        if hard != resource.RLIM_INFINITY:
-            most = min(most, hard)
-        # Who does not end at the first signal of spent time ends at the second.
-        last = most + 5 if what == resource.RLIMIT_CPU and hard == resource.RLIM_INFINITY else most
-        resource.setrlimit(what, (most, last))
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
