@@ -6,13 +6,14 @@ machine, the time or the number of workers: the same seeds give the same bytes.
 
 import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from crowdbench import __version__
-from crowdbench.blocks import FOLDS, PARTS
+from crowdbench.blocks import FOLDS, PARTS, TimeBlocks
 from crowdbench.cards import (
     ANCHOR,
     ANCHORS,
@@ -108,24 +109,20 @@ def evaluate(
     with alone_in(out):
         _prepare(out)
         rolled = roll_out(jobs, reference, workers, progress)
-        entries = _entries(place, reference, rolled, protocol, seeds)
-        return _finish(place, reference, jobs, entries, protocol, seeds, workers, scale, out, began)
+        card = judge(place, reference, rolled, protocol, seeds, scale)
+        return _finish(place, reference, jobs, card, workers, out, began)
 
 
-def _finish(
+def judge(
     place: Scene,
     reference: Reference,
-    jobs: list[Job],
-    entries: list[Entry],
+    rolled: dict[Job, Rolled],
     protocol: Protocol,
     seeds: int,
-    workers: int,
     scale: Scale,
-    out: Path,
-    began: float,
 ) -> Scorecard:
-    """Write scorecard, pictures and report."""
-    card = Scorecard(
+    """The scorecard of rollouts, `seeds` of each pair (in each fold)."""
+    return Scorecard(
         schema=SCHEMA,
         crowdbench=__version__,
         scene=place.id,
@@ -138,8 +135,21 @@ def _finish(
         resamples=RESAMPLES,
         scored=list(place.protocol.scored),
         scale=scale,
-        entries=entries,
+        entries=_entries(place, reference, rolled, protocol, seeds),
     )
+
+
+def _finish(
+    place: Scene,
+    reference: Reference,
+    jobs: list[Job],
+    card: Scorecard,
+    workers: int,
+    out: Path,
+    began: float,
+) -> Scorecard:
+    """Write scorecard, pictures and report."""
+    protocol = card.protocol
     write_json(out / "scorecard.json", card)
     crowds = {
         (job.spawn, job.policy, job.seed): read_own(job.path)
@@ -342,6 +352,45 @@ def _entry(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Rollouts and the recording as one metric sees them in the blocks that a part is scored on."""
+
+    part: str
+    blocks: TimeBlocks
+    recorded: Statistics
+    crowds: list[Statistics]
+    """The rollouts', by seed."""
+    fits: list[list[Statistics]]
+    """The same, of each fit."""
+
+
+def seen_in(
+    reference: Reference, metric: Metric, rolled: dict[Job, Rolled], protocol: str
+) -> Iterator[Seen]:
+    """What a metric sees of one pair's rollouts in each part of a protocol that it applies to."""
+    # Who was not trained on the recording walks all of it once, and is looked at fold by fold.
+    whole_recording = all(job.part == "full" for job in rolled)
+    for part in parts_of(protocol):
+        inside = reference.blocks.in_part(part)
+        blocks = reference.blocks.scored(part)
+        if not metric.applies(blocks):
+            continue
+        crowds = {
+            job: _rows(what.of(metric), inside)
+            for job, what in rolled.items()
+            if whole_recording or job.part == part
+        }
+        fits = sorted({job.fit for job in crowds})
+        yield Seen(
+            part,
+            blocks,
+            _rows(reference.statistics[metric.name], inside),
+            list(crowds.values()),
+            [[c for job, c in crowds.items() if job.fit == fit] for fit in fits],
+        )
+
+
 def _metric_card(
     scene: Scene,
     reference: Reference,
@@ -352,27 +401,13 @@ def _metric_card(
 ) -> MetricCard:
     results, energies = [], []
     recorded_arrivals = next(iter(rolled)).spawn == "replay"
-    # Who was not trained on the recording walks all of it once, and is looked at fold by fold.
-    whole_recording = all(job.part == "full" for job in rolled)
-    for part in parts_of(protocol):
-        inside = reference.blocks.in_part(part)
-        blocks = reference.blocks.scored(part)
-        if not metric.applies(blocks):
-            continue
-        recorded = _rows(reference.statistics[metric.name], inside)
-        crowds = {
-            job: _rows(what.of(metric), inside)
-            for job, what in rolled.items()
-            if whole_recording or job.part == part
-        }
-        results += [metric.compare(recorded, crowd, blocks) for crowd in crowds.values()]
-        fits = sorted({job.fit for job in crowds})
-        groups = [[c for job, c in crowds.items() if job.fit == fit] for fit in fits]
+    for seen in seen_in(reference, metric, rolled, protocol):
+        results += [metric.compare(seen.recorded, crowd, seen.blocks) for crowd in seen.crowds]
         if (metric.family not in WALK or recorded_arrivals) and (
-            len(crowds) == 1 < seeds or seeds >= 2 * scene.protocol.fits
+            len(seen.crowds) == 1 < seeds or min(map(len, seen.fits)) >= 2
         ):
-            draws = draws_of(scene, reference, part)
-            energies.append(energy(metric, recorded, groups, blocks, draws))
+            draws = draws_of(scene, reference, seen.part)
+            energies.append(energy(metric, seen.recorded, seen.fits, seen.blocks, draws))
     known = [e for e in energies if e is not None]
     whole = bool(known) and len(known) == len(parts_of(protocol))
     return MetricCard(

@@ -60,6 +60,17 @@ class Rolled:
     """By metric and name: the columns that are not zero, their values, and how many there are."""
     outcomes: np.ndarray
 
+    @classmethod
+    def of_crowd(cls, crowd: Trajectories, reference: Reference) -> "Rolled":
+        """Summarise a crowd in the time blocks of the reference."""
+        statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]] = {}
+        for metric, of_metric in summarise(crowd, reference.blocks, reference.place).items():
+            statistics[metric] = {}
+            for name, values in of_metric.items():
+                columns = np.flatnonzero(values.any(axis=0))
+                statistics[metric][name] = (columns, values[:, columns], values.shape[1])
+        return cls(statistics, np.bincount(crowd.outcome, minlength=len(OUTCOMES)))
+
     def of(self, metric: Metric) -> Statistics:
         """The statistics of a metric."""
         dense = {}
@@ -164,14 +175,7 @@ def _make(job: Job) -> None:
 
 
 def _roll_out(job: Job, reference: Reference) -> Rolled:
-    crowd = _made(job)
-    statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]] = {}
-    for metric, of_metric in summarise(crowd, reference.blocks, reference.place).items():
-        statistics[metric] = {}
-        for name, values in of_metric.items():
-            columns = np.flatnonzero(values.any(axis=0))
-            statistics[metric][name] = (columns, values[:, columns], values.shape[1])
-    return Rolled(statistics, np.bincount(crowd.outcome, minlength=len(OUTCOMES)))
+    return Rolled.of_crowd(_made(job), reference)
 
 
 def _made(job: Job) -> Trajectories:

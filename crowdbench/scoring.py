@@ -190,6 +190,34 @@ def energy(
     return Energy(centre, resampled)
 
 
+@dataclass(frozen=True, eq=False)
+class FitEnergies:
+    """What each fit alone gets, of the energy score's two terms."""
+
+    to_recorded: Float[np.ndarray, " fits"]
+    """Mean d(X_k, y)."""
+    spread: Float[np.ndarray, " fits"]
+    """½ mean d(X_k, X_l): how much rollouts differ; that of the true process is F."""
+
+
+def energies_of_fits(
+    metric: Metric,
+    recorded: Statistics,
+    rollouts: Sequence[Sequence[Statistics]],
+    blocks: TimeBlocks,
+) -> FitEnergies | None:
+    """The energy score's terms fit by fit; None where the metric is undefined."""
+    crowds = [recorded, *(crowd for fit in rollouts for crowd in fit)]
+    embedded = Embedded.of(metric, crowds, recorded, blocks)
+    if embedded is None:
+        return None
+    x = embedded(np.ones((1, len(blocks)), dtype=np.int64))
+    to_y, between = _distances(
+        x[:, 0], x[:, 1:].reshape(1, len(rollouts), len(rollouts[0]), x.shape[-1])
+    )
+    return FitEnergies(to_y[0].mean(axis=1), pair_mean(between[0]) / 2)
+
+
 def floor(
     metric: Metric,
     recording: Statistics,

@@ -1,18 +1,45 @@
-"""`leaderboard`: entries, and the pages that show them."""
+"""`leaderboard`: verify submissions, build the pages, score entries anew."""
 
 import argparse
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
+
+from crowdbench.cli.printing import new_console, new_table, progress_bar
+from crowdbench.errors import CrowdbenchError, SettingError
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
+    from crowdbench.jobs import Progress
+    from crowdbench.leaderboard.entry import Entry
+    from crowdbench.leaderboard.sandbox import Limits
+
+Named = TypeVar("Named", Path, str)
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
-    leaderboard = commands.add_parser("leaderboard", help="verify submissions, build the pages")
+    """Add them to the command line."""
+    leaderboard = commands.add_parser(
+        "leaderboard", help="verify submissions, build the pages, score entries anew"
+    )
     of_leaderboard = leaderboard.add_subparsers(required=True, metavar="COMMAND")
+    _add_verify(of_leaderboard)
     _add_build(of_leaderboard)
+    _add_rescore(of_leaderboard)
+
+
+def _add_verify(commands: "Commands") -> None:
+    verify = commands.add_parser(
+        "verify", help="roll out submissions in a sandbox, score them, and write their entries"
+    )
+    verify.add_argument("submission", nargs="+", type=Path, help="folder of a submission, or a zip")
+    verify.add_argument(
+        "--out", type=Path, required=True, metavar="DIR",
+        help="where ID.json, ID.run.json and the rollouts (work/) go",
+    )  # fmt: skip
+    _add_limits(verify)
+    verify.set_defaults(run=_verify)
 
 
 def _add_build(commands: "Commands") -> None:
@@ -27,6 +54,62 @@ def _add_build(commands: "Commands") -> None:
     build.set_defaults(run=_build)
 
 
+def _add_rescore(commands: "Commands") -> None:
+    rescore = commands.add_parser(
+        "rescore", help="verify entries anew with a newer scorer; the earlier result is kept"
+    )
+    rescore.add_argument("entry", nargs="*", help="ids of entries (default: all)")
+    rescore.add_argument("--reason", required=True, metavar="TEXT", help="why, for the history")
+    rescore.add_argument(
+        "--root", type=Path, default=Path("leaderboard"), metavar="DIR",
+        help="folder of entries/ and submissions/ (default: leaderboard)",
+    )  # fmt: skip
+    rescore.add_argument(
+        "--out", type=Path, default=Path("results/leaderboard"), metavar="DIR",
+        help="where ID.run.json and the rollouts go (default: results/leaderboard)",
+    )  # fmt: skip
+    _add_limits(rescore)
+    rescore.set_defaults(run=_rescore)
+
+
+def _add_limits(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--workers", type=int, help="processes (default: one per core)")
+    parser.add_argument(
+        "--hours", type=float, default=24.0, help="after which a submission is given up (24)"
+    )
+    parser.add_argument(
+        "--memory-gib", type=float, default=12.0, help="that a submission may use (12)"
+    )
+
+
+def _limits(asked: argparse.Namespace) -> "Limits":
+    from crowdbench.leaderboard.sandbox import Limits
+
+    for name in ("hours", "memory_gib"):
+        if not 0 < getattr(asked, name) < 1e6:
+            raise SettingError(
+                f"--{name.replace('_', '-')}", got=f"{getattr(asked, name)}", expected="more than 0"
+            )
+    return Limits(wall_s=3600 * asked.hours, memory_bytes=int(asked.memory_gib * 2**30))
+
+
+def _verify(asked: argparse.Namespace) -> None:
+    from crowdbench.leaderboard.verify import verify
+
+    limits = _limits(asked)
+
+    def one(submission: Path, progress: "Progress") -> "Entry":
+        entry, ran = verify(
+            submission, asked.out, workers=asked.workers, limits=limits, progress=progress
+        )
+        if ran.network != "none":
+            print(f"crowdbench: network {ran.network}", file=sys.stderr)
+        return entry
+
+    _each(asked.submission, one)
+    print(f"entries written to {asked.out}")
+
+
 def _build(asked: argparse.Namespace) -> None:
     from crowdbench.leaderboard.pages import build
 
@@ -34,3 +117,72 @@ def _build(asked: argparse.Namespace) -> None:
     entries = len(written) - 2
     number = f"{entries} {'entry' if entries == 1 else 'entries'}"
     print(f"{number}: written to {asked.root}: README.md, index.html and pages/")
+
+
+def _rescore(asked: argparse.Namespace) -> None:
+    from crowdbench.leaderboard.rescore import entry_ids, rescore
+
+    limits = _limits(asked)
+
+    def one(entry: str, progress: "Progress") -> "Entry":
+        return rescore(
+            entry,
+            asked.root,
+            reason=asked.reason,
+            out=asked.out,
+            workers=asked.workers,
+            limits=limits,
+            progress=progress,
+        )
+
+    named = asked.entry or entry_ids(asked.root)
+    if not named:
+        raise SettingError(
+            f"{asked.root}/entries", got="no entries", expected="some", mend="Name it by --root."
+        )
+    _each(named, one)
+
+
+def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> None:
+    """Do one after the other; who is refused keeps nobody from the next."""
+    refused = []
+    for name in named:
+        try:
+            with progress_bar(f"{name}") as progress:
+                entry = one(name, progress)
+        except CrowdbenchError as error:
+            if len(named) == 1:
+                raise
+            print(f"crowdbench: {error}", file=sys.stderr)
+            refused.append(f"{name}")
+        else:
+            _print_entry(entry)
+    if refused:
+        raise SettingError(
+            "leaderboard",
+            got=f"{len(refused)} of {len(named)} refused ({', '.join(refused)})",
+            expected="none",
+            mend="See above.",
+        )
+
+
+def _print_entry(entry: "Entry") -> None:
+    from crowdbench.metrics import FAMILIES
+    from crowdbench.report.words import interval, number
+    from crowdbench.scoring import combined
+
+    families = [f for f in FAMILIES if any(f in s.families for s in entry.scenes.values())]
+    table = new_table(f"{entry.id} ({entry.status})", *families, "score", "copied", "lives")
+    for name, scene in entry.scenes.items():
+        scores = {f: card.score() for f, card in scene.families.items()}
+        copy = scene.copy
+        table.add_row(
+            name,
+            *[number(scores.get(f)) for f in families],
+            interval(combined(list(scores.values()))),
+            "–" if copy.arrivals is None else f"{copy.arrivals:.2f}",
+            "–" if copy.lives is None else f"{100 * copy.lives:.0f} %",
+        )
+    new_console().print(table)
+    for flag in entry.flags:
+        print(f"{flag.what}: {flag.text}")

@@ -1,0 +1,82 @@
+"""Verification: from a submission, which is not trusted, to a signed-off entry.
+
+The work is done in a child process with limits; what it answers is read strictly.
+"""
+
+import platform
+import re
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from crowdbench import __version__
+from crowdbench.files import write_json
+from crowdbench.leaderboard.entry import Entry
+from crowdbench.leaderboard.sandbox import Limits, Ran, SandboxError, call
+
+DEFAULT = Limits()
+_ID = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+
+
+def verify(
+    submission: Path,
+    out: Path,
+    *,
+    workers: int | None = None,
+    limits: Limits = DEFAULT,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[Entry, Ran]:
+    """Roll out and score a submission; write `ID.json` and `ID.run.json` into `out`.
+
+    The same submission gives the same bytes in `ID.json`; time, memory and machine stand in the
+    other. Rollouts stay in `out/work/ID`, where a verification that was stopped goes on.
+
+    Raises:
+        SandboxError: it hung, crashed or used more than the limits allow.
+        CrowdbenchError: it is not as submissions have to be, or `out` cannot be written.
+    """
+    entry, ran = entry_of(submission, out / "work", workers, limits, progress)
+    write_json(out / f"{entry.id}.json", entry)
+    write_run(out / f"{entry.id}.run.json", ran)
+    return entry, ran
+
+
+def entry_of(
+    submission: Path,
+    work: Path,
+    workers: int | None,
+    limits: Limits,
+    progress: Callable[[int, int], None],
+) -> tuple[Entry, Ran]:
+    """What verification finds, and how the child ran."""
+    asked: dict[str, object] = {
+        "submission": str(submission.resolve()),
+        "work": str(work.resolve()),
+        "workers": workers,
+    }
+    entry, ran = call(
+        "crowdbench.leaderboard.judge:make_entry",
+        asked,
+        Entry,
+        where=submission,
+        limits=limits,
+        progress=progress,
+    )
+    if len(entry.id) > 60 or not _ID.fullmatch(entry.id):  # it becomes the name of a file
+        raise SandboxError(
+            submission, got="an answer whose id is no plain name", expected="a-z, 0-9 and hyphens"
+        )
+    return entry, ran
+
+
+def write_run(path: Path, ran: Ran) -> None:
+    """Write what depends on the machine and the day."""
+    versions = {
+        "crowdbench": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "machine": platform.platform(),
+    }
+    write_json(path, asdict(ran) | versions)
