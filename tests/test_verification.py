@@ -16,6 +16,7 @@ from crowdbench.errors import RecordingError
 from crowdbench.files import write_json
 from crowdbench.leaderboard.entry import Entry, read_entry
 from crowdbench.leaderboard.judge import make_entry
+from crowdbench.leaderboard.problems import SubmissionError
 from crowdbench.leaderboard.sandbox import Limits, SandboxError
 from crowdbench.leaderboard.submission import Submission
 from crowdbench.leaderboard.verify import verify
@@ -228,13 +229,10 @@ def test_blocks_of_the_recording_with_a_frame_of_jitter_are_flagged_as_trajector
     assert scene.metrics["speed"].score is None  # not under the recorded arrivals
 
 
-def test_a_single_crowd_has_distances_only(crowds: list[Trajectories], tmp_path: Path) -> None:
+def test_a_crowd_of_one_rollout_is_refused(crowds: list[Trajectories], tmp_path: Path) -> None:
     mine = as_trajectories(tmp_path / "mine", crowds[:1])
-    entry = make_entry(quietly, str(mine), str(tmp_path), 1)
-    scene = entry.scenes["plaza-v0"]
-    assert scene.families == {}
-    assert scene.metrics["inter_spawn"].distance is not None
-    assert {"too even", "too good"}.isdisjoint(flag.what for flag in entry.flags)
+    with pytest.raises(SubmissionError, match="expected 2 to 30 rollouts"):
+        make_entry(quietly, str(mine), str(tmp_path), 1)
 
 
 def test_without_the_recording_nothing_is_verified(
