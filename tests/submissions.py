@@ -135,3 +135,21 @@ def edit(folder: Path, old: str, new: str) -> Path:
     assert old in text
     path.write_text(text.replace(old, new))
     return folder
+
+
+FILLED = {
+    '"FILL IN: your name"': '"Ada Lovelace"',
+    '"FILL IN: an e-mail address, or where issues are opened"': '"ada@example.org"',
+    '"FILL IN: https://… of the paper or the code"': '"https://example.org"',
+    '"FILL IN: of the files here, an SPDX identifier such as Apache-2.0"': '"MIT"',
+    '"FILL IN: what it was trained on"': '"the plaza"',
+    '"FILL IN: a number"': "12",
+}
+
+
+def fill_in(folder: Path) -> None:
+    """Replace the placeholders of a submission that was begun by `submit init`."""
+    text = (folder / "submission.toml").read_text()
+    for old, new in FILLED.items():
+        if old in text:
+            edit(folder, old, new)

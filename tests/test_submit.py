@@ -3,33 +3,17 @@
 from pathlib import Path
 
 import pytest
-from submissions import FOLDS, PLAZA, edit, listed_submission, write_network
+from submissions import FOLDS, PLAZA, fill_in, listed_submission, write_network
 
 from crowdbench.cli import main
 from crowdbench.leaderboard.submission import open_submission
 from crowdbench.registry import WEIGHTS
 
 Printed = pytest.CaptureFixture[str]
-FILLED = {
-    '"FILL IN: your name"': '"Ada Lovelace"',
-    '"FILL IN: an e-mail address, or where issues are opened"': '"ada@example.org"',
-    '"FILL IN: https://… of the paper or the code"': '"https://example.org"',
-    '"FILL IN: of the files here, an SPDX identifier such as Apache-2.0"': '"MIT"',
-    '"FILL IN: a name"': '"A crowd"',
-    '"FILL IN: what it was trained on"': '"the plaza"',
-    '"FILL IN: a number"': "12",
-}
 
 
 def submit(*arguments: object) -> int:
     return main(["submit", *map(str, arguments)])
-
-
-def fill_in(folder: Path) -> None:
-    text = (folder / "submission.toml").read_text()
-    for old, new in FILLED.items():
-        if old in text:
-            edit(folder, old, new)
 
 
 def networks(folder: Path, scene: str = "plaza-v0") -> Path:
@@ -59,7 +43,7 @@ def test_from_a_trained_network_to_a_packed_submission(tmp_path: Path, capsys: P
     assert f"written to {packed}" in capsys.readouterr().out
     assert submit("check", packed) == 0
     with open_submission(packed) as submission:
-        assert submission.declared.name == "tiny"
+        assert submission.declared.name == "my-walker"
         assert submission.declared.training.parameters == 28
 
 

@@ -76,7 +76,7 @@ def start_submission(
     Args:
         folder: the new folder.
         track: one of `declared.Track`.
-        name: under which the leaderboard is to show it, by default that of its networks.
+        name: under which the leaderboard is to show it, by default that of the folder.
         scenes: by default those that the networks know, or those of the overall score.
         policies: folders that hold `fold0.onnx` and so on, one for each scene; or one file, of a
             network that knows none of the scenes.
@@ -103,7 +103,7 @@ def start_submission(
     text = _TOML.format(
         schema=SCHEMA,
         fill=PLACEHOLDER,
-        name=_quoted(name or (read[0].card.name if read else f"{fill}a name")),
+        name=_quoted(name or folder.resolve().name),
         track=track,
         meaning=_MEANING[track],
         scenes=json.dumps(chosen),
