@@ -9,10 +9,11 @@ from matplotlib.figure import Figure
 
 from crowdbench.blocks import TimeBlocks
 from crowdbench.figures import Sight, panels
+from crowdbench.figures.sight import COLOURS, spawn_colours
 from crowdbench.metrics import Place
 from crowdbench.metrics.presence import AgentsOverTime
 from crowdbench.reference import Reference, read_reference
-from crowdbench.registry import policy, spawn_model
+from crowdbench.registry import FITTED, policy, spawn_model
 from crowdbench.results.pictures import draw_pictures
 from crowdbench.rollouts import rollout
 from crowdbench.scene import load_scene
@@ -26,6 +27,14 @@ def sight() -> Sight:
     crowd = rollout(ETH, spawn_model("poisson-gmm", ETH), policy("straight", ETH), seed=0)
     crowds = {("poisson-gmm", name, 0): crowd for name in ("straight", "social-force")}
     return Sight.of(ETH, read_reference(ETH), crowds, "full")
+
+
+def test_a_fitted_model_has_one_colour_in_every_picture() -> None:
+    alone, beside = spawn_colours(["ntpp-gmm"]), spawn_colours(["mine:A", "ntpp-gmm", "mine:B"])
+    assert alone["ntpp-gmm"] == beside["ntpp-gmm"]
+    assert len({beside[name] for name in ("mine:A", "mine:B", *FITTED)}) == 5
+    many = spawn_colours([f"mine:{k}" for k in range(9)])
+    assert set(many.values()) == set(COLOURS)
 
 
 def drawn(sight: Sight) -> tuple[Axes, np.ndarray, np.ndarray]:

@@ -62,7 +62,7 @@ def _survival(sight: Sight, name: str, title: str, what: str) -> bytes:
 
     def draw(axes: "list[Axes]") -> None:
         (axis,) = axes
-        what_exactly = what.format(ten_frames=f"{10 * sight.scene.dt_s:g} s")
+        what_exactly = what.format(ten_frames=f"{10 * sight.scene.dt_s:.3g} s")
         panels.survival(axis, sight, sight.curves(name), unit=unit, what=what_exactly)
         if name == "dwell":
             panels.patience(axis, sight)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import cycle
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,6 +15,7 @@ from crowdbench.metrics.lattice import correlation
 from crowdbench.metrics.presence import LAGS_S, counted, lag_key, lagged
 from crowdbench.names import names_of
 from crowdbench.reference import Reference
+from crowdbench.registry import FITTED
 from crowdbench.scene import Scene
 from crowdbench.scoring import LEVEL, Draws
 from crowdbench.spawn.areas import Areas, read_areas
@@ -34,6 +36,13 @@ _TAILS = (100 * LEVEL / 2, 100 * (1 - LEVEL / 2))
 def goal_colour(area: int) -> str:
     """The colour of a goal area and of all who walk there, `#RRGGBB`."""
     return COLOURS[area % len(COLOURS)]
+
+
+def spawn_colours(spawns: Sequence[str]) -> dict[str, str]:
+    """Colours of spawn models: those that are fitted have theirs in every picture."""
+    own = dict(zip(FITTED, COLOURS, strict=False))
+    others = [spawn for spawn in dict.fromkeys(spawns) if spawn not in own]
+    return own | dict(zip(others, cycle(COLOURS[len(own) :]), strict=False))
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,13 +126,13 @@ class Sight:
         pairs = list(dict.fromkeys((spawn, policy) for spawn, policy, _ in crowds))
         names = names_of([*pairs, *ANCHORS], scene)  # tables show the anchors beside them
         pairs = [pair for pair in pairs if pair[0] != "replay"] or pairs
-        spawns = list(dict.fromkeys(spawn for spawn, _ in pairs))
+        colours = spawn_colours([spawn for spawn, _ in pairs])
         policies = list(dict.fromkeys(policy for _, policy in pairs))
         groups = [
             Group(
                 spawn,
                 policy,
-                COLOURS[spawns.index(spawn) % len(COLOURS)],
+                colours[spawn],
                 DASHES[policies.index(policy) % len(DASHES)],
                 [crowd for key, crowd in crowds.items() if key[:2] == (spawn, policy)],
                 names.pair(spawn, policy),

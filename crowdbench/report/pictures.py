@@ -155,7 +155,7 @@ def _distributions(sight: Sight) -> list[str]:
     for name, title, what, unit in (
         ("inter_spawn", "Inter-spawn time", "time between two arrivals (s)", scene.grid_s),
         ("spawns_per_10_frames", "Spawns per 10 frames",
-         f"people who enter in {10 * scene.dt_s:g} s", 1.0),
+         f"people who enter in {10 * scene.dt_s:.3g} s", 1.0),
         ("agents_over_time", "Agents present, N(t)", "agents present", 1.0),
         ("dwell", "Dwell time", "time from entering to leaving (s)", scene.dt_s),
     ):  # fmt: skip

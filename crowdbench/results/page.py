@@ -89,7 +89,7 @@ process’s.
 def of_recording(scene: Scene) -> str:
     """What crowds are compared with, and whom to cite for it."""
     name = scene.recording.name
-    length = f"{scene.horizon_s:,.0f} s in frames of {scene.dt_s:g} s"
+    length = f"{scene.horizon_s:,.0f} s in frames of {scene.dt_s:.3g} s"
     if name == "plaza":
         return (
             f"The place is made up, and the recording that crowds are compared with, {length}, is "

@@ -72,7 +72,7 @@ def draw_pictures(sight: Sight, folder: Path) -> list[Picture]:
         Picture(
             "spawns_per_10_frames.png",
             "Spawns per 10 frames",
-            f"People who enter in {10 * scene.dt_s:g} s. Curves and band as above. {walkers} "
+            f"People who enter in {10 * scene.dt_s:.3g} s. Curves and band as above. {walkers} "
             f"{medians(one, one.curves('spawns_per_10_frames'), 1.0)}",
         ),
         Picture(
