@@ -105,6 +105,12 @@ def opentraj() -> Path:
 
 
 @pytest.fixture(autouse=True)
+def no_width(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is printed is as wide as it needs to be, whatever the tests are run from."""
+    monkeypatch.delenv("COLUMNS", raising=False)
+
+
+@pytest.fixture(autouse=True)
 def home(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Each test has a CROWDBENCH_HOME of its own."""
     folder = tmp_path_factory.mktemp("home")

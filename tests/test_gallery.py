@@ -224,7 +224,7 @@ def test_by_default_the_best_policy_that_comes_with_a_scene_walks(tmp_path: Path
         return job.policy
 
     assert walker("eth-v0") == "gail"
-    assert walker("gc-v0") == "bc"
+    assert walker("gc-v0") == "gail"
     assert walker("plaza-v0") == "social-force"
 
 
