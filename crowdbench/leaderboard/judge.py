@@ -135,17 +135,16 @@ def _task(given: Submission, name: str, folder: Path, rollouts: int | None) -> _
             for k, path in enumerate(tables)
         ]
         crowd, walk = (None if track == "walk" else pair), (None if track == "spawn" else pair)
-        return _Task(place, reference, "full", crowd, walk, jobs, len(jobs))
+        return _Task(place, reference, given.protocol, crowd, walk, jobs, len(jobs))
     policy = "straight" if track == "spawn" else _local(given.policy_of(name), given.folder)
     spawn = "replay" if track == "walk" else _local(given.spawn_of(name), given.folder)
     crowd = None if track == "walk" else (spawn, policy)
     walk = None if track == "spawn" else ("replay", policy)
-    protocol: Protocol = "full" if given.status == "listed" else "heldout"
     default = place.protocol.fits * place.protocol.rollouts_per_fit
     seeds = default if rollouts is None else rollouts
     pairs = list(dict.fromkeys(pair for pair in (crowd, walk) if pair is not None))
-    jobs = plan(name, place, pairs, protocol, seeds, folder / name)
-    return _Task(place, reference, protocol, crowd, walk, jobs, seeds)
+    jobs = plan(name, place, pairs, given.protocol, seeds, folder / name)
+    return _Task(place, reference, given.protocol, crowd, walk, jobs, seeds)
 
 
 def _local(name: str, folder: Path) -> str:
