@@ -1,14 +1,18 @@
 """The study of windows and strides: complete, resumable, and its sentence says what numbers say."""
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
+import pages
 import pytest
 from scipy.stats import wasserstein_distance
 
+from crowdbench import cli
 from crowdbench.ablation import study, write_ablation
 from crowdbench.ablation.finding import finding
 from crowdbench.ablation.measures import Numbers
@@ -33,24 +37,35 @@ class Study:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.work = folder / "work" / "ablation-plaza-v0"
+        self.work = folder / "results/ablation-plaza-v0"
+        self.page = folder / "docs/ablation/plaza-v0.md"
+
+    def by_command(self) -> None:
+        """Make it as the pages of such studies say."""
+        asked = pages.arguments("docs/ablation/gc-v0.md", "crowdbench ablation")
+        with self.small():
+            assert cli.main(["ablation", *asked, "--workers", "1"]) == 0
 
     def again(self) -> list[tuple[int, int]]:
         """Make what is missing, and the page; what was said of its progress."""
         told: list[tuple[int, int]] = []
+        with self.small():
+            written = write_ablation(
+                "plaza-v0", workers=1, progress=lambda done, total: told.append((done, total))
+            )
+            assert written.resolve() == self.page
+        return told
+
+    @contextmanager
+    def small(self) -> Iterator[None]:
+        """In its folder, with fewer configurations, samples and epochs."""
         with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(self.folder)
             patch.setattr(study, "WINDOWS_FRAMES", (100, 500))
             patch.setattr(study, "STRIDES_FRAMES", (50,))
             patch.setattr(study, "SAMPLES", 2)
             patch.setattr(ntpp_training, "SETTINGS", TINY)
-            self.page = write_ablation(
-                "plaza-v0",
-                out=self.folder / "docs",
-                work=self.folder / "work",
-                workers=1,
-                progress=lambda done, total: told.append((done, total)),
-            )
-        return told
+            yield
 
     def samples(self) -> dict[str, Sample]:
         files = sorted(self.work.glob("*.json"))
@@ -60,7 +75,7 @@ class Study:
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Study:
     found = Study(tmp_path_factory.mktemp("ablation"))
-    assert found.again() == [(k, 8) for k in range(9)]
+    found.by_command()
     return found
 
 

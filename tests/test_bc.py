@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pages
 import pytest
 from conftest import need_imitation
 
@@ -109,8 +110,9 @@ def test_training_stops_when_nothing_gets_better() -> None:
 
 
 def test_the_file_acts_as_the_policy_does(tmp_path: Path, capsys) -> None:
-    asked = ["--scene", "plaza-v0", "--epochs", "2", "--batch-size", "512", "--seed", "3"]
-    assert bc.main([*asked, "--out", str(tmp_path)]) == 0
+    asked = pages.arguments("docs/training.md", "python -m baselines.bc")
+    small = ["--epochs", "2", "--batch-size", "512", "--seed", "3"]
+    assert bc.main([*asked, *small, "--out", str(tmp_path)]) == 0
     assert "nats per action after" in capsys.readouterr().out
     policy = OnnxPolicy(tmp_path / "full.onnx")
     assert policy.noise == NOISE

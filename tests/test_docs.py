@@ -13,7 +13,7 @@ import pages
 import pytest
 
 from crowdbench import load_scene, rollout
-from crowdbench.cli import main
+from crowdbench.cli import _parser, main
 from crowdbench.policies import StateView
 from crowdbench.trajectories import OUTCOMES, PERSON_COLUMNS
 
@@ -135,3 +135,32 @@ def test_every_command_runs(
         arguments = shlex.split(command.replace("scenes/", f"{ROOT}/scenes/"))[1:]
         arguments += ["--seeds", "1"] if arguments[0] == "evaluate" else []
         assert main(arguments) == 0, f"{command}: {capsys.readouterr().err}"
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_command_that_a_sentence_mentions_exists(
+    path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for mentioned in re.findall(r"`crowdbench( [^`…]*)`", path.read_text()):
+        try:
+            _parser().parse_args(shlex.split(mentioned))
+        except SystemExit:  # a command may be named without what it needs
+            assert "the following arguments are required" in capsys.readouterr().err, mentioned
+
+
+def test_every_page_of_results_says_how_it_was_made() -> None:
+    for kind in ("results", "ablation"):
+        for path in DOCS.glob(f"{kind}/*.md"):  # tests of the command itself run it on the plaza
+            assert pages.commands(path.read_text()) == [f"crowdbench {kind} {path.stem}"]
+
+
+def test_no_page_has_commands_that_no_test_runs() -> None:
+    here = "forum.md", "training.md", "spawn-models.md"
+    elsewhere = ["README.md", "scenes.md", "steering.md", "viewer.md", "figures.md", "walks.md"]
+    of_results = [*DOCS.glob("results/*.md"), *DOCS.glob("ablation/*.md")]
+    with_commands = {path for path in PAGES if "crowdbench" in "".join(blocks_of(path))}
+    assert {path.name for path in with_commands - set(of_results)} == {*here, *elsewhere}
+
+
+def blocks_of(path: Path) -> list[str]:
+    return pages.blocks(path.read_text(), "sh")

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pages
 import pytest
 from conftest import need_imitation
 
@@ -127,9 +128,9 @@ def test_who_is_reminded_is_made_steadier_in_the_end(
 
 
 def test_the_file_and_the_curves_are_written(tmp_path: Path, capsys) -> None:
-    asked = "--scene plaza-v0 --steps 2048 --persons 16 --horizon-s 60 --cloning-epochs 1"
-    more = ["--cloning-batch-size", "512", "--out", str(tmp_path)]
-    assert gail.main([*asked.split(), *more]) == 0
+    asked = pages.arguments("docs/training.md", "python -m baselines.gail")
+    small = "--steps 2048 --persons 16 --horizon-s 60 --cloning-epochs 1 --cloning-batch-size 512"
+    assert gail.main([*asked, *small.split(), "--out", str(tmp_path)]) == 0
     assert "steps  at goal" in capsys.readouterr().out
     policy = OnnxPolicy(tmp_path / "full.onnx")
     assert policy.noise == NOISE

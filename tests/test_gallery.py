@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pages
 import pytest
 
 from crowdbench import cli, gallery
@@ -30,26 +31,31 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All figures of the plaza, with the rollouts they were drawn from."""
     import_recording("plaza")  # once: else it is generated wherever it is looked at
     folder = tmp_path_factory.mktemp("gallery")
-    made = draw(folder)
+    asked = pages.arguments("docs/figures.md", "crowdbench figures")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert cli.main(["figures", *asked, "--seeds", f"{ROLLOUTS}", "--workers", "1"]) == 0
     names = [f"plaza-v0/{figure}.png" for figure in FIGURES[:-1]] + ["sheet.png"]
-    assert made == [folder / "docs" / name for name in names]
+    assert sorted(folder.glob("docs/figures/**/*.png")) == sorted(
+        folder / "docs/figures" / name for name in names
+    )
     return folder
 
 
 def draw(folder: Path, *figures: str) -> list[Path]:
-    return write_figures(["plaza-v0"], figures=figures or FIGURES, out=folder / "docs",
-                         work=folder / "work", seeds=ROLLOUTS, workers=1)  # fmt: skip
+    return write_figures(["plaza-v0"], figures=figures or FIGURES, out=folder / "docs/figures",
+                         work=folder / "results", seeds=ROLLOUTS, workers=1)  # fmt: skip
 
 
 def numbers(folder: Path, figure: str) -> dict[str, Any]:
     where = "" if figure == "sheet" else "plaza-v0/"
-    found = json.loads((folder / "docs" / f"{where}{figure}.json").read_bytes())
+    found = json.loads((folder / "docs/figures" / f"{where}{figure}.json").read_bytes())
     assert found["figure"] == figure
     return found
 
 
 def rollouts(folder: Path, spawn: str) -> list[Path]:
-    return sorted(folder.glob(f"work/figures-plaza-v0/rollouts/{spawn}_social-force_*.parquet"))
+    return sorted(folder.glob(f"results/figures-plaza-v0/rollouts/{spawn}_social-force_*.parquet"))
 
 
 def distance_in_sd(points: np.ndarray, areas: Gaussians, k: int) -> np.ndarray:
@@ -59,7 +65,7 @@ def distance_in_sd(points: np.ndarray, areas: Gaussians, k: int) -> np.ndarray:
 
 def test_pictures_are_small_and_the_same_again(folder: Path, tmp_path: Path) -> None:
     import_recording("plaza")
-    shutil.copytree(folder / "work", tmp_path / "work")
+    shutil.copytree(folder / "results", tmp_path / "results")
     for path in draw(tmp_path):
         before = folder / path.relative_to(tmp_path)
         assert path.read_bytes().startswith(b"\x89PNG")

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pages
 import pytest
 import torch
 from given import Given
@@ -95,8 +96,9 @@ def test_only_steps_of_people_are_learned_from(batch: TensorDict) -> None:
 def test_it_trains_and_its_file_acts_as_it_does(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = ["--scene", "plaza-v0", "--frames", "400", "--batch-frames", "200", "--worlds", "2"]
-    assert ppo.main([*asked, "--horizon-s", "20", "--out", str(tmp_path)]) == 0
+    asked = pages.arguments("docs/training.md", "python -m baselines.ppo")
+    small = ["--frames", "400", "--batch-frames", "200", "--worlds", "2", "--horizon-s", "20"]
+    assert ppo.main([*asked, *small, "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "agent-steps/s collected" in printed
     assert "at goal" in printed

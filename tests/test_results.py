@@ -6,15 +6,16 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import pages
 import pytest
 
-from crowdbench import __version__
+from crowdbench import __version__, cli
 from crowdbench.cards import SCHEMA, Entry, Protocol, Scorecard, read_anchors, read_scorecard, rows
 from crowdbench.figures import FIGURES
 from crowdbench.metrics import METRICS
 from crowdbench.reference import read_reference
+from crowdbench.registry import import_recording
 from crowdbench.report.words import plainly, with_interval
-from crowdbench.results import write_results
 from crowdbench.results.correlations import Lag, at_lags
 from crowdbench.results.misses import QUANTITIES
 from crowdbench.results.page import of_recording, page
@@ -36,8 +37,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def written(folder: Path) -> Path:
-    """The page of the plaza, one rollout of each crowd: distances, but no scores."""
-    return write_results("plaza-v0", out=folder / "docs", work=folder / "work", seeds=1, workers=2)
+    """The page of the plaza by its own command, but with one rollout of each crowd: distances, no
+    scores."""
+    asked = pages.arguments("docs/results/plaza-v0.md", "crowdbench results", small=False)
+    import_recording("plaza")  # once: else it is generated wherever it is looked at
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert cli.main(["results", *asked, "--seeds", "1"]) == 0
+    return folder / "docs/results/plaza-v0.md"
 
 
 def anchor(spawn: str, policy: str, /, **changes: object) -> Entry:
@@ -106,7 +113,7 @@ def test_each_crowd_and_each_anchor_has_its_row_in_both_protocols(
     text = written.read_text(encoding="utf-8")
     for protocol, head in (("full", "### Full"), ("heldout", "### Held out")):
         scores = section(text, "## Scores", head)
-        card = read_scorecard(folder / "work" / f"plaza-v0-{protocol}" / "scorecard.json")
+        card = read_scorecard(folder / "results" / f"plaza-v0-{protocol}" / "scorecard.json")
         names = [f"{row.spawn} × {row.policy}" for row in rows(card)]
         assert len(names) == 12
         found = re.findall(r"\| \*?([\w-]+ × [\w-]+)\*? \|", scores)
@@ -117,7 +124,7 @@ def test_distances_are_those_of_the_scorecards(written: Path, folder: Path) -> N
     text = written.read_text(encoding="utf-8")
     for protocol, head in (("full", "### Full"), ("heldout", "### Held out")):
         shown = section(text, "## Distances", head)
-        card = read_scorecard(folder / "work" / f"plaza-v0-{protocol}" / "scorecard.json")
+        card = read_scorecard(folder / "results" / f"plaza-v0-{protocol}" / "scorecard.json")
         for entry in card.entries:
             for metric in entry.metrics.values():
                 assert metric.distance is not None
@@ -241,7 +248,7 @@ def test_lines_are_short_and_intervals_whole() -> None:
 
 def test_lags_average_to_what_the_scorecard_holds(written: Path, folder: Path) -> None:
     for protocol, parts in (("full", ["full"]), ("heldout", ["fold0", "fold1", "fold2"])):
-        work = folder / "work" / f"plaza-v0-{protocol}"
+        work = folder / "results" / f"plaza-v0-{protocol}"
         names = {part: f"ntpp-gmm_social-force_{part}" for part in parts}
         crowds = {
             part: [read_own(work / "rollouts" / f"{name}_0.parquet")]
@@ -264,7 +271,7 @@ def test_the_picture_of_the_autocorrelation_shows_what_the_metric_compares(
 ) -> None:
     text = written.read_text(encoding="utf-8")
     said = section(text, "## Pictures", "### Autocorrelation of the number of agents")
-    card = read_scorecard(folder / "work" / "plaza-v0-full" / "scorecard.json")
+    card = read_scorecard(folder / "results" / "plaza-v0-full" / "scorecard.json")
     for entry in card.entries[:6]:
         of_card = entry.metrics["autocorrelation"]
         for name, mean in (

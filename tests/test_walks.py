@@ -4,18 +4,20 @@ import re
 from pathlib import Path
 
 import msgspec
+import pages
 import pytest
 
 from crowdbench import cli
 from crowdbench.cards import SCHEMA, Scorecard, read_anchors
 from crowdbench.errors import RecordingError, SettingError
-from crowdbench.registry import recording_of
+from crowdbench.registry import import_recording, recording_of
 from crowdbench.scene import load_scene
 from crowdbench.scoring import RESAMPLES
 from crowdbench.walks import RecordedPaths, write_walks
 from crowdbench.walks.page import Walked, scores
 
 PLAZA = load_scene("plaza-v0")
+ORCA = "baselines.orca:ORCA"  # as asked for; shown as `orca`
 
 
 def section(text: str, title: str) -> list[list[str]]:
@@ -24,27 +26,32 @@ def section(text: str, title: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.split("|")[1:-1]] for line in body.strip().split("\n")]
 
 
-def test_the_page_of_the_plaza(tmp_path: Path) -> None:
+def test_the_command_of_the_page_on_the_plaza(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # One test, since workers that share its parts would each make all rollouts. Two rollouts of a
     # policy make distances, but no scores.
-    path = write_walks(["plaza-v0"], out=tmp_path / "docs", work=tmp_path / "work", seeds=2,
-                       workers=1)  # fmt: skip
-    text = path.read_text()
+    import_recording("plaza")  # once: else it is generated wherever it is looked at
+    monkeypatch.chdir(tmp_path)
+    asked = pages.arguments("docs/walks.md", "crowdbench walks")
+    assert cli.main(["walks", *asked, "--seeds", "2", "--workers", "1"]) == 0
+    text = Path("docs/walks.md").read_text()
     for title in ("Full", "Held out"):
         head, _, *lines = section(text, title)
         assert head[:6] == ["policy", "sees", "rank", "walk", "motion", "interaction"]
         of = {line[0]: line for line in lines}
-        assert set(of) == {"straight", "social-force"}  # random's two rollouts are too few
+        assert set(of) == {"straight", "social-force", "orca"}  # random's two are too few
         assert of["straight"][3] == "0.00 [0.00, 0.00]"
         assert of["social-force"][1:3] == ["state", "1"]
+        assert of["orca"][1] == "state"
     said = "No score of random: that needs at least two rollouts of each of the 5 fits, 10 in all;"
     assert re.sub(r"\s+", " ", text).count(f"{said} 2 were made.") == 2
     for title in ("Distances, full", "Distances, held out"):
         head, _, *lines = section(text, title)
-        assert head[-3:] == ["random", "straight", "social-force"]
+        assert head[-4:] == ["random", "straight", "social-force", "orca"]
         assert {line[0] for line in lines} == {"lives", "motion", "interaction"}
         (dwell,) = (line for line in lines if line[1] == "dwell")
-        assert float(dwell[-2].split(" ")[0]) < 0.1
+        assert float(dwell[-3].split(" ")[0]) < 0.1
     head, _, *lines = section(text, "Do they arrive?")
     assert head[1] == "at goal (recorded)"
     assert head[5] == "at goal (ntpp-gmm)"
@@ -55,8 +62,8 @@ def test_the_page_of_the_plaza(tmp_path: Path) -> None:
     linked = re.findall(r"!\[[^]]+\]\(([^)]+)\)", text)
     assert linked == ["walks/plaza-v0-dwell.png"]
     for name in linked:
-        assert (tmp_path / "docs" / name).read_bytes().startswith(b"\x89PNG")
-    assert "crowdbench walks plaza-v0 --seeds 2" in text
+        assert Path("docs", name).read_bytes().startswith(b"\x89PNG")
+    assert f"crowdbench walks plaza-v0 --policy {ORCA} --seeds 2" in text
 
 
 def test_where_nobody_has_a_score_the_page_has_no_table_but_says_why() -> None:
