@@ -207,14 +207,15 @@ def check_against(scene: Scene, recording: Trajectories) -> None:
         ("recording.frames", scene.recording.frames, recording.frames),
         ("recording.dwell_p99_s", scene.recording.dwell_p99_s, dwell_p99_s(recording)),
     )
-    for name, stated, found in facts:
-        if not np.isclose(stated, found, rtol=1e-3):
-            raise SceneError(
-                scene.folder / "scene.toml",
-                got=f"{name} = {stated}",
-                expected=f"{found:.2f}, as in the recording {recording.scene}",
-                mend="Correct it, or fit with the recording that the scene is made from.",
-            )
+    wrong = [fact for fact in facts if not np.isclose(fact[1], fact[2], rtol=1e-3)]
+    if wrong:
+        raise SceneError(
+            scene.folder / "scene.toml",
+            got=", ".join(f"{name} = {stated}" for name, stated, _ in wrong),
+            expected=", ".join(f"{name} = {found:.10g}" for name, _, found in wrong)
+            + f", as in the recording {recording.scene}",
+            mend="Correct it, or fit with the recording that the scene is made from.",
+        )
     outside = ~scene.walkable(recording.xy.astype(np.float64))
     outside[recording.offsets[1:] - 1] = False  # a simulated person's last step may lead there
     if outside.mean() > ASTRAY:
