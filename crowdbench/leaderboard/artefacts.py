@@ -42,6 +42,21 @@ def check_models(
         )
 
 
+def shipped_files(declared: Declared) -> dict[str, Path]:
+    """The files of the shipped models that a submission names, by their path in crowdbench."""
+    found: dict[str, Path] = {}
+    for scene in declared.scenes:
+        folder = load_scene(scene).folder
+        if declared.shipped_policy in trained_policies(load_scene(scene)):
+            networks = folder / "policies" / declared.shipped_policy
+            files = [networks / f"{part}.onnx" for part in parts_of(declared)]
+        else:
+            files = []
+        files += [folder / f for f, model in WEIGHTS.items() if model == declared.shipped_spawn]
+        found |= {f"scenes/{scene}/{file.relative_to(folder)}": file for file in files}
+    return found
+
+
 def _read_weights(path: Path, scene: str) -> None:
     size, most = path.stat().st_size, LARGEST_FITS[path.suffix]
     if size > most:

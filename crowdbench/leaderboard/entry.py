@@ -138,7 +138,8 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     crowdbench: str
     """Version."""
     artefacts: dict[str, str]
-    """SHA-256 by path in the submission, `submission.toml` included."""
+    """SHA-256 by path in the submission, `submission.toml` included, and by path in crowdbench of
+    the files of shipped models."""
     scenes: dict[str, SceneEntry]
     flags: list[Flag]
     history: list[Earlier]

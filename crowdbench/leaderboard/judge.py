@@ -75,9 +75,9 @@ def make_entry(
 
 
 def artefacts_of(progress: Callable[[int, int], None], submission: str) -> dict[str, str]:
-    """SHA-256 of a submission's files."""
+    """SHA-256 of a submission's files, and of the shipped ones that it names."""
     with open_submission(Path(submission)) as given:
-        return given.artefacts
+        return given.artefacts | given.shipped
 
 
 def _scenes(given: Submission) -> list[str]:
@@ -115,7 +115,7 @@ def _entry(
         declared=given.declared,
         scorer=SCORER,
         crowdbench=__version__,
-        artefacts=given.artefacts,
+        artefacts=given.artefacts | given.shipped,
         scenes=scenes,
         flags=flags,
         history=[],

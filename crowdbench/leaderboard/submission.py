@@ -12,7 +12,7 @@ from typing import Literal
 from crowdbench.errors import CrowdbenchError
 from crowdbench.files import sha256
 from crowdbench.leaderboard.archive import pack, unpack
-from crowdbench.leaderboard.artefacts import check_models
+from crowdbench.leaderboard.artefacts import check_models, shipped_files
 from crowdbench.leaderboard.crowds import check_crowds
 from crowdbench.leaderboard.declaration import read_declared
 from crowdbench.leaderboard.declared import FILE, Declared
@@ -34,6 +34,8 @@ class Submission:
     layout: Layout
     artefacts: dict[str, str]
     """SHA-256 by path in the submission, `submission.toml` included."""
+    shipped: dict[str, str]
+    """SHA-256 by path in crowdbench of what the shipped models that it names are read from."""
 
     @property
     def id(self) -> str:
@@ -152,7 +154,8 @@ def _checked(folder: Path, named: Path) -> Submission:
     if problems or declared is None:
         raise SubmissionError(named, problems)
     hashes = {name: sha256((folder / name).read_bytes()) for name in names}
-    return Submission(folder, declared, layout, hashes)
+    shipped = {name: sha256(file.read_bytes()) for name, file in shipped_files(declared).items()}
+    return Submission(folder, declared, layout, hashes, shipped)
 
 
 def slug(name: str) -> str:
