@@ -33,7 +33,9 @@ def _add_verify(commands: "Commands") -> None:
     verify = commands.add_parser(
         "verify", help="roll out submissions in a sandbox, score them, and write their entries"
     )
-    verify.add_argument("submission", nargs="+", type=Path, help="folder of a submission, or a zip")
+    verify.add_argument(
+        "submission", nargs="+", type=Path, help="folder of a submission, or its zip"
+    )
     verify.add_argument(
         "--out", type=Path, required=True, metavar="DIR",
         help="where ID.json, ID.run.json and the rollouts (work/) go",
