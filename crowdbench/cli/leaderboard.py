@@ -169,19 +169,20 @@ def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> 
 
 
 def _print_entry(entry: "Entry") -> None:
+    from crowdbench.leaderboard.pages.standings import View, scores
     from crowdbench.metrics import FAMILIES
     from crowdbench.report.words import interval, number
-    from crowdbench.scoring import combined
 
     families = [f for f in FAMILIES if any(f in s.families for s in entry.scenes.values())]
-    table = new_table(f"{entry.id} ({entry.status})", *families, "score", "copied", "lives")
+    copies = ("copied arrivals", "copied lives")
+    table = new_table(f"{entry.id} ({entry.status})", *families, "score", *copies)
+    found = scores(entry)
     for name, scene in entry.scenes.items():
-        scores = {f: card.score() for f, card in scene.families.items()}
         copy = scene.copy
         table.add_row(
             name,
-            *[number(scores.get(f)) for f in families],
-            interval(combined(list(scores.values()))),
+            *[number(found.get(View(f, name))) for f in families],
+            interval(found.get(View(scene=name))),
             "–" if copy.arrivals is None else f"{copy.arrivals:.2f}",
             "–" if copy.lives is None else f"{100 * copy.lives:.0f} %",
         )
