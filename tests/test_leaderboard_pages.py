@@ -443,6 +443,15 @@ def test_any_curve_can_be_drawn_inside_its_picture(values: list[tuple[float, ...
         assert f">{name}</text>" in svg
 
 
+def test_shares_that_end_next_to_one_are_drawn_up_to_one() -> None:
+    values = [0.0, 0.4, 0.998]
+    curve = Curve(x_label="x", y_label="y", x=[0.0, 1.0, 1.99], recorded=values, simulated=values)
+    assert figure("Title", curve).count(">1</text>") == 2  # on both axes
+    assert ">2</text>" in figure("Title", curve)
+    small = msgspec.structs.replace(curve, recorded=[0.0, 0.4, 0.9], simulated=[0.0, 0.4, 0.9])
+    assert figure("Title", small).count(">1</text>") == 1
+
+
 def test_the_workflow_may_read_and_nothing_else() -> None:
     text = (ROOT.parent / ".github" / "workflows" / "leaderboard.yml").read_text()
     said = re.sub(r"^ *#.*$", "", text, flags=re.M)

@@ -77,10 +77,13 @@ def _add_rescore(commands: "Commands") -> None:
 def _add_limits(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, help="processes (default: one per core)")
     parser.add_argument(
-        "--hours", type=float, default=24.0, help="after which a submission is given up (24)"
+        "--hours",
+        type=float,
+        default=24.0,
+        help="after which a submission is given up (default: 24)",
     )
     parser.add_argument(
-        "--memory-gib", type=float, default=12.0, help="that a submission may use (12)"
+        "--memory-gib", type=float, default=12.0, help="that a submission may use (default: 12)"
     )
 
 

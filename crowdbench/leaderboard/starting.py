@@ -25,7 +25,7 @@ link = "{fill}: https://… of the paper or the code"
 licence = "{fill}: of the files here, an SPDX identifier such as Apache-2.0"
 
 track = "{track}"  # {meaning}
-kind = "learned"  # or "model-based"; "privileged": it sees the simulation's state
+kind = "learned"  # or "model-based"; "privileged" sees the simulation's state, as no file does
 scenes = {scenes}  # eth-v0, gc-v0 and forum-v0 make the overall score
 
 # In place of files, what comes with crowdbench (take the # away):
