@@ -385,10 +385,10 @@ def test_the_table_in_markdown_has_ranks_scores_and_flags(board: Path) -> None:
     text = (board / "README.md").read_text()
     (line,) = [row for row in text.splitlines() if "pages/ntpp-gmm.html" in row]
     score = scores(next(e for e in everyone() if e.id == "ntpp-gmm"))[View()]
-    assert line.startswith("| 2\u202f= | [ntpp-gmm](pages/ntpp-gmm.html) | learned |")
+    assert line.startswith("| 2\u202f= | [ntpp-gmm](pages/ntpp-gmm.html) | learned |  |")
     assert f"| {with_interval(score)} |" in line
     (flagged,) = [row for row in text.splitlines() if "pages/jittered-blocks.html" in row]
-    assert flagged.endswith("| copied arrivals |")
+    assert "(pages/jittered-blocks.html) | learned | copied arrivals |" in flagged
     (reference,) = [row for row in text.splitlines() if "pages/block-replay.html" in row]
     assert reference.startswith("|  | *[block-replay]")
     assert text.index("pages/theirs.html") > text.index("## Listed")

@@ -92,8 +92,8 @@ recording itself, blocks of it from memory, chance.</li>
 <li><b>Copy</b> tells how much of a crowd may be the recording itself: how well its arrivals
 correlate with recorded ones, minute by minute, and the share of lives that stay within 0.1 m of a
 recorded one; the highest of all scenes.</li>
-<li><b>Flags</b> change no score: what copies more than chance would, or is better or more even than
-the true process, <a href="RULES.md#what-is-flagged">is flagged</a>.</li>
+<li><b>Flags</b> change no score: who copies more than chance would, scores above the true process,
+or varies too little, <a href="RULES.md#what-is-flagged">is flagged</a>.</li>
 </ul>
 </section>"""
 

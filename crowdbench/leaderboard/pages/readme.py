@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from crowdbench.leaderboard.declared import SCENES
 from crowdbench.leaderboard.pages.index import JUDGED, LISTED, SUBMIT
 from crowdbench.leaderboard.pages.standings import Line, Standing, View
-from crowdbench.leaderboard.pages.tables import OVERALL, correlation, share
+from crowdbench.leaderboard.pages.tables import COPIED, OVERALL, copied, correlation, share
 from crowdbench.leaderboard.pages.text import in_markdown
 from crowdbench.report.markdown import flowed, table
 from crowdbench.report.words import interval, number
@@ -73,38 +73,37 @@ def _track(standing: Standing) -> str:
     title = f"## {standing.track.capitalize()}\n\n{JUDGED[standing.track]}\n\n"
     if not lines:
         return f"{title}No entries yet."
-    head = ["rank", "entry", "kind", "overall", *standing.scenes, *_COPY, "flags"]
     rows = [
-        [standing.rank(line, OVERALL), *_cells(line, standing.scenes), _flags(line)]
+        [standing.rank(line, OVERALL), *_cells(line, standing.scenes, copied(standing))]
         for line in lines
     ]
-    return title + table(head, rows, text=3)
-
-
-_COPY = ("copy of arrivals", "of lives")
+    return title + _table("rank", standing.scenes, copied(standing), rows)
 
 
 def _listed(lines: Sequence[Line], standings: Sequence[Standing]) -> str:
     scenes = tuple(dict.fromkeys(name for standing in standings for name in standing.scenes))
-    head = ["track", "entry", "kind", "overall", *scenes, *_COPY, "flags"]
-    rows = [[o.entry.declared.track, *_cells(o, scenes), _flags(o)] for o in lines]
-    return table(head, rows, text=3)
+    rows = [[o.entry.declared.track, *_cells(o, scenes, COPIED)] for o in lines]
+    return _table("track", scenes, COPIED, rows)
 
 
-def _cells(line: Line, scenes: Sequence[str]) -> list[str]:
-    """Name, kind, scores and copies."""
+def _table(
+    first: str, scenes: Sequence[str], copies: Sequence[str], rows: Sequence[Sequence[str]]
+) -> str:
+    head = [first, "entry", "kind", "flags", "overall", *scenes, *(f"copy of {c}" for c in copies)]
+    return table(head, rows, text=4)
+
+
+def _cells(line: Line, scenes: Sequence[str], copies: Sequence[str]) -> list[str]:
+    """Name, kind, flags, scores and copies."""
     entry = line.entry
     name = f"[{in_markdown(entry.declared.name)}](pages/{entry.id}.html)"
     arrivals, lives = line.copied()
+    shown = {"arrivals": correlation(arrivals), "lives": share(lives)}
     return [
         f"*{name}*" if entry.status == "reference" else name,
         line.kind,
+        ", ".join(dict.fromkeys(flag.what for flag in entry.flags)),
         interval(line.scores.get(OVERALL)),
         *(number(line.scores.get(View(scene=scene))) for scene in scenes),
-        correlation(arrivals),
-        share(lives),
+        *(shown[what] for what in copies),
     ]
-
-
-def _flags(line: Line) -> str:
-    return ", ".join(dict.fromkeys(flag.what for flag in line.entry.flags))

@@ -11,6 +11,7 @@ from crowdbench.report.words import NOTHING, plainly
 from crowdbench.scoring import Score
 
 OVERALL = View()
+COPIED = ("arrivals", "lives")
 _SCORES: dict[Track, str] = {
     "walk": "Scores with 95&nbsp;% intervals: 0 is what straight walkers get, 1 (dashed) what the "
     "recording itself gets.",
@@ -72,7 +73,7 @@ def _heads(standing: Standing) -> str:
     )
     copies = "".join(
         f'<th scope="col" class="copy" data-sort="down"><span>copy of&nbsp;{what}</span></th>'
-        for what in _copied(standing)
+        for what in copied(standing)
     )
     return f"""<th scope="col" class="name" data-sort="up"><span>entry</span></th>
 <th scope="col" class="score" data-sort="down"><span>{chosen}</span></th>
@@ -101,14 +102,14 @@ def _cells(line: Line, standing: Standing) -> str:
         f'<td class="scene" data-column="{scene}">{_families(line, standing, scene)}</td>'
         for scene in standing.scenes
     )
-    copies = "".join(_copies(line, standing, what) for what in _copied(standing))
+    copies = "".join(_copies(line, standing, what) for what in copied(standing))
     name = f'<th scope="row" class="name">{_name(line)}</th>'
     return f"{name}{_chosen(line, standing)}{scenes}{copies}"
 
 
-def _copied(standing: Standing) -> tuple[str, ...]:
+def copied(standing: Standing) -> tuple[str, ...]:
     """Of what copies are told; arrivals on track walk are the recorded ones by rule."""
-    return ("lives",) if standing.track == "walk" else ("arrivals", "lives")
+    return ("lives",) if standing.track == "walk" else COPIED
 
 
 def _hidden(shown: bool) -> str:
