@@ -10,6 +10,11 @@ from pathlib import Path
 
 import jaxtyping
 import pytest
+from hypothesis import settings
+
+# No deadline: a first call may compile, and how long a test takes is not what it tests.
+settings.register_profile("crowdbench", deadline=None, max_examples=50)
+settings.load_profile("crowdbench")
 
 # Compiled kernels take no annotations; everything else is checked at each call.
 _hook = jaxtyping.install_import_hook(

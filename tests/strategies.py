@@ -4,17 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from models import arrivals_at
 
 from crowdbench.spawn import Arrivals
 from crowdbench.trajectories import OUTCOMES, PERSON_COLUMNS, Trajectories, from_rows
-
-# No deadline: a first call may compile, and how long a test takes is not what it tests.
-settings.register_profile("crowdbench", deadline=None, max_examples=50)
-settings.load_profile("crowdbench")
 
 METRES = st.floats(-50, 50, width=32)
 

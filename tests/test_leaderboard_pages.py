@@ -122,6 +122,31 @@ def test_a_scene_without_a_family_that_counts_there_has_no_score() -> None:
     assert View("motion", "gc-v0") in found
 
 
+def test_crowds_that_came_as_trajectories_are_judged_without_how_people_walk() -> None:
+    (line,) = standing("crowd", everyone()).listed
+    assert line.kind == "model-based, trajectories"
+    each = []
+    for name in SCENES:
+        families = {f: card.score() for f, card in line.entry.scenes[name].families.items()}
+        whole = combined(list(families.values()))
+        assert whole is not None
+        assert set(families) <= {"arrivals", "presence", "lives", "space"}
+        assert line.scores[View(scene=name)].value == pytest.approx(whole.value)
+        each.append(whole.value)
+    assert line.scores[View()].value == pytest.approx(np.mean(each))
+    assert View("motion") not in line.scores
+    # A model without these families, or a walk without a family, has no score.
+    for entry in (line.entry, made_up("walk", "walk", 0.5)):
+        scenes = {
+            name: msgspec.structs.replace(
+                scene, families={f: c for f, c in scene.families.items() if f != "motion"}
+            )
+            for name, scene in entry.scenes.items()
+        }
+        less = msgspec.structs.replace(entry, scenes=scenes, artefacts={"submission.toml": ""})
+        assert scores(less).keys() & {View(), *(View(scene=name) for name in SCENES)} == set()
+
+
 def test_entries_that_cannot_be_told_apart_share_a_rank() -> None:
     found = standing("spawn", everyone())
     by_name = {line.entry.id: found.rank(line, View()) for line in found.lines}
@@ -283,7 +308,7 @@ def check_html(page: str, text: str) -> None:
         assert not any(name.startswith("on") for name in attributes), tag
         assert set(attributes) & {"src", "srcset", "action"} == set()
         href = attributes.get("href")
-        if tag == "a" and not re.match(r"[#.\w/-]+(\.html|\.md)|#", str(href)):
+        if tag == "a" and not re.match(r"[#.\w/-]+\.(html|md|json)\b|#", str(href)):
             assert href == text
             assert text.startswith("https://")
             assert attributes["rel"] == "nofollow noopener"
@@ -360,10 +385,10 @@ def test_the_table_in_markdown_has_ranks_scores_and_flags(board: Path) -> None:
     text = (board / "README.md").read_text()
     (line,) = [row for row in text.splitlines() if "pages/ntpp-gmm.html" in row]
     score = scores(next(e for e in everyone() if e.id == "ntpp-gmm"))[View()]
-    assert line.startswith("| 2\u202f= | [ntpp-gmm](pages/ntpp-gmm.html) | learned |")
+    assert line.startswith("| 2\u202f= | [ntpp-gmm](pages/ntpp-gmm.html) | learned |  |")
     assert f"| {with_interval(score)} |" in line
     (flagged,) = [row for row in text.splitlines() if "pages/jittered-blocks.html" in row]
-    assert flagged.endswith("| copied arrivals |")
+    assert "(pages/jittered-blocks.html) | learned | copied arrivals |" in flagged
     (reference,) = [row for row in text.splitlines() if "pages/block-replay.html" in row]
     assert reference.startswith("|  | *[block-replay]")
     assert text.index("pages/theirs.html") > text.index("## Listed")
@@ -378,6 +403,8 @@ def test_the_page_of_an_entry_has_all_that_is_known(board: Path) -> None:
         "30 rollouts in each fold",
         "goal 91.8 %", entry.scenes["gc-v0"].made_from, "without copying at most 0.46",
         "crowdbench leaderboard verify leaderboard/submissions/jittered-blocks --out verified",
+        "Ada Example, Ben Beispiel: jittered-blocks. crowdbench leaderboard, track\nspawn, scorer "
+        f"1 (crowdbench 0.1.0):\noverall {with_interval(scores(entry)[View()])}; eth-v0 ",
     ):  # fmt: skip
         assert known in text
     for scene in entry.scenes.values():
@@ -414,6 +441,15 @@ def test_any_curve_can_be_drawn_inside_its_picture(values: list[tuple[float, ...
         assert (points >= -0.1).all()
         assert (points <= [340.1, 200.1]).all()
         assert f">{name}</text>" in svg
+
+
+def test_shares_that_end_next_to_one_are_drawn_up_to_one() -> None:
+    values = [0.0, 0.4, 0.998]
+    curve = Curve(x_label="x", y_label="y", x=[0.0, 1.0, 1.99], recorded=values, simulated=values)
+    assert figure("Title", curve).count(">1</text>") == 2  # on both axes
+    assert ">2</text>" in figure("Title", curve)
+    small = msgspec.structs.replace(curve, recorded=[0.0, 0.4, 0.9], simulated=[0.0, 0.4, 0.9])
+    assert figure("Title", small).count(">1</text>") == 1
 
 
 def test_the_workflow_may_read_and_nothing_else() -> None:

@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import shutil
 from pathlib import Path
 
 import msgspec
@@ -199,6 +200,8 @@ BIDI = "\u202etxt.exe"
         ("https://example.org/walker", "https://example.org/ x", "link"),
         ("https://example.org/walker", "https://e.org/<b>", "link"),
         ("Apache-2.0", "<b>mine</b>", "licence"),
+        ("Apache-2.0", "see the file LICENSE", "licence"),
+        ("Apache-2.0", "MIT OR ", "licence"),
         ('"walk"', '"run"', "track"),
         ('["plaza-v0"]', '["moon-v0"]', "scenes"),
         ('["plaza-v0"]', '["../plaza-v0"]', "scenes"),
@@ -216,6 +219,14 @@ def test_fields_are_held_against_what_they_mean(
     old: str, new: str, where: str, walker: Path
 ) -> None:
     assert f"submission.toml, {where}" in refusal(edit(walker, old, new))
+
+
+@pytest.mark.parametrize(
+    "licence", ["MIT", "CC-BY-NC-4.0", "GPL-2.0+", "MIT OR (Apache-2.0 AND BSD-3-Clause)"]
+)
+def test_licences_are_spdx_expressions(licence: str, walker: Path) -> None:
+    with open_submission(edit(walker, "Apache-2.0", licence)) as submission:
+        assert submission.declared.licence == licence
 
 
 def test_each_field_says_what_is_expected() -> None:
@@ -243,14 +254,21 @@ def test_a_folder_without_a_declaration_is_refused(tmp_path: Path) -> None:
     assert "no such file" in problem(tmp_path / "nothing")
 
 
+def test_a_folder_in_the_folder_is_told_by_its_name(walker: Path, tmp_path: Path) -> None:
+    assert "got none but walker/submission.toml; expected it at the top" in problem(tmp_path)
+    outside = shutil.make_archive(str(tmp_path / "outside"), "zip", tmp_path, walker.name)
+    assert "got none but walker/submission.toml" in problem(Path(outside))
+
+
 @pytest.mark.parametrize(
     ("part", "scene", "expected"),
     [
         ("fold1", "plaza-v0", "one trained on fold0 of plaza-v0"),
         ("full", "plaza-v0", "one trained on fold0 of plaza-v0"),
+        ("fold0", "eth-v0", "one trained on fold0 of plaza-v0"),
     ],
 )
-def test_a_network_that_has_seen_what_it_is_held_against_is_refused(
+def test_a_network_that_was_not_trained_as_its_place_says_is_refused(
     part: str, scene: str, expected: str, walker: Path
 ) -> None:
     write_network(walker / "plaza-v0" / "policy" / "fold0.onnx", part, scene)
@@ -284,7 +302,24 @@ def test_files_of_another_kind_are_surplus(walker: Path) -> None:
     (walker / "plaza-v0" / "policy" / "full.onnx").unlink()
     write_network(walker / "policy.onnx", "full", scene="eth-v0")
     told = refusal(walker)
-    assert told.count("expected policy.onnx in place of networks for each scene.") == 3
+    assert told.count("expected policy.onnx in place of networks for each scene.") == 1
+
+
+def test_what_is_surplus_is_told_once(walker: Path) -> None:
+    edit(walker, "[training]", 'shipped_policy = "straight"\n[training]')
+    files = ", ".join(f"plaza-v0/policy/{part}.onnx" for part in FOLDS)
+    assert f"{files}: got files that have no place here" in problem(walker)
+
+
+def test_trajectories_of_another_name_are_not_taken_for_models(tmp_path: Path) -> None:
+    folder = listed_submission(tmp_path / "crowd")
+    place = folder / "plaza-v0" / "trajectories"
+    for k, name in enumerate(("0.parquet", "1.parquet", "2.csv")):
+        (place / name).rename(place / f"run{k}.{name[2:]}")
+    told = refusal(folder)
+    assert "plaza-v0/trajectories: got no files; expected 2 to 30 rollouts" in told
+    assert "run2.csv: got files that have no place here; expected in a folder" in told
+    assert "policy" not in told
 
 
 def test_models_and_trajectories_do_not_mix(tmp_path: Path) -> None:

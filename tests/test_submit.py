@@ -109,7 +109,11 @@ def test_policies_that_do_not_fit_are_refused_and_nothing_is_left(
         (["--track", "walk", "--policy", trained, again], "one folder for each scene"),
         (["--track", "walk", "--policy", trained, file], "a file among 2 policies"),
         (["--track", "walk", "--policy", tmp_path / "x.onnx"], "x.onnx"),
-        (["--track", "walk", "--policy", tmp_path], "fold0.onnx: got no such file"),
+        (["--track", "walk", "--policy", tmp_path], "got no fold0.onnx, fold1.onnx, fold2.onnx"),
+        (
+            ["--track", "walk", "--policy", file, "--scene", "plaza-v0"],
+            "got a network trained on full of plaza-v0; expected a folder with one for each fold",
+        ),
         (["--track", "walk", "--scene", "moon-v0"], "'moon-v0'"),
         (["--track", "walk", "--name", "a\x1b"], "got 'a\\x1b'; expected printable"),
     ):
@@ -117,6 +121,17 @@ def test_policies_that_do_not_fit_are_refused_and_nothing_is_left(
         assert told in capsys.readouterr().err
         assert not folder.exists()
     assert {p.name for p in tmp_path.iterdir()} == {"one", "two"}
+
+
+def test_the_template_names_only_what_the_track_has(tmp_path: Path) -> None:
+    for track, named in (
+        ("walk", ["shipped_policy"]),
+        ("spawn", ["shipped_spawn"]),
+        ("crowd", ["shipped_policy", "shipped_spawn"]),
+    ):
+        assert submit("init", tmp_path / track, "--track", track) == 0
+        text = (tmp_path / track / "submission.toml").read_text()
+        assert [line.split()[1] for line in text.splitlines() if "shipped_" in line] == named
 
 
 def test_names_are_written_as_they_are(tmp_path: Path) -> None:

@@ -230,6 +230,18 @@ def test_a_write_that_breaks_off_leaves_the_old_file_and_nothing_else(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_write_that_breaks_off_leaves_no_folders_that_were_made_for_it(tmp_path):
+    (tmp_path / "there").mkdir()
+
+    def break_off() -> None:
+        with replacing(tmp_path / "there" / "new" / "newer" / "result.json"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        break_off()
+    assert list(tmp_path.rglob("*")) == [tmp_path / "there"]
+
+
 def test_written_files_are_as_readable_as_any_other(tmp_path):
     (tmp_path / "plain").write_text("")
     write_text(tmp_path / "result", "")

@@ -128,10 +128,12 @@ def test_the_command_line_goes_on_after_a_refusal_and_writes_the_same_bytes(
     asked = ["leaderboard", "verify", str(bad), str(walked[0] / "mine"), "--out", str(tmp_path)]
     assert main([*asked, "--workers", "2"]) == 2
     printed = capsys.readouterr()
+    assert f"crowdbench: {bad}: 1 problem.\n  submission.toml, shipped_policy: got " in printed.err
     assert "'nobody'" in printed.err
     assert "1 of 2 refused" in printed.err
     assert "Traceback" not in printed.err
-    assert "mine-v2 (ranked)" in printed.out
+    (head,) = [line for line in printed.out.splitlines() if "mine-v2 (ranked)" in line]
+    assert head.split("  ")[-1].strip() == "copied lives"
     before = walked[0] / "out" / "mine-v2.json"
     assert (tmp_path / "mine-v2.json").read_bytes() == before.read_bytes()
 
@@ -244,6 +246,17 @@ def test_without_the_recording_nothing_is_verified(
     (mine / "submission.toml").write_text(text)
     with pytest.raises(RecordingError, match="crowdbench data fetch eth"):
         make_entry(quietly, str(mine), str(tmp_path), 1)
+
+
+@pytest.mark.parametrize("what", ["nothing", "empty"])
+def test_a_refusal_reads_as_that_of_submit_check(
+    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty").mkdir()
+    assert main(["submit", "check", str(tmp_path / what)]) == 2
+    told = capsys.readouterr().err
+    assert main(["leaderboard", "verify", str(tmp_path / what), "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == told
 
 
 def test_who_takes_too_long_is_refused_and_leaves_no_entry(tmp_path: Path) -> None:

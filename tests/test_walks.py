@@ -101,4 +101,6 @@ def test_what_is_missing_is_said_before_anything_is_walked(tmp_path: Path, capsy
         write_walks(["eth-v0"], out=tmp_path)
     assert cli.main(["walks", "eth-v0", "--out", str(tmp_path)]) == 2
     assert "data fetch eth" in capsys.readouterr().err
+    with pytest.raises(SettingError, match="got 0; expected a multiple of 5"):
+        write_walks(["plaza-v0"], out=tmp_path / "docs", work=tmp_path / "work", seeds=0)
     assert not list(tmp_path.iterdir())

@@ -33,7 +33,9 @@ def _add_verify(commands: "Commands") -> None:
     verify = commands.add_parser(
         "verify", help="roll out submissions in a sandbox, score them, and write their entries"
     )
-    verify.add_argument("submission", nargs="+", type=Path, help="folder of a submission, or a zip")
+    verify.add_argument(
+        "submission", nargs="+", type=Path, help="folder of a submission, or its zip"
+    )
     verify.add_argument(
         "--out", type=Path, required=True, metavar="DIR",
         help="where ID.json, ID.run.json and the rollouts (work/) go",
@@ -75,10 +77,13 @@ def _add_rescore(commands: "Commands") -> None:
 def _add_limits(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, help="processes (default: one per core)")
     parser.add_argument(
-        "--hours", type=float, default=24.0, help="after which a submission is given up (24)"
+        "--hours",
+        type=float,
+        default=24.0,
+        help="after which a submission is given up (default: 24)",
     )
     parser.add_argument(
-        "--memory-gib", type=float, default=12.0, help="that a submission may use (12)"
+        "--memory-gib", type=float, default=12.0, help="that a submission may use (default: 12)"
     )
 
 
@@ -167,19 +172,20 @@ def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> 
 
 
 def _print_entry(entry: "Entry") -> None:
+    from crowdbench.leaderboard.pages.standings import View, scores
     from crowdbench.metrics import FAMILIES
     from crowdbench.report.words import interval, number
-    from crowdbench.scoring import combined
 
     families = [f for f in FAMILIES if any(f in s.families for s in entry.scenes.values())]
-    table = new_table(f"{entry.id} ({entry.status})", *families, "score", "copied", "lives")
+    copies = ("copied arrivals", "copied lives")
+    table = new_table(f"{entry.id} ({entry.status})", *families, "score", *copies)
+    found = scores(entry)
     for name, scene in entry.scenes.items():
-        scores = {f: card.score() for f, card in scene.families.items()}
         copy = scene.copy
         table.add_row(
             name,
-            *[number(scores.get(f)) for f in families],
-            interval(combined(list(scores.values()))),
+            *[number(found.get(View(f, name))) for f in families],
+            interval(found.get(View(scene=name))),
             "–" if copy.arrivals is None else f"{copy.arrivals:.2f}",
             "–" if copy.lives is None else f"{100 * copy.lives:.0f} %",
         )

@@ -26,7 +26,9 @@ def add(commands: "Commands") -> None:
     )
     export.add_argument("file", type=Path, metavar="FILE.onnx")
     export.add_argument("--name", required=True, help="under which tables show it")
-    export.add_argument("--scene", required=True, help="id of the scene it was trained on")
+    export.add_argument(
+        "--scene", required=True, help="id of the scene it was trained on (if on none: plaza-v0)"
+    )
     export.add_argument(
         "--part",
         default="full",

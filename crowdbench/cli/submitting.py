@@ -24,15 +24,17 @@ def add(commands: "Commands") -> None:
         help="walk: a policy under the recorded arrivals; spawn: a spawn model with straight "
         "walkers; crowd: both",
     )
-    init.add_argument("--name", default="", help="under which the leaderboard is to show it")
+    init.add_argument(
+        "--name", default="", help="under which the leaderboard is to show it (default: DIR's)"
+    )
     init.add_argument(
         "--policy",
         type=Path,
         nargs="+",
         default=[],
         metavar="PATH",
-        help="folders with fold0.onnx, fold1.onnx and fold2.onnx, one for each scene, which are "
-        "copied; or one FILE.onnx that knows none of the scenes",
+        help="networks to copy: a folder with fold0.onnx, fold1.onnx and fold2.onnx for each "
+        "scene, or one FILE.onnx that has seen none of the scenes",
     )
     init.add_argument(
         "--scene",
@@ -43,10 +45,12 @@ def add(commands: "Commands") -> None:
     )
     init.set_defaults(run=_init)
     check = of_submit.add_parser("check", help="tell everything that is wrong with a submission")
-    check.add_argument("submission", type=Path, metavar="DIR_OR_ZIP")
+    check.add_argument(
+        "submission", type=Path, metavar="DIR_OR_ZIP", help="folder of a submission, or its zip"
+    )
     check.set_defaults(run=_check)
     pack = of_submit.add_parser("pack", help="check a submission's folder and pack it as a zip")
-    pack.add_argument("folder", type=Path, metavar="DIR")
+    pack.add_argument("folder", type=Path, metavar="DIR", help="folder of a submission")
     pack.add_argument(
         "--out", type=Path, metavar="FILE.zip", help="where to (default: beside the folder)"
     )

@@ -71,21 +71,19 @@ def _read_weights(path: Path, scene: str) -> None:
 
 def _seen_too_much(name: str, card: PolicyCard, declared: Declared) -> Iterator[RefusedError]:
     """Whether a network has been trained on something else than its place says."""
-    if card.scene not in declared.scenes:
-        return
     scene, _, file = name.partition("/")
     part = file.removeprefix("policy/").removesuffix(".onnx")
-    heldout = declared.training.protocol != "none" and name != NETWORK
-    if heldout and (card.scene, card.part) == (scene, part):
+    of_part = declared.training.protocol != "none" and name != NETWORK
+    if (card.scene, card.part) == (scene, part) if of_part else card.scene not in declared.scenes:
         return
-    yield RefusedError(
-        name,
-        got=f"a network trained on {card.part} of {card.scene}",
-        expected=f"one trained on {part} of {scene}"
-        if heldout
-        else "one that knows no recording of a scene it is submitted for",
-        mend=f"Train one for it; its card and training.protocol in {FILE} must say the same.",
-    )
+    if of_part:
+        expected = f"one trained on {part} of {scene}"
+        mend = 'Train one for it; what has seen no scene of these has training.protocol "none".'
+    else:
+        expected = "one that knows no recording of a scene it is submitted for"
+        mend = 'Train one on other scenes; or one for each fold, with training.protocol "heldout".'
+    got = f"a network trained on {card.part} of {card.scene}"
+    yield RefusedError(name, got=got, expected=expected, mend=mend)
 
 
 def _wrong_names(declared: Declared) -> Iterator[CrowdbenchError]:

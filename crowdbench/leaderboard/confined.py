@@ -31,10 +31,15 @@ def main(arguments: Sequence[str]) -> None:
     try:
         answer["value"] = _called(asked["target"], asked["arguments"], desk)
     except CrowdbenchError as error:
-        answer["failure"] = Failure(error.where, error.got, error.expected, error.mend)
+        answer["failure"] = _failure(error)
     except MemoryError:
         sys.exit("out of memory")
     (desk / "answer.json").write_bytes(msgspec.json.encode(answer))
+
+
+def _failure(error: CrowdbenchError) -> Failure:
+    problems = tuple(_failure(problem) for problem in getattr(error, "problems", ()))
+    return Failure(error.where, error.got, error.expected, error.mend, problems)
 
 
 def _called(target: str, arguments: dict[str, object], desk: Path) -> object:

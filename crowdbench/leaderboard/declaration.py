@@ -21,7 +21,7 @@ _LINE = "1 to 200 printable characters on one line"
 _EXPECTED = {
     "schema": "1",
     "name": _LINE,
-    "authors": f"a list of 1 to 50 names, each {_LINE}",
+    "authors": f'a list of 1 to 50 names such as ["Ada Lovelace"], each {_LINE}',
     "contact": f"an e-mail address, or where issues are opened: {_LINE}",
     "link": "an address that begins with https://, in plain letters and without blanks",
     "licence": "an SPDX identifier such as Apache-2.0 or CC-BY-4.0",
@@ -31,16 +31,21 @@ _EXPECTED = {
     "training": "a table [training] with data, protocol and parameters",
     "training.data": "1 to 1000 printable characters on one line",
     "training.protocol": "heldout, none or full",
-    "training.parameters": "a whole number from 0 to 10^12",
+    "training.parameters": "a whole number from 0 to 10^12, without quotes",
     "shipped_policy": "the name of a policy that comes with crowdbench, or no such line",
     "shipped_spawn": f"one of {', '.join(SPAWN_MODELS)}, or no such line",
 }
 _FORMS = {
-    "link": re.compile(
-        r"https://[A-Za-z0-9-]+(\.[A-Za-z0-9-]+)+(:[0-9]{1,5})?([/?#][!#-;=?-_a-z~]*)?"
+    "link": (
+        re.compile(r"https://[A-Za-z0-9-]+(\.[A-Za-z0-9-]+)+(:[0-9]{1,5})?([/?#][!#-;=?-_a-z~]*)?"),
+        "Write it in full.",
     ),
-    "licence": re.compile(r"[A-Za-z0-9][A-Za-z0-9 .+()-]*"),
+    "licence": (
+        re.compile(r"\(*[A-Za-z0-9.+-]+\)*( (AND|OR|WITH) \(*[A-Za-z0-9.+-]+\)*)*"),
+        "https://spdx.org/licenses lists them.",
+    ),
 }
+"""Form of a field, and how to mend what has another."""
 # Where nothing but what is shown is wrong, artefacts are looked at all the same.
 _STAND_INS = {"name": "?", "authors": ["?"], "contact": "?", "link": "?", "licence": "?"}
 _STAND_INS_OF_TRAINING = {"data": "?", "parameters": 0}
@@ -81,12 +86,11 @@ def _raw(path: Path, problems: list[CrowdbenchError]) -> dict[str, Any] | None:
         else:
             return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        got, expected = error.strerror or "no file", "what `crowdbench submit init` writes"
+        got, expected = error.strerror or "no file", "a readable file"
     except (ValueError, RecursionError) as error:  # no UTF-8, no TOML, numbers of 5000 digits
         got, expected = str(error), "valid TOML in UTF-8"
-    problems.append(
-        RefusedError(FILE, got=got, expected=expected, mend="Begin with `crowdbench submit init`.")
-    )
+    mend = "Compare it with what `crowdbench submit init` writes; texts stand in quotes."
+    problems.append(RefusedError(FILE, got=got, expected=expected, mend=mend))
     return None
 
 
@@ -116,7 +120,7 @@ def _wrong_fields(
 
 
 def _mend(name: str, value: Any, kind: Any) -> str | None:
-    """How to mend a value, None if it is right."""
+    """How to mend a value (no word where that is plain), None if it is right."""
     texts = [v for v in (value if isinstance(value, list) else [value]) if isinstance(v, str)]
     if any(text.startswith(PLACEHOLDER) for text in texts):
         return "Replace the template's placeholder."
@@ -124,15 +128,15 @@ def _mend(name: str, value: Any, kind: Any) -> str | None:
         return None if isinstance(value, dict) else "Write its fields below [training]."
     try:
         msgspec.convert(value, kind, strict=True)
-    except ValueError as error:  # of msgspec, or of Python for numbers of 5000 digits
-        return f"{error}."
+    except ValueError:  # of msgspec, or of Python for numbers of 5000 digits
+        return ""  # what is expected says all
     for text in texts:
         if not text.isprintable():
             return "Leave out control characters and marks that turn the direction of text."
         if not text.strip() and not name.startswith("shipped_"):
             return "Say something."
-    if name in _FORMS and not _FORMS[name].fullmatch(value):
-        return "Write it in full."
+    if name in _FORMS and not _FORMS[name][0].fullmatch(value):
+        return _FORMS[name][1]
     if name == "scenes" and (set(value) - set(list_scenes()) or len(set(value)) < len(value)):
         return "`crowdbench scenes` lists them."
     if name == "shipped_spawn" and value not in ("", *SPAWN_MODELS):

@@ -77,7 +77,7 @@ def lay_out(declared: Declared, names: list[str], problems: list[CrowdbenchError
     found = set(names) - {FILE}
     needs_policy = declared.track != "spawn" and not declared.shipped_policy
     needs_spawn = declared.track != "walk" and not declared.shipped_spawn
-    if any(_CROWD.fullmatch(name) for name in found):
+    if any("/trajectories/" in name for name in found):
         layout.crowds = _crowds(declared, found, problems)
     else:
         if needs_policy:
@@ -85,14 +85,15 @@ def lay_out(declared: Declared, names: list[str], problems: list[CrowdbenchError
         if needs_spawn:
             layout.weights = _weights(declared, found, problems)
     used = {*layout.networks, *layout.weights.values()}.union(*layout.crowds.values())
-    places = _places(declared, layout, needs_policy, needs_spawn)
-    for name in sorted(found - used):
+    if surplus := sorted(found - used):
         problems.append(
             RefusedError(
-                name,
-                got="a file that has no place here",
-                expected=places,
-                mend=f"Remove it, or correct its name or {FILE}.",
+                ", ".join(surplus),
+                got="a file that has no place here"
+                if len(surplus) == 1
+                else "files that have no place here",
+                expected=_places(declared, layout, needs_policy, needs_spawn),
+                mend=f"Remove or rename what is surplus, or correct {FILE}.",
             )
         )
     return layout
@@ -132,7 +133,8 @@ def _networks(declared: Declared, found: set[str], problems: list[CrowdbenchErro
                 RefusedError(
                     f"{scene}/policy",
                     got=f"no {', '.join(Path(name).name for name in lacking)}",
-                    expected="a network for each part",
+                    expected=f"{', '.join(f'{part}.onnx' for part in parts_of(declared))}, as "
+                    f"training.protocol {declared.training.protocol} has it",
                     mend="Write it with `crowdbench policy export`, or name a policy that comes "
                     "with crowdbench as shipped_policy.",
                 )

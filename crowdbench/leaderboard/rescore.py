@@ -7,11 +7,10 @@ import msgspec
 
 from crowdbench.errors import SettingError
 from crowdbench.files import write_json
-from crowdbench.leaderboard.declared import SCENES
-from crowdbench.leaderboard.entry import SCORER, Earlier, Entry, SceneEntry, read_entry
+from crowdbench.leaderboard.entry import SCORER, Earlier, Entry, read_entry
+from crowdbench.leaderboard.pages.standings import View, scores
 from crowdbench.leaderboard.sandbox import Limits, call
 from crowdbench.leaderboard.verify import DEFAULT, entry_of, write_run
-from crowdbench.scoring import combined
 
 
 def entry_ids(root: Path) -> list[str]:
@@ -56,11 +55,12 @@ def rescore(
         raise SettingError(
             submission, got=f"a submission whose id is {new.id}", expected=f"the entry {entry_id}"
         )
+    values = {view: score.value for view, score in scores(old).items()}
     earlier = Earlier(
         scorer=old.scorer,
         crowdbench=old.crowdbench,
-        overall=_overall(old),
-        scenes={name: _score(scene) for name, scene in old.scenes.items()},
+        overall=values.get(View()),
+        scenes={name: values.get(View(scene=name)) for name in old.scenes},
         reason=reason.strip(),
     )
     entry = msgspec.structs.replace(new, history=[*old.history, earlier])
@@ -86,14 +86,3 @@ def _check_changed(old: Entry, submission: Path, limits: Limits) -> None:
             expected="a newer scorer, or a submission that changed",
             mend="The scores would be the same.",
         )
-
-
-def _score(scene: SceneEntry) -> float | None:
-    score = combined([family.score() for family in scene.families.values()])
-    return None if score is None else score.value
-
-
-def _overall(entry: Entry) -> float | None:
-    scores = [_score(entry.scenes[name]) for name in SCENES if name in entry.scenes]
-    known = [score for score in scores if score is not None]
-    return sum(known) / len(SCENES) if len(known) == len(SCENES) else None

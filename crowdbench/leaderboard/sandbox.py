@@ -72,6 +72,8 @@ class Failure(msgspec.Struct, forbid_unknown_fields=True):
     got: str
     expected: str
     mend: str
+    problems: tuple["Failure", ...] = ()
+    """Of a submission that is refused: what is wrong with it."""
 
 
 class Answer(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -108,14 +110,23 @@ def call(
         try:
             answer = msgspec.json.decode(_bounded(desk / "answer.json"), type=Answer)
             if answer.failure is not None:
-                f = answer.failure
-                raise CrowdbenchError(f.where, got=f.got, expected=f.expected, mend=f.mend)
+                raise _raised(answer.failure, where)
             value = msgspec.json.decode(answer.value, type=kind)
         except (OSError, msgspec.DecodeError) as error:
             raise SandboxError(
                 where, got=f"an answer that cannot be read ({error})", expected=kind.__name__
             ) from error
     return value, Ran(**ran, network=answer.network)
+
+
+def _raised(told: Failure, where: object) -> CrowdbenchError:
+    """The error that a child told of."""
+    # Not at the top: the child must leave the network before anything heavy is imported.
+    from crowdbench.leaderboard.problems import SubmissionError
+
+    if told.problems:
+        return SubmissionError(where, [_raised(problem, where) for problem in told.problems])
+    return CrowdbenchError(told.where, got=told.got, expected=told.expected, mend=told.mend)
 
 
 def _run(

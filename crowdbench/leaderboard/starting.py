@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from crowdbench.blocks import PARTS
-from crowdbench.errors import OutputError, SettingError
+from crowdbench.errors import OutputError, SettingError, WeightsError
 from crowdbench.files import unwritable
 from crowdbench.leaderboard.declaration import PLACEHOLDER
 from crowdbench.leaderboard.declared import FILE, SCENES, SCHEMA, Track
@@ -25,19 +25,22 @@ link = "{fill}: https://… of the paper or the code"
 licence = "{fill}: of the files here, an SPDX identifier such as Apache-2.0"
 
 track = "{track}"  # {meaning}
-kind = "learned"  # or "model-based"; "privileged": it sees the simulation's state
+kind = "learned"  # or "model-based"; "privileged" sees the simulation's state, as no file does
 scenes = {scenes}  # eth-v0, gc-v0 and forum-v0 make the overall score
 
-# In place of files, what comes with crowdbench:
-# shipped_policy = "social-force"
-# shipped_spawn = "ntpp-gmm"
-
+# In place of files, what comes with crowdbench (take the # away):
+{shipped}
 [training]
 data = {data}  # in your words
-protocol = "{protocol}"  # "heldout": each fold's file has seen that fold's training blocks only;
-# "none": no recording of these scenes; "full": whole recordings, which is listed, not ranked
-parameters = {parameters}  # numbers that were learned, files of one scene and fold together
+# "heldout": each fold's file has seen that fold's training blocks only; "none": no recording of
+# these scenes; "full": whole recordings, which is listed, not ranked.
+protocol = "{protocol}"
+parameters = {parameters}  # learned numbers, all files of one scene and fold together
 """
+_SHIPPED = {
+    "policy": '# shipped_policy = "social-force"\n',
+    "spawn": '# shipped_spawn = "ntpp-gmm"\n',
+}
 _MEANING = {
     "walk": "a policy, under the recorded arrivals",
     "spawn": "a spawn model, with straight walkers",
@@ -55,11 +58,14 @@ is not packed.
 _ROWS = {
     "policy": "| `SCENE/policy/fold0.onnx`, `fold1.onnx`, `fold2.onnx` | networks trained on what "
     "each fold trains on, by `crowdbench policy export` |\n| or `policy.onnx` | one network for "
-    "all scenes that knows none of them |\n",
+    "all scenes that has seen none of their recordings; protocol `none` |\n| or "
+    "`SCENE/policy/full.onnx` | one that has seen a whole recording: listed, never ranked; "
+    "protocol `full` |\n",
     "spawn": "| `SCENE/spawn/ntpp-gmm.safetensors`, or `poisson-gmm.json`, `renewal-gmm.json` | "
     "fits of a spawn model, as `crowdbench fit SCENE --out FOLDER` writes them |\n",
-    "trajectories": "| or `SCENE/trajectories/0.parquet`, `1.parquet`, … | rollouts (or CSV) in "
-    "place of models: listed, never ranked |\n",
+    "trajectories": "| or `SCENE/trajectories/0.parquet`, `1.parquet`, … | rollouts in place of "
+    "models, or `.csv`, with the columns `person_id`, `frame`, `x` and `y`: listed, never "
+    "ranked |\n",
 }
 
 
@@ -79,7 +85,7 @@ def start_submission(
         name: under which the leaderboard is to show it, by default that of the folder.
         scenes: by default those that the networks know, or those of the overall score.
         policies: folders that hold `fold0.onnx` and so on, one for each scene; or one file, of a
-            network that knows none of the scenes.
+            network that has seen none of the scenes.
 
     Raises:
         OutputError: the folder exists, or cannot be written.
@@ -95,8 +101,16 @@ def start_submission(
         raise SettingError("--name", got=ascii(name), expected="printable characters")
     files, read = _networks(policies, track)
     known = dict.fromkeys(policy.card.scene for policy in read)
-    chosen = [load_scene(scene).id for scene in scenes or ([] if NETWORK in files else known)]
-    chosen = chosen or list(SCENES)
+    one = read[0].card if NETWORK in files else None
+    chosen = [load_scene(scene).id for scene in scenes or ([] if one else known)] or list(SCENES)
+    if one and one.scene in chosen:
+        raise SettingError(
+            "--policy",
+            got=f"a network trained on {one.part} of {one.scene}",
+            expected=f"a folder with one for each fold, or a file that has seen none of "
+            f"{', '.join(chosen)}",
+            mend="Other scenes are chosen by --scene.",
+        )
     places = ["policy"] * (track != "spawn") + ["spawn"] * (track != "walk")
     fill = f"{PLACEHOLDER}: "
     data = f"recordings of {', '.join(known)}" if known else f"{fill}what it was trained on"
@@ -107,8 +121,9 @@ def start_submission(
         track=track,
         meaning=_MEANING[track],
         scenes=json.dumps(chosen),
+        shipped="".join(_SHIPPED[place] for place in places),
         data=_quoted(data),
-        protocol="none" if NETWORK in files else "heldout",
+        protocol="none" if one else "heldout",
         parameters=_parameters(read[0].path) if read else _quoted(f"{fill}a number"),
     )
     rows = "".join(_ROWS[place] for place in (*places, "trajectories"))
@@ -118,7 +133,7 @@ def start_submission(
             made = Path(temporary) / folder.name
             for scene in chosen:
                 for place in places:
-                    if not (place == "policy" and NETWORK in files):
+                    if not (place == "policy" and one):
                         (made / scene / place).mkdir(parents=True)
             for to, path in files.items():
                 (made / to).parent.mkdir(parents=True, exist_ok=True)
@@ -146,6 +161,17 @@ def _networks(policies: Sequence[Path], track: Track) -> tuple[dict[str, Path], 
     files: dict[str, Path] = {}
     read = []
     for path in policies:
+        lacking = [f"{p}.onnx" for p in PARTS[1:] if not (path / f"{p}.onnx").is_file()]
+        if lacking:
+            raise WeightsError(
+                path,
+                got=f"no {', '.join(lacking)}" if path.is_dir() else "no such file or folder",
+                expected="a folder with a network for each fold, or one file",
+                mend="What has seen a whole recording is listed, not ranked: put it into the "
+                "submission's folder later, as SCENE/policy/full.onnx."
+                if path.is_dir()
+                else "",
+            )
         for part in PARTS[1:]:
             network = OnnxPolicy(path / f"{part}.onnx")
             files[f"{network.card.scene}/policy/{part}.onnx"] = network.path

@@ -109,7 +109,7 @@ def open_submission(path: Path) -> Iterator[Submission]:
         return
     if not path.is_file():
         missing = RefusedError(
-            path, got="no such file", expected="a submission's folder or its zip"
+            path.name, got="no such file", expected="a submission's folder or its zip"
         )
         raise SubmissionError(path, [missing])
     with tempfile.TemporaryDirectory(prefix="crowdbench-submission-") as fresh:
@@ -125,7 +125,7 @@ def pack_submission(folder: Path, out: Path | None = None) -> Path:
         OutputError: the zip cannot be written.
     """
     if not folder.is_dir():
-        missing = RefusedError(folder, got="no such folder", expected="a submission's folder")
+        missing = RefusedError(folder.name, got="no such folder", expected="a submission's folder")
         raise SubmissionError(folder, [missing])
     with open_submission(folder) as submission:
         out = out or folder.resolve().with_name(f"{folder.resolve().name}.zip")
@@ -145,6 +145,8 @@ def _read(folder: Path, named: Path) -> Submission:
 def _checked(folder: Path, named: Path) -> Submission:
     problems: list[CrowdbenchError] = []
     names = files_in(folder, problems)
+    if not problems and FILE not in names:
+        problems.append(_no_declaration(names))
     declared = read_declared(folder / FILE, problems) if not problems else None
     layout = Layout()
     if declared is not None:
@@ -156,6 +158,18 @@ def _checked(folder: Path, named: Path) -> Submission:
     hashes = {name: sha256((folder / name).read_bytes()) for name in names}
     shipped = {name: sha256(file.read_bytes()) for name, file in shipped_files(declared).items()}
     return Submission(folder, declared, layout, hashes, shipped)
+
+
+def _no_declaration(names: list[str]) -> RefusedError:
+    inside = [name for name in names if name.endswith(f"/{FILE}")]
+    return RefusedError(
+        FILE,
+        got=f"none but {inside[0]}" if inside else "no such file",
+        expected="it at the top, beside the folders of scenes",
+        mend="Take what is in that folder; `crowdbench submit pack` makes the zip."
+        if inside
+        else "Begin with `crowdbench submit init`.",
+    )
 
 
 def slug(name: str) -> str:

@@ -50,6 +50,9 @@ class _Axis:
         rough = (high - low) / 4
         size = 10.0 ** floor(log10(rough))
         step = next(size * k for k in (1, 2, 5, 10) if size * k >= rough * 0.999)
+        nearest = round(high / step) * step
+        if 0 < nearest - high < 0.05 * step:  # shares that end at 0.998 have a 1
+            high = nearest
         steps = range(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1)
         self.ticks = [k * step for k in steps]
         self._low, self._per_unit, self._first = low, (last - first) / (high - low), first

@@ -9,7 +9,7 @@ from crowdbench.leaderboard.pages.scene_results import scene_results
 from crowdbench.leaderboard.pages.standings import Line, Standing, View
 from crowdbench.leaderboard.pages.text import in_html, link, plain
 from crowdbench.report.shell import html_page
-from crowdbench.report.words import NOTHING, plainly
+from crowdbench.report.words import NOTHING, plainly, with_interval
 
 _STATUS = {
     "ranked": "Ranked: crowdbench rolled it out itself, on what it has not seen.",
@@ -29,7 +29,8 @@ def entry_page(line: Line, standing: Standing) -> str:
 <h1>{in_html(entry.declared.name, 200)}</h1>
 <p class="lead">{_STATUS[entry.status]}</p>
 <nav aria-label="Sections"><a href="#scores">Scores</a> <a href="#declared">Declared</a>
-<a href="#results">Metrics</a> <a href="#verify">Verify</a> <a href="#history">History</a></nav>
+<a href="#results">Metrics</a> <a href="#verify">Verify</a> <a href="#cite">Cite</a>
+<a href="#history">History</a></nav>
 </header>
 <main>
 {_flags(entry)}
@@ -52,6 +53,10 @@ ends of the axis what lies beyond. Metrics in grey are shown and do not count.</
 <section id="verify">
 <h2>Verify it</h2>
 {_verify(entry)}
+</section>
+<section id="cite">
+<h2>Cite it</h2>
+{_cite(line, standing)}
 </section>
 <section id="history">
 <h2>History</h2>
@@ -149,11 +154,13 @@ def _verify(entry: Entry) -> str:
         for path, digest in sorted(entry.artefacts.items())
     )
     submission = f"leaderboard/submissions/{entry.id}"
+    data = f'<a href="../entries/{entry.id}.json">entries/{entry.id}.json</a>'
     hashes = {
         f"Scene {name}": f"<code>{in_html(scene.made_from)}</code>"
         for name, scene in entry.scenes.items()
     }
-    return f"""<p>The same artefacts give the same entry, with the recordings imported:</p>
+    return f"""<p>With the recordings imported, the same artefacts give the same bytes as in
+{data}:</p>
 <pre tabindex="0"><code>crowdbench leaderboard verify {submission} --out verified</code></pre>
 {facts_list({"Scorer": f"{entry.scorer}", "crowdbench": in_html(entry.crowdbench)} | hashes)}
 <div class="scroll" role="region" aria-label="Artefacts" tabindex="0">
@@ -162,6 +169,21 @@ def _verify(entry: Entry) -> str:
 <tbody>
 {rows}</tbody></table>
 </div>"""
+
+
+def _cite(line: Line, standing: Standing) -> str:
+    entry, declared = line.entry, line.entry.declared
+    scores = "; ".join(
+        f"{scene or 'overall'} {with_interval(line.scores[View(scene=scene)])}"
+        for scene in ("", *_scenes(line, standing))
+        if View(scene=scene) in line.scores
+    )
+    authors = ", ".join(in_html(author) for author in declared.authors)
+    return f"""<p>Cite what its link leads to. Its scores depend on the scorer and on no date:</p>
+<p class="citation">{authors}: {in_html(declared.name)}. crowdbench leaderboard, track
+{declared.track}, scorer {entry.scorer} (crowdbench {in_html(entry.crowdbench)}):
+{scores or "no score"}.</p>
+<p>And cite the papers of the recordings, which <code>crowdbench data import</code> names.</p>"""
 
 
 def _history(entry: Entry) -> str:

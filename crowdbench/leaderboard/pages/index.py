@@ -20,9 +20,15 @@ JUDGED: dict[Track, str] = {
     "and, under the recorded arrivals, by motion and interaction.",
 }
 LISTED = (
-    "Scored like all others, but not ranked: trajectories that crowdbench did not roll out itself, "
-    "and models that have seen what they are held against."
+    "Scored like all others, but not ranked: trajectories that crowdbench did not roll out "
+    "itself, and models that have seen what they are held against (full). Trajectories of crowds "
+    "are judged without motion and interaction, which are those of people who entered as recorded."
 )
+SUBMIT = """\
+crowdbench submit init my-policy --track walk --policy networks/*
+crowdbench submit check my-policy
+crowdbench leaderboard verify my-policy --out verified"""
+"""The commands of a submission; `networks` holds a folder for each scene."""
 _KINDS = ("learned", "model-based", "privileged")
 
 
@@ -43,16 +49,14 @@ and compared with recordings of real places.</p>
 {tracks}
 {_GUIDE}
 <section id="scorer">
-<h2>Scorer and history</h2>
+<h2>Scorer, citing and history</h2>
 {_scorer(entries)}
 </section>
 <section id="submit">
 <h2>Submit</h2>
 <p>A submission is a folder with <code>submission.toml</code> and its artefacts, sent as a pull
 request. <a href="RULES.md">The rules</a> say what is ranked, listed, refused and flagged.</p>
-<pre tabindex="0"><code>crowdbench submit init my-policy --track walk
-crowdbench submit check my-policy
-crowdbench leaderboard verify my-policy --out verified</code></pre>
+<pre tabindex="0"><code>{SUBMIT}</code></pre>
 </section>
 </main>
 """
@@ -67,19 +71,29 @@ def own(name: str) -> str:
 _GUIDE = f"""<section id="guide" class="guide">
 <h2>How to read the tables</h2>
 <ul>
-<li>A <b>score of 0</b>, the solid line, is the anchor: a crowd that knows next to nothing. A
-<b>score of 1</b>, the dashed line, is what the true process gets on average. Dots are scores,
-whiskers and brackets <b>95&nbsp;% intervals</b>; arrows point to what lies beyond the axis.</li>
+<li>A <b>score of 0</b>, the solid line, is the anchor: straight walkers, and where crowds are
+judged poisson-gmm, which lets them enter at constant rates. A <b>score of 1</b>, the dashed line,
+is what the process that made the recording would get on average: for motion and interaction the
+recording itself. More is chance, or memory. Dots are scores, whiskers and brackets <b>95&nbsp;%
+intervals</b>; arrows point to what lies beyond the axis.</li>
+<li><b>Families</b> of metrics: <i>arrivals</i> (when people enter), <i>presence</i> (how many are
+there), <i>lives</i> (how long they stay, from where to where), <i>space</i> (where they are, how
+near to each other), <i>motion</i> (speed, acceleration, turning), <i>interaction</i> (how near
+strangers come, overlaps, walls).</li>
 <li>A <b>rank</b> is 1 + the number of entries that are significantly better. Entries marked = share
 theirs and form a <b>tie group</b>: they cannot be told apart, whatever their order in it. Each view
 (a scene, a family) is ranked by itself.</li>
 <li><b>Overall</b> is the mean of {", ".join(SCENES[:-1])} and {SCENES[-1]}; who lacks one of them
 has none. Other scenes are shown.</li>
+<li><b>Kinds</b>: learned, model-based, or privileged, which sees the simulation’s state in place of
+observations.</li>
 <li><i>Lines in italics</i> are <b>references</b> and have no rank: what scores 0 by definition, the
 recording itself, blocks of it from memory, chance.</li>
 <li><b>Copy</b> tells how much of a crowd may be the recording itself: how well its arrivals
 correlate with recorded ones, minute by minute, and the share of lives that stay within 0.1 m of a
-recorded one; the highest of all scenes. Who exceeds what chance gives is flagged.</li>
+recorded one; the highest of all scenes.</li>
+<li><b>Flags</b> change no score: who copies more than chance would, scores above the true process,
+or varies too little, <a href="RULES.md#what-is-flagged">is flagged</a>.</li>
 </ul>
 </section>"""
 
@@ -123,7 +137,8 @@ def _scorer(entries: Sequence[Entry]) -> str:
     said = (
         f"<p>All scores are of <b>scorer {entries[0].scorer}</b> (crowdbench {versions}). A change "
         "by which scores become others makes a new scorer; all entries are then scored anew, and "
-        "what they had is kept.</p>"
+        "what they had is kept. So a score needs no date, only its scorer; a rank is among the "
+        "entries of a commit. Each entry’s page says how to cite it.</p>"
     )
     rows = "".join(
         f'<tr><th scope="row" class="name"><a href="pages/{entry.id}.html">'

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 from crowdbench.leaderboard.declared import SCENES
-from crowdbench.leaderboard.pages.index import JUDGED, LISTED
+from crowdbench.leaderboard.pages.index import JUDGED, LISTED, SUBMIT
 from crowdbench.leaderboard.pages.standings import Line, Standing, View
-from crowdbench.leaderboard.pages.tables import OVERALL, correlation, share
+from crowdbench.leaderboard.pages.tables import COPIED, OVERALL, copied, correlation, share
 from crowdbench.leaderboard.pages.text import in_markdown
 from crowdbench.report.markdown import flowed, table
 from crowdbench.report.words import interval, number
@@ -18,10 +18,10 @@ def readme(standings: Sequence[Standing]) -> str:
     return flowed(f"""# Leaderboard
 
 Crowds that come and go, rolled out by crowdbench itself on what they have not seen, and compared
-with recordings of real places. [index.html](index.html), opened in a browser, shows the same with
-intervals drawn, by scene, kind and family, and has a page for each entry;
-[the rules](RULES.md) say what is ranked, listed, refused and flagged. This file is made by
-`crowdbench leaderboard build`, from `entries/` alone.
+with recordings of real places. [index.html](index.html) shows the same with intervals drawn, by
+scene, kind and family, and has a page for each entry. GitHub shows the source of pages: open
+`index.html` of a clone in a browser. [The rules](RULES.md) say what is ranked, listed, refused and
+flagged. This file is made by `crowdbench leaderboard build`, from `entries/` alone.
 
 ## How to read the tables
 
@@ -41,17 +41,17 @@ A submission is a folder with `submission.toml` and its artefacts, sent as a pul
 it under `leaderboard/submissions/`:
 
 ```sh
-crowdbench submit init my-policy --track walk
-crowdbench submit check my-policy
-crowdbench leaderboard verify my-policy --out verified
+{SUBMIT}
 ```
 """)
 
 
 _HOW = "\n".join(
     (
-        "- A score of 0 is the anchor, a crowd that knows next to nothing; 1 is what the true "
-        "process gets on average; brackets are 95 % intervals.",
+        "- A score of 0 is the anchor: straight walkers, and where crowds are judged "
+        "`poisson-gmm`, which lets them enter at constant rates. 1 is what the process that made "
+        "the recording would get on average: for motion and interaction the recording itself. More "
+        "is chance, or memory. Brackets are 95 % intervals.",
         "- A rank is 1 + the number of entries that are significantly better. Entries marked = "
         "share theirs and form a tie group: they cannot be told apart, whatever their order in it.",
         f"- *Overall* is the mean of {', '.join(SCENES[:-1])} and {SCENES[-1]}; who lacks one of "
@@ -73,39 +73,37 @@ def _track(standing: Standing) -> str:
     title = f"## {standing.track.capitalize()}\n\n{JUDGED[standing.track]}\n\n"
     if not lines:
         return f"{title}No entries yet."
-    head = ["rank", "entry", "kind", "overall", *standing.scenes, *_COPY, "flags"]
     rows = [
-        [standing.rank(line, OVERALL), *_cells(line, standing.scenes), _flags(line)]
+        [standing.rank(line, OVERALL), *_cells(line, standing.scenes, copied(standing))]
         for line in lines
     ]
-    return title + table(head, rows, text=3)
-
-
-_COPY = ("copy of arrivals", "of lives")
+    return title + _table("rank", standing.scenes, copied(standing), rows)
 
 
 def _listed(lines: Sequence[Line], standings: Sequence[Standing]) -> str:
     scenes = tuple(dict.fromkeys(name for standing in standings for name in standing.scenes))
-    head = ["track", "entry", "kind", "overall", *scenes, *_COPY, "flags"]
-    rows = [[o.entry.declared.track, *_cells(o, scenes), _flags(o)] for o in lines]
-    return table(head, rows, text=3)
+    rows = [[o.entry.declared.track, *_cells(o, scenes, COPIED)] for o in lines]
+    return _table("track", scenes, COPIED, rows)
 
 
-def _cells(line: Line, scenes: Sequence[str]) -> list[str]:
-    """Name, kind, scores and copies."""
+def _table(
+    first: str, scenes: Sequence[str], copies: Sequence[str], rows: Sequence[Sequence[str]]
+) -> str:
+    head = [first, "entry", "kind", "flags", "overall", *scenes, *(f"copy of {c}" for c in copies)]
+    return table(head, rows, text=4)
+
+
+def _cells(line: Line, scenes: Sequence[str], copies: Sequence[str]) -> list[str]:
+    """Name, kind, flags, scores and copies."""
     entry = line.entry
     name = f"[{in_markdown(entry.declared.name)}](pages/{entry.id}.html)"
-    reference = entry.status == "reference"
     arrivals, lives = line.copied()
+    shown = {"arrivals": correlation(arrivals), "lives": share(lives)}
     return [
-        f"*{name}*" if reference else name,
-        "reference" if reference else entry.declared.kind,
+        f"*{name}*" if entry.status == "reference" else name,
+        line.kind,
+        ", ".join(dict.fromkeys(flag.what for flag in entry.flags)),
         interval(line.scores.get(OVERALL)),
         *(number(line.scores.get(View(scene=scene))) for scene in scenes),
-        correlation(arrivals),
-        share(lives),
+        *(shown[what] for what in copies),
     ]
-
-
-def _flags(line: Line) -> str:
-    return ", ".join(dict.fromkeys(flag.what for flag in line.entry.flags))

@@ -39,8 +39,9 @@ def _facts(scene: SceneEntry) -> str:
         limit = f" (without copying at most {correlation(copy.arrivals_limit)})"
     arrivals = "" if copy.arrivals is None else f"arrivals {correlation(copy.arrivals)}{limit}, "
     return (
-        f"Protocol {scene.protocol}: {scene.rollouts} rollouts{each}, {scene.fits} "
-        f"fit{'s' * (scene.fits != 1)}; {scene.persons:,} persons{f': {ends}' if ends else ''}. "
+        f"Protocol {scene.protocol}: {scene.rollouts} rollout{'s' * (scene.rollouts != 1)}{each}, "
+        f"{scene.fits} fit{'s' * (scene.fits != 1)}; {scene.persons:,} simulated persons"
+        f"{f': {ends}' if ends else ''}. "
         f"Copy: {arrivals}lives {share(copy.lives)}."
     )
 

@@ -37,6 +37,16 @@ class Line:
     scores: dict[View, Score]
     """Of the views in which it has one."""
 
+    @property
+    def kind(self) -> str:
+        """`reference`, or the kind that it declares; with what it is listed for."""
+        if self.entry.status == "reference":
+            return "reference"
+        kind = self.entry.declared.kind
+        if self.entry.status == "ranked":
+            return kind
+        return f"{kind}, {'trajectories' if _are_trajectories(self.entry) else 'full'}"
+
     def worth(self, view: View) -> tuple[float, str]:
         """Sorts the best first, and who has no score last."""
         score = self.scores.get(view)
@@ -109,9 +119,13 @@ def scores(entry: Entry) -> dict[View, Score]:
     """The scores of an entry in the views in which it has one.
 
     A scene's is the mean of its families, if none is missing that counts there; the overall score
-    is the mean of the scenes in `SCENES`, if none is missing, and so is that of each family.
+    is the mean of the scenes in `SCENES`, if none is missing, and so is that of each family. Crowds
+    that came as trajectories did not enter as recorded, and are judged without motion and
+    interaction.
     """
     families = FAMILIES_OF[entry.declared.track]
+    if entry.declared.track == "crowd" and _are_trajectories(entry):
+        families = FAMILIES_OF["spawn"]
     found: dict[View, Score] = {}
     for name, scene in entry.scenes.items():
         each = {f: scene.families[f].score() for f in families if f in scene.families}
@@ -126,6 +140,10 @@ def scores(entry: Entry) -> dict[View, Score]:
             if mean is not None:
                 found[View(family)] = mean
     return found
+
+
+def _are_trajectories(entry: Entry) -> bool:
+    return any("/trajectories/" in name for name in entry.artefacts)
 
 
 def _counted(scene: SceneEntry) -> set[str]:

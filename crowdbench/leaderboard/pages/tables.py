@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
-from crowdbench.leaderboard.entry import Entry
+from crowdbench.leaderboard.declared import Track
 from crowdbench.leaderboard.pages import axis
 from crowdbench.leaderboard.pages.standings import Line, Standing, View
 from crowdbench.leaderboard.pages.text import short
@@ -11,10 +11,15 @@ from crowdbench.report.words import NOTHING, plainly
 from crowdbench.scoring import Score
 
 OVERALL = View()
-_SCORES = (
-    "Scores with 95&nbsp;% intervals; 0 is the anchor, 1 (dashed) what the true process gets on "
-    "average."
-)
+COPIED = ("arrivals", "lives")
+_SCORES: dict[Track, str] = {
+    "walk": "Scores with 95&nbsp;% intervals: 0 is what straight walkers get, 1 (dashed) what the "
+    "recording itself gets.",
+    "spawn": "Scores with 95&nbsp;% intervals: 0 is what poisson-gmm gets, 1 (dashed) what the "
+    "process that made the recording would get on average.",
+    "crowd": "Scores with 95&nbsp;% intervals: 0 is what poisson-gmm with straight walkers gets, 1 "
+    "(dashed) what the process that made the recording would get on average.",
+}
 _RANKS = " Equal ranks (=) cannot be told apart. In italics: references."
 
 
@@ -47,7 +52,7 @@ def _table(standing: Standing, first: str, rows: str, *, ranked: bool) -> str:
     label = f"Track {standing.track}{'' if ranked else ', listed'}"
     return f"""<div class="scroll" role="region" aria-label="{label}" tabindex="0">
 <table class="standing{" ranked" * ranked}">
-<caption>{_SCORES}{_RANKS * ranked}</caption>
+<caption>{_SCORES[standing.track]}{_RANKS * ranked}</caption>
 <thead><tr>{first}{_heads(standing)}</tr></thead>
 <tbody>
 {rows}</tbody>
@@ -68,7 +73,7 @@ def _heads(standing: Standing) -> str:
     )
     copies = "".join(
         f'<th scope="col" class="copy" data-sort="down"><span>copy of&nbsp;{what}</span></th>'
-        for what in _copied(standing)
+        for what in copied(standing)
     )
     return f"""<th scope="col" class="name" data-sort="up"><span>entry</span></th>
 <th scope="col" class="score" data-sort="down"><span>{chosen}</span></th>
@@ -97,14 +102,14 @@ def _cells(line: Line, standing: Standing) -> str:
         f'<td class="scene" data-column="{scene}">{_families(line, standing, scene)}</td>'
         for scene in standing.scenes
     )
-    copies = "".join(_copies(line, standing, what) for what in _copied(standing))
-    name = f'<th scope="row" class="name">{_name(line.entry)}</th>'
+    copies = "".join(_copies(line, standing, what) for what in copied(standing))
+    name = f'<th scope="row" class="name">{_name(line)}</th>'
     return f"{name}{_chosen(line, standing)}{scenes}{copies}"
 
 
-def _copied(standing: Standing) -> tuple[str, ...]:
+def copied(standing: Standing) -> tuple[str, ...]:
     """Of what copies are told; arrivals on track walk are the recorded ones by rule."""
-    return ("lives",) if standing.track == "walk" else ("arrivals", "lives")
+    return ("lives",) if standing.track == "walk" else COPIED
 
 
 def _hidden(shown: bool) -> str:
@@ -170,13 +175,12 @@ def share(value: float | None) -> str:
     return NOTHING if value is None else f"{100 * value:.1f}\u00a0%"
 
 
-def _name(entry: Entry) -> str:
-    declared = entry.declared
-    what = "reference" if entry.status == "reference" else declared.kind
+def _name(line: Line) -> str:
+    entry, declared = line.entry, line.entry.declared
     more = " et al." if len(declared.authors) > 1 else ""
     flags = ", ".join(dict.fromkeys(flag.what for flag in entry.flags))
     flagged = f'<small class="flagged">flagged: {flags}</small>' if flags else ""
     return (
         f'<a href="pages/{entry.id}.html">{short(declared.name)}</a>'
-        f"<small>{what} · {short(declared.authors[0])}{more}</small>{flagged}"
+        f"<small>{line.kind} · {short(declared.authors[0])}{more}</small>{flagged}"
     )
