@@ -62,7 +62,7 @@ def distribution(name: str, reference: Reference, parts: Iterable[Seen]) -> Curv
     shown = _spread_out(min(last + 1, size))
     return Curve(
         x_label=DISTRIBUTIONS[name][1],
-        y_label="share of all up to it",
+        y_label="cumulative share",
         x=_rounded(shown * metric.step(reference.blocks)),
         recorded=_rounded(of_recorded[shown]),
         simulated=_rounded(of_simulated[shown]),
