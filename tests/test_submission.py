@@ -226,7 +226,16 @@ def test_each_field_says_what_is_expected() -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "a = [", "\0", "a = " + "[" * 5000, "a = " + "9" * 5000, "x" * (LARGEST_DECLARATION + 1)],
+    [
+        "",
+        "a = [",
+        "\0",
+        "a = " + "[" * 5000,
+        "a = " + "9" * 5000,
+        "x" * (LARGEST_DECLARATION + 1),
+        "a." * 30_000 + "b = 1",
+        "[" + "a." * 30_000 + "b]",
+    ],
 )
 def test_what_is_no_declaration_is_refused(text: str, walker: Path) -> None:
     (walker / "submission.toml").write_text(text)

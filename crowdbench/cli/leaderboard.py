@@ -98,10 +98,18 @@ def _verify(asked: argparse.Namespace) -> None:
 
     limits = _limits(asked)
 
+    made: set[str] = set()
+
     def one(submission: Path, progress: "Progress") -> "Entry":
         entry, ran = verify(
-            submission, asked.out, workers=asked.workers, limits=limits, progress=progress
+            submission,
+            asked.out,
+            workers=asked.workers,
+            limits=limits,
+            progress=progress,
+            taken=made,
         )
+        made.add(entry.id)
         if ran.network != "none":
             print(f"crowdbench: network {ran.network}", file=sys.stderr)
         return entry

@@ -10,7 +10,7 @@ import msgspec
 
 from crowdbench.errors import CrowdbenchError
 from crowdbench.leaderboard.declared import FILE, Declared, Trained
-from crowdbench.leaderboard.limits import LARGEST_DECLARATION
+from crowdbench.leaderboard.limits import LARGEST_DECLARATION, MOST_DOTS
 from crowdbench.leaderboard.problems import RefusedError
 from crowdbench.registry import SPAWN_MODELS
 from crowdbench.scene import list_scenes
@@ -78,8 +78,10 @@ def _raw(path: Path, problems: list[CrowdbenchError]) -> dict[str, Any] | None:
     try:
         if path.stat().st_size > LARGEST_DECLARATION:
             got, expected = f"{path.stat().st_size} bytes", f"at most {LARGEST_DECLARATION}"
+        elif (dots := (text := path.read_text(encoding="utf-8")).count(".")) > MOST_DOTS:
+            got, expected = f"{dots} dots", f"at most {MOST_DOTS}"
         else:
-            return tomllib.loads(path.read_text(encoding="utf-8"))
+            return tomllib.loads(text)
     except OSError as error:
         got, expected = error.strerror or "no file", "what `crowdbench submit init` writes"
     except (ValueError, RecursionError) as error:  # no UTF-8, no TOML, numbers of 5000 digits

@@ -74,12 +74,6 @@ def make_entry(
             os.chdir(before)
 
 
-def artefacts_of(progress: Callable[[int, int], None], submission: str) -> dict[str, str]:
-    """SHA-256 of a submission's files."""
-    with open_submission(Path(submission)) as given:
-        return given.artefacts
-
-
 def _scenes(given: Submission) -> list[str]:
     return list(dict.fromkeys(given.declared.scenes))
 
