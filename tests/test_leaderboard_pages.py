@@ -17,9 +17,12 @@ from markdown_it import MarkdownIt
 from PIL import Image
 
 from crowdbench.cli import main
-from crowdbench.errors import SettingError, WeightsError
-from crowdbench.leaderboard.declared import SCENES
-from crowdbench.leaderboard.entry import Curve, Entry, Flag, ScoreCard
+from crowdbench.errors import CrowdbenchError, SettingError, WeightsError
+from crowdbench.files import sha256
+from crowdbench.leaderboard.declaration import read_declared
+from crowdbench.leaderboard.declared import FILE, SCENES
+from crowdbench.leaderboard.entry import Curve, Entry, Flag, ScoreCard, read_entry
+from crowdbench.leaderboard.layout import files_in, lay_out
 from crowdbench.leaderboard.pages import build
 from crowdbench.leaderboard.pages.axis import NARROW, bar
 from crowdbench.leaderboard.pages.curves import figure
@@ -33,6 +36,7 @@ from crowdbench.leaderboard.pages.standings import (
     standing,
 )
 from crowdbench.leaderboard.pages.text import in_html, in_markdown, link
+from crowdbench.leaderboard.submission import Submission
 from crowdbench.report.words import with_interval
 from crowdbench.scoring import RESAMPLES, combined, overall, ranks
 
@@ -163,6 +167,23 @@ def test_what_is_committed_is_what_its_entries_make(tmp_path: Path) -> None:
     assert {f"pages/{p.name}" for p in (ROOT / "pages").glob("*")} <= set(made)
 
 
+def test_committed_entries_are_of_the_submissions_beside_them() -> None:
+    """Who adds an entry by hand, or changes one or its submission, is found out."""
+    for path in (ROOT / "entries").glob("*.json"):
+        entry = read_entry(path)
+        folder, problems = ROOT / "submissions" / entry.id, list[CrowdbenchError]()
+        names = files_in(folder, problems)
+        declared = read_declared(folder / FILE, problems)
+        assert declared is not None
+        layout = lay_out(declared, names, problems)
+        hashes = {name: sha256((folder / name).read_bytes()) for name in names}
+        given = Submission(folder, declared, layout, hashes)
+        assert problems == []
+        assert (given.id, given.status, declared, hashes) == (
+            entry.id, entry.status, entry.declared, entry.artefacts,
+        )  # fmt: skip
+
+
 def test_without_entries_there_are_pages_too(tmp_path: Path) -> None:
     build(put([], tmp_path))
     assert set(contents(tmp_path)) == {"README.md", "index.html"}
@@ -199,6 +220,11 @@ def replaced(entry: Entry, **changes: object) -> Entry:
 ONE = made_up("one", "walk", 0.5)
 UNEVEN = Curve(x_label="x", y_label="y", x=[0.0, 1.0], recorded=[1.0], simulated=[1.0, 2.0])
 NOTHING = ScoreCard(value=0.0, resampled=bytes(4 * RESAMPLES))
+NO_NUMBER = ScoreCard(value=0.0, resampled=np.full(RESAMPLES, np.nan, "<f4").tobytes())
+HUGE = Curve(x_label="x", y_label="y", x=[0.0, 1.7e308], recorded=[0.0, 1.0], simulated=[0.0, 1.0])
+LONG = Curve(x_label="x", y_label="y", **dict.fromkeys(("x", "recorded", "simulated"), [0.0] * 101))  # type: ignore[arg-type]
+SPEED = ONE.scenes["eth-v0"].metrics["speed"]
+FLAG = Flag(what="too good", scene="eth-v0", value=2.0, limit=1.0, text="It is.")
 BAD = {
     "a name of 10,000 letters": (made_up("n" * 10_000, "walk", 0.5), "length <= 200"),
     "an older scorer": (msgspec.structs.replace(ONE, scorer=0), "Run `crowdbench leaderboard resc"),
@@ -206,7 +232,25 @@ BAD = {
     "an unknown family": (replaced(ONE, families={"style": NOTHING}), "an unknown family"),
     "a scene like a path": (msgspec.structs.replace(ONE, scenes={"../x": ONE.scenes["eth-v0"]}),
                             "single hyphens"),
-    "an uneven curve": (replaced(ONE, curves={"c": UNEVEN}), "other lengths than its axis"),
+    "a scene of nobody's": (made_up("one", "walk", 0.5, scenes=("moon-v0",)), "scenes of crowd"),
+    "a scene that was not submitted": (msgspec.structs.replace(
+        ONE, declared=msgspec.structs.replace(ONE.declared, scenes=["gc-v0"])), "submission decl"),
+    "an uneven curve": (replaced(ONE, curves={"Speed": UNEVEN}), "other lengths than its axis"),
+    "an endless curve": (replaced(ONE, curves={"Speed": HUGE}), "numbers up to 1e+12"),
+    "a long curve": (replaced(ONE, curves={"Speed": LONG}), "a curve of more than 100 values"),
+    "a curve of nobody's": (replaced(ONE, curves={"c": ONE.scenes["eth-v0"].curves["Speed"]}),
+                            "unknown curves"),
+    "a score that is no number": (replaced(ONE, families={"motion": NO_NUMBER}), "numbers up to"),
+    "a score without end": (replaced(ONE, families={"motion": msgspec.structs.replace(
+        NOTHING, value=-1e300)}), "numbers up to"),
+    "persons without end": (replaced(ONE, persons=10**15), "numbers up to"),
+    "a part of nobody's": (replaced(ONE, metrics={"speed": msgspec.structs.replace(
+        SPEED, parts={"x" * 1000: [0.0]})}), "unknown parts"),
+    "a flag a hundred times": (msgspec.structs.replace(ONE, flags=[FLAG] * 100), "at most once"),
+    "a flag of another scene": (msgspec.structs.replace(
+        ONE, flags=[msgspec.structs.replace(FLAG, scene="zara1-v0")]), "of the entry's"),
+    "more files than there may be": (msgspec.structs.replace(
+        ONE, artefacts={f"{k}": "" for k in range(401)}), "those of one submission"),
     "a metric of nobody's": (replaced(ONE, metrics={"m": ONE.scenes["eth-v0"].metrics["speed"]}),
                              "an unknown metric"),
 }  # fmt: skip

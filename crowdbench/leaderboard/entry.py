@@ -5,6 +5,7 @@ these, and entries are compared on the resamples they share. Nothing in it depen
 or the time (that goes to `run.json`): the same submission gives the same bytes.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
@@ -21,6 +22,8 @@ SCORER = 1
 """Version of how rollouts become scores. It goes up with any change by which an entry's scores
 would be others; `crowdbench leaderboard rescore` then makes entries anew."""
 
+LARGEST = 1e12
+"""No number of an entry is larger; learned parameters come nearest."""
 Status = Literal["ranked", "listed", "reference"]
 """`ranked`: weights that crowdbench rolled out, held out; `listed`: trajectories, or weights that
 have seen what they are held against; `reference`: a line that others are seen against (what
@@ -152,12 +155,31 @@ def read_entry(path: Path) -> Entry:
     """
     mend = "Make it with `crowdbench leaderboard verify`."
     entry = read_struct(path, Entry, WeightsError, mend)
-    lengths = {len(f.resampled) for s in entry.scenes.values() for f in s.families.values()}
+    resampled = [f.resampled for s in entry.scenes.values() for f in s.families.values()]
+    lengths = {len(each) for each in resampled}
     for got, holds, expected in (
         (f"schema {entry.schema}", entry.schema == SCHEMA, f"schema {SCHEMA}"),
         (f"the entry {entry.id}", entry.id == path.stem, "the entry that its name says"),
         ("resamples cut short", lengths <= {4 * RESAMPLES}, f"{RESAMPLES} of each"),
+        (
+            "numbers that no verification gives",
+            lengths <= {4 * RESAMPLES}
+            and all(abs(x) <= LARGEST for x in _numbers(msgspec.to_builtins(entry)))
+            and all((np.abs(np.frombuffer(each, "<f4")) <= LARGEST).all() for each in resampled),
+            f"numbers up to {LARGEST:.0e}",
+        ),
     ):
         if not holds:
             raise WeightsError(path, got=got, expected=expected, mend=mend)
     return entry
+
+
+def _numbers(value: object) -> Iterator[float]:
+    """All that are in lists and dictionaries, however deep."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        for each in value:
+            yield from _numbers(each)
+    elif isinstance(value, int | float):
+        yield value

@@ -6,10 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from crowdbench.blocks import PARTS
 from crowdbench.errors import WeightsError
+from crowdbench.leaderboard.curves import POINTS, TITLES
 from crowdbench.leaderboard.declared import SCENES, Track
 from crowdbench.leaderboard.entry import Entry, SceneEntry, read_entry
+from crowdbench.leaderboard.limits import MOST_FILES
 from crowdbench.metrics import FAMILIES, METRICS, WALK
+from crowdbench.scene import list_scenes
 from crowdbench.scoring import Score, combined, ranks
 
 TRACKS: tuple[Track, ...] = ("walk", "spawn", "crowd")
@@ -176,6 +180,37 @@ def _check_names(entry: Entry, path: Path) -> None:
         ),
         ("an unknown family", all(set(s.families) <= set(FAMILIES) for s in scenes), "known ones"),
         ("an unknown metric", all(set(s.metrics) <= set(FAMILY_OF) for s in scenes), "known ones"),
+        (
+            "a scene that is none, or was not submitted",
+            set(entry.scenes) <= {*list_scenes()} & {*entry.declared.scenes},
+            "scenes of crowdbench that the submission declares",
+        ),
+        (
+            "other flags than one of a kind and scene",
+            len({(f.what, f.scene) for f in entry.flags}) == len(entry.flags)
+            and {f.scene for f in entry.flags} <= set(entry.scenes),
+            "each at most once, of a scene of the entry's",
+        ),
+        (
+            "unknown parts",
+            all(set(m.parts) <= set(PARTS) for s in scenes for m in s.metrics.values()),
+            ", ".join(PARTS),
+        ),
+        (
+            "unknown curves",
+            all(set(s.curves) <= TITLES for s in scenes),
+            ", ".join(sorted(TITLES)),
+        ),
+        (
+            f"a curve of more than {POINTS} values",
+            all(len(c.x) <= POINTS for c in curves),
+            "fewer",
+        ),
+        (
+            f"more than {MOST_FILES} artefacts",
+            len(entry.artefacts) <= MOST_FILES,
+            "those of one submission",
+        ),
         (
             "a curve whose lines have other lengths than its axis",
             all(0 < len(c.x) == len(c.recorded) == len(c.simulated) for c in curves),
