@@ -259,7 +259,7 @@ def test_an_answer_that_would_be_written_elsewhere_is_refused(
 ) -> None:
     forged = msgspec.structs.replace(walked[1], id="../elsewhere")
     monkeypatch.setattr("crowdbench.leaderboard.verify.call", lambda *a, **k: (forged, None))
-    with pytest.raises(SandboxError, match="no plain name"):
+    with pytest.raises(SandboxError, match="an answer with an id or a scene of other letters"):
         verify(walked[0] / "mine", tmp_path / "out")
     assert not (tmp_path / "elsewhere.json").exists()
 

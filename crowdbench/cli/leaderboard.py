@@ -175,6 +175,7 @@ def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> 
 
 
 def _print_entry(entry: "Entry") -> None:
+    from crowdbench.leaderboard.problems import plain
     from crowdbench.metrics import FAMILIES
     from crowdbench.report.words import interval, number
     from crowdbench.scoring import combined
@@ -193,4 +194,4 @@ def _print_entry(entry: "Entry") -> None:
         )
     new_console().print(table)
     for flag in entry.flags:
-        print(f"{flag.what}: {flag.text}")
+        print(f"{flag.what}: {plain(flag.text)}")

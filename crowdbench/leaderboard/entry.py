@@ -22,6 +22,7 @@ SCORER = 1
 """Version of how rollouts become scores. It goes up with any change by which an entry's scores
 would be others; `crowdbench leaderboard rescore` then makes entries anew."""
 
+_MEND = "Make it with `crowdbench leaderboard verify`."
 LARGEST = 1e12
 """No number of an entry is larger; learned parameters come nearest."""
 Status = Literal["ranked", "listed", "reference"]
@@ -153,25 +154,39 @@ def read_entry(path: Path) -> Entry:
     Raises:
         WeightsError: it is missing or broken, or of another schema.
     """
-    mend = "Make it with `crowdbench leaderboard verify`."
-    entry = read_struct(path, Entry, WeightsError, mend)
-    resampled = [f.resampled for s in entry.scenes.values() for f in s.families.values()]
-    lengths = {len(each) for each in resampled}
+    entry = read_struct(path, Entry, WeightsError, _MEND)
     for got, holds, expected in (
         (f"schema {entry.schema}", entry.schema == SCHEMA, f"schema {SCHEMA}"),
         (f"the entry {entry.id}", entry.id == path.stem, "the entry that its name says"),
-        ("resamples cut short", lengths <= {4 * RESAMPLES}, f"{RESAMPLES} of each"),
-        (
-            "numbers that no verification gives",
-            lengths <= {4 * RESAMPLES}
-            and all(abs(x) <= LARGEST for x in _numbers(msgspec.to_builtins(entry)))
-            and all((np.abs(np.frombuffer(each, "<f4")) <= LARGEST).all() for each in resampled),
-            f"numbers up to {LARGEST:.0e}",
-        ),
     ):
         if not holds:
-            raise WeightsError(path, got=got, expected=expected, mend=mend)
+            raise WeightsError(path, got=got, expected=expected, mend=_MEND)
+    check_numbers(entry, path)
     return entry
+
+
+def check_numbers(entry: Entry, where: object) -> None:
+    """Refuse what cannot be drawn or compared.
+
+    Raises:
+        WeightsError: resamples are cut short, or a number is too large or none.
+    """
+    cards = [card for scene in entry.scenes.values() for card in scene.families.values()]
+    if any(len(card.resampled) != 4 * RESAMPLES for card in cards):
+        raise WeightsError(
+            where, got="resamples cut short", expected=f"{RESAMPLES} of each", mend=_MEND
+        )
+    numbers = _numbers(msgspec.to_builtins(entry))
+    sound = all(abs(x) <= LARGEST for x in numbers) and all(
+        (np.abs(card.score().resampled) <= LARGEST).all() for card in cards
+    )
+    if not sound:
+        raise WeightsError(
+            where,
+            got="numbers that no verification gives",
+            expected=f"numbers up to {LARGEST:.0e}",
+            mend=_MEND,
+        )
 
 
 def _numbers(value: object) -> Iterator[float]:

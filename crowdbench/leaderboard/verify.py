@@ -4,7 +4,6 @@ The work is done in a child process with limits; what it answers is read strictl
 """
 
 import platform
-import re
 from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import asdict
@@ -19,9 +18,9 @@ from crowdbench.leaderboard.checked import Checked, check
 from crowdbench.leaderboard.entry import Entry, read_entry
 from crowdbench.leaderboard.problems import plain
 from crowdbench.leaderboard.sandbox import Limits, Ran, SandboxError, call
+from crowdbench.leaderboard.soundness import check_entry
 
 DEFAULT = Limits()
-_ID = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 
 
 def verify(
@@ -96,10 +95,12 @@ def entry_of(
         limits=limits,
         progress=progress,
     )
-    if len(entry.id) > 60 or not _ID.fullmatch(entry.id):  # it becomes the name of a file
+    try:
+        check_entry(entry, submission)  # its id becomes the name of a file
+    except WeightsError as error:
         raise SandboxError(
-            submission, got="an answer whose id is no plain name", expected="a-z, 0-9 and hyphens"
-        )
+            submission, got=f"an answer with {error.got}", expected=error.expected
+        ) from error
     return entry, ran
 
 
