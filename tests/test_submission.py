@@ -192,6 +192,10 @@ BIDI = "\u202etxt.exe"
         ('"A walker"', f'"{BIDI}"', "name: got '\\u202etxt.exe'"),
         ('"A walker"', '"\\u001b[2J"', "name: got '\\x1b[2J'"),
         ('"A walker"', '"two\\nlines"', "name"),
+        ('"A walker"', '"\u3164"', "name"),
+        ('"A walker"', '"orca\u034f"', "name"),
+        ('"A walker"', f'"Z{chr(0x301) * 100}"', "name"),
+        ('["Ada Lovelace"]', '["\u2800"]', "authors"),
         ('["Ada Lovelace"]', "[]", "authors"),
         ('["Ada Lovelace"]', '["Ada", "\\u0000"]', "authors"),
         ('"ada@example.org"', '"FILL IN: an address"', "contact"),
@@ -216,6 +220,12 @@ def test_fields_are_held_against_what_they_mean(
     old: str, new: str, where: str, walker: Path
 ) -> None:
     assert f"submission.toml, {where}" in refusal(edit(walker, old, new))
+
+
+@pytest.mark.parametrize("name", ["Fußgänger", "行人", "नमस्ते", "Nguyễn Ệ", "שָׁלוֹם", "ฟ้า"])
+def test_names_are_of_any_script(name: str, walker: Path) -> None:
+    with open_submission(edit(walker, "Ada Lovelace", name)) as submission:
+        assert submission.declared.authors == [name]
 
 
 def test_each_field_says_what_is_expected() -> None:

@@ -2,7 +2,9 @@
 
 import re
 import tomllib
+import unicodedata
 from collections.abc import Iterator, Mapping
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +43,13 @@ _FORMS = {
     ),
     "licence": re.compile(r"[A-Za-z0-9][A-Za-z0-9 .+()-]*"),
 }
+_UNSEEN = re.compile(
+    "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0"
+    "\U000e0100-\U000e01ef]"
+)
+"""What is printable, and yet nothing to be seen: fillers, blanks and selectors."""
+_MOST_MARKS = 4
+"""That stand on one letter; more of them reach into the lines above."""
 # Where nothing but what is shown is wrong, artefacts are looked at all the same.
 _STAND_INS = {"name": "?", "authors": ["?"], "contact": "?", "link": "?", "licence": "?"}
 _STAND_INS_OF_TRAINING = {"data": "?", "parameters": 0}
@@ -131,6 +140,8 @@ def _mend(name: str, value: Any, kind: Any) -> str | None:
     for text in texts:
         if not text.isprintable():
             return "Leave out control characters and marks that turn the direction of text."
+        if _UNSEEN.search(text) or _most_marks(text) > _MOST_MARKS:
+            return "Leave out letters that nobody sees, and marks that pile up."
         if not text.strip() and not name.startswith("shipped_"):
             return "Say something."
     if name in _FORMS and not _FORMS[name].fullmatch(value):
@@ -140,6 +151,12 @@ def _mend(name: str, value: Any, kind: Any) -> str | None:
     if name == "shipped_spawn" and value not in ("", *SPAWN_MODELS):
         return "A new family of spawn models enters with its code, by pull request."
     return None
+
+
+def _most_marks(text: str) -> int:
+    """The most marks that follow on one letter."""
+    marks = [unicodedata.category(c) in ("Mn", "Me") for c in text]
+    return max((len(list(run)) for of_marks, run in groupby(marks) if of_marks), default=0)
 
 
 def _brief(value: Any) -> str:
