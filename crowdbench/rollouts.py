@@ -5,10 +5,10 @@ from typing import Any
 
 from crowdbench.episode import Recorder, actions_of, begin, check_capacity, generator
 from crowdbench.errors import SettingError
-from crowdbench.policies import Policy
+from crowdbench.policies import Policy, ReplayPolicy
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.spawn import SpawnModel
+from crowdbench.spawn import Replay, SpawnModel
 from crowdbench.spawn.model import Start
 from crowdbench.trajectories import Trajectories
 
@@ -37,7 +37,9 @@ def rollout(
         CapacityError: more people than slots.
         RecordingError: nobody came.
     """
-    if policy.name == "replay" and (spawn.name != "replay" or start == "empty"):
+    # By what they are, not by what they are called: a network's file says its own name.
+    replaying = isinstance(policy, ReplayPolicy)
+    if replaying and (not isinstance(spawn, Replay) or start == "empty"):
         raise SettingError(
             "policy replay",
             got=f"spawn model {spawn.name}, start {start or spawn.start}",
@@ -47,7 +49,6 @@ def rollout(
     settings = settings or settings_for(policy)
     simulation = Simulation(scene, settings=settings)
     frames = scene.frames(scene.horizon_s if horizon_s is None else horizon_s)
-    scripted = spawn.name == policy.name == "replay"
     begin(
         simulation,
         spawn,
@@ -55,7 +56,7 @@ def rollout(
         frames=frames,
         start=start,
         walker=policy,
-        scripted=scripted,
+        scripted=replaying,
     )
     policy.reset(scene, generator(seed, 0, "policy"))
     recorder = Recorder(simulation)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 from crowdbench.errors import SettingError
 
@@ -73,6 +74,51 @@ def outlive(progress: Progress, note: str, hang_s: float) -> None:
     with open(note, "w") as file:
         file.write(str(child.pid))
     time.sleep(hang_s)
+
+
+def pipe_for_answer(progress: Progress) -> None:
+    """Who opens it to read waits until somebody writes."""
+    os.mkfifo(Path(sys.argv[1], "answer.json"))
+    os._exit(0)
+
+
+def pipe_for_progress(progress: Progress) -> None:
+    os.mkfifo(Path(sys.argv[1], "progress"))
+    time.sleep(600)
+
+
+def endless_progress(progress: Progress) -> None:
+    Path(sys.argv[1], "progress").symlink_to("/dev/zero")
+    time.sleep(600)
+
+
+def linked_answer(progress: Progress, to: str) -> None:
+    Path(sys.argv[1], "answer.json").symlink_to(to)
+    os._exit(0)
+
+
+def nested_answer(progress: Progress) -> None:
+    Path(sys.argv[1], "answer.json").write_text('{"network":"none","value":' + "[" * 10**6)
+    os._exit(0)
+
+
+def pipe_for_what_it_says(progress: Progress) -> None:
+    said = Path(sys.argv[1], "said.txt")
+    said.unlink(missing_ok=True)
+    os.mkfifo(said)
+    os._exit(3)
+
+
+def paint(progress: Progress) -> None:
+    """A message that would clear a terminal and speak to what reads its lines."""
+    raise SettingError("\x1b[2J", got="a\n::warning::b", expected="c", mend="d" * 10_000)
+
+
+def refuse_submission(progress: Progress) -> None:
+    from crowdbench.leaderboard.problems import SubmissionError  # which is heavy
+
+    problems = [SettingError(f"file {k}", got="x", expected="y", mend="Mend.") for k in range(2)]
+    raise SubmissionError("mine.zip", problems)
 
 
 def write_much(progress: Progress, path: str) -> str:

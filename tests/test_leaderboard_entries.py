@@ -35,7 +35,8 @@ def test_all_that_is_shipped_is_an_entry() -> None:
 
 @pytest.mark.parametrize("path", ENTRIES, ids=lambda path: path.stem)
 def test_an_entry_is_of_the_present_files(path: Path) -> None:
-    """Else it is to be made anew: `crowdbench leaderboard verify` or `rescore`."""
+    """Who adds one by hand, or changes it or its submission, is found out; and what was trained
+    anew is to be verified anew."""
     entry = read_entry(path)
     assert (entry.schema, entry.scorer) == (SCHEMA, SCORER)
     with open_submission(ROOT / "submissions" / entry.id) as submission:

@@ -1,7 +1,10 @@
 """The leaderboard's pages: made of entries alone, complete, honest about ties, and safe to open."""
 
 import itertools
+import os
 import re
+import subprocess
+import textwrap
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
@@ -224,6 +227,11 @@ def replaced(entry: Entry, **changes: object) -> Entry:
 ONE = made_up("one", "walk", 0.5)
 UNEVEN = Curve(x_label="x", y_label="y", x=[0.0, 1.0], recorded=[1.0], simulated=[1.0, 2.0])
 NOTHING = ScoreCard(value=0.0, resampled=bytes(4 * RESAMPLES))
+NO_NUMBER = ScoreCard(value=0.0, resampled=np.full(RESAMPLES, np.nan, "<f4").tobytes())
+HUGE = Curve(x_label="x", y_label="y", x=[0.0, 1.7e308], recorded=[0.0, 1.0], simulated=[0.0, 1.0])
+LONG = Curve(x_label="x", y_label="y", **dict.fromkeys(("x", "recorded", "simulated"), [0.0] * 101))  # type: ignore[arg-type]
+SPEED = ONE.scenes["eth-v0"].metrics["speed"]
+FLAG = Flag(what="too good", scene="eth-v0", value=2.0, limit=1.0, text="It is.")
 BAD = {
     "a name of 10,000 letters": (made_up("n" * 10_000, "walk", 0.5), "length <= 200"),
     "an older scorer": (msgspec.structs.replace(ONE, scorer=0), "Run `crowdbench leaderboard resc"),
@@ -231,7 +239,25 @@ BAD = {
     "an unknown family": (replaced(ONE, families={"style": NOTHING}), "an unknown family"),
     "a scene like a path": (msgspec.structs.replace(ONE, scenes={"../x": ONE.scenes["eth-v0"]}),
                             "single hyphens"),
-    "an uneven curve": (replaced(ONE, curves={"c": UNEVEN}), "other lengths than its axis"),
+    "a scene of nobody's": (made_up("one", "walk", 0.5, scenes=("moon-v0",)), "scenes of crowd"),
+    "a scene that was not submitted": (msgspec.structs.replace(
+        ONE, declared=msgspec.structs.replace(ONE.declared, scenes=["gc-v0"])), "submission decl"),
+    "an uneven curve": (replaced(ONE, curves={"Speed": UNEVEN}), "other lengths than its axis"),
+    "an endless curve": (replaced(ONE, curves={"Speed": HUGE}), "numbers up to 1e+12"),
+    "a long curve": (replaced(ONE, curves={"Speed": LONG}), "a curve of more than 100 values"),
+    "a curve of nobody's": (replaced(ONE, curves={"c": ONE.scenes["eth-v0"].curves["Speed"]}),
+                            "unknown curves"),
+    "a score that is no number": (replaced(ONE, families={"motion": NO_NUMBER}), "numbers up to"),
+    "a score without end": (replaced(ONE, families={"motion": msgspec.structs.replace(
+        NOTHING, value=-1e300)}), "numbers up to"),
+    "persons without end": (replaced(ONE, persons=10**15), "numbers up to"),
+    "a part of nobody's": (replaced(ONE, metrics={"speed": msgspec.structs.replace(
+        SPEED, parts={"x" * 1000: [0.0]})}), "unknown parts"),
+    "a flag a hundred times": (msgspec.structs.replace(ONE, flags=[FLAG] * 100), "at most once"),
+    "a flag of another scene": (msgspec.structs.replace(
+        ONE, flags=[msgspec.structs.replace(FLAG, scene="zara1-v0")]), "of the entry's"),
+    "more files than there may be": (msgspec.structs.replace(
+        ONE, artefacts={f"{k}": "" for k in range(401)}), "those of one submission"),
     "a metric of nobody's": (replaced(ONE, metrics={"m": ONE.scenes["eth-v0"].metrics["speed"]}),
                              "an unknown metric"),
 }  # fmt: skip
@@ -464,6 +490,64 @@ def test_the_workflow_may_read_and_nothing_else() -> None:
     # What strangers chose is never pasted into a script.
     for script in re.findall(r"run: \|\n((?: {10}.*\n|\n)+)", said):
         assert "${{" not in script
+
+
+def step(name: str) -> str:
+    """The script of a step of the workflow."""
+    text = (ROOT.parent / ".github" / "workflows" / "leaderboard.yml").read_text()
+    (script,) = re.findall(rf"- name: {name}\n +run: \|\n((?: {{10}}.*\n|\n)+)", text)
+    return textwrap.dedent(script)
+
+
+def git(repository: Path, *arguments: str) -> None:
+    who = ("-c", "user.name=A", "-c", "user.email=a@example.org", "-c", "init.defaultBranch=main")
+    subprocess.run(["git", *who, *arguments], cwd=repository, check=True, capture_output=True)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        (["leaderboard/submissions/mine/submission.toml"], ""),
+        (["leaderboard/submissions/mine/a", "crowdbench/scoring.py"], "Other files than those"),
+        (["leaderboard/submissions/mine/a", ".github/workflows/leaderboard.yml"], "Other files"),
+        (["leaderboard/submissions/mine/a", "leaderboard/entries/mine.json"], "Other files"),
+        (["leaderboard/submissions/mine"], "Other files than those"),  # as a link would be
+        (["leaderboard/submissions/$(touch ran)/a"], "called by its id"),
+        (["leaderboard/submissions/a\nb/c"], "called by its id"),
+        (["leaderboard/submissions/-rf/a b", "leaderboard/submissions/mine/\u202e"], ""),
+    ],
+)
+def test_a_pull_request_of_a_submission_changes_nothing_else(
+    changed: list[str], told: str, tmp_path: Path
+) -> None:
+    sent, summary = tmp_path / "sent", tmp_path / "summary"
+    sent.mkdir()
+    git(sent, "init")
+    git(sent, "commit", "--allow-empty", "-m", "before")
+    git(sent, "checkout", "-b", "theirs")
+    for name in changed:
+        (sent / name).parent.mkdir(parents=True, exist_ok=True)
+        (sent / name).write_text("x")
+    git(sent, "add", "--force", ".")
+    git(sent, "commit", "-m", "theirs")
+    git(sent, "checkout", "main")
+    (sent / "since").write_text("x")  # what the branch has got since is none of theirs
+    git(sent, "add", ".")
+    git(sent, "commit", "-m", "since")
+    git(sent, "merge", "--no-ff", "theirs")
+    ran = subprocess.run(
+        ["bash", "-e", "-c", step("Nothing but submissions")],
+        cwd=tmp_path,
+        env=os.environ | {"GITHUB_STEP_SUMMARY": str(summary)},
+        capture_output=True,
+        text=True,
+    )
+    assert (ran.returncode, ran.stderr) == (1 if told else 0, "")
+    assert told in (summary.read_text() if summary.exists() else "")
+    if not told:
+        names = {name.split("/")[2] for name in changed}
+        assert set((tmp_path / "submissions").read_text().split()) == names
+    assert not (tmp_path / "ran").exists()
 
 
 # In a browser.

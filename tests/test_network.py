@@ -78,6 +78,23 @@ def test_the_same_seed_walks_the_same_crowd(noisy: Path) -> None:
     assert one.provenance["policy"] == "test"
 
 
+def test_who_is_called_replay_is_none(plain: Path, tmp_path: Path) -> None:
+    """The name in a file's card gives no recorded last frames."""
+    model = onnx.load(plain)
+    carded(name="replay")(model)
+    path = tmp_path / "called.onnx"
+    path.write_bytes(model.SerializeToString())
+    called = OnnxPolicy(path)
+    assert called.name == "replay"
+    for spawn in (spawn_model("replay", PLAZA), spawn_model("poisson-gmm", PLAZA)):
+        crowd, known = (
+            rollout(PLAZA, spawn, policy, seed=0, horizon_s=60.0)
+            for policy in (called, OnnxPolicy(plain))
+        )
+        assert crowd.xy.tobytes() == known.xy.tobytes()
+        assert crowd.outcome.tolist() == known.outcome.tolist()
+
+
 def test_it_is_shown_the_observation_that_its_card_names(tmp_path: Path) -> None:
     card = msgspec.structs.replace(CARD, observation="lidar-1", rays=4, ray_range_m=2.5)
     seen = []
@@ -263,6 +280,29 @@ def unknown_operator(model: onnx.ModelProto) -> None:
     model.graph.node[0].op_type = "Nonsense"
 
 
+def drawing(model: onnx.ModelProto) -> None:
+    """What the last node gives, replaced by numbers that nobody's seed decides."""
+    model.graph.node[-1].output[0] = "before"
+    model.graph.node.append(helper.make_node("RandomUniformLike", ["before"], ["action"], seed=1.0))
+
+
+def drawing_within(model: onnx.ModelProto) -> None:
+    inner = helper.make_graph(
+        [helper.make_node("RandomNormal", [], ["inner_out"], shape=[2])], "g", [], []
+    )
+    model.graph.node.append(
+        helper.make_node("If", ["cond"], ["y"], then_branch=inner, else_branch=inner)
+    )
+
+
+def dropping(model: onnx.ModelProto) -> None:
+    model.graph.initializer.append(numpy_helper.from_array(np.array(0.5, np.float32), "ratio"))
+    model.graph.initializer.append(numpy_helper.from_array(np.array(True), "training"))
+    model.graph.node[-1].output[0] = "before"
+    inputs = ["before", "ratio", "training"]
+    model.graph.node.append(helper.make_node("Dropout", inputs, ["action"]))
+
+
 def of_the_future(model: onnx.ModelProto) -> None:
     model.opset_import[0].version = 999
 
@@ -300,6 +340,9 @@ def of_the_future(model: onnx.ModelProto) -> None:
         (free_noise, "Z from 1 to 256"),
         (third_input, "state"),
         (nan, "not finite"),
+        (drawing, "the operator RandomUniformLike, which draws"),
+        (drawing_within, "the operator RandomNormal, which draws"),
+        (dropping, "the operator Dropout, which draws"),
         (unknown_operator, "onnxruntime refuses"),
         (of_the_future, "onnxruntime refuses"),
     ],
@@ -316,6 +359,15 @@ def test_a_broken_or_hostile_file_is_refused(
     assert said in str(caught.value)
     assert str(path) in str(caught.value)
     assert len(str(caught.value)) < 1000
+
+
+def test_dropout_that_is_not_in_training_is_none(plain: Path, tmp_path: Path) -> None:
+    model = onnx.load(plain)
+    model.graph.node[-1].output[0] = "before"
+    model.graph.node.append(helper.make_node("Dropout", ["before"], ["action"]))
+    path = tmp_path / "dropout.onnx"
+    path.write_bytes(model.SerializeToString())
+    assert OnnxPolicy(path).deterministic
 
 
 def test_a_large_file_is_not_even_read(

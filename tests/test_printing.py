@@ -8,6 +8,7 @@ import pytest
 
 from crowdbench import __version__
 from crowdbench.cards import SCHEMA, Entry, Scorecard, read_anchors, rows
+from crowdbench.cli.printing import progress_bar
 from crowdbench.cli.scores import print_card, print_results
 from crowdbench.metrics import FAMILIES, MetricResult
 from crowdbench.report.words import interval, number
@@ -25,6 +26,13 @@ Printed = pytest.CaptureFixture[str]
 def crowd(spawn: str, policy: str, of: tuple[str, str] = ("poisson-gmm", "random")) -> Entry:
     """A crowd that walks as an anchor does."""
     return msgspec.structs.replace(ANCHORS[of], spawn=spawn, policy=policy)
+
+
+@pytest.mark.parametrize("what", ["a[/red]b", "a{b}", "[bold]{task.total}", "{0}"])
+def test_what_progress_is_of_may_be_any_path(what: str, capsys: Printed) -> None:
+    with progress_bar(what) as progress:
+        progress(1, 1)
+    assert capsys.readouterr().out.startswith(what)
 
 
 def unscored(entry: Entry) -> Entry:

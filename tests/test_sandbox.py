@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from crowdbench.errors import CrowdbenchError
+from crowdbench.leaderboard.problems import SubmissionError
 from crowdbench.leaderboard.sandbox import Limits, SandboxError, call
 
 NARROW = Limits(
@@ -49,6 +50,11 @@ def test_a_result_comes_back_with_what_it_took_and_progress_is_told() -> None:
         ("eat", {}, "more than 0.5 GiB of memory|out of memory"),
         ("eat_together", {}, "more than 0.5 GiB of memory"),
         ("multiply", {}, "more than 16 processes"),
+        ("pipe_for_answer", {}, "an answer that cannot be read .*no plain file"),
+        ("pipe_for_progress", {"wall_s": 1.0}, "no end after 1 s"),
+        ("endless_progress", {"wall_s": 1.0}, "no end after 1 s"),
+        ("pipe_for_what_it_says", {}, "an end with code 3"),
+        ("nested_answer", {}, "an answer that cannot be read"),
     ],
 )
 def test_what_breaks_a_limit_is_refused_by_name(
@@ -125,6 +131,39 @@ def test_an_error_of_the_submission_keeps_its_message() -> None:
     with pytest.raises(CrowdbenchError) as error:
         tried("refuse")
     assert str(error.value) == "the submission: got nothing; expected something. Add it."
+
+
+def test_an_error_of_the_submission_only_shows() -> None:
+    with pytest.raises(CrowdbenchError) as error:
+        tried("paint")
+    assert str(error.value).isprintable()
+    assert len(str(error.value)) < 600
+
+
+def test_all_that_is_wrong_with_a_submission_is_told() -> None:
+    with pytest.raises(SubmissionError) as error:
+        tried("refuse_submission")
+    assert str(error.value) == (
+        "mine.zip: 2 problems."
+        "\n  file 0: got x; expected y. Mend."
+        "\n  file 1: got x; expected y. Mend."
+    )
+
+
+def test_an_answer_that_leads_elsewhere_is_not_read(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text('{"network":"none","value":"secret"}')
+    with pytest.raises(SandboxError, match="an answer that cannot be read"):
+        tried("linked_answer", to=str(tmp_path / "secret"))
+
+
+def test_what_lies_where_one_stands_is_not_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As when a submission is verified from inside of its folder."""
+    for module in ("msgspec", "hostile"):
+        (tmp_path / f"{module}.py").write_text("import os\nos._exit(7)\n")
+    monkeypatch.chdir(tmp_path)
+    assert tried("add", int, a=1, b=1) == 2
 
 
 def test_an_answer_of_another_kind_is_refused() -> None:

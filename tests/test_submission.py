@@ -193,6 +193,10 @@ BIDI = "\u202etxt.exe"
         ('"A walker"', f'"{BIDI}"', "name: got '\\u202etxt.exe'"),
         ('"A walker"', '"\\u001b[2J"', "name: got '\\x1b[2J'"),
         ('"A walker"', '"two\\nlines"', "name"),
+        ('"A walker"', '"\u3164"', "name"),
+        ('"A walker"', '"orca\u034f"', "name"),
+        ('"A walker"', f'"Z{chr(0x301) * 100}"', "name"),
+        ('["Ada Lovelace"]', '["\u2800"]', "authors"),
         ('["Ada Lovelace"]', "[]", "authors"),
         ('["Ada Lovelace"]', '["Ada", "\\u0000"]', "authors"),
         ('"ada@example.org"', '"FILL IN: an address"', "contact"),
@@ -229,6 +233,12 @@ def test_licences_are_spdx_expressions(licence: str, walker: Path) -> None:
         assert submission.declared.licence == licence
 
 
+@pytest.mark.parametrize("name", ["Fußgänger", "行人", "नमस्ते", "Nguyễn Ệ", "שָׁלוֹם", "ฟ้า"])
+def test_names_are_of_any_script(name: str, walker: Path) -> None:
+    with open_submission(edit(walker, "Ada Lovelace", name)) as submission:
+        assert submission.declared.authors == [name]
+
+
 def test_each_field_says_what_is_expected() -> None:
     names = {field.name for field in msgspec.structs.fields(Declared)}
     names |= {f"training.{field.name}" for field in msgspec.structs.fields(Trained)}
@@ -237,7 +247,16 @@ def test_each_field_says_what_is_expected() -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "a = [", "\0", "a = " + "[" * 5000, "a = " + "9" * 5000, "x" * (LARGEST_DECLARATION + 1)],
+    [
+        "",
+        "a = [",
+        "\0",
+        "a = " + "[" * 5000,
+        "a = " + "9" * 5000,
+        "x" * (LARGEST_DECLARATION + 1),
+        "a." * 30_000 + "b = 1",
+        "[" + "a." * 30_000 + "b]",
+    ],
 )
 def test_what_is_no_declaration_is_refused(text: str, walker: Path) -> None:
     (walker / "submission.toml").write_text(text)

@@ -5,7 +5,9 @@ import shutil
 import stat
 import struct
 import zipfile
+import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -110,6 +112,33 @@ def test_a_name_that_ends_at_a_null_byte_is_refused(tmp_path: Path) -> None:
     path = hostile(tmp_path / "evil.zip", "policy.onnxA.txt")
     path.write_bytes(path.read_bytes().replace(b"onnxA", b"onnx\0"))
     assert "no plain text" in refused(path, tmp_path)
+
+
+def test_a_second_name_in_an_extra_field_is_refused_or_not_believed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, other = b"policy.onnx", b"../evil"
+    field = struct.pack("<BL", 1, zlib.crc32(name)) + other
+    member = zipfile.ZipInfo(name.decode())
+    member.extra = struct.pack("<HH", 0x7075, len(field)) + field
+    path = hostile(tmp_path / "evil.zip", member)
+    into = tmp_path / "deep" / "into"
+    into.mkdir(parents=True)
+    with suppress(SubmissionError):
+        unpack(path, into)
+    assert not (tmp_path / "deep" / "evil").exists()
+
+    read = zipfile.ZipFile.infolist
+
+    def believing(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
+        """What newer Pythons read."""
+        for member in (members := read(archive)):
+            member.filename = other.decode()
+        return members
+
+    monkeypatch.setattr(zipfile.ZipFile, "infolist", believing)
+    shutil.rmtree(tmp_path / "deep")
+    assert "another name besides, '../evil'" in refused(path, tmp_path)
 
 
 @given(st.text(alphabet="./\\aA:~$ é\0", max_size=12))

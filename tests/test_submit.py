@@ -1,11 +1,23 @@
 """`crowdbench submit`: from a trained network to a packed submission."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import onnx
 import pytest
-from submissions import FOLDS, PLAZA, fill_in, listed_submission, write_network
+from onnx import TensorProto, helper
+from submissions import (
+    FOLDS,
+    PLAZA,
+    fill_in,
+    listed_submission,
+    walk_submission,
+    write_network,
+)
 
 from crowdbench.cli import main
+from crowdbench.leaderboard.checked import LIMITS, check
+from crowdbench.leaderboard.sandbox import SandboxError
 from crowdbench.leaderboard.submission import open_submission
 from crowdbench.registry import WEIGHTS
 
@@ -85,6 +97,34 @@ def test_files_are_put_into_the_empty_places(file: str, tmp_path: Path) -> None:
 def test_rollouts_are_told_by_their_number(tmp_path: Path, capsys: Printed) -> None:
     assert submit("check", listed_submission(tmp_path / "crowd")) == 0
     assert "rollouts: 3" in capsys.readouterr().out
+
+
+def endless(path: Path) -> None:
+    """Let a network count to 2^62 before it acts."""
+    model = onnx.load(path)
+    truth, number = TensorProto.BOOL, TensorProto.INT64
+    model.graph.node[-1].output[0] = "before"
+    body = helper.make_graph(
+        [helper.make_node("Identity", [a], [b]) for a, b in (("on", "on2"), ("v", "v2"))],
+        "body",
+        [helper.make_tensor_value_info("i", number, []),
+         helper.make_tensor_value_info("on", truth, []),
+         helper.make_tensor_value_info("v", TensorProto.FLOAT, None)],
+        [helper.make_tensor_value_info("on2", truth, []),
+         helper.make_tensor_value_info("v2", TensorProto.FLOAT, None)],
+    )  # fmt: skip
+    for name, kind, value in (("times", number, 2**62), ("true", truth, 1)):
+        model.graph.initializer.append(helper.make_tensor(name, kind, [], [value]))
+    loop = helper.make_node("Loop", ["times", "true", "before"], ["action"], body=body)
+    model.graph.node.append(loop)
+    onnx.save(model, path)
+
+
+def test_a_network_that_never_ends_is_refused(tmp_path: Path) -> None:
+    folder = walk_submission(tmp_path / "walker")
+    endless(folder / "plaza-v0" / "policy" / "fold0.onnx")
+    with pytest.raises(SandboxError, match="walker: got more than 8 s of CPU time"):
+        check(folder, replace(LIMITS, cpu_s=8))
 
 
 def test_what_exists_is_not_overwritten(tmp_path: Path, capsys: Printed) -> None:

@@ -10,14 +10,15 @@ import msgspec
 import numpy as np
 import pytest
 from copier import JitteredBlocks
+from submissions import edit
 
 from crowdbench.cli import main
-from crowdbench.errors import RecordingError
+from crowdbench.errors import OutputError, RecordingError
 from crowdbench.files import write_json
 from crowdbench.leaderboard.entry import Entry, read_entry
 from crowdbench.leaderboard.judge import make_entry
 from crowdbench.leaderboard.problems import SubmissionError
-from crowdbench.leaderboard.sandbox import Limits, SandboxError
+from crowdbench.leaderboard.sandbox import Limits, Ran, SandboxError
 from crowdbench.leaderboard.submission import Submission
 from crowdbench.leaderboard.verify import verify
 from crowdbench.policies import Straight
@@ -271,9 +272,41 @@ def test_an_answer_that_would_be_written_elsewhere_is_refused(
 ) -> None:
     forged = msgspec.structs.replace(walked[1], id="../elsewhere")
     monkeypatch.setattr("crowdbench.leaderboard.verify.call", lambda *a, **k: (forged, None))
-    with pytest.raises(SandboxError, match="no plain name"):
-        verify(tmp_path / "mine", tmp_path / "out")
+    with pytest.raises(SandboxError, match="an answer with an id or a scene of other letters"):
+        verify(walked[0] / "mine", tmp_path / "out")
     assert not (tmp_path / "elsewhere.json").exists()
+
+
+def test_an_answer_of_anothers_id_is_refused(
+    walked: tuple[Path, Entry], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forged = msgspec.structs.replace(walked[1], id="orca")
+    ran = Ran(wall_s=1.0, cpu_s=1.0, peak_bytes=1, network="none")
+    monkeypatch.setattr("crowdbench.leaderboard.verify.call", lambda *a, **k: (forged, ran))
+    with pytest.raises(SandboxError, match="expected its own, mine-v2"):
+        verify(walked[0] / "mine", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_submissions_of_one_id_are_not_both_verified(
+    walked: tuple[Path, Entry], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin = submitted(tmp_path / "twin", "walk", shipped_policy="straight")
+    edit(twin, "Mine, v2", "MINE v2!")
+    shutil.copytree(walked[0] / "out" / "work", tmp_path / "work")
+    asked = ["leaderboard", "verify", str(walked[0] / "mine"), str(twin), "--out", str(tmp_path)]
+    assert main([*asked, "--workers", "1"]) == 2
+    assert "got the id mine-v2, which another submission has" in capsys.readouterr().err
+    assert read_entry(tmp_path / "mine-v2.json") == walked[1]
+
+
+def test_an_entry_by_others_is_not_overwritten(walked: tuple[Path, Entry], tmp_path: Path) -> None:
+    before = (walked[0] / "out" / "mine-v2.json").read_bytes()
+    other = submitted(tmp_path / "other", "walk", shipped_policy="straight")
+    edit(other, "A. Person", "B. Person")
+    with pytest.raises(OutputError, match=r"another submission, of A\. Person, has"):
+        verify(other, walked[0] / "out", workers=1)
+    assert (walked[0] / "out" / "mine-v2.json").read_bytes() == before
 
 
 @pytest.fixture

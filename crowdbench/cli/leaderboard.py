@@ -103,10 +103,18 @@ def _verify(asked: argparse.Namespace) -> None:
 
     limits = _limits(asked)
 
+    made: set[str] = set()
+
     def one(submission: Path, progress: "Progress") -> "Entry":
         entry, ran = verify(
-            submission, asked.out, workers=asked.workers, limits=limits, progress=progress
+            submission,
+            asked.out,
+            workers=asked.workers,
+            limits=limits,
+            progress=progress,
+            taken=made,
         )
+        made.add(entry.id)
         if ran.network != "none":
             print(f"crowdbench: network {ran.network}", file=sys.stderr)
         return entry
@@ -173,6 +181,7 @@ def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> 
 
 def _print_entry(entry: "Entry") -> None:
     from crowdbench.leaderboard.pages.standings import View, scores
+    from crowdbench.leaderboard.problems import plain
     from crowdbench.metrics import FAMILIES
     from crowdbench.report.words import interval, number
 
@@ -191,4 +200,4 @@ def _print_entry(entry: "Entry") -> None:
         )
     new_console().print(table)
     for flag in entry.flags:
-        print(f"{flag.what}: {flag.text}")
+        print(f"{flag.what}: {plain(flag.text)}")

@@ -87,7 +87,7 @@ def progress_bar(
     )
 
     columns = (
-        TextColumn(what),
+        TextColumn("{task.description}", markup=False),  # it may be a path, which may hold anything
         BarColumn(),
         DownloadColumn() if of_bytes else MofNCompleteColumn(),
         TimeElapsedColumn(),

@@ -8,7 +8,7 @@ from crowdbench.cli.printing import print_facts
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
-    from crowdbench.leaderboard.submission import Submission
+    from crowdbench.leaderboard.checked import Checked
 
 
 def add(commands: "Commands") -> None:
@@ -71,10 +71,9 @@ def _init(asked: argparse.Namespace) -> None:
 
 
 def _check(asked: argparse.Namespace) -> None:
-    from crowdbench.leaderboard.submission import open_submission
+    from crowdbench.leaderboard.checked import check
 
-    with open_submission(asked.submission) as submission:
-        _print(submission)
+    _print(check(asked.submission))
 
 
 def _pack(asked: argparse.Namespace) -> None:
@@ -83,12 +82,12 @@ def _pack(asked: argparse.Namespace) -> None:
     print(f"written to {pack_submission(asked.folder, asked.out)}")
 
 
-def _print(submission: "Submission") -> None:
-    declared, layout = submission.declared, submission.layout
+def _print(submission: "Checked") -> None:
+    declared = submission.declared
     counted = {
-        "networks": len(layout.networks),
-        "files of fits": len(layout.weights),
-        "rollouts": sum(map(len, layout.crowds.values())),
+        "networks": submission.networks,
+        "files of fits": submission.fits,
+        "rollouts": submission.rollouts,
     }
     models = [declared.shipped_spawn, declared.shipped_policy]
     models += [f"{what}: {count}" for what, count in counted.items() if count]

@@ -135,12 +135,19 @@ def wrong_name(name: str) -> RefusedError | None:
 
 
 def _wrong_names(members: list[zipfile.ZipInfo]) -> Iterator[RefusedError]:
-    names = [
-        member.orig_filename for member in members
-    ]  # `filename` may be less, up to a null byte
-    for name in names:
-        if refused := wrong_name(name):
+    names = [member.orig_filename for member in members]
+    for member in members:
+        if refused := wrong_name(member.orig_filename):
             yield refused
+        # To where it is written: less, up to a null byte, or what an extra field says (0x7075),
+        # which newer Pythons believe.
+        elif member.filename != member.orig_filename:
+            yield RefusedError(
+                ascii(member.orig_filename),
+                got=f"another name besides, {member.filename[:LONGEST_PATH]!a}",
+                expected="one name",
+                mend=_MEND,
+            )
     files = Counter(name.casefold() for name in names if not name.endswith("/"))
     folders = {str(parent) for name in names for parent in PurePosixPath(name.casefold()).parents}
     folders |= {name.casefold().rstrip("/") for name in names if name.endswith("/")}

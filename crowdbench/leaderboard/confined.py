@@ -16,7 +16,7 @@ from pathlib import Path
 import msgspec
 
 from crowdbench.errors import CrowdbenchError
-from crowdbench.leaderboard.sandbox import Failure, Limits
+from crowdbench.leaderboard.sandbox import Failure, Limits, Told
 
 _CLONE_NEWUSER, _CLONE_NEWNET = 0x10000000, 0x40000000
 
@@ -31,15 +31,11 @@ def main(arguments: Sequence[str]) -> None:
     try:
         answer["value"] = _called(asked["target"], asked["arguments"], desk)
     except CrowdbenchError as error:
-        answer["failure"] = _failure(error)
+        problems = [Told.of(problem) for problem in getattr(error, "problems", ())]
+        answer["failure"] = Failure(Told.of(error), problems)
     except MemoryError:
         sys.exit("out of memory")
     (desk / "answer.json").write_bytes(msgspec.json.encode(answer))
-
-
-def _failure(error: CrowdbenchError) -> Failure:
-    problems = tuple(_failure(problem) for problem in getattr(error, "problems", ()))
-    return Failure(error.where, error.got, error.expected, error.mend, problems)
 
 
 def _called(target: str, arguments: dict[str, object], desk: Path) -> object:

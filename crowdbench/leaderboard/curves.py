@@ -18,6 +18,8 @@ DISTRIBUTIONS = {
     "speed": ("Speed", "speed (m/s)"),
     "closest_approach": ("Closest approach of strangers", "smallest distance (m)"),
 }
+AGENTS = "Agents over time"
+TITLES = {AGENTS, *(title for title, _ in DISTRIBUTIONS.values())}
 _SHOWN = 0.996
 """Share of the values that a distribution is shown up to."""
 

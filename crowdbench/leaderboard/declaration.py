@@ -2,7 +2,9 @@
 
 import re
 import tomllib
+import unicodedata
 from collections.abc import Iterator, Mapping
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ import msgspec
 
 from crowdbench.errors import CrowdbenchError
 from crowdbench.leaderboard.declared import FILE, Declared, Trained
-from crowdbench.leaderboard.limits import LARGEST_DECLARATION
+from crowdbench.leaderboard.limits import LARGEST_DECLARATION, MOST_DOTS
 from crowdbench.leaderboard.problems import RefusedError
 from crowdbench.registry import SPAWN_MODELS
 from crowdbench.scene import list_scenes
@@ -46,6 +48,13 @@ _FORMS = {
     ),
 }
 """Form of a field, and how to mend what has another."""
+_UNSEEN = re.compile(
+    "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0"
+    "\U000e0100-\U000e01ef]"
+)
+"""What is printable, and yet nothing to be seen: fillers, blanks and selectors."""
+_MOST_MARKS = 4
+"""That stand on one letter; more of them reach into the lines above."""
 # Where nothing but what is shown is wrong, artefacts are looked at all the same.
 _STAND_INS = {"name": "?", "authors": ["?"], "contact": "?", "link": "?", "licence": "?"}
 _STAND_INS_OF_TRAINING = {"data": "?", "parameters": 0}
@@ -83,8 +92,10 @@ def _raw(path: Path, problems: list[CrowdbenchError]) -> dict[str, Any] | None:
     try:
         if path.stat().st_size > LARGEST_DECLARATION:
             got, expected = f"{path.stat().st_size} bytes", f"at most {LARGEST_DECLARATION}"
+        elif (dots := (text := path.read_text(encoding="utf-8")).count(".")) > MOST_DOTS:
+            got, expected = f"{dots} dots", f"at most {MOST_DOTS}"
         else:
-            return tomllib.loads(path.read_text(encoding="utf-8"))
+            return tomllib.loads(text)
     except OSError as error:
         got, expected = error.strerror or "no file", "a readable file"
     except (ValueError, RecursionError) as error:  # no UTF-8, no TOML, numbers of 5000 digits
@@ -133,6 +144,8 @@ def _mend(name: str, value: Any, kind: Any) -> str | None:
     for text in texts:
         if not text.isprintable():
             return "Leave out control characters and marks that turn the direction of text."
+        if _UNSEEN.search(text) or _most_marks(text) > _MOST_MARKS:
+            return "Leave out letters that nobody sees, and marks that pile up."
         if not text.strip() and not name.startswith("shipped_"):
             return "Say something."
     if name in _FORMS and not _FORMS[name][0].fullmatch(value):
@@ -142,6 +155,12 @@ def _mend(name: str, value: Any, kind: Any) -> str | None:
     if name == "shipped_spawn" and value not in ("", *SPAWN_MODELS):
         return "A new family of spawn models enters with its code, by pull request."
     return None
+
+
+def _most_marks(text: str) -> int:
+    """The most marks that follow on one letter."""
+    marks = [unicodedata.category(c) in ("Mn", "Me") for c in text]
+    return max((len(list(run)) for of_marks, run in groupby(marks) if of_marks), default=0)
 
 
 def _brief(value: Any) -> str:

@@ -5,6 +5,7 @@ these, and entries are compared on the resamples they share. Nothing in it depen
 or the time (that goes to `run.json`): the same submission gives the same bytes.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
@@ -21,6 +22,9 @@ SCORER = 1
 """Version of how rollouts become scores. It goes up with any change by which an entry's scores
 would be others; `crowdbench leaderboard rescore` then makes entries anew."""
 
+_MEND = "Make it with `crowdbench leaderboard verify`."
+LARGEST = 1e12
+"""No number of an entry is larger; learned parameters come nearest."""
 Status = Literal["ranked", "listed", "reference"]
 """`ranked`: weights that crowdbench rolled out, held out; `listed`: trajectories, or weights that
 have seen what they are held against; `reference`: a line that others are seen against (what
@@ -151,14 +155,47 @@ def read_entry(path: Path) -> Entry:
     Raises:
         WeightsError: it is missing or broken, or of another schema.
     """
-    mend = "Make it with `crowdbench leaderboard verify`."
-    entry = read_struct(path, Entry, WeightsError, mend)
-    lengths = {len(f.resampled) for s in entry.scenes.values() for f in s.families.values()}
+    entry = read_struct(path, Entry, WeightsError, _MEND)
     for got, holds, expected in (
         (f"schema {entry.schema}", entry.schema == SCHEMA, f"schema {SCHEMA}"),
         (f"the entry {entry.id}", entry.id == path.stem, "the entry that its name says"),
-        ("resamples cut short", lengths <= {4 * RESAMPLES}, f"{RESAMPLES} of each"),
     ):
         if not holds:
-            raise WeightsError(path, got=got, expected=expected, mend=mend)
+            raise WeightsError(path, got=got, expected=expected, mend=_MEND)
+    check_numbers(entry, path)
     return entry
+
+
+def check_numbers(entry: Entry, where: object) -> None:
+    """Refuse what cannot be drawn or compared.
+
+    Raises:
+        WeightsError: resamples are cut short, or a number is too large or none.
+    """
+    cards = [card for scene in entry.scenes.values() for card in scene.families.values()]
+    if any(len(card.resampled) != 4 * RESAMPLES for card in cards):
+        raise WeightsError(
+            where, got="resamples cut short", expected=f"{RESAMPLES} of each", mend=_MEND
+        )
+    numbers = _numbers(msgspec.to_builtins(entry))
+    sound = all(abs(x) <= LARGEST for x in numbers) and all(
+        (np.abs(card.score().resampled) <= LARGEST).all() for card in cards
+    )
+    if not sound:
+        raise WeightsError(
+            where,
+            got="numbers that no verification gives",
+            expected=f"numbers up to {LARGEST:.0e}",
+            mend=_MEND,
+        )
+
+
+def _numbers(value: object) -> Iterator[float]:
+    """All that are in lists and dictionaries, however deep."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        for each in value:
+            yield from _numbers(each)
+    elif isinstance(value, int | float):
+        yield value

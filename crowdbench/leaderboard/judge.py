@@ -74,12 +74,6 @@ def make_entry(
             os.chdir(before)
 
 
-def artefacts_of(progress: Callable[[int, int], None], submission: str) -> dict[str, str]:
-    """SHA-256 of a submission's files, and of the shipped ones that it names."""
-    with open_submission(Path(submission)) as given:
-        return given.artefacts | given.shipped
-
-
 def _scenes(given: Submission) -> list[str]:
     return list(dict.fromkeys(given.declared.scenes))
 

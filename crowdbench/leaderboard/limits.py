@@ -9,6 +9,8 @@ from crowdbench.policies import network
 LARGEST_SUBMISSION = 200_000_000  # bytes, unpacked
 LARGEST_NETWORK = network.LARGEST  # bytes, wherever a policy comes from
 LARGEST_DECLARATION = 64_000  # bytes of submission.toml
+MOST_DOTS = 2000
+"""In submission.toml: a key of many parts, a.b.c…, takes memory by the square of their number."""
 LARGEST_FITS = {".json": 1_000_000, ".safetensors": 20_000_000}  # bytes, of a spawn model
 LARGEST_TABLE = 60_000_000  # bytes of a file of trajectories
 LARGEST_DECODED = 300_000_000  # bytes that it may become in memory

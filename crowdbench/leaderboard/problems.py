@@ -20,7 +20,7 @@ class SubmissionError(CrowdbenchError):
     problems: tuple[CrowdbenchError, ...]
 
     def __init__(self, where: object, problems: Sequence[CrowdbenchError]) -> None:
-        self.problems = tuple(_tidy(problem) for problem in problems)
+        self.problems = tuple(tidy(problem) for problem in problems)
         shown = [f"\n  {problem}" for problem in self.problems[:MOST_SHOWN]]
         if len(problems) > MOST_SHOWN:
             shown.append(f"\n  and {len(problems) - MOST_SHOWN} more.")
@@ -34,7 +34,7 @@ class SubmissionError(CrowdbenchError):
         return type(self), (self.where, self.problems)
 
 
-def _tidy(problem: CrowdbenchError) -> CrowdbenchError:
+def tidy(problem: CrowdbenchError) -> CrowdbenchError:
     """The same on one line that a terminal only shows: what was got may be a submitter's text."""
     parts = (problem.where, problem.got, problem.expected, problem.mend)
     where, got, expected, mend = (plain(part) for part in parts)

@@ -7,9 +7,10 @@ import msgspec
 
 from crowdbench.errors import SettingError
 from crowdbench.files import write_json
+from crowdbench.leaderboard.checked import check
 from crowdbench.leaderboard.entry import SCORER, Earlier, Entry, read_entry
 from crowdbench.leaderboard.pages.standings import View, scores
-from crowdbench.leaderboard.sandbox import Limits, call
+from crowdbench.leaderboard.sandbox import Limits
 from crowdbench.leaderboard.verify import DEFAULT, entry_of, write_run
 
 
@@ -49,7 +50,7 @@ def rescore(
     path = root / "entries" / f"{entry_id}.json"
     old = read_entry(path)
     submission = root / "submissions" / entry_id
-    _check_changed(old, submission, limits)
+    _check_changed(old, submission)
     new, ran = entry_of(submission, out / "work", workers, limits, progress)
     if new.id != entry_id:
         raise SettingError(
@@ -69,17 +70,10 @@ def rescore(
     return entry
 
 
-def _check_changed(old: Entry, submission: Path, limits: Limits) -> None:
+def _check_changed(old: Entry, submission: Path) -> None:
     if old.scorer != SCORER:
         return
-    artefacts, _ = call(
-        "crowdbench.leaderboard.judge:artefacts_of",
-        {"submission": str(submission.resolve())},
-        dict,
-        where=submission,
-        limits=limits,
-    )
-    if artefacts == old.artefacts:
+    if check(submission).artefacts == old.artefacts:
         raise SettingError(
             f"entry {old.id}",
             got=f"the scorer {SCORER} and the files that it was scored with",

@@ -3,12 +3,14 @@
 The child is a fresh interpreter in a session of its own. It cuts itself off from the network and
 limits itself first (`crowdbench.leaderboard.confined`); the parent watches the memory and the
 number of all its processes, and ends them together. What comes back is JSON: nothing that a child
-says is run.
+says is run. What it leaves in its folder is read only if it is a plain file, and never whole.
 """
 
+import errno
 import json
 import os
 import signal
+import stat
 import subprocess
 import sys
 import tempfile
@@ -17,14 +19,16 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
 from crowdbench.errors import CrowdbenchError
+from crowdbench.leaderboard.watching import Process, end, family
 
 Result = TypeVar("Result")
 LARGEST_ANSWER = 2**26
+_LONGEST_NEWS = 100  # bytes of a file that tells of progress
 _KEPT = (
     "PATH", "HOME", "USER", "LANG", "LC_ALL", "TMPDIR", "TZ", "VIRTUAL_ENV", "LD_LIBRARY_PATH",
 )  # fmt: skip
@@ -45,8 +49,8 @@ class Limits:
     wall_s: float = 24 * 3600.0
     cpu_s: int = 48 * 3600
     """Of each process."""
-    file_bytes: int = 2**30
-    """Of each file it writes."""
+    file_bytes: int = 2**27
+    """Of each file it writes: a rollout takes a tenth of that, and there may be hundreds."""
     open_files: int = 1024
     processes: int = 256
     """Processes (of all of them together, not counting threads)."""
@@ -65,15 +69,30 @@ class Ran:
     """`none`, or why it could not be cut off."""
 
 
-class Failure(msgspec.Struct, forbid_unknown_fields=True):
-    """An error that a child raised."""
+class Told(msgspec.Struct, forbid_unknown_fields=True):
+    """The parts of an error's message."""
 
     where: str
     got: str
     expected: str
     mend: str
-    problems: tuple["Failure", ...] = ()
-    """Of a submission that is refused: what is wrong with it."""
+
+    @classmethod
+    def of(cls, error: CrowdbenchError) -> "Told":
+        """Those of an error."""
+        return cls(error.where, error.got, error.expected, error.mend)
+
+    def error(self) -> CrowdbenchError:
+        """The error again."""
+        return CrowdbenchError(self.where, got=self.got, expected=self.expected, mend=self.mend)
+
+
+class Failure(msgspec.Struct, forbid_unknown_fields=True):
+    """An error that a child raised."""
+
+    told: Told
+    problems: list[Told] = []
+    """All that is wrong with a submission that is refused."""
 
 
 class Answer(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -100,41 +119,46 @@ def call(
 
     Raises:
         SandboxError: it crashed, met a limit, or its answer is not of this kind.
-        CrowdbenchError: the function raised one: one with its message.
+        CrowdbenchError: the function raised one: one with its message, a `SubmissionError` where
+            it was one.
     """
-    with tempfile.TemporaryDirectory(prefix="crowdbench-sandbox-") as folder:
+    # Not above: the child leaves the network before it imports what this does.
+    from crowdbench.leaderboard.problems import plain
+
+    with tempfile.TemporaryDirectory(
+        prefix="crowdbench-sandbox-", ignore_cleanup_errors=True
+    ) as folder:
         desk = Path(folder)
         asked = {"target": target, "arguments": arguments, "limits": asdict(limits)}
         (desk / "asked.json").write_text(json.dumps(asked))
         ran = _run(desk, where, limits, progress)
         try:
-            answer = msgspec.json.decode(_bounded(desk / "answer.json"), type=Answer)
+            found = _beginning(desk / "answer.json", LARGEST_ANSWER)
+            answer = msgspec.json.decode(found, type=Answer)
             if answer.failure is not None:
                 raise _raised(answer.failure, where)
             value = msgspec.json.decode(answer.value, type=kind)
-        except (OSError, msgspec.DecodeError) as error:
+        except (OSError, msgspec.DecodeError, RecursionError) as error:
             raise SandboxError(
                 where, got=f"an answer that cannot be read ({error})", expected=kind.__name__
             ) from error
-    return value, Ran(**ran, network=answer.network)
+    return value, Ran(**ran, network=plain(answer.network))
 
 
-def _raised(told: Failure, where: object) -> CrowdbenchError:
-    """The error that a child told of."""
-    # Not at the top: the child must leave the network before anything heavy is imported.
-    from crowdbench.leaderboard.problems import SubmissionError
+def _raised(failure: Failure, where: object) -> CrowdbenchError:
+    """The child's error; its text may hold what a submission says."""
+    from crowdbench.leaderboard.problems import SubmissionError, tidy
 
-    if told.problems:
-        return SubmissionError(where, [_raised(problem, where) for problem in told.problems])
-    return CrowdbenchError(told.where, got=told.got, expected=told.expected, mend=told.mend)
+    if failure.problems:
+        return SubmissionError(where, [problem.error() for problem in failure.problems])
+    return tidy(failure.told.error())
 
 
 def _run(
     desk: Path, where: object, limits: Limits, progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
     """Start the child, watch it until it ends, and end what it leaves behind."""
-    began, peak, cpu = time.monotonic(), 0, 0.0
-    with (desk / "said.txt").open("wb") as said:
+    with (desk / "said.txt").open("w+b") as said:
         child = subprocess.Popen(
             [sys.executable, "-m", "crowdbench.leaderboard.confined", str(desk)],
             stdin=subprocess.DEVNULL,
@@ -143,35 +167,45 @@ def _run(
             env=_environment(),
             start_new_session=True,
         )
-    broken = ""
-    ever: dict[int, _Process] = {}
+        broken, ran = _watched(child, desk, limits, progress)
+        if broken:
+            last = _last_line(said.fileno())
+            raise SandboxError(
+                where,
+                got=f"{broken}{f'; it said last: {last}' if last else ''}",
+                expected="one that ends by itself within the limits",
+                mend="If it is sound and the limits are narrow, raise them.",
+            )
+    return ran
+
+
+def _watched(
+    child: "subprocess.Popen[bytes]",
+    desk: Path,
+    limits: Limits,
+    progress: Callable[[int, int], None],
+) -> tuple[str, dict[str, Any]]:
+    """Wait until the child ends, or end it; what it broke, in words, and how it ran."""
+    began, peak, cpu, broken = time.monotonic(), 0, 0.0, ""
+    ever: dict[int, Process] = {}
     try:
         while not broken and child.poll() is None:
             with suppress(subprocess.TimeoutExpired):
                 child.wait(_WATCH_S)
-            seen = _family(child.pid)
+            seen = family(child.pid)
             ever |= seen
             peak = max(peak, sum(process.memory_bytes for process in seen.values()))
             cpu = max(cpu, sum(process.cpu_s for process in seen.values()))
             broken = _broken(limits, len(seen), peak, time.monotonic() - began)
             _tell(desk / "progress", progress)
     finally:
-        _end(child, ever)
-    if not broken:
-        broken = _died(child.returncode, limits)
-    if broken:
-        last = _last_line(desk / "said.txt")
-        raise SandboxError(
-            where,
-            got=f"{broken}{f'; it said last: {last}' if last else ''}",
-            expected="one that ends by itself within the limits",
-            mend="If it is sound and the limits are narrow, raise them.",
-        )
-    return {
+        end(child, ever)
+    ran = {
         "wall_s": round(time.monotonic() - began, 2),
         "cpu_s": round(cpu, 2),
         "peak_bytes": peak,
     }
+    return broken or _died(child.returncode, limits), ran
 
 
 def _environment() -> dict[str, str]:
@@ -181,45 +215,9 @@ def _environment() -> dict[str, str]:
         for name, value in os.environ.items()
         if name in _KEPT or name.startswith(_KEPT_STARTS)
     }
-    # Threads that nobody asked for would each reserve memory.
-    return {"OPENBLAS_NUM_THREADS": "1", **kept}
-
-
-class _Process(NamedTuple):
-    parent: int
-    session: int
-    began: int
-    """In ticks since the machine started: with its id this is a process and no later one."""
-    memory_bytes: int
-    cpu_s: float
-
-
-def _processes() -> dict[int, _Process]:
-    """All processes by id; empty where the system does not tell."""
-    found = {}
-    page, tick = os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_CLK_TCK")
-    for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError, ValueError, IndexError):
-            # The name in brackets may hold anything.
-            fields = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()
-            parent, session, user, system, began, pages = (
-                int(fields[k]) for k in (1, 3, 11, 12, 19, 21)
-            )
-            found[int(folder.name)] = _Process(
-                parent, session, began, pages * page, (user + system) / tick
-            )
-    return found
-
-
-def _family(root: int) -> dict[int, _Process]:
-    """A process, its session, and all that these started and that did not lose their parents."""
-    everyone = _processes()
-    found = {root} | {pid for pid, process in everyone.items() if process.session == root}
-    before = 0
-    while len(found) > before:
-        before = len(found)
-        found |= {pid for pid, process in everyone.items() if process.parent in found}
-    return {pid: everyone[pid] for pid in found if pid in everyone}
+    # Threads that nobody asked for would each reserve memory. What lies in the folder where one
+    # stands, which may be a submission's, is nothing to be imported.
+    return {"OPENBLAS_NUM_THREADS": "1", **kept, "PYTHONSAFEPATH": "1"}
 
 
 def _broken(limits: Limits, processes: int, peak: int, wall_s: float) -> str:
@@ -242,34 +240,31 @@ def _died(code: int, limits: Limits) -> str:
     return "" if code == 0 else f"an end with code {code}"
 
 
-def _end(child: "subprocess.Popen[bytes]", seen: dict[int, _Process]) -> None:
-    """Kill the child, its session, and those who left that but were seen before."""
-    seen = seen | _family(child.pid)
-    with suppress(ProcessLookupError):
-        os.killpg(child.pid, signal.SIGKILL)
-    now = _processes()
-    for pid, process in seen.items():
-        if pid in now and now[pid].began == process.began:
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
-    child.wait()
-
-
 def _tell(path: Path, progress: Callable[[int, int], None]) -> None:
     with suppress(OSError, ValueError):
-        done, total = path.read_text().split()
+        done, total = _beginning(path, _LONGEST_NEWS).split()
         progress(int(done), int(total))
 
 
-def _bounded(path: Path) -> bytes:
-    with path.open("rb") as file:
-        return file.read(LARGEST_ANSWER)
+def _beginning(path: Path, most: int) -> bytes:
+    """The first bytes of a plain file. Links could lead anywhere, pipes would hold us up.
+
+    Raises:
+        OSError: it is no plain file, or there is none.
+    """
+
+    def opener(name: str, flags: int) -> int:
+        return os.open(name, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
+
+    with open(path, "rb", opener=opener) as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "no plain file")
+        return file.read(most)
 
 
-def _last_line(path: Path) -> str:
-    """The end of what a child printed, as one line of plain text."""
-    with path.open("rb") as file:
-        file.seek(max(0, path.stat().st_size - 2000))
-        lines = file.read().decode(errors="replace").split("\n")
-    plain = ["".join(c for c in line if c.isprintable()).strip() for line in lines]
+def _last_line(said: int) -> str:
+    """The end of what a child printed into the open file `said`, as one line of plain text."""
+    end = os.pread(said, 2000, max(0, os.fstat(said).st_size - 2000))
+    plain = ["".join(c for c in line if c.isprintable()).strip()
+             for line in end.decode(errors="replace").split("\n")]  # fmt: skip
     return next((line for line in reversed(plain) if line), "")[:200]

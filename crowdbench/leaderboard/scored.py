@@ -11,7 +11,7 @@ from crowdbench.cards import Scorecard, metric_scores, rows, scale_of
 from crowdbench.evaluation import Seen, seen_in
 from crowdbench.jobs import Job, Pair, Rolled
 from crowdbench.leaderboard.copying import ArrivalCopies, LifeCopies, independent_limit
-from crowdbench.leaderboard.curves import DISTRIBUTIONS, agents_over_time, distribution
+from crowdbench.leaderboard.curves import AGENTS, DISTRIBUTIONS, agents_over_time, distribution
 from crowdbench.leaderboard.entry import Copy, Curve, Flag, MetricEntry, SceneEntry, ScoreCard
 from crowdbench.leaderboard.flags import evenness, flags_of
 from crowdbench.metrics import METRICS, WALK, Metric, metrics_for
@@ -187,7 +187,7 @@ def _curves(rollouts: Rollouts) -> dict[str, Curve]:
     found: dict[str, Curve] = {}
     if rollouts.crowd is not None:
         seen = rollouts.seen(by_name["agents_over_time"])
-        found["Agents over time"] = agents_over_time(rollouts.reference, seen)
+        found[AGENTS] = agents_over_time(rollouts.reference, seen)
     for name, (title, _) in DISTRIBUTIONS.items():
         if rollouts.pair_of(by_name[name]) is not None:
             seen = rollouts.seen(by_name[name])

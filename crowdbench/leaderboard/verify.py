@@ -4,20 +4,23 @@ The work is done in a child process with limits; what it answers is read strictl
 """
 
 import platform
-import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from crowdbench import __version__
+from crowdbench.errors import OutputError, WeightsError
 from crowdbench.files import write_json
-from crowdbench.leaderboard.entry import Entry
+from crowdbench.leaderboard.checked import Checked, check
+from crowdbench.leaderboard.entry import Entry, read_entry
+from crowdbench.leaderboard.problems import plain
 from crowdbench.leaderboard.sandbox import Limits, Ran, SandboxError, call
+from crowdbench.leaderboard.soundness import check_entry
 
 DEFAULT = Limits()
-_ID = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 
 
 def verify(
@@ -27,20 +30,48 @@ def verify(
     workers: int | None = None,
     limits: Limits = DEFAULT,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    taken: Collection[str] = (),
 ) -> tuple[Entry, Ran]:
     """Roll out and score a submission; write `ID.json` and `ID.run.json` into `out`.
 
     The same submission gives the same bytes in `ID.json`; time, memory and machine stand in the
-    other. Rollouts stay in `out/work/ID`, where a verification that was stopped goes on.
+    other. Rollouts stay in `out/work/ID`, where a verification that was stopped goes on. `taken`
+    are ids that it must not have, since other submissions have them.
 
     Raises:
+        SubmissionError: something is wrong with it; the error tells everything.
+        OutputError: its id is taken, or `out` holds an entry of that id by other authors, or
+            cannot be written.
         SandboxError: it hung, crashed or used more than the limits allow.
-        CrowdbenchError: it is not as submissions have to be, or `out` cannot be written.
+        CrowdbenchError: what it needs is not at hand.
     """
+    known = check(submission)
+    _check_free(submission, known, out, taken)
     entry, ran = entry_of(submission, out / "work", workers, limits, progress)
+    if entry.id != known.id:
+        raise SandboxError(
+            submission, got=f"an answer of the id {entry.id}", expected=f"its own, {known.id}"
+        )
     write_json(out / f"{entry.id}.json", entry)
     write_run(out / f"{entry.id}.run.json", ran)
     return entry, ran
+
+
+def _check_free(submission: Path, known: Checked, out: Path, taken: Collection[str]) -> None:
+    """Raise before hours of rollouts where an entry of another submission would be overwritten."""
+    old = out / f"{known.id}.json"
+    authors = known.declared.authors
+    with suppress(WeightsError):  # what is no entry is nobody's
+        if old.exists():
+            authors = read_entry(old).declared.authors
+    if known.id in taken or authors != known.declared.authors:
+        by = f", of {plain(', '.join(authors))}," * (authors != known.declared.authors)
+        raise OutputError(
+            submission,
+            got=f"the id {known.id}, which another submission{by} has",
+            expected="an id of its own",
+            mend="Ids are made of names: choose another name, or verify it into another folder.",
+        )
 
 
 def entry_of(
@@ -64,10 +95,12 @@ def entry_of(
         limits=limits,
         progress=progress,
     )
-    if len(entry.id) > 60 or not _ID.fullmatch(entry.id):  # it becomes the name of a file
+    try:
+        check_entry(entry, submission)  # its id becomes the name of a file
+    except WeightsError as error:
         raise SandboxError(
-            submission, got="an answer whose id is no plain name", expected="a-z, 0-9 and hyphens"
-        )
+            submission, got=f"an answer with {error.got}", expected=error.expected
+        ) from error
     return entry, ran
 
 

@@ -3,7 +3,8 @@
 A file has the input `observation`, float32 (A, 5 + R), and the output `action`, float32 (A, 2);
 A, the number of persons, is free. A policy that leaves something to chance has a second input
 `noise`, float32 (A, Z): standard normal numbers, drawn anew for each person and step by whoever
-rolls it out, so that the same seed gives the same crowd. Its metadata hold a `PolicyCard` as JSON
+rolls it out, so that the same seed gives the same crowd; operators that draw numbers of their own
+are refused. Its metadata hold a `PolicyCard` as JSON
 under the key `crowdbench`. Nothing in the file runs but operators of the ONNX standard, on
 onnxruntime: no pickle, no custom operators, no data outside the file.
 """
@@ -25,7 +26,14 @@ from crowdbench.scene import Scene
 from crowdbench.simulation.lidar import OBSERVATIONS
 
 if TYPE_CHECKING:
-    from onnx import AttributeProto, GraphProto, ModelProto, TensorProto, ValueInfoProto
+    from onnx import (
+        AttributeProto,
+        GraphProto,
+        ModelProto,
+        NodeProto,
+        TensorProto,
+        ValueInfoProto,
+    )
 
 SCHEMA = 1
 ACTION = "velocity-1"
@@ -35,6 +43,10 @@ LARGEST = 20_000_000  # bytes
 MOST_NOISE = 256
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,39}")
 _STANDARD = ("", "ai.onnx")
+_DRAWING = frozenset({
+    "Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike", "RandomUniform",
+    "RandomUniformLike",
+})  # fmt: skip
 _MEND = "Export it anew with `crowdbench policy export`."
 
 
@@ -228,7 +240,7 @@ def _card(path: Path, model: "ModelProto") -> PolicyCard:
 
 
 def _check_operators(path: Path, model: "ModelProto") -> None:
-    """Refuse what the standard does not define, and data that lie elsewhere."""
+    """Refuse what the standard does not define, what draws, and data that lie elsewhere."""
     if model.functions:
         raise WeightsError(
             path, got="functions of its own", expected="operators of the ONNX standard", mend=_MEND
@@ -242,6 +254,14 @@ def _check_operators(path: Path, model: "ModelProto") -> None:
                     expected="operators of the ONNX standard",
                     mend=_MEND,
                 )
+            if _draws(node):
+                raise WeightsError(
+                    path,
+                    got=f"the operator {node.op_type}, which draws random numbers of its own",
+                    expected="the input noise (A, Z) in its place: the same seed gives the same "
+                    "crowd",
+                    mend=_MEND,
+                )
     for tensor in _tensors(model.graph):
         if tensor.external_data or tensor.data_location == tensor.EXTERNAL:
             raise WeightsError(
@@ -250,6 +270,12 @@ def _check_operators(path: Path, model: "ModelProto") -> None:
                 expected="all weights in this one",
                 mend="Save it with its data inside.",
             )
+
+
+def _draws(node: "NodeProto") -> bool:
+    # Dropout draws if its third input says that it is in training.
+    in_training = node.op_type == "Dropout" and any(node.input[2:])
+    return node.op_type in _DRAWING or in_training
 
 
 def _graphs(graph: "GraphProto") -> "Iterator[GraphProto]":

@@ -46,7 +46,8 @@ class _Axis:
     def __init__(self, values: Sequence[float], first: float, last: float) -> None:
         """An axis from pixel `first` to pixel `last`."""
         low, high = min(values), max(values)
-        high = high if high > low else low + 1.0
+        # Entries have four decimals; what differs by less cannot be drawn.
+        high = high if high - low > 1e-6 else low + 1.0
         rough = (high - low) / 4
         size = 10.0 ** floor(log10(rough))
         step = next(size * k for k in (1, 2, 5, 10) if size * k >= rough * 0.999)

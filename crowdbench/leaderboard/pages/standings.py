@@ -1,6 +1,5 @@
 """Standings: the entries of a track, with their scores and ranks in every view of its table."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +8,8 @@ from typing import NamedTuple
 from crowdbench.errors import WeightsError
 from crowdbench.leaderboard.declared import SCENES, Track
 from crowdbench.leaderboard.entry import Entry, SceneEntry, read_entry
-from crowdbench.metrics import FAMILIES, METRICS, WALK
+from crowdbench.leaderboard.soundness import FAMILY_OF, check_entry
+from crowdbench.metrics import FAMILIES, WALK
 from crowdbench.scoring import Score, combined, ranks
 
 TRACKS: tuple[Track, ...] = ("walk", "spawn", "crowd")
@@ -18,8 +18,6 @@ FAMILIES_OF: dict[Track, tuple[str, ...]] = {
     "spawn": tuple(family for family in FAMILIES if family not in WALK),
     "crowd": FAMILIES,
 }
-FAMILY_OF = {metric.name: metric.family for metric in METRICS}
-_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 
 
 class View(NamedTuple):
@@ -163,7 +161,7 @@ def read_entries(folder: Path) -> list[Entry]:
     made_from: dict[str, str] = {}
     for entry in entries:
         path = folder / f"{entry.id}.json"
-        _check_names(entry, path)
+        check_entry(entry, path)
         if entry.scorer != scorer:
             raise WeightsError(
                 path,
@@ -180,26 +178,3 @@ def read_entries(folder: Path) -> list[Entry]:
                     mend="Run `crowdbench leaderboard rescore`.",
                 )
     return entries
-
-
-def _check_names(entry: Entry, path: Path) -> None:
-    """Raise where a name is none that crowdbench gives, or lists belong together and do not fit."""
-    scenes = entry.scenes.values()
-    curves = [c for s in scenes for c in s.curves.values()]
-    for got, holds, expected in (
-        (
-            "an id or a scene of other letters",
-            all(len(n) <= 60 and _NAME.fullmatch(n) for n in (entry.id, *entry.scenes)),
-            "a-z, 0-9 and single hyphens, at most 60",
-        ),
-        ("an unknown family", all(set(s.families) <= set(FAMILIES) for s in scenes), "known ones"),
-        ("an unknown metric", all(set(s.metrics) <= set(FAMILY_OF) for s in scenes), "known ones"),
-        (
-            "a curve whose lines have other lengths than its axis",
-            all(0 < len(c.x) == len(c.recorded) == len(c.simulated) for c in curves),
-            "as many values, at least one",
-        ),
-    ):
-        if not holds:
-            mend = "Make it with `crowdbench leaderboard verify`."
-            raise WeightsError(path, got=got, expected=expected, mend=mend)
