@@ -23,6 +23,12 @@ def hang(progress: Progress) -> None:
     time.sleep(600)
 
 
+def hang_by_name(progress: Progress, note: str) -> None:
+    Path(f"{note}.half").write_text(str(os.getpid()))
+    Path(f"{note}.half").rename(note)
+    time.sleep(600)
+
+
 def spin(progress: Progress) -> None:
     while True:
         pass

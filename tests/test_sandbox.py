@@ -2,6 +2,8 @@
 
 import os
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -77,6 +79,21 @@ def test_who_left_the_session_is_ended_with_the_one_that_hangs(tmp_path: Path) -
 def test_who_left_the_session_is_ended_with_the_one_that_answers(tmp_path: Path) -> None:
     note = tmp_path / "child"
     tried("outlive", note=str(note), hang_s=1)
+    assert ended(int(note.read_text()))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends children with their parents")
+def test_it_ends_with_a_verifier_that_is_killed(tmp_path: Path) -> None:
+    note = tmp_path / "child"
+    verifying = (
+        f"call('hostile:hang_by_name', {{'note': '{note}'}}, object, where='', limits=Limits())"
+    )
+    script = f"from crowdbench.leaderboard.sandbox import Limits, call; {verifying}"
+    with subprocess.Popen([sys.executable, "-c", script]) as verifier:
+        soon = time.monotonic() + 30
+        while not note.exists() and time.monotonic() < soon:
+            time.sleep(0.05)
+        verifier.kill()
     assert ended(int(note.read_text()))
 
 

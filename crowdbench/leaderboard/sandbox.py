@@ -129,7 +129,12 @@ def call(
         prefix="crowdbench-sandbox-", ignore_cleanup_errors=True
     ) as folder:
         desk = Path(folder)
-        asked = {"target": target, "arguments": arguments, "limits": asdict(limits)}
+        asked = {
+            "target": target,
+            "arguments": arguments,
+            "limits": asdict(limits),
+            "parent": os.getpid(),
+        }
         (desk / "asked.json").write_text(json.dumps(asked))
         ran = _run(desk, where, limits, progress)
         try:
