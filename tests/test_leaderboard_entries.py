@@ -43,7 +43,7 @@ def test_an_entry_is_of_the_present_files(path: Path) -> None:
         assert entry.declared == submission.declared
         assert entry.status == submission.status
         assert entry.artefacts == submission.artefacts | submission.shipped
-    assert list(entry.scenes) == list(entry.declared.scenes)
+    assert set(entry.scenes) == set(entry.declared.scenes)
     for scene, of_scene in entry.scenes.items():
         assert of_scene.made_from == files_of(load_scene(scene))
         assert of_scene.protocol == submission.protocol
