@@ -37,8 +37,9 @@ def rollout(
         CapacityError: more people than slots.
         RecordingError: nobody came.
     """
-    # By what they are, not by what they are called: a network's file says its own name.
-    replaying = isinstance(policy, ReplayPolicy)
+    # By what they are, not by what they are called: a network's file says its own name. Subclasses
+    # (`walks.RecordedPaths`) walk recorded paths, but arrive as all others do.
+    replaying = type(policy) is ReplayPolicy
     if replaying and (not isinstance(spawn, Replay) or start == "empty"):
         raise SettingError(
             "policy replay",
