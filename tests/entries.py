@@ -21,7 +21,7 @@ from crowdbench.leaderboard.entry import (
     ScoreCard,
     Status,
 )
-from crowdbench.leaderboard.pages.standings import FAMILIES_OF
+from crowdbench.leaderboard.standings import FAMILIES_OF
 from crowdbench.metrics import METRICS, WALK
 from crowdbench.scoring import RESAMPLES, Score
 

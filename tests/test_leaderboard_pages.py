@@ -29,13 +29,13 @@ from crowdbench.leaderboard.pages.curves import figure
 from crowdbench.leaderboard.pages.entry_page import entry_page
 from crowdbench.leaderboard.pages.index import index_page
 from crowdbench.leaderboard.pages.readme import readme
-from crowdbench.leaderboard.pages.standings import (
+from crowdbench.leaderboard.pages.text import in_html, in_markdown, link
+from crowdbench.leaderboard.standings import (
     TRACKS,
     View,
     scores,
     standing,
 )
-from crowdbench.leaderboard.pages.text import in_html, in_markdown, link
 from crowdbench.report.words import with_interval
 from crowdbench.scoring import RESAMPLES, combined, overall, ranks
 

@@ -180,8 +180,8 @@ def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> 
 
 
 def _print_entry(entry: "Entry") -> None:
-    from crowdbench.leaderboard.pages.standings import View, scores
     from crowdbench.leaderboard.problems import plain
+    from crowdbench.leaderboard.standings import View, scores
     from crowdbench.metrics import FAMILIES
     from crowdbench.report.words import interval, number
 

@@ -9,8 +9,8 @@ from crowdbench.errors import SettingError
 from crowdbench.files import write_json
 from crowdbench.leaderboard.checked import check
 from crowdbench.leaderboard.entry import SCORER, Earlier, Entry, read_entry
-from crowdbench.leaderboard.pages.standings import View, scores
 from crowdbench.leaderboard.sandbox import Limits
+from crowdbench.leaderboard.standings import View, scores
 from crowdbench.leaderboard.verify import DEFAULT, entry_of, write_run
 
 

@@ -6,8 +6,8 @@ from crowdbench.leaderboard.entry import Entry
 from crowdbench.leaderboard.pages import axis
 from crowdbench.leaderboard.pages.index import own
 from crowdbench.leaderboard.pages.scene_results import scene_results
-from crowdbench.leaderboard.pages.standings import Line, Standing, View
 from crowdbench.leaderboard.pages.text import in_html, link, plain
+from crowdbench.leaderboard.standings import Line, Standing, View
 from crowdbench.report.shell import html_page
 from crowdbench.report.words import NOTHING, plainly, with_interval
 
@@ -159,8 +159,8 @@ def _verify(entry: Entry) -> str:
         f"Scene {name}": f"<code>{in_html(scene.made_from)}</code>"
         for name, scene in entry.scenes.items()
     }
-    return f"""<p>With the recordings imported, the same artefacts give the same bytes as in
-{data}:</p>
+    return f"""<p>With the recordings imported, the same artefacts give {data}
+again, byte for byte where processor and libraries are the same, else but for rounding:</p>
 <pre tabindex="0"><code>crowdbench leaderboard verify {submission} --out verified</code></pre>
 {facts_list({"Scorer": f"{entry.scorer}", "crowdbench": in_html(entry.crowdbench)} | hashes)}
 <div class="scroll" role="region" aria-label="Artefacts" tabindex="0">

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from crowdbench.leaderboard.declared import SCENES, Track
 from crowdbench.leaderboard.entry import Entry
-from crowdbench.leaderboard.pages.standings import Standing
 from crowdbench.leaderboard.pages.tables import listed_table, ranked_table
 from crowdbench.leaderboard.pages.text import in_html, short
+from crowdbench.leaderboard.standings import Standing
 from crowdbench.report.shell import html_page
 from crowdbench.report.words import NOTHING, plainly
 

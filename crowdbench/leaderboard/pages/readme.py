@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 from crowdbench.leaderboard.declared import SCENES
 from crowdbench.leaderboard.pages.index import JUDGED, LISTED, SUBMIT
-from crowdbench.leaderboard.pages.standings import Line, Standing, View
 from crowdbench.leaderboard.pages.tables import COPIED, OVERALL, copied, correlation, share
 from crowdbench.leaderboard.pages.text import in_markdown
+from crowdbench.leaderboard.standings import Line, Standing, View
 from crowdbench.report.markdown import flowed, table
 from crowdbench.report.words import interval, number
 

@@ -5,8 +5,8 @@ from itertools import pairwise
 
 from crowdbench.leaderboard.declared import Track
 from crowdbench.leaderboard.pages import axis
-from crowdbench.leaderboard.pages.standings import Line, Standing, View
 from crowdbench.leaderboard.pages.text import short
+from crowdbench.leaderboard.standings import Line, Standing, View
 from crowdbench.report.words import NOTHING, plainly
 from crowdbench.scoring import Score
 
