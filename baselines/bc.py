@@ -3,9 +3,12 @@
     python -m baselines.bc --scene eth-v0
 
 writes `results/bc-eth-v0/full.onnx`, which `crowdbench evaluate eth-v0 --policy
-results/bc-eth-v0/full.onnx` rolls out. The defaults are the founding paper's (two layers of 32,
-Adam at 1e-4, at most 1000 epochs), with training stopped when the likelihood of people who are
-held out no longer gets better.
+results/bc-eth-v0/full.onnx` rolls out. The defaults are not the founding paper's clone, of which
+they have the size (two layers of 32), the learning rate (Adam, 1e-4, but falling) and the most
+epochs (1000). That is a plain network on an observation of its own. This one sees `lidar-3`
+and says a mixture of Gaussians, is shown people beside their paths too, and stops when the
+likelihood of people who are held out no longer gets better. The policies that come with scenes have
+other sizes, rates and epochs: `crowdbench policy show` tells each one's command.
 """
 
 import argparse
@@ -31,7 +34,7 @@ with needs("imitation", __name__):
     from imitation.algorithms import bc
     from imitation.util import logger
 
-    from baselines.command import Command, add_settings, check_numbers, new_parser
+    from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
     from baselines.mixture import NEAR_GOAL_M, NOISE, MixturePolicy, Sampler
 
 OBSERVATIONS = ("lidar-3", "lidar-2")
@@ -253,6 +256,7 @@ def command_line() -> argparse.ArgumentParser:
 def main(arguments: list[str] | None = None) -> int:
     """Clone and write policies."""
     asked = command_line().parse_args(arguments)
+    use_one_thread()
     settings = replace(settings_from(asked), observation=asked.observation, seed=asked.seed)
     try:
         check(settings)
@@ -263,6 +267,7 @@ def main(arguments: list[str] | None = None) -> int:
                 part, Sampler(policy), observation=settings.observation, noise=NOISE
             )
             print(f"{path}: {likelihood:.4f} nats per action after {epochs} epochs")
+            print(f"{path}: {command.walk(path, 'ntpp-gmm')}", flush=True)
     except CrowdbenchError as error:
         print(f"baselines.bc: {error}", file=sys.stderr)
         return 2

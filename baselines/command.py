@@ -1,7 +1,10 @@
-"""What the baselines' commands share: what is checked before training, and a policy's file."""
+"""What the baselines' commands share: what is checked before training, a policy's file, and how it
+walks.
+"""
 
 import argparse
 import math
+import os
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -9,15 +12,32 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch
 from torch import nn
 
-from crowdbench import load_scene
+from crowdbench import load_scene, rollout
 from crowdbench.errors import SettingError
 from crowdbench.files import unwritable
-from crowdbench.policies import PolicyCard
+from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy, revision
+from crowdbench.registry import DEFAULT_SPAWN
 from crowdbench.scene import Scene
+from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.weights import check_part
+from crowdbench.trajectories import OUTCOMES
+
+WALKED_S = 600.0
+
+
+def use_one_thread() -> None:
+    """Let torch train on one thread, unless `OMP_NUM_THREADS` says otherwise.
+
+    Networks this small gain nothing by several, and threads that wait for each other on a busy
+    machine take many times as long.
+    """
+    if "OMP_NUM_THREADS" not in os.environ:
+        torch.set_num_threads(1)
 
 
 def check_numbers(settings: Any, *, or_zero: Sequence[str] = ()) -> None:
@@ -123,3 +143,19 @@ class Command:
             revision=revision(Path(__file__).parent),
         )
         return export_policy(network, self.out / f"{part}.onnx", card, noise=noise)
+
+    def walk(self, path: Path, spawn: str = DEFAULT_SPAWN) -> str:
+        """Walk a crowd for ten minutes by a policy's file, and say how fast and how many arrive.
+
+        Speeds are means over persons of what they walked per time, as `Trajectories.mean_speeds`.
+        """
+        crowd = rollout(self.scene, spawn, OnnxPolicy(path), seed=0, horizon_s=WALKED_S)
+        over = crowd.left & (crowd.last > crowd.first)
+        if not over.any():
+            return f"nobody's way ended in {WALKED_S:.0f} s"
+        recorded = float(np.mean(read_areas(self.scene).speed_quantiles))
+        arrived = crowd.outcome[over] == OUTCOMES.index("goal")
+        return (
+            f"walked for {WALKED_S:.0f} s: mean speed {crowd.mean_speeds()[over].mean():.2f} m/s "
+            f"(recorded {recorded:.2f}), {arrived.mean():.1%} of {len(arrived)} persons arrive"
+        )

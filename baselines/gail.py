@@ -37,6 +37,7 @@ from baselines.packages import needs
 from crowdbench import Demonstrations, demonstrations, spawn_model
 from crowdbench.errors import CrowdbenchError
 from crowdbench.files import replacing
+from crowdbench.registry import DEFAULT_SPAWN
 from crowdbench.scene import Scene
 
 with needs("imitation", __name__):
@@ -49,7 +50,7 @@ with needs("imitation", __name__):
     from torch import Tensor, nn
 
     from baselines import bc
-    from baselines.command import Command, add_settings, check_numbers, new_parser
+    from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
     from baselines.mixture import BOUNDS, NOISE, MixturePolicy, Sampler
     from crowdbench.vec_env import LivesVecEnv
 
@@ -63,7 +64,7 @@ AGAINST = 10.0
 class Settings:
     """How a policy is trained; how it is cloned first stands in `baselines.bc`."""
 
-    spawn: str = "ntpp-gmm"
+    spawn: str = DEFAULT_SPAWN
     observation: str = bc.OBSERVATIONS[0]
     persons: int = 64
     """Sub-environments."""
@@ -143,11 +144,12 @@ class Learner:
 
 
 class Outcomes(VecEnvWrapper):
-    """Counts how lives end."""
+    """Counts how lives end, and how fast people walk."""
 
     def __init__(self, venv: LivesVecEnv) -> None:
         super().__init__(venv)
         self.ended: Counter[str] = Counter()
+        self.speeds: list[float] = []
 
     def reset(self) -> Any:
         """Pass it on."""
@@ -157,6 +159,9 @@ class Outcomes(VecEnvWrapper):
         """Count, and pass it on."""
         seen, rewards, dones, infos = self.venv.step_wait()
         self.ended.update(info["outcome"] for info in infos if "outcome" in info)
+        goes_on = seen[~dones]
+        if len(goes_on):
+            self.speeds.append(float(np.linalg.norm(goes_on[:, :2], axis=1).mean()))
         return seen, rewards, dones, infos
 
 
@@ -248,6 +253,7 @@ def train(
     )
     for k in range(max(1, settings.steps // per_round)):
         venv.ended.clear()
+        venv.speeds.clear()
         trainer.train_gen(per_round)
         remind(generator.policy, lessons, settings.reminders)
         found = [trainer.train_disc() for _ in range(settings.discriminator_updates)]
@@ -255,6 +261,7 @@ def train(
         yield {
             "steps": (k + 1) * per_round,
             "at goal": venv.ended["goal"] / max(1, venv.ended.total()),
+            "m/s": float(np.mean(venv.speeds)) * lives.scene.motion.max_speed_mps,
             "recorded told": float(np.mean([f["disc_acc_expert"] for f in found])),
             "walked told": float(np.mean([f["disc_acc_gen"] for f in found])),
             "waited": lives.waited,
@@ -290,6 +297,7 @@ def command_line() -> argparse.ArgumentParser:
 def main(arguments: list[str] | None = None) -> int:
     """Clone, train and write policies."""
     asked = command_line().parse_args(arguments)
+    use_one_thread()
     names = (*SETTABLE, "observation")
     settings = Settings(**{name: getattr(asked, name) for name in names})
     first = bc.settings_from(asked, "cloning_")
@@ -312,7 +320,7 @@ def main(arguments: list[str] | None = None) -> int:
                 part, Sampler(policy), observation=settings.observation, noise=NOISE
             )
             _write(curves, path.with_suffix(".csv"))
-            print(path)
+            print(f"{path}: {command.walk(path, settings.spawn)}", flush=True)
     except CrowdbenchError as error:
         print(f"baselines.gail: {error}", file=sys.stderr)
         return 2

@@ -13,10 +13,9 @@ from jaxtyping import Float32
 from numpy.random import Generator
 
 from crowdbench.scene import Scene
-from crowdbench.simulation.lidar import GOAL_RANGE_M, OBSERVATIONS
+from crowdbench.simulation.lidar import GOAL_RANGE_M, OBSERVATION, OBSERVATIONS
 
-HEAD = OBSERVATIONS["lidar-1"]
-PREFERRED_SPEED_MPS = 1.34  # Weidmann (1993), Transporttechnik der Fußgänger
+HEAD = OBSERVATIONS[OBSERVATION]
 STOPPING_S = 0.5  # τ, eq. 2
 
 
@@ -24,6 +23,7 @@ class Heuristic:
     """Compares the directions of its rays, and the one to the goal."""
 
     name = "heuristic"
+    observation = OBSERVATION
     sees: ClassVar[Literal["observation"]] = "observation"
 
     def __init__(self, ray_range_m: float = 10.0) -> None:
@@ -56,6 +56,7 @@ class Heuristic:
         missed = horizon**2 + free**2 - 2 * horizon * free * np.cos(goal_angle - angle)
         best = np.argmin(missed, axis=1)[:, None]
         angle = np.take_along_axis(angle, best, axis=1)
-        speed = np.minimum(PREFERRED_SPEED_MPS, np.take_along_axis(free, best, axis=1) / STOPPING_S)
+        preferred = seen[:, 5:6] * self._max_speed
+        speed = np.minimum(preferred, np.take_along_axis(free, best, axis=1) / STOPPING_S)
         heading = np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
         return (speed * heading / self._max_speed).astype(np.float32)

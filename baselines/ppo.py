@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from baselines.packages import needs
 from crowdbench import Reward, spawn_model
 from crowdbench.errors import CrowdbenchError
+from crowdbench.registry import DEFAULT_SPAWN
 
 with needs("torchrl", __name__):
     import torch
@@ -36,10 +37,10 @@ with needs("torchrl", __name__):
     from torchrl.objectives import ClipPPOLoss
     from torchrl.objectives.value.functional import vec_generalized_advantage_estimate
 
-    from baselines.command import Command, add_settings, check_numbers, new_parser
+    from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
+    from crowdbench.simulation.lidar import OBSERVATION
     from crowdbench.torchrl_env import CrowdEnv
 
-OBSERVATION = "lidar-2"
 NOISE = 2
 
 
@@ -47,10 +48,10 @@ NOISE = 2
 class Settings:
     """How a policy is trained."""
 
-    spawn: str = "poisson-gmm"
+    spawn: str = DEFAULT_SPAWN
     worlds: int = 16
     max_alive: int = 50
-    frames: int = 1_600_000
+    frames: int = 320_000
     """World frames to train for, all worlds together."""
     batch_frames: int = 1600
     """World frames between two improvements."""
@@ -193,12 +194,24 @@ def train(
             {
                 "reward": float(steps["reward"].mean()),
                 "at goal": float(after["terminated"][..., 0][ended].float().mean()),
+                **_speeds(batch, env.scene.motion.max_speed_mps),
                 "agent-steps/s collected": len(steps) / collected_s,
                 "agent-steps/s trained": settings.epochs * len(steps) / trained_s,
             },
         )
         began = time.monotonic()
     collector.shutdown()
+
+
+def _speeds(batch: TensorDictBase, max_speed_mps: float) -> dict[str, float]:
+    """Mean speed walked and mean preferred speed of those who acted, m/s."""
+    acted = batch["agents", "mask"]
+    walked = batch["next", "agents", "observation"][acted][:, :2].norm(dim=1)
+    preferred = batch["agents", "observation"][acted][:, 5]
+    return {
+        "m/s": float(walked.mean()) * max_speed_mps,
+        "m/s preferred": float(preferred.mean()) * max_speed_mps,
+    }
 
 
 def _steps(batch: TensorDictBase, advantage: Tensor, target: Tensor) -> TensorDict:
@@ -240,6 +253,7 @@ def command_line() -> argparse.ArgumentParser:
 def main(arguments: list[str] | None = None) -> int:
     """Train and write a policy."""
     asked = command_line().parse_args(arguments)
+    use_one_thread()
     settings = Settings(**{name: getattr(asked, name) for name in (*SETTABLE, "seed")})
     try:
         check_numbers(settings, or_zero=("gamma", "lmbda", "entropy", "seed"))
@@ -253,7 +267,7 @@ def main(arguments: list[str] | None = None) -> int:
                     print(f"{k * settings.batch_frames:9,} frames  {said}", flush=True)
             assert network is not None
             path = command.write(part, Sampler(network), observation=OBSERVATION, noise=NOISE)
-            print(path)
+            print(f"{path}: {command.walk(path, settings.spawn)}", flush=True)
     except CrowdbenchError as error:
         print(f"baselines.ppo: {error}", file=sys.stderr)
         return 2

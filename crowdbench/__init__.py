@@ -2,10 +2,13 @@
 
     import crowdbench
 
-    env = crowdbench.parallel_env("eth-v0", spawn="poisson-gmm")
+    env = crowdbench.parallel_env("eth-v0")
     observations, infos = env.reset(seed=0)
     while env.agents:
-        actions = {agent: 0.3 * observations[agent][3:5] for agent in env.agents}  # to their goals
+        actions = {}
+        for agent in env.agents:
+            seen = observations[agent]
+            actions[agent] = seen[5] * seen[3:5]  # at its preferred speed to its goal
         observations, rewards, terminations, truncations, infos = env.step(actions)
     for name, result in crowdbench.score("eth-v0", env.trajectories()).items():
         print(f"{name:22}{result.distance:.3f}")

@@ -36,7 +36,7 @@ def rollout(
         scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a scene.
         spawn: who enters when and where: a name, `pkg.module:Class`, or a model.
         policy: who walks them: a name, `pkg.module:Class`, an ONNX file, or a policy. One that
-            sees observations may say which, by its attributes `observation` (`lidar-1` by
+            sees observations may say which, by its attributes `observation` (`lidar-2` by
             default), `rays` and `ray_range_m`.
         seed: of all that is left to chance.
         horizon_s: length in seconds, by default the recording's.

@@ -17,10 +17,11 @@ from pettingzoo import ParallelEnv
 from crowdbench.episode import Recorder, begin, check_capacity, check_horizon, slots_for, warm_up_s
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Straight
-from crowdbench.registry import spawn_model
-from crowdbench.rewards import Reward
+from crowdbench.registry import DEFAULT_SPAWN, spawn_model
+from crowdbench.rewards import Reward, Rewarder
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation.lidar import OBSERVATION
 from crowdbench.simulation.state import TERMINAL
 from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.model import Start
@@ -47,7 +48,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     - Observation: `lidar-1` to `lidar-3`, see `crowdbench.simulation.lidar`.
     - Action: velocity in units of the scene's greatest speed, Box(−1, 1, (2,)). Values out of
       range are clipped; NaN or infinity, a missing agent, or one that is not there raise.
-    - Reward: progress, arrival, overlap, walls and effort, see `crowdbench.rewards.Reward`; the
+    - Reward: progress, arrival, overlap, walls and pace, see `crowdbench.rewards.Reward`; the
       parts stand in `infos` as `reward_parts`, in the order of `crowdbench.rewards.PARTS`.
     - Rendering: with `render_mode="rgb_array"` a call of `render` gives a picture; with `"human"`
       a rerun viewer shows each frame as it comes. Neither changes what happens.
@@ -90,8 +91,8 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         self.frames = scene.frames(horizon_s)
         self._start = start
         self._on_full = on_full
-        self._reward = reward
         self._simulation = Simulation(scene, settings=settings)
+        self._rewarder = Rewarder(reward, self._simulation)
         self._seeds, _ = seeding.np_random(None)
         self.possible_agents = [f"person_{k}" for k in range(settings.max_persons)]
         self.agents: list[str] = []
@@ -133,6 +134,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             start=self._start,
             walker=Straight(),
         )
+        self._rewarder.begin()
         self._recorder = Recorder(simulation)
         self._recorder.write()
         if self._renderer is not None:
@@ -171,7 +173,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
 
         frame = int(simulation.clock.frame[0])
         observations = dict(zip(acting, simulation.observe()[0].take(acted, axis=0), strict=True))
-        parts = self._reward.parts(simulation)[0].take(acted, axis=0)
+        parts = self._rewarder.parts()[0].take(acted, axis=0)
         rewards = dict(zip(acting, parts.sum(axis=1).tolist(), strict=True))
         terminations = dict.fromkeys(acting, False)
         truncations = dict.fromkeys(acting, False)
@@ -319,12 +321,12 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
 def parallel_env(
     scene: str | Path | Scene,
     *,
-    spawn: str | SpawnModel = "poisson-gmm",
+    spawn: str | SpawnModel = DEFAULT_SPAWN,
     horizon_s: float | None = None,
     start: Start | None = None,
     rays: int = 32,
     ray_range_m: float = 10.0,
-    observation: str = "lidar-1",
+    observation: str = OBSERVATION,
     max_alive: int | None = None,
     max_persons: int | None = None,
     on_full: Literal["error", "drop"] = "error",
@@ -335,14 +337,15 @@ def parallel_env(
 
     Args:
         scene: an id from `list_scenes()`, or a folder with a `scene.toml`.
-        spawn: who enters when and where: a name, `pkg.module:Class`, or a model.
+        spawn: who enters when and where: a name, `pkg.module:Class`, or a model; by default
+            the crowd that `ntpp-gmm` spawns.
         horizon_s: length of an episode in seconds, by default the recording's.
         start: `stationary` (a discarded warm-up walked straight), `recorded` (replay only) or
             `empty`; by default the spawn model's own.
         rays: R, number of rays that a person sees by.
         ray_range_m: their range in metres.
-        observation: `lidar-1`; `lidar-2`, which knows the way around walls and the speed that
-            each person prefers; or `lidar-3`, which sees the bounds too.
+        observation: `lidar-1`; `lidar-2`, the default, which knows the way around walls and the
+            speed that each person prefers; or `lidar-3`, which sees the bounds too.
         max_alive: persons at once; by default 512, or more where a crowd of which nobody reaches
             a goal would grow to more.
         max_persons: persons per episode and its warm-up, all of them in `possible_agents`; by

@@ -121,12 +121,15 @@ def actions_of(
         return actions
     if policy.sees == "state":
         view = StateView.of(simulation)
-        actions[view.world, view.slot] = _checked(policy.act(view), len(view.slot), policy)
+        at = view.world * there.shape[1] + view.slot
+        actions.reshape(-1, 2)[at] = _checked(policy.act(view), len(view.slot), policy)
         if who is not there:
             actions[~who] = 0
     else:
-        seen = simulation.observe()[who]
-        actions[who] = _checked(policy.act(seen), len(seen), policy)
+        at = np.flatnonzero(who)  # one index is looked up faster than a mask
+        observation = simulation.observe()
+        seen = observation.reshape(-1, observation.shape[-1]).take(at, axis=0)
+        actions.reshape(-1, 2)[at] = _checked(policy.act(seen), len(seen), policy)
     return actions
 
 

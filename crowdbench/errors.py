@@ -51,6 +51,14 @@ class SettingError(CrowdbenchError):
     """A name, a number or an option that does not exist or is out of range."""
 
 
+class WorkerError(CrowdbenchError):
+    """A process that died before its work was done."""
+
+
+class OwnCodeError(CrowdbenchError):
+    """A class of the user's own that raised an error of another kind."""
+
+
 class ActionError(CrowdbenchError):
     """Actions that do not fit the agents that are there."""
 

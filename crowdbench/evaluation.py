@@ -42,18 +42,18 @@ from crowdbench.jobs import (
     plan,
     roll_out,
 )
+from crowdbench.leftovers import swept
 from crowdbench.metrics import WALK, Metric, Statistics, metrics_for
 from crowdbench.power import Power, power
 from crowdbench.processes import checked_workers
 from crowdbench.reference import Reference, read_reference
-from crowdbench.registry import has_recording
+from crowdbench.registry import COMPARED, has_recording
 from crowdbench.report import write_report
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring import RESAMPLES, Draws, FloorDraws, energy, floor, mean_of
 from crowdbench.tables import read_own
 from crowdbench.trajectories import OUTCOMES
 
-DEFAULT_SPAWN = ("poisson-gmm", "renewal-gmm", "ntpp-gmm")
 DEFAULT_POLICY = ("straight", "social-force")
 SHOWN = 6
 """Rollouts of each pair that figures and the report show."""
@@ -62,7 +62,7 @@ SHOWN = 6
 def evaluate(
     scene: str | Path | Scene,
     *,
-    spawn: str | Sequence[str] = DEFAULT_SPAWN,
+    spawn: str | Sequence[str] = COMPARED,
     policy: str | Sequence[str] = DEFAULT_POLICY,
     protocol: Protocol = "full",
     seeds: int | None = None,
@@ -106,7 +106,7 @@ def evaluate(
             "protocol", got=f"{len(reference.blocks)} time blocks", expected=f"{FOLDS} at least"
         )
     jobs = plan(place.asked, place, pairs, protocol, seeds, out / "rollouts")
-    with alone_in(out):
+    with swept(), alone_in(out):
         _prepare(out)
         rolled = roll_out(jobs, reference, workers, progress)
         card = judge(place, reference, rolled, protocol, seeds, scale)
@@ -296,8 +296,6 @@ def _prepare(out: Path) -> None:
             stem, _, suffix = name.partition(".")
             for half in out.glob(f".{stem}-*.{suffix}"):
                 half.unlink(missing_ok=True)
-        for half in (out / "rollouts").glob(".*-*.parquet"):
-            half.unlink(missing_ok=True)
     except OSError as error:
         raise unwritable(out, error) from error
 

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-import tempfile
+import secrets
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import msgspec
 import platformdirs
 
+from crowdbench import leftovers
 from crowdbench.errors import CrowdbenchError, OutputError
 
 T = TypeVar("T")
@@ -32,27 +33,21 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the folder or the file cannot be written.
     """
-    temporary: Path | None = None
+    temporary = path.parent / f".{path.stem}-{secrets.token_hex(4)}{path.suffix}"
     made: list[Path] = []
     try:
         made = [folder for folder in path.parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, name = tempfile.mkstemp(
-            dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix
-        )
-        os.close(descriptor)
-        temporary = Path(name)
-        # mkstemp makes private files; a result is as readable as any other file of the user's.
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        yield temporary
-        temporary.replace(path)
+        with leftovers.temporary(temporary):
+            try:
+                temporary.touch(exist_ok=False)
+                yield temporary
+                temporary.replace(path)
+            finally:
+                temporary.unlink(missing_ok=True)
     except OSError as error:
         raise unwritable(path, error) from error
     finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
         with suppress(OSError):  # the first that holds something ends it
             for folder in made:
                 folder.rmdir()

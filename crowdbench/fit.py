@@ -20,6 +20,7 @@ from crowdbench.spawn import (
     Areas,
     Arrivals,
     PoissonGMM,
+    PoissonGroups,
     RenewalGMM,
     SpawnModel,
     arrivals_of,
@@ -62,6 +63,9 @@ def fit_scene(
             f"clustering of {scene.id}",
             got=repr(clustering),
             expected=f"one of {', '.join(scene.clustering)}",
+            mend="The founding paper's settings are known for eth-v0, gc-v0 and forum-v0."
+            if clustering == "paper"
+            else "",
         )
     _check_models(models)
     check_against(scene, recording)
@@ -109,7 +113,7 @@ def _check_models(models: Sequence[str]) -> None:
         if name not in MODELS:
             raise SettingError("models", got=repr(name), expected=f"some of {', '.join(MODELS)}")
     if "ntpp-gmm" in models:
-        check_torch(", or leave it out: --models poisson-gmm renewal-gmm")
+        check_torch(", or leave it out: --models poisson-gmm poisson-groups renewal-gmm")
 
 
 def has_torch() -> bool:
@@ -148,7 +152,7 @@ def _fit_models(
     for jobs, processes in ((light, 1), (heavy, workers)):
         settings = _ntpp_settings() if jobs is heavy and jobs else None
         tasks = [(n, arrivals[part], areas, scene, seed, settings) for n, part, seed in jobs]
-        for k, model in call_each(_fit, tasks, processes):
+        for k, model in call_each(_fit, tasks, processes, name=_named):
             if progress and not done:
                 progress(0, len(light) + len(heavy))
             done[jobs[k]] = model
@@ -166,11 +170,17 @@ def _ntpp_settings() -> Any:
     return ntpp_training.SETTINGS
 
 
+def _named(name: str, *rest: object) -> str:
+    return f"a fit of {name}"
+
+
 def _fit(
     name: str, arrivals: Arrivals, areas: Areas, scene: Scene, seed: int, settings: Any
 ) -> SpawnModel:
     if name == "poisson-gmm":
         return PoissonGMM.fit(arrivals, areas)
+    if name == "poisson-groups":
+        return PoissonGroups.fit(arrivals, areas)
     if name == "renewal-gmm":
         return RenewalGMM.fit(arrivals, areas)
     from crowdbench.spawn import ntpp_training

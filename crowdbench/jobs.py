@@ -7,20 +7,28 @@ work that was killed goes on where it stopped, and nothing stale is taken for ne
 import functools
 import importlib.util
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
-from crowdbench import __version__
+from crowdbench import __version__, leftovers
 from crowdbench.blocks import PARTS
-from crowdbench.errors import OutputError, RecordingError, SettingError
+from crowdbench.errors import (
+    CrowdbenchError,
+    OutputError,
+    OwnCodeError,
+    RecordingError,
+    SettingError,
+)
 from crowdbench.files import sha256, unwritable
 from crowdbench.metrics import Metric, Statistics
+from crowdbench.own_code import told
 from crowdbench.policies import OnnxPolicy, Policy
-from crowdbench.processes import call_each, checked_workers
+from crowdbench.processes import Stopped, call_each, checked_workers
 from crowdbench.recordings.catalogue import cached
 from crowdbench.reference import Reference, summarise
 from crowdbench.registry import policy as find_policy
@@ -33,6 +41,7 @@ from crowdbench.trajectories import OUTCOMES, Trajectories
 
 _LARGE = 2**26  # bytes of a file beyond which its age is looked at, not what is in it
 
+Result = TypeVar("Result")
 Pair = tuple[str, str]
 Progress = Callable[[int, int], None]
 
@@ -50,6 +59,9 @@ class Job:
     path: Path
     fingerprint: str
     """Hash of all that the rollout depends on."""
+
+    def __str__(self) -> str:
+        return f"rollout {self.seed} of {self.spawn} × {self.policy} on {self.scene} ({self.part})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +109,7 @@ def plan(
 
     Raises:
         SettingError: a name stands for nothing, or `seeds` is no number of rollouts.
+        WeightsError: a network mixes rows.
     """
     fits = place.protocol.fits
     if seeds < 1 or (seeds >= 2 * fits and seeds % fits):
@@ -107,11 +120,15 @@ def plan(
             f"{2 * fits - 1} for plain distances only",
         )
     jobs = []
+    tried: set[Path] = set()
     for s, p in pairs:
         recorded = s == "replay"
         for part in parts_of(protocol) if _learned(p, place) or not recorded else ("full",):
             walker = find_policy(p, place, part)
             _check_unseen(p, walker, place, part)
+            if isinstance(walker, OnnxPolicy) and walker.path not in tried:
+                walker.check_rows(place)
+                tried.add(walker.path)
             certain = recorded and getattr(walker, "deterministic", False)
             spawn_model(s, place, part=part)
             fingerprint = _fingerprint(place, s, p, part)
@@ -140,7 +157,7 @@ def _check_unseen(policy: str, walker: Policy, place: Scene, part: str) -> None:
             f"policy {policy}",
             got=f"a network trained on {walker.card.part} of {place.id}",
             expected=f"one that has seen nothing of what {part} is scored on",
-            mend="Train one for each fold and name the folder with full.onnx, fold0.onnx, … , or "
+            mend="Train one for each fold and name the folder with fold0.onnx, fold1.onnx, … , or "
             "evaluate with --protocol full.",
         )
 
@@ -154,20 +171,42 @@ def roll_out(
     default one per core) share the work.
     """
     rolled: dict[Job, Rolled] = {}
+    _remove_halves(jobs)
     progress(0, len(jobs))
-    tasks = [(job, reference) for job in jobs]
-    for k, what in call_each(_roll_out, tasks, checked_workers(workers)):
-        rolled[jobs[k]] = what
-        progress(len(rolled), len(jobs))
+    # What is there is given back at once where the caller ends before all is done.
+    with closing(_each(_roll_out, jobs, workers, reference)) as done:
+        for k, what in done:
+            rolled[jobs[k]] = what
+            progress(len(rolled), len(jobs))
     return {job: rolled[job] for job in jobs}
 
 
 def make(jobs: list[Job], workers: int | None, progress: Progress) -> None:
     """Make all rollouts that are missing, as `roll_out` does, and leave it at that."""
+    _remove_halves(jobs)
     progress(0, len(jobs))
-    tasks = [(job,) for job in jobs]
-    for done, _ in enumerate(call_each(_make, tasks, checked_workers(workers)), 1):
-        progress(done, len(jobs))
+    with closing(_each(_make, jobs, workers)) as each:
+        for done, _ in enumerate(each, 1):
+            progress(done, len(jobs))
+
+
+def _each(
+    function: Callable[..., Result], jobs: list[Job], workers: int | None, *common: object
+) -> Generator[tuple[int, Result], None, None]:
+    return call_each(
+        function,
+        [(job,) for job in jobs],
+        checked_workers(workers),
+        common=common,
+        name=str,
+    )
+
+
+def _remove_halves(jobs: list[Job]) -> None:
+    """Remove what a run that was killed was about to rename."""
+    for folder in {job.path.parent for job in jobs}:
+        for half in folder.glob(".*-*.parquet"):
+            half.unlink(missing_ok=True)
 
 
 def _make(job: Job) -> None:
@@ -195,12 +234,42 @@ def _made(job: Job) -> Trajectories:
         except RecordingError:  # another program's file: it is written anew
             crowd = None
     if crowd is None or dict(crowd.provenance) != provenance:
-        scene, spawn, policy = _models(job)
-        # Rollouts of different parts must not share their random numbers.
-        seed = job.seed * len(PARTS) + PARTS.index(job.part)
-        crowd = replace(rollout(scene, spawn, policy, seed=seed), provenance=provenance)
+        with _named(job):
+            scene, spawn, policy = _models(job)
+            # Rollouts of different parts must not share their random numbers.
+            seed = job.seed * len(PARTS) + PARTS.index(job.part)
+            crowd = replace(rollout(scene, spawn, policy, seed=seed), provenance=provenance)
         write_parquet(crowd, job.path)
     return crowd
+
+
+@contextmanager
+def _named(job: Job) -> Iterator[None]:
+    """Tell of an error in a class of the user's own where it was, and in which rollout.
+
+    Raises:
+        OwnCodeError: the class raised something that is no error of crowdbench's.
+    """
+    own = [f"{what} {name}" for what, name in (("policy", job.policy), ("spawn model", job.spawn))
+           if ":" in name]  # fmt: skip
+    try:
+        yield
+    except Stopped:
+        raise
+    except CrowdbenchError as error:
+        if not own:
+            raise
+        where = f"{error.where}, {job}"
+        raise type(error)(where, got=error.got, expected=error.expected, mend=error.mend) from error
+    except (Exception, SystemExit) as error:
+        if not own:
+            raise
+        raise OwnCodeError(
+            f"{' or '.join(own)}, {job}",
+            got=told(error),
+            expected="no error",
+            mend="Mend the class and start again: rollouts of other models are kept.",
+        ) from error
 
 
 def _models(job: Job):  # type: ignore[no-untyped-def]  # what _cached_models returns
@@ -278,13 +347,15 @@ def alone_in(out: Path) -> Iterator[None]:
             mend=f"Wait for it, or name another folder; if there is none, remove {lock}.",
         )
     try:
-        lock.write_text(str(os.getpid()))
-        yield
+        with leftovers.temporary(lock):
+            try:
+                lock.write_text(str(os.getpid()))
+                yield
+            finally:
+                with suppress(OSError):
+                    lock.unlink()
     except PermissionError as error:
         raise unwritable(out, error) from error
-    finally:
-        with suppress(OSError):
-            lock.unlink()
 
 
 def _lives(process: int) -> bool:

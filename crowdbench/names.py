@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
+from crowdbench.blocks import PARTS
 from crowdbench.policies.network import read_card
 from crowdbench.registry import policy_file
 from crowdbench.scene import Scene
@@ -50,5 +51,7 @@ def _spawn(asked: str) -> str:
 
 
 def _policy(asked: str, scene: Scene) -> str:
-    file = policy_file(asked, scene, "full")
-    return asked if file is None else read_card(file).name
+    """Of a folder, as one of its files says: no protocol needs all of them."""
+    files = [file for part in PARTS if (file := policy_file(asked, scene, part))]
+    there = [file for file in files if file.is_file()] or files
+    return read_card(there[0]).name if there else asked

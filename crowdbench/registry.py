@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from crowdbench import plaza
-from crowdbench.errors import SettingError
+from crowdbench.errors import CrowdbenchError, OwnCodeError, SettingError, WeightsError
+from crowdbench.own_code import told
 from crowdbench.policies import OnnxPolicy, Policy, Random, ReplayPolicy, SocialForce, Straight
 from crowdbench.recordings import catalogue
 from crowdbench.reference import blocks_of
@@ -17,6 +18,7 @@ from crowdbench.spawn import (
     BlockReplay,
     NtppGMM,
     PoissonGMM,
+    PoissonGroups,
     RenewalGMM,
     Replay,
     Scenario,
@@ -32,19 +34,25 @@ from crowdbench.trajectories import Trajectories
 
 RECORDINGS = (*catalogue.SOURCES, "plaza")
 """Those that are listed; the catalogue knows other days of the Forum besides."""
-FITTED: dict[str, type[PoissonGMM] | type[RenewalGMM] | type[NtppGMM]] = {
+FITTED: dict[str, type[PoissonGMM] | type[PoissonGroups] | type[RenewalGMM] | type[NtppGMM]] = {
     "poisson-gmm": PoissonGMM,
+    "poisson-groups": PoissonGroups,
     "renewal-gmm": RenewalGMM,
     "ntpp-gmm": NtppGMM,
 }
 """The spawn models whose fits scenes ship."""
 WEIGHTS = {
     "poisson-gmm.json": "poisson-gmm",
+    "poisson-groups.json": "poisson-groups",
     "renewal-gmm.json": "renewal-gmm",
     "ntpp-gmm.safetensors": "ntpp-gmm",
 }
 """The files that fits are in, and whose fits these are."""
 SPAWN_MODELS = (*FITTED, "block-replay", "replay")
+DEFAULT_SPAWN = "ntpp-gmm"
+"""Who enters an environment where nothing else is asked for."""
+COMPARED = ("poisson-gmm", "renewal-gmm", "ntpp-gmm")
+"""What pages of results compare, and `evaluate` where nothing else is asked for."""
 POLICIES = ("straight", "social-force", "random", "replay")
 
 
@@ -129,6 +137,7 @@ def _steered(model: SpawnModel, scene: Scene, scenario: Scenario | Path) -> Stee
 def _unsteered(model: str, scene: Scene, part: str, fit: int) -> SpawnModel:
     check_part(part, fit)
     if model in FITTED:
+        _check_shipped(model, scene)
         return FITTED[model].read(scene, read_areas(scene), part, fit)
     if file := weights_file(model):
         holding = replace(scene, folder=file.parent)
@@ -141,6 +150,25 @@ def _unsteered(model: str, scene: Scene, part: str, fit: int) -> SpawnModel:
     kind = _own(model, "spawn model", (*SPAWN_MODELS, "a folder with the fits of one"))
     made: SpawnModel = _made(kind, model, scene, **_understood(kind, part=part, fit=fit))
     return _having(made, model, ("name", "start", "sample"))
+
+
+def _check_shipped(model: str, scene: Scene) -> None:
+    """Tell who asks for fits that a scene does not have which others it has.
+
+    Raises:
+        WeightsError: the file is missing.
+    """
+    there = fitted_models(scene)
+    if model not in there:
+        torch = " (it needs torch, the extra `fit`)" if model == "ntpp-gmm" else ""
+        others = ", ".join(there)
+        raise WeightsError(
+            next(scene.folder / file for file, name in WEIGHTS.items() if name == model),
+            got="no such file",
+            expected=f"the scene's fits of {model}",
+            mend=f"Run `crowdbench fit {scene.asked}`{torch}"
+            + (f", or name a spawn model that it has: {others}." if others else "."),
+        )
 
 
 def policy(named: str | Policy, scene: str | Path | Scene, part: str = "full") -> Policy:
@@ -208,6 +236,11 @@ def weights_file(named: str) -> Path | None:
     return found[0]
 
 
+def fitted_models(scene: Scene) -> list[str]:
+    """Names of the spawn models whose fits are in a scene's folder."""
+    return [name for file, name in WEIGHTS.items() if (scene.folder / file).is_file()]
+
+
 def trained_policies(scene: Scene) -> list[str]:
     """Names of the policies that come with a scene."""
     folder = scene.folder / "policies"
@@ -229,6 +262,10 @@ def _own(path: str, kind: str, known: tuple[str, ...]) -> Callable[..., Any]:
             expected="a class that can be imported",
             mend="Install its package, or run where Python finds it.",
         ) from error
+    except Exception as error:
+        raise OwnCodeError(
+            f"{kind} {path}", got=f"{told(error)} on import", expected="a module without errors"
+        ) from error
     return found
 
 
@@ -244,13 +281,18 @@ def _understood(kind: Callable[..., Any], **offered: object) -> dict[str, object
 def _made(kind: Callable[..., Any], path: str, *arguments: object, **named: object) -> Any:
     try:
         return kind(*arguments, **named)
-    except TypeError as error:
-        raise SettingError(
-            path,
-            got=str(error),
-            expected="a class that is called with the scene (spawn models) or without arguments "
-            "(policies)",
-        ) from error
+    except CrowdbenchError:
+        raise
+    except Exception as error:
+        called = error.__traceback__ is not None and error.__traceback__.tb_next is not None
+        if isinstance(error, TypeError) and not called:
+            raise SettingError(
+                path,
+                got=str(error),
+                expected="a class that is called with the scene (spawn models) or without "
+                "arguments (policies)",
+            ) from error
+        raise OwnCodeError(path, got=told(error), expected="no error when it is called") from error
 
 
 def _having(made: Any, path: str, needed: tuple[str, ...]) -> Any:

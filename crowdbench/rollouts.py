@@ -71,7 +71,7 @@ def rollout(
 
 
 def settings_for(policy: Policy) -> Settings:
-    """A simulation that shows a policy what it says it sees, `lidar-1` by default."""
+    """A simulation that shows a policy what it says it sees, `lidar-2` by default."""
     default = Settings(max_alive=MAX_ALIVE)
     if policy.sees == "state":
         return default

@@ -86,7 +86,7 @@ class Clustering(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     goal_min_persons: int
     keep_noise: bool
     """True: persons in no cluster join the nearest one or a broad area of their own. False:
-    they are left out, as in the paper."""
+    they are left out, as in the founding paper."""
 
 
 class Protocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

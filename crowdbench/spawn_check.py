@@ -15,12 +15,13 @@ from crowdbench.blocks import PARTS
 from crowdbench.plaza import SCENE as PLAZA
 from crowdbench.plaza import PlazaArrivals
 from crowdbench.reference import blocks_of
-from crowdbench.registry import FITTED, recording_of, spawn_model
+from crowdbench.registry import fitted_models, recording_of, spawn_model
 from crowdbench.scene import Scene
-from crowdbench.spawn import Arrivals, SpawnModel, arrivals_of
+from crowdbench.spawn import Arrivals, PoissonGMM, SpawnModel, arrivals_of
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import arrivals_in
 from crowdbench.spawn.groups import HasHazards
+from crowdbench.spawn.ntpp import networks
 from crowdbench.spawn.rescaling import KolmogorovSmirnov, kolmogorov_smirnov, rescaled
 
 SAMPLES = 20
@@ -54,7 +55,7 @@ class Checked:
 
 
 def check_models(scene: Scene) -> Iterator[Checked]:
-    """Check each fitted model; on the plaza the true process first.
+    """Check each model that the scene has fits of; on the plaza the true process first.
 
     Raises:
         RecordingError: the recording has not been imported.
@@ -82,7 +83,7 @@ def check_models(scene: Scene) -> Iterator[Checked]:
             gaps=None, sizes=None, own_gaps=None, own_sizes=None, persons=None, first=None,
         )  # fmt: skip
     fits = range(scene.protocol.fits)
-    for name in FITTED:
+    for name in fitted_models(scene):
         models = [spawn_model(name, scene, fit=fit) for fit in fits]
         on_folds = [
             _pooled([spawn_model(name, scene, part, fit) for part in PARTS[1:]], folds)
@@ -105,6 +106,51 @@ def check_models(scene: Scene) -> Iterator[Checked]:
             persons=persons,
             first=first,
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Networks:
+    """How many areas of `ntpp-gmm` have a trained network; the others have constant rates."""
+
+    areas: int
+    full: list[int]
+    """Of each fit to the whole recording."""
+    heldout: list[int]
+    """Of each fit, in all folds together."""
+    constant: float
+    """Share of the persons who enter an area without one, by the fits to the whole recording."""
+
+    def __str__(self) -> str:
+        """One sentence."""
+        folds = len(PARTS) - 1
+        return (
+            f"ntpp-gmm has a trained network in {_span(self.full)} of {self.areas} areas; in all "
+            f"fits of all folds, in {sum(self.heldout)} of "
+            f"{len(self.heldout) * folds * self.areas}. {self.constant:.0%} of the persons enter "
+            "areas without one, at constant rates of groups as in poisson-groups."
+        )
+
+
+def trained_networks(scene: Scene) -> Networks:
+    """Count the networks in the scene's fits of `ntpp-gmm`.
+
+    Raises:
+        WeightsError: the scene has none, or they are broken.
+    """
+    areas = read_areas(scene)
+    full, heldout = (networks(scene, areas, parts) for parts in (PARTS[:1], PARTS[1:]))
+    rate = PoissonGMM.read(scene, areas).rate
+    return Networks(
+        areas=len(areas.spawn),
+        full=full.sum(axis=1).tolist(),
+        heldout=heldout.sum(axis=1).tolist(),
+        constant=float(((full == 0) * rate).sum(axis=1).mean() / rate.sum()),
+    )
+
+
+def _span(counts: Sequence[int]) -> str:
+    low, high = min(counts), max(counts)
+    return f"{low}" if low == high else f"{low} to {high} (by fit)"
 
 
 def _pooled(models: Sequence[SpawnModel], folds: list[Arrivals]) -> float:

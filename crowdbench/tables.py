@@ -106,22 +106,8 @@ def of_table(
 ) -> Trajectories:
     """What `read` makes of the table that it reads from `path`."""
     metadata = _own_metadata(path, table)
-    named = table.column_names
-    for name in ("person_id", "x", "y"):
-        if name not in named:
-            raise _missing(path, name, table)
-    if "frame" not in named and "time_s" not in named:
-        raise _missing(path, "frame (or time_s)", table)
-    if len(table) == 0:
-        raise RecordingError(path, got="no rows", expected="at least one row", mend=_MEND)
-    columns = {name: _numbers(path, table, name) for name in _COLUMNS if name in named}
-    person_id = _integers(path, "person_id", columns["person_id"])
+    columns = _columns(path, table)
     frame = _frames(path, columns, dt_s)
-    outcome = columns.get("outcome", np.zeros(1))
-    if not ((outcome >= 0) & (outcome < len(OUTCOMES))).all():
-        raise RecordingError(
-            path, got=f"outcomes {np.unique(outcome)[:5]}", expected=f"0 to {len(OUTCOMES) - 1}"
-        )
     if metadata is not None:
         for name, got, expected in (
             ("scene", metadata.scene, scene),
@@ -137,7 +123,7 @@ def of_table(
         grid_s=metadata.grid_s if metadata else None,
         frames=metadata.frames if metadata else frames,
         observed=np.array(metadata.observed) if metadata else None,
-        person_id=person_id,
+        person_id=columns["person_id"],
         frame=frame,
         xy=np.stack([columns["x"], columns["y"]], axis=1).astype(np.float64),
         persons=columns,
@@ -146,16 +132,51 @@ def of_table(
     )
 
 
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """The columns that `read` knows of another program's table, by name, a value per row.
+
+    Those of `person_id` and `frame` are whole numbers.
+
+    Raises:
+        RecordingError: the file is missing, is no table, lacks a column, or holds what is no
+            number.
+    """
+    return _columns(path, _read_table(path))
+
+
+def _columns(path: Path, table: "pyarrow.Table") -> dict[str, np.ndarray]:
+    named = table.column_names
+    for name in ("person_id", "x", "y"):
+        if name not in named:
+            raise _missing(path, name, table)
+    if "frame" not in named and "time_s" not in named:
+        raise _missing(path, "frame (or time_s)", table)
+    if len(table) == 0:
+        raise RecordingError(path, got="no rows", expected="at least one row", mend=_MEND)
+    columns = {name: _numbers(path, table, name) for name in _COLUMNS if name in named}
+    for name in {"person_id", "frame"} & set(columns):
+        columns[name] = _integers(path, name, columns[name])
+    outcome = columns.get("outcome", np.zeros(1))
+    if not ((outcome >= 0) & (outcome < len(OUTCOMES))).all():
+        raise RecordingError(
+            path, got=f"outcomes {np.unique(outcome)[:5]}", expected=f"0 to {len(OUTCOMES) - 1}"
+        )
+    return columns
+
+
 def _frames(path: Path, columns: dict[str, np.ndarray], dt_s: float) -> np.ndarray:
     """The frame of each row, by `frame`, by `time_s`, or by both if they agree."""
-    frame = _integers(path, "frame", columns["frame"]) if "frame" in columns else None
+    frame = columns.get("frame")
     if "time_s" in columns:
         ticks = columns["time_s"] / dt_s
         expected = np.round(ticks) if frame is None else frame
-        if not (np.abs(ticks - expected) < 0.05).all():
+        wrong = ~(np.abs(ticks - expected) < 0.05)
+        if wrong.any():
+            row = int(np.flatnonzero(wrong)[0])
             raise RecordingError(
                 path,
-                got="times that do not stand on the scene's frames",
+                got=f"person {columns['person_id'][row]} at {columns['time_s'][row]:.10g} s, "
+                f"{wrong.sum()} of {len(wrong)} times that do not stand on the scene's frames",
                 expected=f"time_s in multiples of {dt_s:g} s"
                 + ("" if frame is None else ", frame × that"),
                 mend="Resample the trajectories to the scene's time step.",

@@ -15,10 +15,11 @@ from torchrl.envs import EnvBase
 from crowdbench.episode import begin, check_capacity, check_horizon
 from crowdbench.errors import SettingError
 from crowdbench.policies import Straight
-from crowdbench.registry import spawn_model
-from crowdbench.rewards import PARTS, Reward
+from crowdbench.registry import DEFAULT_SPAWN, spawn_model
+from crowdbench.rewards import PARTS, Reward, Rewarder
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation.lidar import OBSERVATION
 from crowdbench.simulation.state import TERMINAL
 from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.model import Start
@@ -49,14 +50,14 @@ class CrowdEnv(EnvBase):
         self,
         scene: str | Path | Scene,
         *,
-        spawn: str | SpawnModel = "poisson-gmm",
+        spawn: str | SpawnModel = DEFAULT_SPAWN,
         worlds: int = 1,
         max_alive: int = 64,
         horizon_s: float | None = None,
         start: Start | None = None,
         rays: int = 32,
         ray_range_m: float = 10.0,
-        observation: str = "lidar-1",
+        observation: str = OBSERVATION,
         reward: Reward | None = None,
         drop: bool = True,
         seed: int | None = None,
@@ -65,14 +66,15 @@ class CrowdEnv(EnvBase):
 
         Args:
             scene: an id from `list_scenes()`, or a folder with a `scene.toml`.
-            spawn: who enters when and where: a name, `pkg.module:Class`, or a model.
+            spawn: who enters when and where: a name, `pkg.module:Class`, or a model; by default
+                the crowd that `ntpp-gmm` spawns.
             worlds: W.
             max_alive: N, persons at once in each world.
             horizon_s: length of an episode in seconds, by default the recording's.
             start: how it begins, as in `parallel_env`.
             rays: R, number of rays that a person sees by.
             ray_range_m: their range in metres.
-            observation: `lidar-1`, `lidar-2` or `lidar-3`.
+            observation: `lidar-1`, `lidar-2` (the default) or `lidar-3`.
             reward: weights of its parts, by default those of `Reward()`.
             drop: whether people for whom there is no slot are turned away, and counted in
                 `dropped`; else they are an error.
@@ -92,7 +94,6 @@ class CrowdEnv(EnvBase):
         self.frames = self.scene.frames(horizon_s)
         self._start = start
         self._drop = drop
-        self._reward = reward or Reward()
         self._simulation = Simulation(
             self.scene,
             worlds=worlds,
@@ -100,6 +101,7 @@ class CrowdEnv(EnvBase):
                 max_alive=max_alive, rays=rays, ray_range_m=ray_range_m, observation=observation
             ),
         )
+        self._rewarder = Rewarder(reward or Reward(), self._simulation)
         self._make_specs(worlds, max_alive, self._simulation.observation.shape[-1])
         self.set_seed(seed)
 
@@ -150,6 +152,7 @@ class CrowdEnv(EnvBase):
             start=self._start,
             walker=Straight(),
         )
+        self._rewarder.begin()
         self._check_capacity()
         self._simulation.observe()
         shape = self._simulation.slots.alive.shape
@@ -172,7 +175,7 @@ class CrowdEnv(EnvBase):
         simulation.step(actions)
         self._check_capacity()
         simulation.observe()
-        parts = self._reward.parts(simulation)
+        parts = self._rewarder.parts()
         found = self._seen(parts)
         found["agents", "reward"] = torch.from_numpy(parts.sum(axis=2, keepdims=True))
         found.update(self._ended(~acted))

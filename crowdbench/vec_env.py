@@ -23,10 +23,11 @@ from crowdbench.episode import (
 )
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Policy, Straight
-from crowdbench.registry import spawn_model
-from crowdbench.rewards import Reward
+from crowdbench.registry import DEFAULT_SPAWN, spawn_model
+from crowdbench.rewards import Reward, Rewarder
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation.lidar import OBSERVATION
 from crowdbench.simulation.simulation import TIMEOUT_DWELLS
 from crowdbench.simulation.state import TERMINAL
 from crowdbench.spawn import SpawnEvents, SpawnModel
@@ -59,7 +60,7 @@ class LivesVecEnv(VecEnv):
         scene: str | Path | Scene,
         num_envs: int = 16,
         *,
-        spawn: str | SpawnModel = "poisson-gmm",
+        spawn: str | SpawnModel = DEFAULT_SPAWN,
         others: Policy | None = None,
         worlds: int | None = None,
         max_alive: int | None = None,
@@ -67,7 +68,7 @@ class LivesVecEnv(VecEnv):
         start: Start | None = None,
         rays: int = 32,
         ray_range_m: float = 10.0,
-        observation: str = "lidar-2",
+        observation: str = OBSERVATION,
         reward: Reward | None = None,
         seed: int | None = None,
     ) -> None:
@@ -76,7 +77,8 @@ class LivesVecEnv(VecEnv):
         Args:
             scene: an id from `list_scenes()`, or a folder with a `scene.toml`.
             num_envs: sub-environments, which is persons at a time in all worlds together.
-            spawn: who enters when and where: a name, `pkg.module:Class`, or a model.
+            spawn: who enters when and where: a name, `pkg.module:Class`, or a model; by default
+                the crowd that `ntpp-gmm` spawns.
             others: who walks everyone else, by default `straight`. It can be set later.
             worlds: by default as many as hold three persons for each sub-environment.
             max_alive: persons at once in each world; by default as in `parallel_env`.
@@ -84,7 +86,7 @@ class LivesVecEnv(VecEnv):
             start: how it begins, as in `parallel_env`.
             rays: R, number of rays that a person sees by.
             ray_range_m: their range in metres.
-            observation: `lidar-1`, `lidar-2` or `lidar-3`.
+            observation: `lidar-1`, `lidar-2` (the default) or `lidar-3`.
             reward: weights of its parts, by default those of `Reward()`.
             seed: of the first episode and of the seeds of all others; `seed()` sets it too.
 
@@ -108,7 +110,6 @@ class LivesVecEnv(VecEnv):
         if max_alive is None:
             max_alive = slots_for(sample, self.scene)
         self._start = start
-        self._reward = reward or Reward()
         self._simulation = Simulation(
             self.scene,
             worlds=worlds,
@@ -116,6 +117,7 @@ class LivesVecEnv(VecEnv):
                 max_alive=max_alive, rays=rays, ray_range_m=ray_range_m, observation=observation
             ),
         )
+        self._rewarder = Rewarder(reward or Reward(), self._simulation)
         self._actions = np.zeros((num_envs, 2), np.float32)
         self._at = np.zeros((2, num_envs), np.int64)  # world and slot of each one's person
         self._waits = np.ones(num_envs, bool)
@@ -162,6 +164,7 @@ class LivesVecEnv(VecEnv):
             start=self._start,
             walker=Straight(),
         )
+        self._rewarder.begin()
         check_capacity(simulation)
         self.others.reset(self.scene, generator(seed, 0, "policy"))
         simulation.observe()
@@ -206,7 +209,7 @@ class LivesVecEnv(VecEnv):
 
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         rewards = np.zeros(self.num_envs, np.float32)
-        parts = self._reward.parts(simulation)[at]
+        parts = self._rewarder.parts()[at]
         rewards[acting] = parts.sum(axis=1)
         ended = np.zeros(self.num_envs, np.int8)
         ended[acting] = simulation.slots.ended[at]

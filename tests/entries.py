@@ -191,8 +191,9 @@ def as_trajectories(entry: Entry) -> Entry:
 
 
 def put(entries: list[Entry], root: Path) -> Path:
-    """A leaderboard's folder with these entries."""
+    """A leaderboard's folder with these entries; its rules make it one, and no preview."""
     (root / "entries").mkdir(parents=True, exist_ok=True)
+    (root / "RULES.md").touch()
     for entry in entries:
         write_json(root / "entries" / f"{entry.id}.json", entry)
     return root

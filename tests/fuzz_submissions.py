@@ -25,6 +25,9 @@ from pathlib import Path
 from spoiling import spoilt
 from submissions import listed_submission, spawn_submission, walk_submission
 
+from crowdbench.leftovers import swept
+from crowdbench.registry import WEIGHTS
+
 LIMIT_S = 5.0
 LIMIT_BYTES = 2**30
 _WAIT_S = 12 * LIMIT_S
@@ -34,7 +37,7 @@ _FIRST_S = 300.0  # what a child may take to import everything and open sound su
 def sound_submissions(folder: Path) -> list[Path]:
     """Submissions of every kind in which nothing is wrong."""
     sound = [walk_submission(folder / "walk"), listed_submission(folder / "listed")]
-    for file in ("poisson-gmm.json", "renewal-gmm.json", "ntpp-gmm.safetensors"):
+    for file in WEIGHTS:
         sound.append(spawn_submission(folder / file.partition(".")[0], file))
     return sound
 
@@ -99,7 +102,12 @@ class _Child:
 
 
 def _work(pipe: Connection, temporary: Path, sound: list[Path]) -> None:
-    """Open what is sent, and tell how that ended."""
+    """Open what is sent, and tell how that ended, with the sweeper that every run has."""
+    with swept():
+        _answer(pipe, temporary, sound)
+
+
+def _answer(pipe: Connection, temporary: Path, sound: list[Path]) -> None:
     from crowdbench.errors import CrowdbenchError
     from crowdbench.leaderboard.submission import open_submission
 

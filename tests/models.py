@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from crowdbench.spawn import Areas, Arrivals, NtppGMM, PoissonGMM, RenewalGMM
+from crowdbench.spawn import Areas, Arrivals, NtppGMM, PoissonGMM, PoissonGroups, RenewalGMM
 from crowdbench.spawn.areas import Gaussians
 from crowdbench.spawn.ntpp import SHAPES
 
@@ -36,6 +36,12 @@ def arrivals_at(
 def poisson(next_member: float = 0.0) -> PoissonGMM:
     """Rates so low that nearly nobody is a group; `next_member` only makes the models alike."""
     return PoissonGMM(AREAS, np.array([0.5, 0.02]))
+
+
+def groups(next_member: float = 0.3) -> PoissonGroups:
+    """Groups at constant rates."""
+    rates = np.array([0.5, 0.02])
+    return PoissonGroups(AREAS, rates, np.full(2, next_member), GRID_S)
 
 
 def renewal(next_member: float = 0.3) -> RenewalGMM:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import redirect_stdout
@@ -15,13 +16,21 @@ import pytest
 from msgspec import structs
 from strategies import crowd_of
 
+import crowdbench
 from crowdbench.authoring import check_scene, create, create_scene, rules
 from crowdbench.authoring.toml import scene_toml
 from crowdbench.cli import main
-from crowdbench.errors import CrowdbenchError, OutputError, RecordingError, SceneError, SettingError
+from crowdbench.errors import (
+    CrowdbenchError,
+    OutputError,
+    RecordingError,
+    SceneError,
+    SettingError,
+    WeightsError,
+)
 from crowdbench.reference import read_reference
 from crowdbench.registry import recording
-from crowdbench.scene import Scene, load_scene
+from crowdbench.scene import Scene, load_scene, write_scored
 from crowdbench.trajectories import Trajectories
 
 Printed = pytest.CaptureFixture[str]
@@ -55,7 +64,8 @@ class Made:
 
 @pytest.fixture(scope="module")
 def yard() -> Trajectories:
-    return made_up.record(290.0)
+    """Not much more than three minutes."""
+    return made_up.record(200.0)
 
 
 @pytest.fixture(scope="module")
@@ -89,10 +99,24 @@ def copied(made: Made, tmp_path: Path) -> Path:
 
 def test_one_command_makes_all_of_a_scene(made: Made) -> None:
     assert {path.name for path in made.scene.folder.iterdir()} == {
-        "anchors.json", "areas.json", "place.png", "poisson-gmm.json", "reference.json",
-        "renewal-gmm.json", "scene.toml", "time.png",
+        "anchors.json", "areas.json", "place.png", "poisson-gmm.json", "poisson-groups.json",
+        "reference.json", "renewal-gmm.json", "scene.toml", "time.png",
     }  # fmt: skip
     assert [path.name for path in made.home.glob("recordings/*")] == ["yard.parquet"]
+
+
+def test_a_scene_without_the_default_spawn_model_says_what_else_it_has(made: Made) -> None:
+    with pytest.raises(WeightsError) as caught:
+        crowdbench.parallel_env(made.scene.folder)
+    assert caught.value.expected == "the scene's fits of ntpp-gmm"
+    assert "needs torch" in caught.value.mend
+    assert caught.value.mend.endswith("it has: poisson-gmm, poisson-groups, renewal-gmm.")
+    assert 'on this scene say spawn="renewal-gmm"' in made.out
+    assert crowdbench.parallel_env(made.scene.folder, spawn="renewal-gmm").reset(seed=0)
+
+
+def test_no_settings_of_the_paper_are_made_up(made: Made) -> None:
+    assert list(made.scene.clustering) == ["default"]
 
 
 def test_its_settings_follow_from_the_recording(made: Made) -> None:
@@ -101,7 +125,7 @@ def test_its_settings_follow_from_the_recording(made: Made) -> None:
     assert scene.recording.frames == made.crowd.frames
     assert scene.inside(made.crowd.xy.astype(np.float64)).all()
     assert {wall.name for wall in scene.walls} == {wall.name for wall in made_up.WALLS}
-    assert (scene.protocol.block_s, scene.protocol.resample_s) == (30.0, 30.0)
+    assert (scene.protocol.block_s, scene.protocol.resample_s) == (20.0, 20.0)
     assert (scene.protocol.fits, scene.protocol.rollouts_per_fit) == (1, 2)
     assert "inter_spawn" in scene.protocol.scored
 
@@ -124,6 +148,7 @@ def test_it_tells_times_and_what_was_left_out(made: Made) -> None:
     for step in ("read", "fits", "power study", "anchors", "pictures"):
         assert any(line.startswith(step) and line.endswith(" s") for line in made.out.splitlines())
     assert "left out: no torch" in made.out
+    assert "fano 60 s: time blocks are too short for it" in made.out
     assert "crowdbench evaluate yard-v0 --spawn renewal-gmm" in made.out
 
 
@@ -139,6 +164,13 @@ def test_it_is_evaluated_with_its_recording(at_home: Made, tmp_path: Path, capsy
         for e in json.loads((tmp_path / "scorecard.json").read_text())["entries"]
     }
     assert entries["replay", "replay"]["metrics"]["dwell"]["distance"] == 0.0
+
+
+def test_it_is_evaluated_held_out(made: Made, tmp_path: Path, capsys: Printed) -> None:
+    asked = ["evaluate", str(made.scene.folder), "--protocol", "heldout", "--seeds", "1"]
+    asked += ["--spawn", "renewal-gmm", "--policy", "straight", "--workers", "1"]
+    assert main([*asked, "--out", str(tmp_path)]) == 0
+    assert re.search(r"inter spawn +scored +[0-9.]+ s +0\.\d", capsys.readouterr().out)
 
 
 def test_a_folder_here_is_found_by_its_name(
@@ -204,6 +236,16 @@ def test_walls_where_people_walk_are_told(copied: Path, at_home: Made) -> None:
 def test_another_recording_under_its_name_is_told(copied: Path, at_home: Made) -> None:
     rewrite(copied / "scene.toml", 'sha256 = "', 'sha256 = "0')
     assert "Import the recording that the scene was made from" in problems(copied)["recording"]
+
+
+def test_a_power_study_that_found_no_metric_is_no_problem(copied: Path) -> None:
+    write_scored(load_scene(copied), [])
+    told = {f.part: f for f in check_scene(copied)}["scored metrics"]
+    assert told.problem is None
+    assert told.state == "none: no metric tells the anchor from the recording"
+    text = (copied / "scene.toml").read_text()
+    (copied / "scene.toml").write_text(text.replace("scored = [\n]\n", ""))
+    assert "no protocol.scored" in problems(copied)["scored metrics"]
 
 
 def test_the_command_tells_each_problem_and_exits_with_2(copied: Path, capsys: Printed) -> None:
@@ -281,7 +323,7 @@ def test_walls_that_people_walk_through_are_refused(yard: Trajectories, tmp_path
 
 
 def test_a_recording_that_is_too_short_is_told_how_long_it_must_be(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"got 100 s of observation; expected 270 s or more"):
+    with pytest.raises(RecordingError, match=r"got 100 s of observation; expected 180 s or more"):
         attempt(tmp_path, made_up.record(99.5))
 
 

@@ -15,7 +15,18 @@ MAX_SPEED = load_scene("plaza-v0").motion.max_speed_mps
 def seeing(goal_m: float, goal_angle: float, rays: list[float]) -> np.ndarray:
     """An observation of a person at rest."""
     return np.array(
-        [[0, 0, goal_m / GOAL_RANGE_M, np.cos(goal_angle), np.sin(goal_angle), *rays]], np.float32
+        [
+            [
+                0,
+                0,
+                goal_m / GOAL_RANGE_M,
+                np.cos(goal_angle),
+                np.sin(goal_angle),
+                1.34 / MAX_SPEED,
+                *rays,
+            ]
+        ],
+        np.float32,
     )
 
 

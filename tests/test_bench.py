@@ -19,6 +19,7 @@ NAMES = [
     "TorchRL collector, 64 × 50, random",
     "TorchRL collector, 64 × 50, MLP 32-32",
     "poisson-gmm, sampling 10,000 frames of ETH",
+    "poisson-groups, sampling 10,000 frames of ETH",
     "renewal-gmm, sampling 10,000 frames of ETH",
     "ntpp-gmm, sampling 10,000 frames of ETH",
     "ntpp-gmm, one fit to plaza-v0",  # and to eth-v0 and gc-v0, where imported
@@ -30,6 +31,7 @@ NAMES = [
     "ntpp-gmm, sampling 10,000 frames of GC",
     "rollout of GC, straight",
     "rollout of GC, social-force",
+    "rollout of GC, gail",
     "scoring a rollout of GC, all metrics",
     "import crowdbench",
 ]

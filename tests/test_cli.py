@@ -211,7 +211,13 @@ def test_output_that_nobody_reads_ends_quietly(arguments: list[str]) -> None:
     assert process.returncode == 1 or "--help" in arguments  # argparse says nothing of it
 
 
-def test_an_interrupt_ends_with_exit_code_130_and_no_half_file(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("number", "code", "told"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "stopped")],
+)
+def test_who_is_told_to_stop_says_so_by_its_exit_code_and_leaves_no_half_file(
+    number: int, code: int, told: str, tmp_path: Path
+) -> None:
     process = started(
         "evaluate", "plaza-v0", "--spawn", "poisson-gmm", "--policy", "given:Announcing",
         "--seeds", "10000", "--workers", "1", "--out", str(tmp_path),
@@ -219,8 +225,8 @@ def test_an_interrupt_ends_with_exit_code_130_and_no_half_file(tmp_path: Path) -
     assert process.stdout is not None
     while process.stdout.readline() not in ("walking\n", ""):
         pass
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, err = process.communicate()
-    assert (process.returncode, err) == (130, "crowdbench: interrupted\n")
+    assert (process.returncode, err) == (code, f"crowdbench: {told}\n")
     assert list(tmp_path.rglob(".*")) == []
     assert not (tmp_path / "scorecard.json").exists()

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import torch
 from conftest import need_imitation
 
 from baselines import ppo
-from baselines.command import Command, check_numbers
+from baselines.command import Command, check_numbers, use_one_thread
 from crowdbench.errors import CrowdbenchError, SettingError
 
 
@@ -24,6 +25,22 @@ class Numbers:
 
 def test_possible_numbers_pass() -> None:
     check_numbers(Numbers(), or_zero=["seed"])
+
+
+@pytest.mark.parametrize(("asked", "threads"), [(None, 1), ("2", 2)])
+def test_training_runs_on_one_thread_unless_more_are_asked_for(
+    asked: str | None, threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    if asked:
+        monkeypatch.setenv("OMP_NUM_THREADS", asked)
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(2)
+        use_one_thread()
+        assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
 
 
 @pytest.mark.parametrize(

@@ -296,6 +296,6 @@ class Unread(list[str]):
 
 
 def test_a_step_does_not_go_through_all_possible_agents() -> None:
-    env = parallel_env("plaza-v0", horizon_s=60.0)
+    env = parallel_env("plaza-v0", spawn="poisson-gmm", horizon_s=60.0)
     env.possible_agents = Unread(env.possible_agents)
     assert walk_straight(env, seed=0) == 150

@@ -83,7 +83,7 @@ def test_actions_may_be_lists_and_any_mapping() -> None:
     env = env_of(*PAIR)
     env.reset()
     infos = env.step(Same())[4]
-    assert infos["person_0"]["reward_parts"][0] == pytest.approx(2.0)  # progress
+    assert infos["person_0"]["reward_parts"][0] == pytest.approx(0.4)  # at 1 m/s, which it prefers
 
 
 def test_nobody_acts_before_reset() -> None:
@@ -104,18 +104,22 @@ def test_there_is_no_table_before_reset() -> None:
         env_of(*PAIR).trajectories()
 
 
+def test_the_crowd_is_by_default_as_ntpp_gmm_spawns() -> None:
+    assert parallel_env("plaza-v0", horizon_s=20.0).spawn.name == "ntpp-gmm"
+
+
 def test_the_horizon_is_by_default_the_recordings() -> None:
     assert parallel_env("eth-v0").frames == 1934
 
 
 def test_rays_set_the_size_of_an_observation() -> None:
     env = env_of(*PAIR, rays=8)
-    assert env.reset()[0]["person_0"].shape == env.observation_space("person_0").shape == (13,)
+    assert env.reset()[0]["person_0"].shape == env.observation_space("person_0").shape == (14,)
 
 
 def test_what_is_out_of_the_rays_range_is_not_seen() -> None:
     env = env_of(*PAIR, ray_range_m=4.0)
-    assert (env.reset()[0]["person_0"][5:] == 1.0).all()
+    assert (env.reset()[0]["person_0"][6:] == 1.0).all()
 
 
 def test_a_stationary_crowd_is_there_at_frame_zero_and_an_empty_start_has_none() -> None:
@@ -162,7 +166,7 @@ def test_options_out_of_range_are_refused(name: str, value: object) -> None:
 
 def test_a_start_that_does_not_fit_the_model_is_refused() -> None:
     env = parallel_env("eth-v0", start="recorded")
-    with pytest.raises(SettingError, match="start of poisson-gmm"):
+    with pytest.raises(SettingError, match="start of ntpp-gmm"):
         env.reset(seed=0)
 
 

@@ -67,7 +67,7 @@ def test_people_see_each_other_from_their_first_frame(time_s: float) -> None:
         observations = env.step(run(env))[0]
     left = env.agents[0]
     # Straight to the right: the other's disc of 0.3 m, in units of the range of 10 m.
-    assert observations[left][5] == pytest.approx(0.17, abs=1e-6)
+    assert observations[left][6] == pytest.approx(0.17, abs=1e-6)
 
 
 def test_the_horizon_truncates_everyone() -> None:

@@ -83,7 +83,7 @@ def test_samples_have_the_recorded_persons_per_minute_and_area_from_the_first_fr
     assert per_frame == pytest.approx(sampled.sum(), rel=0.3)
 
 
-@pytest.mark.parametrize("name", ["renewal-gmm", "ntpp-gmm"])
+@pytest.mark.parametrize("name", ["poisson-groups", "renewal-gmm", "ntpp-gmm"])
 def test_fits_explain_what_they_have_not_seen_better_than_poisson(case: Case, name: str) -> None:
     for part in PARTS[1:]:
         held_out = case.arrivals(part, scored=True)
@@ -161,7 +161,7 @@ def test_two_workers_write_what_one_writes(
         {path.name: path.read_bytes() for path in (tmp_path / str(workers)).iterdir()}
         for workers in (1, 2)
     )
-    assert len(one) == 6
+    assert len(one) == 7
     assert one == two
 
 
@@ -177,5 +177,7 @@ def test_without_torch_nothing_is_done_and_the_way_out_is_said(
 
 
 def test_models_that_nobody_fits_are_refused(plaza: Case, tmp_path: Path) -> None:
-    with pytest.raises(SettingError, match="some of poisson-gmm, renewal-gmm, ntpp-gmm"):
+    with pytest.raises(
+        SettingError, match="some of poisson-gmm, poisson-groups, renewal-gmm, ntpp-gmm"
+    ):
         fit_scene(PLAZA, plaza.crowd, out=tmp_path, models=["replay"])

@@ -34,12 +34,13 @@ def scene(fps: float) -> object:
 
 
 def trajnet(*lines: object, dt_s: float | None = None) -> Trajectories:
-    return read_trajnet(ndjson(*lines), name="here", dt_s=dt_s, where="here.ndjson")
+    raw = ndjson(*lines)
+    return read_trajnet(raw, name="here", dt_s=dt_s, where="here.ndjson", gaps="interpolate")
 
 
 def jupedsim(data: str | bytes, dt_s: float | None = None) -> Trajectories:
     raw = data.encode() if isinstance(data, str) else data
-    return read_jupedsim(raw, name="here", dt_s=dt_s, where="here.txt")
+    return read_jupedsim(raw, name="here", dt_s=dt_s, where="here.txt", gaps="interpolate")
 
 
 def test_tracks_are_people_and_scenes_say_the_rate() -> None:
@@ -178,8 +179,12 @@ def test_converting_goes_round(tmp_path: Path, capsys: pytest.CaptureFixture[str
     database(source, fps="25")
     here = tmp_path / "crowd.txt"
     asked = ["convert", str(source), "--format", "jupedsim", "--to", "jupedsim", "--out", str(here)]
-    assert main(asked) == 0
-    assert "2 persons, 5 frames of 0.4 s" in capsys.readouterr().out
+    assert main(asked) == 2
+    assert "got person 4 in frame 40, 20 frames after its row before" in capsys.readouterr().err
+    assert main([*asked, "--gaps", "interpolate"]) == 0
+    out = capsys.readouterr().out
+    assert "mended: 1 row put in (person 4 after frame 20)" in out
+    assert "2 persons, 5 frames of 0.4 s" in out
     assert here.read_text().splitlines()[0] == "# framerate: 2.5"
     assert here.read_text().splitlines()[2] == "3\t1\t1.25\t4.5\t0.0"
     back = tmp_path / "crowd.csv"

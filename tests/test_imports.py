@@ -13,12 +13,13 @@ import crowdbench
 PACKAGE = Path(crowdbench.__file__).parent
 
 ORDER = (
-    "errors", "files", "processes", "trajectories", "tables", "blocks", "metrics", "recordings",
-    "scene", "spawn", "reference", "scoring_kernel", "scoring", "power", "cards", "simulation",
-    "policies", "episode", "rollouts", "plaza", "registry", "crowds", "names", "demos", "fit",
-    "spawn_check", "replay_check", "figures", "report", "jobs", "evaluation", "authoring",
-    "results", "ablation", "walks", "gallery", "steering", "leaderboard", "rewards", "viewer",
-    "environment", "torchrl_env", "vec_env", "bench", "cli", "__main__",
+    "errors", "leftovers", "own_code", "files", "processes", "trajectories", "tables", "blocks",
+    "neighbours", "metrics", "recordings", "scene", "spawn", "reference", "scoring_kernel",
+    "scoring", "power", "cards", "simulation", "policies", "episode", "rollouts", "plaza",
+    "registry", "crowds", "names", "demos", "fit", "spawn_check", "replay_check", "figures",
+    "report", "jobs", "evaluation", "authoring", "results", "ablation", "walks", "gallery",
+    "steering", "leaderboard", "rewards", "viewer", "environment", "torchrl_env", "vec_env",
+    "bench", "cli", "__main__",
 )  # fmt: skip
 HEAVY = (
     "torch",
@@ -152,7 +153,7 @@ def test_scoring_a_table_loads_neither_torch_nor_the_simulation(tmp_path: Path) 
         cwd=tmp_path,
     )
     assert "crowdbench.reference" in loaded
-    assert loaded & {"torch", "numba", "crowdbench.simulation"} == set()
+    assert loaded & {"torch", "crowdbench.simulation"} == set()
 
 
 def test_the_environment_needs_no_torch() -> None:

@@ -72,7 +72,7 @@ SAME: dict[str, tuple] = {
     "observation_lambda_v0": (unchanged,),
     "pad_action_space_v0": (),
     "pad_observations_v0": (),
-    "reshape_v0": ((37,),),
+    "reshape_v0": ((38,),),
     "reward_lambda_v0": (unchanged,),
     "scale_actions_v0": (1.0,),
     "sticky_actions_v0": (0.0,),
@@ -121,14 +121,14 @@ def test_the_pages_example_of_supersuit_stacks_what_each_saw(supersuit: Any) -> 
     env = names_of("supersuit")["env"]
     assert not env.agents
     stacks, _ = env.reset(seed=1)
-    seen = {name: [stack[-37:].copy()] * 4 for name, stack in stacks.items()}
+    seen = {name: [stack[-38:].copy()] * 4 for name, stack in stacks.items()}
     rng = np.random.default_rng(0)
     born = 0
     for _ in range(100):
         stacks, *_ = env.step(towards_goals({name: seen[name][-1] for name in env.agents}, rng))
         for name, stack in stacks.items():
             born += name not in seen
-            newest = stack[-37:].copy()
+            newest = stack[-38:].copy()
             seen[name] = [*seen[name][1:], newest] if name in seen else [newest] * 4
             assert stack.tolist() == np.concatenate(seen[name]).tolist()
     assert born > 5

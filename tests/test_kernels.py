@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 from worlds import Person, box, events, square
 
 from crowdbench.policies import SocialForce, StateView
@@ -124,6 +125,56 @@ def test_many_worlds_are_many_enough_for_several_threads() -> None:
 def test_the_number_of_threads_changes_no_byte() -> None:
     one, two = (digest_elsewhere(MANY, NUMBA_NUM_THREADS=threads) for threads in "12")
     assert one == two
+
+
+FIRST = {
+    "nothing": "",
+    "torch": "import torch; torch.rand(100_000).exp().sum()",
+    "sklearn": "import sklearn.cluster",
+    "numba": (
+        "import numba, numpy as np\n"
+        "@numba.njit(parallel=True)\n"
+        "def f(x):\n"
+        "    for i in numba.prange(len(x)):\n"
+        "        x[i] += 1\n"
+        "f(np.zeros(10))"
+    ),
+}
+
+
+def compiled_elsewhere(first: str, **environment: str) -> list[str]:
+    """Names of the kernels that many worlds are stepped by, without and with environment."""
+    code = (
+        f"{first}\nimport os\nbefore = dict(os.environ)\n"
+        "import test_kernels\n"
+        "test_kernels.history(*range(1, test_kernels.MANY + 1))\n"
+        "from crowdbench.simulation.compilation import _dispatchers\n"
+        "assert dict(os.environ) == before\n"
+        "print(*sorted(d.py_func.__name__ for d in _dispatchers.values()))"
+    )
+    plain = {k: v for k, v in os.environ.items() if k != "NUMBA_NUM_THREADS"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**plain, "PYTHONPATH": os.path.dirname(__file__), **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize("first", FIRST)
+def test_kernels_run_on_one_thread_whatever_was_imported_before(first: str) -> None:
+    # What runs on one thread waits for no other, and nothing of the user's has to be changed.
+    names = compiled_elsewhere(FIRST[first], OMP_NUM_THREADS="2")
+    assert names
+    assert [name for name in names if "_alone_" not in name] == []
+
+
+def test_kernels_run_on_several_threads_where_they_are_asked_for() -> None:
+    names = compiled_elsewhere("", NUMBA_NUM_THREADS="2")
+    assert any("_parallel_" in name for name in names)
 
 
 def test_worlds_stepped_together_are_each_world_alone() -> None:

@@ -22,7 +22,7 @@ from PIL import Image
 from crowdbench.cli import main
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.leaderboard.declared import SCENES
-from crowdbench.leaderboard.entry import Curve, Entry, Flag, ScoreCard
+from crowdbench.leaderboard.entry import Curve, Entry, Flag, ScoreCard, read_entry
 from crowdbench.leaderboard.pages import build
 from crowdbench.leaderboard.pages.axis import NARROW, bar
 from crowdbench.leaderboard.pages.curves import figure
@@ -66,7 +66,9 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def contents(root: Path) -> dict[str, bytes]:
+    put_there = ("RULES.md",)
     made = (p for p in root.rglob("*") if p.is_file() and p.suffix != ".json")
+    made = (p for p in made if p.name not in put_there)
     return {str(p.relative_to(root)): p.read_bytes() for p in made}
 
 
@@ -104,7 +106,8 @@ def test_ranks_of_each_view_are_those_of_its_scores(track: str) -> None:
         ]
         expected = ranks([scores(line.entry)[view] for line in competing])
         names = [line.entry.id for line in competing]
-        assert found.ranks[view] == dict(zip(names, expected, strict=True))
+        alone = len(names) == 1
+        assert found.ranks[view] == ({} if alone else dict(zip(names, expected, strict=True)))
 
 
 def test_who_lacks_a_scene_ranks_on_the_others_alone() -> None:
@@ -182,7 +185,7 @@ def test_the_same_entries_give_the_same_bytes(board: Path, tmp_path: Path) -> No
 
 def test_what_is_committed_is_what_its_entries_make(tmp_path: Path) -> None:
     entries = sorted((ROOT / "entries").glob("*.json"))
-    (tmp_path / "entries").mkdir()
+    put([], tmp_path)
     for path in entries:
         (tmp_path / "entries" / path.name).write_bytes(path.read_bytes())
     build(tmp_path)
@@ -210,6 +213,56 @@ def test_the_command_says_what_it_wrote(tmp_path: Path, capsys: pytest.CaptureFi
     put([made_up("one", "walk", 0.5)], tmp_path)
     assert main(["leaderboard", "build", "--root", str(tmp_path)]) == 0
     assert capsys.readouterr().out.startswith(f"1 entry: written to {tmp_path}: README.md")
+
+
+@pytest.fixture(scope="module")
+def preview(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Entries of one's own in a folder without rules: one as good as `bc`, one that is alone."""
+    bc = read_entry(ROOT / "entries" / "bc.json")
+    declared = msgspec.structs.replace(bc.declared, name="newcomer")
+    newcomer = msgspec.structs.replace(bc, id="newcomer", declared=declared)
+    lone = made_up("lone", "walk", 0.5, scenes=("plaza-v0",))
+    root = put([newcomer, lone], tmp_path_factory.mktemp("preview"))
+    (root / "RULES.md").unlink()
+    build(root)
+    return root
+
+
+def test_a_preview_shows_the_shipped_entries_beside_ones_own(preview: Path) -> None:
+    lines = (preview / "README.md").read_text().splitlines()
+    rows = [line for line in lines if line.startswith("|") and "](pages/" in line]
+    ranks = {re.split(r"[][]", row)[1]: row.split("|")[1] for row in rows}
+    shipped = {path.stem for path in (ROOT / "entries").glob("*.json")}
+    assert {path.stem for path in (preview / "pages").glob("*.html")} == {
+        *shipped, "newcomer", "lone",
+    }  # fmt: skip
+    assert ranks["newcomer"] == ranks["bc"]
+    assert ranks["bc"].strip()
+    marked = [row for row in rows if "(yours)" in row]
+    assert [re.split(r"[][]", row)[1] for row in marked] == ["newcomer", "lone"]
+    assert (preview / "index.html").read_text().count('<span class="yours">') == 3  # and the head
+    assert "(yours)" not in (ROOT / "README.md").read_text()
+    assert ">yours<" not in (ROOT / "index.html").read_text()
+
+
+def test_a_lone_entry_has_no_rank(preview: Path) -> None:
+    lone = made_up("lone", "walk", 0.5)
+    found = standing("walk", [lone])
+    assert [found.rank(line, view) for line in found.lines for view in found.views] == [""] * len(
+        found.views
+    )
+    (row,) = (row for row in (preview / "README.md").read_text().splitlines() if "[lone]" in row)
+    assert row.startswith("|  | [lone](pages/lone.html) (yours) |")
+    assert 'class="rank">–</td>' in (preview / "pages" / "lone.html").read_text()
+
+
+def test_links_of_a_preview_lead_somewhere(preview: Path) -> None:
+    for page in (preview / "index.html", *(preview / "pages").glob("*.html")):
+        hrefs = {attrs.get("href") for tag, attrs in Text(page.read_text()).tags if tag == "a"}
+        relative = {h.split("#")[0] for h in hrefs if h and not h.startswith(("#", "https:"))}
+        assert [h for h in relative if not (page.parent / h).is_file()] == []
+    assert (preview / "pages" / "RULES.md").read_text() == (ROOT / "RULES.md").read_text()
+    assert "[The rules](pages/RULES.md)" in (preview / "README.md").read_text()
 
 
 def test_a_folder_that_is_no_leaderboards_keeps_its_files(tmp_path: Path) -> None:

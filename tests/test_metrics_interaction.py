@@ -1,10 +1,15 @@
 import numpy as np
 import pytest
+import shapely
 from comparisons import PLACE, nobody, sample, score, whole
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from strategies import crowd_of
 
 from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics import ClosestApproach, OverlapRate, Place, WallHits
+from crowdbench.metrics.interaction import touching
+from crowdbench.metrics.rows import nearest_neighbour_m, pairs_within
 from crowdbench.trajectories import Trajectories
 
 BESIDE_M = 0.3
@@ -137,3 +142,33 @@ def test_where_there_are_no_walls_none_is_hit():
     place = Place(spawn_areas=0, goal_areas=0, bounds_m=PLACE.bounds_m)
     crowd = crowd_of([(0, 3)])
     assert WallHits().summarise(crowd, whole(4), place)["share"].tolist() == [[0, 4]]
+
+
+POSITIONS = st.integers(0, 2**31).map(
+    lambda seed: np.random.default_rng(seed).uniform(-6, 6, (40, 2)).round(2)
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(POSITIONS, st.integers(1, 5))
+def test_neighbours_are_those_that_comparing_everyone_finds(xy, frames):
+    # Many share a place, an x or a distance: positions are whole centimetres, rounded coarsely.
+    xy = np.where(xy > 0, xy.round(), xy)[: 40 // frames * frames]
+    crowd = crowd_of([(0, frames - 1)] * (len(xy) // frames), xy=xy)
+    frame, at = crowd.row_frame(), crowd.xy.astype(np.float64)
+    gap = np.hypot(*(at[:, None] - at[None]).transpose(2, 0, 1))
+    gap[(frame[:, None] != frame) | np.eye(len(at), dtype=bool)] = np.inf
+    np.testing.assert_allclose(nearest_neighbour_m(crowd), gap.min(axis=1), rtol=1e-15)
+    found = {tuple(pair) for pair in pairs_within(crowd, 2.0).tolist()}
+    assert found == {(a, b) for a, b in np.argwhere(gap <= 2.0).tolist() if a < b}
+
+
+@settings(max_examples=40, deadline=None)
+@given(POSITIONS, st.lists(st.tuples(*[st.integers(-5, 5).map(float)] * 2), max_size=3))
+def test_touching_a_wall_is_being_within_2_cm_of_one(xy, corners):
+    walls = tuple(((x, y), (x + 2.0, y), (x + 1.0, y + 3.0)) for x, y in corners)
+    edges = [(x + t, y - d) for x, y in corners for t in (0.0, 1.3) for d in (0.0, 0.019, 0.021)]
+    spots = np.array([*xy, *edges, (1e30, 0)], np.float32)
+    solid = shapely.union_all([shapely.Polygon(wall) for wall in walls])
+    near = shapely.distance(solid, shapely.points(spots.astype(np.float64))) <= 0.02
+    assert touching(walls, spots).tolist() == near.tolist()

@@ -1,5 +1,6 @@
 """Names in tables and pictures: short, and never two of the same."""
 
+import shutil
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -32,6 +33,13 @@ def test_scenarios_of_the_same_stem_keep_their_folders() -> None:
 def test_a_policy_in_a_file_is_called_as_its_card_says(asked: Path) -> None:
     need(find_spec("onnx"), "onnx")
     assert names_of([("ntpp-gmm", str(asked))], ETH).policy == {str(asked): "bc"}
+
+
+def test_a_folder_of_folds_alone_is_called_as_their_cards_say(tmp_path: Path) -> None:
+    need(find_spec("onnx"), "onnx")
+    for fold in range(3):
+        shutil.copy(SHIPPED / f"fold{fold}.onnx", tmp_path)
+    assert names_of([("ntpp-gmm", str(tmp_path))], ETH).policy == {str(tmp_path): "bc"}
 
 
 def test_policies_of_the_same_name_keep_their_files() -> None:

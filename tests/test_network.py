@@ -15,7 +15,7 @@ import crowdbench
 from crowdbench import rollout, spawn_model
 from crowdbench.cli import main
 from crowdbench.errors import CrowdbenchError, SettingError, WeightsError
-from crowdbench.policies import OnnxPolicy, PolicyCard, network
+from crowdbench.policies import OnnxPolicy, PolicyCard, export, network
 from crowdbench.policies.export import export_policy
 from crowdbench.scene import load_scene
 
@@ -174,9 +174,61 @@ class Wrong(Net):
 
 
 def test_a_network_of_another_shape_is_not_written(tmp_path: Path) -> None:
-    with pytest.raises(WeightsError, match=r"action \(A, 2\)"):
+    with pytest.raises(WeightsError, match=r"returns of shape \(7, 4\) for 7 persons"):
         export_policy(Wrong(), tmp_path / "wrong.onnx", CARD)
     assert not list(tmp_path.iterdir())
+
+
+def test_what_a_network_takes_is_told_before_it_is_traced(tmp_path: Path) -> None:
+    card = msgspec.structs.replace(CARD, observation="lidar-2", rays=32)
+    with pytest.raises(WeightsError) as raised:
+        export_policy(Net(inputs=37), tmp_path / "no.onnx", card)
+    told = str(raised.value)
+    assert "the network takes 37 numbers" in told
+    assert "lidar-2 has 38 numbers with 32 rays" in told
+    assert "These are lidar-1" in told
+    with pytest.raises(WeightsError, match="the network takes 36 numbers"):
+        export_policy(Net(inputs=36), tmp_path / "no.onnx", card)
+    assert not list(tmp_path.iterdir())
+
+
+class Recurrent(torch.nn.Module):
+    """An LSTM that forgets everything between two frames."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.layer = torch.nn.LSTM(CARD.inputs, 8, batch_first=True)
+        self.out = torch.nn.Linear(8, 2)
+
+    def forward(self, seen: Tensor) -> Tensor | tuple[Tensor, Tensor]:
+        hidden, _ = self.layer(seen[:, None, :])
+        return self.out(hidden[:, 0])
+
+
+class WithState(Recurrent):
+    def forward(self, seen: Tensor) -> Tensor | tuple[Tensor, Tensor]:
+        return super().forward(seen), torch.zeros(len(seen), 8)
+
+
+def test_a_recurrent_layer_can_be_exported_and_a_state_beside_actions_cannot(
+    tmp_path: Path,
+) -> None:
+    policy = OnnxPolicy(export_policy(Recurrent(), tmp_path / "lstm.onnx", CARD))
+    policy.reset(PLAZA, np.random.default_rng(0))
+    assert policy.act(np.zeros((3, CARD.inputs), np.float32)).shape == (3, 2)
+    with pytest.raises(WeightsError, match="returns a tuple for 7 persons"):
+        export_policy(WithState(), tmp_path / "state.onnx", CARD)
+
+
+def test_a_network_that_ends_the_process_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    killing = tmp_path / "trial.py"
+    killing.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGABRT)\n")
+    monkeypatch.setattr(export, "TRIAL", killing)
+    with pytest.raises(WeightsError, match="ends onnxruntime's process by signal 6"):
+        export_policy(Net(), tmp_path / "no.onnx", CARD)
+    assert not (tmp_path / "no.onnx").exists()
 
 
 # Hostile and broken files: each is a good one with one thing changed.

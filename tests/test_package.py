@@ -1,17 +1,29 @@
-"""What a wheel carries."""
+"""What a wheel carries, and that it works where nothing of the repository is."""
 
+import os
 import subprocess
 import sys
+import sysconfig
 import zipfile
 from pathlib import Path
+
+import pytest
+
+from crowdbench.files import write_json
 
 ROOT = Path(__file__).parents[1]
 
 
-def test_the_wheel_carries_the_scenes_and_the_types(tmp_path: Path) -> None:
-    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
     subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
-    (wheel,) = tmp_path.glob("*.whl")
+    (path,) = folder.glob("*.whl")
+    return path
+
+
+def test_the_wheel_carries_the_scenes_and_the_types(wheel: Path) -> None:
     carried = set(zipfile.ZipFile(wheel).namelist())
     scenes = {
         f"crowdbench/_scenes/{path.relative_to(ROOT / 'scenes').as_posix()}"
@@ -21,5 +33,56 @@ def test_the_wheel_carries_the_scenes_and_the_types(tmp_path: Path) -> None:
     assert scenes | {"crowdbench/py.typed"} <= carried
     assert {name.split("/")[0] for name in carried} == {
         "crowdbench",
+        "baselines",
         f"{wheel.name.split('-py3')[0]}.dist-info",
     }
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path) -> Path:
+    """A program that runs Python with the wheel and what it needs, but without the repository."""
+    venv = wheel.parent / "venv"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(venv)], check=True)
+    packages = Path(sysconfig.get_path("purelib", "venv", {"base": str(venv)}))
+    zipfile.ZipFile(wheel).extractall(packages)  # which is all that installing pure Python does
+    # Named by a .pth file, the folder's own ones, such as that of an editable install, do nothing.
+    (packages / "needed.pth").write_text(f"{sysconfig.get_path('purelib')}\n")
+    return venv / Path(sysconfig.get_path("scripts", "venv", {"base": ""})).name / "python"
+
+
+def run(program: Path, *arguments: str, folder: Path) -> str:
+    plain = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [program, *arguments], cwd=folder, env=plain, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_baselines_come_with_an_installed_wheel(installed: Path, tmp_path: Path) -> None:
+    code = (
+        "import baselines, crowdbench; print(baselines.__file__); print(crowdbench.__file__); "
+        "print(crowdbench.policy('baselines.heuristic:Heuristic', 'plaza-v0').name)"
+    )
+    ours, theirs, name = run(installed, "-c", code, folder=tmp_path).split()
+    assert {Path(ours).parents[1], Path(theirs).parents[1]} == {
+        next(installed.parents[1].rglob("needed.pth")).parent
+    }
+    assert name == "heuristic"
+
+
+def test_an_installed_wheel_previews_beside_the_shipped_entries(
+    installed: Path, tmp_path: Path
+) -> None:
+    from entries import made_up
+
+    (tmp_path / "entries").mkdir()
+    lone = made_up("lone", "walk", 0.5, scenes=("plaza-v0",))
+    write_json(tmp_path / "entries" / "lone.json", lone)
+    asked = ["-m", "crowdbench", "leaderboard", "build", "--root", str(tmp_path)]
+    out = run(installed, *asked, folder=tmp_path)
+    shipped = len(list((ROOT / "leaderboard" / "entries").glob("*.json")))
+    assert out.startswith(f"1 entry of yours beside {shipped} that come with crowdbench")
+    assert (tmp_path / "pages" / "RULES.md").read_text() == (
+        ROOT / "leaderboard" / "RULES.md"
+    ).read_text()

@@ -13,7 +13,7 @@ from crowdbench.figures.sight import COLOURS, spawn_colours
 from crowdbench.metrics import Place
 from crowdbench.metrics.presence import AgentsOverTime
 from crowdbench.reference import Reference, read_reference
-from crowdbench.registry import FITTED, policy, spawn_model
+from crowdbench.registry import COMPARED, policy, spawn_model
 from crowdbench.results.pictures import draw_pictures
 from crowdbench.rollouts import rollout
 from crowdbench.scene import load_scene
@@ -29,10 +29,10 @@ def sight() -> Sight:
     return Sight.of(ETH, read_reference(ETH), crowds, "full")
 
 
-def test_a_fitted_model_has_one_colour_in_every_picture() -> None:
+def test_a_compared_model_has_one_colour_in_every_picture() -> None:
     alone, beside = spawn_colours(["ntpp-gmm"]), spawn_colours(["mine:A", "ntpp-gmm", "mine:B"])
     assert alone["ntpp-gmm"] == beside["ntpp-gmm"]
-    assert len({beside[name] for name in ("mine:A", "mine:B", *FITTED)}) == 5
+    assert len({beside[name] for name in ("mine:A", "mine:B", *COMPARED)}) == 5
     many = spawn_colours([f"mine:{k}" for k in range(9)])
     assert set(many.values()) == set(COLOURS)
 

@@ -72,7 +72,7 @@ def test_every_command_runs_in_the_order_of_the_page(
         if arguments[0] == "evaluate":  # the next test makes all its rollouts
             arguments += ["--seeds", "1"]
         if arguments[0] == "fit":  # tests of their own hold the network's fits
-            arguments += ["--models", "poisson-gmm", "renewal-gmm"]
+            arguments += ["--models", "poisson-gmm", "poisson-groups", "renewal-gmm"]
         assert main(arguments) == 0, f"{command}: {capsys.readouterr().err}"
 
 

@@ -25,8 +25,11 @@ from crowdbench.spawn.areas import read_areas
 from crowdbench.trajectories import Trajectories
 
 ETH, PLAZA = load_scene("eth-v0"), load_scene("plaza-v0")
-FITTED = ("areas.json", "poisson-gmm.json", "reference.json", "renewal-gmm.json")
-EXACT = ("poisson-gmm", "renewal-gmm")  # torch's last bits are the machine's own
+FITTED = (
+    *("areas.json", "poisson-gmm.json", "poisson-groups.json", "reference.json"),
+    "renewal-gmm.json",
+)
+EXACT = ("poisson-gmm", "poisson-groups", "renewal-gmm")  # torch's last bits are the machine's own
 
 
 @pytest.fixture(scope="module")
@@ -102,19 +105,39 @@ def test_written_statistics_are_read_back(tmp_path: Path, plaza: Trajectories) -
             assert counts[:, found.shape[1] :].sum() == 0
 
 
+SEARCHED = "renewal-gmm.json"  # by an optimiser, whose last digits are the processor's own
+
+
 def remade(scene: Any, crowd: Trajectories, out: Path) -> list[str]:
     """Names of the fitted files that another fit makes otherwise than those shipped."""
     fit_scene(scene, crowd, models=EXACT, out=out)
-    return [n for n in FITTED if (out / n).read_bytes() != (scene.folder / n).read_bytes()]
+    return [
+        name
+        for name in FITTED
+        if (out / name).read_bytes() != (scene.folder / name).read_bytes()
+        and not (
+            name == SEARCHED
+            and alike(*(json.loads((f / name).read_bytes()) for f in (out, scene.folder)))
+        )
+    ]
 
 
-def test_the_plazas_shipped_files_are_remade_byte_for_byte(
-    tmp_path: Path, plaza: Trajectories
-) -> None:
+def alike(a: Any, b: Any) -> bool:
+    """Whether two JSON values are the same, but for a millionth of a number."""
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(alike(a[k], b[k]) for k in a)
+    if isinstance(a, list):
+        return len(a) == len(b) and all(alike(x, y) for x, y in zip(a, b, strict=True))
+    if isinstance(a, float):
+        return a == pytest.approx(b, rel=1e-6, abs=1e-9)
+    return bool(a == b)
+
+
+def test_the_plazas_shipped_files_are_remade(tmp_path: Path, plaza: Trajectories) -> None:
     assert remade(PLAZA, plaza, tmp_path) == []
 
 
-def test_eths_shipped_files_are_remade_byte_for_byte(tmp_path: Path, eth: Trajectories) -> None:
+def test_eths_shipped_files_are_remade(tmp_path: Path, eth: Trajectories) -> None:
     assert remade(ETH, eth, tmp_path) == []
 
 
@@ -129,6 +152,14 @@ def test_the_papers_clustering_makes_other_areas(tmp_path: Path, eth: Trajectori
 def test_an_unknown_clustering_is_refused(tmp_path: Path, plaza: Trajectories) -> None:
     with pytest.raises(SettingError, match=r"clustering of plaza-v0: got 'best'.*default"):
         fit_scene(PLAZA, plaza, clustering="best", out=tmp_path)
+
+
+@pytest.mark.parametrize("name", ["hotel-v0", "zara1-v0", "plaza-v0"])
+def test_places_that_the_paper_did_not_use_have_no_settings_of_its(
+    name: str, tmp_path: Path, plaza: Trajectories
+) -> None:
+    with pytest.raises(SettingError, match=r"got 'paper'.*known for eth-v0, gc-v0 and forum-v0"):
+        fit_scene(load_scene(name), plaza, clustering="paper", out=tmp_path)
 
 
 def test_a_fit_with_another_recording_is_refused(tmp_path: Path, plaza: Trajectories) -> None:

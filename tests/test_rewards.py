@@ -1,5 +1,7 @@
 """The reward: each of its parts by hand, and their sum in the environment."""
 
+import functools
+
 import numpy as np
 import pytest
 from given import env_of, run, stand
@@ -12,21 +14,94 @@ from crowdbench.rewards import PARTS, Reward
 STEP_S = 0.4
 
 
+def only_of(**weights: float) -> Reward:
+    return Reward(**{**dict.fromkeys(PARTS, 0.0), **weights})
+
+
 def only(part: str, weight: float = 1.0) -> Reward:
-    return Reward(**{name: weight if name == part else 0.0 for name in PARTS})
+    return only_of(**{part: weight})
 
 
 def parts(env: CrowdParallelEnv, infos: dict, name: str = "person_0") -> dict[str, float]:
     return dict(zip(PARTS, infos[name]["reward_parts"], strict=True))
 
 
-def test_progress_is_metres_and_arrival_is_once() -> None:
+def test_progress_is_metres_up_to_the_preferred_speed_and_arrival_a_step_of_it() -> None:
     env = env_of(
-        Person(start=(0.0, 0.0), goal=(3.9, 0.0)), reward=Reward(overlap=0.0, wall=0.0, effort=0.0)
+        Person(start=(0.0, 0.0), goal=(3.9, 0.0), speed=1.5),
+        reward=only_of(progress=1.0, arrival=1.0),
     )
     env.reset()
-    rewards = [env.step(run(env))[1]["person_0"] for _ in range(2)]
-    np.testing.assert_allclose(rewards, [2.0, 1.9 - 0.1 + 1.0], atol=1e-6)
+    rewards = [env.step(run(env))[1]["person_0"] for _ in range(2)]  # 2 m each
+    np.testing.assert_allclose(rewards, [0.6, 0.6 + 0.6], atol=1e-6)
+
+
+def test_who_was_held_up_is_paid_the_same_metres_later() -> None:
+    env = env_of(Person(goal=(9.0, 0.0), speed=1.5), reward=only("progress"))
+    env.reset()
+    assert env.step(stand(env))[1]["person_0"] == 0.0
+    # 1.2 m have fallen due, 2 m are walked.
+    assert env.step(run(env))[1]["person_0"] == pytest.approx(1.2, abs=1e-6)
+    assert env.step(run(env, (-1.0, 0.0)))[1]["person_0"] == pytest.approx(-1.2, abs=1e-6)
+
+
+def test_a_slot_s_next_person_has_a_schedule_of_its_own() -> None:
+    people = (
+        Person(start=(0.0, 0.0), goal=(0.5, 0.0), speed=1.0),
+        Person(time_s=0.8, start=(0.0, 0.0), goal=(9.0, 0.0), speed=1.0),
+    )
+    env = env_of(*people, max_alive=1, reward=only("progress"))
+    env.reset()
+    env.step(run(env, (0.2, 0.0)))  # the first arrives 0.2 m ahead; the second enters
+    assert env.agents == ["person_1"]
+    assert env.step(run(env, (0.2, 0.0)))[1]["person_1"] == pytest.approx(0.4, abs=1e-6)
+
+
+def test_progress_follows_the_way_around_walls() -> None:
+    scene = square(10.0, box(1.0, -5.0, 2.0, 5.0))
+    people = Person(start=(0.0, 0.0), goal=(4.0, 0.0), speed=1.5)
+    for observation, expected in (("lidar-2", 0.6), ("lidar-1", 4.0 - np.hypot(3.88, 0.588))):
+        env = env_of(people, scene=scene, reward=only("progress"), observation=observation)
+        seen, _ = env.reset()
+        way = seen["person_0"][3:5] if observation == "lidar-2" else np.array([0.2, 0.98])
+        got = env.step({"person_0": (0.3 * way).astype(np.float32)})[1]["person_0"]
+        assert got == pytest.approx(expected, abs=1e-3)
+
+
+@functools.cache
+def paid(preferred_mps: float, *speeds_mps: float) -> np.ndarray:
+    """What each step of a life pays by the default reward; two at each speed, then at the last."""
+    person = Person(start=(-4.0, 0.0), goal=(4.0, 0.0), speed=preferred_mps)
+    env = env_of(person, horizon_s=60.0)
+    env.reset()
+    rewards: list[float] = []
+    while env.agents:
+        speed = speeds_mps[min(len(rewards) // 2, len(speeds_mps) - 1)]
+        actions = run(env, (speed / env.scene.motion.max_speed_mps, 0.0))
+        rewards.append(env.step(actions)[1]["person_0"])
+    return np.array(rewards)
+
+
+def discounted(rewards: np.ndarray, gamma: float) -> float:
+    return float(np.sum(rewards * gamma ** np.arange(len(rewards))))
+
+
+@pytest.mark.parametrize("gamma", [0.0, 0.5, 0.9, 0.98, 0.99, 1.0])
+@pytest.mark.parametrize("preferred_mps", [0.8, 1.4])
+def test_the_preferred_speed_pays_most_whatever_the_discount(
+    gamma: float, preferred_mps: float
+) -> None:
+    factors = np.array([0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.3, 1.7, 2.5, 3.5])
+    returns = [discounted(paid(preferred_mps, preferred_mps * f), gamma) for f in factors]
+    assert factors[np.argmax(returns)] == 1.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_sequence_of_speeds_pays_more(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mixed = paid(1.25, *rng.uniform(0.0, 3.0, rng.integers(2, 7)).round(2).tolist(), 1.25)
+    for gamma in (0.5, 0.9, 0.99, 1.0):
+        assert discounted(mixed, gamma) <= discounted(paid(1.25, 1.25), gamma) + 1e-5
 
 
 @pytest.mark.parametrize(("gap", "depth"), [(0.0, 1.0), (0.3, 0.5), (0.6, 0.0), (2.0, 0.0)])
@@ -35,7 +110,7 @@ def test_overlap_is_as_deep_as_discs_overlap(gap: float, depth: float) -> None:
     env = env_of(*people, reward=only("overlap", -2.0))
     env.reset()
     rewards = env.step(stand(env))[1]
-    np.testing.assert_allclose(list(rewards.values()), [-2.0 * depth] * 2, atol=1e-6)
+    np.testing.assert_allclose(list(rewards.values()), [-2.0 * depth * STEP_S] * 2, atol=1e-6)
 
 
 def test_walls_cost_where_they_are_met() -> None:
@@ -43,21 +118,18 @@ def test_walls_cost_where_they_are_met() -> None:
     env = env_of(Person(start=(0.0, 0.0)), scene=scene, reward=only("wall", -0.3))
     env.reset()
     assert env.step(stand(env))[1]["person_0"] == 0.0
-    assert env.step(run(env))[1]["person_0"] == pytest.approx(-0.3)
+    assert env.step(run(env))[1]["person_0"] == pytest.approx(-0.3 * STEP_S)
 
 
-@pytest.mark.parametrize("speed_mps", [0.0, 1.33, 5.0])
-def test_effort_is_the_energy_of_walking(speed_mps: float) -> None:
-    env = env_of(Person(start=(-9.0, 0.0), goal=(9.0, 0.0)), reward=only("effort", -1.0))
+@pytest.mark.parametrize(("speed_mps", "cost"), [(1.4, 0.0), (1.9, 0.5), (0.9, 0.5), (5.0, 0.98)])
+def test_pace_costs_nothing_at_the_preferred_speed_and_is_bounded(
+    speed_mps: float, cost: float
+) -> None:
+    env = env_of(Person(start=(-9.0, 0.0), goal=(9.0, 0.0), speed=1.4), reward=only("pace", -1.0))
     env.reset()
     velocity = np.array([speed_mps / env.scene.motion.max_speed_mps, 0.0], np.float32)
     reward = env.step({"person_0": velocity})[1]["person_0"]
-    assert reward == pytest.approx(-(2.23 + 1.26 * speed_mps**2) * STEP_S, rel=1e-5)
-
-
-def test_per_metre_the_least_effort_is_at_133_cm_a_second() -> None:
-    speeds = np.linspace(0.5, 3.0, 251)
-    assert speeds[np.argmin((2.23 + 1.26 * speeds**2) / speeds)] == pytest.approx(1.33, abs=0.01)
+    assert reward == pytest.approx(-cost * 1.4 * STEP_S, abs=2e-3)
 
 
 def test_the_parts_are_told_and_add_up() -> None:
@@ -87,5 +159,5 @@ def test_who_is_born_has_no_reward() -> None:
 
 @pytest.mark.parametrize("weight", [float("nan"), float("inf")])
 def test_weights_are_numbers(weight: float) -> None:
-    with pytest.raises(SettingError, match="effort"):
-        Reward(effort=weight)
+    with pytest.raises(SettingError, match="pace"):
+        Reward(pace=weight)

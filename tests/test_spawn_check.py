@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from crowdbench.cli import main
+from crowdbench.registry import FITTED
 from crowdbench.scene import load_scene
 from crowdbench.spawn_check import Checked, check_models
 
@@ -33,7 +34,7 @@ def test_nothing_explains_fresh_data_better_than_the_truth(plaza: dict[str, Chec
     assert min(fresh, key=lambda name: fresh[name] or -99.0) == "poisson-gmm"
 
 
-@pytest.mark.parametrize("model", ["poisson-gmm", "renewal-gmm", "ntpp-gmm"])
+@pytest.mark.parametrize("model", FITTED)
 def test_samplers_follow_their_own_density(plaza: dict[str, Checked], model: str) -> None:
     for found in (plaza[model].own_gaps, plaza[model].own_sizes):
         assert found is not None
@@ -49,7 +50,7 @@ def test_poissons_gaps_and_sizes_are_not_the_recordings(plaza: dict[str, Checked
 
 
 def counts_hold(found: dict[str, Checked]) -> None:
-    for name in ("poisson-gmm", "renewal-gmm", "ntpp-gmm"):
+    for name in FITTED:
         assert found[name].persons == pytest.approx(1, abs=0.10), name
         assert found[name].first == pytest.approx(1, abs=0.30), name
 
@@ -60,11 +61,20 @@ def test_samples_let_in_as_many_as_were_recorded_on_the_plaza(plaza: dict[str, C
 
 def test_samples_let_in_as_many_as_were_recorded_at_eth(eth: dict[str, Checked]) -> None:
     counts_hold(eth)
-    assert eth["ntpp-gmm"].heldout > eth["renewal-gmm"].heldout > eth["poisson-gmm"].heldout
+    order = ("ntpp-gmm", "renewal-gmm", "poisson-groups", "poisson-gmm")
+    assert sorted(eth, key=lambda name: -eth[name].heldout) == list(order)
+
+
+def test_most_of_what_eths_models_gain_over_poisson_is_groups(eth: dict[str, Checked]) -> None:
+    poisson, groups, ntpp = (
+        eth[name].heldout for name in ("poisson-gmm", "poisson-groups", "ntpp-gmm")
+    )
+    assert (groups - poisson) / (ntpp - poisson) > 0.9
 
 
 def test_the_command_prints_a_row_per_model(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["spawn", "plaza-v0"]) == 0
     printed = capsys.readouterr().out
-    for name in ("plaza-truth", "poisson-gmm", "renewal-gmm", "ntpp-gmm"):
+    for name in ("plaza-truth", *FITTED):
         assert name in printed
+    assert "ntpp-gmm has a trained network in 4 of 4 areas" in " ".join(printed.split())

@@ -169,3 +169,7 @@ def test_settings_out_of_range_are_refused() -> None:
         CrowdEnv("plaza-v0", worlds=0)
     with pytest.raises(SettingError, match="horizon_s"):
         CrowdEnv("plaza-v0", horizon_s=float("nan"))
+
+
+def test_the_crowd_is_by_default_as_ntpp_gmm_spawns() -> None:
+    assert CrowdEnv("plaza-v0", horizon_s=20.0).spawn.name == "ntpp-gmm"

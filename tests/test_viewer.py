@@ -204,16 +204,16 @@ def test_the_log_tells_how_each_life_ended(saved: Path, crowd: Trajectories) -> 
 
 
 def test_rays_are_those_that_the_environment_saw() -> None:
-    env = parallel_env("plaza-v0", horizon_s=60.0)
+    env = parallel_env("plaza-v0", spawn="poisson-gmm", horizon_s=60.0)
     observations, _ = env.reset(seed=3)
     seen: dict[str, list[np.ndarray]] = {}
     while env.agents:
         for name, observation in observations.items():
-            seen.setdefault(name, []).append(observation[5:])
+            seen.setdefault(name, []).append(observation[6:])
         slow = np.float32(0.25)
         observations, *_ = env.step({name: slow * observations[name][3:5] for name in env.agents})
     for name, observation in observations.items():
-        seen[name].append(observation[5:])
+        seen[name].append(observation[6:])
     crowd = env.trajectories()
     for person in range(3, len(crowd), 7):
         rays = ray_lengths(crowd, person, PLAZA, Settings(max_alive=64))

@@ -7,23 +7,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from models import AREAS, random_ntpp, renewal
+from models import AREAS, groups, random_ntpp, renewal
 from safetensors.numpy import load_file, save_file
 
 from crowdbench.blocks import PARTS
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.scene import Scene, load_scene
-from crowdbench.spawn import NtppGMM, PoissonGMM, RenewalGMM
+from crowdbench.spawn import NtppGMM, PoissonGMM, PoissonGroups, RenewalGMM
 from crowdbench.spawn.ntpp import SHAPES
 
 ETH = load_scene("eth-v0")
 TRAINED = {"window_frames": 100, "learning_rate": 0.005}
-FILES = ("poisson-gmm.json", "renewal-gmm.json", "ntpp-gmm.safetensors")
+FILES = ("poisson-gmm.json", "poisson-groups.json", "renewal-gmm.json", "ntpp-gmm.safetensors")
 
 
 @pytest.fixture
 def place(tmp_path: Path) -> Scene:
-    """A scene with all three files, each part and fit with numbers of its own."""
+    """A scene with all files, each part and fit with numbers of its own."""
     (tmp_path / "scene.toml").write_bytes((ETH.folder / "scene.toml").read_bytes())
     write_all(tmp_path)
     return load_scene(tmp_path)
@@ -32,6 +32,8 @@ def place(tmp_path: Path) -> Scene:
 def write_all(folder: Path) -> None:
     rates = {part: PoissonGMM(AREAS, np.array([0.5, 0.01 * k])) for k, part in enumerate(PARTS)}
     PoissonGMM.write(folder, {part: [model] for part, model in rates.items()})
+    sizes = {part: groups(0.1 + 0.1 * k) for k, part in enumerate(PARTS)}
+    PoissonGroups.write(folder, {part: [model] for part, model in sizes.items()})
     members = {part: renewal(0.1 + 0.1 * k) for k, part in enumerate(PARTS)}
     RenewalGMM.write(folder, {part: [model] for part, model in members.items()})
     fits = {
@@ -47,6 +49,9 @@ def test_each_part_comes_back_as_it_was(place: Scene, k: int, part: str) -> None
     back, written = RenewalGMM.read(place, AREAS, part), renewal(0.1 + 0.1 * k)
     for name in ("shape", "scale_s", "next_member"):
         assert np.array_equal(getattr(back, name), getattr(written, name))
+    sizes, written_sizes = PoissonGroups.read(place, AREAS, part), groups(0.1 + 0.1 * k)
+    for name in ("rate_per_s", "next_member"):
+        assert np.array_equal(getattr(sizes, name), getattr(written_sizes, name))
     for fit in range(2):
         one, other = NtppGMM.read(place, AREAS, part, fit), random_ntpp(seed=10 * k + fit)
         assert all(np.array_equal(one.weights[name], other.weights[name]) for name in SHAPES)
@@ -66,7 +71,7 @@ def test_the_same_fits_make_the_same_bytes(place: Scene, name: str) -> None:
     assert (place.folder / name).read_bytes() == before
 
 
-@pytest.mark.parametrize("model", [PoissonGMM, RenewalGMM, NtppGMM])
+@pytest.mark.parametrize("model", [PoissonGMM, PoissonGroups, RenewalGMM, NtppGMM])
 @pytest.mark.parametrize(("part", "fit"), [("fold3", 0), ("full", -1)])
 def test_parts_and_fits_that_no_model_has_are_refused(
     place: Scene, model: Any, part: str, fit: int
@@ -75,7 +80,7 @@ def test_parts_and_fits_that_no_model_has_are_refused(
         model.read(place, AREAS, part, fit)
 
 
-@pytest.mark.parametrize("model", [PoissonGMM, RenewalGMM, NtppGMM])
+@pytest.mark.parametrize("model", [PoissonGMM, PoissonGroups, RenewalGMM, NtppGMM])
 def test_missing_files_say_how_to_get_them(place: Scene, model: Any) -> None:
     for name in FILES:
         (place.folder / name).unlink()
@@ -114,12 +119,19 @@ BROKEN = {
 
 @pytest.mark.parametrize(("field", "value", "got"), BROKEN.values(), ids=BROKEN)
 @pytest.mark.parametrize(
-    ("kind", "number"), [(PoissonGMM, "rate_per_s"), (RenewalGMM, "shape"), (RenewalGMM, "scale_s")]
+    ("kind", "number"),
+    [
+        (PoissonGMM, "rate_per_s"),
+        (PoissonGroups, "rate_per_s"),
+        (RenewalGMM, "shape"),
+        (RenewalGMM, "scale_s"),
+    ],
 )
 def test_broken_json_is_refused(
     place: Scene, kind: Any, number: str, field: str, value: object, got: str
 ) -> None:
-    name = {PoissonGMM: "poisson-gmm", RenewalGMM: "renewal-gmm"}[kind]
+    names = {PoissonGMM: "poisson-gmm", PoissonGroups: "poisson-groups", RenewalGMM: "renewal-gmm"}
+    name = names[kind]
     change(place, name, field.format(name=number), value)
     with pytest.raises(WeightsError) as caught:
         kind.read(place, AREAS)
@@ -129,9 +141,10 @@ def test_broken_json_is_refused(
 
 
 def test_probabilities_beyond_one_are_refused(place: Scene) -> None:
-    change(place, "renewal-gmm", "parts.full.next_member", [0.2, 1.0])
-    with pytest.raises(WeightsError, match=r"probabilities in \(0, 1\)"):
-        RenewalGMM.read(place, AREAS)
+    for name, model in (("renewal-gmm", RenewalGMM), ("poisson-groups", PoissonGroups)):
+        change(place, name, "parts.full.next_member", [0.2, 1.0])
+        with pytest.raises(WeightsError, match=r"probabilities in \(0, 1\)"):
+            model.read(place, AREAS)
 
 
 def test_rates_of_the_first_schema_are_told_from_broken_ones(place: Scene) -> None:

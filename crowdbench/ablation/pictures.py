@@ -10,7 +10,7 @@ from jaxtyping import Float
 from crowdbench.ablation.presence import Presence
 from crowdbench.ablation.study import SCHEMES, Configuration, Sample
 from crowdbench.figures.canvas import picture
-from crowdbench.figures.sight import COLOURS
+from crowdbench.figures.sight import spawn_colours
 from crowdbench.files import replacing
 from crowdbench.scene import Scene
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 NAME = "agents.png"
-_SPAWNS = ("poisson-gmm", "renewal-gmm", "ntpp-gmm")
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
@@ -37,12 +36,12 @@ def draw_agents(
     most = max(len(present.counts) for present in everyone)
 
     def draw(axes: "list[Axes]") -> None:
+        colours = spawn_colours(())
         for k, (axis, scheme) in enumerate(zip(axes, SCHEMES, strict=True)):
             rows = [("recording", "black", _shares([recorded[k]]))]
             for configuration, each in samples.items():
-                colour = COLOURS[_SPAWNS.index(configuration.spawn)]
                 shares = _shares([sample.present[k] for sample in each])
-                rows.append((configuration.label, colour, shares))
+                rows.append((configuration.label, colours[configuration.spawn], shares))
             _panel(axis, rows)
             axis.set_title(f"{scheme} × {-(-scene.recording.frames // scheme):,} frames")
         axes[0].set_xlim(0, most)

@@ -133,8 +133,11 @@ def make(
     progress(len(found), len(jobs))
     # The longest first: else one process ends alone, and the time that is left seems short.
     missing = sorted((job for job in jobs if job not in found), key=_cost, reverse=True)
-    tasks = [(job, scene, recording.observed, arrivals, areas, reference) for job in missing]
-    for k, sample in call_each(_sample, tasks, workers):
+    tasks = [(job,) for job in missing]
+    common = (scene, recording.observed, arrivals, areas, reference)
+    for k, sample in call_each(
+        _sample, tasks, workers, common=common, name=lambda job: f"sample {job.path.stem}"
+    ):
         found[missing[k]] = sample
         progress(len(found), len(jobs))
     samples: dict[Configuration, list[Sample]] = {}

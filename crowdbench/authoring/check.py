@@ -123,6 +123,9 @@ def _scored(scene: Scene, reference: Reference | None) -> str:
     scored = scene.protocol.scored
     if reference is None:
         return _NOT_LOOKED_AT
+    written = "\nscored = [" in (scene.folder / "scene.toml").read_text(encoding="utf-8")
+    if written and not scored:
+        return "none: no metric tells the anchor from the recording"
     unknown = set(scored) - {metric.name for metric in metrics_for(reference.blocks)}
     if unknown or not scored:
         names = ", ".join(sorted(unknown))

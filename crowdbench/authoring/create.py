@@ -23,9 +23,13 @@ from crowdbench.evaluation import make_anchors, power_study
 from crowdbench.files import unwritable, write_text
 from crowdbench.fit import ASTRAY, MODELS, dwell_p99_s, fit_scene, has_torch
 from crowdbench.jobs import Progress
+from crowdbench.leftovers import swept, temporary, temporary_folder
+from crowdbench.metrics import METRICS, metrics_for
 from crowdbench.processes import checked_workers
 from crowdbench.recordings import own
 from crowdbench.recordings.catalogue import cached
+from crowdbench.recordings.mending import Gaps
+from crowdbench.reference import read_reference
 from crowdbench.registry import recording_of
 from crowdbench.scene import Recording, Scene, list_scenes, load_scene, write_scored
 from crowdbench.trajectories import Trajectories
@@ -52,6 +56,8 @@ def create_scene(
     *,
     layout: str,
     dt_s: float | None = None,
+    gaps: Gaps | None = None,
+    offset_s: float | None = None,
     walls: Path | None = None,
     title: str = "",
     out: Path | None = None,
@@ -65,7 +71,8 @@ def create_scene(
     The settings follow from the recording by `rules`; models are fitted (`ntpp-gmm` where torch
     is installed), anchors rolled out, the scored metrics chosen by the power study. Written into
     the new folder `out`, by default one of the scene's name here. The recording is kept in the
-    user's cache by the name before `-vN`. `dt_s` are the seconds from row to row.
+    user's cache by the name before `-vN`. `dt_s` are the seconds from row to row; `gaps` and
+    `offset_s` mend its small faults, see `own.read_rows`.
 
     Raises:
         SettingError: the name or a number is none, or the recording's name is taken.
@@ -77,16 +84,23 @@ def create_scene(
     known_as = _checked(name, place, fits, rollouts_per_fit)
     workers = checked_workers(workers)
     with stage("read"):
-        crowd = own.read_recording(recording, layout, name=known_as, dt_s=dt_s)
+        crowd = own.read_recording(
+            recording, layout, name=known_as, dt_s=dt_s, gaps=gaps, offset_s=offset_s
+        )
         rules.check_size(crowd, recording)
         scene = _scene(name, title, crowd, recording, walls, fits, rollouts_per_fit)
     new = own.keep(crowd)
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=place.parent, prefix=f".{place.name}-") as half:
+        with (
+            swept(),
+            tempfile.TemporaryDirectory(dir=place.parent, prefix=f".{place.name}-") as half,
+            temporary(Path(half)),
+        ):
             built = Path(half) / place.name
             built.mkdir()
-            toml = scene_toml(scene, source=recording.name, walls_file=walls.name if walls else "")
+            source = f"{recording.name}{_with(gaps, offset_s)}"
+            toml = scene_toml(scene, source=source, walls_file=walls.name if walls else "")
             write_text(built / "scene.toml", toml)
             facts = _fill(built, crowd, workers, stage)
             if place.exists():
@@ -119,6 +133,13 @@ def _checked(name: str, place: Path, fits: int | None, rollouts_per_fit: int | N
         if value is not None and value < least:
             raise SettingError(option, got=str(value), expected=f"{least} or more")
     return found[1]
+
+
+def _with(gaps: Gaps | None, offset_s: float | None) -> str:
+    """How whoever imports the recording must have it mended, too."""
+    options = {"--gaps": gaps, "--offset-s": offset_s}
+    given = [f"{option} {value}" for option, value in options.items() if value is not None]
+    return f" with {' '.join(given)}" if given else ""
 
 
 def _there_already(place: Path) -> OutputError:
@@ -183,8 +204,7 @@ def _fill(built: Path, crowd: Trajectories, workers: int, stage: Stage) -> dict[
         facts = fit_scene(scene, crowd, models=models, workers=workers, progress=progress)
     if "ntpp-gmm" not in models:
         facts["ntpp-gmm"] = "left out: no torch to fit it with (extra `fit`)"
-    with tempfile.TemporaryDirectory() as temporary:
-        rollouts = Path(temporary)
+    with temporary_folder("rollouts") as rollouts:
         with stage("power study") as progress:
             studies = power_study(built, rollouts, workers=workers, progress=progress)
         # Before scene.toml is changed: what both need is rolled out once.
@@ -193,6 +213,9 @@ def _fill(built: Path, crowd: Trajectories, workers: int, stage: Stage) -> dict[
     write_anchors(anchors, built)
     scored = [study.metric for study in studies if study.counts]
     write_scored(scene, scored)
+    computed = {metric.name for metric in metrics_for(read_reference(scene).blocks)}
+    if lacking := [m.name.replace("_", " ") for m in METRICS if m.name not in computed]:
+        facts["left out"] = f"{', '.join(lacking)}: time blocks are too short for it"
     facts["scored metrics"] = ", ".join(name.replace("_", " ") for name in scored) or "none"
     with stage("pictures"):
         draw_place(scene, recording_of(scene), built)

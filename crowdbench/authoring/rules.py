@@ -21,10 +21,12 @@ LEFT_OUT = 0.1
 """The first of `EPS_M` that leaves less than this share of starts, and of ends, in no cluster."""
 PERSONS_ROOT = 6.0
 """A cluster has √(number of persons) / 6 persons at least, and three."""
-BLOCKS_S = ((480.0, 30.0), (1800.0, 60.0), (7200.0, 120.0), (math.inf, 600.0))
+BLOCKS_S = ((270.0, 20.0), (480.0, 30.0), (1800.0, 60.0), (7200.0, 120.0), (math.inf, 600.0))
 """Recordings that were observed up to so many seconds have time blocks of so many seconds."""
 LONG_BLOCK_S = 120.0
 """Blocks so long are resampled in runs of three: crowds drift."""
+SHORT_BLOCK_S = 30.0
+"""Blocks so short, or shorter, are few: more rollouts are quickly made."""
 LEAST_BLOCKS = 3 * FOLDS
 LEAST_PERSONS = 30
 FITS = 5
@@ -124,7 +126,7 @@ def protocol_of(crowd: Trajectories, *, fits: int | None, rollouts_per_fit: int 
     """Time blocks by the length of the observation, and how many rollouts."""
     observed_s = _observed_s(crowd)
     block_s = next(block_s for longest_s, block_s in BLOCKS_S if observed_s <= longest_s)
-    usual = 10 if block_s == BLOCKS_S[0][1] else 6
+    usual = 10 if block_s <= SHORT_BLOCK_S else 6
     if len(crowd.xy) * crowd.dt_s > BUSY_PERSON_S:  # rollouts take minutes
         usual = 3
     return Protocol(

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench.cli.data import FORMATS
+from crowdbench.cli.data import FORMATS, add_mending, mended
 from crowdbench.cli.printing import new_console, new_table, print_facts, progress_bar
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ def add(commands: "Commands") -> None:
         metavar="SECONDS",
         help="from one row of a person to the next; obsmat and csv do not say it themselves",
     )
+    add_mending(create)
     create.add_argument(
         "--walls", type=Path, metavar="FILE", help="polygons in GeoJSON or WKT, in metres"
     )
@@ -79,6 +80,8 @@ def _create(asked: argparse.Namespace) -> None:
         asked.recording,
         layout=asked.format,
         dt_s=asked.dt_s,
+        gaps=asked.gaps,
+        offset_s=asked.offset_s,
         walls=asked.walls,
         title=asked.title,
         out=asked.out,
@@ -89,10 +92,13 @@ def _create(asked: argparse.Namespace) -> None:
     )
     scene, crowd = created.scene, created.recording
     print()
-    print_facts(f"recording {crowd.scene}", describe(crowd))
+    print_facts(f"recording {crowd.scene}", mended(crowd, asked) | describe(crowd))
     print_facts(scene.id, created.facts)
-    models = "" if (scene.folder / "ntpp-gmm.safetensors").exists() else " --spawn renewal-gmm"
+    whole = (scene.folder / "ntpp-gmm.safetensors").exists()
+    models = "" if whole else " --spawn renewal-gmm"
     print(f"Look at place.png and time.png there. Next: crowdbench evaluate {scene.asked}{models}")
+    if not whole:
+        print('Environments have ntpp-gmm by default; on this scene say spawn="renewal-gmm".')
 
 
 def _check(asked: argparse.Namespace) -> None:

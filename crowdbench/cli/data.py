@@ -15,9 +15,27 @@ from crowdbench.cli.printing import (
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
+    from crowdbench.trajectories import Trajectories
 
+GAPS = ("interpolate", "split")
 FORMATS = ("obsmat", "gc", "forum", "csv", "trajnet", "jupedsim")
 WRITTEN = ("csv", "trajnet", "jupedsim")
+
+
+def add_mending(command: argparse.ArgumentParser) -> None:
+    """Add the options that mend a recording's small faults."""
+    command.add_argument(
+        "--gaps",
+        choices=GAPS,
+        help="where rows of a person are missing: let it walk on straight, or make two persons of "
+        "one; either puts rows beside the frames onto them (default: refuse)",
+    )
+    command.add_argument(
+        "--offset-s",
+        type=float,
+        metavar="SECONDS",
+        help="the time_s of a table at which its frames begin (default: 0)",
+    )
 
 
 def add(commands: "Commands") -> None:
@@ -51,7 +69,11 @@ def add(commands: "Commands") -> None:
     bring.add_argument(
         "--dt-s", type=float, metavar="SECONDS", help="from one of its rows to the next"
     )
+    add_mending(bring)
     bring.set_defaults(run=_import)
+    remove = of_data.add_parser("remove", help="forget a recording that was imported")
+    remove.add_argument("name", help="name of a recording")
+    remove.set_defaults(run=_remove)
     listing = of_data.add_parser("list", help="list the known recordings")
     listing.set_defaults(run=_list)
     describe = of_data.add_parser("describe", help="print a recording's figures")
@@ -74,6 +96,7 @@ def add(commands: "Commands") -> None:
         metavar="SECONDS",
         help="from one row of a person to the next, where the file does not say it",
     )
+    add_mending(converted)
     converted.add_argument("--to", choices=WRITTEN, required=True, help="format to write")
     converted.add_argument("--out", type=Path, required=True, metavar="FILE")
     converted.set_defaults(run=_convert)
@@ -101,21 +124,53 @@ def _import(asked: argparse.Namespace) -> None:
     from crowdbench.recordings.describe import describe
     from crowdbench.recordings.own import import_own
 
+    mending = {"gaps": asked.gaps, "offset_s": asked.offset_s}
     if asked.format is None:
+        given = [option for option, value in mending.items() if value is not None]
+        if given:
+            raise SettingError(
+                "crowdbench data import",
+                got=f"--{given[0].replace('_', '-')} without --format",
+                expected="--format, of a recording of your own",
+                mend="Published recordings are read as they are published.",
+            )
         _bring(asked.name, asked.source)
         return
     if asked.source is None:
         raise SettingError(
             "crowdbench data import", got="--format without --source", expected="--source PATH"
         )
-    crowd = import_own(asked.name, asked.source, asked.format, asked.dt_s)
-    print_facts(asked.name, describe(crowd) | {"kept at": str(cached(asked.name))})
+    crowd = import_own(asked.name, asked.source, asked.format, asked.dt_s, **mending)
+    facts = mended(crowd, asked) | describe(crowd) | {"kept at": str(cached(asked.name))}
+    print_facts(asked.name, facts)
+
+
+def mended(crowd: "Trajectories", asked: argparse.Namespace) -> dict[str, str]:
+    """What was mended of a recording, where that was asked for; `describe` tells it too."""
+    notes = crowd.provenance.get("notes", {})
+    return {} if asked.gaps is None else {"mended": notes.get("mended", "nothing, all is whole")}
+
+
+def _remove(asked: argparse.Namespace) -> None:
+    from crowdbench.recordings.catalogue import remove_imported
+
+    print(f"{remove_imported(asked.name)}: removed")
 
 
 def _convert(asked: argparse.Namespace) -> None:
     from crowdbench.recordings.convert import convert
 
-    crowd = convert(asked.table, asked.out, to=asked.to, layout=asked.format, dt_s=asked.dt_s)
+    crowd = convert(
+        asked.table,
+        asked.out,
+        to=asked.to,
+        layout=asked.format,
+        dt_s=asked.dt_s,
+        gaps=asked.gaps,
+        offset_s=asked.offset_s,
+    )
+    for name, fact in mended(crowd, asked).items():
+        print(f"{name}: {fact}")
     print(f"{len(crowd)} persons, {crowd.frames} frames of {crowd.dt_s:.4g} s")
     print(f"written to {asked.out}")
 

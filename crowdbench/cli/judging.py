@@ -27,8 +27,9 @@ def add(commands: "Commands") -> None:
         nargs="+",
         default=["poisson-gmm", "renewal-gmm", "ntpp-gmm"],
         metavar="MODEL",
-        help="poisson-gmm, renewal-gmm, ntpp-gmm, block-replay, replay, a folder with the fits of "
-        "one model, or pkg.module:Class (default: the first three)",
+        help="poisson-gmm, poisson-groups, renewal-gmm, ntpp-gmm, block-replay, replay, a folder "
+        "with the fits of one model, or pkg.module:Class (default: poisson-gmm renewal-gmm "
+        "ntpp-gmm)",
     )
     evaluate.add_argument(
         "--policy",

@@ -125,10 +125,13 @@ def _verify(asked: argparse.Namespace) -> None:
 
 def _build(asked: argparse.Namespace) -> None:
     from crowdbench.leaderboard.pages import build
+    from crowdbench.leaderboard.standings import entry_paths
 
     written = build(asked.root)
-    entries = len(written) - 2
+    entries = len(entry_paths(asked.root / "entries"))
     number = f"{entries} {'entry' if entries == 1 else 'entries'}"
+    if shipped := len(written) - 2 - entries:
+        number += f" of yours beside {shipped} that come with crowdbench"
     print(f"{number}: written to {asked.root}: README.md, index.html and pages/")
 
 

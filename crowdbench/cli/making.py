@@ -25,8 +25,8 @@ def add(commands: "Commands") -> None:
         "--models",
         nargs="+",
         metavar="MODEL",
-        default=["poisson-gmm", "renewal-gmm", "ntpp-gmm"],
-        help="spawn models to fit (default: poisson-gmm renewal-gmm ntpp-gmm)",
+        default=["poisson-gmm", "poisson-groups", "renewal-gmm", "ntpp-gmm"],
+        help="spawn models to fit (default: poisson-gmm poisson-groups renewal-gmm ntpp-gmm)",
     )
     fit.add_argument("--workers", type=int, help="processes (default: one per core)")
     fit.add_argument("--out", type=Path, help="folder to write to (default: the scene's)")
@@ -143,7 +143,7 @@ def _fit(asked: argparse.Namespace) -> None:
 def _spawn(asked: argparse.Namespace) -> None:
     from crowdbench.scene import load_scene
     from crowdbench.spawn.rescaling import KolmogorovSmirnov
-    from crowdbench.spawn_check import check_models
+    from crowdbench.spawn_check import check_models, trained_networks
 
     def ks(found: KolmogorovSmirnov | None) -> str:
         return "" if found is None else f"{found.statistic:.3f} ({found.p:.2g})"
@@ -151,7 +151,8 @@ def _spawn(asked: argparse.Namespace) -> None:
     def number(value: float | None) -> str:
         return "" if value is None else f"{value:.3f}"
 
-    found = list(check_models(load_scene(asked.scene)))
+    scene = load_scene(asked.scene)
+    found = list(check_models(scene))
     likelihood = new_table(
         "nats per person", "full", "held out", "fresh", "persons", "first 25 frames"
     )
@@ -174,32 +175,30 @@ def _spawn(asked: argparse.Namespace) -> None:
         "Time rescaling: Kolmogorov-Smirnov statistic of the recording's gaps and group sizes "
         "under each model, and of ten hours of its own samples; a small p is a misfit."
     )
+    if any(c.model == "ntpp-gmm" for c in found):
+        print_note(str(trained_networks(scene)))
 
 
 def _anchors(asked: argparse.Namespace) -> None:
-    import tempfile
-
     from crowdbench.cards import write_anchors
     from crowdbench.evaluation import make_anchors
+    from crowdbench.leftovers import temporary_folder
     from crowdbench.scene import load_scene
 
     scene = load_scene(asked.scene)
-    with tempfile.TemporaryDirectory() as temporary, progress_bar("rollouts") as progress:
-        anchors = make_anchors(
-            asked.scene, Path(temporary), workers=asked.workers, progress=progress
-        )
+    with temporary_folder("anchors") as folder, progress_bar("rollouts") as progress:
+        anchors = make_anchors(asked.scene, folder, workers=asked.workers, progress=progress)
     print(f"written to {write_anchors(anchors, scene.folder)}")
 
 
 def _power(asked: argparse.Namespace) -> None:
-    import tempfile
-
     from crowdbench.evaluation import power_study
+    from crowdbench.leftovers import temporary_folder
     from crowdbench.scene import load_scene, write_scored
 
     scene = load_scene(asked.scene)
-    with tempfile.TemporaryDirectory() as folder, progress_bar("rollouts") as progress:
-        studies = power_study(asked.scene, Path(folder), progress=progress)
+    with temporary_folder("power") as folder, progress_bar("rollouts") as progress:
+        studies = power_study(asked.scene, folder, progress=progress)
     table = new_table("metric", "floor", "95 %", "anchor", "power", "")
     for s in studies:
         table.add_row(

@@ -36,7 +36,6 @@ def add(commands: "Commands") -> None:
     )
     export.add_argument(
         "--observation",
-        default="lidar-2",
         help="what it sees: lidar-1, lidar-2 or lidar-3 (default: lidar-2)",
     )
     export.add_argument("--rays", type=int, default=32, help="how many (default: 32)")
@@ -61,10 +60,11 @@ def _export(asked: argparse.Namespace) -> None:
     from crowdbench.policies import PolicyCard
     from crowdbench.policies.export import export_policy, revision
     from crowdbench.scene import load_scene
+    from crowdbench.simulation.lidar import OBSERVATION
 
     card = PolicyCard(
         name=asked.name,
-        observation=asked.observation,
+        observation=asked.observation or OBSERVATION,
         rays=asked.rays,
         ray_range_m=asked.ray_range_m,
         scene=load_scene(asked.scene).id,

@@ -24,7 +24,7 @@ def _bench(asked: argparse.Namespace) -> None:
     with replacing(asked.json) if asked.json else nullcontext() as temporary:
         figures = []
         for figure in measure():
-            print(f"{figure.name:<44} {figure.text()}", flush=True)
+            print(f"{figure.name:<48} {figure.text()}", flush=True)
             figures.append(figure)
         if temporary is not None:
             write_json(temporary, {f.name: {"value": f.value, "unit": f.unit} for f in figures})

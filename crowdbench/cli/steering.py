@@ -46,26 +46,34 @@ def add(commands: "Commands") -> None:
 
 def _areas(asked: argparse.Namespace) -> None:
     from crowdbench.files import replacing
-    from crowdbench.registry import spawn_model
+    from crowdbench.registry import fitted_models, spawn_model
     from crowdbench.scene import load_scene
     from crowdbench.spawn import PoissonGMM
+    from crowdbench.spawn.ntpp import networks
     from crowdbench.steering import areas_picture
 
     scene = load_scene(asked.scene)
     model = spawn_model("poisson-gmm", scene)
     assert isinstance(model, PoissonGMM)
     areas, per_minute = model.areas, 60 * model.rate
-    spawn = new_table("spawn area", "centre (m)", "persons/min", "goals (%)")
-    spawn.columns[3].justify = "left"
+    fits = networks(scene, areas, ["full"]) if "ntpp-gmm" in fitted_models(scene) else None
+    spawn = new_table("spawn area", "centre (m)", "persons/min", "networks", "goals (%)")
+    spawn.columns[4].justify = "left"
     for k, (x, y) in enumerate(areas.spawn.mean):
         goals = sorted(range(len(areas.goal)), key=lambda g: (-areas.flow[k, g], g))
         likely = [g for g in goals[:4] if areas.flow[k, g] >= _LEAST]
         shown = ", ".join(f"{g} ({100 * areas.flow[k, g]:.0f})" for g in likely)
-        spawn.add_row(f"{k}", f"{x:.1f}, {y:.1f}", f"{per_minute[k]:.2f}", shown)
+        trained = "–" if fits is None else f"{fits[:, k].sum()} of {len(fits)}"
+        spawn.add_row(f"{k}", f"{x:.1f}, {y:.1f}", f"{per_minute[k]:.2f}", trained, shown)
     goal = new_table("goal area", "centre (m)", "persons/min")
     for g, (x, y) in enumerate(areas.goal.mean):
         goal.add_row(f"{g}", f"{x:.1f}, {y:.1f}", f"{(per_minute @ areas.flow)[g]:.2f}")
     new_console().print(spawn)
+    if fits is not None:
+        print_note(
+            "networks: in how many fits ntpp-gmm has a trained one; without it groups come at a "
+            "constant rate."
+        )
     new_console().print(goal)
     if asked.out is not None:
         with replacing(asked.out) as temporary:

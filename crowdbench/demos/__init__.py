@@ -25,6 +25,7 @@ from crowdbench.reference import blocks_of
 from crowdbench.registry import recording_of
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation.lidar import OBSERVATION
 from crowdbench.spawn import Replay
 from crowdbench.spawn.weights import check_part
 
@@ -196,7 +197,7 @@ def demonstrations(
     scene: str | Path | Scene,
     *,
     part: str = "full",
-    observation: str = "lidar-2",
+    observation: str = OBSERVATION,
     rays: int = 32,
     ray_range_m: float = 10.0,
     displaced_m: float = 0.0,

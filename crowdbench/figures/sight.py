@@ -15,7 +15,7 @@ from crowdbench.metrics.lattice import correlation
 from crowdbench.metrics.presence import LAGS_S, counted, lag_key, lagged
 from crowdbench.names import names_of
 from crowdbench.reference import Reference
-from crowdbench.registry import FITTED
+from crowdbench.registry import COMPARED
 from crowdbench.scene import Scene
 from crowdbench.scoring import LEVEL, Draws
 from crowdbench.spawn.areas import Areas, read_areas
@@ -39,8 +39,8 @@ def goal_colour(area: int) -> str:
 
 
 def spawn_colours(spawns: Sequence[str]) -> dict[str, str]:
-    """Colours of spawn models: those that are fitted have theirs in every picture."""
-    own = dict(zip(FITTED, COLOURS, strict=False))
+    """Colours of spawn models: those of every page of results have theirs in every picture."""
+    own = dict(zip(COMPARED, COLOURS, strict=False))
     others = [spawn for spawn in dict.fromkeys(spawns) if spawn not in own]
     return own | dict(zip(others, cycle(COLOURS[len(own) :]), strict=False))
 

@@ -26,8 +26,10 @@ def check_models(
     problems += _wrong_names(declared)
     for name in layout.networks:
         with collecting(problems, folder):
-            card = OnnxPolicy(folder / name).card
-            problems += _seen_too_much(name, card, declared)
+            network = OnnxPolicy(folder / name)
+            problems += _seen_too_much(name, network.card, declared)
+            for scene in declared.scenes if name == NETWORK else [name.partition("/")[0]]:
+                network.check_rows(load_scene(scene))
     for scene, name in layout.weights.items():
         with collecting(problems, folder):
             _read_weights(folder / name, scene)

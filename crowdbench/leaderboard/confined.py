@@ -8,7 +8,6 @@ import ctypes
 import importlib
 import json
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -16,11 +15,12 @@ from pathlib import Path
 
 import msgspec
 
+from crowdbench import leftovers
 from crowdbench.errors import CrowdbenchError
 from crowdbench.leaderboard.sandbox import Failure, Limits, Told
+from crowdbench.processes import end_with
 
 _CLONE_NEWUSER, _CLONE_NEWNET = 0x10000000, 0x40000000
-_PR_SET_PDEATHSIG = 1
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -28,7 +28,8 @@ def main(arguments: Sequence[str]) -> None:
     desk = Path(arguments[0])
     asked = json.loads((desk / "asked.json").read_text())
     network = _leave_network()
-    _end_with(int(asked["parent"]))
+    end_with(int(asked["parent"]))  # after the namespace: whose credentials change is forgotten
+    leftovers.share(asked["sweeper"])
     _limit(Limits(**asked["limits"]))
     answer: dict[str, object] = {"network": network}
     try:
@@ -69,16 +70,6 @@ def _leave_network() -> str:
         Path("/proc/self/uid_map").write_text(f"{user} {user} 1")
         Path("/proc/self/gid_map").write_text(f"{group} {group} 1")
     return "none"
-
-
-def _end_with(parent: int) -> None:
-    """Be killed when the parent is, which then has nobody watched any more."""
-    if not sys.platform.startswith("linux"):
-        return
-    # After the namespace: whose credentials change is forgotten.
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:  # it was before that was asked for
-        sys.exit("the parent is gone")
 
 
 def _limit(limits: Limits) -> None:

@@ -13,7 +13,6 @@ import signal
 import stat
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -23,6 +22,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from crowdbench import leftovers
 from crowdbench.errors import CrowdbenchError
 from crowdbench.leaderboard.watching import Process, end, family
 
@@ -125,15 +125,13 @@ def call(
     # Not above: the child leaves the network before it imports what this does.
     from crowdbench.leaderboard.problems import plain
 
-    with tempfile.TemporaryDirectory(
-        prefix="crowdbench-sandbox-", ignore_cleanup_errors=True
-    ) as folder:
-        desk = Path(folder)
+    with leftovers.temporary_folder("sandbox") as desk:
         asked = {
             "target": target,
             "arguments": arguments,
             "limits": asdict(limits),
             "parent": os.getpid(),
+            "sweeper": leftovers.pipe(),
         }
         (desk / "asked.json").write_text(json.dumps(asked))
         ran = _run(desk, where, limits, progress)
@@ -171,6 +169,7 @@ def _run(
             stderr=said,
             env=_environment(),
             start_new_session=True,
+            pass_fds=[pipe] if (pipe := leftovers.pipe()) is not None else [],
         )
         broken, ran = _watched(child, desk, limits, progress)
         if broken:

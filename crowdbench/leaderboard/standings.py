@@ -71,7 +71,9 @@ class Standing:
     """Who is ranked, and references."""
     listed: list[Line]
     ranks: dict[View, dict[str, int]]
-    """Rank by the entry's id."""
+    """Rank by the entry's id; who competes with nobody has none."""
+    yours: frozenset[str] | None = None
+    """In a preview, ids of the entries that it is made for; the others come with crowdbench."""
 
     @property
     def views(self) -> list[View]:
@@ -98,18 +100,20 @@ class Standing:
         return f"{rank}\u202f=" if shared else f"{rank}"
 
 
-def standing(track: Track, entries: Sequence[Entry]) -> Standing:
-    """The standing of a track among all entries."""
+def standing(
+    track: Track, entries: Sequence[Entry], yours: frozenset[str] | None = None
+) -> Standing:
+    """The standing of a track among all entries; see `Standing` for `yours`."""
     own = sorted((e for e in entries if e.declared.track == track), key=lambda entry: entry.id)
     lines = [Line(e, scores(e)) for e in own if e.status != "listed"]
     listed = [Line(e, scores(e)) for e in own if e.status == "listed"]
     others = sorted({name for entry in own for name in entry.scenes} - set(SCENES))
-    found = Standing(track, (*SCENES, *others), FAMILIES_OF[track], lines, listed, {})
+    found = Standing(track, (*SCENES, *others), FAMILIES_OF[track], lines, listed, {}, yours)
     for view in found.views:
         competing = [o for o in lines if o.entry.status == "ranked" and view in o.scores]
         each = ranks([line.scores[view] for line in competing])
         names = [line.entry.id for line in competing]
-        found.ranks[view] = dict(zip(names, each, strict=True))
+        found.ranks[view] = dict(zip(names, each, strict=True)) if len(names) > 1 else {}
     return found
 
 
@@ -148,19 +152,17 @@ def _counted(scene: SceneEntry) -> set[str]:
     return {FAMILY_OF[name] for name, metric in scene.metrics.items() if metric.scored}
 
 
-def read_entries(folder: Path) -> list[Entry]:
-    """All entries of a folder, by id.
+def read_entries(folder: Path, beside: Path | None = None) -> list[Entry]:
+    """All entries of a folder, and those of the folder `beside` that have other ids.
 
     Raises:
         WeightsError: one is broken, or cannot be compared with the others.
     """
-    # Verification writes ID.run.json, which is no entry, beside ID.json.
-    paths = [p for p in folder.glob("*.json") if not p.name.endswith(".run.json")]
-    entries = [read_entry(path) for path in sorted(paths)]
-    scorer = max((entry.scorer for entry in entries), default=0)
+    paths = {path.name: path for path in (*entry_paths(beside), *entry_paths(folder))}
+    entries = [(path, read_entry(path)) for path in paths.values()]
+    scorer = max((entry.scorer for _, entry in entries), default=0)
     made_from: dict[str, str] = {}
-    for entry in entries:
-        path = folder / f"{entry.id}.json"
+    for path, entry in entries:
         check_entry(entry, path)
         if entry.scorer != scorer:
             raise WeightsError(
@@ -177,4 +179,10 @@ def read_entries(folder: Path) -> list[Entry]:
                     expected=f"{made_from[name]}, as other entries have",
                     mend="Run `crowdbench leaderboard rescore`.",
                 )
-    return entries
+    return [entry for _, entry in entries]
+
+
+def entry_paths(folder: Path | None) -> list[Path]:
+    """Of the entries in a folder; verification writes ID.run.json, which is none, beside them."""
+    found = [] if folder is None else folder.glob("*.json")
+    return sorted(path for path in found if not path.name.endswith(".run.json"))

@@ -61,7 +61,8 @@ _ROWS = {
     "all scenes that has seen none of their recordings; protocol `none` |\n| or "
     "`SCENE/policy/full.onnx` | one that has seen a whole recording: listed, never ranked; "
     "protocol `full` |\n",
-    "spawn": "| `SCENE/spawn/ntpp-gmm.safetensors`, or `poisson-gmm.json`, `renewal-gmm.json` | "
+    "spawn": "| `SCENE/spawn/ntpp-gmm.safetensors`, or `poisson-gmm.json`, `poisson-groups.json`, "
+    "`renewal-gmm.json` | "
     "fits of a spawn model, as `crowdbench fit SCENE --out FOLDER` writes them |\n",
     "trajectories": "| or `SCENE/trajectories/0.parquet`, `1.parquet`, … | rollouts in place of "
     "models, or `.csv`, with the columns `person_id`, `frame`, `x` and `y`: listed, never "
@@ -184,12 +185,12 @@ def _networks(policies: Sequence[Path], track: Track) -> tuple[dict[str, Path], 
 
 
 def _parameters(path: Path) -> int:
-    """How many numbers a network's file holds: its weights."""
+    """How many weights a network's file holds; numbers without a dimension are constants."""
     import onnx
 
     graph = onnx.load(path).graph
     floats = (onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT16, onnx.TensorProto.DOUBLE)
-    return sum(_size(t.dims) for t in graph.initializer if t.data_type in floats)
+    return sum(_size(t.dims) for t in graph.initializer if t.data_type in floats and t.dims)
 
 
 def _size(shape: Iterable[int]) -> int:

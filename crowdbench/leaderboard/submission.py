@@ -1,7 +1,6 @@
 """`open_submission`: a folder or zip that is not trusted, checked and ready to be verified."""
 
 import re
-import tempfile
 import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from crowdbench import leftovers
 from crowdbench.errors import CrowdbenchError
 from crowdbench.files import sha256
 from crowdbench.leaderboard.archive import pack, unpack
@@ -112,9 +112,9 @@ def open_submission(path: Path) -> Iterator[Submission]:
             path.name, got="no such file", expected="a submission's folder or its zip"
         )
         raise SubmissionError(path, [missing])
-    with tempfile.TemporaryDirectory(prefix="crowdbench-submission-") as fresh:
-        unpack(path, Path(fresh))
-        yield _read(Path(fresh), path)
+    with leftovers.temporary_folder("submission") as fresh:
+        unpack(path, fresh)
+        yield _read(fresh, path)
 
 
 def pack_submission(folder: Path, out: Path | None = None) -> Path:

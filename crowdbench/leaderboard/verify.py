@@ -19,6 +19,7 @@ from crowdbench.leaderboard.entry import Entry, read_entry
 from crowdbench.leaderboard.problems import plain
 from crowdbench.leaderboard.sandbox import Limits, Ran, SandboxError, call
 from crowdbench.leaderboard.soundness import check_entry
+from crowdbench.leftovers import swept
 
 DEFAULT = Limits()
 
@@ -45,15 +46,16 @@ def verify(
         SandboxError: it hung, crashed or used more than the limits allow.
         CrowdbenchError: what it needs is not at hand.
     """
-    known = check(submission)
-    _check_free(submission, known, out, taken)
-    entry, ran = entry_of(submission, out / "work", workers, limits, progress)
-    if entry.id != known.id:
-        raise SandboxError(
-            submission, got=f"an answer of the id {entry.id}", expected=f"its own, {known.id}"
-        )
-    write_json(out / f"{entry.id}.json", entry)
-    write_run(out / f"{entry.id}.run.json", ran)
+    with swept():
+        known = check(submission)
+        _check_free(submission, known, out, taken)
+        entry, ran = entry_of(submission, out / "work", workers, limits, progress)
+        if entry.id != known.id:
+            raise SandboxError(
+                submission, got=f"an answer of the id {entry.id}", expected=f"its own, {known.id}"
+            )
+        write_json(out / f"{entry.id}.json", entry)
+        write_run(out / f"{entry.id}.run.json", ran)
     return entry, ran
 
 

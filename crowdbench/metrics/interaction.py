@@ -1,7 +1,10 @@
 """Family interaction: how people keep clear of each other and of walls."""
 
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Float32, Int
 
 from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
@@ -18,6 +21,8 @@ from crowdbench.trajectories import Trajectories
 
 ENCOUNTER_M = 2.0
 STRANGERS_MPS = 0.7
+CELLS = 250_000
+"""At most so many cells, of 0.25 m or more, tell where walls are."""
 TOUCH_M = 0.02
 """This close to a wall counts as touching it: a simulated step ends a hair before."""
 
@@ -49,20 +54,18 @@ class ClosestApproach(RelativeWasserstein):
         """`counts[b, d]`: encounters with a closest approach of d cm in block b."""
         pairs = pairs_within(crowd, ENCOUNTER_M)
         person, frame = crowd.row_person(), crowd.row_frame()
-        # By pair of persons, then by frame.
-        a, b = person[pairs].T
-        order = np.lexsort((pairs[:, 0], b, a))
-        pairs, a, b = pairs[order], a[order], b[order]
+        # By pair of persons, then by frame, as they come.
+        both = person[pairs[:, 0]] * len(crowd) + person[pairs[:, 1]]
+        order = np.argsort(both, kind="stable")
+        pairs, both = pairs[order], both[order]
         t = frame[pairs[:, 0]]
-        new = (np.diff(a, prepend=-1) != 0) | (np.diff(b, prepend=-1) != 0)
-        new |= np.diff(t, prepend=-1) != 1
+        new = (np.diff(both, prepend=-1) != 0) | (np.diff(t, prepend=-1) != 1)
         encounter = np.cumsum(new) - 1
         gap = _lengths(crowd.xy.astype(np.float64), pairs)
         fast = np.bincount(encounter, _lengths(velocities(crowd), pairs) > STRANGERS_MPS)
         strangers = fast > np.bincount(encounter) / 2
         # The first frame of each encounter's smallest distance.
-        smallest = np.full(len(strangers), np.inf)
-        np.minimum.at(smallest, encounter, gap)
+        smallest = np.minimum.reduceat(gap, np.flatnonzero(new)) if len(gap) else gap
         closest = np.flatnonzero(gap == smallest[encounter])
         closest = closest[np.diff(encounter[closest], prepend=-1) != 0]
         block = block_of_frames(blocks, crowd.frames)[t[closest]]
@@ -111,10 +114,45 @@ class WallHits(ShareDifference):
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`share[b]`: persons and frames at a wall, and in all."""
-        import shapely
-
         rows, block = rows_in(crowd, blocks)
-        walls = shapely.union_all([shapely.Polygon(corners) for corners in place.walls])
-        shapely.prepare(walls)
-        points = shapely.points(crowd.xy[rows].astype(np.float64))
-        return {"share": counted(shapely.dwithin(walls, points, TOUCH_M), block, len(blocks))}
+        return {"share": counted(touching(place.walls, crowd.xy[rows]), block, len(blocks))}
+
+
+def touching(
+    walls: tuple[tuple[tuple[float, float], ...], ...], xy: Float32[np.ndarray, "n 2"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether each position is at a wall, or in one."""
+    import shapely
+
+    solid, lower, cell_m, near = _walls_by_cell(walls)
+    column, line = (
+        np.clip((xy[:, k].astype(np.float64) - lower[k]) / cell_m, -1, size).astype(np.int64)
+        for k, size in enumerate(near.shape)
+    )
+    beyond = (column < 0) | (column == near.shape[0]) | (line < 0) | (line == near.shape[1])
+    at = np.flatnonzero(~beyond)
+    at = at[near[column[at], line[at]]]
+    hit = np.zeros(len(xy), dtype=bool)
+    hit[at] = shapely.dwithin(solid, shapely.points(xy[at].astype(np.float64)), TOUCH_M)
+    return hit
+
+
+@lru_cache(maxsize=8)
+def _walls_by_cell(
+    walls: tuple[tuple[tuple[float, float], ...], ...],
+) -> tuple[Any, Float[np.ndarray, " 2"], float, Bool[np.ndarray, "X Y"]]:
+    """All walls as one shape, and in which cells, from `lower` on, a position may be at one."""
+    import shapely
+
+    solid = shapely.union_all([shapely.Polygon(corners) for corners in walls])
+    shapely.prepare(solid)
+    if solid.is_empty:
+        return solid, np.zeros(2), 1.0, np.zeros((0, 0), dtype=bool)
+    x_min, y_min, x_max, y_max = solid.bounds
+    cell_m = max(0.25, ((x_max - x_min) * (y_max - y_min) / CELLS) ** 0.5)
+    lower = np.array([x_min, y_min]) - cell_m
+    count = np.ceil((np.array([x_max, y_max]) - lower) / cell_m).astype(int) + 1
+    x, y = (low + (np.arange(n) + 0.5) * cell_m for low, n in zip(lower, count, strict=True))
+    centre = shapely.points(*np.meshgrid(x, y, indexing="ij"))
+    # A centre is at most 0.71 of a cell away from the cell's points.
+    return solid, lower, cell_m, shapely.dwithin(solid, centre, TOUCH_M + 0.75 * cell_m)

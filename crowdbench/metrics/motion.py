@@ -4,6 +4,8 @@ The span is two frames where a frame is 0.4 s, and the even number of frames nex
 elsewhere. Frames count by their middle; both ends lie within the life.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -22,6 +24,7 @@ HARDEST_MPS2 = 1000.0
 """Beyond these a table is broken; its histogram must not outgrow memory."""
 
 
+@lru_cache(maxsize=1)  # three metrics of the same crowd look at them
 def _steps(
     crowd: Trajectories, blocks: TimeBlocks
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"], Int[np.ndarray, " n"], float]:

@@ -8,8 +8,8 @@ from jaxtyping import Float, Int
 from crowdbench.blocks import TimeBlocks
 from crowdbench.trajectories import Trajectories
 
-FAR_M = 1e4
-"""Distance between frames in the search tree: nobody's neighbour is in another frame."""
+FAR_M = 5e3
+"""From here on people are nobody's neighbours."""
 
 
 def rows_in(
@@ -30,50 +30,50 @@ def block_of_frames(blocks: TimeBlocks, frames: int) -> Int[np.ndarray, " frames
 
 
 @lru_cache(maxsize=1)  # neighbours are looked for by three metrics of the same crowd
-def _tree(crowd: Trajectories):  # type: ignore[no-untyped-def]  # scipy's tree has no types
-    """A search tree over space and time, its points, and the row of each point.
-
-    The points stand frame by frame: neighbours then lie side by side in memory, which makes the
-    search three times as fast.
-    """
-    from scipy.spatial import KDTree
+def _by_frame(
+    crowd: Trajectories,
+) -> tuple[Float[np.ndarray, "R 2"], Int[np.ndarray, " _"], Int[np.ndarray, " R"]]:
+    """Positions as `neighbours` wants them, where each frame begins, and the row of each."""
+    from crowdbench.neighbours import sort_from_left
 
     frame = crowd.row_frame()
     row = np.argsort(frame, kind="stable")
-    points = np.empty((len(row), 3))
-    points[:, :2] = crowd.xy[row]
-    points[:, 2] = frame[row] * FAR_M
-    return KDTree(points), points, row
+    begins = np.concatenate([[0], np.cumsum(np.bincount(frame))])
+    xy = crowd.xy[row].astype(np.float64)
+    sort_from_left(xy, row, begins)
+    return xy, begins, row
 
 
 @lru_cache(maxsize=1)
 def nearest_neighbour_m(crowd: Trajectories) -> Float[np.ndarray, " R"]:
     """Distance of each row to the nearest other person in the same frame; infinite if alone."""
-    nearest = np.full(len(crowd.xy), np.inf)
-    if len(nearest) > 1:
-        tree, points, row = _tree(crowd)
-        gap, _ = tree.query(points, k=2, distance_upper_bound=FAR_M / 2)
-        nearest[row] = gap[:, 1]
-    return nearest
+    from crowdbench.neighbours import nearest
+
+    xy, begins, row = _by_frame(crowd)
+    result = np.empty(len(row))
+    result[row] = nearest(xy, begins, FAR_M)
+    return result
 
 
 def pairs_within(crowd: Trajectories, radius_m: float) -> Int[np.ndarray, "n 2"]:
-    """All pairs of rows of one frame that are no further apart than this.
+    """All pairs of rows of one frame that are no further apart than this, frame by frame.
 
     Within a pair the smaller row, which is the person with the smaller index, comes first.
     """
-    tree, _, row = _tree(crowd)
-    pairs: np.ndarray = row[tree.query_pairs(radius_m, output_type="ndarray")]
-    pairs.sort(axis=1)
-    return pairs
+    from crowdbench.neighbours import pairs
+
+    xy, begins, row = _by_frame(crowd)
+    found: np.ndarray = row[pairs(xy, begins, radius_m)]
+    found.sort(axis=1)
+    return found
 
 
 def velocities(crowd: Trajectories) -> Float[np.ndarray, "R 2"]:
     """Velocity at each row, m/s: central differences, one-sided at the ends of a life."""
     xy = crowd.xy.astype(np.float64)
-    row = np.arange(len(xy))
-    person = crowd.row_person()
-    before = np.maximum(row - 1, crowd.offsets[:-1][person])
-    after = np.minimum(row + 1, crowd.offsets[1:][person] - 1)
-    span = np.maximum(after - before, 1)[:, None] * crowd.dt_s
-    return (xy[after] - xy[before]) / span
+    first, last = crowd.offsets[:-1], crowd.offsets[1:] - 1
+    result = np.empty_like(xy)
+    result[1:-1] = (xy[2:] - xy[:-2]) / (2 * crowd.dt_s)
+    result[first] = (xy[np.minimum(first + 1, last)] - xy[first]) / crowd.dt_s
+    result[last] = (xy[last] - xy[np.maximum(last - 1, first)]) / crowd.dt_s
+    return result

@@ -2,6 +2,7 @@
 
 import logging
 import subprocess
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,14 +12,17 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from crowdbench.errors import SettingError, WeightsError
+from crowdbench.errors import SceneError, SettingError, WeightsError
 from crowdbench.files import replacing
 from crowdbench.policies.network import KEY, MOST_NOISE, OnnxPolicy, PolicyCard, check_onnx
+from crowdbench.scene import Scene, load_scene
+from crowdbench.simulation.lidar import OBSERVATIONS
 
 if TYPE_CHECKING:
     import torch
 
 TOLERANCE = 1e-5
+TRIAL = Path(__file__).with_name("trial.py")
 
 
 def export_policy(
@@ -27,16 +31,17 @@ def export_policy(
     """Write a torch network as a policy's file, and hold its actions against the network's.
 
     Args:
-        network: called with observations (A, 5 + R) and, if `noise`, standard normal numbers
-            (A, noise); returns actions (A, 2). It is not changed.
+        network: called with observations (A, card.inputs) and, if `noise`, standard normal
+            numbers (A, noise); returns actions (A, 2). It is not changed.
         path: the file, which is replaced.
         card: what the file is to say of it.
         noise: Z, how many random numbers it takes per person and step.
 
     Raises:
         SettingError: onnx, onnxruntime or onnxscript is not installed, or `noise` is out of range.
-        WeightsError: the card is not right, the network cannot be written, or the file's actions
-            differ from its own by more than 1e-5.
+        WeightsError: the card is not right, the network does not take what the card says or
+            cannot be written, the file's actions differ from its own by more than 1e-5, or it mixes
+            rows.
         OutputError: `path` cannot be written.
     """
     check_onnx()
@@ -51,11 +56,11 @@ def export_policy(
     training = network.training
     network.eval()
     try:
+        expected = _actions(network, fed, card, path)
         with replacing(path) as temporary:
             temporary.write_bytes(_onnx(network, fed, card, path))
+            _check_survival(temporary, card, noise, path)
             read = OnnxPolicy(temporary)
-            with torch.no_grad():
-                expected = network(*fed).numpy()
             names = ("observation", "noise")
             got = read._session.run(
                 ["action"], {n: x.numpy() for n, x in zip(names, fed, strict=False)}
@@ -67,9 +72,97 @@ def export_policy(
                     expected=f"those of the network, to {TOLERANCE:g}",
                     mend="Does it depend on anything but its inputs?",
                 )
+            read.check_rows(_scene_of(card), path)
     finally:
         network.train(training)
     return path
+
+
+def _actions(
+    network: "torch.nn.Module", fed: "tuple[torch.Tensor, ...]", card: PolicyCard, path: Path
+) -> np.ndarray:
+    """What the network does, before anything is traced: its own errors are the legible ones.
+
+    Raises:
+        WeightsError: it does not take what the card says, or returns something else than actions.
+    """
+    import torch
+
+    try:
+        with torch.no_grad():
+            found = network(*fed)
+    except Exception as error:  # whatever a network of somebody's raises
+        takes = _takes(network, fed)
+        version = {n + card.rays: name for name, n in OBSERVATIONS.items()}.get(takes or -1)
+        raise WeightsError(
+            path,
+            got=f"the network takes {takes} numbers"
+            if takes
+            else f"the network raises {type(error).__name__}: "
+            + (str(error).splitlines() or [""])[0][:200],
+            expected=f"one that takes observations of shape (A, {card.inputs}): {card.observation} "
+            f"has {card.inputs} numbers with {card.rays} rays"
+            + (f", and noise of shape {tuple(fed[1].shape)}" if len(fed) > 1 else ""),
+            mend=f"These are {version}: name it as the observation."
+            if version
+            else "Name the observation and rays that it was trained with."
+            if takes
+            else "Name the observation, rays and noise that it was trained with.",
+        ) from error
+    if not isinstance(found, torch.Tensor) or tuple(found.shape) != (len(fed[0]), 2):
+        got = (
+            f"of shape {tuple(found.shape)}"
+            if isinstance(found, torch.Tensor)
+            else f"a {type(found).__name__}"
+        )
+        raise WeightsError(
+            path,
+            got=f"a network that returns {got} for {len(fed[0])} persons",
+            expected=f"one tensor of actions ({len(fed[0])}, 2)",
+            mend="Wrap it in a module that returns the actions alone.",
+        )
+    actions: np.ndarray = found.numpy()
+    return actions
+
+
+def _takes(network: "torch.nn.Module", fed: "tuple[torch.Tensor, ...]") -> int | None:
+    """How many numbers of an observation the network takes, None where that cannot be told."""
+    import torch
+
+    sizes = {p.shape[-1] for p in network.parameters() if p.dim() > 1}
+    for size in sorted(sizes, reverse=True):
+        try:
+            with torch.no_grad():
+                network(torch.zeros(len(fed[0]), size), *fed[1:])
+        except Exception:  # not this one
+            continue
+        return int(size)
+    return None
+
+
+def _check_survival(file: Path, card: PolicyCard, noise: int, path: Path) -> None:
+    """Run the file in a process of its own first: some networks take onnxruntime's down.
+
+    Raises:
+        WeightsError: the process was killed.
+    """
+    command = [sys.executable, "-I", str(TRIAL), str(file), str(card.inputs), str(noise)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode < 0:
+        raise WeightsError(
+            path,
+            got=f"a network that ends onnxruntime's process by signal {-done.returncode}",
+            expected="one that runs",
+            mend="Write it with other operators; recurrent layers often are at fault.",
+        )
+
+
+def _scene_of(card: PolicyCard) -> Scene | None:
+    """The scene that a network is for, None where it is not at hand."""
+    try:
+        return load_scene(card.scene)
+    except SceneError:
+        return None
 
 
 def _onnx(

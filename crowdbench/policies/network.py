@@ -4,13 +4,15 @@ A file has the input `observation`, float32 (A, 5 + R), and the output `action`,
 A, the number of persons, is free. A policy that leaves something to chance has a second input
 `noise`, float32 (A, Z): standard normal numbers, drawn anew for each person and step by whoever
 rolls it out, so that the same seed gives the same crowd; operators that draw numbers of their own
-are refused. Its metadata hold a `PolicyCard` as JSON
-under the key `crowdbench`. Nothing in the file runs but operators of the ONNX standard, on
-onnxruntime: no pickle, no custom operators, no data outside the file.
+are refused. Each row is answered from that row alone, which `crowdbench.policies.rows` tries. Its
+metadata hold a `PolicyCard` as JSON under the key `crowdbench`. Nothing in the file runs but
+operators of the ONNX standard, on onnxruntime: no pickle, no custom operators, no data outside the
+file.
 """
 
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -22,7 +24,9 @@ from numpy.random import Generator
 from crowdbench.blocks import PARTS
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.files import read_bytes
+from crowdbench.policies.rows import ROWS, Watch, check_rows, observed
 from crowdbench.scene import Scene
+from crowdbench.simulation import Settings
 from crowdbench.simulation.lidar import OBSERVATIONS
 
 if TYPE_CHECKING:
@@ -129,17 +133,55 @@ class OnnxPolicy:
         self.rays = self.card.rays
         self.ray_range_m = self.card.ray_range_m
         self.deterministic = self.noise == 0
+        self._watch = Watch(self.path)
 
     def reset(self, scene: Scene, rng: Generator) -> None:
         """Draw noise from `rng` from now on."""
         self._rng = rng
+        self._watch = Watch(self.path)
 
     def act(self, seen: Float32[np.ndarray, "A obs"]) -> Float32[np.ndarray, "A 2"]:
-        """One action per observation."""
+        """One action per observation.
+
+        Raises:
+            WeightsError: it mixes rows, as far as was looked, or cannot be run.
+        """
         fed = {"observation": np.ascontiguousarray(seen, dtype=np.float32)}
         if self.noise:
             fed["noise"] = self._rng.standard_normal((len(seen), self.noise), dtype=np.float32)
-        action: np.ndarray = self._session.run(["action"], fed)[0]
+        action = self._run(fed)
+        self._watch.look(self._run, fed, action)
+        return action
+
+    def check_rows(self, scene: Scene | None, where: object = None) -> None:
+        """Refuse it where it answers a row from others, of observations as made in a scene.
+
+        Without a scene, or where nothing is known of its arrivals, the observations are drawn by
+        chance. `where` is named in the message.
+
+        Raises:
+            WeightsError: it mixes rows, or cannot be run.
+        """
+        rng = np.random.default_rng(0)
+        seen = rng.uniform(-1, 1, (ROWS, self.card.inputs)).astype(np.float32)
+        shown = Settings(
+            max_alive=512,
+            observation=self.observation,
+            rays=self.rays,
+            ray_range_m=self.ray_range_m,
+        )
+        with suppress(WeightsError):
+            seen = seen if scene is None else observed(scene, shown)
+        fed = {"observation": seen}
+        if self.noise:
+            fed["noise"] = rng.standard_normal((len(seen), self.noise), dtype=np.float32)
+        check_rows(where or self.path, self._run, fed)
+
+    def _run(self, fed: dict[str, np.ndarray]) -> Float32[np.ndarray, "A 2"]:
+        try:
+            action: np.ndarray = self._session.run(["action"], fed)[0]
+        except Exception as error:  # onnxruntime's errors have no base of their own
+            raise _unrunnable(self.path, error) from error
         return action
 
 
@@ -211,14 +253,18 @@ def _read(path: Path) -> tuple[PolicyCard, int, Any]:
     except WeightsError:
         raise
     except Exception as error:  # onnxruntime's errors have no base of their own
-        told = (str(error) or type(error).__name__).splitlines()[0][:200]
-        raise WeightsError(
-            path,
-            got=f"a network that onnxruntime refuses ({told})",
-            expected="one that runs",
-            mend=_MEND,
-        ) from error
+        raise _unrunnable(path, error) from error
     return card, noise, session
+
+
+def _unrunnable(path: Path, error: Exception) -> WeightsError:
+    told = (str(error) or type(error).__name__).splitlines()[0][:200]
+    return WeightsError(
+        path,
+        got=f"a network that onnxruntime refuses ({told})",
+        expected="one that runs",
+        mend=_MEND,
+    )
 
 
 def _card(path: Path, model: "ModelProto") -> PolicyCard:
@@ -357,9 +403,9 @@ def _written(shapes: dict[str, tuple[int | None, ...]]) -> str:
 
 
 def _try(path: Path, session: Any, card: PolicyCard, noise: int) -> None:
-    """Run it for nobody, one and three persons."""
+    """Run it for one and for three persons."""
     rng = np.random.default_rng(0)
-    for persons in (0, 1, 3):
+    for persons in (1, 3):
         fed = {"observation": rng.uniform(-1, 1, (persons, card.inputs)).astype(np.float32)}
         if noise:
             fed["noise"] = rng.standard_normal((persons, noise), dtype=np.float32)

@@ -36,18 +36,18 @@ class StateView:
     def of(cls, simulation: Simulation) -> "StateView":
         """Everyone alive, ordered by world, then slot."""
         slots = simulation.slots
-        world, slot = np.nonzero(slots.alive)
-        at = (world, slot)
+        at = np.flatnonzero(slots.alive)  # one index is looked up faster than two
+        world, slot = np.divmod(at, slots.alive.shape[1])
         return cls(
             world=world,
             slot=slot,
-            person=slots.person[at],
-            event=slots.event[at],
-            frame=simulation.clock.frame[world],
-            position=slots.position[at],
-            velocity=slots.velocity[at],
-            goal=slots.goal[at],
-            speed=slots.speed[at],
+            person=slots.person.ravel().take(at),
+            event=slots.event.ravel().take(at),
+            frame=simulation.clock.frame.take(world),
+            position=slots.position.reshape(-1, 2).take(at, axis=0),
+            velocity=slots.velocity.reshape(-1, 2).take(at, axis=0),
+            goal=slots.goal.reshape(-1, 2).take(at, axis=0),
+            speed=slots.speed.ravel().take(at),
         )
 
     def towards(self, routes: Routes) -> Float[np.ndarray, "A 2"]:

@@ -9,7 +9,7 @@ from typing import Literal
 
 from crowdbench import tables
 from crowdbench.errors import RecordingError, SettingError
-from crowdbench.files import home, read_bytes, sha256
+from crowdbench.files import home, read_bytes, sha256, unwritable
 from crowdbench.recordings import first_use
 from crowdbench.recordings.forum import read_forum
 from crowdbench.recordings.gc import files_in, read_gc
@@ -165,6 +165,32 @@ def load_imported(name: str) -> Trajectories:
             f"`crowdbench data import {name} --source DIR`.",
         )
     return tables.read_own(path)
+
+
+def remove_imported(name: str) -> Path:
+    """Remove the imported table of a recording; its path.
+
+    The files that it was read from stay, and so does the noted hash of one that states none.
+
+    Raises:
+        SettingError: there is no recording of that name.
+        RecordingError: it has not been imported.
+        OutputError: it cannot be removed.
+    """
+    if not OWN_NAME.fullmatch(name):
+        source(name)
+    path = cached(name)
+    try:
+        path.unlink()
+    except FileNotFoundError as error:
+        raise RecordingError(
+            f"recording {name}",
+            got="none imported by that name",
+            expected="one of those that `crowdbench data list` shows as imported",
+        ) from error
+    except OSError as error:
+        raise unwritable(path, error) from error
+    return path
 
 
 def import_recording(name: str, folder: Path | None = None) -> Trajectories:

@@ -14,22 +14,25 @@ from jaxtyping import Float, Shaped
 
 from crowdbench.errors import RecordingError
 from crowdbench.files import write_text
+from crowdbench.recordings.mending import Gaps, Stamps, on_frames
 from crowdbench.recordings.timing import checked_dt_s, plain_positions, usual_step
-from crowdbench.trajectories import Trajectories, from_rows
+from crowdbench.trajectories import Trajectories
 
 _SQLITE = b"SQLite format 3\0"
 _RATE = re.compile(r"framerate\D*(\d+(?:\.\d+)?)")
 _MEND = "PedPy's loaders tell more of what is wrong with a file."
 
 
-def read_jupedsim(data: bytes, *, name: str, dt_s: float | None, where: object) -> Trajectories:
+def read_jupedsim(
+    data: bytes, *, name: str, dt_s: float | None, where: object, gaps: Gaps | None = None
+) -> Trajectories:
     """Read the bytes of a text or a SQLite file; `dt_s` is needed where a text states no rate.
 
-    Frames are the file's, divided by their usual step. Where a person has no row in a frame, it
-    walked on straight.
+    Frames are the file's, divided by their usual step. `gaps` says how steps of another length are
+    mended (see `mending`); else they are refused.
 
     Raises:
-        RecordingError: the file is broken, empty, or states another rate than `dt_s`.
+        RecordingError: the file is broken, empty, states another rate than `dt_s`, or has gaps.
     """
     rate, rows = (_sqlite if data.startswith(_SQLITE) else _text)(data, where)
     if rate is not None and not 0 < rate < np.inf:
@@ -43,14 +46,11 @@ def read_jupedsim(data: bytes, *, name: str, dt_s: float | None, where: object) 
         )
     person, frame = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
     step = usual_step(person, frame)  # some keep the camera's numbers and rate, not all its rows
-    return from_rows(
-        scene=name,
-        dt_s=checked_dt_s(where, step / rate if rate is not None else None, dt_s),
-        person_id=person,
-        frame=frame // step,
-        xy=rows[:, 2:4],
-        where=where,
+    dt_s = checked_dt_s(where, step / rate if rate is not None else None, dt_s)
+    whole_rows = on_frames(
+        person, Stamps(frame, "frame", step=float(step)), rows[:, 2:4], gaps=gaps, where=where
     )
+    return whole_rows.crowd(scene=name, dt_s=dt_s, where=where)
 
 
 def write_jupedsim(crowd: Trajectories, path: Path) -> None:

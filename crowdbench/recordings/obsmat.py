@@ -5,27 +5,41 @@ m/s with z pointing up (unused).
 """
 
 import io
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.errors import RecordingError
 from crowdbench.recordings.gaps import observed_intervals
+from crowdbench.recordings.mending import Gaps, Stamps, on_frames
 from crowdbench.recordings.timing import usual_step
-from crowdbench.trajectories import Trajectories, from_rows
+from crowdbench.trajectories import Trajectories
 
 _COLUMNS = 8
 _STANDING_MPS = 0.2
 _MEND = "Take the file from the address that `crowdbench data list` names."
+_OTHER_INTERVAL = (
+    "Copies of this recording with another interval exist; their speeds are wrong by that factor. "
+    f"{_MEND}"
+)
 
 
 def read_obsmat(
-    data: bytes, *, name: str, fps: float, frame_step: int, where: object
+    data: bytes,
+    *,
+    name: str,
+    fps: float,
+    frame_step: int,
+    where: object,
+    gaps: Gaps | None = None,
+    mend: str = _OTHER_INTERVAL,
 ) -> Trajectories:
     """Read the bytes of an `obsmat.txt` annotated every `frame_step` frames of an `fps` video.
 
     Frames are put on the recording's grid by rounding down: the annotation's phase shifts at
-    some pauses, and rounding to nearest would put a person twice into one frame.
+    some pauses, and rounding to nearest would put a person twice into one frame. `gaps` says how
+    steps of another length are mended (see `mending`); else they are refused, with `mend`.
 
     Raises:
         RecordingError: the data are empty, broken off, not finite, or not annotated every
@@ -34,17 +48,12 @@ def read_obsmat(
     table = _parse(data, where)
     video_frame = _whole(table[:, 0], "frame", where)
     person = _whole(table[:, 1], "person", where)
-    _check_step(person, video_frame, frame_step, fps, where)
-    frame = (video_frame - video_frame.min()) // frame_step
-    crowd = from_rows(
-        scene=name,
-        dt_s=frame_step / fps,
-        person_id=person,
-        frame=frame,
-        xy=table[:, [2, 4]],
-        where=where,
-    )
-    return crowd.observed_in(observed_intervals(crowd))
+    _check_interval(person, video_frame, frame_step, fps, where)
+    stamps = Stamps(video_frame, "frame", step=float(frame_step), origin=float(video_frame.min()))
+    rows = on_frames(person, stamps, table[:, [2, 4]], gaps=gaps, where=where, mend=mend)
+    crowd = rows.crowd(scene=name, dt_s=frame_step / fps, where=where)
+    known = crowd.observed_in(observed_intervals(crowd))
+    return replace(known, entered=known.entered & crowd.entered, left=known.left & crowd.left)
 
 
 def step_of(data: bytes, where: object) -> tuple[int, float | None]:
@@ -100,7 +109,7 @@ def _whole(values: Float[np.ndarray, " R"], column: str, where: object) -> Int[n
     return values.astype(np.int64)
 
 
-def _check_step(
+def _check_interval(
     person: Int[np.ndarray, " R"],
     video_frame: Int[np.ndarray, " R"],
     frame_step: int,
@@ -108,27 +117,13 @@ def _check_step(
     where: object,
 ) -> None:
     """The interval is looked at within persons: between them the recording may pause."""
-    order = np.lexsort((video_frame, person))
-    same = np.diff(person[order]) == 0
-    steps = np.diff(video_frame[order])[same]
-    if (steps == 0).any():
-        row = order[:-1][same][steps == 0][0]
+    usual = usual_step(person, video_frame)
+    followed = len(np.unique(person)) < len(person)
+    if followed and usual != frame_step:
         raise RecordingError(
             where,
-            got=f"person {person[row]} twice in frame {video_frame[row]} "
-            f"({int((steps == 0).sum())} such rows)",
-            expected="one row per person and frame",
-            mend=_MEND,
+            got=f"positions every {usual} frames",
+            expected=f"each person every {frame_step} frames ({frame_step / fps:g} s at "
+            f"{fps:g} fps)",
+            mend=_OTHER_INTERVAL,
         )
-    wrong = steps[steps != frame_step]
-    if len(wrong) == 0:
-        return
-    values, counts = np.unique(steps, return_counts=True)
-    raise RecordingError(
-        where,
-        got=f"positions every {values[counts.argmax()]} frames, and {len(wrong)} of {len(steps)} "
-        f"steps that are not {frame_step} frames",
-        expected=f"each person every {frame_step} frames ({frame_step / fps:g} s at {fps:g} fps)",
-        mend="Copies of this recording with another interval exist; their speeds are wrong by "
-        f"that factor. {_MEND}",
-    )

@@ -14,6 +14,7 @@ from crowdbench.recordings.catalogue import OWN_NAME, SOURCES, cached, hash_of
 from crowdbench.recordings.forum import FPS as FORUM_FPS
 from crowdbench.recordings.forum import PIXEL_M, read_forum
 from crowdbench.recordings.jupedsim import read_jupedsim
+from crowdbench.recordings.mending import FEW, Gaps, Stamps, on_frames
 from crowdbench.recordings.obsmat import read_obsmat, step_of
 from crowdbench.recordings.timing import at_scene_frames, checked_dt_s
 from crowdbench.recordings.trajnet import read_trajnet
@@ -29,25 +30,33 @@ FORMATS = {
 }
 """What a recording can be read from, and what it looks like."""
 
+_OPTIONS = ("--dt-s", "--gaps", "--offset-s")
 _SPEEDS_MPS = (0.2, 3.0)
 """Between these lies the median of people's mean speeds, or numbers are no metres or seconds."""
 _LONGEST_M = 300.0
 
 
 def read_recording(
-    path: Path, layout: str, *, name: str, dt_s: float | None = None
+    path: Path,
+    layout: str,
+    *,
+    name: str,
+    dt_s: float | None = None,
+    gaps: Gaps | None = None,
+    offset_s: float | None = None,
 ) -> Trajectories:
     """Read a recording in one of `FORMATS` and put it on a scene's frames.
 
     `dt_s` are the seconds from one row of a person to the next; what the file says of it must
-    agree. A table that crowdbench wrote is taken as it is.
+    agree. `gaps` and `offset_s` mend small faults, see `read_rows`. A table that crowdbench wrote
+    is taken as it is.
 
     Raises:
-        SettingError: there is no such format.
+        SettingError: there is no such format, or nothing in it that could be mended so.
         RecordingError: the file is missing or broken, states another time step, or its people
             move as no people do.
     """
-    crowd = read_rows(path, layout, name=name, dt_s=dt_s)
+    crowd = read_rows(path, layout, name=name, dt_s=dt_s, gaps=gaps, offset_s=offset_s)
     if not (layout == "csv" and tables.is_own(path)):
         # Pauses are a habit of annotators; a camera that tracks people by itself makes none, and
         # loses people mid-scene all the time.
@@ -56,24 +65,39 @@ def read_recording(
     return replace(crowd, scene=name)
 
 
-def read_rows(path: Path, layout: str, *, name: str, dt_s: float | None = None) -> Trajectories:
+def read_rows(
+    path: Path,
+    layout: str,
+    *,
+    name: str,
+    dt_s: float | None = None,
+    gaps: Gaps | None = None,
+    offset_s: float | None = None,
+) -> Trajectories:
     """Read a crowd in one of `FORMATS` at the rate of its rows; see `read_recording`.
 
+    Where a person lacks rows, or has rows beside the frames, `gaps` says how that is mended (see
+    `mending`); `offset_s` is the time of the first frame where a table has `time_s`. What was
+    mended stands in the provenance's notes.
+
     Raises:
-        SettingError: there is no such format.
-        RecordingError: the file is missing or broken, or states another time step.
+        SettingError: there is no such format, or nothing in it that could be mended so.
+        RecordingError: the file is missing or broken, states another time step, or has gaps or
+            rows beside the frames and `gaps` is None.
     """
     if layout not in FORMATS:
         raise SettingError("--format", got=repr(layout), expected=f"one of {', '.join(FORMATS)}")
+    _check_mendable(layout, gaps, offset_s)
     mend = f"The format {layout}: {FORMATS[layout]}."
     if layout == "gc":
         files: Mapping[str, bytes] = gc.files_in(path, mend)
     else:
         files = {path.name: read_bytes(path, RecordingError, mend)}
     try:
-        crowd = _rows(files, path, layout, name, dt_s)
+        crowd = _rows(files, path, layout, name, dt_s, gaps, offset_s)
     except RecordingError as error:
-        if layout in ("csv", "trajnet", "jupedsim") or "--dt-s" in f"{error}":
+        asks = any(option in error.mend or option in error.expected for option in _OPTIONS)
+        if layout in ("csv", "trajnet", "jupedsim") or asks:
             raise
         # The readers of published recordings would tell to fetch them anew.
         raise RecordingError(
@@ -84,8 +108,18 @@ def read_rows(path: Path, layout: str, *, name: str, dt_s: float | None = None) 
     return replace(crowd, provenance=provenance)
 
 
-def import_own(name: str, path: Path, layout: str, dt_s: float | None = None) -> Trajectories:
+def import_own(
+    name: str,
+    path: Path,
+    layout: str,
+    dt_s: float | None = None,
+    *,
+    gaps: Gaps | None = None,
+    offset_s: float | None = None,
+) -> Trajectories:
     """Read a recording and keep it for later use under a name of the user's choice.
+
+    The options are those of `read_recording`.
 
     Raises:
         SettingError: the name is taken or no name, or there is no such format.
@@ -93,7 +127,7 @@ def import_own(name: str, path: Path, layout: str, dt_s: float | None = None) ->
         OutputError: the imported table cannot be written.
     """
     check_name(name)
-    crowd = read_recording(path, layout, name=name, dt_s=dt_s)
+    crowd = read_recording(path, layout, name=name, dt_s=dt_s, gaps=gaps, offset_s=offset_s)
     keep(crowd)
     return crowd
 
@@ -125,43 +159,137 @@ def keep(crowd: Trajectories) -> bool:
         tables.write_parquet(crowd, path)
         return True
     kept = tables.read_own(path)
-    if kept.dt_s == crowd.dt_s and np.array_equal(kept.xy, crowd.xy):
+    same = all(np.array_equal(getattr(kept, n), getattr(crowd, n)) for n in ("first", "offsets"))
+    if kept.dt_s == crowd.dt_s and same and np.array_equal(kept.xy, crowd.xy):
         return False
     raise SettingError(
         f"recording {crowd.scene}",
         got="another one that is imported by that name",
         expected="a name that is free",
-        mend=f"Choose another one; or delete {path} if you need it no more.",
+        mend=f"Choose another one; or `crowdbench data remove {crowd.scene}` if you need it no "
+        "more.",
     )
 
 
+def _check_mendable(layout: str, gaps: Gaps | None, offset_s: float | None) -> None:
+    """Refuse options that nothing in the format answers to."""
+    if gaps is not None and layout in ("gc", "forum"):
+        raise SettingError(
+            "--gaps",
+            got=f"{gaps} with the format {layout}",
+            expected="one of the other formats",
+            mend="In this one people walk on straight wherever rows are missing.",
+        )
+    if offset_s is not None and layout != "csv":
+        raise SettingError(
+            "--offset-s",
+            got=f"the format {layout}, whose frames are numbered",
+            expected="csv with a column time_s",
+        )
+    if offset_s is not None and not np.isfinite(offset_s):
+        raise SettingError("--offset-s", got=f"{offset_s}", expected="seconds")
+
+
 def _rows(
-    files: Mapping[str, bytes], path: Path, layout: str, name: str, dt_s: float | None
+    files: Mapping[str, bytes],
+    path: Path,
+    layout: str,
+    name: str,
+    dt_s: float | None,
+    gaps: Gaps | None,
+    offset_s: float | None,
 ) -> Trajectories:
     if layout == "gc":
         checked_dt_s(path, gc.STEP / gc.FPS, dt_s)
         return gc.read_gc(files, path, name=name, video_frames=None)
     if layout == "csv":
-        return _table(path, name, dt_s)
+        return _table(path, name, dt_s, gaps, offset_s)
     (data,) = files.values()
     if layout == "forum":
         checked_dt_s(path, 1 / FORUM_FPS, dt_s)
         return read_forum(data, name=name, where=path)
     if layout == "obsmat":
-        return _obsmat(data, path, name, dt_s)
+        return _obsmat(data, path, name, dt_s, gaps)
     read = {"trajnet": read_trajnet, "jupedsim": read_jupedsim}[layout]
-    return read(data, name=name, dt_s=dt_s, where=path)
+    return read(data, name=name, dt_s=dt_s, where=path, gaps=gaps)
 
 
-def _table(path: Path, name: str, dt_s: float | None) -> Trajectories:
-    if not tables.is_own(path):
-        return tables.read(path, scene=name, dt_s=checked_dt_s(path, None, dt_s))
-    crowd = tables.read_own(path)
-    checked_dt_s(path, crowd.dt_s, dt_s)
-    return crowd
+def _table(
+    path: Path, name: str, dt_s: float | None, gaps: Gaps | None, offset_s: float | None
+) -> Trajectories:
+    if tables.is_own(path):
+        if offset_s is not None:
+            raise SettingError(
+                "--offset-s", got=f"{path.name}, which crowdbench wrote", expected="other tables"
+            )
+        crowd = tables.read_own(path)
+        checked_dt_s(path, crowd.dt_s, dt_s)
+        return crowd
+    columns = tables.read_columns(path)
+    dt_s = checked_dt_s(path, None, dt_s)
+    rows = on_frames(
+        columns["person_id"],
+        _stamps(columns, path, dt_s, offset_s),
+        np.stack([columns["x"], columns["y"]], axis=1).astype(np.float64),
+        gaps=gaps,
+        where=path,
+    )
+    if offset_s:
+        rows.notes["times"] = f"{offset_s:g} s earlier than in the file"
+        for column in {"spawn_s", "requested_s"} & set(columns):
+            columns[column] = columns[column] - offset_s
+    return rows.crowd(scene=name, dt_s=dt_s, where=path, columns=columns)
 
 
-def _obsmat(data: bytes, path: Path, name: str, dt_s: float | None) -> Trajectories:
+def _stamps(
+    columns: Mapping[str, np.ndarray], path: Path, dt_s: float, offset_s: float | None
+) -> Stamps:
+    """By `frame` or by `time_s`; where there are both, they must agree."""
+    person, frame = columns["person_id"], columns.get("frame")
+    if "time_s" not in columns:
+        if offset_s is not None:
+            raise SettingError(
+                "--offset-s", got=f"{path.name} without a column time_s", expected="one"
+            )
+        return Stamps(columns["frame"], "frame", step=1.0)
+    stamps = Stamps(columns["time_s"], "s", step=dt_s, origin=offset_s or 0.0)
+    ticks = stamps.ticks()
+    if frame is not None:
+        _check_agree(person, frame, stamps, path)
+    if offset_s is not None and ticks.min() < -0.05:
+        row = int(ticks.argmin())
+        raise RecordingError(
+            path,
+            got=f"person {person[row]} at {stamps.of(row)}",
+            expected=f"times from {offset_s:g} s on, as asked by --offset-s",
+            mend="It is the time of a frame no later than the first row.",
+        )
+    return stamps
+
+
+def _check_agree(person: np.ndarray, frame: np.ndarray, stamps: Stamps, path: Path) -> None:
+    """Refuse a table whose frames and times are not the same."""
+    late = stamps.ticks() - frame
+    wrong = ~(np.abs(late) < 0.05)
+    if not wrong.any():
+        return
+    row = int(np.flatnonzero(wrong)[0])
+    usual = float(np.median(late))
+    constant = (np.abs(late - usual) < 0.05).mean() > 0.5 and abs(usual) >= 0.05
+    raise RecordingError(
+        path,
+        got=f"person {person[row]} in frame {frame[row]} at {stamps.of(row)}, and {wrong.sum()} "
+        f"of {len(wrong)} rows whose times are not those of their frames",
+        expected=f"time_s in multiples of {stamps.step:g} s, frame × that",
+        mend=f"--offset-s {usual * stamps.step + stamps.origin:.4g} lets frame 0 begin then."
+        if constant
+        else "Remove the column that is wrong; the other one does.",
+    )
+
+
+def _obsmat(
+    data: bytes, path: Path, name: str, dt_s: float | None, gaps: Gaps | None
+) -> Trajectories:
     step, by_speed_s = step_of(data, path)
     dt_s = checked_dt_s(path, None, dt_s)
     if by_speed_s is not None and not np.isclose(by_speed_s, dt_s, rtol=0.1):
@@ -172,7 +300,7 @@ def _obsmat(data: bytes, path: Path, name: str, dt_s: float | None) -> Trajector
             mend="Correct --dt-s; or make the velocities zero if it is they that are wrong.",
         )
     fps = round(step / dt_s, 9)  # or 6 / (6 / 0.4) would not be 0.4
-    return read_obsmat(data, name=name, fps=fps, frame_step=step, where=path)
+    return read_obsmat(data, name=name, fps=fps, frame_step=step, where=path, gaps=gaps, mend=FEW)
 
 
 def _transform(layout: str) -> dict[str, str]:

@@ -13,8 +13,9 @@ import numpy as np
 
 from crowdbench.errors import RecordingError
 from crowdbench.files import write_text
+from crowdbench.recordings.mending import Gaps, Stamps, on_frames
 from crowdbench.recordings.timing import checked_dt_s, plain_positions, usual_step
-from crowdbench.trajectories import Trajectories, from_rows
+from crowdbench.trajectories import Trajectories
 
 _MEND = 'Lines look like {"track": {"f": 10, "p": 3, "x": 1.25, "y": 4.5}}.'
 
@@ -36,15 +37,17 @@ class _Line(msgspec.Struct, frozen=True):
     scene: _Scene | None = None
 
 
-def read_trajnet(data: bytes, *, name: str, dt_s: float | None, where: object) -> Trajectories:
+def read_trajnet(
+    data: bytes, *, name: str, dt_s: float | None, where: object, gaps: Gaps | None = None
+) -> Trajectories:
     """Read the bytes of a file; `dt_s` is needed where no scene states its `fps`.
 
-    Frames are the file's, divided by their usual step. Where a person has no row in a frame, it
-    walked on straight.
+    Frames are the file's, divided by their usual step. `gaps` says how steps of another length are
+    mended (see `mending`); else they are refused.
 
     Raises:
-        RecordingError: a line is broken, there are no tracks, the rates differ, or the tracks are
-            predictions.
+        RecordingError: a line is broken, there are no tracks, the rates differ, the tracks are
+            predictions, or have gaps.
     """
     tracks, rates = [], set()
     for number, line in _lines(data, where):
@@ -69,14 +72,11 @@ def read_trajnet(data: bytes, *, name: str, dt_s: float | None, where: object) -
         )
     person = np.array([track.p for track in tracks])
     frame = np.array([track.f for track in tracks])
-    return from_rows(
-        scene=name,
-        dt_s=checked_dt_s(where, 1 / rates.pop() if rates else None, dt_s),
-        person_id=person,
-        frame=frame // usual_step(person, frame),
-        xy=np.array([(track.x, track.y) for track in tracks], dtype=np.float64),
-        where=where,
-    )
+    dt_s = checked_dt_s(where, 1 / rates.pop() if rates else None, dt_s)
+    xy = np.array([(track.x, track.y) for track in tracks], dtype=np.float64)
+    stamps = Stamps(frame, "frame", step=float(usual_step(person, frame)))
+    rows = on_frames(person, stamps, xy, gaps=gaps, where=where)
+    return rows.crowd(scene=name, dt_s=dt_s, where=where)
 
 
 def write_trajnet(crowd: Trajectories, path: Path) -> None:

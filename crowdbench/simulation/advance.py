@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit, prange
 
 from crowdbench.simulation.compilation import kernel
-from crowdbench.simulation.rules import command, distance_to_segment, walk
+from crowdbench.simulation.rules import AHEAD_M, command, distance_to_segment, walk
 from crowdbench.simulation.state import (
     DROPPED,
     ENTERED,
@@ -25,9 +25,10 @@ def advance(actions, slots, queue, clock, limits, walls):
     """One step of every world, as `Simulation` describes it; `actions` is (W, N, 2)."""
     # Arrays are unpacked once: reaching into a bundle for each person costs more than its walk.
     alive, ended, spawned, hit_wall = slots.alive, slots.ended, slots.spawned, slots.hit_wall
-    position, velocity, goal, progress = slots.position, slots.velocity, slots.goal, slots.progress
+    position, velocity, goal = slots.position, slots.velocity, slots.goal
     born, leave, scripted = slots.born, slots.leave, slots.scripted
     segments, near, near_start = walls.segments, walls.step_segment, walls.step_start
+    clear = walls.clear
     grid = (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows)
     dt, max_speed = limits.dt, limits.max_speed
     frames, horizons, changed = clock.frame, clock.horizon, clock.changed
@@ -46,18 +47,16 @@ def advance(actions, slots, queue, clock, limits, walls):
                     np.float64(actions[w, i, 0]), np.float64(actions[w, i, 1]), max_speed
                 )
                 cell = cell_of(x, y, grid)
-                to_x, to_y, hit = walk(
-                    x, y, vx * dt, vy * dt, segments, near, near_start[cell], near_start[cell + 1]
-                )
+                first, stop = near_start[cell], near_start[cell + 1]
+                if math.sqrt(vx * vx + vy * vy) * dt + 2 * AHEAD_M < clear[cell]:
+                    stop = first  # no wall is so near
+                to_x, to_y, hit = walk(x, y, vx * dt, vy * dt, segments, near, first, stop)
                 position[w, i, 0] = to_x
                 position[w, i, 1] = to_y
                 velocity[w, i, 0] = (to_x - x) / dt
                 velocity[w, i, 1] = (to_y - y) / dt
                 hit_wall[w, i] = hit
                 goal_x, goal_y = np.float64(goal[w, i, 0]), np.float64(goal[w, i, 1])
-                progress[w, i] = math.hypot(goal_x - x, goal_y - y) - math.hypot(
-                    goal_x - to_x, goal_y - to_y
-                )
                 to_goal = distance_to_segment(goal_x, goal_y, x, y, to_x, to_y)
                 how = outcome(
                     to_goal, to_x, to_y, frame, born[w, i], leave[w, i], scripted[w, i], horizon,

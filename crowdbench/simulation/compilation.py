@@ -1,7 +1,8 @@
-"""Kernels compiled for one thread and for all of them."""
+"""Kernels compiled for one thread and for several."""
 
 import functools
 import importlib
+import os
 import types
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,9 +13,16 @@ import numba
 
 from crowdbench.files import sha256
 
+THREADS = "NUMBA_NUM_THREADS"
+"""Environment variable that asks for several threads; without it, kernels run on one.
+
+Threads wait for each other at the end of each kernel. On an idle machine two of them gain at most
+a factor of two; on a busy one each wait lasts until the operating system lets the other thread
+run, and steps take ten times as long or more. How threads wait cannot be set from here:
+OpenMP reads `OMP_WAIT_POLICY` when it is loaded, which other packages may have done before.
+"""
 PARALLEL_FROM = 64
-"""Persons from which on a kernel is worth several threads: they wait for each other at its end,
-which takes as long as a small crowd's work, and on a busy machine a hundred times as long."""
+"""Persons from which on several threads are faster than one on an idle machine."""
 
 OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy"}
 
@@ -40,8 +48,8 @@ class Kernel:
         return _named, (self.function.__module__, self.function.__name__)
 
     def __call__(self, persons: int, *arguments: object) -> None:
-        """Run on one thread or on several, whichever suits so many persons."""
-        parallel = bool(persons >= PARALLEL_FROM)
+        """Run on one thread, or on several where they are asked for and worth it."""
+        parallel = persons >= PARALLEL_FROM and several_threads()
         code = self._code.get(parallel)
         if code is None:
             code = self._code[parallel] = self._compiled(parallel, arguments)
@@ -55,6 +63,11 @@ class Kernel:
         dispatcher.compile(signature)
         code: Callable[..., None] = dispatcher.overloads[signature].entry_point
         return code
+
+
+def several_threads() -> bool:
+    """Whether several threads are asked for, by `THREADS`, and this process may have them."""
+    return THREADS in os.environ and numba.get_num_threads() > 1
 
 
 def _named(module: str, name: str) -> Kernel:

@@ -36,6 +36,8 @@ from crowdbench.simulation.walls import CELL_M, cell_of
 
 OBSERVATIONS = {"lidar-1": 5, "lidar-2": 6, "lidar-3": 10}
 """Versions of the observation, and how many values stand before the rays."""
+OBSERVATION = "lidar-2"
+"""The version that everything shows and takes where none is named."""
 GOAL_RANGE_M = 30.0
 CHUNK = 10  # persons a thread takes at a time
 
@@ -78,13 +80,15 @@ class Cells(NamedTuple):
 
 @kernel
 def observe(
-    slots, target, beyond, head, bounds, cells, walls, max_speed, radius, reach, nearest, out
-):
+    slots, target, beyond, head, bounds, cells, walls, max_speed, radius, reach, remaining, nearest,
+    out,
+):  # fmt: skip
     """Write the observation of everyone alive, or ended in this step, into `out` (W, N, head + R).
 
     `target` (W, N, 2) is where they are to walk, `beyond` (W, N) how far it is from there, and
-    `bounds` least and greatest x, least and greatest y. The distance to the nearest person that
-    each sees goes into `nearest` (W, N), infinite for none.
+    `bounds` least and greatest x, least and greatest y. The length of the way to the goal goes into
+    `remaining` (W, N), the distance to the nearest person that each sees into `nearest` (W, N),
+    infinite for none; both in metres.
     """
     # Arrays are unpacked once: reaching into a bundle costs as much as a ray.
     alive, ended, spawned = slots.alive, slots.ended, slots.spawned
@@ -109,7 +113,7 @@ def observe(
         near = np.empty((alive.shape[1] + 1, 2), np.float32)
         for at in range(chunk * CHUNK, min(total, (chunk + 1) * CHUNK)):
             w, i = person[at, 0], person[at, 1]
-            _see_itself(w, i, position, velocity, target, beyond, max_speed, out)
+            remaining[w, i] = _see_itself(w, i, position, velocity, target, beyond, max_speed, out)
             if head > 5:
                 out[w, i, 5] = min(1.0, speed[w, i] / max_speed)
             x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
@@ -162,9 +166,11 @@ def _see_itself(w, i, position, velocity, target, beyond, max_speed, out):
     distance = math.sqrt(gx * gx + gy * gy)
     out[w, i, 0] = min(1.0, max(-1.0, velocity[w, i, 0] / max_speed))
     out[w, i, 1] = min(1.0, max(-1.0, velocity[w, i, 1] / max_speed))
-    out[w, i, 2] = min(distance + beyond[w, i], GOAL_RANGE_M) / GOAL_RANGE_M
+    remaining = distance + beyond[w, i]
+    out[w, i, 2] = min(remaining, GOAL_RANGE_M) / GOAL_RANGE_M
     out[w, i, 3] = gx / distance if distance > 0.0 else 1.0
     out[w, i, 4] = gy / distance if distance > 0.0 else 0.0
+    return remaining
 
 
 @njit(error_model="numpy")
@@ -177,11 +183,13 @@ def _near(distance, reach):
 def _see_walls(x, y, cos, sin, lines, first, stop, meeting, reach, rays):
     """Set each ray to the distance of the nearest wall, or to `reach`."""
     rays[:] = reach
+    ray, across, along = -1, 0.0, 0.0
     for m in range(first, stop):
         r, s = meeting[m, 0], meeting[m, 1]
-        across = y * cos[r] - x * sin[r]
+        if r != ray:
+            ray, across, along = r, y * cos[r] - x * sin[r], x * cos[r] + y * sin[r]
         if lines[r, s, 2] <= across <= lines[r, s, 3]:
-            t = lines[r, s, 0] + lines[r, s, 1] * across - (x * cos[r] + y * sin[r])
+            t = lines[r, s, 0] + lines[r, s, 1] * across - along
             if 0.0 <= t < rays[r]:
                 rays[r] = t
 

@@ -9,7 +9,7 @@ from jaxtyping import Float32, Int
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.scene import Scene
 from crowdbench.simulation.advance import advance, populate
-from crowdbench.simulation.lidar import OBSERVATIONS, Cells, observe
+from crowdbench.simulation.lidar import OBSERVATION, OBSERVATIONS, Cells, observe
 from crowdbench.simulation.routes import Routes
 from crowdbench.simulation.state import Clock, Limits, Queue, Slots
 from crowdbench.simulation.walls import wall_table
@@ -29,7 +29,7 @@ class Settings:
     """Persons ever, per world and episode."""
     rays: int = 32
     ray_range_m: float = 10.0
-    observation: str = "lidar-1"
+    observation: str = OBSERVATION
     """Version of what they see, `lidar-1` to `lidar-3`: see `crowdbench.simulation.lidar`."""
 
     def __post_init__(self) -> None:
@@ -105,6 +105,8 @@ class Simulation:
         self.nearest: Float32[np.ndarray, "W N"] = np.full(
             (worlds, s.max_alive), np.inf, np.float32
         )
+        self.remaining: Float32[np.ndarray, "W N"] = np.zeros((worlds, s.max_alive), np.float32)
+        self.remaining_before: Float32[np.ndarray, "W N"] = np.zeros_like(self.remaining)
         self._routes = Routes.on(scene) if s.observation != "lidar-1" else None
         self._target = np.zeros((worlds, s.max_alive, 2), np.float32)
         self._beyond = np.zeros((worlds, s.max_alive))
@@ -143,6 +145,7 @@ class Simulation:
                 got=f"actions of shape {actions.shape}",
                 expected=f"one velocity command per world and slot, {self.slots.position.shape}",
             )
+        np.copyto(self.remaining_before, self.remaining)
         arguments = (actions, self.slots, self._queue, self.clock, self._limits, self._walls)
         # Persons of one world interact at entries: threads share worlds, not persons.
         self._advance(self.slots.alive.size if self.worlds > 1 else 1, *arguments)
@@ -150,7 +153,10 @@ class Simulation:
     def observe(self) -> Float32[np.ndarray, "W N obs"]:
         """Fill `observation` for everyone alive or just ended, and return it.
 
-        `nearest` then holds how far it is to the nearest person that each of them sees, metres.
+        `nearest` then holds how far it is to the nearest person that each of them sees, and
+        `remaining` how far to the goal, along the way that the observation points to: straight in
+        `lidar-1`, around walls in later versions. `remaining_before` holds what `remaining` was
+        before the last step, if that had been observed. All in metres.
         """
         arguments = (
             self.slots,
@@ -163,6 +169,7 @@ class Simulation:
             self._limits.max_speed,
             self.scene.motion.person_radius_m,
             self.settings.ray_range_m,
+            self.remaining,
             self.nearest,
             self.observation,
         )
@@ -174,10 +181,14 @@ class Simulation:
         slots = self.slots
         if self._routes is None:
             return slots.goal
-        at = w, i = np.nonzero(slots.alive | (slots.ended != 0))
-        self._target[at], self._beyond[at] = self._routes.next_of(
-            w, i, slots.person[at], slots.position[at], slots.goal[at]
+        at = np.flatnonzero(slots.alive | (slots.ended != 0))
+        target, beyond = self._routes.next_of(
+            *np.divmod(at, slots.alive.shape[1]),
+            slots.person.ravel().take(at),
+            slots.position.reshape(-1, 2).take(at, axis=0),
+            slots.goal.reshape(-1, 2).take(at, axis=0),
         )
+        self._target.reshape(-1, 2)[at], self._beyond.reshape(-1)[at] = target, beyond
         return self._target
 
     def number_anew(self) -> None:

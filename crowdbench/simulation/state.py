@@ -28,8 +28,6 @@ class Slots(NamedTuple):
     velocity: np.ndarray
     """Displacement of this step divided by dt."""
     goal: np.ndarray
-    progress: np.ndarray
-    """Metres come nearer to the goal in this step."""
     speed: np.ndarray
     """Preferred speed."""
     person: np.ndarray
@@ -55,7 +53,6 @@ class Slots(NamedTuple):
             position=np.zeros((*shape, 2), np.float32),
             velocity=np.zeros((*shape, 2), np.float32),
             goal=np.zeros((*shape, 2), np.float32),
-            progress=np.zeros(shape, np.float32),
             speed=np.zeros(shape, np.float32),
             person=np.full(shape, -1, np.int32),
             event=np.full(shape, -1, np.int32),

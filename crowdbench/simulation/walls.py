@@ -6,11 +6,14 @@ exact: the table narrows the search, it does not round.
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numba import njit
+
+from crowdbench.simulation.rules import distance_to_segment
 
 CELL_M = 0.5
 EDGE_ON = 1e-9  # sine of the angle between a wall and a ray that runs along it
@@ -38,6 +41,8 @@ class WallTable(NamedTuple):
     step_start: np.ndarray
     """(C + 1,) int32: segments that a step from cell c can meet, likewise."""
     step_segment: np.ndarray
+    clear: np.ndarray
+    """(C,) float64: no segment is nearer than that to any point of the cell, metres."""
 
 
 def wall_table(
@@ -49,7 +54,23 @@ def wall_table(
     ray_range_m: float,
     step_m: float,
 ) -> WallTable:
-    """Build the tables for positions in the rectangle and steps of at most `step_m`."""
+    """The tables for positions in the rectangle and steps of at most `step_m`; not to be changed.
+
+    Those asked for last are kept: simulations of one scene share them.
+    """
+    return _built(segments.tobytes(), lower, upper, rays, ray_range_m, step_m)
+
+
+@lru_cache(maxsize=4)
+def _built(
+    walls: bytes,
+    lower: tuple[float, float],
+    upper: tuple[float, float],
+    rays: int,
+    ray_range_m: float,
+    step_m: float,
+) -> WallTable:
+    segments = np.frombuffer(walls).reshape(-1, 4).copy()
     columns = max(1, math.ceil((upper[0] - lower[0]) / CELL_M))
     rows = max(1, math.ceil((upper[1] - lower[1]) / CELL_M))
     origin = np.array(lower, dtype=np.float64)
@@ -75,10 +96,13 @@ def wall_table(
     meeting = np.empty((ray_start[-1], 2), dtype=np.int32)
     first = ray_start[:-1].copy()
     _meetings(origin, columns, rows, cos, sin, lines, ray_range_m, first, meeting)
-    step_start, step_segment = _step_candidates(segments, origin, columns, rows, step_m)
+    # A little further than a step: what it ends in front of can stop it, too.
+    step_start, step_segment, _, clear = walls_near(
+        segments, origin, columns, rows, step_m + CELL_M / 4
+    )
     return WallTable(
         segments, origin, columns, rows, cos, sin, lines, ray_start, meeting, step_start,
-        step_segment,
+        step_segment, clear,
     )  # fmt: skip
 
 
@@ -131,22 +155,35 @@ def _meetings(origin, columns, rows, cosine, sine, lines, ray_range_m, place, ou
                     place[c] += 1
 
 
-def _step_candidates(
-    segments: Float[np.ndarray, "S 4"],
-    origin: Float[np.ndarray, " 2"],
-    columns: int,
-    rows: int,
-    step_m: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    import shapely
+@njit(cache=True, error_model="numpy")
+def walls_near(segments, origin, columns, rows, reach_m):
+    """The segments that come within `reach_m` of each cell, and how far all others keep off.
 
-    x = origin[0] + (np.arange(columns) + 0.5) * CELL_M
-    y = origin[1] + (np.arange(rows) + 0.5) * CELL_M
-    centre = shapely.points(*(a.ravel() for a in np.meshgrid(x, y)))
-    reach = step_m + CELL_M  # more than a step and half the cell's diagonal
-    distance = np.empty((len(segments), len(centre)))
-    for s, ends in enumerate(segments.reshape(-1, 2, 2)):
-        distance[s] = shapely.distance(centre, shapely.LineString(ends))
-    near = [np.flatnonzero(column <= reach) for column in distance.T]
-    start = np.concatenate([[0], np.cumsum([len(k) for k in near])]).astype(np.int32)
-    return start, np.concatenate(near).astype(np.int32)
+    Returns `start` (C + 1,) and `segment`: those of cell c are `segment[start[c]:start[c + 1]]`;
+    and `free` (C,) and `clear` (C,): no other segment, and no segment at all, is nearer than that
+    to any point of the cell, in metres.
+    """
+    size = columns * rows
+    start = np.zeros(size + 1, np.int32)
+    free, clear = np.full(size, np.inf), np.full(size, np.inf)
+    across = reach_m + CELL_M * math.sqrt(0.5)  # half a diagonal from the centre
+    for writing in (False, True):
+        segment = np.empty(start[size] if writing else 0, np.int32)
+        count = 0
+        for c in range(size):
+            x = origin[0] + (c % columns + 0.5) * CELL_M
+            y = origin[1] + (c // columns + 0.5) * CELL_M
+            for s in range(len(segments)):
+                distance = distance_to_segment(
+                    x, y, segments[s, 0], segments[s, 1], segments[s, 2], segments[s, 3]
+                )
+                keeps_off = distance - CELL_M * math.sqrt(0.5)
+                clear[c] = min(clear[c], keeps_off)
+                if distance > across:
+                    free[c] = min(free[c], keeps_off)
+                    continue
+                if writing:
+                    segment[count] = s
+                count += 1
+            start[c + 1] = count
+    return start, segment, free, clear

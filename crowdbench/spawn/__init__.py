@@ -6,6 +6,7 @@ from crowdbench.spawn.events import Arrivals, SpawnEvents, arrivals_in, arrivals
 from crowdbench.spawn.model import SpawnModel
 from crowdbench.spawn.ntpp import NtppGMM
 from crowdbench.spawn.poisson import PoissonGMM
+from crowdbench.spawn.poisson_groups import PoissonGroups
 from crowdbench.spawn.renewal import RenewalGMM
 from crowdbench.spawn.replay import Replay
 from crowdbench.spawn.scenario import Addition, Change, Scenario
@@ -19,6 +20,7 @@ __all__ = [
     "Change",
     "NtppGMM",
     "PoissonGMM",
+    "PoissonGroups",
     "RenewalGMM",
     "Replay",
     "Scenario",

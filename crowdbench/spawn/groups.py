@@ -117,6 +117,17 @@ def check_grid(arrivals: Arrivals, grid_s: float, model: str) -> None:
         )
 
 
+def geometric_sizes(
+    spells: Spells, next_member: Float[np.ndarray, " K"]
+) -> Float[np.ndarray, "n 2"]:
+    """Cumulative hazards of the groups' sizes, which are geometric: see `Hazards.size`.
+
+    `next_member` is P(one more member) of each area.
+    """
+    hazard = -np.log(next_member[spells.area[spells.of_group], None])
+    return hazard * np.stack([spells.size - 1, spells.size], axis=1)
+
+
 def per_person(hazards: Hazards, arrivals: Arrivals) -> float:
     """Log-probability of the arrivals, nats per person."""
     return hazards.log_probability() / max(1, len(arrivals.tick))

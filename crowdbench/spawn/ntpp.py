@@ -1,33 +1,36 @@
-"""`ntpp-gmm`: a neural temporal point process per area, with the scene's Gaussian areas.
+"""`ntpp-gmm`: neural temporal point processes, one per area, with the scene's Gaussian areas.
 
 After the ICRA 2025 paper "Whenever, Wherever", Sec. III-B: a recurrent network (GRU) reads an
 area's groups, and a small head turns its state into a Weibull distribution of the time to the
 next group. What differs, and why:
 
 - People who enter an area at one grid point are one event with a size, whose geometric
-  distribution is the head's third output. Trained as one person each, 28–31 % of people vanish.
+  distribution is the head's third output: as one person each they would have gaps of 0, at which
+  a Weibull density is 0 or infinite.
 - Gaps lie on the annotation grid: with S the Weibull survival function in grid steps, a gap
   lasts g ≥ 1 steps with probability S(g − 1) − S(g).
 - A stretch starts at any time, not at a group: the same head reads the wait to the first group
   from a learned initial state, which so learns the forward recurrence time. Samples start
   stationary instead of with a group in every area.
 - After a silence as long as a training window the network starts from its initial state again:
-  what comes after a longer one no window has taught it. Areas where trains arrive every ten
-  minutes else sampled a quarter to four times their people.
+  what comes after a longer one no window has taught it.
+- An area of few groups, and one where cross-validation keeps no step of training, stays what it
+  is before training: a constant rate of groups, as in `poisson-groups` (`trained`).
 - Training and sampling share one path from a state to the next; nothing is clamped. What the
   head can say is bounded around the Poisson solution (`ntpp_kernels`).
 
 Training needs torch (`crowdbench.spawn.ntpp_training`); sampling and likelihood do not.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from numpy.random import Generator
 
 from crowdbench.blocks import PARTS
@@ -82,6 +85,24 @@ class NtppGMM:
     def of_area(self, k: int) -> tuple[np.ndarray, ...]:
         """The weights of one area, as the kernels want them."""
         return tuple(np.ascontiguousarray(self.weights[n][k], dtype=np.float64) for n in SHAPES)
+
+    def trained(self) -> Bool[np.ndarray, " K"]:
+        """Whether each area has a network: one whose output depends on what happened before.
+
+        An area of few groups, or one where cross-validation kept no step of training, has output
+        weights of 0: groups come at a constant rate, as in `poisson-groups`.
+        """
+        found: Bool[np.ndarray, " K"] = (self.weights["out_weight"] != 0).any(axis=(1, 2))
+        return found
+
+    def learned(self) -> int:
+        """How many learned numbers samples depend on.
+
+        All weights of a trained network; of any other area two, a rate and P(one more member).
+        """
+        each = sum(math.prod(shape) for shape in SHAPES.values())
+        trained = int(self.trained().sum())
+        return trained * each + (len(self.areas.spawn) - trained) * 2
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
         """Events in [0, `horizon_s`), on the grid."""
@@ -207,6 +228,17 @@ class NtppGMM:
         prefix = f"{part}.{fit % header.fits}."
         weights = {name: tensors[prefix + name] for name in SHAPES}
         return cls(areas, weights, header.grid_s, header.memory, header.settings)
+
+
+def networks(scene: Scene, areas: Areas, parts: Sequence[str]) -> Int[np.ndarray, "F K"]:
+    """Of each fit and area how many networks were trained in these parts (`blocks.PARTS`).
+
+    Raises:
+        WeightsError: the scene's file is missing, broken or another scene's.
+    """
+    fits = range(scene.protocol.fits)
+    each = [[NtppGMM.read(scene, areas, p, fit).trained() for p in parts] for fit in fits]
+    return np.sum(each, axis=1)
 
 
 class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -25,6 +25,7 @@ from crowdbench.spawn.groups import (
     Hazards,
     Spells,
     check_grid,
+    geometric_sizes,
     group_size,
     per_person,
     spells_of,
@@ -115,11 +116,8 @@ class RenewalGMM:
         """
         check_grid(arrivals, self.grid_s, NAME)
         spells = spells_of(arrivals)
-        at = spells.area[spells.of_group]
-        size = -np.log(self.next_member[at, None])
         gap, rest = _gap_hazards(spells, self.shape, self.scale_s / self.grid_s)
-        sizes = np.stack([spells.size - 1, spells.size], axis=1)
-        return Hazards(gap=gap, size=size * sizes, rest=rest)
+        return Hazards(gap=gap, size=geometric_sizes(spells, self.next_member), rest=rest)
 
     @classmethod
     def write(cls, folder: Path, fits: "Fits[RenewalGMM]") -> None:

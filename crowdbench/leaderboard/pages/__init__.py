@@ -7,15 +7,20 @@ and ranks on the resamples that entries share.
 from pathlib import Path
 
 from crowdbench.errors import SettingError
-from crowdbench.files import unwritable, write_text
+from crowdbench.files import read_bytes, unwritable, write_text
 from crowdbench.leaderboard.pages.entry_page import entry_page
 from crowdbench.leaderboard.pages.index import index_page
 from crowdbench.leaderboard.pages.readme import readme
 from crowdbench.leaderboard.standings import TRACKS, read_entries, standing
 
+RULES = "RULES.md"
+
 
 def build(root: Path) -> list[Path]:
     """Write the pages of `root/entries/*.json` into `root`; pages of entries that left are removed.
+
+    A folder without `RULES.md` is no leaderboard of its own, but a preview: its entries are shown
+    among those that come with crowdbench, whose rules are put into `pages/`.
 
     Returns:
         What was written: `README.md`, `index.html`, then `pages/ID.html` by track.
@@ -26,25 +31,38 @@ def build(root: Path) -> list[Path]:
         OutputError: a file cannot be written.
     """
     # README.md and index.html are names that other folders have, too.
-    if not (root / "entries").is_dir() and not (root / "RULES.md").is_file():
+    preview = not (root / RULES).is_file()
+    if preview and not (root / "entries").is_dir():
         raise SettingError(
             root,
             got="neither entries/ nor RULES.md in it",
             expected="the folder of a leaderboard",
             mend="Name it with --root.",
         )
-    entries = read_entries(root / "entries")
-    standings = [standing(track, entries) for track in TRACKS]
+    shipped = shipped_leaderboard()
+    entries = read_entries(root / "entries", shipped / "entries" if preview else None)
+    yours = frozenset(e.id for e in entries if (root / "entries" / f"{e.id}.json").is_file())
+    standings = [standing(track, entries, yours if preview else None) for track in TRACKS]
     pages = {root / "README.md": readme(standings), root / "index.html": index_page(standings)}
     for each in standings:
         for line in (*each.lines, *each.listed):
             pages[root / "pages" / f"{line.entry.id}.html"] = entry_page(line, each)
     for path, text in pages.items():
         write_text(path, text)
+    if preview:
+        rules = read_bytes(shipped / RULES, SettingError, "Install crowdbench anew.")
+        write_text(root / "pages" / RULES, rules.decode())
     for path in (root / "pages").glob("*.html"):
         if path not in pages:
             _remove(path)
     return list(pages)
+
+
+def shipped_leaderboard() -> Path:
+    """The folder of the leaderboard that comes with crowdbench."""
+    package = Path(__file__).parents[2]
+    installed = package / "_leaderboard"  # where the wheel puts it
+    return installed if installed.is_dir() else package.parent / "leaderboard"
 
 
 def _remove(path: Path) -> None:

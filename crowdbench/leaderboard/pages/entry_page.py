@@ -52,7 +52,7 @@ ends of the axis what lies beyond. Metrics in grey are shown and do not count.</
 </section>
 <section id="verify">
 <h2>Verify it</h2>
-{_verify(entry)}
+{_verify(entry, standing)}
 </section>
 <section id="cite">
 <h2>Cite it</h2>
@@ -147,14 +147,16 @@ def facts_list(facts: dict[str, str]) -> str:
     return f'<dl class="facts">{items}</dl>'
 
 
-def _verify(entry: Entry) -> str:
+def _verify(entry: Entry, standing: Standing) -> str:
     rows = "".join(
         f'<tr><th scope="row">{in_html(path, 200)}</th>'
         f'<td><code class="hash">{in_html(digest, 64)}</code></td></tr>\n'
         for path, digest in sorted(entry.artefacts.items())
     )
     submission = f"leaderboard/submissions/{entry.id}"
-    data = f'<a href="../entries/{entry.id}.json">entries/{entry.id}.json</a>'
+    data = f"entries/{entry.id}.json"
+    if standing.yours is None or entry.id in standing.yours:  # a preview holds no others
+        data = f'<a href="../{data}">{data}</a>'
     hashes = {
         f"Scene {name}": f"<code>{in_html(scene.made_from)}</code>"
         for name, scene in entry.scenes.items()

@@ -35,6 +35,8 @@ _KINDS = ("learned", "model-based", "privileged")
 def index_page(standings: Sequence[Standing]) -> str:
     """The page; it needs no script to be complete."""
     entries = [o.entry for s in standings for o in (*s.lines, *s.listed)]
+    preview = standings[0].yours is not None
+    rules = rules_of(standings[0])
     tracks = "\n".join(_track(standing) for standing in standings)
     links = " ".join(f'<a href="#{s.track}">{s.track.capitalize()}</a>' for s in standings)
     body = f"""<header>
@@ -42,12 +44,12 @@ def index_page(standings: Sequence[Standing]) -> str:
 <h1>Leaderboard</h1>
 <p class="lead">Crowds that come and go, rolled out by crowdbench itself on what they have not seen,
 and compared with recordings of real places.</p>
-<nav aria-label="Sections">{links} <a href="#guide">How to read</a>
-<a href="#scorer">Scorer</a> <a href="#submit">Submit</a> <a href="RULES.md">Rules</a></nav>
+{_PREVIEW * preview}<nav aria-label="Sections">{links} <a href="#guide">How to read</a>
+<a href="#scorer">Scorer</a> <a href="#submit">Submit</a> <a href="{rules}">Rules</a></nav>
 </header>
 <main>
 {tracks}
-{_GUIDE}
+{_GUIDE.replace("RULES.md", rules)}
 <section id="scorer">
 <h2>Scorer, citing and history</h2>
 {_scorer(entries)}
@@ -55,12 +57,23 @@ and compared with recordings of real places.</p>
 <section id="submit">
 <h2>Submit</h2>
 <p>A submission is a folder with <code>submission.toml</code> and its artefacts, sent as a pull
-request. <a href="RULES.md">The rules</a> say what is ranked, listed, refused and flagged.</p>
+request. <a href="{rules}">The rules</a> say what is ranked, listed, refused and flagged.</p>
 <pre tabindex="0"><code>{SUBMIT}</code></pre>
 </section>
 </main>
 """
     return html_page("crowdbench leaderboard", body, style=own("pages.css"), script=own("index.js"))
+
+
+def rules_of(standing: Standing) -> str:
+    """Where the rules lie, from `index.html` on."""
+    return "RULES.md" if standing.yours is None else "pages/RULES.md"
+
+
+_PREVIEW = """<p class="preview"><b>A preview.</b> Entries marked
+<span class="yours">yours</span> are those of the folder
+<code>entries</code> here. All others come with crowdbench.</p>
+"""
 
 
 def own(name: str) -> str:
@@ -80,9 +93,9 @@ intervals</b>; arrows point to what lies beyond the axis.</li>
 there), <i>lives</i> (how long they stay, from where to where), <i>space</i> (where they are, how
 near to each other), <i>motion</i> (speed, acceleration, turning), <i>interaction</i> (how near
 strangers come, overlaps, walls).</li>
-<li>A <b>rank</b> is 1 + the number of entries that are significantly better. Entries marked = share
-theirs and form a <b>tie group</b>: they cannot be told apart, whatever their order in it. Each view
-(a scene, a family) is ranked by itself.</li>
+<li>A <b>rank</b> is 1 + the number of entries that are significantly better; who competes with
+nobody has none. Entries marked = share theirs and form a <b>tie group</b>: they cannot be told
+apart, whatever their order in it. Each view (a scene, a family) is ranked by itself.</li>
 <li><b>Overall</b> is the mean of {", ".join(SCENES[:-1])} and {SCENES[-1]}; who lacks one of them
 has none. Other scenes are shown.</li>
 <li><b>Kinds</b>: learned, model-based, or privileged, which sees the simulation’s state in place of

@@ -103,7 +103,7 @@ def _cells(line: Line, standing: Standing) -> str:
         for scene in standing.scenes
     )
     copies = "".join(_copies(line, standing, what) for what in copied(standing))
-    name = f'<th scope="row" class="name">{_name(line)}</th>'
+    name = f'<th scope="row" class="name">{_name(line, standing)}</th>'
     return f"{name}{_chosen(line, standing)}{scenes}{copies}"
 
 
@@ -175,12 +175,13 @@ def share(value: float | None) -> str:
     return NOTHING if value is None else f"{100 * value:.1f}\u00a0%"
 
 
-def _name(line: Line) -> str:
+def _name(line: Line, standing: Standing) -> str:
     entry, declared = line.entry, line.entry.declared
     more = " et al." if len(declared.authors) > 1 else ""
     flags = ", ".join(dict.fromkeys(flag.what for flag in entry.flags))
     flagged = f'<small class="flagged">flagged: {flags}</small>' if flags else ""
+    yours = '<span class="yours">yours</span>' if entry.id in (standing.yours or ()) else ""
     return (
-        f'<a href="pages/{entry.id}.html">{short(declared.name)}</a>'
+        f'<a href="pages/{entry.id}.html">{short(declared.name)}</a>{yours}'
         f"<small>{line.kind} · {short(declared.authors[0])}{more}</small>{flagged}"
     )

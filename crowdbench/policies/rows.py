@@ -1,0 +1,162 @@
+"""Whether a network answers each row from that row alone: people do not see what others observe.
+
+Nobody can tell that from the file, so it is tried. Before a rollout: rows that were observed, alone
+and in batches of many sizes and orders, up to the largest that a rollout can have. And in rollouts:
+now and then, and whenever there are more people than before, everyone is asked again in two parts.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int
+
+from crowdbench.errors import WeightsError
+from crowdbench.policies.policy import StateView
+from crowdbench.policies.walkers import Straight
+from crowdbench.scene import Scene
+from crowdbench.simulation import Settings, Simulation
+from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.poisson import PoissonGMM
+
+TOLERANCE = 1e-5
+"""Of an action's components, which lie in [−1, 1]. Sums of a batch may be added up in another order
+than those of a row: that moves the networks that scenes ship by up to 6e-8."""
+EVERY = 16
+"""Every so many steps of a rollout are looked at."""
+SIZES = (2, 3, 4, 5, 8, 13, 34, 100, 1000, 4096)
+"""Persons in the batches that are tried; no rollout has more at once."""
+ROWS = 256
+_LONGEST_S = 600.0
+_STEP_S = 5.0  # between the frames whose observations are taken
+
+Fed = dict[str, np.ndarray]
+Run = Callable[[Fed], Float32[np.ndarray, "A 2"]]
+
+
+_known: dict[tuple[Path, Settings], np.ndarray] = {}
+
+
+def observed(scene: Scene, shown: Settings) -> Float32[np.ndarray, "rows obs"]:
+    """What straight walkers see under Poisson arrivals: 256 rows, or as many as 10 minutes give.
+
+    Raises:
+        WeightsError: the scene has no areas or rates of arrivals.
+    """
+    key = (scene.folder, shown)
+    if key not in _known:
+        _known[key] = _observed(scene, shown)
+    return _known[key]
+
+
+def _observed(scene: Scene, shown: Settings) -> Float32[np.ndarray, "rows obs"]:
+    rng = np.random.default_rng(0)
+    events = PoissonGMM.read(scene, read_areas(scene)).sample(_LONGEST_S, scene, rng)
+    simulation = Simulation(scene, settings=shown)
+    frames, step = scene.frames(_LONGEST_S), scene.frames(_STEP_S)
+    simulation.reset([events], horizon=frames + 1)
+    walker = Straight()
+    walker.reset(scene, rng)
+    width = simulation.observation.shape[2]
+    rows = np.empty((0, width), np.float32)
+    for frame in range(frames):
+        there = simulation.slots.alive
+        if frame % step == 0 and there.any():
+            rows = np.concatenate([rows, simulation.observe()[there]])
+            if len(rows) >= ROWS:
+                break
+        view = StateView.of(simulation)
+        actions = np.zeros(simulation.slots.position.shape, np.float32)
+        actions[view.world, view.slot] = walker.act(view)
+        simulation.step(actions)
+    if len(rows) == 0:  # nobody comes
+        rows = rng.uniform(-1, 1, (1, width)).astype(np.float32)
+    return rows[rng.permutation(len(rows))[:ROWS]]
+
+
+def check_rows(where: object, run: Run, fed: Fed) -> None:
+    """Hold batches of rows against the rows alone.
+
+    Raises:
+        WeightsError: actions differ.
+    """
+    rng = np.random.default_rng(0)
+    rows = len(fed["observation"])
+    alone = np.concatenate([run(_rows(fed, np.array([k]))) for k in range(rows)])
+    orders = [rng.permutation(rows), np.arange(rows)[::-1]]
+    orders += [rng.integers(rows, size=size) for size in SIZES]
+    for order in orders:
+        together = run(_rows(fed, order))
+        wrong = differing(alone[order], together)
+        if too_many(wrong.sum(), len(order)):
+            k = int(np.flatnonzero(wrong)[0])
+            raise _mixes(where, (together[k], len(order)), (alone[order[k]], 1))
+
+
+class Watch:
+    """Looks at a network's actions in one rollout."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._calls = self._most = 0
+        self._wrong = self._rows = 0
+
+    def look(self, run: Run, fed: Fed, action: Float32[np.ndarray, "A 2"]) -> None:
+        """Ask everyone again in two parts, if it is time to.
+
+        Raises:
+            WeightsError: the answers differ.
+        """
+        self._calls += 1
+        persons = len(action)
+        if persons < 2 or not (self._calls % EVERY == 0 or persons > 1.05 * self._most):
+            return
+        self._most = max(self._most, persons)
+        # Numbers of its own: what it draws must not change the crowd.
+        rng = np.random.default_rng(self._calls)
+        order = rng.permutation(persons)
+        cut = int(rng.integers(1, persons))
+        for part in (order[:cut], order[cut:]):
+            again = run(_rows(fed, part))
+            wrong = differing(action[part], again)
+            self._wrong, self._rows = self._wrong + int(wrong.sum()), self._rows + len(part)
+            if too_many(wrong.sum(), len(part)) or too_many(self._wrong - 1, self._rows, 1000):
+                k = int(np.flatnonzero(wrong)[0])
+                raise _mixes(self._path, (action[part[k]], persons), (again[k], len(part)))
+
+
+def differing(
+    one: Float32[np.ndarray, "A 2"], other: Float32[np.ndarray, "A 2"]
+) -> Bool[np.ndarray, " A"]:
+    """Which actions are not the same; what is beyond [−1, 1] is clipped, as in a rollout."""
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(one.clip(-1, 1) - other.clip(-1, 1)).max(axis=1)
+    return apart > TOLERANCE  # NaN is not: who walks people refuses that
+
+
+def too_many(wrong: int | np.integer, rows: int, one_in: int = 100) -> bool:
+    """Whether that cannot be rounding: where an action is chosen, the last bit may turn it over."""
+    return bool(wrong > 1 + rows / one_in)
+
+
+def _rows(fed: Fed, which: Int[np.ndarray, " n"]) -> Fed:
+    return {name: np.ascontiguousarray(values[which]) for name, values in fed.items()}
+
+
+def _mixes(
+    where: object, one: tuple[np.ndarray, int], other: tuple[np.ndarray, int]
+) -> WeightsError:
+    def told(answer: tuple[np.ndarray, int]) -> str:
+        action, persons = answer
+        among = "alone" if persons == 1 else f"in a batch of {persons}"
+        return f"({action[0]:.4g}, {action[1]:.4g}) {among}"
+
+    gap = float(np.abs(one[0].clip(-1, 1) - other[0].clip(-1, 1)).max())
+    return WeightsError(
+        where,
+        got=f"a network that mixes rows: the same person gets {told(one)} and {told(other)}, "
+        f"{gap:.2g} apart",
+        expected=f"the same action to {TOLERANCE:g}: each row is answered from that row alone",
+        mend="Take out what goes over the persons (axis 0): means, sums, softmax, attention, batch "
+        "statistics, dynamic quantisation.",
+    )

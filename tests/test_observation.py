@@ -1,0 +1,58 @@
+"""One default observation, whichever way an environment is made."""
+
+import inspect
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import crowdbench
+from crowdbench.policies import PolicyCard
+from crowdbench.rollouts import settings_for
+from crowdbench.scene import Scene
+from crowdbench.simulation import Settings
+from crowdbench.simulation.lidar import OBSERVATION, OBSERVATIONS
+
+SIZE = OBSERVATIONS[OBSERVATION] + 32
+
+
+class Unspecific:
+    """A policy that does not say what it sees."""
+
+    name, sees = "unspecific", "observation"
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        pass
+
+    def act(self, seen: np.ndarray) -> np.ndarray:
+        return np.zeros((len(seen), 2), np.float32)
+
+
+def default_of(function: Callable[..., object]) -> object:
+    return inspect.signature(function).parameters["observation"].default
+
+
+def test_everything_has_the_same_default_and_it_shows_the_preferred_speed() -> None:
+    assert OBSERVATION == "lidar-2"
+    assert default_of(crowdbench.parallel_env) == OBSERVATION
+    assert default_of(crowdbench.demonstrations) == OBSERVATION
+    assert Settings().observation == OBSERVATION
+    assert settings_for(Unspecific()).observation == OBSERVATION
+    env = crowdbench.parallel_env("plaza-v0", horizon_s=10.0)
+    assert env.observation_space("person_0").shape == (SIZE,)
+    card = PolicyCard(name="x", observation=OBSERVATION, scene="plaza-v0", part="full")
+    assert card.inputs == SIZE
+
+
+def test_so_has_the_torchrl_view() -> None:
+    torchrl_env = pytest.importorskip("crowdbench.torchrl_env")
+    assert default_of(torchrl_env.CrowdEnv.__init__) == OBSERVATION
+
+
+def test_so_has_the_stable_baselines_view() -> None:
+    from conftest import need_imitation
+
+    need_imitation()
+    from crowdbench.vec_env import LivesVecEnv
+
+    assert default_of(LivesVecEnv.__init__) == OBSERVATION

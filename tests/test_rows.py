@@ -1,0 +1,224 @@
+"""People do not see what others observe: networks that mix rows are refused wherever they come."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import onnx
+import pytest
+import torch
+from onnx import TensorProto, helper, numpy_helper
+from submissions import declare, problem
+from torch import Tensor, nn
+
+from crowdbench import rollout, spawn_model
+from crowdbench.cli import main
+from crowdbench.errors import WeightsError
+from crowdbench.files import sha256
+from crowdbench.leaderboard.submission import open_submission
+from crowdbench.policies import OnnxPolicy, PolicyCard
+from crowdbench.policies.export import export_policy
+from crowdbench.policies.rows import SIZES, TOLERANCE, Watch, too_many
+from crowdbench.rollouts import MAX_ALIVE
+from crowdbench.scene import list_scenes, load_scene
+
+PLAZA = load_scene("plaza-v0")
+CARD = PolicyCard(name="mixer", observation="lidar-2", rays=8, scene="plaza-v0", part="full")
+
+
+def goal(seen: Tensor) -> Tensor:
+    return 0.4 * seen[:, 3:5]
+
+
+def mean(seen: Tensor) -> Tensor:
+    return goal(seen) + 0.05 * seen[:, 3:5].mean(dim=0, keepdim=True)
+
+
+def softmax(seen: Tensor) -> Tensor:
+    return goal(seen) * torch.softmax(seen[:, 3:4], dim=0)
+
+
+def running(seen: Tensor) -> Tensor:
+    return goal(seen) + 0.01 * torch.cumsum(seen[:, 3:5], dim=0)
+
+
+def in_company(least: int) -> Callable[[Tensor], Tensor]:
+    """Mixes where so many or more are there."""
+
+    def act(seen: Tensor) -> Tensor:
+        persons = torch.ones_like(seen[:, :1]).sum(dim=0, keepdim=True)
+        mixed = 0.05 * seen[:, 3:5].mean(dim=0, keepdim=True)
+        return goal(seen) + torch.where(persons >= least, mixed, torch.zeros_like(mixed))
+
+    return act
+
+
+def near_someone(seen: Tensor) -> Tensor:
+    """Mixes only if someone in the batch sees a person or a wall very close: hardly ever."""
+    close = (seen[:, -8:].amin(dim=1, keepdim=True).amin(dim=0, keepdim=True) < 0.03).float()
+    return goal(seen) + close * 0.05 * seen[:, 3:5].mean(dim=0, keepdim=True)
+
+
+class Net(nn.Module):
+    def __init__(self, act: Callable[[Tensor], Tensor]) -> None:
+        super().__init__()
+        self.act = act
+
+    def forward(self, seen: Tensor) -> Tensor:
+        return self.act(seen)
+
+
+def written(
+    act: Callable[[Tensor], Tensor], path: Path, monkeypatch: pytest.MonkeyPatch, part: str = "full"
+) -> Path:
+    """Its file, as someone writes it whose export does not look."""
+    card = PolicyCard(name="mixer", observation="lidar-2", rays=8, scene="plaza-v0", part=part)
+    with monkeypatch.context() as patch:
+        patch.setattr(OnnxPolicy, "check_rows", lambda *of: None)
+        return export_policy(Net(act), path, card)
+
+
+MIXERS = {
+    "mean": mean, "softmax": softmax, "cumsum": running,
+    "above three": in_company(4), "above a thousand": in_company(1001),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("act", MIXERS.values(), ids=MIXERS.keys())
+def test_export_refuses_what_mixes_rows_and_writes_nothing(
+    act: Callable[[Tensor], Tensor], tmp_path: Path
+) -> None:
+    with pytest.raises(WeightsError, match="mixes rows") as error:
+        export_policy(Net(act), tmp_path / "net.onnx", CARD)
+    assert error.value.where == str(tmp_path / "net.onnx")
+    assert "apart" in error.value.got
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("act", MIXERS.values(), ids=MIXERS.keys())
+def test_submit_check_refuses_what_mixes_rows(
+    act: Callable[[Tensor], Tensor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = declare(tmp_path / "mine")
+    for part in ("fold0", "fold1", "fold2"):
+        written(goal, folder / "plaza-v0" / "policy" / f"{part}.onnx", monkeypatch, part)
+    with open_submission(folder):
+        pass
+    written(act, folder / "plaza-v0" / "policy" / "fold1.onnx", monkeypatch, "fold1")
+    told = problem(folder)
+    assert "plaza-v0/policy/fold1.onnx: got a network that mixes rows: the same person" in told
+    assert f"{TOLERANCE:g}" in told
+
+
+def test_evaluate_refuses_it_before_the_first_rollout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = written(mean, tmp_path / "net.onnx", monkeypatch)
+    out = tmp_path / "out"
+    asked = ["evaluate", "plaza-v0", "--spawn", "poisson-gmm", "--policy", str(file)]
+    assert main([*asked, "--seeds", "1", "--workers", "1", "--out", str(out)]) == 2
+    assert f"{file}: got a network that mixes rows" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_in_a_rollout_it_is_found_out_where_it_has_company(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy = OnnxPolicy(written(in_company(4), tmp_path / "net.onnx", monkeypatch))
+    with pytest.raises(WeightsError, match="mixes rows"):
+        rollout(PLAZA, spawn_model("poisson-gmm", PLAZA), policy, seed=0)
+
+
+def test_what_mixes_rarely_is_found_out_in_a_rollout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy = OnnxPolicy(written(near_someone, tmp_path / "net.onnx", monkeypatch))
+    rng = np.random.default_rng(0)
+    usual = rng.uniform(0.5, 1, (200, 40, CARD.inputs)).astype(np.float32)
+    for seen in usual:
+        policy.act(seen)
+    close = usual.copy()
+    close[:, 7, -1] = 0.01
+
+    def act() -> None:
+        for seen in close:
+            policy.act(seen)
+
+    with pytest.raises(WeightsError, match="mixes rows"):
+        act()
+
+
+def test_what_a_rollout_looks_at_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Noisy(nn.Module):
+        def forward(self, seen: Tensor, noise: Tensor) -> Tensor:
+            return goal(seen) + 0.1 * noise
+
+    file = export_policy(Noisy(), tmp_path / "net.onnx", CARD, noise=2)
+    spawn = spawn_model("poisson-gmm", PLAZA)
+    looked = rollout(PLAZA, spawn, OnnxPolicy(file), seed=0, horizon_s=120.0)
+    monkeypatch.setattr(Watch, "look", lambda *of: None)
+    plain = rollout(PLAZA, spawn, OnnxPolicy(file), seed=0, horizon_s=120.0)
+    assert looked.xy.tobytes() == plain.xy.tobytes()
+
+
+def test_batches_as_large_as_any_in_a_rollout_are_tried() -> None:
+    assert max(SIZES) == MAX_ALIVE
+
+
+def test_an_action_that_is_chosen_may_turn_over_now_and_then_and_no_more() -> None:
+    assert not too_many(1, 5)
+    assert too_many(2, 5)
+    assert not too_many(3, 256)
+    assert too_many(6, 256)
+
+
+def shipped() -> list[Path]:
+    found = [load_scene(name).folder / "policies" for name in list_scenes()]
+    return sorted(path for folder in found for path in folder.glob("*/*.onnx"))
+
+
+def test_shipped_networks_answer_each_row_alone() -> None:
+    files = {sha256(path.read_bytes()): path for path in shipped() if "forum" in str(path)}
+    assert files
+    for path in files.values():
+        policy = OnnxPolicy(path)
+        policy.check_rows(load_scene(policy.card.scene))
+
+
+def test_a_network_for_a_scene_that_is_not_at_hand_is_tried_too(tmp_path: Path) -> None:
+    card = PolicyCard(name="mixer", observation="lidar-2", rays=8, scene="moon-v0", part="full")
+    export_policy(Net(goal), tmp_path / "goal.onnx", card)
+    with pytest.raises(WeightsError, match="mixes rows"):
+        export_policy(Net(mean), tmp_path / "mean.onnx", card)
+
+
+def test_a_network_that_cannot_be_run_for_so_many_is_one_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It looks up a table of five rows by the number of persons."""
+    tables = {"table": np.zeros((5, 1), np.float32), "from": [3], "to": [5], "axis": [1]}
+    nodes = (
+        ("Slice", ["observation", "from", "to", "axis"], ["aim"], {}),
+        ("Shape", ["observation"], ["persons"], {"end": 1}),
+        ("Gather", ["table", "persons"], ["nothing"], {}),
+        ("Add", ["aim", "nothing"], ["action"], {}),
+    )
+    graph = helper.make_graph(
+        [helper.make_node(kind, inputs, outputs, **more) for kind, inputs, outputs, more in nodes],
+        "walker",
+        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["A", CARD.inputs])],
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["A", 2])],
+        [numpy_helper.from_array(np.array(values), name) for name, values in tables.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)], ir_version=10)
+    entry = model.metadata_props.add()
+    entry.key, entry.value = "crowdbench", msgspec.json.encode(CARD).decode()
+    onnx.save(model, tmp_path / "net.onnx")
+    policy = OnnxPolicy(tmp_path / "net.onnx")
+    for use in (lambda: policy.act(np.zeros((5, CARD.inputs), np.float32)),
+                lambda: policy.check_rows(PLAZA)):  # fmt: skip
+        with pytest.raises(WeightsError, match="onnxruntime refuses"):
+            use()
