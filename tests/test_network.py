@@ -460,7 +460,7 @@ def test_a_missing_file_is_said_to_be_missing(tmp_path: Path, capsys) -> None:
 def test_the_command_line_writes_and_shows_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "walkers.py").write_text(
+    (tmp_path / "slow_walkers.py").write_text(
         "import torch\n"
         "class Slow(torch.nn.Module):\n"
         "    def forward(self, seen):\n"
@@ -471,25 +471,25 @@ def test_the_command_line_writes_and_shows_them(
         "    return 3\n"
     )
     monkeypatch.chdir(tmp_path)
-    asked = ["--name", "slow", "--scene", "plaza-v0", "--command", "python walkers.py"]
-    for named in ("walkers:net", "walkers:Slow"):
+    asked = ["--name", "slow", "--scene", "plaza-v0", "--command", "python slow_walkers.py"]
+    for named in ("slow_walkers:net", "slow_walkers:Slow"):
         assert main(["policy", "export", named, "slow.onnx", *asked]) == 0
         assert main(["policy", "show", "slow.onnx"]) == 0
     shown = capsys.readouterr().out
     assert "full of plaza-v0" in shown
     assert "lidar-2, 32 rays of 10 m (38 numbers)" in shown
-    assert "python walkers.py" in shown
+    assert "python slow_walkers.py" in shown
     evaluate = ["evaluate", "plaza-v0", "--policy", "slow.onnx", "--seeds", "1", "--out", "out"]
     assert main(evaluate) == 0
     assert "ntpp-gmm × slow\n" in capsys.readouterr().out
     report = Path("out/report.html").read_text()
     assert "× slow</" in report
     assert "--policy slow.onnx" in report  # what makes it anew
-    for named in ("walkers", "walkers:none", "nobody:net", "walkers:number", "walkers:made"):
+    for named in ("slow_walkers", "slow_walkers:none", "nobody:net", "slow_walkers:number", "slow_walkers:made"):
         assert main(["policy", "export", named, "no.onnx", *asked]) == 2
         assert capsys.readouterr().err.startswith("crowdbench: network: got")
-    assert main(["policy", "export", "walkers:net", "no.onnx", *asked, "--rays", "0"]) == 2
-    assert main(["policy", "export", "walkers:net", "no.onnx", *asked, "--part", "all"]) == 2
+    assert main(["policy", "export", "slow_walkers:net", "no.onnx", *asked, "--rays", "0"]) == 2
+    assert main(["policy", "export", "slow_walkers:net", "no.onnx", *asked, "--part", "all"]) == 2
     assert not Path("no.onnx").exists()
 
 
