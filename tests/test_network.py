@@ -485,7 +485,13 @@ def test_the_command_line_writes_and_shows_them(
     report = Path("out/report.html").read_text()
     assert "× slow</" in report
     assert "--policy slow.onnx" in report  # what makes it anew
-    for named in ("slow_walkers", "slow_walkers:none", "nobody:net", "slow_walkers:number", "slow_walkers:made"):
+    for named in (
+        "slow_walkers",
+        "slow_walkers:none",
+        "nobody:net",
+        "slow_walkers:number",
+        "slow_walkers:made",
+    ):
         assert main(["policy", "export", named, "no.onnx", *asked]) == 2
         assert capsys.readouterr().err.startswith("crowdbench: network: got")
     assert main(["policy", "export", "slow_walkers:net", "no.onnx", *asked, "--rays", "0"]) == 2
