@@ -26,7 +26,7 @@ import numpy as np
 from baselines.packages import needs
 from crowdbench import Demonstrations, demonstrations
 from crowdbench.errors import CrowdbenchError
-from crowdbench.simulation.lidar import GOAL_RANGE_M
+from crowdbench.simulation.observations import GOAL_RANGE_M
 
 with needs("imitation", __name__):
     import torch

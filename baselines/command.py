@@ -25,7 +25,7 @@ from crowdbench.registry import DEFAULT_SPAWN
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.weights import check_part
-from crowdbench.trajectories import OUTCOMES
+from crowdbench.trajectories.table import OUTCOMES
 
 WALKED_S = 600.0
 

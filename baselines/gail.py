@@ -52,7 +52,7 @@ with needs("imitation", __name__):
     from baselines import bc
     from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
     from baselines.mixture import BOUNDS, NOISE, MixturePolicy, Sampler
-    from crowdbench.vec_env import LivesVecEnv
+    from crowdbench.envs.vec_env import LivesVecEnv
 
 CHANGES = 10.0
 """How much larger the discriminator sees changes of velocity, which are small, than velocities."""

@@ -13,7 +13,7 @@ from jaxtyping import Float32
 from numpy.random import Generator
 
 from crowdbench.scene import Scene
-from crowdbench.simulation.lidar import GOAL_RANGE_M, OBSERVATION, OBSERVATIONS
+from crowdbench.simulation.observations import GOAL_RANGE_M, OBSERVATION, OBSERVATIONS
 
 HEAD = OBSERVATIONS[OBSERVATION]
 STOPPING_S = 0.5  # τ, eq. 2

@@ -20,7 +20,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
 from crowdbench.simulation import Settings
-from crowdbench.simulation.lidar import GOAL_RANGE_M
+from crowdbench.simulation.observations import GOAL_RANGE_M
 
 SELF = 6
 """Values of an observation before its distances, to bounds and along rays."""

@@ -38,8 +38,8 @@ with needs("torchrl", __name__):
     from torchrl.objectives.value.functional import vec_generalized_advantage_estimate
 
     from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
-    from crowdbench.simulation.lidar import OBSERVATION
-    from crowdbench.torchrl_env import CrowdEnv
+    from crowdbench.envs.torchrl_env import CrowdEnv
+    from crowdbench.simulation.observations import OBSERVATION
 
 NOISE = 2
 

@@ -23,31 +23,31 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from crowdbench.crowds import read, rollout
-    from crowdbench.demos import Demonstrations, demonstrations
-    from crowdbench.environment import CrowdParallelEnv, parallel_env
+    from crowdbench.envs.demonstrations import Demonstrations, demonstrations
+    from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
     from crowdbench.errors import CrowdbenchError
-    from crowdbench.evaluation import evaluate
+    from crowdbench.evaluation.evaluate import evaluate
     from crowdbench.metrics import METRICS, MetricResult, distance
-    from crowdbench.reference import score
     from crowdbench.registry import policy, recording, recording_of, spawn_model
-    from crowdbench.rewards import Reward
     from crowdbench.scene import Scene, list_scenes, load_scene
-    from crowdbench.tables import read_own, write_parquet
-    from crowdbench.trajectories import Trajectories
+    from crowdbench.scoring.reference import score
+    from crowdbench.simulation.reward import Reward
+    from crowdbench.trajectories.storage import read_own, write_parquet
+    from crowdbench.trajectories.table import Trajectories
 
 _HOME = {
     "crowds": ("read", "rollout"),
-    "demos": ("Demonstrations", "demonstrations"),
-    "environment": ("CrowdParallelEnv", "parallel_env"),
+    "envs.demonstrations": ("Demonstrations", "demonstrations"),
+    "envs.parallel_env": ("CrowdParallelEnv", "parallel_env"),
     "errors": ("CrowdbenchError",),
-    "evaluation": ("evaluate",),
+    "evaluation.evaluate": ("evaluate",),
     "metrics": ("METRICS", "MetricResult", "distance"),
-    "reference": ("score",),
     "registry": ("policy", "recording", "recording_of", "spawn_model"),
-    "rewards": ("Reward",),
     "scene": ("Scene", "list_scenes", "load_scene"),
-    "tables": ("read_own", "write_parquet"),
-    "trajectories": ("Trajectories",),
+    "scoring.reference": ("score",),
+    "simulation.reward": ("Reward",),
+    "trajectories.storage": ("read_own", "write_parquet"),
+    "trajectories.table": ("Trajectories",),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 

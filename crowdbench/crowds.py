@@ -1,14 +1,15 @@
 """Crowds as a user names them: rolled out by names, or read from a file of some scene.
 
-The parts that work on objects are `crowdbench.rollouts` and `crowdbench.tables`.
+The parts that work on objects are `crowdbench.rollouts.rollout` and
+`crowdbench.trajectories.storage`.
 """
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench import tables
 from crowdbench.scene import Scene, load_scene
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories import storage
+from crowdbench.trajectories.table import Trajectories
 
 if TYPE_CHECKING:
     from crowdbench.policies import Policy
@@ -50,13 +51,14 @@ def rollout(
         ActionError: the policy does not give one finite action per person.
         CapacityError: more people than slots.
     """
-    from crowdbench import registry, rollouts
-    from crowdbench.episode import check_horizon
+    from crowdbench import registry
+    from crowdbench.rollouts.episode import check_horizon
+    from crowdbench.rollouts.rollout import rollout as roll_out
 
     place = load_scene(scene)
     if horizon_s is not None:
         check_horizon(horizon_s)
-    return rollouts.rollout(
+    return roll_out(
         place,
         registry.spawn_model(spawn, place),
         registry.policy(policy, place),
@@ -85,6 +87,6 @@ def read(path: str | Path, scene: str | Path | Scene | None = None) -> Trajector
         SceneError: there is no such scene.
     """
     if scene is None:
-        return tables.read_own(path)
+        return storage.read_own(path)
     place = load_scene(scene)
-    return tables.read(path, scene=place.id, dt_s=place.dt_s)
+    return storage.read(path, scene=place.id, dt_s=place.dt_s)

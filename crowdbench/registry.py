@@ -7,13 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from crowdbench import plaza
 from crowdbench.errors import CrowdbenchError, OwnCodeError, SettingError, WeightsError
 from crowdbench.own_code import told
 from crowdbench.policies import OnnxPolicy, Policy, Random, ReplayPolicy, SocialForce, Straight
 from crowdbench.recordings import catalogue
-from crowdbench.reference import blocks_of
+from crowdbench.rollouts import plaza
 from crowdbench.scene import Scene, load_scene
+from crowdbench.scoring.reference import blocks_of
 from crowdbench.spawn import (
     BlockReplay,
     NtppGMM,
@@ -29,8 +29,8 @@ from crowdbench.spawn import (
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.scenario import check_scenario, read_scenario, split
 from crowdbench.spawn.weights import check_part
-from crowdbench.tables import read_own, write_parquet
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.storage import read_own, write_parquet
+from crowdbench.trajectories.table import Trajectories
 
 RECORDINGS = (*catalogue.SOURCES, "plaza")
 """Those that are listed; the catalogue knows other days of the Forum besides."""

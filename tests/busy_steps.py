@@ -33,7 +33,7 @@ BEFORE = {
 CALM = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "OMP_WAIT_POLICY": "PASSIVE"}
 STEP = f"""
 import time
-from crowdbench.torchrl_env import CrowdEnv
+from crowdbench.envs.torchrl_env import CrowdEnv
 env = CrowdEnv("eth-v0", worlds=16, horizon_s=120.0, seed=0)
 for _ in range({TIMES} + 1):
     state = env.reset()

@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import strategies as st
 from strategies import crowd_of, crowds
 
-from crowdbench.blocks import TimeBlocks, cut
 from crowdbench.metrics import Metric, MetricResult, Place, distance
-from crowdbench.trajectories import OUTCOMES, PERSON_COLUMNS, Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks, cut
+from crowdbench.trajectories.table import OUTCOMES, PERSON_COLUMNS, Trajectories
 
 DT_S = 4.0
 OBSERVED = [(0, 60), (66, 126)]

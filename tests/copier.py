@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import Generator
 
-from crowdbench.reference import blocks_of
 from crowdbench.registry import recording_of
 from crowdbench.scene import Scene
+from crowdbench.scoring.reference import blocks_of
 from crowdbench.spawn import BlockReplay, SpawnEvents
 from crowdbench.spawn.areas import read_areas
 

@@ -7,8 +7,9 @@ import msgspec
 import numpy as np
 
 from crowdbench.files import write_json
-from crowdbench.leaderboard.declared import SCENES, Declared, Kind, Track, Trained
-from crowdbench.leaderboard.entry import (
+from crowdbench.leaderboard.pages.standings import FAMILIES_OF
+from crowdbench.leaderboard.submission.schema import SCENES, Declared, Kind, Track, Trained
+from crowdbench.leaderboard.verification.entry import (
     SCHEMA,
     SCORER,
     Copy,
@@ -21,9 +22,8 @@ from crowdbench.leaderboard.entry import (
     ScoreCard,
     Status,
 )
-from crowdbench.leaderboard.standings import FAMILIES_OF
 from crowdbench.metrics import METRICS, WALK
-from crowdbench.scoring import RESAMPLES, Score
+from crowdbench.scoring.energy import RESAMPLES, Score
 
 UNCOUNTED = ("dwell", "detour", "wall_hits")
 """Metrics that no made-up scene counts."""

@@ -109,7 +109,7 @@ def _work(pipe: Connection, temporary: Path, sound: list[Path]) -> None:
 
 def _answer(pipe: Connection, temporary: Path, sound: list[Path]) -> None:
     from crowdbench.errors import CrowdbenchError
-    from crowdbench.leaderboard.submission import open_submission
+    from crowdbench.leaderboard.submission.submission import open_submission
 
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir()

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.random import Generator
 from worlds import Person, events, square
 
-from crowdbench.environment import CrowdParallelEnv, parallel_env
+from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
 from crowdbench.policies import Straight
 from crowdbench.scene import Scene
 from crowdbench.spawn import Arrivals, SpawnEvents

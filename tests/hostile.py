@@ -121,7 +121,7 @@ def paint(progress: Progress) -> None:
 
 
 def refuse_submission(progress: Progress) -> None:
-    from crowdbench.leaderboard.problems import SubmissionError  # which is heavy
+    from crowdbench.leaderboard.submission.errors import SubmissionError  # which is heavy
 
     problems = [SettingError(f"file {k}", got="x", expected="y", mend="Mend.") for k in range(2)]
     raise SubmissionError("mine.zip", problems)

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from submissions import walk_submission
 
-from crowdbench.leaderboard.submission import pack_submission
+from crowdbench.leaderboard.submission.submission import pack_submission
 from crowdbench.registry import import_recording
 
 MARK = "CROWDBENCH_KILLED_RUN"

@@ -11,12 +11,12 @@ from worlds import box
 from crowdbench.policies import SocialForce
 from crowdbench.recordings.jupedsim import write_jupedsim
 from crowdbench.recordings.trajnet import write_trajnet
-from crowdbench.rollouts import rollout
+from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
 from crowdbench.spawn import Areas, RenewalGMM
 from crowdbench.spawn.areas import Gaussians
-from crowdbench.tables import write_csv
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.storage import write_csv
+from crowdbench.trajectories.table import Trajectories
 
 DT_S = 0.4
 BOUNDS = Bounds(0.0, 14.0, 0.0, 10.0)

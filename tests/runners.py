@@ -155,7 +155,7 @@ def sb3_ppo(scene: str, steps: int, gamma: float, seed: int) -> tuple[Act, Act]:
     """Stable-Baselines3's PPO on `LivesVecEnv`."""
     from stable_baselines3 import PPO
 
-    from crowdbench.vec_env import LivesVecEnv
+    from crowdbench.envs.vec_env import LivesVecEnv
 
     env = LivesVecEnv(scene, 16, seed=seed)
     model = PPO(

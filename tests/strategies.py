@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 from models import arrivals_at
 
 from crowdbench.spawn import Arrivals
-from crowdbench.trajectories import OUTCOMES, PERSON_COLUMNS, Trajectories, from_rows
+from crowdbench.trajectories.table import OUTCOMES, PERSON_COLUMNS, Trajectories, from_rows
 
 METRES = st.floats(-50, 50, width=32)
 

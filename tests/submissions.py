@@ -9,12 +9,12 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from crowdbench.leaderboard.problems import SubmissionError
-from crowdbench.leaderboard.submission import open_submission
+from crowdbench.leaderboard.submission.errors import SubmissionError
+from crowdbench.leaderboard.submission.submission import open_submission
 from crowdbench.policies import PolicyCard
 from crowdbench.scene import load_scene
-from crowdbench.tables import write_csv, write_parquet
-from crowdbench.trajectories import Trajectories, from_rows
+from crowdbench.trajectories.storage import write_csv, write_parquet
+from crowdbench.trajectories.table import Trajectories, from_rows
 
 PLAZA = load_scene("plaza-v0")
 FOLDS = ("fold0", "fold1", "fold2")

@@ -13,19 +13,19 @@ import pytest
 from scipy.stats import wasserstein_distance
 
 from crowdbench import cli
-from crowdbench.ablation import study, write_ablation
-from crowdbench.ablation.finding import finding
-from crowdbench.ablation.measures import Numbers
-from crowdbench.ablation.presence import Presence, stretches
-from crowdbench.ablation.study import Configuration, Sample, configurations
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.metrics import METRICS
 from crowdbench.recordings.catalogue import cached
-from crowdbench.reference import read_reference
 from crowdbench.registry import recording_of
 from crowdbench.scene import load_scene
+from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn import ntpp_training
 from crowdbench.spawn.ntpp_training import Settings
+from crowdbench.studies.ablation import study, write_ablation
+from crowdbench.studies.ablation.finding import finding
+from crowdbench.studies.ablation.measures import Numbers
+from crowdbench.studies.ablation.presence import Presence, stretches
+from crowdbench.studies.ablation.study import Configuration, Sample, configurations
 
 TINY = Settings(epochs=3, patience=1, calibration_points=2000)
 POISSON = Configuration("poisson-gmm")

@@ -10,7 +10,7 @@ from crowdbench.errors import SceneError, WeightsError
 from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.scene import Clustering, Scene, load_scene
 from crowdbench.spawn.areas import Areas, Gaussians, fit_areas, read_areas, write_areas
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 PAPER = Clustering(0.8, 3, 0.8, 3, keep_noise=False)
 KEEP = Clustering(0.8, 3, 0.8, 3, keep_noise=True)

@@ -17,8 +17,6 @@ from msgspec import structs
 from strategies import crowd_of
 
 import crowdbench
-from crowdbench.authoring import check_scene, create, create_scene, rules
-from crowdbench.authoring.toml import scene_toml
 from crowdbench.cli import main
 from crowdbench.errors import (
     CrowdbenchError,
@@ -28,10 +26,12 @@ from crowdbench.errors import (
     SettingError,
     WeightsError,
 )
-from crowdbench.reference import read_reference
 from crowdbench.registry import recording
 from crowdbench.scene import Scene, load_scene, write_scored
-from crowdbench.trajectories import Trajectories
+from crowdbench.scene_building import check_scene, create, create_scene, rules
+from crowdbench.scene_building.toml import scene_toml
+from crowdbench.scoring.reference import read_reference
+from crowdbench.trajectories.table import Trajectories
 
 Printed = pytest.CaptureFixture[str]
 SMALL = ["--fits", "1", "--rollouts-per-fit", "2", "--workers", "1"]

@@ -4,10 +4,10 @@ import numpy as np
 
 from baselines.heuristic import Heuristic
 from crowdbench.registry import spawn_model
-from crowdbench.rollouts import rollout
+from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene
-from crowdbench.simulation.lidar import GOAL_RANGE_M
-from crowdbench.trajectories import OUTCOMES
+from crowdbench.simulation.observations import GOAL_RANGE_M
+from crowdbench.trajectories.table import OUTCOMES
 
 MAX_SPEED = load_scene("plaza-v0").motion.max_speed_mps
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from crowdbench import bench
 from crowdbench.cli import main
+from crowdbench.studies import speed as bench
 
 NAMES = [
     "core with observations, 1 × 20",

@@ -7,11 +7,11 @@ import pytest
 from models import AREAS
 from strategies import crowd_of
 
-from crowdbench.blocks import TimeBlocks, cut
 from crowdbench.errors import SettingError
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Arrivals, BlockReplay
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks, cut
+from crowdbench.trajectories.table import Trajectories
 
 ETH = load_scene("eth-v0")
 LIVES = [(2, 6), (2, 7), (4, 9), (13, 18), (14, 14), (27, 29), (35, 39)]

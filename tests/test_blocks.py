@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import crowd_of, intervals
 
-from crowdbench.blocks import PARTS, TimeBlocks, cut
+from crowdbench.trajectories.blocks import PARTS, TimeBlocks, cut
 
 observations = st.integers(1, 400).flatmap(lambda frames: intervals(frames))
 

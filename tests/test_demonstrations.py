@@ -6,11 +6,11 @@ from conftest import need_imitation
 
 import crowdbench
 from crowdbench import Demonstrations, demonstrations, load_scene, recording
-from crowdbench.demos.aside import HOMING_S, Aside
+from crowdbench.envs.perturbation import HOMING_S, Aside
 from crowdbench.errors import SettingError
-from crowdbench.reference import blocks_of
 from crowdbench.registry import import_recording
-from crowdbench.trajectories import from_rows
+from crowdbench.scoring.reference import blocks_of
+from crowdbench.trajectories.table import from_rows
 
 PLAZA = load_scene("plaza-v0")
 

@@ -15,7 +15,7 @@ import pytest
 from crowdbench import rollout
 from crowdbench.cli import _parser, main
 from crowdbench.policies import StateView
-from crowdbench.trajectories import OUTCOMES, PERSON_COLUMNS
+from crowdbench.trajectories.table import OUTCOMES, PERSON_COLUMNS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -10,12 +10,12 @@ import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 from worlds import poisson, square
 
-from crowdbench.environment import CrowdParallelEnv, parallel_env
+from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
 from crowdbench.policies import StateView, Straight
-from crowdbench.rollouts import rollout
+from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import list_scenes, load_scene
 from crowdbench.spawn import Replay
-from crowdbench.trajectories import OUTCOMES
+from crowdbench.trajectories.table import OUTCOMES
 
 SCENES = list_scenes()
 OFTEN_EMPTY = ("forum-v0", "zara1-v0")

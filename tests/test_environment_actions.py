@@ -9,7 +9,7 @@ import pytest
 from given import Given, OneByOne, env_of, run, stand
 from worlds import Person
 
-from crowdbench.environment import CrowdParallelEnv, parallel_env
+from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
 from crowdbench.errors import ActionError, SceneError, SettingError
 from crowdbench.policies import SocialForce
 from crowdbench.registry import policy, spawn_model

@@ -7,7 +7,7 @@ import pytest
 from given import env_of, run, stand
 from worlds import Person, square
 
-from crowdbench.environment import CrowdParallelEnv, parallel_env
+from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
 from crowdbench.errors import CapacityError
 
 RUNNER = Person(start=(0.0, 0.0), goal=(1.0, 0.0))  # a step to the right reaches the goal

@@ -12,17 +12,17 @@ import msgspec
 import numpy as np
 import pytest
 
-from crowdbench.cards import Entry, Scorecard, rows
 from crowdbench.cli import main
 from crowdbench.errors import OutputError, RecordingError, SceneError, SettingError
-from crowdbench.evaluation import evaluate
+from crowdbench.evaluation.evaluate import evaluate
+from crowdbench.evaluation.replay_check import arrival_rule_changes, compare_replay
 from crowdbench.files import write_json
 from crowdbench.recordings.catalogue import SOURCES, read_published
-from crowdbench.reference import score
-from crowdbench.replay_check import arrival_rule_changes, compare_replay
 from crowdbench.scene import load_scene
-from crowdbench.tables import read_own
-from crowdbench.trajectories import OUTCOMES
+from crowdbench.scoring.reference import score
+from crowdbench.scoring.scorecard import Entry, Scorecard, rows
+from crowdbench.trajectories.storage import read_own
+from crowdbench.trajectories.table import OUTCOMES
 
 ETH = load_scene("eth-v0")
 PICTURES = (
@@ -261,7 +261,7 @@ def test_what_is_there_is_kept_and_what_is_missing_is_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for drawn in ("draw_figures", "write_report"):  # which take longer than the rollouts
-        monkeypatch.setattr(f"crowdbench.evaluation.{drawn}", lambda *of: None)
+        monkeypatch.setattr(f"crowdbench.evaluation.evaluate.{drawn}", lambda *of: None)
 
     def run() -> dict[str, bytes]:
         evaluate(

@@ -9,17 +9,17 @@ import pytest
 from msgspec import structs
 
 from crowdbench import registry
-from crowdbench.blocks import PARTS
 from crowdbench.errors import SettingError
-from crowdbench.fit import fit_scene
 from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.registry import FITTED, blocks_of, recording, spawn_model
 from crowdbench.scene import Scene, load_scene
+from crowdbench.scene_building.fit import fit_scene
 from crowdbench.spawn import Arrivals, NtppGMM, arrivals_of, fit_areas, ntpp_training
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.ntpp import SHAPES
 from crowdbench.spawn.ntpp_training import Settings
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.table import Trajectories
 
 PLAZA, ETH = load_scene("plaza-v0"), load_scene("eth-v0")
 FITS = PLAZA.protocol.fits

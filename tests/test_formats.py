@@ -15,8 +15,8 @@ from crowdbench.errors import RecordingError
 from crowdbench.recordings.jupedsim import read_jupedsim, write_jupedsim
 from crowdbench.recordings.own import read_rows
 from crowdbench.recordings.trajnet import read_trajnet, write_trajnet
-from crowdbench.tables import write_csv
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.storage import write_csv
+from crowdbench.trajectories.table import Trajectories
 
 TRACKS = [(10, 3, 1.25, 4.5), (20, 3, 1.75, 4.5), (20, 4, 0.0, 1.0), (40, 4, 2.0, 1.0)]
 

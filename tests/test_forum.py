@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.recordings.catalogue import SOURCES, read_published, source
 from crowdbench.recordings.forum import read_forum
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 FORUM = SOURCES["forum"]
 Rows = list[tuple[int, int, int]]

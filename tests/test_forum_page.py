@@ -11,12 +11,13 @@ import pages
 import pytest
 from servers import serving
 
-from crowdbench import evaluation, power
-from crowdbench.cards import read_anchors
 from crowdbench.cli import main
+from crowdbench.evaluation import evaluate as evaluation
 from crowdbench.recordings import catalogue
 from crowdbench.recordings.catalogue import SOURCES
 from crowdbench.scene import load_scene
+from crowdbench.scoring import power
+from crowdbench.scoring.scorecard import read_anchors
 
 FPS = 9
 HOURS = (4, 5)

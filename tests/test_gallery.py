@@ -10,16 +10,17 @@ import numpy as np
 import pages
 import pytest
 
-from crowdbench import cli, gallery
+from crowdbench import cli
 from crowdbench.errors import CrowdbenchError, RecordingError, SettingError
-from crowdbench.figures.flows import CELL_M, DENSITY_PARTS, density, draw_flows
-from crowdbench.figures.ways import LEAST_PEOPLE, whole
-from crowdbench.gallery import FIGURES, with_areas, write_figures
-from crowdbench.reference import read_reference
 from crowdbench.registry import import_recording, recording_of
+from crowdbench.report.plots.flows import CELL_M, DENSITY_PARTS, density, draw_flows
+from crowdbench.report.plots.ways import LEAST_PEOPLE, whole
 from crowdbench.scene import load_scene
+from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn.areas import Gaussians, read_areas
-from crowdbench.tables import read_own
+from crowdbench.studies import gallery
+from crowdbench.studies.gallery import FIGURES, with_areas, write_figures
+from crowdbench.trajectories.storage import read_own
 
 PLAZA = load_scene("plaza-v0")
 AREAS = read_areas(PLAZA)
@@ -130,7 +131,7 @@ def test_density_is_where_people_of_an_area_are(folder: Path) -> None:
 
 
 def test_areas_that_get_no_map_are_counted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("crowdbench.figures.flows.MOST_AREAS", 3)
+    monkeypatch.setattr("crowdbench.report.plots.flows.MOST_AREAS", 3)
     crowds = [read_own(path) for path in rollouts(folder, "ntpp-gmm")]
     _, found = draw_flows(PLAZA, AREAS, crowds, None, "a crowd")
     assert found["spawn_areas_left_out"] == 1

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from crowdbench.errors import RecordingError
 from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.recordings.gc import read_gc
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 GC = SOURCES["gc"]
 Files = dict[str, bytes]

@@ -152,7 +152,7 @@ def test_scoring_a_table_loads_neither_torch_nor_the_simulation(tmp_path: Path) 
         "crowdbench.score('eth-v0', crowd)",
         cwd=tmp_path,
     )
-    assert "crowdbench.reference" in loaded
+    assert "crowdbench.scoring.reference" in loaded
     assert loaded & {"torch", "crowdbench.simulation"} == set()
 
 

@@ -16,7 +16,7 @@ from worlds import Person
 
 import crowdbench
 from crowdbench import Demonstrations, demonstrations, parallel_env
-from crowdbench.environment import CrowdParallelEnv
+from crowdbench.envs.parallel_env import CrowdParallelEnv
 from crowdbench.errors import ActionError, OutputError, SettingError
 from crowdbench.registry import import_recording
 

@@ -7,12 +7,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from crowdbench.cards import files_of
-from crowdbench.leaderboard.entry import SCHEMA, SCORER, Entry, read_entry
-from crowdbench.leaderboard.submission import open_submission
-from crowdbench.leaderboard.verify import verify
+from crowdbench.leaderboard.submission.submission import open_submission
+from crowdbench.leaderboard.verification.entry import SCHEMA, SCORER, Entry, read_entry
+from crowdbench.leaderboard.verification.verify import verify
 from crowdbench.registry import import_recording, trained_policies
 from crowdbench.scene import load_scene
+from crowdbench.scoring.scorecard import files_of
 
 ROOT = Path(__file__).parents[1] / "leaderboard"
 ENTRIES = sorted((ROOT / "entries").glob("*.json"))

@@ -7,15 +7,15 @@ import pytest
 from copier import JitteredBlocks
 from numpy.random import default_rng
 
-from crowdbench.leaderboard.copying import ArrivalCopies, LifeCopies, independent_limit
-from crowdbench.leaderboard.entry import Copy
-from crowdbench.leaderboard.flags import MARGIN, evenness, flags_of
-from crowdbench.plaza import PlazaArrivals
+from crowdbench.leaderboard.verification.copying import ArrivalCopies, LifeCopies, independent_limit
+from crowdbench.leaderboard.verification.entry import Copy
+from crowdbench.leaderboard.verification.flags import MARGIN, evenness, flags_of
 from crowdbench.registry import recording_of, spawn_model
+from crowdbench.rollouts.plaza import PlazaArrivals
 from crowdbench.scene import load_scene
-from crowdbench.scoring import FitEnergies, Score
+from crowdbench.scoring.energy import FitEnergies, Score
 from crowdbench.spawn import SpawnModel
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 PLAZA = load_scene("plaza-v0")
 CLEAN = Copy(arrivals=0.4, arrivals_limit=0.45, lives=0.0)

@@ -21,23 +21,18 @@ from PIL import Image
 
 from crowdbench.cli import main
 from crowdbench.errors import SettingError, WeightsError
-from crowdbench.leaderboard.declared import SCENES
-from crowdbench.leaderboard.entry import Curve, Entry, Flag, ScoreCard, read_entry
 from crowdbench.leaderboard.pages import build
 from crowdbench.leaderboard.pages.axis import NARROW, bar
 from crowdbench.leaderboard.pages.curves import figure
 from crowdbench.leaderboard.pages.entry_page import entry_page
 from crowdbench.leaderboard.pages.index import index_page
 from crowdbench.leaderboard.pages.readme import readme
+from crowdbench.leaderboard.pages.standings import TRACKS, View, scores, standing
 from crowdbench.leaderboard.pages.text import in_html, in_markdown, link
-from crowdbench.leaderboard.standings import (
-    TRACKS,
-    View,
-    scores,
-    standing,
-)
-from crowdbench.report.words import with_interval
-from crowdbench.scoring import RESAMPLES, combined, overall, ranks
+from crowdbench.leaderboard.submission.schema import SCENES
+from crowdbench.leaderboard.verification.entry import Curve, Entry, Flag, ScoreCard, read_entry
+from crowdbench.report.text.words import with_interval
+from crowdbench.scoring.energy import RESAMPLES, combined, overall, ranks
 
 HOSTILE = (
     "<script>document.title = 'ran'</script>",
@@ -561,7 +556,10 @@ def git(repository: Path, *arguments: str) -> None:
     ("changed", "told"),
     [
         (["leaderboard/submissions/mine/submission.toml"], ""),
-        (["leaderboard/submissions/mine/a", "crowdbench/scoring.py"], "Other files than those"),
+        (
+            ["leaderboard/submissions/mine/a", "crowdbench/scoring/energy.py"],
+            "Other files than those",
+        ),
         (["leaderboard/submissions/mine/a", ".github/workflows/leaderboard.yml"], "Other files"),
         (["leaderboard/submissions/mine/a", "leaderboard/entries/mine.json"], "Other files"),
         (["leaderboard/submissions/mine"], "Other files than those"),  # as a link would be

@@ -18,7 +18,7 @@ from worlds import (
 )
 
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.lidar import OBSERVATION, OBSERVATIONS
+from crowdbench.simulation.observations import OBSERVATION, OBSERVATIONS
 
 HEAD = OBSERVATIONS[OBSERVATION]
 

@@ -13,7 +13,7 @@ from crowdbench.errors import RecordingError, SettingError
 from crowdbench.recordings.mending import GAPS, Gaps, Stamps, on_frames
 from crowdbench.recordings.own import read_recording
 from crowdbench.registry import recording
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 OPTIONS = ["--format", "csv", "--dt-s", "0.4"]
 Printed = pytest.CaptureFixture[str]

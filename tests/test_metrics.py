@@ -32,7 +32,7 @@ from crowdbench.metrics import (
     metrics_for,
     total,
 )
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 NOBODY = nobody()
 FEW = settings(max_examples=15)

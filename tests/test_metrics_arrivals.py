@@ -5,7 +5,6 @@ import pytest
 from comparisons import nobody, sample, score, whole
 from strategies import crowd_of
 
-from crowdbench.blocks import cut
 from crowdbench.metrics import Place, total
 from crowdbench.metrics.arrivals import (
     FanoFactor10,
@@ -16,7 +15,8 @@ from crowdbench.metrics.arrivals import (
     burstiness,
     memory,
 )
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import cut
+from crowdbench.trajectories.table import Trajectories
 
 TEN = whole(10)
 TWENTY = whole(20, block_s=10.0)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from comparisons import sample
 
-from crowdbench.blocks import TimeBlocks, cut
 from crowdbench.metrics import (
     AgentsOverTime,
     ClosestApproach,
@@ -25,7 +24,8 @@ from crowdbench.metrics import (
 from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import fit_areas
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks, cut
+from crowdbench.trajectories.table import Trajectories
 
 
 @pytest.fixture(scope="module")

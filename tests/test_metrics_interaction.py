@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import crowd_of
 
-from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics import ClosestApproach, OverlapRate, Place, WallHits
 from crowdbench.metrics.interaction import touching
 from crowdbench.metrics.rows import nearest_neighbour_m, pairs_within
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.table import Trajectories
 
 BESIDE_M = 0.3
 

@@ -4,7 +4,7 @@ from comparisons import nobody, sample, score, whole
 from strategies import crowd_of
 
 from crowdbench.metrics import Detour, Dwell, GoalShare, OriginDestination, Place
-from crowdbench.trajectories import OUTCOMES, Trajectories
+from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
 TEN = whole(10)
 TWENTY = whole(20, block_s=10.0)

@@ -3,9 +3,9 @@ import pytest
 from comparisons import nobody, sample, score, whole
 from strategies import crowd_of
 
-from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics import Acceleration, Speed, Turning
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.table import Trajectories
 
 DT_S = 0.4
 MOTION = [Speed(), Acceleration(), Turning()]

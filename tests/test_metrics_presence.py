@@ -6,9 +6,9 @@ from comparisons import any_crowds, nobody, sample, score, whole
 from hypothesis import given
 from strategies import crowd_of, crowds
 
-from crowdbench.blocks import cut
 from crowdbench.metrics import AgentsOverTime, AgentsSpread, Autocorrelation, Place
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import cut
+from crowdbench.trajectories.table import Trajectories
 
 TEN = whole(10)
 PLACE = Place(spawn_areas=0, goal_areas=0, bounds_m=(0.0, 1.0, 0.0, 1.0))

@@ -4,10 +4,10 @@ from comparisons import BLOCKS, PLACE, any_crowds, nobody, sample, score, whole
 from hypothesis import given
 from strategies import crowd_of, later
 
-from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics import NearestNeighbour, Occupancy, Place
 from crowdbench.metrics.rows import nearest_neighbour_m, pairs_within
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.table import Trajectories
 
 THREE = whole(3)
 SQUARE = Place(spawn_areas=0, goal_areas=0, bounds_m=(0.0, 2.0, 0.0, 2.0))

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crowdbench.errors import WeightsError
-from crowdbench.names import names_of
+from crowdbench.report.display_names import names_of
 from crowdbench.scene import load_scene
 
 ETH = load_scene("eth-v0")

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from crowdbench.blocks import PARTS
-from crowdbench.leaderboard.entry import read_entry
-from crowdbench.leaderboard.starting import _parameters
+from crowdbench.leaderboard.submission.template import _parameters
+from crowdbench.leaderboard.verification.entry import read_entry
 from crowdbench.scene import list_scenes, load_scene
+from crowdbench.scene_building.spawn_diagnostics import Networks, trained_networks
 from crowdbench.spawn import NtppGMM
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.ntpp import SHAPES
-from crowdbench.spawn_check import Networks, trained_networks
+from crowdbench.trajectories.blocks import PARTS
 
 ROOT = Path(__file__).parents[1]
 SCENES = list_scenes()

@@ -8,10 +8,10 @@ import pytest
 
 import crowdbench
 from crowdbench.policies import PolicyCard
-from crowdbench.rollouts import settings_for
+from crowdbench.rollouts.rollout import settings_for
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings
-from crowdbench.simulation.lidar import OBSERVATION, OBSERVATIONS
+from crowdbench.simulation.observations import OBSERVATION, OBSERVATIONS
 
 SIZE = OBSERVATIONS[OBSERVATION] + 32
 
@@ -45,7 +45,7 @@ def test_everything_has_the_same_default_and_it_shows_the_preferred_speed() -> N
 
 
 def test_so_has_the_torchrl_view() -> None:
-    torchrl_env = pytest.importorskip("crowdbench.torchrl_env")
+    torchrl_env = pytest.importorskip("crowdbench.envs.torchrl_env")
     assert default_of(torchrl_env.CrowdEnv.__init__) == OBSERVATION
 
 
@@ -53,6 +53,6 @@ def test_so_has_the_stable_baselines_view() -> None:
     from conftest import need_imitation
 
     need_imitation()
-    from crowdbench.vec_env import LivesVecEnv
+    from crowdbench.envs.vec_env import LivesVecEnv
 
     assert default_of(LivesVecEnv.__init__) == OBSERVATION

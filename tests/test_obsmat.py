@@ -6,7 +6,7 @@ import pytest
 from crowdbench.errors import RecordingError
 from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.recordings.obsmat import read_obsmat
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 ETH = SOURCES["eth"]
 

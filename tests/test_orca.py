@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from worlds import FAR, Person, alive, box, events, poisson, ready, simulate, square, walked
 
 from baselines.orca import BODY_M, NUDGE_MPS, ORCA
-from crowdbench.episode import actions_of
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, StateView, Straight
 from crowdbench.registry import policy as named
-from crowdbench.rollouts import rollout
+from crowdbench.rollouts.episode import actions_of
+from crowdbench.rollouts.rollout import rollout
 from crowdbench.simulation import Settings, Simulation
 
 DT = 0.4

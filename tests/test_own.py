@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crowdbench.environment import parallel_env
+from crowdbench.envs.parallel_env import parallel_env
 from crowdbench.errors import ActionError, RecordingError, SettingError, WeightsError
-from crowdbench.evaluation import evaluate
-from crowdbench.reference import read_reference, score
+from crowdbench.evaluation.evaluate import evaluate
 from crowdbench.registry import policy, spawn_model
-from crowdbench.rollouts import rollout
+from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene
+from crowdbench.scoring.reference import read_reference, score
 from crowdbench.spawn.events import SpawnEvents, entering
-from crowdbench.tables import read
+from crowdbench.trajectories.storage import read
 
 PLAZA = load_scene("plaza-v0")
 

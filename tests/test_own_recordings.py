@@ -15,8 +15,8 @@ from crowdbench.recordings.convert import WRITERS
 from crowdbench.recordings.own import FORMATS, import_own, read_recording
 from crowdbench.recordings.timing import at_scene_frames
 from crowdbench.registry import recording
-from crowdbench.tables import write_parquet
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.storage import write_parquet
+from crowdbench.trajectories.table import Trajectories
 
 
 @pytest.fixture(scope="module")

@@ -7,16 +7,16 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from crowdbench.blocks import TimeBlocks
-from crowdbench.figures import Sight, panels
-from crowdbench.figures.sight import COLOURS, spawn_colours
 from crowdbench.metrics import Place
 from crowdbench.metrics.presence import AgentsOverTime
-from crowdbench.reference import Reference, read_reference
 from crowdbench.registry import COMPARED, policy, spawn_model
-from crowdbench.results.pictures import draw_pictures
-from crowdbench.rollouts import rollout
+from crowdbench.report.plots import Sight, panels
+from crowdbench.report.plots.sight import COLOURS, spawn_colours
+from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene
+from crowdbench.scoring.reference import Reference, read_reference
+from crowdbench.studies.results.pictures import draw_pictures
+from crowdbench.trajectories.blocks import TimeBlocks
 
 ETH = load_scene("eth-v0")
 

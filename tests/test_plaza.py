@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import shapely
 
-from crowdbench import plaza
-from crowdbench.blocks import cut
+from crowdbench.rollouts import plaza
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Arrivals, PoissonGMM, SpawnEvents, arrivals_of, fit_areas
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import cut
+from crowdbench.trajectories.table import Trajectories
 
 SCENE = load_scene("plaza-v0")
 TRUTH = plaza.PlazaArrivals(SCENE)

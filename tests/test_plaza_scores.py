@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from numpy.random import Generator
 
-from crowdbench.blocks import PARTS, TimeBlocks, cut
-from crowdbench.cards import Row, rows
-from crowdbench.evaluation import evaluate
+from crowdbench.evaluation.evaluate import evaluate
 from crowdbench.metrics import METRICS, Metric, Place, Statistics
-from crowdbench.plaza import PlazaArrivals
+from crowdbench.rollouts.plaza import PlazaArrivals
 from crowdbench.scene import load_scene
-from crowdbench.scoring import Draws, energy
+from crowdbench.scoring.energy import Draws, energy
+from crowdbench.scoring.scorecard import Row, rows
 from crowdbench.spawn import PoissonGMM, arrivals_of
 from crowdbench.spawn.areas import read_areas
-from crowdbench.trajectories import Trajectories, from_rows
+from crowdbench.trajectories.blocks import PARTS, TimeBlocks, cut
+from crowdbench.trajectories.table import Trajectories, from_rows
 
 PLAZA = load_scene("plaza-v0")
-TRUTH = "crowdbench.plaza:PlazaArrivals"
+TRUTH = "crowdbench.rollouts.plaza:PlazaArrivals"
 PLACE = Place(spawn_areas=4, goal_areas=4, bounds_m=(0.0, 30.0, 0.0, 20.0))
 ARRIVALS = [m for m in METRICS if m.family == "arrivals" and m.name != "fano_60_s"]
 FRAMES = 1500  # ten minutes
@@ -108,7 +108,7 @@ def held_out() -> dict[str, dict[str, float]]:
     models = ("truth", "permuted gaps", "poisson")
     scores: dict[str, dict[str, list[float]]] = {m: {} for m in models}
     with pytest.MonkeyPatch.context() as patch:  # the resamples are not looked at
-        patch.setattr("crowdbench.scoring.RESAMPLES", 1)
+        patch.setattr("crowdbench.scoring.energy.RESAMPLES", 1)
         for seed in range(12):
             y = crowd(*of_truth(np.random.default_rng([seed, 0])))
             blocks = cut(np.array([[0, FRAMES]]), block_s=60.0, dt_s=0.4, grid_s=0.4)

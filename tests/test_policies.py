@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from worlds import FAR, Person, box, events, ready, simulate, square, walked
 
-from crowdbench.episode import actions_of
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, Random, ReplayPolicy, SocialForce, StateView, Straight
 from crowdbench.policies.social_force import _repulsion, _wall_force
+from crowdbench.rollouts.episode import actions_of
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.trajectories import Trajectories, from_rows
+from crowdbench.trajectories.table import Trajectories, from_rows
 
 DT = 0.4
 OPEN = square()

@@ -13,8 +13,8 @@ from worlds import Person, square
 
 from baselines import ppo
 from crowdbench import Reward
+from crowdbench.envs.torchrl_env import CrowdEnv
 from crowdbench.policies import OnnxPolicy
-from crowdbench.torchrl_env import CrowdEnv
 
 GAMMA, LMBDA = 0.9, 0.8
 

@@ -7,13 +7,13 @@ import msgspec
 import pytest
 
 from crowdbench import __version__
-from crowdbench.cards import SCHEMA, Entry, Scorecard, read_anchors, rows
 from crowdbench.cli.printing import progress_bar
 from crowdbench.cli.scores import print_card, print_results
 from crowdbench.metrics import FAMILIES, MetricResult
-from crowdbench.report.words import interval, number
+from crowdbench.report.text.words import interval, number
 from crowdbench.scene import load_scene
-from crowdbench.scoring import RESAMPLES
+from crowdbench.scoring.energy import RESAMPLES
+from crowdbench.scoring.scorecard import SCHEMA, Entry, Scorecard, read_anchors, rows
 
 ETH = load_scene("eth-v0")
 ANCHORS = {(e.spawn, e.policy): e for e in read_anchors(ETH).protocols["full"].anchors}

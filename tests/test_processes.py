@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from crowdbench.errors import CrowdbenchError, SettingError, WorkerError
-from crowdbench.processes import call_each, checked_workers
+from crowdbench.evaluation.parallel import call_each, checked_workers
 
 TASKS = [(3, 4), (10, 1), (2, 2)]
 
@@ -153,7 +153,7 @@ def test_workers_see_the_callers_surroundings_but_for_threads(
 
 SCRIPT = """
 import math, sys
-from crowdbench.processes import call_each
+from crowdbench.evaluation.parallel import call_each
 
 print("run", flush=True)
 print(sorted(value for _, value in call_each(math.sqrt, [(4.0,), (9.0,)], 2)))
@@ -172,7 +172,7 @@ import sys
 from pathlib import Path
 from crowdbench.files import replacing
 from crowdbench.leftovers import swept, temporary_folder
-from crowdbench.processes import call_each
+from crowdbench.evaluation.parallel import call_each
 import test_processes
 
 folder = Path(sys.argv[1])

@@ -14,7 +14,7 @@ from servers import serving
 from submissions import FOLDS, fill_in, write_network
 
 from crowdbench.cli import main
-from crowdbench.leaderboard.entry import read_entry
+from crowdbench.leaderboard.verification.entry import read_entry
 from crowdbench.recordings.catalogue import SOURCES
 
 README = (Path(__file__).parents[1] / "README.md").read_text()

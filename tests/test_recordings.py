@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from strategies import crowd_of, differences
 
-from crowdbench.blocks import cut
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.recordings.catalogue import (
     SOURCES,
@@ -18,7 +17,8 @@ from crowdbench.recordings.describe import describe
 from crowdbench.recordings.gaps import observed_intervals
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Replay, arrivals_of
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import cut
+from crowdbench.trajectories.table import Trajectories
 
 
 @pytest.fixture(scope="module")

@@ -12,17 +12,17 @@ import pytest
 from msgspec import structs
 
 from crowdbench.errors import OutputError, RecordingError, SceneError, SettingError, WeightsError
-from crowdbench.fit import fit_scene
 from crowdbench.metrics import distance, metrics_for
 from crowdbench.policies import Random, Straight
 from crowdbench.recordings.catalogue import SOURCES, read_published
-from crowdbench.reference import Reference, place_of, read_reference, score, write_reference
 from crowdbench.registry import recording, spawn_model
-from crowdbench.rollouts import rollout
+from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Scene, load_scene
+from crowdbench.scene_building.fit import fit_scene
+from crowdbench.scoring.reference import Reference, place_of, read_reference, score, write_reference
 from crowdbench.spawn import fit_areas
 from crowdbench.spawn.areas import read_areas
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 ETH, PLAZA = load_scene("eth-v0"), load_scene("plaza-v0")
 FITTED = (

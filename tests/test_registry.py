@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from crowdbench.blocks import PARTS
 from crowdbench.cli import main
 from crowdbench.errors import RecordingError, SettingError, WeightsError
-from crowdbench.jobs import plan
+from crowdbench.evaluation.rollout_jobs import plan
 from crowdbench.policies import ReplayPolicy
 from crowdbench.recordings.catalogue import cached
 from crowdbench.registry import (
@@ -26,8 +25,9 @@ from crowdbench.registry import (
 )
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Replay
-from crowdbench.tables import write_parquet
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.storage import write_parquet
+from crowdbench.trajectories.table import Trajectories
 
 PLAZA = load_scene("plaza-v0")
 

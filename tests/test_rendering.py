@@ -18,11 +18,11 @@ from pettingzoo.utils import BaseParallelWrapper, parallel_to_aec
 from rrds import entities, forget_types, rows
 from worlds import Person, box, square
 
-from crowdbench.environment import CrowdParallelEnv, parallel_env
+from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
 from crowdbench.errors import ActionError, SettingError
-from crowdbench.figures.sight import goal_colour
+from crowdbench.report.plots.sight import goal_colour
 from crowdbench.scene import load_scene
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 from crowdbench.viewer import access
 from crowdbench.viewer.place import rgb
 

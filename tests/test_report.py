@@ -15,16 +15,16 @@ from conftest import need
 from PIL import Image
 
 from crowdbench import __version__
-from crowdbench.cards import SCHEMA, Entry, Scorecard, read_anchors, rows
-from crowdbench.figures import Crowds
 from crowdbench.metrics import METRICS
-from crowdbench.reference import read_reference
 from crowdbench.registry import policy, spawn_model
-from crowdbench.report import write_report
-from crowdbench.report.words import plainly
-from crowdbench.rollouts import rollout
+from crowdbench.report.html import write_report
+from crowdbench.report.plots import Crowds
+from crowdbench.report.text.words import plainly
+from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene
-from crowdbench.scoring import RESAMPLES
+from crowdbench.scoring.energy import RESAMPLES
+from crowdbench.scoring.reference import read_reference
+from crowdbench.scoring.scorecard import SCHEMA, Entry, Scorecard, read_anchors, rows
 
 ETH = load_scene("eth-v0")
 REFERENCE = read_reference(ETH)

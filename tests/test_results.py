@@ -9,20 +9,29 @@ import numpy as np
 import pages
 import pytest
 
-from crowdbench import __version__, cli, evaluation
-from crowdbench.cards import SCHEMA, Entry, Protocol, Scorecard, read_anchors, read_scorecard, rows
-from crowdbench.figures import FIGURES
+from crowdbench import __version__, cli
+from crowdbench.evaluation import evaluate as evaluation
 from crowdbench.metrics import METRICS
-from crowdbench.reference import read_reference
 from crowdbench.registry import import_recording
-from crowdbench.report.words import plainly, with_interval
-from crowdbench.results.correlations import Lag, at_lags
-from crowdbench.results.misses import QUANTITIES
-from crowdbench.results.page import of_recording, page
-from crowdbench.results.pictures import Picture
+from crowdbench.report.plots import FIGURES
+from crowdbench.report.text.words import plainly, with_interval
 from crowdbench.scene import Scene, load_scene
-from crowdbench.scoring import RESAMPLES
-from crowdbench.tables import read_own
+from crowdbench.scoring.energy import RESAMPLES
+from crowdbench.scoring.reference import read_reference
+from crowdbench.scoring.scorecard import (
+    SCHEMA,
+    Entry,
+    Protocol,
+    Scorecard,
+    read_anchors,
+    read_scorecard,
+    rows,
+)
+from crowdbench.studies.results.correlations import Lag, at_lags
+from crowdbench.studies.results.misses import QUANTITIES
+from crowdbench.studies.results.page import of_recording, page
+from crowdbench.studies.results.pictures import Picture
+from crowdbench.trajectories.storage import read_own
 
 PLAZA = load_scene("plaza-v0")
 REFERENCE = read_reference(PLAZA)

@@ -7,9 +7,9 @@ import pytest
 from given import env_of, run, stand
 from worlds import Person, box, square
 
-from crowdbench.environment import CrowdParallelEnv
+from crowdbench.envs.parallel_env import CrowdParallelEnv
 from crowdbench.errors import SettingError
-from crowdbench.rewards import PARTS, Reward
+from crowdbench.simulation.reward import PARTS, Reward
 
 STEP_S = 0.4
 

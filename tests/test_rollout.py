@@ -9,14 +9,14 @@ import shapely
 from worlds import box, poisson, square
 
 from crowdbench.errors import CapacityError, SettingError
+from crowdbench.evaluation.replay_check import compare_replay
 from crowdbench.policies import Policy, Random, ReplayPolicy, SocialForce, Straight
 from crowdbench.recordings.catalogue import SOURCES, import_recording, read_published
-from crowdbench.replay_check import compare_replay
-from crowdbench.rollouts import rollout
+from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.simulation import Settings
 from crowdbench.spawn import Replay
-from crowdbench.trajectories import OUTCOMES, Trajectories
+from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
 DT = 0.4
 HALL = square(8.0, box(-1, 2, 1, 3), dwell_p99_s=20.0)

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import dijkstra
 from worlds import FAR, Person, Point, box, events, square
 
-from crowdbench.episode import actions_of
 from crowdbench.errors import SettingError
 from crowdbench.policies import SocialForce, StateView, Straight
 from crowdbench.registry import spawn_model
+from crowdbench.rollouts.episode import actions_of
 from crowdbench.scene import Scene, list_scenes, load_scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.lidar import GOAL_RANGE_M
+from crowdbench.simulation.observations import GOAL_RANGE_M
 from crowdbench.simulation.routes import Routes
 from crowdbench.simulation.state import GOAL, HORIZON
 

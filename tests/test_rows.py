@@ -16,11 +16,11 @@ from crowdbench import rollout, spawn_model
 from crowdbench.cli import main
 from crowdbench.errors import WeightsError
 from crowdbench.files import sha256
-from crowdbench.leaderboard.submission import open_submission
+from crowdbench.leaderboard.submission.submission import open_submission
 from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy
 from crowdbench.policies.rows import SIZES, TOLERANCE, Watch, too_many
-from crowdbench.rollouts import MAX_ALIVE
+from crowdbench.rollouts.rollout import MAX_ALIVE
 from crowdbench.scene import list_scenes, load_scene
 
 PLAZA = load_scene("plaza-v0")

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from crowdbench.errors import CrowdbenchError
-from crowdbench.leaderboard.problems import SubmissionError
-from crowdbench.leaderboard.sandbox import Limits, SandboxError, call
+from crowdbench.leaderboard.sandbox.parent import Limits, SandboxError, call
+from crowdbench.leaderboard.submission.errors import SubmissionError
 
 NARROW = Limits(
     memory_bytes=2**29, wall_s=20.0, cpu_s=10, file_bytes=2**24, open_files=64, processes=16
@@ -88,7 +88,7 @@ def test_it_ends_with_a_verifier_that_is_killed(tmp_path: Path) -> None:
     verifying = (
         f"call('hostile:hang_by_name', {{'note': '{note}'}}, object, where='', limits=Limits())"
     )
-    script = f"from crowdbench.leaderboard.sandbox import Limits, call; {verifying}"
+    script = f"from crowdbench.leaderboard.sandbox.parent import Limits, call; {verifying}"
     with subprocess.Popen([sys.executable, "-c", script]) as verifier:
         soon = time.monotonic() + 30
         while not note.exists() and time.monotonic() < soon:

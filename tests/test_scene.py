@@ -12,7 +12,7 @@ from crowdbench.errors import SceneError
 from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.scene import Scene, list_scenes, load_scene, scenes_folder
 from crowdbench.spawn import Replay
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 ETH_TOML = (scenes_folder() / "eth-v0" / "scene.toml").read_text()
 

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.distance import cdist
 
-from crowdbench.blocks import TimeBlocks, cut
 from crowdbench.metrics import METRICS, AgentsOverTime, Autocorrelation, FanoFactor10, Statistics
-from crowdbench.scoring import (
+from crowdbench.scoring.energy import (
     RESAMPLES,
     Draws,
     Energy,
@@ -26,7 +25,8 @@ from crowdbench.scoring import (
     ranks,
     score_of,
 )
-from crowdbench.scoring_kernel import l1_distances
+from crowdbench.scoring.l1_kernel import l1_distances
+from crowdbench.trajectories.blocks import TimeBlocks, cut
 
 N = AgentsOverTime()
 
@@ -141,7 +141,7 @@ def test_the_floor_of_a_fold_is_the_true_process_s_energy_score():
     of_floor = FloorDraws.of(everyone[0][1], everyone)
     floors, truth = [], []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("crowdbench.scoring.RESAMPLES", 1)
+        patch.setattr("crowdbench.scoring.energy.RESAMPLES", 1)
         for _ in range(150):
             y, x = (crowd_like(rng, 18, 2.0, 18.0) for _ in range(2))
             in_fold = {"counts": y["counts"][fold]}
@@ -224,7 +224,7 @@ def test_the_energy_score_prefers_the_truth_where_the_plain_distance_does_not():
 
     recordings = [crowd_like(rng, 4, 2.0, 18.0) for _ in range(60)]
     with pytest.MonkeyPatch.context() as patch:  # the resamples are not looked at
-        patch.setattr("crowdbench.scoring.RESAMPLES", 1)
+        patch.setattr("crowdbench.scoring.energy.RESAMPLES", 1)
         true_plain, true_proper = scores(2.0, 18.0)
         narrow_plain, narrow_proper = scores(7.0, 13.0)
     assert narrow_plain < true_plain

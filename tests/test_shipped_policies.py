@@ -3,10 +3,10 @@
 import pytest
 
 from crowdbench import list_scenes, load_scene, rollout, spawn_model
-from crowdbench.blocks import PARTS
 from crowdbench.policies import OnnxPolicy
 from crowdbench.registry import policy, trained_policies
-from crowdbench.trajectories import OUTCOMES
+from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.table import OUTCOMES
 
 SHIPPED = [(scene, name) for scene in list_scenes() for name in trained_policies(load_scene(scene))]
 

@@ -7,7 +7,7 @@ import pytest
 from crowdbench.cli import main
 from crowdbench.registry import FITTED
 from crowdbench.scene import load_scene
-from crowdbench.spawn_check import Checked, check_models
+from crowdbench.scene_building.spawn_diagnostics import Checked, check_models
 
 
 @pytest.fixture(scope="module")

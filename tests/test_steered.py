@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from models import AREAS, GRID_S, poisson, random_ntpp, renewal
 
-from crowdbench.episode import arrivals, warm_up_s
 from crowdbench.errors import SettingError
+from crowdbench.rollouts.episode import arrivals, warm_up_s
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Addition, Arrivals, Change, Scenario, SpawnEvents, SpawnModel, Steered
 from crowdbench.spawn.groups import HasHazards

@@ -9,11 +9,11 @@ import pytest
 from PIL import Image
 
 import crowdbench
-from crowdbench.cards import may_rank, read_scorecard
 from crowdbench.cli import main
-from crowdbench.jobs import plan
+from crowdbench.evaluation.rollout_jobs import plan
 from crowdbench.scene import load_scene
-from crowdbench.steering import Steering, area_changes, goal_changes, steering
+from crowdbench.scoring.scorecard import may_rank, read_scorecard
+from crowdbench.studies.steering import Steering, area_changes, goal_changes, steering
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = (DOCS / "steering.md").read_text()

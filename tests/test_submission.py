@@ -26,14 +26,14 @@ from submissions import (
 )
 
 from crowdbench import rollout
-from crowdbench.blocks import PARTS
-from crowdbench.leaderboard.declaration import _EXPECTED
-from crowdbench.leaderboard.declared import Declared, Trained
-from crowdbench.leaderboard.limits import LARGEST_DECLARATION, MOST_FILES, MOST_SHOWN
-from crowdbench.leaderboard.problems import RefusedError, SubmissionError
-from crowdbench.leaderboard.submission import open_submission, slug
+from crowdbench.leaderboard.submission.errors import RefusedError, SubmissionError
+from crowdbench.leaderboard.submission.limits import LARGEST_DECLARATION, MOST_FILES, MOST_SHOWN
+from crowdbench.leaderboard.submission.parse import _EXPECTED
+from crowdbench.leaderboard.submission.schema import Declared, Trained
+from crowdbench.leaderboard.submission.submission import open_submission, slug
 from crowdbench.registry import WEIGHTS, policy, spawn_model
-from crowdbench.tables import write_parquet
+from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.storage import write_parquet
 
 
 @pytest.fixture

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from submissions import walk_submission
 
 from crowdbench.errors import OutputError
-from crowdbench.leaderboard import archive
-from crowdbench.leaderboard.archive import unpack, wrong_name
-from crowdbench.leaderboard.limits import LARGEST_SUBMISSION, LONGEST_PATH, MOST_FILES
-from crowdbench.leaderboard.problems import SubmissionError
-from crowdbench.leaderboard.submission import open_submission, pack_submission
+from crowdbench.leaderboard.submission import archive
+from crowdbench.leaderboard.submission.archive import unpack, wrong_name
+from crowdbench.leaderboard.submission.errors import SubmissionError
+from crowdbench.leaderboard.submission.limits import LARGEST_SUBMISSION, LONGEST_PATH, MOST_FILES
+from crowdbench.leaderboard.submission.submission import open_submission, pack_submission
 
 
 @pytest.fixture

@@ -12,15 +12,15 @@ from submissions import PLAZA, crowd, declare, listed_submission, problem, refus
 
 from crowdbench import rollout
 from crowdbench.errors import RecordingError
-from crowdbench.leaderboard import untrusted
-from crowdbench.leaderboard.crowds import DROPPED, broken_rules, undeclared_drops
-from crowdbench.leaderboard.limits import MOST_COLUMNS, MOST_PERSONS, MOST_ROWS
-from crowdbench.leaderboard.submission import open_submission
-from crowdbench.leaderboard.untrusted import read_table
+from crowdbench.leaderboard.submission import untrusted
+from crowdbench.leaderboard.submission.limits import MOST_COLUMNS, MOST_PERSONS, MOST_ROWS
+from crowdbench.leaderboard.submission.submission import open_submission
+from crowdbench.leaderboard.submission.trajectories import DROPPED, broken_rules, undeclared_drops
+from crowdbench.leaderboard.submission.untrusted import read_table
 from crowdbench.registry import policy, recording, spawn_model
 from crowdbench.spawn.areas import read_areas
-from crowdbench.tables import write_csv, write_parquet
-from crowdbench.trajectories import OUTCOMES, Trajectories
+from crowdbench.trajectories.storage import write_csv, write_parquet
+from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
 AREAS = read_areas(PLAZA)
 ROWS = 20 * 55

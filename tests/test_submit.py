@@ -16,9 +16,9 @@ from submissions import (
 )
 
 from crowdbench.cli import main
-from crowdbench.leaderboard.checked import LIMITS, check
-from crowdbench.leaderboard.sandbox import SandboxError
-from crowdbench.leaderboard.submission import open_submission
+from crowdbench.leaderboard.sandbox.parent import SandboxError
+from crowdbench.leaderboard.submission.submission import open_submission
+from crowdbench.leaderboard.verification.check import LIMITS, check
 from crowdbench.registry import WEIGHTS
 
 Printed = pytest.CaptureFixture[str]

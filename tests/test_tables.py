@@ -13,8 +13,8 @@ from strategies import crowd_of, crowds, differences
 from crowdbench import errors
 from crowdbench.errors import CrowdbenchError, OutputError, RecordingError
 from crowdbench.files import replacing, write_json, write_text
-from crowdbench.tables import read, read_own, write_parquet
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.storage import read, read_own, write_parquet
+from crowdbench.trajectories.table import Trajectories
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ from torchrl.envs.utils import check_env_specs, step_mdp
 from worlds import Person, square
 
 import crowdbench
+from crowdbench.envs.torchrl_env import CrowdEnv
 from crowdbench.errors import CapacityError, SettingError
-from crowdbench.rewards import PARTS
-from crowdbench.torchrl_env import CrowdEnv
+from crowdbench.simulation.reward import PARTS
 
 
 @pytest.mark.parametrize("observation", ["lidar-1", "lidar-2", "lidar-3"])

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from strategies import crowd_of, crowds, differences, reordered
 
 from crowdbench.errors import RecordingError
-from crowdbench.trajectories import PERSON_COLUMNS, Trajectories, from_rows
+from crowdbench.trajectories.table import PERSON_COLUMNS, Trajectories, from_rows
 
 
 def rows(person_id: list[int], frame: list[int], xy: list, **further: object) -> Trajectories:

@@ -12,10 +12,10 @@ from stable_baselines3.common.vec_env import VecMonitor  # noqa: E402
 from worlds import Person, square  # noqa: E402
 
 import crowdbench  # noqa: E402
+from crowdbench.envs.vec_env import LivesVecEnv  # noqa: E402
 from crowdbench.errors import ActionError, CapacityError, SettingError  # noqa: E402
 from crowdbench.policies import Random  # noqa: E402
-from crowdbench.simulation.lidar import GOAL_RANGE_M  # noqa: E402
-from crowdbench.vec_env import LivesVecEnv  # noqa: E402
+from crowdbench.simulation.observations import GOAL_RANGE_M  # noqa: E402
 
 EAST = [1.0, 0.0]
 

@@ -15,19 +15,19 @@ from submissions import edit
 from crowdbench.cli import main
 from crowdbench.errors import OutputError, RecordingError
 from crowdbench.files import write_json
-from crowdbench.leaderboard.entry import Entry, read_entry
-from crowdbench.leaderboard.judge import make_entry
-from crowdbench.leaderboard.problems import SubmissionError
-from crowdbench.leaderboard.sandbox import Limits, Ran, SandboxError
-from crowdbench.leaderboard.submission import Submission
-from crowdbench.leaderboard.verify import verify
+from crowdbench.leaderboard.sandbox.parent import Limits, Ran, SandboxError
+from crowdbench.leaderboard.submission.errors import SubmissionError
+from crowdbench.leaderboard.submission.submission import Submission
+from crowdbench.leaderboard.verification.entry import Entry, read_entry
+from crowdbench.leaderboard.verification.judge import make_entry
+from crowdbench.leaderboard.verification.verify import verify
 from crowdbench.policies import Straight
 from crowdbench.registry import import_recording
-from crowdbench.rollouts import rollout
+from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene
-from crowdbench.scoring import LOWEST
-from crowdbench.tables import write_parquet
-from crowdbench.trajectories import Trajectories
+from crowdbench.scoring.energy import LOWEST
+from crowdbench.trajectories.storage import write_parquet
+from crowdbench.trajectories.table import Trajectories
 
 PLAZA = load_scene("plaza-v0")
 
@@ -271,7 +271,9 @@ def test_an_answer_that_would_be_written_elsewhere_is_refused(
     walked: tuple[Path, Entry], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     forged = msgspec.structs.replace(walked[1], id="../elsewhere")
-    monkeypatch.setattr("crowdbench.leaderboard.verify.call", lambda *a, **k: (forged, None))
+    monkeypatch.setattr(
+        "crowdbench.leaderboard.verification.verify.call", lambda *a, **k: (forged, None)
+    )
     with pytest.raises(SandboxError, match="an answer with an id or a scene of other letters"):
         verify(walked[0] / "mine", tmp_path / "out")
     assert not (tmp_path / "elsewhere.json").exists()
@@ -282,7 +284,9 @@ def test_an_answer_of_anothers_id_is_refused(
 ) -> None:
     forged = msgspec.structs.replace(walked[1], id="orca")
     ran = Ran(wall_s=1.0, cpu_s=1.0, peak_bytes=1, network="none")
-    monkeypatch.setattr("crowdbench.leaderboard.verify.call", lambda *a, **k: (forged, ran))
+    monkeypatch.setattr(
+        "crowdbench.leaderboard.verification.verify.call", lambda *a, **k: (forged, ran)
+    )
     with pytest.raises(SandboxError, match="expected its own, mine-v2"):
         verify(walked[0] / "mine", tmp_path / "out")
     assert not (tmp_path / "out").exists()

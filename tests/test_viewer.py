@@ -28,16 +28,16 @@ from rrds import always, entities, forget_types, rerun, rows
 from worlds import box, square
 
 from crowdbench.cli import main
-from crowdbench.environment import parallel_env
+from crowdbench.envs.parallel_env import parallel_env
 from crowdbench.errors import OutputError, SettingError
-from crowdbench.figures.sight import goal_colour
 from crowdbench.policies import Straight
 from crowdbench.registry import spawn_model
-from crowdbench.rollouts import rollout
+from crowdbench.report.plots.sight import goal_colour
+from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.simulation import Settings
-from crowdbench.tables import read_own, write_parquet
-from crowdbench.trajectories import OUTCOMES, Trajectories, from_rows
+from crowdbench.trajectories.storage import read_own, write_parquet
+from crowdbench.trajectories.table import OUTCOMES, Trajectories, from_rows
 from crowdbench.viewer import access, check_screen, save
 from crowdbench.viewer.chosen import ray_lengths
 from crowdbench.viewer.place import UNKNOWN, dashes, hatching, rgb

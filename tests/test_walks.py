@@ -7,14 +7,15 @@ import msgspec
 import pages
 import pytest
 
-from crowdbench import cli, evaluation
-from crowdbench.cards import SCHEMA, Scorecard, read_anchors
+from crowdbench import cli
 from crowdbench.errors import RecordingError, SettingError
+from crowdbench.evaluation import evaluate as evaluation
 from crowdbench.registry import import_recording, recording_of
 from crowdbench.scene import load_scene
-from crowdbench.scoring import RESAMPLES
-from crowdbench.walks import RecordedPaths, write_walks
-from crowdbench.walks.page import Walked, scores
+from crowdbench.scoring.energy import RESAMPLES
+from crowdbench.scoring.scorecard import SCHEMA, Scorecard, read_anchors
+from crowdbench.studies.walks import RecordedPaths, write_walks
+from crowdbench.studies.walks.page import Walked, scores
 
 PLAZA = load_scene("plaza-v0")
 ORCA = "baselines.orca:ORCA"  # as asked for; shown as `orca`

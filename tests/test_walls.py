@@ -19,7 +19,7 @@ from worlds import (
 
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.lidar import OBSERVATION, OBSERVATIONS
+from crowdbench.simulation.observations import OBSERVATION, OBSERVATIONS
 from crowdbench.simulation.rules import crossing, walk
 
 HEAD = OBSERVATIONS[OBSERVATION]

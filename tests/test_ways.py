@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from crowdbench.figures.ways import (
+from crowdbench.report.plots.ways import (
     FRACTIONS,
     by_fraction,
     common_ways,
@@ -18,7 +18,7 @@ from crowdbench.figures.ways import (
     sides,
     walking,
 )
-from crowdbench.trajectories import OUTCOMES, Trajectories, from_rows
+from crowdbench.trajectories.table import OUTCOMES, Trajectories, from_rows
 
 
 def drawn(*ways: tuple[int, int]) -> Trajectories:

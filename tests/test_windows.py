@@ -10,10 +10,10 @@ from models import AREAS
 from strategies import crowd_of
 
 from crowdbench.errors import RecordingError
-from crowdbench.figures.situations import draw_situations, search
-from crowdbench.figures.windows import GROUP_S, Windows, situations
+from crowdbench.report.plots.situations import draw_situations, search
+from crowdbench.report.plots.windows import GROUP_S, Windows, situations
 from crowdbench.scene import load_scene
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 FRAMES = 500
 WINDOW = 50

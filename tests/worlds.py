@@ -6,8 +6,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from msgspec import structs
 
-from crowdbench.episode import actions_of
 from crowdbench.policies import Policy
+from crowdbench.rollouts.episode import actions_of
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn import Areas, PoissonGMM, SpawnEvents

@@ -27,7 +27,7 @@ from crowdbench.cli import (
     viewing,
 )
 from crowdbench.errors import CrowdbenchError
-from crowdbench.processes import Stopped, stopping_in_order
+from crowdbench.evaluation.parallel import Stopped, stopping_in_order
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

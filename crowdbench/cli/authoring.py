@@ -13,7 +13,7 @@ from crowdbench.cli.printing import new_console, new_table, print_facts, progres
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
-    from crowdbench.jobs import Progress
+    from crowdbench.evaluation.rollout_jobs import Progress
 
 
 def add(commands: "Commands") -> None:
@@ -72,8 +72,8 @@ def _timed(what: str) -> "Iterator[Progress]":
 
 
 def _create(asked: argparse.Namespace) -> None:
-    from crowdbench.authoring import create_scene
     from crowdbench.recordings.describe import describe
+    from crowdbench.scene_building import create_scene
 
     created = create_scene(
         asked.name,
@@ -102,8 +102,8 @@ def _create(asked: argparse.Namespace) -> None:
 
 
 def _check(asked: argparse.Namespace) -> None:
-    from crowdbench.authoring import check_scene
     from crowdbench.errors import SceneError
+    from crowdbench.scene_building import check_scene
 
     findings = list(check_scene(asked.scene))
     table = new_table("part", "state")

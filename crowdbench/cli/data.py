@@ -15,7 +15,7 @@ from crowdbench.cli.printing import (
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
-    from crowdbench.trajectories import Trajectories
+    from crowdbench.trajectories.table import Trajectories
 
 GAPS = ("interpolate", "split")
 FORMATS = ("obsmat", "gc", "forum", "csv", "trajnet", "jupedsim")

@@ -47,7 +47,7 @@ def add(commands: "Commands") -> None:
 
 
 def _figures(asked: argparse.Namespace) -> None:
-    from crowdbench.gallery import FIGURES, write_figures
+    from crowdbench.studies.gallery import FIGURES, write_figures
 
     with progress_bar("rollouts") as progress:
         made = write_figures(

@@ -11,9 +11,9 @@ from crowdbench.cli.printing import print_facts, progress_bar
 from crowdbench.cli.scores import print_card, print_results
 
 if TYPE_CHECKING:
-    from crowdbench.cards import Scorecard
     from crowdbench.cli.printing import Commands
-    from crowdbench.trajectories import Trajectories
+    from crowdbench.scoring.scorecard import Scorecard
+    from crowdbench.trajectories.table import Trajectories
 
 
 def add(commands: "Commands") -> None:
@@ -76,7 +76,7 @@ def add(commands: "Commands") -> None:
 
 
 def _evaluate(asked: argparse.Namespace) -> None:
-    from crowdbench.evaluation import evaluate
+    from crowdbench.evaluation.evaluate import evaluate
     from crowdbench.scene import load_scene
 
     sys.path.insert(0, os.getcwd())  # one's own pkg.module:Class may lie beside
@@ -107,10 +107,10 @@ def _evaluate(asked: argparse.Namespace) -> None:
 
 def _print_replay(scene: str, out: Path) -> None:
     """Say where the replay differs from the recording, and what the arrival rule would change."""
+    from crowdbench.evaluation.replay_check import arrival_rule_changes, compare_replay
     from crowdbench.registry import recording_of
-    from crowdbench.replay_check import arrival_rule_changes, compare_replay
     from crowdbench.scene import load_scene
-    from crowdbench.tables import read_own
+    from crowdbench.trajectories.storage import read_own
 
     place = load_scene(scene)
     recording = recording_of(place)
@@ -124,7 +124,7 @@ def _show_first(card: "Scorecard", named: str, out: Path) -> None:
     """Show the first rollout of each pair beside the recording, where that is at hand."""
     from crowdbench.registry import has_recording, recording_of
     from crowdbench.scene import load_scene
-    from crowdbench.tables import read_own
+    from crowdbench.trajectories.storage import read_own
     from crowdbench.viewer import show
 
     scene = load_scene(named)
@@ -138,9 +138,9 @@ def _show_first(card: "Scorecard", named: str, out: Path) -> None:
 
 
 def _score(asked: argparse.Namespace) -> None:
-    from crowdbench.reference import score
     from crowdbench.scene import load_scene
-    from crowdbench.tables import read
+    from crowdbench.scoring.reference import score
+    from crowdbench.trajectories.storage import read
 
     scene = load_scene(asked.scene)
     crowd = read(asked.table, scene=scene.id, dt_s=scene.dt_s)

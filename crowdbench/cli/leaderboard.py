@@ -11,9 +11,9 @@ from crowdbench.errors import CrowdbenchError, SettingError
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
-    from crowdbench.jobs import Progress
-    from crowdbench.leaderboard.entry import Entry
-    from crowdbench.leaderboard.sandbox import Limits
+    from crowdbench.evaluation.rollout_jobs import Progress
+    from crowdbench.leaderboard.sandbox.parent import Limits
+    from crowdbench.leaderboard.verification.entry import Entry
 
 Named = TypeVar("Named", Path, str)
 
@@ -88,7 +88,7 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
 
 
 def _limits(asked: argparse.Namespace) -> "Limits":
-    from crowdbench.leaderboard.sandbox import Limits
+    from crowdbench.leaderboard.sandbox.parent import Limits
 
     for name in ("hours", "memory_gib"):
         if not 0 < getattr(asked, name) < 1e6:
@@ -99,7 +99,7 @@ def _limits(asked: argparse.Namespace) -> "Limits":
 
 
 def _verify(asked: argparse.Namespace) -> None:
-    from crowdbench.leaderboard.verify import verify
+    from crowdbench.leaderboard.verification.verify import verify
 
     limits = _limits(asked)
 
@@ -125,7 +125,7 @@ def _verify(asked: argparse.Namespace) -> None:
 
 def _build(asked: argparse.Namespace) -> None:
     from crowdbench.leaderboard.pages import build
-    from crowdbench.leaderboard.standings import entry_paths
+    from crowdbench.leaderboard.pages.standings import entry_paths
 
     written = build(asked.root)
     entries = len(entry_paths(asked.root / "entries"))
@@ -136,7 +136,7 @@ def _build(asked: argparse.Namespace) -> None:
 
 
 def _rescore(asked: argparse.Namespace) -> None:
-    from crowdbench.leaderboard.rescore import entry_ids, rescore
+    from crowdbench.leaderboard.verification.rescore import entry_ids, rescore
 
     limits = _limits(asked)
 
@@ -183,10 +183,10 @@ def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> 
 
 
 def _print_entry(entry: "Entry") -> None:
-    from crowdbench.leaderboard.problems import plain
-    from crowdbench.leaderboard.standings import View, scores
+    from crowdbench.leaderboard.pages.standings import View, scores
+    from crowdbench.leaderboard.submission.errors import plain
     from crowdbench.metrics import FAMILIES
-    from crowdbench.report.words import interval, number
+    from crowdbench.report.text.words import interval, number
 
     families = [f for f in FAMILIES if any(f in s.families for s in entry.scenes.values())]
     copies = ("copied arrivals", "copied lives")

@@ -120,9 +120,9 @@ def add(commands: "Commands") -> None:
 
 
 def _fit(asked: argparse.Namespace) -> None:
-    from crowdbench.fit import fit_scene
     from crowdbench.registry import recording
     from crowdbench.scene import load_scene
+    from crowdbench.scene_building.fit import fit_scene
 
     scene = load_scene(asked.scene)
     crowd = recording(scene.recording.name)
@@ -142,8 +142,8 @@ def _fit(asked: argparse.Namespace) -> None:
 
 def _spawn(asked: argparse.Namespace) -> None:
     from crowdbench.scene import load_scene
+    from crowdbench.scene_building.spawn_diagnostics import check_models, trained_networks
     from crowdbench.spawn.rescaling import KolmogorovSmirnov
-    from crowdbench.spawn_check import check_models, trained_networks
 
     def ks(found: KolmogorovSmirnov | None) -> str:
         return "" if found is None else f"{found.statistic:.3f} ({found.p:.2g})"
@@ -180,10 +180,10 @@ def _spawn(asked: argparse.Namespace) -> None:
 
 
 def _anchors(asked: argparse.Namespace) -> None:
-    from crowdbench.cards import write_anchors
-    from crowdbench.evaluation import make_anchors
+    from crowdbench.evaluation.evaluate import make_anchors
     from crowdbench.leftovers import temporary_folder
     from crowdbench.scene import load_scene
+    from crowdbench.scoring.scorecard import write_anchors
 
     scene = load_scene(asked.scene)
     with temporary_folder("anchors") as folder, progress_bar("rollouts") as progress:
@@ -192,7 +192,7 @@ def _anchors(asked: argparse.Namespace) -> None:
 
 
 def _power(asked: argparse.Namespace) -> None:
-    from crowdbench.evaluation import power_study
+    from crowdbench.evaluation.evaluate import power_study
     from crowdbench.leftovers import temporary_folder
     from crowdbench.scene import load_scene, write_scored
 
@@ -222,7 +222,7 @@ def _power(asked: argparse.Namespace) -> None:
 
 
 def _results(asked: argparse.Namespace) -> None:
-    from crowdbench.results import write_results
+    from crowdbench.studies.results import write_results
 
     with progress_bar("rollouts") as progress:
         page = write_results(
@@ -236,7 +236,7 @@ def _results(asked: argparse.Namespace) -> None:
 
 
 def _walks(asked: argparse.Namespace) -> None:
-    from crowdbench.walks import write_walks
+    from crowdbench.studies.walks import write_walks
 
     with progress_bar("rollouts") as progress:
         page = write_walks(
@@ -251,7 +251,7 @@ def _walks(asked: argparse.Namespace) -> None:
 
 
 def _ablation(asked: argparse.Namespace) -> None:
-    from crowdbench.ablation import write_ablation
+    from crowdbench.studies.ablation import write_ablation
 
     with progress_bar("fits") as progress:
         page = write_ablation(asked.scene, out=asked.out, workers=asked.workers, progress=progress)

@@ -60,7 +60,7 @@ def _export(asked: argparse.Namespace) -> None:
     from crowdbench.policies import PolicyCard
     from crowdbench.policies.export import export_policy, revision
     from crowdbench.scene import load_scene
-    from crowdbench.simulation.lidar import OBSERVATION
+    from crowdbench.simulation.observations import OBSERVATION
 
     card = PolicyCard(
         name=asked.name,

@@ -9,10 +9,10 @@ from crowdbench.cli.printing import new_console, new_table, print_fitting, print
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from crowdbench.cards import Entry, Row, Scorecard
     from crowdbench.metrics import MetricResult
-    from crowdbench.names import Names
+    from crowdbench.report.display_names import Names
     from crowdbench.scene import Scene
+    from crowdbench.scoring.scorecard import Entry, Row, Scorecard
 
     Column: TypeAlias = tuple[str, Callable[[Row], str]]
 
@@ -21,8 +21,8 @@ _NAME = 16  # characters that a name is folded to at the least
 
 def print_card(card: "Scorecard", scene: "Scene") -> None:
     """Print scores and plain distances of all crowds, and what they mean."""
-    from crowdbench.cards import rows
-    from crowdbench.names import names_of
+    from crowdbench.report.display_names import names_of
+    from crowdbench.scoring.scorecard import rows
 
     table = rows(card)
     names = names_of([(row.spawn, row.policy) for row in table], scene)
@@ -59,7 +59,7 @@ def _rollouts(number: int) -> str:
 def _score_tables(table: "Sequence[Row]", names: "Names") -> "Iterator[Sequence[Table]]":
     """Layouts, the widest first: all in one table, means before families, only one interval."""
     from crowdbench.metrics import FAMILIES, WALK
-    from crowdbench.report.words import interval, number
+    from crowdbench.report.text.words import interval, number
 
     def family(name: str) -> "Column":
         return name, lambda row: number(row.families.get(name))
@@ -92,9 +92,9 @@ def _score_table(columns: "Sequence[Column]", table: "Sequence[Row]", names: "Na
 
 def _notes(card: "Scorecard", scene: "Scene") -> list[str]:
     """What the scores mean, and why some are missing."""
-    from crowdbench.cards import ANCHOR, steered, walked
     from crowdbench.recordings.catalogue import SOURCES
-    from crowdbench.report.words import STEERED
+    from crowdbench.report.text.words import STEERED
+    from crowdbench.scoring.scorecard import ANCHOR, steered, walked
 
     notes = [
         f"Scores: 0 is the anchor ({' × '.join(ANCHOR)}; in motion and interaction straight "

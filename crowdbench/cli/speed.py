@@ -17,8 +17,8 @@ def add(commands: "Commands") -> None:
 
 
 def _bench(asked: argparse.Namespace) -> None:
-    from crowdbench.bench import measure
     from crowdbench.files import replacing, write_json
+    from crowdbench.studies.speed import measure
 
     # That the file can be written is found out before a minute of measuring.
     with replacing(asked.json) if asked.json else nullcontext() as temporary:

@@ -10,7 +10,7 @@ from crowdbench.cli.printing import new_console, new_table, print_note, progress
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
-    from crowdbench.steering import Steering
+    from crowdbench.studies.steering import Steering
 
 _LEAST = 0.005  # of the people, to be shown: half a per cent
 
@@ -50,7 +50,7 @@ def _areas(asked: argparse.Namespace) -> None:
     from crowdbench.scene import load_scene
     from crowdbench.spawn import PoissonGMM
     from crowdbench.spawn.ntpp import networks
-    from crowdbench.steering import areas_picture
+    from crowdbench.studies.steering import areas_picture
 
     scene = load_scene(asked.scene)
     model = spawn_model("poisson-gmm", scene)
@@ -82,7 +82,7 @@ def _areas(asked: argparse.Namespace) -> None:
 
 
 def _steer(asked: argparse.Namespace) -> None:
-    from crowdbench.steering import draw_steering, steering
+    from crowdbench.studies.steering import draw_steering, steering
 
     sys.path.insert(0, os.getcwd())  # one's own pkg.module:Class may lie beside
 
@@ -94,7 +94,7 @@ def _steer(asked: argparse.Namespace) -> None:
 
 
 def _print_changes(found: "Steering") -> None:
-    from crowdbench.steering import area_changes, goal_changes
+    from crowdbench.studies.steering import area_changes, goal_changes
 
     print(
         f"\n{found.steered[0].name} on {found.scene.id}: persons per episode of "

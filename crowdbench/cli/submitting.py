@@ -8,7 +8,7 @@ from crowdbench.cli.printing import print_facts
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
-    from crowdbench.leaderboard.checked import Checked
+    from crowdbench.leaderboard.verification.check import Checked
 
 
 def add(commands: "Commands") -> None:
@@ -58,7 +58,7 @@ def add(commands: "Commands") -> None:
 
 
 def _init(asked: argparse.Namespace) -> None:
-    from crowdbench.leaderboard.starting import start_submission
+    from crowdbench.leaderboard.submission.template import start_submission
 
     scenes = start_submission(
         asked.folder, asked.track, name=asked.name, scenes=asked.scene, policies=asked.policy
@@ -71,13 +71,13 @@ def _init(asked: argparse.Namespace) -> None:
 
 
 def _check(asked: argparse.Namespace) -> None:
-    from crowdbench.leaderboard.checked import check
+    from crowdbench.leaderboard.verification.check import check
 
     _print(check(asked.submission))
 
 
 def _pack(asked: argparse.Namespace) -> None:
-    from crowdbench.leaderboard.submission import pack_submission
+    from crowdbench.leaderboard.submission.submission import pack_submission
 
     print(f"written to {pack_submission(asked.folder, asked.out)}")
 

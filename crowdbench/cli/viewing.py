@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
     from crowdbench.scene import Scene
-    from crowdbench.trajectories import Trajectories
+    from crowdbench.trajectories.table import Trajectories
 
 
 def add(commands: "Commands") -> None:
@@ -41,7 +41,7 @@ def add(commands: "Commands") -> None:
 
 def _view(asked: argparse.Namespace) -> None:
     from crowdbench.scene import load_scene
-    from crowdbench.tables import read_own
+    from crowdbench.trajectories.storage import read_own
     from crowdbench.viewer import save, show
 
     if asked.scene is None:
@@ -65,7 +65,7 @@ def _against(named: str, scene: "Scene") -> "Trajectories":
 
 
 def _read(path: Path, scene: "Scene") -> "Trajectories":
-    from crowdbench.tables import read
+    from crowdbench.trajectories.storage import read
     from crowdbench.viewer.place import areas_of
 
     crowd = read(path, scene=scene.id, dt_s=scene.dt_s)

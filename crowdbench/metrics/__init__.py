@@ -3,7 +3,6 @@
 They see `Trajectories` and `TimeBlocks` and nothing else, so they score any simulator.
 """
 
-from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics.arrivals import (
     FanoFactor10,
     FanoFactor60s,
@@ -28,6 +27,7 @@ from crowdbench.metrics.metric import (
 from crowdbench.metrics.motion import Acceleration, Speed, Turning
 from crowdbench.metrics.presence import AgentsOverTime, AgentsSpread, Autocorrelation
 from crowdbench.metrics.space import NearestNeighbour, Occupancy
+from crowdbench.trajectories.blocks import TimeBlocks
 
 METRICS: tuple[Metric, ...] = (
     InterSpawn(),

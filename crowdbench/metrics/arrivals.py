@@ -3,7 +3,6 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics.forms import LogRatio, RelativeWasserstein
 from crowdbench.metrics.lattice import (
     Numbers,
@@ -15,7 +14,8 @@ from crowdbench.metrics.lattice import (
     widths,
 )
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.table import Trajectories
 
 ENOUGH_GAPS = 10
 """Recorded gaps from which on an area tells a distribution."""

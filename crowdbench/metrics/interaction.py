@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
-from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
 from crowdbench.metrics.lattice import counted, histograms, rounded
 from crowdbench.metrics.metric import Place, Statistics
@@ -17,7 +16,8 @@ from crowdbench.metrics.rows import (
     rows_in,
     velocities,
 )
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.table import Trajectories
 
 ENCOUNTER_M = 2.0
 STRANGERS_MPS = 0.7

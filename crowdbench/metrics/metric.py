@@ -15,8 +15,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from crowdbench.blocks import TimeBlocks
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.table import Trajectories
 
 Statistics = dict[str, Int[np.ndarray, "_B _V"]]
 """Counts or sums per block, by name. Those that `Metric.on_lattice` names are histograms: column v

@@ -9,12 +9,12 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float, Int
 
-from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics.forms import RelativeWasserstein
 from crowdbench.metrics.lattice import histograms, rounded
 from crowdbench.metrics.metric import Place, Statistics
 from crowdbench.metrics.rows import block_of_frames
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.table import Trajectories
 
 SPAN_S = 0.8
 STANDING_MPS = 0.2

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics.forms import LogRatio, RelativeWasserstein
 from crowdbench.metrics.lattice import Numbers, correlation, histograms, lagged_sums, moments
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.table import Trajectories
 
 LAGS_S = (10.0, 30.0, 60.0)
 ENOUGH = 0.1

@@ -5,8 +5,8 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float, Int
 
-from crowdbench.blocks import TimeBlocks
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.table import Trajectories
 
 FAR_M = 5e3
 """From here on people are nobody's neighbours."""
@@ -34,7 +34,7 @@ def _by_frame(
     crowd: Trajectories,
 ) -> tuple[Float[np.ndarray, "R 2"], Int[np.ndarray, " _"], Int[np.ndarray, " R"]]:
     """Positions as `neighbours` wants them, where each frame begins, and the row of each."""
-    from crowdbench.neighbours import sort_from_left
+    from crowdbench.metrics.neighbours import sort_from_left
 
     frame = crowd.row_frame()
     row = np.argsort(frame, kind="stable")
@@ -47,7 +47,7 @@ def _by_frame(
 @lru_cache(maxsize=1)
 def nearest_neighbour_m(crowd: Trajectories) -> Float[np.ndarray, " R"]:
     """Distance of each row to the nearest other person in the same frame; infinite if alone."""
-    from crowdbench.neighbours import nearest
+    from crowdbench.metrics.neighbours import nearest
 
     xy, begins, row = _by_frame(crowd)
     result = np.empty(len(row))
@@ -60,7 +60,7 @@ def pairs_within(crowd: Trajectories, radius_m: float) -> Int[np.ndarray, "n 2"]
 
     Within a pair the smaller row, which is the person with the smaller index, comes first.
     """
-    from crowdbench.neighbours import pairs
+    from crowdbench.metrics.neighbours import pairs
 
     xy, begins, row = _by_frame(crowd)
     found: np.ndarray = row[pairs(xy, begins, radius_m)]

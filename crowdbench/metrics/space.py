@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from crowdbench.blocks import TimeBlocks
 from crowdbench.metrics.forms import RelativeWasserstein, TotalVariation
 from crowdbench.metrics.lattice import histograms, rounded
 from crowdbench.metrics.metric import Place, Statistics
 from crowdbench.metrics.rows import nearest_neighbour_m, rows_in
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.table import Trajectories
 
 ALONE_M = 50.0
 

@@ -16,7 +16,7 @@ from crowdbench.errors import SceneError, SettingError, WeightsError
 from crowdbench.files import replacing
 from crowdbench.policies.network import KEY, MOST_NOISE, OnnxPolicy, PolicyCard, check_onnx
 from crowdbench.scene import Scene, load_scene
-from crowdbench.simulation.lidar import OBSERVATIONS
+from crowdbench.simulation.observations import OBSERVATIONS
 
 if TYPE_CHECKING:
     import torch

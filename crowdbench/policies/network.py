@@ -21,13 +21,13 @@ import numpy as np
 from jaxtyping import Float32
 from numpy.random import Generator
 
-from crowdbench.blocks import PARTS
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.files import read_bytes
 from crowdbench.policies.rows import ROWS, Watch, check_rows, observed
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings
-from crowdbench.simulation.lidar import OBSERVATIONS
+from crowdbench.simulation.observations import OBSERVATIONS
+from crowdbench.trajectories.blocks import PARTS
 
 if TYPE_CHECKING:
     from onnx import (

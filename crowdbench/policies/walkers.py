@@ -10,7 +10,7 @@ from crowdbench.errors import SettingError
 from crowdbench.policies.policy import StateView
 from crowdbench.scene import Scene
 from crowdbench.simulation.routes import Routes
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 
 class Straight:

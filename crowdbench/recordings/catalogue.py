@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from crowdbench import tables
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.files import home, read_bytes, sha256, unwritable
 from crowdbench.recordings import first_use
 from crowdbench.recordings.forum import read_forum
 from crowdbench.recordings.gc import files_in, read_gc
 from crowdbench.recordings.obsmat import read_obsmat
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories import storage
+from crowdbench.trajectories.table import Trajectories
 
 REPOSITORY = "https://github.com/crowdbotp/OpenTraj"
 COMMIT = "97ec1d5e1b579f26febeaa9083705952deac338a"
@@ -164,7 +164,7 @@ def load_imported(name: str) -> Trajectories:
             mend=f"Run `crowdbench data fetch {name}`, or "
             f"`crowdbench data import {name} --source DIR`.",
         )
-    return tables.read_own(path)
+    return storage.read_own(path)
 
 
 def remove_imported(name: str) -> Path:
@@ -206,7 +206,7 @@ def import_recording(name: str, folder: Path | None = None) -> Trajectories:
     """
     published = source(name)
     crowd = read_published(published, _folder(folder))
-    tables.write_parquet(crowd, cached(name))
+    storage.write_parquet(crowd, cached(name))
     if known_sha256(published) is None:
         first_use.note(name, crowd.provenance["sha256"], published.address)
     return crowd

@@ -8,8 +8,8 @@ from crowdbench.recordings.jupedsim import write_jupedsim
 from crowdbench.recordings.mending import Gaps
 from crowdbench.recordings.own import read_rows
 from crowdbench.recordings.trajnet import write_trajnet
-from crowdbench.tables import write_csv
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.storage import write_csv
+from crowdbench.trajectories.table import Trajectories
 
 WRITERS: dict[str, Callable[[Trajectories, Path], None]] = {
     "csv": write_csv,

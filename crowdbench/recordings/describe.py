@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 _PERCENTILES = (5, 50, 95, 99)
 

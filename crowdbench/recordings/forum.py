@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.errors import RecordingError
-from crowdbench.trajectories import Trajectories, from_rows
+from crowdbench.trajectories.table import Trajectories, from_rows
 
 FPS = 9.0
 FRAME = 4

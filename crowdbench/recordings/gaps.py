@@ -8,7 +8,7 @@ people at its edges have neither left nor entered.
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 NEIGHBOURHOOD_M = 1.0
 USUAL_SHARE = 0.1

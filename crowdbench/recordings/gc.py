@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from crowdbench.errors import RecordingError
 from crowdbench.files import read_bytes
-from crowdbench.trajectories import Trajectories, from_rows
+from crowdbench.trajectories.table import Trajectories, from_rows
 
 FPS = 25.0
 STEP = 20

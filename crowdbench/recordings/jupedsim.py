@@ -16,7 +16,7 @@ from crowdbench.errors import RecordingError
 from crowdbench.files import write_text
 from crowdbench.recordings.mending import Gaps, Stamps, on_frames
 from crowdbench.recordings.timing import checked_dt_s, plain_positions, usual_step
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 _SQLITE = b"SQLite format 3\0"
 _RATE = re.compile(r"framerate\D*(\d+(?:\.\d+)?)")

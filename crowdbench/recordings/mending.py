@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from crowdbench.errors import RecordingError
-from crowdbench.trajectories import MAX_FRAMES, Trajectories, from_rows
+from crowdbench.trajectories.table import MAX_FRAMES, Trajectories, from_rows
 
 Gaps = Literal["interpolate", "split"]
 GAPS: tuple[Gaps, ...] = ("interpolate", "split")

@@ -14,7 +14,7 @@ from crowdbench.errors import RecordingError
 from crowdbench.recordings.gaps import observed_intervals
 from crowdbench.recordings.mending import Gaps, Stamps, on_frames
 from crowdbench.recordings.timing import usual_step
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 _COLUMNS = 8
 _STANDING_MPS = 0.2

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from crowdbench import tables
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.files import read_bytes
 from crowdbench.recordings import gc
@@ -18,7 +17,8 @@ from crowdbench.recordings.mending import FEW, Gaps, Stamps, on_frames
 from crowdbench.recordings.obsmat import read_obsmat, step_of
 from crowdbench.recordings.timing import at_scene_frames, checked_dt_s
 from crowdbench.recordings.trajnet import read_trajnet
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories import storage
+from crowdbench.trajectories.table import Trajectories
 
 FORMATS = {
     "obsmat": "rows `frame person x z y vx vz vy`, metres, each person in every n-th frame",
@@ -57,7 +57,7 @@ def read_recording(
             move as no people do.
     """
     crowd = read_rows(path, layout, name=name, dt_s=dt_s, gaps=gaps, offset_s=offset_s)
-    if not (layout == "csv" and tables.is_own(path)):
+    if not (layout == "csv" and storage.is_own(path)):
         # Pauses are a habit of annotators; a camera that tracks people by itself makes none, and
         # loses people mid-scene all the time.
         crowd = at_scene_frames(crowd, pauses=layout not in ("gc", "forum"), where=path)
@@ -156,9 +156,9 @@ def keep(crowd: Trajectories) -> bool:
     """
     path = cached(crowd.scene)
     if not path.exists():
-        tables.write_parquet(crowd, path)
+        storage.write_parquet(crowd, path)
         return True
-    kept = tables.read_own(path)
+    kept = storage.read_own(path)
     same = all(np.array_equal(getattr(kept, n), getattr(crowd, n)) for n in ("first", "offsets"))
     if kept.dt_s == crowd.dt_s and same and np.array_equal(kept.xy, crowd.xy):
         return False
@@ -217,15 +217,15 @@ def _rows(
 def _table(
     path: Path, name: str, dt_s: float | None, gaps: Gaps | None, offset_s: float | None
 ) -> Trajectories:
-    if tables.is_own(path):
+    if storage.is_own(path):
         if offset_s is not None:
             raise SettingError(
                 "--offset-s", got=f"{path.name}, which crowdbench wrote", expected="other tables"
             )
-        crowd = tables.read_own(path)
+        crowd = storage.read_own(path)
         checked_dt_s(path, crowd.dt_s, dt_s)
         return crowd
-    columns = tables.read_columns(path)
+    columns = storage.read_columns(path)
     dt_s = checked_dt_s(path, None, dt_s)
     rows = on_frames(
         columns["person_id"],

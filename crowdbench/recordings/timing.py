@@ -11,7 +11,7 @@ from jaxtyping import Int
 
 from crowdbench.errors import RecordingError
 from crowdbench.recordings.gaps import observed_intervals
-from crowdbench.trajectories import Trajectories, from_rows
+from crowdbench.trajectories.table import Trajectories, from_rows
 
 USUAL_DT_S = 0.4
 LONGEST_DT_S = 1.0

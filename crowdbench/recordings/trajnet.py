@@ -15,7 +15,7 @@ from crowdbench.errors import RecordingError
 from crowdbench.files import write_text
 from crowdbench.recordings.mending import Gaps, Stamps, on_frames
 from crowdbench.recordings.timing import checked_dt_s, plain_positions, usual_step
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 _MEND = 'Lines look like {"track": {"f": 10, "p": 3, "x": 1.25, "y": 4.5}}.'
 

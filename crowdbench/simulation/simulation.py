@@ -8,10 +8,10 @@ from jaxtyping import Float32, Int
 
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.scene import Scene
-from crowdbench.simulation.advance import advance, populate
-from crowdbench.simulation.lidar import OBSERVATION, OBSERVATIONS, Cells, observe
+from crowdbench.simulation.observations import OBSERVATION, OBSERVATIONS, Cells, observe
 from crowdbench.simulation.routes import Routes
 from crowdbench.simulation.state import Clock, Limits, Queue, Slots
+from crowdbench.simulation.step import advance, populate
 from crowdbench.simulation.walls import wall_table
 from crowdbench.spawn.events import SpawnEvents, no_events
 
@@ -30,7 +30,7 @@ class Settings:
     rays: int = 32
     ray_range_m: float = 10.0
     observation: str = OBSERVATION
-    """Version of what they see, `lidar-1` to `lidar-3`: see `crowdbench.simulation.lidar`."""
+    """Version of what they see, `lidar-1` to `lidar-3`; see `simulation.observations`."""
 
     def __post_init__(self) -> None:
         for name in ("max_alive", "max_persons", "rays"):

@@ -16,7 +16,7 @@ from crowdbench.errors import SceneError, WeightsError
 from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Clustering, Scene
 from crowdbench.spawn.events import SpawnEvents, entering
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 SCHEMA = 1
 _FLOOR_M = 0.1  # the least standard deviation of an area: people are not points

@@ -11,13 +11,13 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.random import Generator
 
-from crowdbench.blocks import TimeBlocks
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals, SpawnEvents, entering
 from crowdbench.spawn.model import Start
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.table import Trajectories
 
 NAME = "block-replay"
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
-from crowdbench.blocks import TimeBlocks
 from crowdbench.errors import SettingError
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.table import Trajectories
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -33,7 +33,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.random import Generator
 
-from crowdbench.blocks import PARTS
 from crowdbench.errors import WeightsError
 from crowdbench.files import read_bytes, replacing
 from crowdbench.scene import Scene
@@ -42,6 +41,7 @@ from crowdbench.spawn.events import Arrivals, SpawnEvents
 from crowdbench.spawn.groups import Hazards, check_grid, per_person, spells_of
 from crowdbench.spawn.model import Start
 from crowdbench.spawn.weights import Fits, check_origin, check_part, mend
+from crowdbench.trajectories.blocks import PARTS
 
 NAME = "ntpp-gmm"
 SCHEMA = 2

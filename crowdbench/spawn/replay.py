@@ -11,7 +11,7 @@ from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
 from crowdbench.spawn.events import Arrivals, SpawnEvents
 from crowdbench.spawn.model import Start
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,9 @@ from jaxtyping import Float32
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.lidar import OBSERVATIONS
+from crowdbench.simulation.observations import OBSERVATIONS
 from crowdbench.simulation.state import GOAL
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 from crowdbench.viewer.crowd import time_columns
 from crowdbench.viewer.place import WORLD
 

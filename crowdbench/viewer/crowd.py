@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int, UInt16
 
 from crowdbench.scene import Scene
-from crowdbench.trajectories import OUTCOMES, Trajectories
+from crowdbench.trajectories.table import OUTCOMES, Trajectories
 from crowdbench.viewer.place import UNKNOWN, WORLD, corners
 
 if TYPE_CHECKING:

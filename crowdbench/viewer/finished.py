@@ -9,16 +9,10 @@ import numpy as np
 
 from crowdbench.files import replacing
 from crowdbench.scene import Scene, load_scene
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 from crowdbench.viewer.access import check_rerun, new_stream, open_stream
 from crowdbench.viewer.chosen import index_of, log_chosen
-from crowdbench.viewer.crowd import (
-    WINDOW,
-    log_counts,
-    log_crowd,
-    log_outcomes,
-    log_series,
-)
+from crowdbench.viewer.crowd import WINDOW, log_counts, log_crowd, log_outcomes, log_series
 from crowdbench.viewer.layout import layout
 from crowdbench.viewer.place import log_place
 

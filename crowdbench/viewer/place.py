@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from crowdbench.errors import WeightsError
-from crowdbench.figures.sight import goal_colour
+from crowdbench.report.plots.sight import goal_colour
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, read_areas
 

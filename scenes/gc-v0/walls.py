@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from crowdbench.recordings.gc import HOMOGRAPHY, STEP, annotations, homography_of, metres, read_gc
 from crowdbench.scene import load_scene
-from crowdbench.trajectories import Trajectories
+from crowdbench.trajectories.table import Trajectories
 
 CELL_M = 0.2
 DOOR_M = 1.0

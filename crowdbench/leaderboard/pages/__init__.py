@@ -11,7 +11,7 @@ from crowdbench.files import read_bytes, unwritable, write_text
 from crowdbench.leaderboard.pages.entry_page import entry_page
 from crowdbench.leaderboard.pages.index import index_page
 from crowdbench.leaderboard.pages.readme import readme
-from crowdbench.leaderboard.standings import TRACKS, read_entries, standing
+from crowdbench.leaderboard.pages.standings import TRACKS, read_entries, standing
 
 RULES = "RULES.md"
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from crowdbench.report.words import NOTHING, plainly
-from crowdbench.scoring import Score
+from crowdbench.report.text.words import NOTHING, plainly
+from crowdbench.scoring.energy import Score
 
 LOW, HIGH = -0.5, 1.5
 """Ends of the axis; what lies beyond is an arrow."""

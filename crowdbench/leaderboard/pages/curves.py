@@ -6,9 +6,9 @@ from math import ceil, floor, log10
 import numpy as np
 from jaxtyping import Float
 
-from crowdbench.leaderboard.entry import Curve
 from crowdbench.leaderboard.pages.text import escaped, in_html
-from crowdbench.report.words import digits
+from crowdbench.leaderboard.verification.entry import Curve
+from crowdbench.report.text.words import digits
 
 _WIDTH, _HEIGHT = 340.0, 200.0  # pixels
 _LEFT, _RIGHT, _TOP, _BOTTOM = 44.0, 12.0, 16.0, 38.0

@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 
-from crowdbench.leaderboard.entry import Entry
 from crowdbench.leaderboard.pages import axis
 from crowdbench.leaderboard.pages.index import own
 from crowdbench.leaderboard.pages.scene_results import scene_results
+from crowdbench.leaderboard.pages.standings import Line, Standing, View
 from crowdbench.leaderboard.pages.text import in_html, link, plain
-from crowdbench.leaderboard.standings import Line, Standing, View
-from crowdbench.report.shell import html_page
-from crowdbench.report.words import NOTHING, plainly, with_interval
+from crowdbench.leaderboard.verification.entry import Entry
+from crowdbench.report.html.shell import html_page
+from crowdbench.report.text.words import NOTHING, plainly, with_interval
 
 _STATUS = {
     "ranked": "Ranked: crowdbench rolled it out itself, on what it has not seen.",

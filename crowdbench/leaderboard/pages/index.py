@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from crowdbench.leaderboard.declared import SCENES, Track
-from crowdbench.leaderboard.entry import Entry
+from crowdbench.leaderboard.pages.standings import Standing
 from crowdbench.leaderboard.pages.tables import listed_table, ranked_table
 from crowdbench.leaderboard.pages.text import in_html, short
-from crowdbench.leaderboard.standings import Standing
-from crowdbench.report.shell import html_page
-from crowdbench.report.words import NOTHING, plainly
+from crowdbench.leaderboard.submission.schema import SCENES, Track
+from crowdbench.leaderboard.verification.entry import Entry
+from crowdbench.report.html.shell import html_page
+from crowdbench.report.text.words import NOTHING, plainly
 
 JUDGED: dict[Track, str] = {
     "walk": "A policy walks the people of the recording, who enter when and where they did. Judged "

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 
-from crowdbench.leaderboard.declared import SCENES
 from crowdbench.leaderboard.pages.index import JUDGED, LISTED, SUBMIT, rules_of
+from crowdbench.leaderboard.pages.standings import Line, Standing, View
 from crowdbench.leaderboard.pages.tables import COPIED, OVERALL, copied, correlation, share
 from crowdbench.leaderboard.pages.text import in_markdown
-from crowdbench.leaderboard.standings import Line, Standing, View
-from crowdbench.report.markdown import flowed, table
-from crowdbench.report.words import interval, number
+from crowdbench.leaderboard.submission.schema import SCENES
+from crowdbench.report.text.markdown import flowed, table
+from crowdbench.report.text.words import interval, number
 
 
 def readme(standings: Sequence[Standing]) -> str:

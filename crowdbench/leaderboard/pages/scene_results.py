@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 
-from crowdbench.leaderboard.entry import Entry, MetricEntry, SceneEntry
 from crowdbench.leaderboard.pages import axis
 from crowdbench.leaderboard.pages.curves import figure
+from crowdbench.leaderboard.pages.standings import FAMILIES_OF
 from crowdbench.leaderboard.pages.tables import correlation, share
 from crowdbench.leaderboard.pages.text import in_html
-from crowdbench.leaderboard.soundness import FAMILY_OF
-from crowdbench.leaderboard.standings import FAMILIES_OF
+from crowdbench.leaderboard.verification.entry import Entry, MetricEntry, SceneEntry
+from crowdbench.leaderboard.verification.soundness import FAMILY_OF
 from crowdbench.metrics import METRICS
-from crowdbench.report.words import NOTHING, digits, plainly
+from crowdbench.report.text.words import NOTHING, digits, plainly
 
 
 def scene_results(name: str, entry: Entry) -> str:

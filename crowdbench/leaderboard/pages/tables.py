@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
-from crowdbench.leaderboard.declared import Track
 from crowdbench.leaderboard.pages import axis
+from crowdbench.leaderboard.pages.standings import Line, Standing, View
 from crowdbench.leaderboard.pages.text import short
-from crowdbench.leaderboard.standings import Line, Standing, View
-from crowdbench.report.words import NOTHING, plainly
-from crowdbench.scoring import Score
+from crowdbench.leaderboard.submission.schema import Track
+from crowdbench.report.text.words import NOTHING, plainly
+from crowdbench.scoring.energy import Score
 
 OVERALL = View()
 COPIED = ("arrivals", "lives")

@@ -1,7 +1,0 @@
-"""Scenes of one's own: made from a recording that nobody here has seen, and checked."""
-
-from crowdbench.authoring.check import Finding, check_scene
-from crowdbench.authoring.create import Created, create_scene
-from crowdbench.authoring.walls import read_walls
-
-__all__ = ["Created", "Finding", "check_scene", "create_scene", "read_walls"]

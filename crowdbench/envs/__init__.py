@@ -1,0 +1,1 @@
+"""The simulation behind the interfaces of PettingZoo, TorchRL and Stable-Baselines3."""

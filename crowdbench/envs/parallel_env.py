@@ -1,0 +1,404 @@
+"""The PettingZoo view: a `ParallelEnv` whose agents come and go as persons do.
+
+It adds names, dictionaries and a reward to `Simulation`, and no physics.
+"""
+
+import operator
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+
+import numpy as np
+from gymnasium import logger, spaces
+from gymnasium.utils import seeding
+from jaxtyping import UInt8
+from pettingzoo import ParallelEnv
+
+from crowdbench.errors import ActionError, SettingError
+from crowdbench.policies import Straight
+from crowdbench.registry import DEFAULT_SPAWN, spawn_model
+from crowdbench.rollouts.episode import (
+    Recorder,
+    begin,
+    check_capacity,
+    check_horizon,
+    slots_for,
+    warm_up_s,
+)
+from crowdbench.scene import Scene, load_scene
+from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation.observations import OBSERVATION
+from crowdbench.simulation.reward import Reward, Rewarder
+from crowdbench.simulation.state import TERMINAL
+from crowdbench.spawn import SpawnModel
+from crowdbench.spawn.model import Start
+from crowdbench.trajectories.table import OUTCOMES, Trajectories
+
+if TYPE_CHECKING:
+    from crowdbench.viewer.renderer import Renderer, RenderMode
+
+RENDER_MODES = ("human", "rgb_array")
+
+
+class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped
+    """A crowd as a parallel environment; made by `crowdbench.parallel_env`.
+
+    An agent is a person: it appears when the person enters (reward 0, not done), acts once a
+    frame, and disappears with its last entries when the person's life ends: terminated at the
+    goal, outside the bounds, or where its record breaks off; truncated by the patience of the
+    scene (timeout) and by the episode's horizon. Nobody enters at the horizon.
+
+    A frame in which nobody is there is no step: the call goes on to the next arrival, and
+    `infos` tells the `frame`, the `frames_skipped` and, with a person's last entries, the
+    `outcome`. `agents` is thus empty only when the episode is over.
+
+    - Observation: `lidar-1` to `lidar-3`, see `crowdbench.simulation.observations`.
+    - Action: velocity in units of the scene's greatest speed, Box(−1, 1, (2,)). Values out of
+      range are clipped; NaN or infinity, a missing agent, or one that is not there raise.
+    - Reward: progress, arrival, overlap, walls and pace, see `crowdbench.simulation.reward.Reward`;
+      the parts stand in `infos` as `reward_parts`, in the order of its `PARTS`.
+    - Rendering: with `render_mode="rgb_array"` a call of `render` gives a picture; with `"human"`
+      a rerun viewer shows each frame as it comes. Neither changes what happens.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "crowdbench",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 10,  # of a video: four times as fast as the frames of most scenes
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        scene: Scene,
+        spawn: SpawnModel,
+        *,
+        horizon_s: float | None,
+        start: Start | None,
+        settings: Settings,
+        on_full: Literal["error", "drop"],
+        reward: Reward,
+        render_mode: "RenderMode | None" = None,
+    ) -> None:
+        if on_full not in ("error", "drop"):
+            raise SettingError("on_full", got=repr(on_full), expected="'error' or 'drop'")
+        if start not in (None, *get_args(Start)):
+            raise SettingError(
+                "start", got=repr(start), expected=f"one of {', '.join(get_args(Start))}"
+            )
+        if render_mode not in (None, *RENDER_MODES):
+            raise SettingError(
+                "render_mode", got=repr(render_mode), expected="None, 'human' or 'rgb_array'"
+            )
+        horizon_s = scene.horizon_s if horizon_s is None else horizon_s
+        check_horizon(horizon_s)
+        self.render_mode = render_mode
+        self.scene = scene
+        self.spawn = spawn
+        self.frames = scene.frames(horizon_s)
+        self._start = start
+        self._on_full = on_full
+        self._simulation = Simulation(scene, settings=settings)
+        self._rewarder = Rewarder(reward, self._simulation)
+        self._seeds, _ = seeding.np_random(None)
+        self.possible_agents = [f"person_{k}" for k in range(settings.max_persons)]
+        self.agents: list[str] = []
+        self._there = np.empty(0, np.int64)  # slots of `agents`
+        self._actions = np.zeros((1, settings.max_alive, 2), np.float32)
+        size = self._simulation.observation.shape[-1]
+        self._observation_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
+        self._action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self._recorder: Recorder | None = None
+        self._seed = 0
+        self._renderer = None if render_mode is None else _renderer(scene, spawn, render_mode)
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """The same for each agent."""
+        return self._observation_space
+
+    def action_space(self, agent: str) -> spaces.Box:
+        """The same for each agent."""
+        return self._action_space
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
+        """Begin an episode; the same seed gives the same arrivals. `options` are not used.
+
+        Raises:
+            CapacityError: more persons than slots or ids, unless `on_full` is `drop`.
+        """
+        if seed is not None:
+            seed = operator.index(seed)  # numpy's integers too, which gymnasium refuses
+            self._seeds, _ = seeding.np_random(seed)
+        self._seed = int(self._seeds.integers(2**31)) if seed is None else seed
+        simulation = self._simulation
+        begin(
+            simulation,
+            self.spawn,
+            seed=self._seed,
+            frames=self.frames,
+            start=self._start,
+            walker=Straight(),
+        )
+        self._rewarder.begin()
+        self._recorder = Recorder(simulation)
+        self._recorder.write()
+        if self._renderer is not None:
+            self._renderer.begin(self._recorder)
+        skipped = self._skip_empty()
+        self._check_capacity()
+        self._there = simulation.slots.alive[0].nonzero()[0]
+        self.agents = self._names(self._there)
+        observations = simulation.observe()[0, self._there]
+        return dict(zip(self.agents, observations, strict=True)), self._infos(self.agents, skipped)
+
+    def step(
+        self, actions: Mapping[str, np.ndarray]
+    ) -> tuple[
+        dict[str, np.ndarray],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Advance by a frame, and on to the next arrival where nobody is left.
+
+        Raises:
+            ActionError: before `reset` or after the end, or actions that do not fit `agents`.
+            CapacityError: more persons than slots or ids, unless `on_full` is `drop`.
+        """
+        simulation, slots = self._simulation, self._simulation.slots
+        acted, acting = self._there, self.agents
+        commands = self._actions  # of those who are not there, nothing is read
+        commands[0][acted] = self._commands(actions)
+        simulation.step(commands)
+        assert self._recorder is not None
+        self._recorder.write()
+        if self._renderer is not None:
+            self._renderer.go_on(self._recorder)
+
+        frame = int(simulation.clock.frame[0])
+        observations = dict(zip(acting, simulation.observe()[0].take(acted, axis=0), strict=True))
+        parts = self._rewarder.parts()[0].take(acted, axis=0)
+        rewards = dict(zip(acting, parts.sum(axis=1).tolist(), strict=True))
+        terminations = dict.fromkeys(acting, False)
+        truncations = dict.fromkeys(acting, False)
+        infos: dict[str, dict[str, Any]] = {
+            name: {"frame": frame, "frames_skipped": 0, "reward_parts": of_name}
+            for name, of_name in zip(acting, parts.tolist(), strict=True)
+        }
+        if simulation.clock.changed[0]:
+            ended = slots.ended[0, acted]
+            for k in ended.nonzero()[0].tolist():
+                name, how = acting[k], int(ended[k])
+                terminations[name] = how in TERMINAL
+                truncations[name] = how not in TERMINAL
+                infos[name]["outcome"] = OUTCOMES[how]
+            skipped = self._skip_empty()
+            born = (slots.alive[0] if skipped else slots.spawned[0]).nonzero()[0]
+            if skipped:
+                simulation.observe()
+            names = self._names(born)
+            observations.update(zip(names, simulation.observation[0, born], strict=True))
+            rewards.update(dict.fromkeys(names, 0.0))
+            terminations.update(dict.fromkeys(names, False))
+            truncations.update(dict.fromkeys(names, False))
+            infos.update(self._infos(names, skipped))
+            self._there = slots.alive[0].nonzero()[0]
+            self.agents = self._names(self._there)
+            self._check_capacity()
+        return observations, rewards, terminations, truncations, infos
+
+    def trajectories(self) -> Trajectories:
+        """The episode so far, as the table that metrics score.
+
+        Raises:
+            ActionError: before `reset`.
+        """
+        if self._recorder is None:
+            raise ActionError("trajectories", got="no episode", expected="a call of reset first")
+        return self._recorder.trajectories(
+            {"spawn": self.spawn.name, "policy": "environment", "seed": self._seed}
+        )
+
+    @property
+    def dropped(self) -> int:
+        """Persons turned away in this episode for want of slots or ids."""
+        clock = self._simulation.clock
+        return int(clock.no_slot[0] + clock.no_id[0])
+
+    def render(self) -> UInt8[np.ndarray, "h w 3"] | None:
+        """The present frame as a picture, if `render_mode` is `rgb_array`.
+
+        With `human` there is nothing left to do: the viewer shows each frame when it comes.
+
+        Raises:
+            ActionError: before `reset`.
+        """
+        if self._renderer is None:
+            logger.warn("Without a render_mode, render draws nothing: make it with one.")
+            return None
+        if self._recorder is None:
+            raise ActionError("render", got="no episode", expected="a call of reset first")
+        return self._renderer.picture(self._recorder)
+
+    def close(self) -> None:
+        """Send the viewer what is left, if there is one; it stays open."""
+        if self._renderer is not None:
+            self._renderer.close()
+
+    def _commands(self, actions: Mapping[str, np.ndarray]) -> np.ndarray:
+        if not self.agents:
+            raise ActionError(
+                "step", got="a call without agents", expected="a call of reset first",
+                mend="The episode is over, or was never begun.",
+            )  # fmt: skip
+        try:
+            given = [actions[name] for name in self.agents]
+        except KeyError:
+            given = []
+        except (TypeError, IndexError) as error:
+            raise ActionError(
+                "step",
+                got=f"actions of type {type(actions).__name__}",
+                expected="a dictionary from the names in env.agents to arrays of shape (2,)",
+            ) from error
+        if not given or len(actions) != len(given):
+            missing = [name for name in self.agents if name not in actions]
+            unknown = sorted(set(actions) - set(self.agents))
+            raise ActionError(
+                "step",
+                got=f"no action for {missing[:3]}, actions for {unknown[:3]} who are not there",
+                expected=f"one action for each of the {len(self.agents)} agents",
+                mend="Act for exactly the names in env.agents.",
+            )
+        try:
+            commands = np.array(given)
+        except ValueError:  # rows of different shapes
+            commands = np.array(None)
+        if commands.dtype.kind not in "fiu" or commands.shape != (len(self.agents), 2):
+            raise ActionError(
+                "step",
+                got=f"actions of shape {commands.shape[1:]}"
+                if commands.dtype.kind in "fiu"
+                else "actions that are no pairs of numbers",
+                expected="arrays of shape (2,): a velocity in units of the greatest speed",
+            )
+        if not np.isfinite(commands).all():
+            name = self.agents[int(np.flatnonzero(~np.isfinite(commands).all(axis=1))[0])]
+            raise ActionError(
+                "step", got=f"{actions[name]} from {name}", expected="finite numbers",
+                mend="Look for a division by zero or a diverged network in the policy.",
+            )  # fmt: skip
+        if commands.dtype != np.float32:
+            commands = commands.clip(-1, 1)  # what float32 cannot hold is out of range anyway
+        return commands
+
+    def _skip_empty(self) -> int:
+        """Go on to the next arrival or the horizon, and return how many frames that took."""
+        simulation = self._simulation
+        slots, clock = simulation.slots, simulation.clock
+        first = int(clock.frame[0])
+        nobody = np.zeros(slots.position.shape, np.float32)
+        while not slots.alive[0].any() and clock.frame[0] < self.frames:
+            due = simulation.next_due()
+            simulation.skip_to(self.frames if due is None else min(due, self.frames))
+            simulation.step(nobody)
+        assert self._recorder is not None
+        skipped = int(clock.frame[0]) - first
+        if skipped:
+            self._recorder.write()
+            if self._renderer is not None:
+                self._renderer.go_on(self._recorder, skipped)
+        return skipped
+
+    def _names(self, slots: np.ndarray) -> list[str]:
+        return [self.possible_agents[k] for k in self._simulation.slots.person[0, slots].tolist()]
+
+    def _infos(self, names: list[str], skipped: int) -> dict[str, dict[str, Any]]:
+        frame = int(self._simulation.clock.frame[0])
+        return {name: {"frame": frame, "frames_skipped": skipped} for name in names}
+
+    def _check_capacity(self) -> None:
+        if self._on_full == "error" and self.dropped:
+            check_capacity(self._simulation)
+
+
+def parallel_env(
+    scene: str | Path | Scene,
+    *,
+    spawn: str | SpawnModel = DEFAULT_SPAWN,
+    horizon_s: float | None = None,
+    start: Start | None = None,
+    rays: int = 32,
+    ray_range_m: float = 10.0,
+    observation: str = OBSERVATION,
+    max_alive: int | None = None,
+    max_persons: int | None = None,
+    on_full: Literal["error", "drop"] = "error",
+    reward: Reward | None = None,
+    render_mode: "RenderMode | None" = None,
+) -> CrowdParallelEnv:
+    """Make a PettingZoo environment of a scene.
+
+    Args:
+        scene: an id from `list_scenes()`, or a folder with a `scene.toml`.
+        spawn: who enters when and where: a name, `pkg.module:Class`, or a model; by default
+            the crowd that `ntpp-gmm` spawns.
+        horizon_s: length of an episode in seconds, by default the recording's.
+        start: `stationary` (a discarded warm-up walked straight), `recorded` (replay only) or
+            `empty`; by default the spawn model's own.
+        rays: R, number of rays that a person sees by.
+        ray_range_m: their range in metres.
+        observation: `lidar-1`; `lidar-2`, the default, which knows the way around walls and the
+            speed that each person prefers; or `lidar-3`, which sees the bounds too.
+        max_alive: persons at once; by default 512, or more where a crowd of which nobody reaches
+            a goal would grow to more.
+        max_persons: persons per episode and its warm-up, all of them in `possible_agents`; by
+            default twice a sample of the spawn model, and some.
+        on_full: what happens when either runs out: `error` raises, `drop` turns the person
+            away and counts it in `env.dropped`.
+        reward: weights of its parts, by default those of `Reward()`.
+        render_mode: `rgb_array` for pictures from `render`, or `human` for a rerun viewer that
+            shows what happens while it does (needs the extra `viewer`). If you log to rerun
+            yourself, the crowd joins your recording stream.
+
+    Raises:
+        SceneError, SettingError, WeightsError, RecordingError: what was asked for does not
+            exist or does not fit.
+    """
+    scene = load_scene(scene)
+    model = spawn_model(spawn, scene)
+    horizon_s = scene.horizon_s if horizon_s is None else horizon_s
+    check_horizon(horizon_s)
+    if max_persons is None or max_alive is None:
+        whole_s = warm_up_s(scene) + horizon_s
+        sample = model.sample(whole_s, scene, np.random.default_rng(0))
+        if max_persons is None:
+            max_persons = 2 * len(sample) + 100
+        if max_alive is None:
+            max_alive = slots_for(sample, scene)
+    settings = Settings(
+        max_alive=max_alive,
+        max_persons=max_persons,
+        rays=rays,
+        ray_range_m=ray_range_m,
+        observation=observation,
+    )
+    return CrowdParallelEnv(
+        scene,
+        model,
+        horizon_s=horizon_s,
+        start=start,
+        settings=settings,
+        on_full=on_full,
+        reward=reward or Reward(),
+        render_mode=render_mode,
+    )
+
+
+def _renderer(scene: Scene, spawn: SpawnModel, mode: "RenderMode") -> "Renderer":
+    from crowdbench.viewer.renderer import Renderer
+
+    return Renderer(scene, mode, f"{spawn.name} × environment")

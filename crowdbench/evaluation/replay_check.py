@@ -1,0 +1,72 @@
+"""Does the environment walk a recording as it was, and where not, why?"""
+
+import numpy as np
+
+from crowdbench.policies import Straight
+from crowdbench.rollouts.rollout import rollout
+from crowdbench.scene import Scene
+from crowdbench.spawn import Replay
+from crowdbench.trajectories.table import OUTCOMES, Trajectories
+
+TOLERANCE_M = 1e-3
+
+
+def compare_replay(recording: Trajectories, walked: Trajectories, scene: Scene) -> dict[str, str]:
+    """Count the persons whose replayed path is the recorded one to 1 mm, and why others differ."""
+    reasons: dict[str, int] = {}
+    same = 0
+    common = min(len(recording), len(walked))
+    for p in range(common):
+        reason = _difference(recording, walked, p, scene)
+        if reason is None:
+            same += 1
+        else:
+            reasons[reason] = reasons.get(reason, 0) + 1
+    if len(recording) != len(walked):
+        reasons["not there"] = abs(len(recording) - len(walked))
+    differing = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+    return {
+        "persons": f"{len(recording)} recorded, {len(walked)} replayed",
+        "identical": f"{same} paths, to {TOLERANCE_M * 1000:g} mm and frame for frame",
+        "differing": differing or "none",
+    }
+
+
+def _difference(recording: Trajectories, walked: Trajectories, p: int, scene: Scene) -> str | None:
+    there, here = recording.path(p), walked.path(p)
+    if recording.first[p] != walked.first[p]:
+        return "enter in another frame"
+    if len(there) != len(here):
+        return "leave in another frame (a life has two frames at least)"
+    if np.abs(there - here).max() <= TOLERANCE_M:
+        return None
+    steps = np.linalg.norm(np.diff(there.astype(np.float64), axis=0), axis=1)
+    if (steps > scene.motion.max_speed_mps * scene.dt_s).any():
+        return "exceed the speed limit"
+    return "meet a wall"
+
+
+def arrival_rule_changes(recording: Trajectories, scene: Scene) -> dict[str, str]:
+    """What it means that a life ends at the goal: for recorded paths, and for straight walkers."""
+    dt_s, radius_m = scene.dt_s, scene.motion.goal_radius_m
+    early = []
+    for p in np.flatnonzero(recording.left).tolist():
+        path = recording.path(p).astype(np.float64)
+        start, way = path[:-1], np.diff(path, axis=0)
+        length2 = (way**2).sum(axis=1)
+        to_goal = path[-1] - start
+        with np.errstate(invalid="ignore", divide="ignore"):
+            t = np.clip(np.nan_to_num((to_goal * way).sum(axis=1) / length2), 0, 1)
+        distance = np.linalg.norm(start + t[:, None] * way - path[-1], axis=1)
+        reached = np.flatnonzero(distance <= radius_m)
+        early.append((len(way) - 1 - reached[0]) * dt_s if len(reached) else 0.0)
+    shortened = np.array(early)
+    straight = rollout(scene, Replay(recording), Straight(), seed=0)
+    ended = np.bincount(straight.outcome, minlength=len(OUTCOMES))
+    return {
+        "recorded paths": f"{int((shortened > 0).sum())} of {len(shortened)} would end earlier, "
+        f"all together by {shortened.sum():.1f} s",
+        "straight walkers": ", ".join(
+            f"{count} {OUTCOMES[k]}" for k, count in enumerate(ended) if count
+        ),
+    }

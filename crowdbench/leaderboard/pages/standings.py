@@ -1,0 +1,188 @@
+"""Standings: the entries of a track, with their scores and ranks in every view of its table."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from crowdbench.errors import WeightsError
+from crowdbench.leaderboard.submission.schema import SCENES, Track
+from crowdbench.leaderboard.verification.entry import Entry, SceneEntry, read_entry
+from crowdbench.leaderboard.verification.soundness import FAMILY_OF, check_entry
+from crowdbench.metrics import FAMILIES, WALK
+from crowdbench.scoring.energy import Score, combined, ranks
+
+TRACKS: tuple[Track, ...] = ("walk", "spawn", "crowd")
+FAMILIES_OF: dict[Track, tuple[str, ...]] = {
+    "walk": WALK,
+    "spawn": tuple(family for family in FAMILIES if family not in WALK),
+    "crowd": FAMILIES,
+}
+
+
+class View(NamedTuple):
+    """What of an entry is looked at: one family or all, one scene or those of the overall score."""
+
+    family: str = ""
+    scene: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """An entry with its scores."""
+
+    entry: Entry
+    scores: dict[View, Score]
+    """Of the views in which it has one."""
+
+    @property
+    def kind(self) -> str:
+        """`reference`, or the kind that it declares; with what it is listed for."""
+        if self.entry.status == "reference":
+            return "reference"
+        kind = self.entry.declared.kind
+        if self.entry.status == "ranked":
+            return kind
+        return f"{kind}, {'trajectories' if _are_trajectories(self.entry) else 'full'}"
+
+    def worth(self, view: View) -> tuple[float, str]:
+        """Sorts the best first, and who has no score last."""
+        score = self.scores.get(view)
+        return (float("inf") if score is None else -score.value), self.entry.id
+
+    def copied(self, scene: str = "") -> tuple[float | None, float | None]:
+        """Correlation of arrivals and share of lives: the scene's, or the highest of all scenes."""
+        scenes = self.entry.scenes
+        copies = [each.copy for name, each in scenes.items() if scene in ("", name)]
+        arrivals = [copy.arrivals for copy in copies if copy.arrivals is not None]
+        lives = [copy.lives for copy in copies if copy.lives is not None]
+        return max(arrivals, default=None), max(lives, default=None)
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """One track."""
+
+    track: Track
+    scenes: tuple[str, ...]
+    """Those of the overall score first."""
+    families: tuple[str, ...]
+    lines: list[Line]
+    """Who is ranked, and references."""
+    listed: list[Line]
+    ranks: dict[View, dict[str, int]]
+    """Rank by the entry's id; who competes with nobody has none."""
+    yours: frozenset[str] | None = None
+    """In a preview, ids of the entries that it is made for; the others come with crowdbench."""
+
+    @property
+    def views(self) -> list[View]:
+        """All of them."""
+        return [View(f, s) for f in ("", *self.families) for s in ("", *self.scenes)]
+
+    def ordered(self, view: View) -> list[Line]:
+        """By rank, then by score; references stand below all who score as much as they do."""
+        rank = self.ranks[view]
+        best = sorted(self.lines, key=lambda line: line.worth(view))
+        found = [line for line in best if line.entry.id in rank]
+        found.sort(key=lambda line: rank[line.entry.id])
+        for line in (line for line in best if line.entry.id not in rank):
+            above = [k for k, o in enumerate(found) if o.worth(view) <= line.worth(view)]
+            found.insert(above[-1] + 1 if above else 0, line)
+        return found
+
+    def rank(self, line: Line, view: View) -> str:
+        """`2`, or `2 =` where others have the same; empty for who has none."""
+        rank = self.ranks[view].get(line.entry.id)
+        if rank is None:
+            return ""
+        shared = list(self.ranks[view].values()).count(rank) > 1
+        return f"{rank}\u202f=" if shared else f"{rank}"
+
+
+def standing(
+    track: Track, entries: Sequence[Entry], yours: frozenset[str] | None = None
+) -> Standing:
+    """The standing of a track among all entries; see `Standing` for `yours`."""
+    own = sorted((e for e in entries if e.declared.track == track), key=lambda entry: entry.id)
+    lines = [Line(e, scores(e)) for e in own if e.status != "listed"]
+    listed = [Line(e, scores(e)) for e in own if e.status == "listed"]
+    others = sorted({name for entry in own for name in entry.scenes} - set(SCENES))
+    found = Standing(track, (*SCENES, *others), FAMILIES_OF[track], lines, listed, {}, yours)
+    for view in found.views:
+        competing = [o for o in lines if o.entry.status == "ranked" and view in o.scores]
+        each = ranks([line.scores[view] for line in competing])
+        names = [line.entry.id for line in competing]
+        found.ranks[view] = dict(zip(names, each, strict=True)) if len(names) > 1 else {}
+    return found
+
+
+def scores(entry: Entry) -> dict[View, Score]:
+    """The scores of an entry in the views in which it has one.
+
+    A scene's is the mean of its families, if none is missing that counts there; the overall score
+    is the mean of the scenes in `SCENES`, if none is missing, and so is that of each family. Crowds
+    that came as trajectories did not enter as recorded, and are judged without motion and
+    interaction.
+    """
+    families = FAMILIES_OF[entry.declared.track]
+    if entry.declared.track == "crowd" and _are_trajectories(entry):
+        families = FAMILIES_OF["spawn"]
+    found: dict[View, Score] = {}
+    for name, scene in entry.scenes.items():
+        each = {f: scene.families[f].score() for f in families if f in scene.families}
+        found |= {View(family, name): score for family, score in each.items()}
+        whole = combined(list(each.values()))
+        if whole is not None and _counted(scene) & set(families) <= set(each):
+            found[View(scene=name)] = whole
+    if all(View(scene=name) in found for name in SCENES):
+        for family in ("", *families):
+            known = [found[View(family, s)] for s in SCENES if View(family, s) in found]
+            mean = combined(known)
+            if mean is not None:
+                found[View(family)] = mean
+    return found
+
+
+def _are_trajectories(entry: Entry) -> bool:
+    return any("/trajectories/" in name for name in entry.artefacts)
+
+
+def _counted(scene: SceneEntry) -> set[str]:
+    return {FAMILY_OF[name] for name, metric in scene.metrics.items() if metric.scored}
+
+
+def read_entries(folder: Path, beside: Path | None = None) -> list[Entry]:
+    """All entries of a folder, and those of the folder `beside` that have other ids.
+
+    Raises:
+        WeightsError: one is broken, or cannot be compared with the others.
+    """
+    paths = {path.name: path for path in (*entry_paths(beside), *entry_paths(folder))}
+    entries = [(path, read_entry(path)) for path in paths.values()]
+    scorer = max((entry.scorer for _, entry in entries), default=0)
+    made_from: dict[str, str] = {}
+    for path, entry in entries:
+        check_entry(entry, path)
+        if entry.scorer != scorer:
+            raise WeightsError(
+                path,
+                got=f"scores of scorer {entry.scorer}",
+                expected=f"scorer {scorer}, as other entries have",
+                mend="Run `crowdbench leaderboard rescore`.",
+            )
+        for name, scene in entry.scenes.items():
+            if made_from.setdefault(name, scene.made_from) != scene.made_from:
+                raise WeightsError(
+                    path,
+                    got=f"{name} of the hash {scene.made_from}",
+                    expected=f"{made_from[name]}, as other entries have",
+                    mend="Run `crowdbench leaderboard rescore`.",
+                )
+    return [entry for _, entry in entries]
+
+
+def entry_paths(folder: Path | None) -> list[Path]:
+    """Of the entries in a folder; verification writes ID.run.json, which is none, beside them."""
+    found = [] if folder is None else folder.glob("*.json")
+    return sorted(path for path in found if not path.name.endswith(".run.json"))

@@ -1,0 +1,1 @@
+"""What participants send: `submission.toml`, models, trajectories, and their limits."""

@@ -1,0 +1,129 @@
+"""Checking the models of a submission: networks, fits of spawn models, names of shipped ones."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from crowdbench.errors import CrowdbenchError, WeightsError
+from crowdbench.leaderboard.submission.errors import RefusedError, collecting
+from crowdbench.leaderboard.submission.layout import NETWORK, Layout, parts_of
+from crowdbench.leaderboard.submission.limits import LARGEST_FITS
+from crowdbench.leaderboard.submission.schema import FILE, Declared
+from crowdbench.policies import OnnxPolicy, PolicyCard
+from crowdbench.registry import FITTED, POLICIES, WEIGHTS, policy, policy_file, trained_policies
+from crowdbench.scene import load_scene
+from crowdbench.spawn.areas import read_areas
+from crowdbench.trajectories.blocks import PARTS
+
+_BASELINE = re.compile(r"baselines\.[a-z_]+:[A-Z][A-Za-z]*")
+
+
+def check_models(
+    folder: Path, declared: Declared, layout: Layout, problems: list[CrowdbenchError]
+) -> None:
+    """Read every model with its own reader; what is wrong is added to `problems`."""
+    problems += _wrong_names(declared)
+    for name in layout.networks:
+        with collecting(problems, folder):
+            network = OnnxPolicy(folder / name)
+            problems += _seen_too_much(name, network.card, declared)
+            for scene in declared.scenes if name == NETWORK else [name.partition("/")[0]]:
+                network.check_rows(load_scene(scene))
+    for scene, name in layout.weights.items():
+        with collecting(problems, folder):
+            _read_weights(folder / name, scene)
+    if declared.kind == "privileged" and (layout.networks or layout.weights):
+        problems.append(
+            RefusedError(
+                f"{FILE}, kind",
+                got="'privileged'",
+                expected="learned or model-based: files see observations, not the state",
+                mend="Say which of the two it is.",
+            )
+        )
+
+
+def shipped_files(declared: Declared) -> dict[str, Path]:
+    """The files of the shipped models that a submission names, by their path in crowdbench."""
+    found: dict[str, Path] = {}
+    for scene in declared.scenes:
+        folder = load_scene(scene).folder
+        if declared.shipped_policy in trained_policies(load_scene(scene)):
+            networks = folder / "policies" / declared.shipped_policy
+            files = [networks / f"{part}.onnx" for part in parts_of(declared)]
+        else:
+            files = []
+        files += [folder / f for f, model in WEIGHTS.items() if model == declared.shipped_spawn]
+        found |= {f"scenes/{scene}/{file.relative_to(folder)}": file for file in files}
+    return found
+
+
+def _read_weights(path: Path, scene: str) -> None:
+    size, most = path.stat().st_size, LARGEST_FITS[path.suffix]
+    if size > most:
+        raise WeightsError(
+            path, got=f"{size / 1e6:.1f} MB", expected=f"at most {most / 1e6:.0f} MB"
+        )
+    place = load_scene(scene)
+    areas = read_areas(place)
+    for part in PARTS:
+        FITTED[WEIGHTS[path.name]].read(replace(place, folder=path.parent), areas, part)
+
+
+def _seen_too_much(name: str, card: PolicyCard, declared: Declared) -> Iterator[RefusedError]:
+    """Whether a network has been trained on something else than its place says."""
+    scene, _, file = name.partition("/")
+    part = file.removeprefix("policy/").removesuffix(".onnx")
+    of_part = declared.training.protocol != "none" and name != NETWORK
+    if (card.scene, card.part) == (scene, part) if of_part else card.scene not in declared.scenes:
+        return
+    if of_part:
+        expected = f"one trained on {part} of {scene}"
+        mend = 'Train one for it; what has seen no scene of these has training.protocol "none".'
+    else:
+        expected = "one that knows no recording of a scene it is submitted for"
+        mend = 'Train one on other scenes; or one for each fold, with training.protocol "heldout".'
+    got = f"a network trained on {card.part} of {card.scene}"
+    yield RefusedError(name, got=got, expected=expected, mend=mend)
+
+
+def _wrong_names(declared: Declared) -> Iterator[CrowdbenchError]:
+    """Shipped models that are named where the track has none, or that do not exist."""
+    for name, track, other in (
+        ("shipped_policy", "spawn", "straight walkers"),
+        ("shipped_spawn", "walk", "the recorded arrivals"),
+    ):
+        if getattr(declared, name) and declared.track == track:
+            yield RefusedError(
+                f"{FILE}, {name}",
+                got=repr(getattr(declared, name)),
+                expected=f"no such line: track {track} has {other}",
+                mend="Remove it, or choose the track crowd.",
+            )
+            return
+    named = declared.shipped_policy
+    if not named or named in POLICIES:
+        return
+    if _BASELINE.fullmatch(named):
+        problems: list[CrowdbenchError] = []
+        with collecting(problems, Path()):
+            policy(named, declared.scenes[0])
+        yield from problems
+        return
+    for scene in declared.scenes:
+        place = load_scene(scene)
+        file = named in trained_policies(place)
+        if not file or not all(_is_file(named, scene, part) for part in parts_of(declared)):
+            known = (*POLICIES, *trained_policies(place), "baselines.MODULE:Class")
+            yield RefusedError(
+                f"{FILE}, shipped_policy",
+                got=repr(named),
+                expected=f"a policy that comes with {scene}: {', '.join(known)}",
+                mend="Submit ONNX files for what does not come with crowdbench.",
+            )
+
+
+def _is_file(named: str, scene: str, part: str) -> bool:
+    file = policy_file(named, load_scene(scene), part)
+    return file is not None and file.is_file()

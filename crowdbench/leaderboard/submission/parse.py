@@ -1,0 +1,171 @@
+"""Reading `submission.toml`, and telling all that is wrong with it at once."""
+
+import re
+import tomllib
+import unicodedata
+from collections.abc import Iterator, Mapping
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from crowdbench.errors import CrowdbenchError
+from crowdbench.leaderboard.submission.errors import RefusedError
+from crowdbench.leaderboard.submission.limits import LARGEST_DECLARATION, MOST_DOTS
+from crowdbench.leaderboard.submission.schema import FILE, Declared, Trained
+from crowdbench.registry import SPAWN_MODELS
+from crowdbench.scene import list_scenes
+
+PLACEHOLDER = "FILL IN"
+"""What stands in the template for what its author must say."""
+_LINE = "1 to 200 printable characters on one line"
+_EXPECTED = {
+    "schema": "1",
+    "name": _LINE,
+    "authors": f'a list of 1 to 50 names such as ["Ada Lovelace"], each {_LINE}',
+    "contact": f"an e-mail address, or where issues are opened: {_LINE}",
+    "link": "an address that begins with https://, in plain letters and without blanks",
+    "licence": "an SPDX identifier such as Apache-2.0 or CC-BY-4.0",
+    "track": "walk, spawn or crowd",
+    "kind": "learned, model-based or privileged",
+    "scenes": "a list of scenes, each once, of {scenes}",
+    "training": "a table [training] with data, protocol and parameters",
+    "training.data": "1 to 1000 printable characters on one line",
+    "training.protocol": "heldout, none or full",
+    "training.parameters": "a whole number from 0 to 10^12, without quotes",
+    "shipped_policy": "the name of a policy that comes with crowdbench, or no such line",
+    "shipped_spawn": f"one of {', '.join(SPAWN_MODELS)}, or no such line",
+}
+_FORMS = {
+    "link": (
+        re.compile(r"https://[A-Za-z0-9-]+(\.[A-Za-z0-9-]+)+(:[0-9]{1,5})?([/?#][!#-;=?-_a-z~]*)?"),
+        "Write it in full.",
+    ),
+    "licence": (
+        re.compile(r"\(*[A-Za-z0-9.+-]+\)*( (AND|OR|WITH) \(*[A-Za-z0-9.+-]+\)*)*"),
+        "https://spdx.org/licenses lists them.",
+    ),
+}
+"""Form of a field, and how to mend what has another."""
+_UNSEEN = re.compile(
+    "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0"
+    "\U000e0100-\U000e01ef]"
+)
+"""What is printable, and yet nothing to be seen: fillers, blanks and selectors."""
+_MOST_MARKS = 4
+"""That stand on one letter; more of them reach into the lines above."""
+# Where nothing but what is shown is wrong, artefacts are looked at all the same.
+_STAND_INS = {"name": "?", "authors": ["?"], "contact": "?", "link": "?", "licence": "?"}
+_STAND_INS_OF_TRAINING = {"data": "?", "parameters": 0}
+
+
+def read_declared(path: Path, problems: list[CrowdbenchError]) -> Declared | None:
+    """What a submission declares; what is wrong with it is added to `problems`.
+
+    Where a field is wrong that artefacts do not depend on, another value stands in for it; where
+    they do, None is returned.
+    """
+    raw = _raw(path, problems)
+    if raw is None:
+        return None
+    training = raw.get("training")
+    wrong = list(_wrong_fields(Declared, raw))
+    if isinstance(training, dict):
+        wrong += _wrong_fields(Trained, training, "training.")
+    problems += wrong
+    names = {refusal.where.partition(", ")[2] for refusal in wrong}
+    known = {field.name for field in msgspec.structs.fields(Declared)}
+    usable = {k: v for k, v in raw.items() if k in known - names}
+    trained = training if isinstance(training, dict) else {}
+    known = {field.name for field in msgspec.structs.fields(Trained)}
+    usable["training"] = _STAND_INS_OF_TRAINING | {
+        k: v for k, v in trained.items() if k in known and f"training.{k}" not in names
+    }
+    try:
+        return msgspec.convert(_STAND_INS | {"kind": "learned"} | usable, Declared)
+    except msgspec.ValidationError:
+        return None
+
+
+def _raw(path: Path, problems: list[CrowdbenchError]) -> dict[str, Any] | None:
+    try:
+        if path.stat().st_size > LARGEST_DECLARATION:
+            got, expected = f"{path.stat().st_size} bytes", f"at most {LARGEST_DECLARATION}"
+        elif (dots := (text := path.read_text(encoding="utf-8")).count(".")) > MOST_DOTS:
+            got, expected = f"{dots} dots", f"at most {MOST_DOTS}"
+        else:
+            return tomllib.loads(text)
+    except OSError as error:
+        got, expected = error.strerror or "no file", "a readable file"
+    except (ValueError, RecursionError) as error:  # no UTF-8, no TOML, numbers of 5000 digits
+        got, expected = str(error), "valid TOML in UTF-8"
+    mend = "Compare it with what `crowdbench submit init` writes; texts stand in quotes."
+    problems.append(RefusedError(FILE, got=got, expected=expected, mend=mend))
+    return None
+
+
+def _wrong_fields(
+    kind: type[msgspec.Struct], raw: Mapping[str, Any], prefix: str = ""
+) -> Iterator[RefusedError]:
+    fields = {field.name: field for field in msgspec.structs.fields(kind)}
+    for name in raw:
+        if name not in fields:
+            yield RefusedError(
+                f"{FILE}, {prefix}{ascii(name)[1:-1][:60]}",
+                got="a field that does not exist",
+                expected=", ".join(fields),
+                mend="Remove or rename it.",
+            )
+    for name, field in fields.items():
+        if name in raw:
+            mend = _mend(prefix + name, raw[name], field.type)
+        elif field.required:
+            mend = "Add it."
+        else:
+            continue
+        if mend is not None:
+            got = _brief(raw[name]) if name in raw else "no such field"
+            expected = _EXPECTED[prefix + name].format(scenes=", ".join(list_scenes()))
+            yield RefusedError(f"{FILE}, {prefix}{name}", got=got, expected=expected, mend=mend)
+
+
+def _mend(name: str, value: Any, kind: Any) -> str | None:
+    """How to mend a value (no word where that is plain), None if it is right."""
+    texts = [v for v in (value if isinstance(value, list) else [value]) if isinstance(v, str)]
+    if any(text.startswith(PLACEHOLDER) for text in texts):
+        return "Replace the template's placeholder."
+    if name == "training":
+        return None if isinstance(value, dict) else "Write its fields below [training]."
+    try:
+        msgspec.convert(value, kind, strict=True)
+    except ValueError:  # of msgspec, or of Python for numbers of 5000 digits
+        return ""  # what is expected says all
+    for text in texts:
+        if not text.isprintable():
+            return "Leave out control characters and marks that turn the direction of text."
+        if _UNSEEN.search(text) or _most_marks(text) > _MOST_MARKS:
+            return "Leave out letters that nobody sees, and marks that pile up."
+        if not text.strip() and not name.startswith("shipped_"):
+            return "Say something."
+    if name in _FORMS and not _FORMS[name][0].fullmatch(value):
+        return _FORMS[name][1]
+    if name == "scenes" and (set(value) - set(list_scenes()) or len(set(value)) < len(value)):
+        return "`crowdbench scenes` lists them."
+    if name == "shipped_spawn" and value not in ("", *SPAWN_MODELS):
+        return "A new family of spawn models enters with its code, by pull request."
+    return None
+
+
+def _most_marks(text: str) -> int:
+    """The most marks that follow on one letter."""
+    marks = [unicodedata.category(c) in ("Mn", "Me") for c in text]
+    return max((len(list(run)) for of_marks, run in groupby(marks) if of_marks), default=0)
+
+
+def _brief(value: Any) -> str:
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # a number of more than 4300 digits, from hexadecimals
+        return "what is too long to be written"
+    return text if len(text) <= 80 else f"{text[:60]}… ({len(text)} characters)"

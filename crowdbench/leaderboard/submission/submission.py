@@ -1,0 +1,179 @@
+"""`open_submission`: a folder or zip that is not trusted, checked and ready to be verified."""
+
+import re
+import unicodedata
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from crowdbench import leftovers
+from crowdbench.errors import CrowdbenchError
+from crowdbench.files import sha256
+from crowdbench.leaderboard.submission.archive import pack, unpack
+from crowdbench.leaderboard.submission.errors import RefusedError, SubmissionError
+from crowdbench.leaderboard.submission.layout import NETWORK, Layout, files_in, lay_out
+from crowdbench.leaderboard.submission.models import check_models, shipped_files
+from crowdbench.leaderboard.submission.parse import read_declared
+from crowdbench.leaderboard.submission.schema import FILE, Declared
+from crowdbench.leaderboard.submission.trajectories import check_crowds
+from crowdbench.leaderboard.verification.entry import Status
+
+_LONGEST_ID = 60
+_LINES_OF_SPAWN = ("replay", "block-replay")
+_LINES_OF_POLICY = ("replay", "random")
+
+
+@dataclass(frozen=True)
+class Submission:
+    """A submission in which nothing is wrong; paths hold while it is open."""
+
+    folder: Path
+    declared: Declared
+    layout: Layout
+    artefacts: dict[str, str]
+    """SHA-256 by path in the submission, `submission.toml` included."""
+    shipped: dict[str, str]
+    """SHA-256 by path in crowdbench of what the shipped models that it names are read from."""
+
+    @property
+    def id(self) -> str:
+        """From its name: a-z, 0-9 and single hyphens, at most 60."""
+        return slug(self.declared.name)
+
+    @property
+    def status(self) -> Status:
+        """Whether it is ranked, listed, or a line that others are seen against."""
+        return self._judged()[0]
+
+    @property
+    def why(self) -> str:
+        """Why it has that status, in half a sentence."""
+        return self._judged()[1]
+
+    @property
+    def protocol(self) -> Literal["full", "heldout"]:
+        """What it is held against: recordings that it may have seen, or what was held out."""
+        return "full" if self.status == "listed" else "heldout"
+
+    def policy_of(self, scene: str) -> str:
+        """The policy on a scene, as `registry.policy` takes it."""
+        if self.declared.track == "spawn":
+            return "straight"
+        if self.declared.shipped_policy:
+            return self.declared.shipped_policy
+        one = self.layout.networks == [NETWORK]
+        return str(self.folder / NETWORK if one else self.folder / scene / "policy")
+
+    def spawn_of(self, scene: str) -> str:
+        """The spawn model on a scene, as `registry.spawn_model` takes it."""
+        if self.declared.track == "walk":
+            return "replay"
+        return self.declared.shipped_spawn or str(self.folder / scene / "spawn")
+
+    def trajectories_of(self, scene: str) -> list[Path]:
+        """The rollouts on a scene that were submitted in place of models; none where there are."""
+        return [self.folder / name for name in self.layout.crowds.get(scene, [])]
+
+    def _judged(self) -> tuple[Status, str]:
+        declared = self.declared
+        if self.layout.crowds:
+            return "listed", "trajectories may come from the recording, which is public"
+        if declared.training.protocol == "full":
+            return "listed", "it has seen the recordings that it is held against"
+        spawn, policy = declared.shipped_spawn, declared.shipped_policy
+        if {
+            "walk": policy == "straight" or policy in _LINES_OF_POLICY,
+            "spawn": spawn == "poisson-gmm" or spawn in _LINES_OF_SPAWN,
+            "crowd": (spawn, policy) == ("poisson-gmm", "straight")
+            or spawn in _LINES_OF_SPAWN
+            or policy in _LINES_OF_POLICY,
+        }[declared.track]:
+            return "reference", "it is a line that others are seen against"
+        return "ranked", "crowdbench rolls it out, held out"
+
+
+@contextmanager
+def open_submission(path: Path) -> Iterator[Submission]:
+    """A submission from its folder or zip; a zip's files are there until the block ends.
+
+    Networks are run for a few persons, so who does not trust them opens submissions in a process
+    with limits.
+
+    Raises:
+        SubmissionError: something is wrong with it; the error tells everything.
+    """
+    if path.is_dir():
+        yield _read(path, path)
+        return
+    if not path.is_file():
+        missing = RefusedError(
+            path.name, got="no such file", expected="a submission's folder or its zip"
+        )
+        raise SubmissionError(path, [missing])
+    with leftovers.temporary_folder("submission") as fresh:
+        unpack(path, fresh)
+        yield _read(fresh, path)
+
+
+def pack_submission(folder: Path, out: Path | None = None) -> Path:
+    """Check a submission's folder and pack it, by default beside it.
+
+    Raises:
+        SubmissionError: something is wrong with it.
+        OutputError: the zip cannot be written.
+    """
+    if not folder.is_dir():
+        missing = RefusedError(folder.name, got="no such folder", expected="a submission's folder")
+        raise SubmissionError(folder, [missing])
+    with open_submission(folder) as submission:
+        out = out or folder.resolve().with_name(f"{folder.resolve().name}.zip")
+        pack(folder, submission.artefacts, out)
+    return out
+
+
+def _read(folder: Path, named: Path) -> Submission:
+    try:
+        return _checked(folder, named)
+    except OSError as error:
+        got = f"{error.filename}: {error.strerror}"
+        unreadable = RefusedError(named, got=got, expected="files that can be read")
+        raise SubmissionError(named, [unreadable]) from error
+
+
+def _checked(folder: Path, named: Path) -> Submission:
+    problems: list[CrowdbenchError] = []
+    names = files_in(folder, problems)
+    if not problems and FILE not in names:
+        problems.append(_no_declaration(names))
+    declared = read_declared(folder / FILE, problems) if not problems else None
+    layout = Layout()
+    if declared is not None:
+        layout = lay_out(declared, names, problems)
+        check_models(folder, declared, layout, problems)
+        check_crowds(folder, declared.track, layout.crowds, problems)
+    if problems or declared is None:
+        raise SubmissionError(named, problems)
+    hashes = {name: sha256((folder / name).read_bytes()) for name in names}
+    shipped = {name: sha256(file.read_bytes()) for name, file in shipped_files(declared).items()}
+    return Submission(folder, declared, layout, hashes, shipped)
+
+
+def _no_declaration(names: list[str]) -> RefusedError:
+    inside = [name for name in names if name.endswith(f"/{FILE}")]
+    return RefusedError(
+        FILE,
+        got=f"none but {inside[0]}" if inside else "no such file",
+        expected="it at the top, beside the folders of scenes",
+        mend="Take what is in that folder; `crowdbench submit pack` makes the zip."
+        if inside
+        else "Begin with `crowdbench submit init`.",
+    )
+
+
+def slug(name: str) -> str:
+    """A name for files and addresses: a-z, 0-9 and single hyphens, at most 60."""
+    letters = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode().lower()
+    plain = re.sub(r"[^a-z0-9]+", "-", letters)[:_LONGEST_ID].strip("-")
+    return plain or f"submission-{sha256(name.encode())[:8]}"

@@ -1,0 +1,121 @@
+"""Reading tables that may have been made to eat memory: their size is told before they are read."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from crowdbench.errors import RecordingError
+from crowdbench.files import read_bytes
+from crowdbench.leaderboard.submission.limits import (
+    LARGEST_DECODED,
+    LARGEST_TABLE,
+    MOST_COLUMNS,
+    MOST_ROWS,
+)
+from crowdbench.trajectories.table import PERSON_COLUMNS
+
+if TYPE_CHECKING:
+    import pyarrow
+
+_COLUMNS = ("person_id", "frame", "time_s", "x", "y", *PERSON_COLUMNS)
+_BATCH = 2**16
+_MEND = "Write one row per person and frame, with person_id, frame, x and y, and no more than that."
+_LONGEST_HEADER = 10_000  # bytes of the first line of a CSV file
+
+
+def read_table(path: Path) -> "pyarrow.Table":
+    """The columns of trajectories of a Parquet or CSV file.
+
+    Parquet is refused by what it says of itself before anything is read, and again if it becomes
+    more than that while it is.
+
+    Raises:
+        RecordingError: it is missing, broken or too large.
+    """
+    import pyarrow as pa
+
+    size = path.stat().st_size
+    if size > LARGEST_TABLE:
+        most = f"at most {LARGEST_TABLE / 1e6:.0f} MB"
+        mend = "Parquet takes a tenth of CSV."
+        raise RecordingError(path, got=f"{size / 1e6:.1f} MB", expected=most, mend=mend)
+    read = _parquet if path.suffix == ".parquet" else _csv
+    try:
+        table = read(path)
+        named = [name.strip() for name in table.column_names]
+    except (pa.ArrowException, OSError, MemoryError, UnicodeDecodeError) as error:
+        told = (str(error) or type(error).__name__).splitlines()[0]
+        raise RecordingError(path, got=told, expected="a readable table", mend=_MEND) from error
+    _check_names(path, named)
+    return table.rename_columns(named).replace_schema_metadata(table.schema.metadata)
+
+
+def _refuse(path: Path, wrong: bool, got: str, most: str) -> None:
+    if wrong:
+        raise RecordingError(path, got=got, expected=f"at most {most}", mend=_MEND)
+
+
+def _csv(path: Path) -> "pyarrow.Table":
+    from pyarrow import BufferReader, csv
+
+    data = read_bytes(path, RecordingError, "")
+    header = data[: _LONGEST_HEADER + 1].partition(b"\n")[0]
+    _refuse(path, len(header) > _LONGEST_HEADER, "a first line without end", "10 kB of names")
+    _check_columns(path, header.count(b",") + 1)
+    table = csv.read_csv(BufferReader(data), csv.ReadOptions(use_threads=False))
+    _check_rows(path, len(table))
+    return table
+
+
+def _parquet(path: Path) -> "pyarrow.Table":
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    # From memory: a file that is mapped could change while it is read.
+    data = pa.BufferReader(read_bytes(path, RecordingError, ""))
+    file = parquet.ParquetFile(data)
+    told = file.metadata
+    _check_columns(path, told.num_columns)
+    _check_rows(path, told.num_rows)
+    sizes = [told.row_group(k).total_byte_size for k in range(told.num_row_groups)]
+    _check_bytes(path, sum(sizes) if min(sizes, default=0) >= 0 else LARGEST_DECODED + 1)
+    schema = file.schema_arrow
+    _check_names(path, schema.names)
+    wanted = [name for name in schema.names if name.strip() in _COLUMNS]
+    for name in wanted:
+        kind = schema.field(name).type
+        if not (
+            pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
+        ):
+            raise RecordingError(
+                path, got=f"{kind} in column {name}", expected="numbers", mend=_MEND
+            )
+    batches, rows, size = [], 0, 0
+    for batch in file.iter_batches(_BATCH, columns=wanted, use_threads=False):
+        rows, size = rows + batch.num_rows, size + batch.nbytes
+        _check_rows(path, rows)
+        _check_bytes(path, size)
+        batches.append(batch)
+    kept = pa.schema([schema.field(name) for name in wanted], schema.metadata)
+    table = pa.Table.from_batches(batches) if batches else kept.empty_table()
+    return table.replace_schema_metadata(schema.metadata)
+
+
+def _check_names(path: Path, names: list[str]) -> None:
+    _refuse(path, len(set(names)) < len(names), "two columns of one name", "one")
+
+
+def _check_columns(path: Path, columns: int) -> None:
+    _refuse(path, columns > MOST_COLUMNS, f"{columns} columns", str(MOST_COLUMNS))
+
+
+def _check_rows(path: Path, rows: int) -> None:
+    _refuse(path, rows > MOST_ROWS, f"{rows} rows", str(MOST_ROWS))
+
+
+def _check_bytes(path: Path, size: int) -> None:
+    _refuse(
+        path,
+        size > LARGEST_DECODED,
+        "a table that becomes larger in memory",
+        f"{LARGEST_DECODED / 1e6:.0f} MB",
+    )

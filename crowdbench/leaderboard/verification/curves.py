@@ -1,0 +1,98 @@
+"""Curves: the few numbers that an entry's small pictures are drawn from."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from crowdbench.evaluation.evaluate import Seen
+from crowdbench.leaderboard.verification.entry import Curve
+from crowdbench.metrics import METRICS, Metric, Statistics, Sums, total
+from crowdbench.metrics.forms import RelativeWasserstein
+from crowdbench.scoring.reference import Reference
+
+POINTS = 100
+DISTRIBUTIONS = {
+    "inter_spawn": ("Time between arrivals", "time to the next arrival (s)"),
+    "dwell": ("Dwell time", "dwell time (s)"),
+    "speed": ("Speed", "speed (m/s)"),
+    "closest_approach": ("Closest approach of strangers", "smallest distance (m)"),
+}
+AGENTS = "Agents over time"
+TITLES = {AGENTS, *(title for title, _ in DISTRIBUTIONS.values())}
+_SHOWN = 0.996
+"""Share of the values that a distribution is shown up to."""
+
+
+def agents_over_time(reference: Reference, parts: Iterable[Seen]) -> Curve:
+    """Mean number of agents in each time block, by those rollouts that are scored on it."""
+    recorded, simulated = np.zeros((2, len(reference.blocks)))
+    for seen in parts:
+        inside = reference.blocks.in_part(seen.part)
+        recorded[inside] = _block_means(seen.recorded)
+        simulated[inside] = np.mean([_block_means(crowd) for crowd in seen.crowds], axis=0)
+    middle = reference.blocks.frames.mean(axis=1) * reference.blocks.dt_s
+    shown = _spread_out(len(middle))
+    return Curve(
+        x_label="time (s)",
+        y_label="agents, mean of a time block",
+        x=_rounded(middle[shown]),
+        recorded=_rounded(recorded[shown]),
+        simulated=_rounded(simulated[shown]),
+    )
+
+
+def distribution(name: str, reference: Reference, parts: Iterable[Seen]) -> Curve:
+    """Distribution functions of a metric's values, all rollouts and parts together."""
+    metric = next(m for m in METRICS if m.name == name)
+    assert isinstance(metric, RelativeWasserstein)
+    each = list(parts)
+    recorded = _pooled(metric, [seen.recorded for seen in each])
+    simulated = _pooled(metric, [crowd for seen in each for crowd in seen.crowds])
+    size = max(len(v) for sums in (recorded, simulated) for v in sums.values())
+    size = max(size, metric.if_empty(reference.blocks) + 1)
+    support = np.arange(size)
+    of_recorded, of_simulated = (
+        metric.embed(
+            {n: np.pad(v, (0, size - len(v))) for n, v in sums.items()},
+            support,
+            reference.blocks,
+        )
+        for sums in (recorded, simulated)
+    )
+    last = max(int(np.searchsorted(f, _SHOWN)) for f in (of_recorded, of_simulated))
+    shown = _spread_out(min(last + 1, size))
+    return Curve(
+        x_label=DISTRIBUTIONS[name][1],
+        y_label="cumulative share",
+        x=_rounded(shown * metric.step(reference.blocks)),
+        recorded=_rounded(of_recorded[shown]),
+        simulated=_rounded(of_simulated[shown]),
+    )
+
+
+def _block_means(statistics: Statistics) -> Float[np.ndarray, " B"]:
+    counts = statistics["counts"]
+    return counts @ np.arange(counts.shape[1]) / np.maximum(counts.sum(axis=1), 1)
+
+
+def _pooled(metric: Metric, crowds: Sequence[Statistics]) -> Sums:
+    """Histograms of all crowds together."""
+    pooled: Sums = {}
+    for sums in map(total, crowds):
+        for name, values in sums.items():
+            if metric.on_lattice(name):
+                known = pooled.get(name, np.zeros(0, dtype=np.int64))
+                size = max(len(known), len(values))
+                pooled[name] = np.pad(known, (0, size - len(known)))
+                pooled[name][: len(values)] += values
+    return pooled
+
+
+def _spread_out(size: int) -> np.ndarray:
+    """At most `POINTS` indices from the first to the last."""
+    return np.unique(np.linspace(0, size - 1, min(size, POINTS)).round().astype(np.int64))
+
+
+def _rounded(values: np.ndarray) -> list[float]:
+    return [round(float(v), 4) for v in values]

@@ -1,0 +1,207 @@
+"""One scene of an entry: scores, metrics, copies, flags and curves of what was rolled out."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from crowdbench.evaluation.evaluate import Seen, seen_in
+from crowdbench.evaluation.rollout_jobs import Job, Pair, Rolled
+from crowdbench.leaderboard.verification.copying import ArrivalCopies, LifeCopies, independent_limit
+from crowdbench.leaderboard.verification.curves import (
+    AGENTS,
+    DISTRIBUTIONS,
+    agents_over_time,
+    distribution,
+)
+from crowdbench.leaderboard.verification.entry import (
+    Copy,
+    Curve,
+    Flag,
+    MetricEntry,
+    SceneEntry,
+    ScoreCard,
+)
+from crowdbench.leaderboard.verification.flags import evenness, flags_of
+from crowdbench.metrics import METRICS, WALK, Metric, metrics_for
+from crowdbench.scene import Scene
+from crowdbench.scoring.energy import LOWEST, Energy, FitEnergies, Score, combined, energies_of_fits
+from crowdbench.scoring.reference import Reference
+from crowdbench.scoring.scorecard import Entry as PairEntry
+from crowdbench.scoring.scorecard import Scorecard, metric_scores, rows, scale_of
+from crowdbench.trajectories.table import Trajectories
+
+
+@dataclass(frozen=True, eq=False)
+class Rollouts:
+    """What was rolled out on a scene, and its scorecard."""
+
+    place: Scene
+    reference: Reference
+    card: Scorecard
+    rolled: dict[Job, Rolled]
+    crowd: Pair | None
+    """The pair that the families of crowds are of; None on track walk."""
+    walk: Pair | None
+    """The pair that motion and interaction are of; None on track spawn."""
+
+    @property
+    def main(self) -> Pair:
+        """What persons and rollouts are counted of."""
+        pair = self.crowd or self.walk
+        assert pair is not None
+        return pair
+
+    def of(self, pair: Pair) -> dict[Job, Rolled]:
+        """Those of a pair."""
+        return {j: what for j, what in self.rolled.items() if (j.spawn, j.policy) == pair}
+
+    def entry(self, pair: Pair) -> PairEntry:
+        """What the scorecard holds of a pair."""
+        return next(e for e in self.card.entries if (e.spawn, e.policy) == pair)
+
+    def pair_of(self, metric: Metric) -> Pair | None:
+        """The pair that a metric is of, None where the track does not have it."""
+        return self.walk if metric.family in WALK else self.crowd
+
+    def seen(self, metric: Metric) -> Iterator[Seen]:
+        """What the metric sees of its pair."""
+        pair = self.pair_of(metric)
+        assert pair is not None
+        return seen_in(self.reference, metric, self.of(pair), self.card.protocol)
+
+    @cached_property
+    def energies(self) -> dict[str, dict[str, FitEnergies]]:
+        """Of each scored metric and part, fit by fit; for metrics that have a score."""
+        found: dict[str, dict[str, FitEnergies]] = {}
+        for metric in metrics_for(self.reference.blocks):
+            pair = self.pair_of(metric)
+            if pair is None or self.entry(pair).metrics[metric.name].energy is None:
+                continue
+            if metric.name in self.card.scored:
+                parts = {
+                    s.part: energies_of_fits(metric, s.recorded, s.fits, s.blocks)
+                    for s in self.seen(metric)
+                }
+                found[metric.name] = {p: e for p, e in parts.items() if e is not None}
+        return found
+
+
+def scene_entry(
+    rollouts: Rollouts, recording: Trajectories, crowd_of: Callable[[Job], Trajectories]
+) -> tuple[SceneEntry, list[Flag]]:
+    """The scene's result and its flags. `crowd_of` reads a rollout's table."""
+    place, card = rollouts.place, rollouts.card
+    jobs = list(rollouts.of(rollouts.main))
+    entry = rollouts.entry(rollouts.main)
+    families = _families(rollouts)
+    copy = _copy(rollouts, recording, map(crowd_of, jobs))
+    of_scene = SceneEntry(
+        made_from=card.made_from,
+        protocol=card.protocol,
+        fits=len({job.fit for job in jobs}),
+        rollouts=sum(job.part == jobs[0].part for job in jobs),
+        persons=entry.persons,
+        outcomes=entry.outcomes,
+        families={name: ScoreCard.of(score) for name, score in families.items()},
+        metrics=_metrics(rollouts),
+        copy=copy,
+        curves=_curves(rollouts),
+    )
+    score = combined(list(families.values()))
+    return of_scene, flags_of(place.id, score, _evenness(rollouts), copy)
+
+
+def _families(rollouts: Rollouts) -> dict[str, Score]:
+    by_pair = {(row.spawn, row.policy): row for row in rows(rollouts.card)}
+    found: dict[str, Score] = {}
+    for pair, of_walking in ((rollouts.crowd, False), (rollouts.walk, True)):
+        if pair is not None:
+            scores = by_pair[pair].families
+            found |= {f: s for f, s in scores.items() if (f in WALK) == of_walking}
+    return found
+
+
+def _metrics(rollouts: Rollouts) -> dict[str, MetricEntry]:
+    scale = scale_of(rollouts.card)
+    scores = {
+        pair: metric_scores(rollouts.card, rollouts.entry(pair))
+        for pair in (rollouts.crowd, rollouts.walk)
+        if pair is not None
+    }
+    found = {}
+    for metric in metrics_for(rollouts.reference.blocks):
+        pair = rollouts.pair_of(metric)
+        if pair is None:
+            continue
+        card = rollouts.entry(pair).metrics[metric.name]
+        score = scores[pair].get(metric.name)
+        energies = rollouts.energies.get(metric.name, {})
+        found[metric.name] = MetricEntry(
+            distance=card.distance,
+            recorded=card.recorded,
+            simulated=card.simulated,
+            unit=card.unit,
+            scored=metric.name in rollouts.card.scored,
+            score=None if score is None else score.value,
+            interval=None if score is None else score.interval,
+            parts={p: _of_fits(e, *scale[metric.name]) for p, e in energies.items()},
+        )
+    return found
+
+
+def _of_fits(energies: FitEnergies, floor: Energy, anchor: Energy) -> list[float | None]:
+    """The score of each fit, by the floor and anchor of all parts together."""
+    span = anchor.centre - floor.centre
+    if not span > 0:
+        return [None] * len(energies.spread)
+    above = energies.to_recorded - energies.spread - floor.centre
+    return [max(LOWEST, float(1 - a / span)) for a in above]
+
+
+def _evenness(rollouts: Rollouts) -> float | None:
+    """How much rollouts differ; None where they have no score, and on track walk."""
+    if rollouts.crowd is None:
+        return None
+    even = {m.name for m in METRICS if m.family in ("arrivals", "presence")}
+    energies = {name: parts for name, parts in rollouts.energies.items() if name in even}
+    floors = {name: floor.energy().centre for name, floor in rollouts.card.scale.floor.items()}
+    return evenness(energies, floors)
+
+
+def _copy(rollouts: Rollouts, recording: Trajectories, crowds: Iterable[Trajectories]) -> Copy:
+    """How much is copied, the mean over the rollouts; track walk has the recorded arrivals."""
+    lives = LifeCopies(recording, rollouts.place)
+    arrivals = None if rollouts.crowd is None else ArrivalCopies(recording, rollouts.place)
+    shares, indices = [], []
+    for crowd in crowds:  # one at a time: many of them would not fit into memory
+        shares.append(lives.share(crowd))
+        if arrivals is not None:
+            persons = np.flatnonzero(crowd.entered)
+            area = crowd.spawn_area[persons].astype(np.int64)
+            indices.append(arrivals.index(crowd.spawn_s[persons], area))
+    return Copy(
+        arrivals=_mean(indices),
+        arrivals_limit=None if arrivals is None else independent_limit(arrivals, rollouts.place),
+        lives=_mean(shares),
+    )
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    """The mean of those that are known."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _curves(rollouts: Rollouts) -> dict[str, Curve]:
+    by_name: Mapping[str, Metric] = {m.name: m for m in metrics_for(rollouts.reference.blocks)}
+    found: dict[str, Curve] = {}
+    if rollouts.crowd is not None:
+        seen = rollouts.seen(by_name["agents_over_time"])
+        found[AGENTS] = agents_over_time(rollouts.reference, seen)
+    for name, (title, _) in DISTRIBUTIONS.items():
+        if rollouts.pair_of(by_name[name]) is not None:
+            seen = rollouts.seen(by_name[name])
+            found[title] = distribution(name, rollouts.reference, seen)
+    return found

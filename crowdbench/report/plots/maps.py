@@ -1,0 +1,86 @@
+"""Maps of one scene side by side, on one scale, and how many people are in each of its cells."""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from crowdbench.report.plots.canvas import picture
+from crowdbench.scene import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+CELL_M = 0.5
+Map = tuple[str, Callable[["Axes"], None]]
+"""A title, and what draws the place and more onto the axes."""
+
+_TITLE_IN = 0.2
+_GAP_IN = 0.2
+_LEGEND_IN = 0.18
+_MARGIN_IN = 0.4
+
+
+def in_cells(xy: Float32[np.ndarray, "n 2"], scene: Scene) -> Float[np.ndarray, "Y X"]:
+    """How many positions lie in each cell of `CELL_M`, the first one at the lowest x and y."""
+    b = scene.bounds
+    edges = [
+        low + CELL_M * np.arange(int(np.ceil((high - low) / CELL_M)) + 1)
+        for low, high in ((b.y_min_m, b.y_max_m), (b.x_min_m, b.x_max_m))
+    ]
+    x, y = xy.T
+    return np.histogram2d(y, x, bins=edges)[0]
+
+
+def draw_cells(axis: "Axes", values: Float[np.ndarray, "Y X"], scene: Scene, **style: Any) -> Any:
+    """Draw a value of each cell; the image, for a colour bar."""
+    b, (rows, columns) = scene.bounds, values.shape
+    x, y = b.x_min_m, b.y_min_m
+    extent = (x, x + CELL_M * columns, y, y + CELL_M * rows)
+    return axis.imshow(values, origin="lower", interpolation="nearest", extent=extent, **style)
+
+
+def maps(
+    scene: Scene,
+    shown: Sequence[Map],
+    *,
+    width: float,
+    columns: int,
+    handles: Sequence[Any] = (),
+    legend_columns: int = 2,
+) -> bytes:
+    """Draw maps of the scene, each `width` inches wide, as a small png.
+
+    `handles` are explained below all maps: in them, an area may lie in any corner.
+    """
+    b = scene.bounds
+    columns = min(columns, len(shown))
+    rows = -(-len(shown) // columns)
+    lines = 1 + max(title.count("\n") for title, _ in shown)
+    explained = -(-len(handles) // legend_columns)
+    height = width * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m)
+
+    def draw(axes: "list[Axes]") -> None:
+        for axis in axes[len(shown) :]:
+            axis.set_visible(False)
+        for k, (axis, (title, draw_map)) in enumerate(zip(axes, shown, strict=False)):
+            draw_map(axis)
+            axis.set_title(title, fontsize=9)
+            axis.set_ylabel("y (m)" if k % columns == 0 else "")
+            below = k + columns < len(shown)
+            axis.set_xlabel("" if below else "x (m)")
+            axis.tick_params(labelbottom=not below)  # also above an empty place
+        if handles:
+            axes[0].figure.legend(
+                handles=list(handles), loc="outside lower center", ncols=legend_columns
+            )
+
+    return picture(
+        draw,
+        width=width * columns + 0.6,
+        height=(height + _TITLE_IN * lines + _GAP_IN) * rows + _MARGIN_IN + _LEGEND_IN * explained,
+        rows=rows,
+        columns=columns,
+        kind="small png",
+    )

@@ -1,0 +1,273 @@
+"""What pictures show: the crowds of an evaluation beside the recording, in the same time blocks."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import cycle
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from crowdbench.metrics import METRICS, Metric, Statistics, Sums, Support, total
+from crowdbench.metrics.lattice import correlation
+from crowdbench.metrics.presence import LAGS_S, counted, lag_key, lagged
+from crowdbench.registry import COMPARED
+from crowdbench.report.display_names import names_of
+from crowdbench.scene import Scene
+from crowdbench.scoring.energy import LEVEL, Draws
+from crowdbench.scoring.reference import Reference
+from crowdbench.scoring.scorecard import ANCHORS
+from crowdbench.spawn.areas import Areas, read_areas
+from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.table import Trajectories
+
+Crowds = Mapping[tuple[str, str, int], Trajectories]
+"""Rollouts by spawn model, policy and seed."""
+
+# Okabe & Ito's colours, which colour-blind readers can tell apart; the recording is black.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+DASHES: tuple[tuple[float, ...], ...] = ((), (5.0, 2.0), (1.5, 1.5), (6.0, 1.5, 1.5, 1.5))
+_RESAMPLES = 200
+_LAG_STEP_S = 2.0
+_LONGEST_LAG_S = 120.0
+_TAILS = (100 * LEVEL / 2, 100 * (1 - LEVEL / 2))
+
+
+def goal_colour(area: int) -> str:
+    """The colour of a goal area and of all who walk there, `#RRGGBB`."""
+    return COLOURS[area % len(COLOURS)]
+
+
+def spawn_colours(spawns: Sequence[str]) -> dict[str, str]:
+    """Colours of spawn models: those of every page of results have theirs in every picture."""
+    own = dict(zip(COMPARED, COLOURS, strict=False))
+    others = [spawn for spawn in dict.fromkeys(spawns) if spawn not in own]
+    return own | dict(zip(others, cycle(COLOURS[len(own) :]), strict=False))
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Rollouts of one pair, and how they are drawn: a colour per spawn model, dashes per policy."""
+
+    spawn: str
+    policy: str
+    colour: str
+    dashes: tuple[float, ...]
+    crowds: list[Trajectories]
+    label: str
+    """What the pair is called."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """Distribution functions of one metric on a common support (V values)."""
+
+    support: Support
+    recorded: Float[np.ndarray, "K V"]
+    """Of one sample, or of each of K areas."""
+    band: tuple[Float[np.ndarray, "K V"], Float[np.ndarray, "K V"]]
+    """What 95 % of the resamples of the recording's time blocks lie between."""
+    groups: Float[np.ndarray, "G K V"]
+    """Of all rollouts of each group together."""
+
+    def longest(self, k: int = 0, *, beyond: float = 0.004) -> int:
+        """The value that next to nobody exceeds."""
+        each = [self.recorded[k], *self.groups[:, k]]
+        at = max(int(np.searchsorted(f, 1 - beyond)) for f in each)
+        return int(self.support[min(at, len(self.support) - 1)])
+
+
+@dataclass(frozen=True, eq=False)
+class Correlations:
+    """The recording's autocorrelation of N(t) at L lags, with its band by resampling blocks."""
+
+    lag_s: Float[np.ndarray, " L"]
+    value: Float[np.ndarray, " L"]
+    low: Float[np.ndarray, " L"]
+    high: Float[np.ndarray, " L"]
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """A recording and the crowds to compare with it."""
+
+    scene: Scene
+    reference: Reference
+    """In the blocks that `part` is scored on."""
+    part: str
+    groups: list[Group]
+    recording: Trajectories | None = None
+    """Where it is at hand, pictures show of it what the reference does not know: paths, and the
+    autocorrelation at every lag."""
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        reference: Reference,
+        crowds: Crowds,
+        protocol: str,
+        recording: Trajectories | None = None,
+    ) -> "Sight":
+        """Look at the first part of a protocol.
+
+        Crowds under the recorded arrivals are left out, unless there are no others.
+        """
+        part = PARTS[0] if protocol == "full" else PARTS[1]
+        inside = reference.blocks.in_part(part)
+        seen = Reference(
+            reference.blocks.scored(part),
+            reference.place,
+            {
+                metric: {name: values[inside] for name, values in statistics.items()}
+                for metric, statistics in reference.statistics.items()
+            },
+        )
+        pairs = list(dict.fromkeys((spawn, policy) for spawn, policy, _ in crowds))
+        names = names_of([*pairs, *ANCHORS], scene)  # tables show the anchors beside them
+        pairs = [pair for pair in pairs if pair[0] != "replay"] or pairs
+        colours = spawn_colours([spawn for spawn, _ in pairs])
+        policies = list(dict.fromkeys(policy for _, policy in pairs))
+        groups = [
+            Group(
+                spawn,
+                policy,
+                colours[spawn],
+                DASHES[policies.index(policy) % len(DASHES)],
+                [crowd for key, crowd in crowds.items() if key[:2] == (spawn, policy)],
+                names.pair(spawn, policy),
+            )
+            for spawn, policy in pairs
+        ]
+        return cls(scene, seen, part, groups, recording)
+
+    def narrowed(self, *, policy: str | None = None, rollouts: int | None = None) -> "Sight":
+        """The groups of one policy, or of every one; of each the first so many rollouts, or all.
+
+        Those of one policy are drawn without dashes, which would tell nothing.
+        """
+        groups = [
+            replace(
+                group,
+                dashes=group.dashes if policy is None else (),
+                crowds=group.crowds[:rollouts],
+            )
+            for group in self.groups
+            if policy in (None, group.policy)
+        ]
+        return replace(self, groups=groups)
+
+    @cached_property
+    def areas(self) -> Areas:
+        """Where people enter and whither they walk."""
+        return read_areas(self.scene)
+
+    @cached_property
+    def _draws(self) -> Draws:
+        return Draws.of(
+            self.reference.blocks,
+            resample_s=self.scene.protocol.resample_s,
+            block_s=self.scene.protocol.block_s,
+            seed=(PARTS.index(self.part),),
+        )
+
+    def pooled(self, name: str) -> tuple[list[Sums], Support]:
+        """Sums of a metric over all blocks: the recording's, then each group's; and the support."""
+        recorded, groups, support = self._aligned(name)
+        return [total(recorded), *groups], support
+
+    def cells(self, name: str) -> list[np.ndarray]:
+        """Shares of a metric over its cells: the recording's, then each group's."""
+        each = [
+            self.reference.statistics[name]["counts"].sum(axis=0),
+            *(sum(s["counts"].sum(axis=0) for s in group) for group in self._statistics(name)),
+        ]
+        return [counts / max(1, counts.sum()) for counts in each]
+
+    def curves(self, name: str, samples: int = 1) -> Curves:
+        """Distribution functions of a metric that compares them, of `samples` samples each."""
+        metric = _metric(name)
+        recorded, groups, support = self._aligned(name)
+        times = self._draws.blocks[:_RESAMPLES]
+        resampled = {n: times @ values for n, values in recorded.items()}
+
+        def embedded(sums: Sums) -> np.ndarray:
+            values = metric.embed(sums, support, self.reference.blocks)
+            return values.reshape(*values.shape[:-1], samples, len(support))
+
+        low, high = np.percentile(embedded(resampled), _TAILS, axis=0)
+        return Curves(
+            support,
+            embedded(total(recorded)),
+            (low, high),
+            np.stack([embedded(sums) for sums in groups]),
+        )
+
+    @property
+    def lags_s(self) -> Float[np.ndarray, " L"]:
+        """Lags at which pictures show the autocorrelation: those at which blocks have enough."""
+        steps = np.arange(0.0, _LONGEST_LAG_S + _LAG_STEP_S / 2, _LAG_STEP_S)
+        return np.array(counted(steps.tolist(), self.reference.blocks))
+
+    def autocorrelations(self, lags_s: Sequence[float]) -> Float[np.ndarray, "G L"]:
+        """Of each group, the mean over its rollouts."""
+        blocks = self.reference.blocks
+        each = [
+            [correlation(lagged(crowd, blocks, lags_s).sum(axis=1)) for crowd in group.crowds]
+            for group in self.groups
+        ]
+        means = [np.mean(of_group, axis=0) for of_group in each]
+        return np.array(means).reshape(len(self.groups), len(lags_s))
+
+    def compared_autocorrelation(self) -> Correlations:
+        """The recording's at the lags that the metric compares."""
+        lags_s = counted(LAGS_S, self.reference.blocks)
+        known = self.reference.statistics["autocorrelation"] if lags_s else {}
+        sums = np.array([known[lag_key(lag_s)] for lag_s in lags_s])
+        return self._correlations(lags_s, sums.reshape(len(lags_s), len(self.reference.blocks), 6))
+
+    def recorded_autocorrelation(self) -> Correlations | None:
+        """The recording's at `lags_s`, where it is at hand."""
+        if self.recording is None:
+            return None
+        lags_s = self.lags_s.tolist()
+        return self._correlations(lags_s, lagged(self.recording, self.reference.blocks, lags_s))
+
+    def _correlations(self, lags_s: list[float], sums: Int[np.ndarray, "L B 6"]) -> Correlations:
+        times = self._draws.blocks[:_RESAMPLES]
+        resampled = correlation(np.einsum("rb,lbk->rlk", times, sums))
+        low, high = np.percentile(resampled, _TAILS, axis=0)
+        return Correlations(np.array(lags_s), np.asarray(correlation(sums.sum(axis=1))), low, high)
+
+    def _aligned(self, name: str) -> tuple[Statistics, list[Sums], Support]:
+        """The recording's statistics, each group's sums, and the support of both."""
+        statistics = self._statistics(name)
+        everyone = [self.reference.statistics[name], *(s for group in statistics for s in group)]
+        (recorded, *crowds), support = _metric(name).aligned(everyone, self.reference.blocks)
+        sums = iter([total(s) for s in crowds])
+        groups = []
+        for group in self.groups:
+            each = [next(sums) for _ in group.crowds]
+            groups.append({n: np.sum([s[n] for s in each], axis=0) for n in recorded})
+        return recorded, groups, support
+
+    def _statistics(self, name: str) -> list[list[Statistics]]:
+        if name not in self._known:
+            metric = _metric(name)
+            self._known[name] = [
+                [
+                    metric.summarise(crowd, self.reference.blocks, self.reference.place)
+                    for crowd in group.crowds
+                ]
+                for group in self.groups
+            ]
+        return self._known[name]
+
+    @cached_property
+    def _known(self) -> dict[str, list[list[Statistics]]]:
+        """Statistics of each crowd of each group, by metric."""
+        return {}
+
+
+def _metric(name: str) -> Metric:
+    return next(m for m in METRICS if m.name == name)

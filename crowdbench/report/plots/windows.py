@@ -1,0 +1,147 @@
+"""Windows of a crowd: what happens in 20 s, and how far two such windows are from each other.
+
+All is counted in people, so that one number compares them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from crowdbench.spawn.areas import Areas
+from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.table import Trajectories
+
+WINDOW_S = 20.0
+STARTS = 10
+"""Windows that begin within the length of one."""
+GROUP_S = 0.8
+"""Who enters an area in the same so many seconds is in one group: the coarsest grid on which
+arrivals of a scene are annotated, so that a group means the same in all of them."""
+_LARGEST = 40
+"""Members of a group that are told apart; the last ones count together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """`n` windows of `T` frames, overlapping ones among them, all of it observed."""
+
+    start: Int[np.ndarray, " n"]
+    """First frame."""
+    ways: Int[np.ndarray, "n C"]
+    """People who enter, by spawn area and goal area (the last one of each: unknown)."""
+    members: Int[np.ndarray, "n 40"]
+    """People who enter as the first, the second, … of a group (see `GROUP_S`)."""
+    present: Int[np.ndarray, "n T"]
+    """People who are there, frame by frame."""
+
+    @classmethod
+    def of(cls, crowd: Trajectories, areas: Areas) -> "Windows":
+        """Look at a crowd whose people carry the areas."""
+        frames = round(WINDOW_S / crowd.dt_s)
+        step = max(1, round(frames / STARTS))
+        start = np.concatenate([np.arange(a, b - frames + 1, step) for a, b in crowd.observed])
+        opens = np.ones(len(crowd.observed), dtype=bool)
+        blocks = TimeBlocks(crowd.observed, opens, crowd.dt_s, crowd.grid_s)
+        who, _, tick = blocks.of_arrivals(crowd)
+        spawns, goals = len(areas.spawn) + 1, len(areas.goal) + 1
+        spawn, goal = crowd.spawn_area[who] % spawns, crowd.goal_area[who] % goals  # −1 is last
+        moment = _whole(tick * crowd.grid_s / GROUP_S)
+        at = _whole(tick * crowd.grid_s / crowd.dt_s)
+        low, high = np.searchsorted(at, start), np.searchsorted(at, start + frames)
+        seen = np.repeat(low - np.r_[0, (high - low).cumsum()[:-1]], high - low)
+        seen += np.arange(len(seen))  # arrivals, window by window
+        window = np.repeat(np.arange(len(start)), high - low)
+        ways = np.zeros((len(start), spawns * goals), np.int16)
+        np.add.at(ways, (window, spawn[seen].astype(np.int64) * goals + goal[seen]), 1)
+        members = np.zeros((len(start), _LARGEST), np.int16)
+        place = _place_in_group(np.stack([window, spawn[seen], moment[seen]], axis=1))
+        np.add.at(members, (window, np.minimum(place, _LARGEST - 1)), 1)
+        present = crowd.present()[start[:, None] + np.arange(frames)].astype(np.int16)
+        return cls(start, ways, members, present)
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    @property
+    def frames(self) -> int:
+        """Frames of a window."""
+        return self.present.shape[1]
+
+    @property
+    def entered(self) -> Int[np.ndarray, " n"]:
+        """People who enter."""
+        return self.members.sum(axis=1)
+
+    @property
+    def largest(self) -> Int[np.ndarray, " n"]:
+        """People in the largest group; 0 where nobody enters."""
+        return (self.members > 0).sum(axis=1)
+
+    @property
+    def alone(self) -> Int[np.ndarray, " n"]:
+        """People who enter alone."""
+        return self.members[:, 0] - self.members[:, 1]
+
+    def apart(self, other: "Windows", k: int) -> Float[np.ndarray, "n 3"]:
+        """How far each window is from window `k` of `other`: by ways, by groups and by presence.
+
+        Ways: the sum over spawn and goal areas of differences in people who enter. Groups: the sum
+        over first, second, … members of groups of differences in people who enter as such.
+        Presence: the mean over time of the difference in people there. The distance is their sum.
+        """
+        return np.stack(
+            [
+                np.abs(self.ways - other.ways[k]).sum(axis=1, dtype=np.float64),
+                np.abs(self.members - other.members[k]).sum(axis=1, dtype=np.float64),
+                np.abs(self.present - other.present[k]).mean(axis=1, dtype=np.float64),
+            ],
+            axis=1,
+        )
+
+    def away_from(self, k: int) -> np.ndarray:
+        """Which windows share no frame with window `k`."""
+        return np.abs(self.start - self.start[k]) >= self.frames
+
+
+def situations(windows: Windows, areas: Areas) -> dict[str, tuple[int, int]]:
+    """Windows that show something, and how many people show it, by kind; none overlaps another.
+
+    large group: the largest group of all. small group: groups of two or more, the largest of them
+    as small as can be. single walkers: the most people who enter alone. strong flow: the most
+    people from one spawn area to one goal area. Among equals the window that the fewest people
+    enter, then the one in which most are there.
+    """
+    shape = (len(windows), len(areas.spawn) + 1, len(areas.goal) + 1)
+    strongest = windows.ways.reshape(shape)[:, :-1, :-1].max(axis=(1, 2))
+    grouped = np.where(windows.largest >= 2, windows.largest, 0)
+    shown = {
+        "large group": (grouped, grouped),
+        "small group": (grouped, np.where(grouped > 0, _LARGEST + 1 - grouped, 0)),
+        "single walkers": (windows.alone, windows.alone),
+        "strong flow": (strongest, strongest),
+    }
+    free = np.ones(len(windows), dtype=bool)
+    found = {}
+    for kind, (people, wanted) in shown.items():
+        rank = np.where(free, wanted, 0).astype(np.int64)
+        k = int(np.lexsort((-windows.present.sum(axis=1), windows.entered, -rank))[0])
+        if rank[k] > 0:
+            found[kind] = (k, int(people[k]))
+            free &= windows.away_from(k)
+    return found
+
+
+def _whole(steps: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """Whole steps; times are sums of floats."""
+    return np.floor(steps + 1e-6).astype(np.int64)
+
+
+def _place_in_group(group: Int[np.ndarray, "n k"]) -> Int[np.ndarray, " n"]:
+    """0 for the first member of each group, 1 for the second, and so on."""
+    order = np.lexsort(group.T)
+    new = np.r_[True, (np.diff(group[order], axis=0) != 0).any(axis=1)][: len(group)]
+    first = np.maximum.accumulate(np.where(new, np.arange(len(group)), 0))
+    place = np.empty(len(group), dtype=np.int64)
+    place[order] = np.arange(len(group)) - first
+    return place

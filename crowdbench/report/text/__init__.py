@@ -1,0 +1,1 @@
+"""Text that pages share: numbers in words, Markdown."""

@@ -1,0 +1,284 @@
+"""How an episode begins, and what of it is written down: shared by rollouts and environments."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int
+from numpy.random import Generator, SeedSequence, default_rng
+
+from crowdbench.errors import ActionError, CapacityError, SettingError
+from crowdbench.policies import Policy, StateView
+from crowdbench.scene import Scene
+from crowdbench.simulation import Simulation
+from crowdbench.simulation.simulation import TIMEOUT_DWELLS
+from crowdbench.simulation.state import EXIT, GOAL, HORIZON, RECORDED, TIMEOUT
+from crowdbench.spawn import SpawnEvents, SpawnModel, Steered
+from crowdbench.spawn.events import check_events
+from crowdbench.spawn.model import Start
+from crowdbench.trajectories.table import Trajectories, from_rows
+
+PURPOSES = ("spawn", "policy", "warm-up")
+WARM_UP_S = 60.0
+LEAST_SLOTS = 512
+
+
+def generator(seed: int, world: int, purpose: str) -> Generator:
+    """The random numbers of one world for one purpose: independent of all others."""
+    key = (world, PURPOSES.index(purpose))
+    return default_rng(SeedSequence(seed, spawn_key=key))
+
+
+def warm_up_s(scene: Scene) -> float:
+    """How long a stationary crowd walks before its episode begins."""
+    return max(WARM_UP_S, scene.recording.dwell_p99_s)
+
+
+def begin(
+    simulation: Simulation,
+    spawn: SpawnModel,
+    *,
+    seed: int,
+    frames: int,
+    start: Start | None,
+    walker: Policy,
+    scripted: bool = False,
+) -> None:
+    """Begin an episode of `frames` frames in all worlds of a simulation.
+
+    Each world has arrivals of its own, drawn from its own random numbers. `start` is by default
+    the spawn model's. `stationary`: a warm-up of 60 s or the 99th percentile of dwell times,
+    whichever is longer, is walked by `walker` and discarded. `recorded`: with the recorded initial
+    population (replay only). `empty`: with nobody.
+
+    Raises:
+        SettingError: `recorded` without recorded arrivals, or `stationary` with them.
+    """
+    scene = simulation.scene
+    start = start or spawn.start
+    recorded = spawn.start == "recorded"
+    if start not in ("stationary", "recorded", "empty"):
+        raise SettingError("start", got=repr(start), expected="stationary, recorded or empty")
+    if (start == "recorded") != recorded and start != "empty":
+        raise SettingError(
+            f"start of {spawn.name}",
+            got=start,
+            expected="recorded or empty" if recorded else "stationary or empty",
+            mend="Only replayed arrivals know the recorded initial population.",
+        )
+    warm_up = 0
+    if start == "stationary":
+        warm_up = scene.frames(warm_up_s(scene))
+    events = []
+    for world in range(simulation.worlds):
+        sample = arrivals(spawn, scene, seed=seed, world=world, warm_up=warm_up, frames=frames)
+        outside = sample.entered & ~scene.inside(sample.start.astype(np.float64))
+        if outside.any():
+            raise SettingError(
+                f"events of the spawn model {spawn.name}",
+                got=f"{int(outside.sum())} persons who start outside the bounds of {scene.id}",
+                expected="starts in metres, in the scene's frame",
+            )
+        if scripted:
+            sample = spawn.scripted(sample)  # type: ignore[attr-defined]  # Replay alone has scripts
+        if start == "empty":
+            sample = sample[sample.entered]
+        events.append(sample)
+    simulation.reset(events, horizon=frames, first_frame=-warm_up)
+    walker.reset(scene, generator(seed, 0, "warm-up"))
+    for _ in range(warm_up):
+        simulation.step(actions_of(walker, simulation))
+    if warm_up:
+        simulation.number_anew()
+
+
+def arrivals(
+    spawn: SpawnModel, scene: Scene, *, seed: int, world: int, warm_up: int, frames: int
+) -> SpawnEvents:
+    """Who is to enter a world in `warm_up` frames before time 0 and `frames` after it.
+
+    Raises:
+        SettingError: the model made what no simulation can let in.
+    """
+    if isinstance(spawn, Steered):  # its times count from the episode's start
+        spawn = replace(spawn, warm_up_s=warm_up * scene.dt_s)
+    horizon_s = (warm_up + frames) * scene.dt_s
+    events = spawn.sample(horizon_s, scene, generator(seed, world, "spawn"))
+    return check_events(events, spawn.name).shifted(-warm_up * scene.dt_s)
+
+
+def actions_of(
+    policy: Policy, simulation: Simulation, who: Bool[np.ndarray, "W N"] | None = None
+) -> Float32[np.ndarray, "W N 2"]:
+    """Let a policy act for everyone present, or for those of them in `who`; zeros elsewhere.
+
+    One that sees the state sees everyone all the same.
+    """
+    there = simulation.slots.alive
+    actions = np.zeros(simulation.slots.position.shape, np.float32)
+    who = there if who is None else there & who
+    if not who.any():  # nobody to act for: not every policy knows what to do
+        return actions
+    if policy.sees == "state":
+        view = StateView.of(simulation)
+        at = view.world * there.shape[1] + view.slot
+        actions.reshape(-1, 2)[at] = _checked(policy.act(view), len(view.slot), policy)
+        if who is not there:
+            actions[~who] = 0
+    else:
+        at = np.flatnonzero(who)  # one index is looked up faster than a mask
+        observation = simulation.observe()
+        seen = observation.reshape(-1, observation.shape[-1]).take(at, axis=0)
+        actions.reshape(-1, 2)[at] = _checked(policy.act(seen), len(seen), policy)
+    return actions
+
+
+def _checked(actions: object, persons: int, policy: Policy) -> np.ndarray:
+    """What a policy gave, if it is one finite pair of numbers per person.
+
+    Raises:
+        ActionError: it is not.
+    """
+    got = np.asarray(actions)
+    if got.shape != (persons, 2) or got.dtype.kind not in "fiu":
+        raise ActionError(
+            f"policy {policy.name}",
+            got=f"an array of shape {got.shape} and type {got.dtype} from act",
+            expected=f"one action for each of {persons} persons, numbers of shape ({persons}, 2)",
+        )
+    if not np.isfinite(got).all():
+        raise ActionError(
+            f"policy {policy.name}",
+            got=f"{int((~np.isfinite(got)).sum())} values from act that are not finite",
+            expected="finite numbers",
+            mend="Look for a division by zero or a diverged network.",
+        )
+    return got.clip(-1, 1)
+
+
+@dataclass
+class Recorder:
+    """Writes down where the persons of a one-world simulation are, frame by frame."""
+
+    simulation: Simulation
+    _frame: list[int] = field(default_factory=list)
+    _person: list[np.ndarray] = field(default_factory=list)
+    _xy: list[np.ndarray] = field(default_factory=list)
+    _event: list[np.ndarray] = field(default_factory=list)
+    _born: list[np.ndarray] = field(default_factory=list)
+    _ended: list[np.ndarray] = field(default_factory=list)
+    _there: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    _some_ended: bool = False
+
+    def write(self) -> None:
+        """Note everyone who is there or has just ended; the frame of the horizon is outside."""
+        slots, clock = self.simulation.slots, self.simulation.clock
+        if not self._frame or self._some_ended or clock.changed[0]:
+            self._there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
+            ended = slots.ended[0, self._there]
+            self._some_ended = bool(ended.any())
+            self._person.append(slots.person[0, self._there])
+            self._event.append(slots.event[0, self._there])
+            self._born.append(slots.born[0, self._there])
+            self._ended.append(ended)
+        else:  # the same people as in the frame before
+            for column in (self._person, self._event, self._born, self._ended):
+                column.append(column[-1])
+        self._xy.append(slots.position[0].take(self._there, axis=0))
+        self._frame.append(int(clock.frame[0]))
+
+    def latest(self, frames: int) -> list[tuple[Int[np.ndarray, " _"], Float32[np.ndarray, "_ 2"]]]:
+        """Ids and positions of those who were there in the frames written last, the last one last.
+
+        Frames in which nobody was there are not all written.
+        """
+        return list(zip(self._person[-frames:], self._xy[-frames:], strict=True))
+
+    def trajectories(self, provenance: dict[str, Any]) -> Trajectories:
+        """The table of what was written down so far.
+
+        Raises:
+            RecordingError: nobody was there.
+        """
+        scene = self.simulation.scene
+        events = self.simulation.events[0]
+        horizon = int(self.simulation.clock.horizon[0])
+        count = [len(person) for person in self._person]
+        frame = np.repeat(np.array(self._frame), count)
+        person = np.concatenate(self._person)
+        event = np.concatenate(self._event)
+        born = np.concatenate(self._born)
+        ended = np.concatenate(self._ended)
+        outcome = np.zeros(int(person.max(initial=-1)) + 1, np.int8)
+        inside = frame < horizon
+        # Who ends at the horizon's frame, by whatever rule, is seen last in the frame before.
+        final = ended != 0
+        outcome[person[final]] = np.where(inside[final], ended[final], HORIZON)
+        how = outcome[person]
+        left = np.isin(how, (GOAL, EXIT, TIMEOUT)) | ((how == RECORDED) & ~events.censored[event])
+        waited_s = self.simulation.waited(0, event, born) * scene.dt_s
+        requested_s = events.time_s[event]
+        persons = {
+            "spawn_area": events.spawn_area[event],
+            "goal_area": events.goal_area[event],
+            "entered": events.entered[event] & (born > 0),
+            "left": left,
+            "requested_s": requested_s,
+            "spawn_s": requested_s + waited_s,
+            "outcome": how,
+        }
+        return from_rows(
+            scene=scene.id,
+            dt_s=scene.dt_s,
+            grid_s=scene.grid_s,
+            frames=horizon,
+            person_id=person[inside].astype(np.int64),
+            frame=frame[inside],
+            xy=np.concatenate(self._xy)[inside],
+            persons={name: values[inside] for name, values in persons.items()},
+            provenance=provenance,
+            where=" × ".join(str(provenance.get(k, "")) for k in ("spawn", "policy"))
+            + f", seed {provenance.get('seed', '')}",
+        )
+
+
+def slots_for(events: SpawnEvents, scene: Scene) -> int:
+    """Slots that have room for crowds like this one, even if nobody reaches a goal."""
+    return max(LEAST_SLOTS, 3 * _most_at_once(events, scene) // 2)
+
+
+def _most_at_once(events: SpawnEvents, scene: Scene) -> int:
+    """Persons who are there at once if all of them stay until the scene's patience ends."""
+    patience_s = TIMEOUT_DWELLS * scene.recording.dwell_p99_s
+    gone = np.searchsorted(events.time_s, events.time_s + patience_s)
+    return int((gone - np.arange(len(events))).max(initial=0))
+
+
+def check_horizon(horizon_s: float) -> None:
+    """Raise where an episode cannot be so long.
+
+    Raises:
+        SettingError: it is not a positive number of seconds.
+    """
+    if not (np.isfinite(horizon_s) and horizon_s > 0):
+        raise SettingError("horizon_s", got=str(horizon_s), expected="a positive number of seconds")
+
+
+def check_capacity(simulation: Simulation) -> None:
+    """Raise where persons were turned away for want of slots or ids.
+
+    Raises:
+        CapacityError: some were.
+    """
+    clock, settings = simulation.clock, simulation.settings
+    for count, name, size in (
+        (int(clock.no_slot.sum()), "max_alive", settings.max_alive),
+        (int(clock.no_id.sum()), "max_persons", settings.max_persons),
+    ):
+        if count:
+            raise CapacityError(
+                f"{simulation.scene.id}, frame {int(clock.frame[0])}",
+                got=f"{count} persons more than {name} = {size} has room for",
+                expected="room for everyone who enters",
+                mend=f"Raise {name}.",
+            )

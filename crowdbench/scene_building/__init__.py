@@ -1,0 +1,7 @@
+"""Scenes of one's own: made from a recording that nobody here has seen, and checked."""
+
+from crowdbench.scene_building.check import Finding, check_scene
+from crowdbench.scene_building.create import Created, create_scene
+from crowdbench.scene_building.walls import read_walls
+
+__all__ = ["Created", "Finding", "check_scene", "create_scene", "read_walls"]

@@ -1,0 +1,199 @@
+"""`check_scene`: does everything in a scene's folder belong together?"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from crowdbench.errors import CrowdbenchError, SceneError, WeightsError
+from crowdbench.metrics import metrics_for
+from crowdbench.recordings.catalogue import SOURCES
+from crowdbench.registry import FITTED, has_recording, recording, trained_policies
+from crowdbench.scene import Scene, load_scene
+from crowdbench.scene_building.fit import check_against
+from crowdbench.scene_building.rules import LEFT_OUT
+from crowdbench.scoring.reference import Reference, read_reference
+from crowdbench.scoring.scorecard import read_anchors
+from crowdbench.spawn import Areas, fit_areas
+from crowdbench.spawn.areas import read_areas
+from crowdbench.trajectories.blocks import FOLDS, PARTS
+from crowdbench.trajectories.table import Trajectories
+
+T = TypeVar("T")
+_NEEDED = "poisson-gmm"  # the anchor; other models may be left out
+_NOT_LOOKED_AT = "not looked at"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was found of one part of a scene."""
+
+    part: str
+    state: str
+    problem: CrowdbenchError | None = None
+
+
+def check_scene(scene: str | Path) -> Iterator[Finding]:
+    """Look at every part of a scene, one after the other; what is wrong is told, not raised.
+
+    Raises:
+        SceneError: there is no such scene, or its `scene.toml` is broken.
+    """
+    place = load_scene(scene)
+    yield Finding(
+        "scene.toml", f"{place.title}; {place.horizon_s:.0f} s; walls: {len(place.walls)}"
+    )
+    areas, finding = _read("areas", partial(read_areas, place), partial(_areas, place))
+    yield finding
+    reference, finding = None, Finding("reference", _NOT_LOOKED_AT)
+    if areas is not None:
+        reference, finding = _read(
+            "reference", partial(read_reference, place), partial(_blocks, place)
+        )
+    yield finding
+    for model in FITTED:
+        yield _look(model, partial(_weights, model, place, areas))
+    complete = areas is not None and reference is not None
+    yield _look("anchors", lambda: _anchors(place) if complete else _NOT_LOOKED_AT)
+    yield _look("scored metrics", lambda: _scored(place, reference))
+    yield Finding("policies", ", ".join(trained_policies(place)) or "none trained")
+    yield _look("recording", lambda: _recording(place, areas, reference))
+
+
+def _look(part: str, at: Callable[[], str]) -> Finding:
+    try:
+        return Finding(part, at())
+    except CrowdbenchError as error:
+        return Finding(part, "wrong", error)
+
+
+def _read(part: str, read: Callable[[], T], tell: Callable[[T], str]) -> tuple[T | None, Finding]:
+    """What is there, None where it cannot be read, and what is to be said of it."""
+    try:
+        there = read()
+    except CrowdbenchError as error:
+        return None, Finding(part, "wrong", error)
+    return there, _look(part, lambda: tell(there))
+
+
+def _areas(scene: Scene, areas: Areas) -> str:
+    most = max(areas.left_out)
+    if most >= LEFT_OUT:
+        raise SceneError(
+            scene.folder / "areas.json",
+            got=f"{most:.1%} of starts or ends in no area of their own",
+            expected=f"less than {LEFT_OUT:.0%}",
+            mend="Raise eps_m in [clustering.default] of scene.toml, and fit the scene again.",
+        )
+    return f"{len(areas.spawn)} to enter, {len(areas.goal)} to leave; {most:.1%} left out at most"
+
+
+def _blocks(scene: Scene, reference: Reference) -> str:
+    blocks = reference.blocks
+    if len(blocks) < FOLDS:
+        raise SceneError(
+            scene.folder / "scene.toml",
+            got=f"{len(blocks)} time blocks",
+            expected=f"{FOLDS} or more, one for each fold",
+            mend="Make protocol.block_s shorter, and fit the scene again.",
+        )
+    return f"{len(blocks)} time blocks, {blocks.exposure_s():.0f} s"
+
+
+def _weights(model: str, scene: Scene, areas: Areas | None) -> str:
+    if areas is None:
+        return _NOT_LOOKED_AT
+    if model != _NEEDED and not any(scene.folder.glob(f"{model}.*")):
+        return "not there"
+    for part in PARTS:
+        for fit in range(scene.protocol.fits):
+            FITTED[model].read(scene, areas, part, fit)
+    return f"fitted for {', '.join(PARTS)}"
+
+
+def _anchors(scene: Scene) -> str:
+    anchors = read_anchors(scene)
+    return f"{len(anchors.protocols['full'].anchors)} crowds in each protocol"
+
+
+def _scored(scene: Scene, reference: Reference | None) -> str:
+    scored = scene.protocol.scored
+    if reference is None:
+        return _NOT_LOOKED_AT
+    written = "\nscored = [" in (scene.folder / "scene.toml").read_text(encoding="utf-8")
+    if written and not scored:
+        return "none: no metric tells the anchor from the recording"
+    unknown = set(scored) - {metric.name for metric in metrics_for(reference.blocks)}
+    if unknown or not scored:
+        names = ", ".join(sorted(unknown))
+        raise SceneError(
+            scene.folder / "scene.toml",
+            got=f"{names} in protocol.scored" if scored else "no protocol.scored",
+            expected="metrics that these time blocks are long enough for, and at least one",
+            mend=f"Run `crowdbench power {scene.asked} --write` with the recording at hand.",
+        )
+    return f"{len(scored)} of {len(metrics_for(reference.blocks))}"
+
+
+def _recording(scene: Scene, areas: Areas | None, reference: Reference | None) -> str:
+    name = scene.recording.name
+    if not has_recording(scene):
+        return f"{name} is not imported: nothing was held against it"
+    crowd = recording(name)
+    _check_hash(scene, crowd)
+    check_against(scene, crowd)
+    if areas is None or reference is None:
+        return f"{name}, {len(crowd)} persons; areas and statistics {_NOT_LOOKED_AT}"
+    fresh_areas, crowd = fit_areas(crowd, scene, scene.clustering["default"])
+    fresh = Reference.of(crowd, scene, fresh_areas)
+    mend = f"Run `crowdbench fit {scene.asked}`, then `crowdbench anchors {scene.asked}`."
+    for file, same in (
+        ("areas.json", _same_areas(areas, fresh_areas)),
+        ("reference.json", _same_statistics(reference, fresh)),
+    ):
+        if not same:
+            raise WeightsError(
+                scene.folder / file,
+                got="other numbers than the recording has by the rules of scene.toml",
+                expected="the same",
+                mend=mend,
+            )
+    return f"{name}, {len(crowd)} persons; areas and statistics are its own"
+
+
+def _check_hash(scene: Scene, crowd: Trajectories) -> None:
+    name = scene.recording.name
+    stated = SOURCES[name].sha256 if name in SOURCES else scene.recording.sha256
+    got = crowd.provenance.get("sha256")
+    if stated and got != stated:
+        raise SceneError(
+            f"recording {name}",
+            got=f"imported data of SHA-256 {str(got)[:12]}…",
+            expected=f"{stated[:12]}…, which {scene.id} was made from",
+            mend="Import the recording that the scene was made from.",
+        )
+
+
+def _same_areas(a: Areas, b: Areas) -> bool:
+    pairs = ((a.spawn.mean, b.spawn.mean), (a.goal.mean, b.goal.mean), (a.flow, b.flow))
+    return all(x.shape == y.shape and np.allclose(x, y, atol=1e-6) for x, y in pairs)
+
+
+def _same_statistics(a: Reference, b: Reference) -> bool:
+    if not np.array_equal(a.blocks.frames, b.blocks.frames):
+        return False
+    return all(
+        _equal(counts, b.statistics[metric][name])
+        for metric, statistics in a.statistics.items()
+        for name, counts in statistics.items()
+    )
+
+
+def _equal(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether histograms are equal up to columns of zeros at their ends."""
+    width = max(a.shape[1], b.shape[1])
+    x, y = (np.pad(c, ((0, 0), (0, width - c.shape[1]))) for c in (a, b))
+    return np.array_equal(x, y)

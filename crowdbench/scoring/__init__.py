@@ -1,0 +1,1 @@
+"""Scores: the energy score, its noise floor and anchors, power, scorecards."""

@@ -1,0 +1,276 @@
+"""A scene's reference statistics: what its recording is compared by, without the recording.
+
+They are the metrics' statistics per time block. Distances computed from them equal those computed
+from the recording, and no path, no arrival time and no per-frame series can be read back from them.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from crowdbench.errors import RecordingError, WeightsError
+from crowdbench.files import read_struct, write_json
+from crowdbench.metrics import MetricResult, Place, Statistics, metrics_for
+from crowdbench.scene import Scene, load_scene
+from crowdbench.spawn.areas import Areas, read_areas
+from crowdbench.trajectories.blocks import TimeBlocks, cut
+from crowdbench.trajectories.table import Trajectories, from_rows
+
+SCHEMA = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """The recording of a scene, as its metrics see it."""
+
+    blocks: TimeBlocks
+    place: Place
+    statistics: dict[str, Statistics]
+    """Per block, by name of metric; those that blocks so long can tell something by."""
+
+    @classmethod
+    def of(cls, recording: Trajectories, scene: Scene, areas: Areas) -> "Reference":
+        """Summarise a recording in the time blocks of the scene's protocol."""
+        blocks = blocks_of(recording, scene)
+        place = place_of(scene, areas)
+        return cls(blocks, place, summarise(recording, blocks, place))
+
+    def score(self, crowd: Trajectories) -> dict[str, MetricResult]:
+        """All metrics of a crowd against the recording, by name."""
+        return {
+            m.name: m.compare(
+                self.statistics[m.name], m.summarise(crowd, self.blocks, self.place), self.blocks
+            )
+            for m in metrics_for(self.blocks)
+        }
+
+
+def blocks_of(recording: Trajectories, scene: Scene) -> TimeBlocks:
+    """The time blocks of a recording by the scene's protocol."""
+    return cut(
+        recording.observed,
+        block_s=scene.protocol.block_s,
+        dt_s=scene.dt_s,
+        grid_s=scene.grid_s,
+    )
+
+
+def place_of(scene: Scene, areas: Areas) -> Place:
+    """What metrics need to know of a scene."""
+    b = scene.bounds
+    return Place(
+        spawn_areas=len(areas.spawn),
+        goal_areas=len(areas.goal),
+        bounds_m=(b.x_min_m, b.x_max_m, b.y_min_m, b.y_max_m),
+        radius_m=scene.motion.person_radius_m,
+        walls=tuple(wall.corners_m for wall in scene.walls),
+    )
+
+
+def summarise(crowd: Trajectories, blocks: TimeBlocks, place: Place) -> dict[str, Statistics]:
+    """All metrics' statistics of a crowd, by name."""
+    return {m.name: m.summarise(crowd, blocks, place) for m in metrics_for(blocks)}
+
+
+def score(
+    scene: str | Path | Scene, crowd: Trajectories, *, against: Trajectories | None = None
+) -> dict[str, MetricResult]:
+    """Score any simulator's crowd against a scene's recording, or against another crowd.
+
+    Gives the result of each metric that the scene's time blocks can tell something by, by name.
+    With `against`, that crowd takes the place of the recording: its values are the `recorded`
+    ones, and distances are divided by its means.
+
+    A crowd is a continuous run as long as the recording, its first frame being frame 0: it is
+    looked at in the same time blocks. A table does not tell an empty scene at its end from an
+    end that came early; up to one time block is taken for empty. More than a block shorter or
+    longer is refused. Persons without areas are given the likeliest ones.
+
+    Raises:
+        SceneError: there is no such scene.
+        WeightsError: the scene has no reference statistics.
+        RecordingError: a crowd is another scene's, or its time step or length is not the
+            scene's.
+    """
+    scene = load_scene(scene)
+    reference = read_reference(scene)
+    areas = read_areas(scene)
+    _check_fits(crowd, scene)
+    if against is not None:
+        _check_fits(against, scene)
+        there = summarise(areas.assign(against), reference.blocks, reference.place)
+        reference = replace(reference, statistics=there)
+    return reference.score(areas.assign(crowd))
+
+
+def _check_fits(crowd: Trajectories, scene: Scene) -> None:
+    """Raise where a crowd cannot be looked at in the scene's time blocks.
+
+    Raises:
+        RecordingError: it is another scene's, or its time step or length is not the scene's.
+    """
+    if not np.isclose(crowd.dt_s, scene.dt_s):
+        raise RecordingError(
+            f"crowd scored on {scene.id}",
+            got=f"frames of {crowd.dt_s:g} s",
+            expected=f"frames of {scene.dt_s:g} s",
+            mend="Resample the trajectories to the scene's time step.",
+        )
+    if crowd.scene not in (scene.id, scene.recording.name):
+        raise RecordingError(
+            f"crowd scored on {scene.id}", got=f"a crowd of {crowd.scene}", expected=scene.id
+        )
+    needed = scene.recording.frames
+    if abs(crowd.frames - needed) > scene.frames(scene.protocol.block_s):
+        raise RecordingError(
+            f"crowd scored on {scene.id}",
+            got=f"{crowd.frames} frames ({crowd.duration_s:.1f} s)",
+            expected=f"{needed} frames ({needed * scene.dt_s:.1f} s), as long as the recording",
+            mend="Both sides are looked at in the same time blocks: simulate as long, and "
+            "check the time step.",
+        )
+
+
+_Count = Annotated[int, msgspec.Meta(ge=0)]
+_Value = Annotated[int, msgspec.Meta(ge=0, lt=10**6)]  # histograms are as long as their values
+
+
+class _ReferenceFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    schema: int
+    scene: str
+    recording: str
+    dt_s: float
+    grid_s: float
+    block_s: float
+    """What the scene's file said when the statistics were computed."""
+    blocks: Annotated[list[tuple[_Count, _Count]], msgspec.Meta(min_length=1)]
+    opens: list[bool]
+    spawn_areas: int
+    goal_areas: int
+    statistics: dict[str, dict[str, tuple[int, list[list[tuple[_Value, _Count]]]]]]
+    """By metric and statistic: the number of columns, and per block the pairs (column, count)."""
+
+
+def write_reference(reference: Reference, scene: Scene) -> Path:
+    """Write the statistics into the scene's folder."""
+    path = scene.folder / "reference.json"
+    file = _ReferenceFile(
+        schema=SCHEMA,
+        scene=scene.id,
+        recording=scene.recording.name,
+        dt_s=scene.dt_s,
+        grid_s=scene.grid_s,
+        block_s=scene.protocol.block_s,
+        blocks=[(int(a), int(b)) for a, b in reference.blocks.frames],
+        opens=reference.blocks.opens.tolist(),
+        spawn_areas=reference.place.spawn_areas,
+        goal_areas=reference.place.goal_areas,
+        statistics={
+            metric: {name: sparse(counts) for name, counts in statistics.items()}
+            for metric, statistics in reference.statistics.items()
+        },
+    )
+    write_json(path, file, compact=True)
+    return path
+
+
+def read_reference(scene: Scene) -> Reference:
+    """Read the statistics that a scene ships (`reference.json`).
+
+    Raises:
+        WeightsError: the file is missing, broken or another scene's.
+    """
+    path = scene.folder / "reference.json"
+    mend = f"Run `crowdbench fit {scene.asked}`."
+    file = read_struct(path, _ReferenceFile, WeightsError, mend)
+    if (file.scene, file.schema) != (scene.id, SCHEMA):
+        raise WeightsError(
+            path,
+            got=f"statistics of {file.scene}, schema {file.schema}",
+            expected=f"statistics of {scene.id}, schema {SCHEMA}",
+            mend=mend,
+        )
+    frames = max((stop for _, stop in file.blocks), default=0)
+    for name, computed, stated in (
+        ("dt_s", file.dt_s, scene.dt_s),
+        ("grid_s", file.grid_s, scene.grid_s),
+        ("protocol.block_s", file.block_s, scene.protocol.block_s),
+        ("recording.frames", max(frames, scene.recording.frames), scene.recording.frames),
+    ):
+        if computed != stated:
+            raise WeightsError(
+                path,
+                got=f"statistics computed with {name} = {computed:g}",
+                expected=f"{name} = {stated:g}, as in scene.toml",
+                mend=mend,
+            )
+    place = place_of(scene, read_areas(scene))
+    areas = (file.spawn_areas, file.goal_areas)
+    if areas != (place.spawn_areas, place.goal_areas):
+        raise WeightsError(
+            path,
+            got=f"statistics of {areas[0]} spawn and {areas[1]} goal areas",
+            expected=f"{place.spawn_areas} and {place.goal_areas}, as in areas.json",
+            mend=mend,
+        )
+    if len(file.opens) != len(file.blocks):
+        raise WeightsError(
+            path, got=f"{len(file.opens)} opens", expected=f"{len(file.blocks)} blocks", mend=mend
+        )
+    blocks = TimeBlocks(np.array(file.blocks), np.array(file.opens), scene.dt_s, scene.grid_s)
+    if (np.diff(blocks.frames.ravel()) < 0).any() or (np.diff(blocks.frames) == 0).any():
+        raise WeightsError(
+            path, got="blocks that are empty or overlap", expected="ascending blocks", mend=mend
+        )
+    nobody = summarise(_nobody(scene), blocks, place)
+    for name, expected in {n: set(s) for n, s in nobody.items()}.items():
+        got = file.statistics.get(name, {})
+        rows = {len(rows) for _, rows in got.values()}
+        if set(got) != expected or rows != {len(blocks)}:
+            raise WeightsError(
+                path,
+                got=f"{name} with {', '.join(got) or 'nothing'} in {sorted(rows)} blocks",
+                expected=f"{', '.join(sorted(expected))} in {len(blocks)} blocks",
+                mend=mend,
+            )
+    statistics = {
+        metric: {n: dense(columns, rows) for n, (columns, rows) in file.statistics[metric].items()}
+        for metric in nobody
+    }
+    return Reference(blocks, place, statistics)
+
+
+def _nobody(scene: Scene) -> Trajectories:
+    """One who stands outside for a frame: the statistics of a crowd that hardly is one."""
+    return from_rows(
+        scene=scene.id,
+        dt_s=scene.dt_s,
+        grid_s=scene.grid_s,
+        frames=1,
+        person_id=np.zeros(1, np.int64),
+        frame=np.zeros(1, np.int64),
+        xy=np.array([[scene.bounds.x_min_m, scene.bounds.y_min_m]]),
+        where=scene.id,
+    )
+
+
+Sparse = tuple[int, list[list[tuple[int, int]]]]
+"""The number of columns, and per row the pairs (column, value) that are not zero."""
+
+
+def sparse(counts: np.ndarray) -> Sparse:
+    """A statistic as files hold it."""
+    return counts.shape[1], [[(int(v), int(row[v])) for v in np.flatnonzero(row)] for row in counts]
+
+
+def dense(columns: int, rows: list[list[tuple[int, int]]]) -> np.ndarray:
+    """A statistic that a file held."""
+    size = 1 + max((value for row in rows for value, _ in row), default=0)
+    counts = np.zeros((len(rows), max(size, columns)), dtype=np.int64)
+    for b, row in enumerate(rows):
+        for value, count in row:
+            counts[b, value] = count
+    return counts

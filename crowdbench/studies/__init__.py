@@ -1,0 +1,1 @@
+"""Studies behind the pages of results: comparisons, ablations, pictures, speeds."""

@@ -1,0 +1,88 @@
+"""The study's picture, after the paper's: how the number of agents is distributed."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from crowdbench.files import replacing
+from crowdbench.report.plots.canvas import picture
+from crowdbench.report.plots.sight import spawn_colours
+from crowdbench.scene import Scene
+from crowdbench.studies.ablation.presence import Presence
+from crowdbench.studies.ablation.study import SCHEMES, Configuration, Sample
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+NAME = "agents.png"
+_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
+def draw_agents(
+    scene: Scene,
+    recorded: Sequence[Presence],
+    samples: Mapping[Configuration, Sequence[Sample]],
+    folder: Path,
+) -> None:
+    """Draw the distribution of N(t) of the recording and each configuration, scheme by scheme.
+
+    Raises:
+        OutputError: the picture cannot be written.
+    """
+    everyone = [*recorded, *(p for each in samples.values() for s in each for p in s.present)]
+    most = max(len(present.counts) for present in everyone)
+
+    def draw(axes: "list[Axes]") -> None:
+        colours = spawn_colours(())
+        for k, (axis, scheme) in enumerate(zip(axes, SCHEMES, strict=True)):
+            rows = [("recording", "black", _shares([recorded[k]]))]
+            for configuration, each in samples.items():
+                shares = _shares([sample.present[k] for sample in each])
+                rows.append((configuration.label, colours[configuration.spawn], shares))
+            _panel(axis, rows)
+            axis.set_title(f"{scheme} × {-(-scene.recording.frames // scheme):,} frames")
+        axes[0].set_xlim(0, most)
+
+    height = 0.36 * (1 + len(samples)) + 1.0
+    data = picture(draw, width=6.0, height=height, columns=len(SCHEMES), kind="small png")
+    with replacing(folder / NAME) as temporary:
+        temporary.write_bytes(data)
+
+
+def _panel(axis: "Axes", rows: Sequence[tuple[str, str, Float[np.ndarray, " _"]]]) -> None:
+    """A violin per row, the first on top, with the 5–95 and 25–75 % ranges and the median."""
+    _, first, _, third, _ = np.searchsorted(np.cumsum(rows[0][2]), _QUANTILES)
+    axis.axvspan(first, third, color="0.9", linewidth=0)
+    most = max(len(shares) for _, _, shares in rows)
+    for at, (_, colour, shares) in enumerate(rows):
+        n, violin = _smooth(shares, most / 100)
+        axis.fill_between(n, at - violin, at + violin, color=colour, alpha=0.35, linewidth=0)
+        low, first, median, third, high = np.searchsorted(np.cumsum(shares), _QUANTILES)
+        axis.plot([low, high], [at, at], color=colour, linewidth=1.0)
+        axis.plot([first, third], [at, at], color=colour, linewidth=4.0, solid_capstyle="butt")
+        axis.plot(median, at, "o", color="white", markeredgecolor=colour, markersize=4.5, zorder=3)
+    axis.set_yticks(range(len(rows)), [label for label, _, _ in rows])
+    axis.set(ylim=(len(rows) - 0.4, -0.6), xlabel="agents present (persons)")
+    axis.tick_params(axis="y", length=0)
+
+
+def _shares(samples: Sequence[Presence]) -> Float[np.ndarray, " V"]:
+    """Share of the frames with each number of persons, all samples together."""
+    total = np.zeros(max(len(sample.counts) for sample in samples))
+    for sample in samples:
+        total[: len(sample.counts)] += sample.counts
+    return total / total.sum()
+
+
+def _smooth(
+    shares: Float[np.ndarray, " V"], width: float
+) -> tuple[Float[np.ndarray, " X"], Float[np.ndarray, " X"]]:
+    """A Gaussian kernel's density, 0.4 at its highest; of whole persons half of one is wide."""
+    width = max(0.5, width)
+    n = np.linspace(0, len(shares) - 1 + 2 * width, 400)
+    kernel = np.exp(-0.5 * ((n[:, None] - np.arange(len(shares))) / width) ** 2)
+    density = kernel @ shares
+    return n, 0.4 * density / density.max()

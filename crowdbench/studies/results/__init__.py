@@ -1,0 +1,95 @@
+"""The results of a scene on one page: what its shipped models get, and what they miss.
+
+`write_results` evaluates the spawn models that come with crowdbench in both protocols and writes a
+page in Markdown with its pictures, meant to be kept under version control. All numbers of the page
+come from the two scorecards and their rollouts: the same evaluations give the same bytes.
+"""
+
+from pathlib import Path
+
+from crowdbench.evaluation.evaluate import evaluate
+from crowdbench.evaluation.rollout_jobs import Job, Progress, parts_of, plan
+from crowdbench.files import replacing, write_text
+from crowdbench.registry import has_recording, recording_of
+from crowdbench.report.plots import Sight
+from crowdbench.scene import Scene, load_scene
+from crowdbench.scoring.reference import Reference, read_reference
+from crowdbench.scoring.scorecard import Protocol, Scorecard
+from crowdbench.studies.results.correlations import Lag, at_lags
+from crowdbench.studies.results.misses import best_of
+from crowdbench.studies.results.page import page
+from crowdbench.studies.results.pictures import draw_pictures
+from crowdbench.trajectories.storage import read_own
+
+
+def write_results(
+    scene: str | Path,
+    *,
+    out: Path = Path("docs/results"),
+    work: Path = Path("results"),
+    seeds: int | None = None,
+    workers: int | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Path:
+    """Evaluate a scene in both protocols and write `<scene>.md` and `<scene>/*.png` into `out`.
+
+    The evaluations are left in `<scene>-full` and `<scene>-heldout` of `work`, where another call
+    takes up what is there. `seeds`, `workers` and `progress` are those of `evaluate`.
+
+    Raises:
+        SceneError, WeightsError, RecordingError, SettingError: as `evaluate`.
+        OutputError: `out` or `work` cannot be written.
+    """
+    place = load_scene(scene)
+    path = out / f"{place.id}.md"
+    folders: dict[Protocol, Path] = {
+        "full": work / f"{place.id}-full",
+        "heldout": work / f"{place.id}-heldout",
+    }
+    with replacing(path) as temporary:  # that it can be written is found out first
+        cards = {
+            protocol: evaluate(
+                scene,
+                protocol=protocol,
+                seeds=seeds,
+                workers=workers,
+                out=folder,
+                progress=progress,
+            )
+            for protocol, folder in folders.items()
+        }
+        jobs = {protocol: _jobs(place, card, folders[protocol]) for protocol, card in cards.items()}
+        reference = read_reference(place)
+        crowds = {(job.spawn, job.policy, job.seed): read_own(job.path) for job in jobs["full"]}
+        recording = recording_of(place) if has_recording(place) else None
+        sight = Sight.of(place, reference, crowds, "full", recording)
+        pictures = draw_pictures(sight, out / place.id)
+        lags = {
+            protocol: _lags(reference, card, jobs[protocol]) for protocol, card in cards.items()
+        }
+        write_text(temporary, page(place, cards, lags, pictures))
+    return path
+
+
+def _jobs(place: Scene, card: Scorecard, folder: Path) -> list[Job]:
+    """The rollouts that a scorecard was made from."""
+    pairs = [(entry.spawn, entry.policy) for entry in card.entries]
+    return plan(place.asked, place, pairs, card.protocol, card.rollouts, folder / "rollouts")
+
+
+def _lags(reference: Reference, card: Scorecard, jobs: list[Job]) -> list[Lag]:
+    """The autocorrelation of the best crowd of a scorecard."""
+    best = best_of(card)
+    if best is None:
+        return []
+    of_best = [job for job in jobs if (job.spawn, job.policy) == (best.spawn, best.policy)]
+    return at_lags(
+        reference,
+        {
+            part: [read_own(job.path) for job in of_best if job.part == part]
+            for part in parts_of(card.protocol)
+        },
+    )
+
+
+__all__ = ["write_results"]

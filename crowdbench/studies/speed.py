@@ -1,0 +1,365 @@
+"""How fast crowdbench is on this machine.
+
+Other programs only ever slow a measurement down, so each figure is the best of many short
+chunks; compare figures of one run with each other rather than across machines.
+"""
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, ClassVar
+
+import msgspec
+import numpy as np
+
+from crowdbench.envs.parallel_env import CrowdParallelEnv
+from crowdbench.errors import SettingError
+from crowdbench.evaluation.evaluate import draws_of
+from crowdbench.metrics import WALK, metrics_for
+from crowdbench.policies import Policy, SocialForce, Straight
+from crowdbench.registry import FITTED, has_recording, recording_of, spawn_model
+from crowdbench.registry import policy as named_policy
+from crowdbench.rollouts.rollout import rollout
+from crowdbench.scene import Bounds, Scene, Wall, load_scene
+from crowdbench.scoring.energy import RESAMPLES, Energy, Score, combined, energy, ranks, score_of
+from crowdbench.scoring.reference import Reference, blocks_of, read_reference, summarise
+from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation.reward import Reward
+from crowdbench.spawn import Arrivals, SpawnEvents, SpawnModel, arrivals_of
+from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.events import entering
+from crowdbench.spawn.model import Start
+from crowdbench.trajectories.table import Trajectories
+
+PERSONS_PER_M2 = 0.07
+M2_PER_BOX = 300.0
+MARGIN_M = 1.5  # nobody is to leave the scene while it is measured
+CHUNK_S = 0.05
+MEASURE_S = 2.0
+ENTRIES = 10
+LARGE_S: float | None = None
+"""Length of the rollouts of Grand Central, seconds; None: the whole recording's."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured number."""
+
+    name: str
+    value: float
+    unit: str
+
+    def text(self) -> str:
+        """The number as people read it."""
+        if self.value >= 1e4:
+            return f"{self.value / 1e6:.3f} M {self.unit}"
+        return f"{self.value:.3g} {self.unit}"
+
+
+def measure() -> Iterator[Figure]:
+    """All figures, each as soon as it is measured."""
+    for worlds, persons in ((1, 20), (1, 100), (1, 300), (64, 50)):
+        name = f"core with observations, {worlds} × {persons}"
+        yield Figure(name, _core(worlds, persons), "agent-steps/s")
+    yield Figure("PettingZoo view, 20 agents", _pettingzoo(20), "agent-steps/s")
+    yield from _torchrl(64, 50)
+    scene = load_scene("eth-v0")
+    for name in FITTED:
+        spawn = spawn_model(name, scene)
+        yield Figure(
+            f"{name}, sampling 10,000 frames of ETH", _least_s(_sampling(spawn, scene)), "s"
+        )
+    yield from _fitting()
+    spawn = spawn_model("poisson-gmm", scene)
+    for policy in (Straight(), SocialForce()):
+        yield Figure(
+            f"rollout of ETH, {policy.name}", _least_s(_rolling(scene, spawn, policy)), "s"
+        )
+    reference = read_reference(scene)
+    crowds = [rollout(scene, spawn, Straight(), seed=k) for k in range(20)]
+    yield Figure(
+        "scoring 20 rollouts of ETH, all metrics", _once_s(_scoring(reference, crowds)), "s"
+    )
+    yield Figure(
+        "intervals and ranks of 10 entries on ETH",
+        _once_s(_ranking(scene, reference, crowds, entries=ENTRIES)),
+        "s",
+    )
+    yield from _large()
+    yield Figure("import crowdbench", min(_import_s() for _ in range(5)), "s")
+
+
+def _large() -> Iterator[Figure]:
+    """Grand Central, whole: 10,000 frames with 12,700 persons; each once."""
+    scene = load_scene("gc-v0")
+    for name in ("poisson-gmm", "ntpp-gmm"):
+        spawn = spawn_model(name, scene)
+        yield Figure(
+            f"{name}, sampling 10,000 frames of GC", _least_s(_sampling(spawn, scene)), "s"
+        )
+    crowds = []
+    policies: list[Policy] = [Straight(), SocialForce()]
+    if find_spec("onnx") and find_spec("onnxruntime"):
+        policies.append(named_policy("gail", scene))
+    for policy in policies:
+        rollout(scene, spawn, policy, seed=0, horizon_s=4.0, start="empty")  # compiles
+        began = time.perf_counter()
+        crowds.append(rollout(scene, spawn, policy, seed=0, horizon_s=LARGE_S))
+        yield Figure(f"rollout of GC, {policy.name}", time.perf_counter() - began, "s")
+    reference = read_reference(scene)
+    reference.score(rollout(scene, spawn, Straight(), seed=0, horizon_s=40.0))  # compiles
+    took_s = _once_s(_scoring(reference, crowds[1:2]))
+    yield Figure("scoring a rollout of GC, all metrics", took_s, "s")
+    yield from _viewing(scene, crowds[1])
+
+
+def _viewing(scene: Scene, crowd: Trajectories) -> Iterator[Figure]:
+    """A file for the viewer; nothing where rerun or the recording is missing."""
+    if find_spec("rerun") is None or not has_recording(scene):
+        return
+    from crowdbench.viewer import save
+
+    recording = recording_of(scene)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "crowd.rrd"
+        took_s = _once_s(partial(save, crowd, scene, path, against=recording))
+        yield Figure("viewer file of GC beside its recording", took_s, "s")
+        yield Figure("size of that file", path.stat().st_size / 1e6, "MB")
+
+
+def open_square(persons: int) -> Scene:
+    """A square with 0.07 persons/m² and a box of 2 m every 300 m², where no life ends."""
+    eth = load_scene("eth-v0")
+    side_m = (persons / PERSONS_PER_M2) ** 0.5
+    rng = np.random.default_rng(persons)
+    corners = rng.random((max(2, round(side_m**2 / M2_PER_BOX)), 2)) * (side_m - 3)
+    walls = tuple(
+        Wall(f"box {k}", ((x, y), (x + 2, y), (x + 2, y + 2), (x, y + 2)))
+        for k, (x, y) in enumerate(corners.tolist())
+    )
+    return replace(
+        eth,
+        bounds=Bounds(0.0, side_m, 0.0, side_m),
+        walls=walls,
+        recording=msgspec.structs.replace(eth.recording, dwell_p99_s=1e6),
+    )
+
+
+def crowd_at_once(scene: Scene, persons: int, seed: int) -> SpawnEvents:
+    """So many persons at walkable places in the first frame, with goals far away."""
+    rng = np.random.default_rng(seed)
+    b = scene.bounds
+    lower = np.array([b.x_min_m, b.y_min_m]) + MARGIN_M
+    upper = np.array([b.x_max_m, b.y_max_m]) - MARGIN_M
+    places = np.empty((0, 2))
+    while len(places) < persons:
+        draws = rng.uniform(lower, upper, (persons, 2))
+        places = np.concatenate([places, draws[scene.walkable(draws)]])
+    nowhere = np.zeros(persons, np.int32)
+    return entering(
+        time_s=np.zeros(persons),
+        start=places[:persons],
+        goal=np.full((persons, 2), 1e4),
+        spawn_area=nowhere,
+        goal_area=nowhere,
+        speed=np.ones(persons),
+    )
+
+
+class _AtOnce:
+    """A spawn model that lets everyone in at the beginning."""
+
+    name = "at-once"
+    start: ClassVar[Start] = "empty"
+
+    def __init__(self, persons: int) -> None:
+        self.persons = persons
+
+    def sample(self, horizon_s: float, scene: Scene, rng: np.random.Generator) -> SpawnEvents:
+        return crowd_at_once(scene, self.persons, 0)
+
+    def log_likelihood(self, arrivals: Arrivals) -> float:
+        raise SettingError(
+            self.name, got="a request for a likelihood", expected="a model that has one"
+        )
+
+
+def _to_and_fro(shape: tuple[int, ...]) -> list[np.ndarray]:
+    """Actions that lead away and back, so that the crowd stays as dense as it is."""
+    rng = np.random.default_rng(0)
+    there = [(rng.standard_normal(shape) * 0.1).astype(np.float32) for _ in range(20)]
+    return [action for a in there for action in (a, -a)]
+
+
+def _core(worlds: int, persons: int) -> float:
+    scene = open_square(persons)
+    simulation = Simulation(scene, worlds=worlds, settings=Settings(max_alive=persons))
+    events = [crowd_at_once(scene, persons, world) for world in range(worlds)]
+    simulation.reset(events, horizon=10**9)
+    actions = _to_and_fro((worlds, persons, 2))
+
+    def chunk() -> int:
+        steps = 0
+        for action in actions:
+            simulation.step(action)
+            simulation.observe()
+            steps += int(simulation.slots.alive.sum())
+        return steps
+
+    return _best_rate(chunk)
+
+
+def _pettingzoo(persons: int) -> float:
+    env = CrowdParallelEnv(
+        open_square(persons),
+        _AtOnce(persons),
+        horizon_s=1e8,
+        start=None,
+        settings=Settings(max_alive=persons, max_persons=persons),
+        on_full="error",
+        reward=Reward(),
+    )
+    actions = _to_and_fro((persons, 2))
+
+    def chunk() -> int:
+        env.reset(seed=0)
+        steps = 0
+        for action in actions * 25:
+            env.step(dict(zip(env.agents, action, strict=False)))
+            steps += len(env.agents)
+        return steps
+
+    return _best_rate(chunk)
+
+
+def _torchrl(worlds: int, persons: int) -> Iterator[Figure]:
+    """TorchRL's collector with a random policy and with a small network; none without TorchRL."""
+    if find_spec("torchrl") is None:
+        return
+    from tensordict.nn import TensorDictModule
+    from torch import nn
+    from torchrl.collectors import Collector
+
+    from crowdbench.envs.torchrl_env import CrowdEnv
+
+    where = f"TorchRL collector, {worlds} × {persons}"
+    layers = (nn.LazyLinear(32), nn.Tanh(), nn.Linear(32, 32), nn.Tanh(), nn.Linear(32, 2))
+    network = TensorDictModule(
+        nn.Sequential(*layers, nn.Tanh()), [("agents", "observation")], [("agents", "action")]
+    )
+    for what, policy in (("random", None), ("MLP 32-32", network)):
+        env = CrowdEnv(
+            open_square(persons),
+            spawn=_AtOnce(persons),
+            worlds=worlds,
+            max_alive=persons,
+            horizon_s=1e8,
+            seed=0,
+        )
+        collector = Collector(
+            env,
+            policy,
+            frames_per_batch=10 * worlds,
+            total_frames=-1,
+            auto_register_policy_transforms=False,
+        )
+        batches = iter(collector)
+
+        def chunk(batches: Iterator[Any] = batches) -> int:
+            return int(next(batches)["agents", "mask"].sum())
+
+        yield Figure(f"{where}, {what}", _best_rate(chunk), "agent-steps/s")
+        collector.shutdown()
+
+
+def _rolling(scene: Scene, spawn: SpawnModel, policy: Policy) -> Callable[[], object]:
+    return lambda: rollout(scene, spawn, policy, seed=0)
+
+
+def _sampling(spawn: SpawnModel, scene: Scene) -> Callable[[], object]:
+    rng = np.random.default_rng(0)
+    return lambda: spawn.sample(10_000 * scene.dt_s, scene, rng)
+
+
+def _fitting() -> Iterator[Figure]:
+    """One fit of ntpp-gmm to each recording at hand; none where torch is not installed."""
+    if find_spec("torch") is None:
+        return
+    from crowdbench.spawn import ntpp_training
+
+    for scene in map(load_scene, ("eth-v0", "plaza-v0", "gc-v0")):
+        if not has_recording(scene):
+            continue
+        crowd, areas = recording_of(scene), read_areas(scene)
+        arrivals = arrivals_of(crowd, blocks_of(crowd, scene), len(areas.spawn))
+        took_s = _once_s(partial(ntpp_training.fit, arrivals, areas, scene, seed=0))
+        yield Figure(f"ntpp-gmm, one fit to {scene.id}", took_s, "s")
+
+
+def _scoring(reference: Reference, crowds: list[Trajectories]) -> Callable[[], object]:
+    return lambda: [reference.score(crowd) for crowd in crowds]
+
+
+def _ranking(
+    scene: Scene, reference: Reference, crowds: list[Trajectories], *, entries: int
+) -> Callable[[], object]:
+    """Energy scores with all their resamples, scores and ranks, as of so many entries."""
+    fits, each = scene.protocol.fits, scene.protocol.rollouts_per_fit
+    statistics = [summarise(c, reference.blocks, reference.place) for c in crowds]
+    draws = draws_of(scene, reference, "full")
+    metrics = [m for m in metrics_for(reference.blocks) if m.family not in WALK]
+
+    def scores(entry: int) -> Score:
+        chosen = np.random.default_rng(entry).integers(len(crowds), size=(fits, each))
+        found = []
+        for m in metrics:
+            groups = [[statistics[k][m.name] for k in fit] for fit in chosen]
+            es = energy(m, reference.statistics[m.name], groups, reference.blocks, draws)
+            if es is not None:
+                found.append(score_of(es, Energy(0.0, np.zeros(RESAMPLES)), es))
+        together = combined([s for s in found if s is not None])
+        assert together is not None
+        return together
+
+    return lambda: ranks([scores(entry) for entry in range(entries)])
+
+
+def _once_s(work: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began
+
+
+def _best_rate(chunk: Callable[[], int]) -> float:
+    """Greatest number of steps a second over chunks of work, after one that compiles."""
+    chunk()
+    best, until = 0.0, time.perf_counter() + MEASURE_S
+    while time.perf_counter() < until:
+        began = time.perf_counter()
+        steps = 0
+        while time.perf_counter() - began < CHUNK_S:
+            steps += chunk()
+        best = max(best, steps / (time.perf_counter() - began))
+    return best
+
+
+def _least_s(work: Callable[[], object]) -> float:
+    work()
+    least, until = float("inf"), time.perf_counter() + MEASURE_S
+    while time.perf_counter() < until:
+        began = time.perf_counter()
+        work()
+        least = min(least, time.perf_counter() - began)
+    return least
+
+
+def _import_s() -> float:
+    code = "import time; t = time.perf_counter(); import crowdbench; print(time.perf_counter() - t)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return float(done.stdout)

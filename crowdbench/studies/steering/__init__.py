@@ -1,0 +1,65 @@
+"""What a scenario changes about a scene's crowd and what it leaves as it was: tables, pictures."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from crowdbench.files import replacing
+from crowdbench.registry import policy as find_policy
+from crowdbench.rollouts.rollout import rollout
+from crowdbench.studies.steering.changes import (
+    AreaChange,
+    GoalChange,
+    Steering,
+    area_changes,
+    goal_changes,
+    steering,
+)
+from crowdbench.studies.steering.maps import areas_picture, changes_picture
+from crowdbench.studies.steering.rates import rates_picture
+
+WALKED = 5
+"""Seeds that are walked for a map; samples alone take no time."""
+
+
+def draw_steering(
+    found: Steering,
+    out: Path,
+    *,
+    policy: str = "straight",
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Path]:
+    """Draw `<scenario>-rates.png` and `<scenario>-map.png` into `out`.
+
+    The map is of the first seeds, walked by `policy`. `progress(done, total)` is called before the
+    first rollout and after each.
+
+    Raises:
+        SettingError, WeightsError: there is no such policy.
+        OutputError: a picture cannot be written.
+    """
+    walker = find_policy(policy, found.scene)
+    models = list(zip(found.usual, found.steered, strict=True))[:WALKED]
+    name = found.scenario.name
+    paths = [out / f"{name}-rates.png", out / f"{name}-map.png"]
+    with replacing(paths[0]) as temporary:
+        temporary.write_bytes(rates_picture(found))
+    crowds = []
+    progress(0, 2 * len(models))
+    with replacing(paths[1]) as temporary:
+        for seed, pair in enumerate(models):
+            crowds += [rollout(found.scene, model, walker, seed=seed) for model in pair]
+            progress(len(crowds), 2 * len(models))
+        temporary.write_bytes(changes_picture(found, crowds[::2], crowds[1::2]))
+    return paths
+
+
+__all__ = [
+    "AreaChange",
+    "GoalChange",
+    "Steering",
+    "area_changes",
+    "areas_picture",
+    "draw_steering",
+    "goal_changes",
+    "steering",
+]

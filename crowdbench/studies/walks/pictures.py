@@ -1,0 +1,37 @@
+"""The page's picture of a scene: dwell times. Their paths stand among the figures of the scene."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from crowdbench.report.plots import draw_figure
+from crowdbench.report.plots.sight import COLOURS, Crowds, Sight
+from crowdbench.scene import Scene
+from crowdbench.scoring.reference import Reference
+
+LEFT_OUT = ("random",)
+"""Whose dwell times are the scene's patience."""
+
+
+def draw_dwell(
+    scene: Scene,
+    reference: Reference,
+    crowds: Crowds,
+    names: Mapping[str, str],
+    folder: Path,
+) -> None:
+    """Draw `<scene>-dwell.png` into `folder`.
+
+    Raises:
+        OutputError: a picture cannot be written.
+    """
+    shown = {key: crowd for key, crowd in crowds.items() if key[1] not in LEFT_OUT}
+    sight = Sight.of(scene, reference, shown, "full")
+    # One spawn model: the colour tells the policy.
+    groups = [
+        replace(group, label=names[group.policy], dashes=(),
+                colour=COLOURS[k % len(COLOURS)])
+        for k, group in enumerate(sight.groups)
+    ]  # fmt: skip
+    sight = replace(sight, groups=groups)
+    draw_figure("dwell.png", sight, folder, named=f"{scene.id}-dwell.png")

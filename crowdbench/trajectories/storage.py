@@ -1,0 +1,314 @@
+"""`Trajectories` as Parquet and CSV files.
+
+A file holds one flat table, a row per person and frame, the persons' columns repeated in each of
+their rows: any tool reads it without a join, and Parquet's run lengths make the repetition free.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from crowdbench.errors import RecordingError
+from crowdbench.files import read_bytes, replacing
+from crowdbench.trajectories.table import OUTCOMES, PERSON_COLUMNS, Trajectories, from_rows
+
+if TYPE_CHECKING:
+    import pyarrow
+
+SCHEMA = 1
+_KEY = b"crowdbench"
+_COLUMNS = ("person_id", "frame", "time_s", "x", "y", *PERSON_COLUMNS)
+_MEND = "Name a file written by crowdbench, or a table with person_id, frame (or time_s), x, y."
+
+
+class _Metadata(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    schema: int
+    scene: str
+    dt_s: float
+    grid_s: float
+    frames: int
+    observed: list[tuple[int, int]]
+    provenance: dict[str, Any]
+
+
+def write_parquet(trajectories: Trajectories, path: str | Path) -> None:
+    """Write the table to `path`, whole or not at all; equal tables give equal bytes.
+
+    Raises:
+        OutputError: the place cannot be written.
+    """
+    from pyarrow import parquet
+
+    t = trajectories
+    metadata = _Metadata(
+        schema=SCHEMA,
+        scene=t.scene,
+        dt_s=t.dt_s,
+        grid_s=t.grid_s,
+        frames=t.frames,
+        observed=[(int(a), int(b)) for a, b in t.observed],
+        provenance=dict(t.provenance),
+    )
+    table = _flat(t).replace_schema_metadata(
+        {_KEY: msgspec.json.encode(metadata, order="deterministic")}
+    )
+    with replacing(Path(path)) as temporary:
+        parquet.write_table(table, temporary, compression="zstd")
+
+
+def write_csv(trajectories: Trajectories, path: str | Path) -> None:
+    """Write the table to `path` for other programs; who reads it must know its time step.
+
+    Raises:
+        OutputError: the place cannot be written.
+    """
+    from pyarrow import csv
+
+    with replacing(Path(path)) as temporary:
+        csv.write_csv(_flat(trajectories), temporary)
+
+
+def _flat(t: Trajectories) -> "pyarrow.Table":
+    import pyarrow as pa
+
+    per_row = np.diff(t.offsets)
+    columns: dict[str, np.ndarray] = {
+        "person_id": np.repeat(t.person_id, per_row).astype(np.int64),
+        "frame": t.row_frame().astype(np.int32),
+        "x": t.xy[:, 0],
+        "y": t.xy[:, 1],
+    }
+    for name in PERSON_COLUMNS:
+        columns[name] = np.repeat(getattr(t, name), per_row)
+    return pa.table(columns)
+
+
+def read(path: str | Path, *, scene: str, dt_s: float, frames: int | None = None) -> Trajectories:
+    """Read a Parquet or CSV table of trajectories, crowdbench's own or another simulator's.
+
+    Needs the columns `person_id`, `x`, `y` (metres) and `frame` or `time_s` (seconds, on the
+    frames of the scene); takes those of `PERSON_COLUMNS` where they are there. A file that
+    crowdbench wrote brings its own scene and `dt_s`, which must be those asked for, and its own
+    length; of another's file `frames` is the length, by default up to the last row.
+
+    Raises:
+        RecordingError: the file is missing, is no table, lacks a column, holds values that
+            are not finite, or belongs to another scene or time step.
+    """
+    path = Path(path)
+    return of_table(_read_table(path), path, scene=scene, dt_s=dt_s, frames=frames)
+
+
+def of_table(
+    table: "pyarrow.Table", path: Path, *, scene: str, dt_s: float, frames: int | None = None
+) -> Trajectories:
+    """What `read` makes of the table that it reads from `path`."""
+    metadata = _own_metadata(path, table)
+    columns = _columns(path, table)
+    frame = _frames(path, columns, dt_s)
+    if metadata is not None:
+        for name, got, expected in (
+            ("scene", metadata.scene, scene),
+            ("time step", metadata.dt_s, dt_s),
+        ):
+            if got != expected:
+                raise RecordingError(
+                    path, got=f"{name} {got}", expected=f"{name} {expected}", mend=_MEND
+                )
+    return from_rows(
+        scene=scene,
+        dt_s=dt_s,
+        grid_s=metadata.grid_s if metadata else None,
+        frames=metadata.frames if metadata else frames,
+        observed=np.array(metadata.observed) if metadata else None,
+        person_id=columns["person_id"],
+        frame=frame,
+        xy=np.stack([columns["x"], columns["y"]], axis=1).astype(np.float64),
+        persons=columns,
+        provenance=metadata.provenance if metadata else {"file": path.name},
+        where=path,
+    )
+
+
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """The columns that `read` knows of another program's table, by name, a value per row.
+
+    Those of `person_id` and `frame` are whole numbers.
+
+    Raises:
+        RecordingError: the file is missing, is no table, lacks a column, or holds what is no
+            number.
+    """
+    return _columns(path, _read_table(path))
+
+
+def _columns(path: Path, table: "pyarrow.Table") -> dict[str, np.ndarray]:
+    named = table.column_names
+    for name in ("person_id", "x", "y"):
+        if name not in named:
+            raise _missing(path, name, table)
+    if "frame" not in named and "time_s" not in named:
+        raise _missing(path, "frame (or time_s)", table)
+    if len(table) == 0:
+        raise RecordingError(path, got="no rows", expected="at least one row", mend=_MEND)
+    columns = {name: _numbers(path, table, name) for name in _COLUMNS if name in named}
+    for name in {"person_id", "frame"} & set(columns):
+        columns[name] = _integers(path, name, columns[name])
+    outcome = columns.get("outcome", np.zeros(1))
+    if not ((outcome >= 0) & (outcome < len(OUTCOMES))).all():
+        raise RecordingError(
+            path, got=f"outcomes {np.unique(outcome)[:5]}", expected=f"0 to {len(OUTCOMES) - 1}"
+        )
+    return columns
+
+
+def _frames(path: Path, columns: dict[str, np.ndarray], dt_s: float) -> np.ndarray:
+    """The frame of each row, by `frame`, by `time_s`, or by both if they agree."""
+    frame = columns.get("frame")
+    if "time_s" in columns:
+        ticks = columns["time_s"] / dt_s
+        expected = np.round(ticks) if frame is None else frame
+        wrong = ~(np.abs(ticks - expected) < 0.05)
+        if wrong.any():
+            row = int(np.flatnonzero(wrong)[0])
+            raise RecordingError(
+                path,
+                got=f"person {columns['person_id'][row]} at {columns['time_s'][row]:.10g} s, "
+                f"{wrong.sum()} of {len(wrong)} times that do not stand on the scene's frames",
+                expected=f"time_s in multiples of {dt_s:g} s"
+                + ("" if frame is None else ", frame × that"),
+                mend="Resample the trajectories to the scene's time step.",
+            )
+        frame = expected.astype(np.int64)
+    assert frame is not None
+    return frame
+
+
+def read_own(path: str | Path) -> Trajectories:
+    """Read a Parquet file that crowdbench wrote, whatever its scene.
+
+    Raises:
+        RecordingError: the file is missing, broken, or was written by something else.
+    """
+    path = Path(path)
+    metadata = _own_metadata(path, _read_table(path))
+    if metadata is None:
+        raise RecordingError(
+            path,
+            got="a table without crowdbench's metadata",
+            expected="a file of crowdbench's",
+            mend="Another program's table does not say its scene; name it, as in `crowdbench view "
+            '--scene eth-v0`, `crowdbench score eth-v0`, or `crowdbench.read(path, "eth-v0")`.',
+        )
+    return read(path, scene=metadata.scene, dt_s=metadata.dt_s)
+
+
+def is_own(path: Path) -> bool:
+    """Whether crowdbench wrote the table.
+
+    Raises:
+        RecordingError: it cannot be read, or its metadata are broken.
+    """
+    return _own_metadata(path, _read_table(path)) is not None
+
+
+def _read_table(path: Path) -> "pyarrow.Table":
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    data = pa.BufferReader(read_bytes(path, RecordingError, _MEND))
+    readers = {".parquet": parquet.read_table, ".csv": csv.read_csv}
+    suffix = path.suffix.lower()
+    if suffix not in readers:
+        raise RecordingError(
+            path, got=f"a {path.suffix or 'nameless'} file", expected=".parquet or .csv", mend=_MEND
+        )
+    try:
+        table = readers[suffix](data)
+    except (pa.ArrowException, OSError) as error:
+        raise RecordingError(
+            path, got=str(error).splitlines()[0], expected="a readable table", mend=_MEND
+        ) from error
+    named = table.rename_columns([name.strip() for name in table.column_names])
+    return named.replace_schema_metadata(table.schema.metadata)
+
+
+def _own_metadata(path: Path, table: "pyarrow.Table") -> _Metadata | None:
+    raw = (table.schema.metadata or {}).get(_KEY)
+    if raw is None:
+        return None
+    try:
+        metadata = msgspec.json.decode(raw, type=_Metadata)
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise RecordingError(
+            path, got=f"metadata that do not fit: {error}", expected="crowdbench's metadata"
+        ) from error
+    edges = np.array(metadata.observed).ravel()
+    if len(edges) == 0 or (np.diff(edges) < 0).any() or edges[0] < 0 or edges[-1] > metadata.frames:
+        raise RecordingError(
+            path,
+            got=f"observed intervals {metadata.observed[:3]} of {metadata.frames} frames",
+            expected="disjoint intervals within the frames, ascending",
+        )
+    if metadata.schema != SCHEMA:
+        raise RecordingError(
+            path,
+            got=f"schema version {metadata.schema}",
+            expected=f"schema version {SCHEMA}",
+            mend="Read it with the crowdbench version that wrote it.",
+        )
+    return metadata
+
+
+def _numbers(path: Path, table: "pyarrow.Table", name: str) -> np.ndarray:
+    if table.column_names.count(name) > 1:
+        raise RecordingError(
+            path, got=f"more than one column {name}", expected="one of that name", mend=_MEND
+        )
+    values = table.column(name)
+    if values.null_count:
+        raise RecordingError(
+            path,
+            got=f"{values.null_count} empty values in column {name}",
+            expected="a value in each row",
+            mend="Remove these rows or repair them at the source.",
+        )
+    column: np.ndarray = values.to_numpy()
+    if column.dtype.kind not in "biuf":
+        kind = "text" if column.dtype == object else f"{values.type} values"
+        raise RecordingError(
+            path, got=f"{kind} in column {name}", expected="numbers in each row", mend=_MEND
+        )
+    if np.issubdtype(PERSON_COLUMNS.get(name, np.bool_), np.integer):
+        return _integers(path, name, column, PERSON_COLUMNS[name])
+    if name in PERSON_COLUMNS and not np.isfinite(column).all():
+        bad = column[~np.isfinite(column)][0]
+        raise RecordingError(
+            path, got=f"{name} {bad}", expected=f"finite numbers in column {name}", mend=_MEND
+        )
+    return column
+
+
+def _integers(path: Path, name: str, values: np.ndarray, kind: type = np.int64) -> np.ndarray:
+    limit = 2.0 ** (np.iinfo(kind).bits - 1)
+    whole = (np.abs(values) < limit) & (values == np.floor(values))  # false for NaN
+    if not whole.all():
+        bad = values[~whole][0]
+        raise RecordingError(
+            path,
+            got=f"{name} {bad}",
+            expected=f"whole numbers of {np.iinfo(kind).bits} bits in column {name}",
+            mend=_MEND,
+        )
+    return values.astype(kind)
+
+
+def _missing(path: Path, name: str, table: "pyarrow.Table") -> RecordingError:
+    return RecordingError(
+        path,
+        got=f"columns {', '.join(table.column_names)}",
+        expected=f"a column {name}",
+        mend=_MEND,
+    )
