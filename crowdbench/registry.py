@@ -11,7 +11,6 @@ from crowdbench.errors import CrowdbenchError, OwnCodeError, SettingError, Weigh
 from crowdbench.own_code import told
 from crowdbench.policies import OnnxPolicy, Policy, Random, ReplayPolicy, SocialForce, Straight
 from crowdbench.recordings import catalogue
-from crowdbench.rollouts import plaza
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import blocks_of
 from crowdbench.spawn import (
@@ -32,7 +31,9 @@ from crowdbench.spawn.weights import check_part
 from crowdbench.trajectories.storage import read_own, write_parquet
 from crowdbench.trajectories.table import Trajectories
 
-RECORDINGS = (*catalogue.SOURCES, "plaza")
+GENERATED = {"plaza": "crowdbench.rollouts.plaza_recording:record"}
+"""Recordings that are simulated, and the functions that do it: loaded when one is asked for."""
+RECORDINGS = (*catalogue.SOURCES, *GENERATED)
 """Those that are listed; the catalogue knows other days of the Forum besides."""
 FITTED: dict[str, type[PoissonGMM] | type[PoissonGroups] | type[RenewalGMM] | type[NtppGMM]] = {
     "poisson-gmm": PoissonGMM,
@@ -63,16 +64,16 @@ def recording(name: str) -> Trajectories:
         SettingError: there is no recording of that name.
         RecordingError: it has not been imported.
     """
-    if name == "plaza":
+    if name in GENERATED:
         path = catalogue.cached(name)
-        return read_own(path) if path.exists() else plaza.record()
+        return read_own(path) if path.exists() else _generated(name)
     return catalogue.load_imported(name)
 
 
 def import_recording(name: str, source: Path | None = None) -> Trajectories:
     """Import a recording into the user's cache; see `catalogue.import_recording`."""
-    if name == "plaza":
-        crowd = plaza.record()
+    if name in GENERATED:
+        crowd = _generated(name)
         write_parquet(crowd, catalogue.cached(name))
         return crowd
     return catalogue.import_recording(name, source)
@@ -93,7 +94,13 @@ def recording_of(scene: str | Path | Scene) -> Trajectories:
 def has_recording(scene: Scene) -> bool:
     """Whether the scene's recording is imported, or is one that is generated."""
     name = scene.recording.name
-    return name == "plaza" or catalogue.cached(name).exists()
+    return name in GENERATED or catalogue.cached(name).exists()
+
+
+def _generated(name: str) -> Trajectories:
+    module, _, function = GENERATED[name].partition(":")
+    crowd: Trajectories = getattr(importlib.import_module(module), function)()
+    return crowd
 
 
 def spawn_model(

@@ -19,7 +19,6 @@ from jaxtyping import Bool, Float
 
 from crowdbench.errors import SceneError
 from crowdbench.files import read_struct, write_text
-from crowdbench.metrics import METRICS
 
 if TYPE_CHECKING:
     import shapely
@@ -300,9 +299,6 @@ def _check(file: _SceneFile, path: Path) -> None:
         for name, value in msgspec.structs.asdict(settings).items():
             holds = name == "keep_noise" or (math.isfinite(value) and value > 0)
             require(holds, f"clustering.{key}.{name} = {value}", "a positive number")
-    unknown = set(file.protocol.scored) - {metric.name for metric in METRICS}
-    names = ", ".join(sorted(unknown))
-    require(not unknown, f"protocol.scored with {names}", "names of metrics")
     require("default" in file.clustering, "no [clustering.default]", "its DBSCAN settings")
     for wall in file.walls:
         require(len(wall.corners_m) >= 3, f"wall {wall.name!r}", "three corners or more")

@@ -23,7 +23,8 @@ from crowdbench.leaderboard.verification.entry import (
     Status,
 )
 from crowdbench.metrics import METRICS, WALK
-from crowdbench.scoring.energy import RESAMPLES, Score
+from crowdbench.scoring.energy import RESAMPLES
+from crowdbench.scoring.score import Score
 
 UNCOUNTED = ("dwell", "detour", "wall_hits")
 """Metrics that no made-up scene counts."""

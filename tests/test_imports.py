@@ -1,6 +1,7 @@
-"""What imports what: modules look to the left only, and light uses stay light."""
+"""What imports what: each floor from lower ones only, and light uses stay light."""
 
 import ast
+import statistics
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,15 +13,25 @@ import crowdbench
 
 PACKAGE = Path(crowdbench.__file__).parent
 
-ORDER = (
-    "errors", "leftovers", "own_code", "files", "processes", "trajectories", "tables", "blocks",
-    "neighbours", "metrics", "recordings", "scene", "spawn", "reference", "scoring_kernel",
-    "scoring", "power", "cards", "simulation", "policies", "episode", "rollouts", "plaza",
-    "registry", "crowds", "names", "demos", "fit", "spawn_check", "replay_check", "figures",
-    "report", "jobs", "evaluation", "authoring", "results", "ablation", "walks", "gallery",
-    "steering", "leaderboard", "rewards", "viewer", "environment", "torchrl_env", "vec_env",
-    "bench", "cli", "__main__",
-)  # fmt: skip
+FLOORS = (
+    ("colours", "errors", "leftovers", "own_code"),
+    ("files",),
+    ("scene", "trajectories"),
+    ("metrics", "recordings", "spawn"),
+    ("scoring", "simulation"),
+    ("policies",),
+    ("registry", "rollouts"),
+    ("crowds", "report", "viewer"),
+    ("envs", "evaluation"),
+    ("leaderboard", "scene_building"),
+    ("studies",),
+    ("cli",),
+    ("__main__",),
+)
+"""Who stands on a floor imports from those above it in this list, and nothing beside itself."""
+ROOMS = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
+SHORT_NAMES = ("cards", "torchrl_env", "vec_env")
+"""Modules that only pass on names which the documentation uses; nothing here imports them."""
 HEAVY = (
     "torch",
     "onnx",
@@ -73,24 +84,44 @@ def part_of(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
-MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
+MODULES = sorted(
+    p
+    for p in PACKAGE.rglob("*.py")
+    if p.parent != PACKAGE or p.stem not in ("__init__", *SHORT_NAMES)
+)
 
 
-def test_every_part_has_its_place_in_the_order() -> None:
-    assert {part_of(path) for path in MODULES} == set(ORDER)
+def test_every_room_has_a_floor() -> None:
+    assert {part_of(path) for path in MODULES} == set(ROOMS)
+    assert len(FLOORS) <= 13
+
+
+def test_few_modules_stand_beside_the_rooms() -> None:
+    assert len([p for p in PACKAGE.glob("*.py") if p.stem not in SHORT_NAMES]) <= 10
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_modules_import_only_what_stands_to_their_left(path: Path) -> None:
-    part = part_of(path)
-    allowed = {part} if (PACKAGE / part).is_dir() else set()
-    allowed |= set(ORDER[: ORDER.index(part)])
-    assert imported(path.read_text()) <= allowed
+def test_modules_import_only_from_lower_floors(path: Path) -> None:
+    room = part_of(path)
+    own = {room} if (PACKAGE / room).is_dir() else set()
+    assert imported(path.read_text()) - own <= {r for r in ROOMS if ROOMS[r] < ROOMS[room]}
+
+
+@pytest.mark.parametrize("name", SHORT_NAMES)
+def test_short_names_pass_on_and_nothing_else(name: str) -> None:
+    _, *imports = ast.parse((PACKAGE / f"{name}.py").read_text()).body
+    assert all(isinstance(node, ast.ImportFrom) for node in imports)
+
+
+def test_modules_are_short() -> None:
+    lines = [len(path.read_text().splitlines()) for path in PACKAGE.rglob("*.py")]
+    assert max(lines) <= 400
+    assert statistics.median(lines) <= 150
 
 
 def test_only_who_shows_something_imports_the_viewer() -> None:
     users = {part_of(path) for path in MODULES if "viewer" in imported(path.read_text())}
-    assert users == {"viewer", "environment", "bench", "cli"}
+    assert users == {"viewer", "envs", "studies", "cli"}
 
 
 def test_the_walk_sees_imports_in_functions_and_not_those_for_types() -> None:

@@ -14,17 +14,27 @@ from contextlib import suppress
 
 from crowdbench import __version__
 from crowdbench.cli import (
-    authoring,
+    ablation,
+    anchors,
+    areas,
+    bench,
+    convert,
     data,
-    drawing,
-    judging,
+    evaluate,
+    figures,
+    fit,
     leaderboard,
-    making,
-    policies,
-    speed,
-    steering,
-    submitting,
-    viewing,
+    policy,
+    power,
+    results,
+    scene,
+    scenes,
+    score,
+    spawn,
+    steer,
+    submit,
+    view,
+    walks,
 )
 from crowdbench.errors import CrowdbenchError
 from crowdbench.evaluation.parallel import Stopped, stopping_in_order
@@ -70,19 +80,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"crowdbench {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    rooms = (
-        judging,
-        viewing,
-        steering,
-        policies,
-        authoring,
-        making,
-        drawing,
-        submitting,
-        leaderboard,
-        data,
-        speed,
-    )
-    for room in rooms:
-        room.add(commands)
+    for command in (
+        evaluate, score, view, areas, steer, policy, scene, fit, spawn, anchors, power, results,
+        walks, ablation, figures, submit, leaderboard, data, convert, scenes, bench,
+    ):  # fmt: skip
+        command.add(commands)
     return parser

@@ -1,4 +1,4 @@
-"""`data`, `convert` and `scenes`: what there is."""
+"""`crowdbench data`: recordings fetched, imported, listed, described and removed."""
 
 import argparse
 from pathlib import Path
@@ -19,27 +19,10 @@ if TYPE_CHECKING:
 
 GAPS = ("interpolate", "split")
 FORMATS = ("obsmat", "gc", "forum", "csv", "trajnet", "jupedsim")
-WRITTEN = ("csv", "trajnet", "jupedsim")
-
-
-def add_mending(command: argparse.ArgumentParser) -> None:
-    """Add the options that mend a recording's small faults."""
-    command.add_argument(
-        "--gaps",
-        choices=GAPS,
-        help="where rows of a person are missing: let it walk on straight, or make two persons of "
-        "one; either puts rows beside the frames onto them (default: refuse)",
-    )
-    command.add_argument(
-        "--offset-s",
-        type=float,
-        metavar="SECONDS",
-        help="the time_s of a table at which its frames begin (default: 0)",
-    )
 
 
 def add(commands: "Commands") -> None:
-    """Add them to the command line."""
+    """Add it to the command line."""
     data = commands.add_parser("data", help="fetch, import, list and describe recordings")
     of_data = data.add_subparsers(required=True, metavar="COMMAND")
     fetch = of_data.add_parser(
@@ -80,29 +63,21 @@ def add(commands: "Commands") -> None:
     describe.add_argument("name", help="name of a recording")
     describe.set_defaults(run=_describe)
 
-    converted = commands.add_parser(
-        "convert", help="write a crowd in a format that other programs read, or read theirs"
+
+def add_mending(command: argparse.ArgumentParser) -> None:
+    """Add the options that mend a recording's small faults."""
+    command.add_argument(
+        "--gaps",
+        choices=GAPS,
+        help="where rows of a person are missing: let it walk on straight, or make two persons of "
+        "one; either puts rows beside the frames onto them (default: refuse)",
     )
-    converted.add_argument("table", type=Path, metavar="FILE", help="what is to be converted")
-    converted.add_argument(
-        "--format",
-        choices=FORMATS,
-        default="csv",
-        help="of that file (default: csv, a table in CSV or Parquet)",
-    )
-    converted.add_argument(
-        "--dt-s",
+    command.add_argument(
+        "--offset-s",
         type=float,
         metavar="SECONDS",
-        help="from one row of a person to the next, where the file does not say it",
+        help="the time_s of a table at which its frames begin (default: 0)",
     )
-    add_mending(converted)
-    converted.add_argument("--to", choices=WRITTEN, required=True, help="format to write")
-    converted.add_argument("--out", type=Path, required=True, metavar="FILE")
-    converted.set_defaults(run=_convert)
-
-    scenes = commands.add_parser("scenes", help="list the scenes")
-    scenes.set_defaults(run=_scenes)
 
 
 def _fetch(asked: argparse.Namespace) -> None:
@@ -157,24 +132,6 @@ def _remove(asked: argparse.Namespace) -> None:
     print(f"{remove_imported(asked.name)}: removed")
 
 
-def _convert(asked: argparse.Namespace) -> None:
-    from crowdbench.recordings.convert import convert
-
-    crowd = convert(
-        asked.table,
-        asked.out,
-        to=asked.to,
-        layout=asked.format,
-        dt_s=asked.dt_s,
-        gaps=asked.gaps,
-        offset_s=asked.offset_s,
-    )
-    for name, fact in mended(crowd, asked).items():
-        print(f"{name}: {fact}")
-    print(f"{len(crowd)} persons, {crowd.frames} frames of {crowd.dt_s:.4g} s")
-    print(f"written to {asked.out}")
-
-
 def _bring(name: str, folder: Path | None) -> None:
     from crowdbench.recordings.catalogue import cached, known_sha256, source
     from crowdbench.recordings.describe import describe
@@ -219,10 +176,3 @@ def _describe(asked: argparse.Namespace) -> None:
     from crowdbench.registry import recording
 
     print_facts(asked.name, describe(recording(asked.name)))
-
-
-def _scenes(asked: argparse.Namespace) -> None:
-    from crowdbench.scene import list_scenes, load_scene
-
-    for name in list_scenes():
-        print(f"{name:<10} {load_scene(name).title}")

@@ -110,7 +110,11 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         self._action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._recorder: Recorder | None = None
         self._seed = 0
-        self._renderer = None if render_mode is None else _renderer(scene, spawn, render_mode)
+        self._renderer: "Renderer | None" = None
+        if render_mode is not None:
+            from crowdbench.viewer import renderer
+
+            self._renderer = renderer.Renderer(scene, render_mode, f"{spawn.name} × environment")
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The same for each agent."""
@@ -365,8 +369,7 @@ def parallel_env(
             yourself, the crowd joins your recording stream.
 
     Raises:
-        SceneError, SettingError, WeightsError, RecordingError: what was asked for does not
-            exist or does not fit.
+        SceneError, SettingError, WeightsError, RecordingError: what is asked for is not there.
     """
     scene = load_scene(scene)
     model = spawn_model(spawn, scene)
@@ -379,26 +382,19 @@ def parallel_env(
             max_persons = 2 * len(sample) + 100
         if max_alive is None:
             max_alive = slots_for(sample, scene)
-    settings = Settings(
-        max_alive=max_alive,
-        max_persons=max_persons,
-        rays=rays,
-        ray_range_m=ray_range_m,
-        observation=observation,
-    )
     return CrowdParallelEnv(
         scene,
         model,
         horizon_s=horizon_s,
         start=start,
-        settings=settings,
+        settings=Settings(
+            max_alive=max_alive,
+            max_persons=max_persons,
+            rays=rays,
+            ray_range_m=ray_range_m,
+            observation=observation,
+        ),
         on_full=on_full,
         reward=reward or Reward(),
         render_mode=render_mode,
     )
-
-
-def _renderer(scene: Scene, spawn: SpawnModel, mode: "RenderMode") -> "Renderer":
-    from crowdbench.viewer.renderer import Renderer
-
-    return Renderer(scene, mode, f"{spawn.name} × environment")

@@ -14,7 +14,8 @@ import numpy as np
 
 from crowdbench.errors import SceneError, SettingError, WeightsError
 from crowdbench.files import replacing
-from crowdbench.policies.network import KEY, MOST_NOISE, OnnxPolicy, PolicyCard, check_onnx
+from crowdbench.policies.card import PolicyCard
+from crowdbench.policies.network import KEY, MOST_NOISE, OnnxPolicy, check_onnx
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation.observations import OBSERVATIONS
 

@@ -10,7 +10,6 @@ operators of the ONNX standard, on onnxruntime: no pickle, no custom operators, 
 file.
 """
 
-import re
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -23,11 +22,10 @@ from numpy.random import Generator
 
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.files import read_bytes
+from crowdbench.policies.card import MEND, PolicyCard
 from crowdbench.policies.rows import ROWS, Watch, check_rows, observed
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings
-from crowdbench.simulation.observations import OBSERVATIONS
-from crowdbench.trajectories.blocks import PARTS
 
 if TYPE_CHECKING:
     from onnx import (
@@ -39,79 +37,14 @@ if TYPE_CHECKING:
         ValueInfoProto,
     )
 
-SCHEMA = 1
-ACTION = "velocity-1"
-"""Version of the action: a velocity in units of the scene's greatest speed, in [−1, 1]²."""
 KEY = "crowdbench"
 LARGEST = 20_000_000  # bytes
 MOST_NOISE = 256
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,39}")
 _STANDARD = ("", "ai.onnx")
 _DRAWING = frozenset({
     "Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike", "RandomUniform",
     "RandomUniformLike",
 })  # fmt: skip
-_MEND = "Export it anew with `crowdbench policy export`."
-
-
-class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What a policy's file says of it."""
-
-    schema: int = SCHEMA
-    name: str
-    """Under which tables show it."""
-    observation: str
-    """Version of what it sees, one of `OBSERVATIONS`."""
-    rays: int = 32
-    ray_range_m: float = 10.0
-    action: str = ACTION
-    scene: str
-    """Id of the scene it was trained on."""
-    part: str
-    """One of `blocks.PARTS`: what of the recording it was trained on."""
-    command: str = ""
-    """What trained it."""
-    revision: str = ""
-    """Git revision of the code that did."""
-
-    @property
-    def inputs(self) -> int:
-        """Numbers in an observation."""
-        return OBSERVATIONS[self.observation] + self.rays
-
-    def checked(self, where: object) -> "PolicyCard":
-        """The card, if what it says can be.
-
-        Raises:
-            WeightsError: it is of another version, or a value is out of range.
-        """
-        problems = (
-            ("schema", self.schema, self.schema == SCHEMA, str(SCHEMA)),
-            ("name", self.name, _NAME.fullmatch(self.name), "1 to 40 letters, digits, or ' ._+-'"),
-            (
-                "observation",
-                self.observation,
-                self.observation in OBSERVATIONS,
-                f"one of {', '.join(OBSERVATIONS)}",
-            ),
-            ("rays", self.rays, 1 <= self.rays <= 1024, "1 to 1024"),
-            ("ray_range_m", self.ray_range_m, 0 < self.ray_range_m <= 1000, "metres up to 1000"),
-            ("action", self.action, self.action == ACTION, ACTION),
-            ("part", self.part, self.part in PARTS, " or ".join(PARTS)),
-            ("scene", self.scene, _NAME.fullmatch(self.scene), "the id of a scene"),
-            ("command", "", _plain(self.command), "plain text of up to 1000 characters"),
-            ("revision", "", _plain(self.revision), "plain text of up to 1000 characters"),
-        )
-        for name, got, fits, expected in problems:
-            if not fits:
-                raise WeightsError(
-                    where, got=f"the {name} {got!r}"[:200], expected=expected, mend=_MEND
-                )
-        return self
-
-
-def _plain(text: str) -> bool:
-    return len(text) <= 1000 and all(c.isprintable() for c in text)
 
 
 class OnnxPolicy:
@@ -225,12 +158,12 @@ def _model(path: Path) -> tuple[bytes, "ModelProto"]:
             got=f"{path.stat().st_size / 1e6:.1f} MB",
             expected=f"an ONNX file of up to {LARGEST / 1e6:.0f} MB",
         )
-    data = read_bytes(path, WeightsError, _MEND)
+    data = read_bytes(path, WeightsError, MEND)
     try:
         return data, onnx.ModelProto.FromString(data)
     except (DecodeError, ValueError) as error:
         raise WeightsError(
-            path, got=f"no ONNX file ({error})", expected="one", mend=_MEND
+            path, got=f"no ONNX file ({error})", expected="one", mend=MEND
         ) from error
 
 
@@ -263,7 +196,7 @@ def _unrunnable(path: Path, error: Exception) -> WeightsError:
         path,
         got=f"a network that onnxruntime refuses ({told})",
         expected="one that runs",
-        mend=_MEND,
+        mend=MEND,
     )
 
 
@@ -274,14 +207,14 @@ def _card(path: Path, model: "ModelProto") -> PolicyCard:
             path,
             got=f"{len(found)} metadata entries {KEY!r}",
             expected="one, with the policy's card",
-            mend=_MEND,
+            mend=MEND,
         )
     try:
         # What is no UTF-8 comes as bytes.
         text = found[0] if isinstance(found[0], bytes) else found[0].encode()
         card = msgspec.json.decode(text, type=PolicyCard)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise WeightsError(path, got=f"a card that {error}", expected="one", mend=_MEND) from error
+        raise WeightsError(path, got=f"a card that {error}", expected="one", mend=MEND) from error
     return card.checked(path)
 
 
@@ -289,7 +222,7 @@ def _check_operators(path: Path, model: "ModelProto") -> None:
     """Refuse what the standard does not define, what draws, and data that lie elsewhere."""
     if model.functions:
         raise WeightsError(
-            path, got="functions of its own", expected="operators of the ONNX standard", mend=_MEND
+            path, got="functions of its own", expected="operators of the ONNX standard", mend=MEND
         )
     for graph in _graphs(model.graph):
         for node in graph.node:
@@ -298,7 +231,7 @@ def _check_operators(path: Path, model: "ModelProto") -> None:
                     path,
                     got=f"the operator {node.domain}.{node.op_type}"[:200],
                     expected="operators of the ONNX standard",
-                    mend=_MEND,
+                    mend=MEND,
                 )
             if _draws(node):
                 raise WeightsError(
@@ -306,7 +239,7 @@ def _check_operators(path: Path, model: "ModelProto") -> None:
                     got=f"the operator {node.op_type}, which draws random numbers of its own",
                     expected="the input noise (A, Z) in its place: the same seed gives the same "
                     "crowd",
-                    mend=_MEND,
+                    mend=MEND,
                 )
     for tensor in _tensors(model.graph):
         if tensor.external_data or tensor.data_location == tensor.EXTERNAL:
@@ -363,14 +296,14 @@ def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
             got=f"inputs {_written(inputs)}",
             expected=f"float32 {_written(expected)} and, if need be, noise (A, Z): "
             f"{card.observation} with {card.rays} rays has {card.inputs} numbers",
-            mend=_MEND,
+            mend=MEND,
         )
     if outputs != {"action": (None, 2)}:
         raise WeightsError(
             path,
             got=f"outputs {_written(outputs)}",
             expected="float32 action (A, 2)",
-            mend=_MEND,
+            mend=MEND,
         )
     if noise is None:
         return 0
@@ -380,7 +313,7 @@ def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
             path,
             got=_written({"noise": noise}),
             expected=f"float32 noise (A, Z) with Z from 1 to {MOST_NOISE}",
-            mend=_MEND,
+            mend=MEND,
         )
     return width
 
@@ -415,9 +348,9 @@ def _try(path: Path, session: Any, card: PolicyCard, noise: int) -> None:
                 path,
                 got=f"actions of shape {action.shape} for {persons} persons",
                 expected=f"({persons}, 2)",
-                mend=_MEND,
+                mend=MEND,
             )
         if not np.isfinite(action).all():
             raise WeightsError(
-                path, got="actions that are not finite", expected="numbers", mend=_MEND
+                path, got="actions that are not finite", expected="numbers", mend=MEND
             )

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from crowdbench.errors import OutputError, SceneError, SettingError
-from crowdbench.evaluation.evaluate import make_anchors, power_study
 from crowdbench.evaluation.parallel import checked_workers
 from crowdbench.evaluation.rollout_jobs import Progress
 from crowdbench.files import unwritable, write_text
@@ -26,6 +25,7 @@ from crowdbench.recordings.mending import Gaps
 from crowdbench.registry import recording_of
 from crowdbench.scene import Recording, Scene, list_scenes, load_scene, write_scored
 from crowdbench.scene_building import rules
+from crowdbench.scene_building.anchors import make_anchors, power_study
 from crowdbench.scene_building.fit import ASTRAY, MODELS, dwell_p99_s, fit_scene, has_torch
 from crowdbench.scene_building.pictures import draw_place
 from crowdbench.scene_building.toml import scene_toml

@@ -12,8 +12,6 @@ from typing import Literal
 import numpy as np
 
 from crowdbench.registry import fitted_models, recording_of, spawn_model
-from crowdbench.rollouts.plaza import SCENE as PLAZA
-from crowdbench.rollouts.plaza import PlazaArrivals
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import blocks_of
 from crowdbench.spawn import Arrivals, PoissonGMM, SpawnModel, arrivals_of
@@ -21,6 +19,8 @@ from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import arrivals_in
 from crowdbench.spawn.groups import HasHazards
 from crowdbench.spawn.ntpp import networks
+from crowdbench.spawn.plaza import SCENE as PLAZA
+from crowdbench.spawn.plaza import PlazaArrivals
 from crowdbench.spawn.rescaling import KolmogorovSmirnov, kolmogorov_smirnov, rescaled
 from crowdbench.trajectories.blocks import PARTS
 

@@ -11,9 +11,9 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from crowdbench.errors import RecordingError, WeightsError
+from crowdbench.errors import RecordingError, SceneError, WeightsError
 from crowdbench.files import read_struct, write_json
-from crowdbench.metrics import MetricResult, Place, Statistics, metrics_for
+from crowdbench.metrics import METRICS, MetricResult, Place, Statistics, metrics_for
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.trajectories.blocks import TimeBlocks, cut
@@ -182,7 +182,9 @@ def read_reference(scene: Scene) -> Reference:
 
     Raises:
         WeightsError: the file is missing, broken or another scene's.
+        SceneError: the scene is to be scored by a metric that does not exist.
     """
+    _check_scored(scene)
     path = scene.folder / "reference.json"
     mend = f"Run `crowdbench fit {scene.asked}`."
     file = read_struct(path, _ReferenceFile, WeightsError, mend)
@@ -241,6 +243,17 @@ def read_reference(scene: Scene) -> Reference:
         for metric in nobody
     }
     return Reference(blocks, place, statistics)
+
+
+def _check_scored(scene: Scene) -> None:
+    known = [metric.name for metric in METRICS]
+    unknown = [name for name in scene.protocol.scored if name not in known]
+    if unknown:
+        raise SceneError(
+            scene.folder / "scene.toml",
+            got=f"protocol.scored with {', '.join(unknown)}",
+            expected=f"names of metrics: {', '.join(known)}",
+        )
 
 
 def _nobody(scene: Scene) -> Trajectories:

@@ -18,15 +18,8 @@ from crowdbench.errors import CrowdbenchError, RecordingError, WeightsError
 from crowdbench.files import read_struct, sha256, write_json
 from crowdbench.metrics import METRICS, WALK
 from crowdbench.scene import Scene
-from crowdbench.scoring.energy import (
-    RESAMPLES,
-    Energy,
-    Score,
-    family_scores,
-    overall,
-    ranks,
-    score_of,
-)
+from crowdbench.scoring.energy import RESAMPLES, Energy
+from crowdbench.scoring.score import Score, family_scores, overall, ranks, score_of
 from crowdbench.spawn.scenario import split
 
 SCHEMA = 2

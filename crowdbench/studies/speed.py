@@ -20,15 +20,16 @@ import numpy as np
 
 from crowdbench.envs.parallel_env import CrowdParallelEnv
 from crowdbench.errors import SettingError
-from crowdbench.evaluation.evaluate import draws_of
+from crowdbench.evaluation.judge import draws_of
 from crowdbench.metrics import WALK, metrics_for
 from crowdbench.policies import Policy, SocialForce, Straight
 from crowdbench.registry import FITTED, has_recording, recording_of, spawn_model
 from crowdbench.registry import policy as named_policy
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
-from crowdbench.scoring.energy import RESAMPLES, Energy, Score, combined, energy, ranks, score_of
+from crowdbench.scoring.energy import RESAMPLES, Energy, energy
 from crowdbench.scoring.reference import Reference, blocks_of, read_reference, summarise
+from crowdbench.scoring.score import Score, combined, ranks, score_of
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.reward import Reward
 from crowdbench.spawn import Arrivals, SpawnEvents, SpawnModel, arrivals_of

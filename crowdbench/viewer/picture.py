@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import UInt8
 
-from crowdbench.report.plots.sight import goal_colour
+from crowdbench.colours import goal_colour
 from crowdbench.scene import Scene
 from crowdbench.viewer.now import Now
 from crowdbench.viewer.place import GREY, areas_of, corners, dashed_areas, extent_m

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from crowdbench.colours import goal_colour
 from crowdbench.errors import WeightsError
-from crowdbench.report.plots.sight import goal_colour
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, read_areas
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from crowdbench.report.text.words import NOTHING, plainly
-from crowdbench.scoring.energy import Score
+from crowdbench.scoring.score import Score
 
 LOW, HIGH = -0.5, 1.5
 """Ends of the axis; what lies beyond is an arrow."""

@@ -10,7 +10,7 @@ from crowdbench.leaderboard.submission.schema import SCENES, Track
 from crowdbench.leaderboard.verification.entry import Entry, SceneEntry, read_entry
 from crowdbench.leaderboard.verification.soundness import FAMILY_OF, check_entry
 from crowdbench.metrics import FAMILIES, WALK
-from crowdbench.scoring.energy import Score, combined, ranks
+from crowdbench.scoring.score import Score, combined, ranks
 
 TRACKS: tuple[Track, ...] = ("walk", "spawn", "crowd")
 FAMILIES_OF: dict[Track, tuple[str, ...]] = {

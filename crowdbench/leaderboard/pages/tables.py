@@ -8,7 +8,7 @@ from crowdbench.leaderboard.pages.standings import Line, Standing, View
 from crowdbench.leaderboard.pages.text import short
 from crowdbench.leaderboard.submission.schema import Track
 from crowdbench.report.text.words import NOTHING, plainly
-from crowdbench.scoring.energy import Score
+from crowdbench.scoring.score import Score
 
 OVERALL = View()
 COPIED = ("arrivals", "lives")

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from crowdbench.evaluation.evaluate import Seen
+from crowdbench.evaluation.judge import Seen
 from crowdbench.leaderboard.verification.entry import Curve
 from crowdbench.metrics import METRICS, Metric, Statistics, Sums, total
 from crowdbench.metrics.forms import RelativeWasserstein

@@ -15,7 +15,8 @@ import numpy as np
 from crowdbench.errors import WeightsError
 from crowdbench.files import read_struct
 from crowdbench.leaderboard.submission.schema import Declared
-from crowdbench.scoring.energy import RESAMPLES, Score
+from crowdbench.scoring.energy import RESAMPLES
+from crowdbench.scoring.score import Score
 
 SCHEMA = 1
 SCORER = 1

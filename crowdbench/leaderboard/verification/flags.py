@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from crowdbench.leaderboard.verification.entry import Copy, Flag
-from crowdbench.scoring.energy import FitEnergies, Score
+from crowdbench.scoring.energy import FitEnergies
+from crowdbench.scoring.score import Score
 
 SPREAD = 0.5
 """Rollouts that differ by less than this share of what the true process's would."""

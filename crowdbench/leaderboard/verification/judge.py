@@ -13,7 +13,7 @@ import numpy as np
 
 from crowdbench import __version__
 from crowdbench.errors import RecordingError
-from crowdbench.evaluation.evaluate import judge
+from crowdbench.evaluation.judge import judge
 from crowdbench.evaluation.rollout_jobs import Job, Pair, Rolled, alone_in, plan, roll_out
 from crowdbench.leaderboard.submission.submission import Submission, open_submission
 from crowdbench.leaderboard.verification.entry import SCHEMA, SCORER, Entry, Flag, SceneEntry

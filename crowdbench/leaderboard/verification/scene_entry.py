@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from crowdbench.evaluation.evaluate import Seen, seen_in
+from crowdbench.evaluation.judge import Seen, seen_in
 from crowdbench.evaluation.rollout_jobs import Job, Pair, Rolled
 from crowdbench.leaderboard.verification.copying import ArrivalCopies, LifeCopies, independent_limit
 from crowdbench.leaderboard.verification.curves import (
@@ -26,8 +26,9 @@ from crowdbench.leaderboard.verification.entry import (
 from crowdbench.leaderboard.verification.flags import evenness, flags_of
 from crowdbench.metrics import METRICS, WALK, Metric, metrics_for
 from crowdbench.scene import Scene
-from crowdbench.scoring.energy import LOWEST, Energy, FitEnergies, Score, combined, energies_of_fits
+from crowdbench.scoring.energy import Energy, FitEnergies, energies_of_fits
 from crowdbench.scoring.reference import Reference
+from crowdbench.scoring.score import LOWEST, Score, combined
 from crowdbench.scoring.scorecard import Entry as PairEntry
 from crowdbench.scoring.scorecard import Scorecard, metric_scores, rows, scale_of
 from crowdbench.trajectories.table import Trajectories

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from crowdbench.colours import COLOURS
 from crowdbench.report.plots import Sight, panels, picture
-from crowdbench.report.plots.sight import COLOURS, Curves
+from crowdbench.report.plots.sight import Curves
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

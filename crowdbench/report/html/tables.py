@@ -9,7 +9,7 @@ from crowdbench.metrics.arrivals import burstiness, memory
 from crowdbench.report.display_names import Names
 from crowdbench.report.plots import Sight
 from crowdbench.report.text.words import NOTHING, digits, plainly
-from crowdbench.scoring.energy import LOWEST, Score
+from crowdbench.scoring.score import LOWEST, Score
 from crowdbench.scoring.scorecard import Entry, Row, Scorecard, metric_scores, walked
 from crowdbench.trajectories.table import OUTCOMES
 

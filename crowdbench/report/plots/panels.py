@@ -4,7 +4,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crowdbench.report.plots.sight import Curves, Group, Sight, goal_colour
+from crowdbench.colours import goal_colour
+from crowdbench.report.plots.sight import Curves, Group, Sight
 from crowdbench.scene import Scene
 from crowdbench.simulation.simulation import TIMEOUT_DWELLS
 from crowdbench.spawn.areas import Gaussians

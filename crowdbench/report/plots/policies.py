@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from crowdbench.report.plots.sight import COLOURS
+from crowdbench.colours import COLOURS
 from crowdbench.report.plots.ways import (
     LEAST_PEOPLE,
     Numbers,

@@ -3,19 +3,19 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import cycle
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from crowdbench.colours import spawn_colours
 from crowdbench.metrics import METRICS, Metric, Statistics, Sums, Support, total
 from crowdbench.metrics.lattice import correlation
 from crowdbench.metrics.presence import LAGS_S, counted, lag_key, lagged
-from crowdbench.registry import COMPARED
 from crowdbench.report.display_names import names_of
 from crowdbench.scene import Scene
-from crowdbench.scoring.energy import LEVEL, Draws
+from crowdbench.scoring.energy import Draws
 from crowdbench.scoring.reference import Reference
+from crowdbench.scoring.score import LEVEL
 from crowdbench.scoring.scorecard import ANCHORS
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.trajectories.blocks import PARTS
@@ -24,25 +24,11 @@ from crowdbench.trajectories.table import Trajectories
 Crowds = Mapping[tuple[str, str, int], Trajectories]
 """Rollouts by spawn model, policy and seed."""
 
-# Okabe & Ito's colours, which colour-blind readers can tell apart; the recording is black.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DASHES: tuple[tuple[float, ...], ...] = ((), (5.0, 2.0), (1.5, 1.5), (6.0, 1.5, 1.5, 1.5))
 _RESAMPLES = 200
 _LAG_STEP_S = 2.0
 _LONGEST_LAG_S = 120.0
 _TAILS = (100 * LEVEL / 2, 100 * (1 - LEVEL / 2))
-
-
-def goal_colour(area: int) -> str:
-    """The colour of a goal area and of all who walk there, `#RRGGBB`."""
-    return COLOURS[area % len(COLOURS)]
-
-
-def spawn_colours(spawns: Sequence[str]) -> dict[str, str]:
-    """Colours of spawn models: those of every page of results have theirs in every picture."""
-    own = dict(zip(COMPARED, COLOURS, strict=False))
-    others = [spawn for spawn in dict.fromkeys(spawns) if spawn not in own]
-    return own | dict(zip(others, cycle(COLOURS[len(own) :]), strict=False))
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from crowdbench.colours import COLOURS
 from crowdbench.errors import RecordingError
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.maps import Map, maps
-from crowdbench.report.plots.sight import COLOURS
 from crowdbench.report.plots.ways import Numbers
 from crowdbench.report.plots.windows import GROUP_S, WINDOW_S, Windows, situations
 from crowdbench.scene import Scene

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
+from crowdbench.colours import COLOURS
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.maps import maps
-from crowdbench.report.plots.sight import COLOURS
 from crowdbench.scene import Scene
 from crowdbench.trajectories.table import OUTCOMES, Trajectories
 

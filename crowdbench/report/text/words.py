@@ -1,7 +1,7 @@
 """How reports write numbers, names and protocols, be the page HTML or Markdown."""
 
 from crowdbench.scene import Scene
-from crowdbench.scoring.energy import Score
+from crowdbench.scoring.score import Score
 
 NOTHING = "–"
 PROTOCOLS = {

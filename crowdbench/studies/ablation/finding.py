@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from crowdbench.report.text.words import digits
-from crowdbench.scoring.energy import LEVEL
+from crowdbench.scoring.score import LEVEL
 from crowdbench.studies.ablation.measures import Numbers, spread
 from crowdbench.studies.ablation.presence import Presence
 from crowdbench.studies.ablation.study import Configuration

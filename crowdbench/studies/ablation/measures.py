@@ -5,11 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crowdbench.evaluation.evaluate import draws_of
+from crowdbench.evaluation.judge import draws_of
 from crowdbench.metrics import METRICS, WALK, metrics_for
 from crowdbench.scene import Scene
-from crowdbench.scoring.energy import Score, energy, family_scores, overall, score_of
+from crowdbench.scoring.energy import energy
 from crowdbench.scoring.reference import Reference
+from crowdbench.scoring.score import Score, family_scores, overall, score_of
 from crowdbench.scoring.scorecard import ANCHOR, Scale
 from crowdbench.studies.ablation.presence import Presence
 from crowdbench.studies.ablation.study import Configuration, Sample

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from crowdbench.colours import spawn_colours
 from crowdbench.files import replacing
 from crowdbench.report.plots.canvas import picture
-from crowdbench.report.plots.sight import spawn_colours
 from crowdbench.scene import Scene
 from crowdbench.studies.ablation.presence import Presence
 from crowdbench.studies.ablation.study import SCHEMES, Configuration, Sample

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Sequence
 
 from crowdbench.metrics import FAMILIES, METRICS, WALK, Metric
 from crowdbench.report.text.words import plainly, with_interval
-from crowdbench.scoring.energy import LEVEL, Score, told_apart
 from crowdbench.scoring.power import ENOUGH, PERCENTILE
+from crowdbench.scoring.score import LEVEL, Score, told_apart
 from crowdbench.scoring.scorecard import (
     ANCHOR,
     WALK_ANCHOR,

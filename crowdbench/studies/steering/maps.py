@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from jaxtyping import Float
 
+from crowdbench.colours import COLOURS
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.canvas import Draw, picture
 from crowdbench.report.plots.maps import CELL_M, draw_cells, in_cells
-from crowdbench.report.plots.sight import COLOURS
 from crowdbench.scene import Scene
 from crowdbench.spawn import Areas
 from crowdbench.spawn.areas import Gaussians

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
+from crowdbench.colours import COLOURS
 from crowdbench.report.plots.canvas import picture
-from crowdbench.report.plots.sight import COLOURS
 from crowdbench.spawn import SpawnEvents
 from crowdbench.spawn.scenario import Number, Profile
 from crowdbench.studies.steering.changes import Steering, total

@@ -8,7 +8,7 @@ from crowdbench.metrics import METRICS, WALK, MetricResult
 from crowdbench.report.text.markdown import flowed, table
 from crowdbench.report.text.words import NOTHING, interval, named
 from crowdbench.scene import Scene
-from crowdbench.scoring.energy import ranks
+from crowdbench.scoring.score import ranks
 from crowdbench.scoring.scorecard import Entry, Protocol, Scorecard, metric_scores, rows
 from crowdbench.studies.results.page import of_recording
 from crowdbench.studies.results.tables import distance_table, with_unit

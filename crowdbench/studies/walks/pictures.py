@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from crowdbench.colours import COLOURS
 from crowdbench.report.plots import draw_figure
-from crowdbench.report.plots.sight import COLOURS, Crowds, Sight
+from crowdbench.report.plots.sight import Crowds, Sight
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import Reference
 

@@ -1,0 +1,31 @@
+"""`crowdbench anchors`: the crowds that a scene's scores are measured by."""
+
+import argparse
+from typing import TYPE_CHECKING
+
+from crowdbench.cli.printing import progress_bar
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+
+
+def add(commands: "Commands") -> None:
+    """Add it to the command line."""
+    anchors = commands.add_parser(
+        "anchors", help="roll out what a scene's scores are measured by (minutes)"
+    )
+    anchors.add_argument("scene", help="id of a scene, or its folder")
+    anchors.add_argument("--workers", type=int, help="processes (default: one per core)")
+    anchors.set_defaults(run=_anchors)
+
+
+def _anchors(asked: argparse.Namespace) -> None:
+    from crowdbench.leftovers import temporary_folder
+    from crowdbench.scene import load_scene
+    from crowdbench.scene_building.anchors import make_anchors
+    from crowdbench.scoring.scorecard import write_anchors
+
+    scene = load_scene(asked.scene)
+    with temporary_folder("anchors") as folder, progress_bar("rollouts") as progress:
+        anchors = make_anchors(asked.scene, folder, workers=asked.workers, progress=progress)
+    print(f"written to {write_anchors(anchors, scene.folder)}")

@@ -1,0 +1,57 @@
+"""`crowdbench areas`: a scene's spawn and goal areas by number."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from crowdbench.cli.printing import new_console, new_table, print_note
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+
+_LEAST = 0.005  # of the people, to be shown: half a per cent
+
+
+def add(commands: "Commands") -> None:
+    """Add it to the command line."""
+    areas = commands.add_parser("areas", help="list a scene's spawn and goal areas by number")
+    areas.add_argument("scene", help="id of a scene, or its folder")
+    areas.add_argument("--out", type=Path, metavar="FILE.png", help="draw a map of them too")
+    areas.set_defaults(run=_areas)
+
+
+def _areas(asked: argparse.Namespace) -> None:
+    from crowdbench.files import replacing
+    from crowdbench.registry import fitted_models, spawn_model
+    from crowdbench.scene import load_scene
+    from crowdbench.spawn import PoissonGMM
+    from crowdbench.spawn.ntpp import networks
+    from crowdbench.studies.steering import areas_picture
+
+    scene = load_scene(asked.scene)
+    model = spawn_model("poisson-gmm", scene)
+    assert isinstance(model, PoissonGMM)
+    areas, per_minute = model.areas, 60 * model.rate
+    fits = networks(scene, areas, ["full"]) if "ntpp-gmm" in fitted_models(scene) else None
+    spawn = new_table("spawn area", "centre (m)", "persons/min", "networks", "goals (%)")
+    spawn.columns[4].justify = "left"
+    for k, (x, y) in enumerate(areas.spawn.mean):
+        goals = sorted(range(len(areas.goal)), key=lambda g: (-areas.flow[k, g], g))
+        likely = [g for g in goals[:4] if areas.flow[k, g] >= _LEAST]
+        shown = ", ".join(f"{g} ({100 * areas.flow[k, g]:.0f})" for g in likely)
+        trained = "–" if fits is None else f"{fits[:, k].sum()} of {len(fits)}"
+        spawn.add_row(f"{k}", f"{x:.1f}, {y:.1f}", f"{per_minute[k]:.2f}", trained, shown)
+    goal = new_table("goal area", "centre (m)", "persons/min")
+    for g, (x, y) in enumerate(areas.goal.mean):
+        goal.add_row(f"{g}", f"{x:.1f}, {y:.1f}", f"{(per_minute @ areas.flow)[g]:.2f}")
+    new_console().print(spawn)
+    if fits is not None:
+        print_note(
+            "networks: in how many fits ntpp-gmm has a trained one; without it groups come at a "
+            "constant rate."
+        )
+    new_console().print(goal)
+    if asked.out is not None:
+        with replacing(asked.out) as temporary:
+            temporary.write_bytes(areas_picture(scene, areas))
+        print(f"written to {asked.out}")

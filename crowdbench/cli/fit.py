@@ -1,0 +1,54 @@
+"""`crowdbench fit`: a scene's areas, spawn models and reference statistics."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from crowdbench.cli.printing import print_facts, progress_bar
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+
+
+def add(commands: "Commands") -> None:
+    """Add it to the command line."""
+    fit = commands.add_parser(
+        "fit", help="fit a scene's areas, spawn models and reference statistics"
+    )
+    fit.add_argument("scene", help="id of a scene, or its folder")
+    fit.add_argument(
+        "--clustering",
+        default="default",
+        help="settings of that name in scene.toml (default: default)",
+    )
+    fit.add_argument(
+        "--models",
+        nargs="+",
+        metavar="MODEL",
+        default=["poisson-gmm", "poisson-groups", "renewal-gmm", "ntpp-gmm"],
+        help="spawn models to fit (default: poisson-gmm poisson-groups renewal-gmm ntpp-gmm)",
+    )
+    fit.add_argument("--workers", type=int, help="processes (default: one per core)")
+    fit.add_argument("--out", type=Path, help="folder to write to (default: the scene's)")
+    fit.set_defaults(run=_fit)
+
+
+def _fit(asked: argparse.Namespace) -> None:
+    from crowdbench.registry import recording
+    from crowdbench.scene import load_scene
+    from crowdbench.scene_building.fit import fit_scene
+
+    scene = load_scene(asked.scene)
+    crowd = recording(scene.recording.name)
+    with progress_bar("fits") as progress:
+        facts = fit_scene(
+            scene,
+            crowd,
+            clustering=asked.clustering,
+            models=asked.models,
+            out=asked.out,
+            workers=asked.workers,
+            progress=progress,
+        )
+    print_facts(scene.id, facts)
+    print(f"Next, if arrivals or areas changed: crowdbench anchors {asked.out or asked.scene}")

@@ -1,0 +1,51 @@
+"""`crowdbench power`: which metrics can tell a scene's anchor from its recording."""
+
+import argparse
+from typing import TYPE_CHECKING
+
+from crowdbench.cli.printing import new_console, new_table, print_note, progress_bar
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+
+
+def add(commands: "Commands") -> None:
+    """Add it to the command line."""
+    power = commands.add_parser(
+        "power", help="find out which metrics can tell a scene's anchor from its recording"
+    )
+    power.add_argument("scene", help="id of a scene, or its folder")
+    power.add_argument(
+        "--write", action="store_true", help="make these the scored metrics of scene.toml"
+    )
+    power.set_defaults(run=_power)
+
+
+def _power(asked: argparse.Namespace) -> None:
+    from crowdbench.leftovers import temporary_folder
+    from crowdbench.scene import load_scene, write_scored
+    from crowdbench.scene_building.anchors import power_study
+
+    scene = load_scene(asked.scene)
+    with temporary_folder("power") as folder, progress_bar("rollouts") as progress:
+        studies = power_study(asked.scene, folder, progress=progress)
+    table = new_table("metric", "floor", "95 %", "anchor", "power", "")
+    for s in studies:
+        table.add_row(
+            s.metric.replace("_", " "),
+            f"{s.floor:.3f}",
+            f"{s.threshold:.3f}",
+            f"{s.anchor:.3f}",
+            f"{s.power:.2f}",
+            "scored" if s.counts else "",
+        )
+    new_console().print(table)
+    print_note(
+        "Energy scores on synthetic recordings: of the true process (floor: mean and 95th "
+        "percentile) and of the anchor. power: how often the anchor's lies beyond the percentile; "
+        "from 0.8 on a metric is scored, unless the recording knows only one value of it."
+    )
+    scored = [s.metric for s in studies if s.counts]
+    print(f"scored = {scored}".replace("'", '"'))
+    if asked.write:
+        print(f"written to {write_scored(scene, scored)}")

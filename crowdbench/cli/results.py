@@ -1,0 +1,48 @@
+"""`crowdbench results`: a scene's page of results."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from crowdbench.cli.printing import progress_bar
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+
+
+def add(commands: "Commands") -> None:
+    """Add it to the command line."""
+    results = commands.add_parser(
+        "results", help="write a scene's page of results, with pictures (minutes)"
+    )
+    results.add_argument("scene", help="id of a scene, or its folder")
+    results.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs/results"),
+        metavar="DIR",
+        help="folder of the page and its pictures (default: docs/results)",
+    )
+    results.add_argument("--workers", type=int, help="processes (default: one per core)")
+    results.add_argument(
+        "--seeds",
+        type=int,
+        metavar="N",
+        help="rollouts of each crowd (in each fold); fewer than two of each of the scene's fits, "
+        "as a rule 10, make no scores (default: the scene's protocol)",
+    )
+    results.set_defaults(run=_results)
+
+
+def _results(asked: argparse.Namespace) -> None:
+    from crowdbench.studies.results import write_results
+
+    with progress_bar("rollouts") as progress:
+        page = write_results(
+            asked.scene,
+            out=asked.out,
+            seeds=asked.seeds,
+            workers=asked.workers,
+            progress=progress,
+        )
+    print(f"written to {page} and {page.with_suffix('')}/")

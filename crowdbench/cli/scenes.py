@@ -1,0 +1,20 @@
+"""`crowdbench scenes`: the scenes that there are."""
+
+import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+
+
+def add(commands: "Commands") -> None:
+    """Add it to the command line."""
+    scenes = commands.add_parser("scenes", help="list the scenes")
+    scenes.set_defaults(run=_scenes)
+
+
+def _scenes(asked: argparse.Namespace) -> None:
+    from crowdbench.scene import list_scenes, load_scene
+
+    for name in list_scenes():
+        print(f"{name:<10} {load_scene(name).title}")

@@ -1,0 +1,57 @@
+"""`crowdbench spawn`: how well a scene's spawn models explain its recording."""
+
+import argparse
+from typing import TYPE_CHECKING
+
+from crowdbench.cli.printing import new_console, new_table, print_note
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+
+
+def add(commands: "Commands") -> None:
+    """Add it to the command line."""
+    spawn = commands.add_parser(
+        "spawn", help="tell how well a scene's spawn models explain its recording"
+    )
+    spawn.add_argument("scene", help="id of a scene, or its folder")
+    spawn.set_defaults(run=_spawn)
+
+
+def _spawn(asked: argparse.Namespace) -> None:
+    from crowdbench.scene import load_scene
+    from crowdbench.scene_building.spawn_diagnostics import check_models, trained_networks
+    from crowdbench.spawn.rescaling import KolmogorovSmirnov
+
+    def ks(found: KolmogorovSmirnov | None) -> str:
+        return "" if found is None else f"{found.statistic:.3f} ({found.p:.2g})"
+
+    def number(value: float | None) -> str:
+        return "" if value is None else f"{value:.3f}"
+
+    scene = load_scene(asked.scene)
+    found = list(check_models(scene))
+    likelihood = new_table(
+        "nats per person", "full", "held out", "fresh", "persons", "first 25 frames"
+    )
+    rescaling = new_table("KS (p)", "gaps", "group sizes", "own gaps", "own sizes")
+    for c in found:
+        cells = (c.full, c.heldout, c.fresh, c.persons, c.first)
+        likelihood.add_row(c.model, *map(number, cells))
+        if c.gaps is not None:
+            tests = (c.gaps, c.sizes, c.own_gaps, c.own_sizes)
+            rescaling.add_row(c.model, *map(ks, tests))
+    console = new_console()
+    console.print(likelihood)
+    print_note(
+        "Log-probability of the persons per area and grid point, means over the fits: of the "
+        "recording, of each fold by models fitted to the others, of ten fresh hours (where the "
+        "truth is known). persons: in samples, per recorded one. first 25 frames: per average."
+    )
+    console.print(rescaling)
+    print_note(
+        "Time rescaling: Kolmogorov-Smirnov statistic of the recording's gaps and group sizes "
+        "under each model, and of ten hours of its own samples; a small p is a misfit."
+    )
+    if any(c.model == "ntpp-gmm" for c in found):
+        print_note(str(trained_networks(scene)))

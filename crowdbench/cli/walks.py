@@ -1,0 +1,56 @@
+"""`crowdbench walks`: the page on how policies walk."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from crowdbench.cli.printing import progress_bar
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+
+
+def add(commands: "Commands") -> None:
+    """Add it to the command line."""
+    walks = commands.add_parser(
+        "walks", help="write the page on how policies walk on some scenes, with pictures (minutes)"
+    )
+    walks.add_argument("scenes", nargs="+", metavar="SCENE", help="id of a scene, or its folder")
+    walks.add_argument(
+        "--policy",
+        nargs="+",
+        default=[],
+        metavar="POLICY",
+        help="policies besides random, straight, social-force and those that come with each scene",
+    )
+    walks.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs"),
+        metavar="DIR",
+        help="folder of walks.md and its pictures (default: docs)",
+    )
+    walks.add_argument("--workers", type=int, help="processes (default: one per core)")
+    walks.add_argument(
+        "--seeds",
+        type=int,
+        metavar="N",
+        help="rollouts of each policy (in each fold); fewer than two of each of the scene's fits "
+        "make no scores of policies that leave anything to chance (default: two of each)",
+    )
+    walks.set_defaults(run=_walks)
+
+
+def _walks(asked: argparse.Namespace) -> None:
+    from crowdbench.studies.walks import write_walks
+
+    with progress_bar("rollouts") as progress:
+        page = write_walks(
+            asked.scenes,
+            more=asked.policy,
+            out=asked.out,
+            seeds=asked.seeds,
+            workers=asked.workers,
+            progress=progress,
+        )
+    print(f"written to {page} and {page.with_suffix('')}/")

@@ -1,0 +1,80 @@
+"""A scene's anchors, and the power study that chooses its scored metrics."""
+
+from pathlib import Path
+
+from crowdbench.evaluation.judge import draws_of, entries_of, floors
+from crowdbench.evaluation.rollout_jobs import (
+    Progress,
+    plan,
+    roll_out,
+)
+from crowdbench.metrics import WALK, metrics_for
+from crowdbench.scene import load_scene
+from crowdbench.scoring.power import Power, power
+from crowdbench.scoring.reference import read_reference
+from crowdbench.scoring.scorecard import (
+    ANCHOR,
+    ANCHORS,
+    SCHEMA,
+    WALK_ANCHOR,
+    Anchors,
+    Scale,
+    files_of,
+)
+
+
+def make_anchors(
+    scene: str | Path, folder: Path, *, workers: int | None = None, progress: Progress
+) -> Anchors:
+    """Roll out the anchors of a scene in both protocols; rollouts are left in `folder`.
+
+    Raises:
+        RecordingError: the recording has not been imported.
+    """
+    place = load_scene(scene)
+    reference = read_reference(place)
+    seeds = place.protocol.fits * place.protocol.rollouts_per_fit
+    todo = {
+        protocol: plan(str(scene), place, ANCHORS, protocol, seeds, folder)
+        for protocol in ("full", "heldout")
+    }
+    total, before = sum(map(len, todo.values())), 0
+    protocols = {}
+    for protocol, jobs in todo.items():
+        rolled = roll_out(
+            jobs,
+            reference,
+            workers,
+            lambda done, _, before=before: progress(before + done, total),  # type: ignore[misc]
+        )
+        before += len(jobs)
+        entries = entries_of(place, reference, rolled, protocol, seeds)
+        protocols[protocol] = Scale(floor=floors(place, reference, protocol), anchors=entries)
+    return Anchors(schema=SCHEMA, scene=place.id, made_from=files_of(place), protocols=protocols)
+
+
+def power_study(
+    scene: str | Path, folder: Path, *, workers: int | None = None, progress: Progress
+) -> list[Power]:
+    """How well each metric tells the anchors from the recording; see `crowdbench.scoring.power`.
+
+    Raises:
+        RecordingError: the recording has not been imported.
+    """
+    place = load_scene(scene)
+    reference = read_reference(place)
+    seeds = place.protocol.fits * place.protocol.rollouts_per_fit
+    jobs = plan(str(scene), place, [ANCHOR, WALK_ANCHOR], "full", seeds, folder)
+    rolled = roll_out(jobs, reference, workers, progress)
+    draws = draws_of(place, reference, "full")
+    found = []
+    for metric in metrics_for(reference.blocks):
+        pair = WALK_ANCHOR if metric.family in WALK else ANCHOR
+        crowds = [
+            what.of(metric) for job, what in rolled.items() if (job.spawn, job.policy) == pair
+        ]
+        recorded = reference.statistics[metric.name]
+        study = power(metric, recorded, crowds, reference.blocks, draws)
+        if study is not None:
+            found.append(study)
+    return found

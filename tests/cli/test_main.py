@@ -1,0 +1,232 @@
+"""The command line: results on stdout, a user's error as one message and exit code 2."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crowdbench import __version__
+from crowdbench.cli import main
+from crowdbench.recordings.catalogue import SOURCES
+from crowdbench.scene import list_scenes, load_scene
+from crowdbench.scoring.reference import score
+from crowdbench.trajectories.storage import read
+
+Printed = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    """A crowd as another simulator writes it: two people at a time cross ETH's scene."""
+    frame = np.arange(1934)
+    columns = [frame // 20, frame, -7.0 + (frame % 20) * 0.5, np.full(len(frame), 5.0)]
+    path = tmp_path / "mine.csv"
+    lines = [",".join(str(v) for v in row) for row in zip(*columns, strict=True)]
+    path.write_text("\n".join(["person_id,frame,x,y", *lines]))
+    return path
+
+
+def test_scenes_are_listed(capsys: Printed) -> None:
+    assert main(["scenes"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list_scenes()
+    assert all(line.endswith(load_scene(line.split()[0]).title) for line in lines)
+    assert {"eth-v0", "forum-v0", "gc-v0", "hotel-v0", "plaza-v0", "zara1-v0"} <= {*list_scenes()}
+
+
+def test_a_table_is_scored(table: Path, capsys: Printed) -> None:
+    assert main(["score", "eth-v0", str(table)]) == 0
+    out = capsys.readouterr().out
+    assert "mine.csv on eth-v0: 97 persons" in out
+    assert "nan" not in out
+    assert "0 is equal" in out
+    for name, result in score("eth-v0", read(table, scene="eth-v0", dt_s=0.4)).items():
+        cells = f"{name.replace('_', ' ')} .*{result.distance:.3f} .*{result.n}"
+        assert re.search(cells, out), name
+
+
+def test_a_scene_can_be_named_by_its_folder(table: Path, capsys: Printed) -> None:
+    assert main(["score", str(load_scene("eth-v0").folder), str(table)]) == 0
+    assert "on eth-v0" in capsys.readouterr().out
+
+
+def test_a_replay_is_the_recording(opentraj: Path, tmp_path: Path, capsys: Printed) -> None:
+    assert main(["data", "import", "eth", "--source", str(opentraj)]) == 0
+    capsys.readouterr()
+    pair = ["--spawn", "replay", "--policy", "replay"]
+    assert main(["evaluate", "eth-v0", *pair, "--out", str(tmp_path / "out")]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"identical +360 paths", out)
+    assert re.search(r"replay × replay .* 1\.00 +1\.00", out)  # motion and interaction
+    assert "what the arrival rule would change" in out
+    (entry,) = json.loads((tmp_path / "out" / "scorecard.json").read_text())["entries"]
+    assert {tuple(m["distances"]) for m in entry["metrics"].values()} == {(0.0,)}
+
+
+@pytest.mark.parametrize(("name", "persons"), [("eth", 360), ("hotel", 390), ("zara01", 148)])
+def test_recordings_are_imported_and_described(
+    opentraj: Path, name: str, persons: int, capsys: Printed
+) -> None:
+    assert main(["data", "import", name, "--source", str(opentraj)]) == 0
+    imported = capsys.readouterr().out
+    assert re.search(rf"persons +{persons}\n", imported)
+    assert "Cite: " in imported
+    assert main(["data", "describe", name]) == 0
+    assert re.search(rf"persons +{persons}\n", capsys.readouterr().out)
+
+
+def test_the_folder_of_recordings_can_be_named_by_the_environment(
+    opentraj: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CROWDBENCH_DATA", str(opentraj))
+    assert main(["data", "import", "zara01"]) == 0
+
+
+def test_the_list_tells_what_is_imported(opentraj: Path, capsys: Printed) -> None:
+    main(["data", "import", "hotel", "--source", str(opentraj)])
+    capsys.readouterr()
+    assert main(["data", "list"]) == 0
+    printed = capsys.readouterr().out
+    lines = [re.split(r"  +", line.strip()) for line in printed.splitlines() if "-v0" in line]
+    assert lines == [
+        ["eth", "eth-v0", "not imported", SOURCES["eth"].path],
+        ["hotel", "hotel-v0", "imported", SOURCES["hotel"].path],
+        ["zara01", "zara1-v0", "not imported", SOURCES["zara01"].path],
+        ["gc", "gc-v0", "not imported", SOURCES["gc"].path],
+        ["forum", "forum-v0", "not imported", SOURCES["forum"].path],
+        ["plaza", "plaza-v0", "always there", "generated"],
+    ]
+    root = printed.split("OpenTraj, ")[1].split()[0]
+    assert SOURCES["gc"].address == f"{root}/{SOURCES['gc'].path}"
+
+
+@pytest.mark.parametrize("scene", list_scenes())
+def test_areas_are_listed_without_goals_that_nobody_has(scene: str, capsys: Printed) -> None:
+    assert main(["areas", scene]) == 0
+    out = capsys.readouterr().out
+    assert "(100)" in out or re.search(r"\d \(\d+\)", out)
+    assert "(0)" not in out
+
+
+def test_a_scene_is_fitted_into_another_folder(tmp_path: Path, capsys: Printed) -> None:
+    models = ["--models", "poisson-gmm", "renewal-gmm"]
+    assert main(["fit", "plaza-v0", "--out", str(tmp_path), *models]) == 0
+    assert re.search(rf"written to +{re.escape(str(tmp_path))}", capsys.readouterr().out)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "areas.json", "poisson-gmm.json", "reference.json", "renewal-gmm.json", "scene.toml",
+    ]  # fmt: skip
+
+
+BAD = {
+    "unknown scene": (["score", "moon-v0", "{mine}"], "moon-v0"),
+    "no table": (["score", "eth-v0", "{tmp}/none.csv"], "no such file"),
+    "no kind of table": (["score", "eth-v0", "{tmp}/note.txt"], "expected .parquet or .csv"),
+    "a table of another kind": (["score", "eth-v0", "{tmp}/other.csv"], "a column person_id"),
+    "a table too short": (["score", "plaza-v0", "{mine}"], "as long as the recording"),
+    "a recording not imported": (["data", "describe", "eth"], "crowdbench data fetch eth"),
+    "an unknown recording": (["data", "describe", "moon"], "one of eth, hotel, zara01"),
+    "an empty folder": (
+        ["data", "import", "eth", "--source", "{tmp}"],
+        "Run `crowdbench data fetch eth`, or bring https://",
+    ),
+    "no folder": (["data", "import", "eth"], "CROWDBENCH_DATA"),
+    "unknown policy": (["evaluate", "eth-v0", "--policy", "crawl"], "one of straight"),
+    "unknown spawn model": (["evaluate", "eth-v0", "--spawn", "x:Y"], "No module named 'x'"),
+    "no seeds": (["evaluate", "eth-v0", "--seeds", "0"], "seeds: got 0"),
+    "no workers": (["evaluate", "eth-v0", "--workers", "0"], "workers: got 0"),
+    "replayed strangers": (["evaluate", "eth-v0", "--policy", "replay"], "spawn model replay"),
+    "nothing to fit to": (["fit", "eth-v0"], "crowdbench data import eth"),
+    "a page of an unknown scene": (["results", "moon-v0"], "moon-v0"),
+    "no place for a page": (["results", "eth-v0", "--out", "{mine}/x"], "Name another folder"),
+    "no place to evaluate to": (
+        ["evaluate", "eth-v0", "--policy", "straight", "--seeds", "1", "--out", "{mine}/x"],
+        "Name another folder",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_a_users_error_is_a_message_and_exit_code_2(
+    what: str, table: Path, tmp_path: Path, capsys: Printed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("CROWDBENCH_DATA", raising=False)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "note.txt").touch()
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
+    arguments, message = BAD[what]
+    assert main([a.format(mine=table, tmp=tmp_path) for a in arguments]) == 2
+    printed = capsys.readouterr().err
+    assert printed.startswith("crowdbench: ")
+    assert message in printed
+    assert "Traceback" not in printed
+
+
+@pytest.mark.parametrize("arguments", [[], ["walk"], ["evaluate"], ["data"], ["score", "eth-v0"],
+                                       ["evaluate", "eth-v0", "--seeds", "some"]])  # fmt: skip
+def test_what_is_no_command_is_exit_code_2(arguments: list[str], capsys: Printed) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == 2
+    assert "usage: crowdbench" in capsys.readouterr().err
+
+
+def started(*arguments: str) -> "subprocess.Popen[str]":
+    path = [str(Path(__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return subprocess.Popen(
+        [sys.executable, "-m", "crowdbench", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(path)},
+    )
+
+
+def test_it_runs_as_a_module() -> None:
+    process = started("--version")
+    assert process.communicate()[0] == f"crowdbench {__version__}\n"
+    assert process.returncode == 0
+
+
+def test_a_process_ends_with_exit_code_2_and_no_traceback() -> None:
+    process = started("evaluate", "moon-v0")
+    out, err = process.communicate()
+    assert (process.returncode, out) == (2, "")
+    assert err.startswith("crowdbench: scene: got 'moon-v0'")
+    assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("arguments", [["scenes"], ["areas", "eth-v0"], ["--help"]])
+def test_output_that_nobody_reads_ends_quietly(arguments: list[str]) -> None:
+    with started(*arguments) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()  # before anything is printed
+        assert process.stderr.read() == ""
+    assert process.returncode == 1 or "--help" in arguments  # argparse says nothing of it
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "told"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "stopped")],
+)
+def test_who_is_told_to_stop_says_so_by_its_exit_code_and_leaves_no_half_file(
+    number: int, code: int, told: str, tmp_path: Path
+) -> None:
+    process = started(
+        "evaluate", "plaza-v0", "--spawn", "poisson-gmm", "--policy", "given:Announcing",
+        "--seeds", "10000", "--workers", "1", "--out", str(tmp_path),
+    )  # fmt: skip
+    assert process.stdout is not None
+    while process.stdout.readline() not in ("walking\n", ""):
+        pass
+    process.send_signal(number)
+    _, err = process.communicate()
+    assert (process.returncode, err) == (code, f"crowdbench: {told}\n")
+    assert list(tmp_path.rglob(".*")) == []
+    assert not (tmp_path / "scorecard.json").exists()

@@ -1,0 +1,158 @@
+"""What the pages of documentation say runs, and what they point to is there."""
+
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pages
+import pytest
+
+from crowdbench import rollout
+from crowdbench.cli import _parser, main
+from crowdbench.policies import StateView
+from crowdbench.trajectories.table import OUTCOMES, PERSON_COLUMNS
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md")])
+
+
+def page(name: str) -> str:
+    return (DOCS / name).read_text()
+
+
+def linked(path: Path) -> set[str]:
+    """What a page points to in the repository, pictures included."""
+    found = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", path.read_text())
+    return {link for link in found if "://" not in link}
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_what_a_page_points_to_is_there(path: Path) -> None:
+    assert [link for link in linked(path) if not (path.parent / link).exists()] == []
+
+
+def test_the_table_of_contents_lists_every_page() -> None:
+    listed = {(DOCS / link).resolve() for link in linked(DOCS / "README.md")}
+    assert {p.resolve() for p in PAGES} - {DOCS / "README.md"} <= listed
+
+
+def test_the_environments_example_runs_to_the_end() -> None:
+    (example,) = pages.blocks(page("environment.md"), "python")
+    world: dict[str, object] = {}
+    exec(compile(example, "environment.md", "exec"), world)
+    assert world["observations"]
+
+
+def test_the_page_on_python_runs_from_top_to_bottom_and_prints_what_it_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    world: dict[str, object] = {}
+    for block in pages.blocks(page("python.md"), "python"):
+        quick = block.replace("seeds=10", "seeds=1, workers=1")
+        exec(compile(quick, "python.md", "exec"), world)
+    printed = without_numbers(capsys.readouterr().out)
+    for shown in pages.blocks(page("python.md"), "text"):
+        assert without_numbers(shown) in printed
+    assert "expected one of poisson-gmm" in printed
+    assert "renewal-gmm straight" in printed
+
+
+def without_numbers(text: str) -> str:
+    """Another processor rounds otherwise."""
+    return re.sub(r"\d+(\.\d+)?", "#", text)
+
+
+def test_the_page_on_python_names_every_outcome_and_column() -> None:
+    listed = re.findall(r"^\| (\d) \| `(\w+)` \|", page("python.md"), re.M)
+    assert [(int(k), name) for k, name in listed] == list(enumerate(OUTCOMES))
+    (table,) = re.findall(r"\| column .*?\n\n", page("python.md"), re.S)
+    columns = re.findall(r"`(\w+)`", table)
+    assert set(columns) >= {"person_id", "first", "last", *PERSON_COLUMNS}
+
+
+def test_a_class_that_sees_the_state_walks_as_fast_as_people_prefer() -> None:
+    world: dict[str, Any] = {"np": np}
+    exec(compile(pages.block_with(page("training.md"), "class Direct"), "page", "exec"), world)
+    crowd = rollout("plaza-v0", "poisson-gmm", world["Direct"](), seed=0, horizon_s=60.0)
+    arrived = crowd.outcome == OUTCOMES.index("goal")
+    assert arrived.sum() > 10
+    assert 1.0 < np.nanmedian(crowd.mean_speeds()) < 1.6
+
+
+def test_the_fields_of_the_state_are_those_that_the_page_lists() -> None:
+    (table,) = re.findall(r"\| field .*?\n\n", page("training.md"), re.S)
+    first_cells = " ".join(line.split("|")[1] for line in table.strip().splitlines())
+    assert set(re.findall(r"`(\w+)`", first_cells)) == {f.name for f in fields(StateView)}
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "file"),
+    [
+        ("training.md", "class Slow", "slow.py"),
+        ("spawn-models.md", "class Clockwork", "clock.py"),
+    ],
+)
+def test_a_class_of_ones_own_is_evaluated(tmp_path: Path, name: str, words: str, file: str) -> None:
+    (tmp_path / file).write_text(pages.block_with(page(name), words))
+    asked = re.search(rf"`(crowdbench evaluate [^`]*{file[:-3]}:[^`]*)`", page(name))
+    assert asked is not None
+    script = Path(sys.executable).with_name("crowdbench")
+    command = [str(script), *shlex.split(asked[1])[1:], "--seeds", "2", "--workers", "2"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "written to" in done.stdout
+
+
+@pytest.mark.parametrize("name", ["training.md", "spawn-models.md"])
+def test_every_command_runs(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    name: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if name == "training.md":
+        Path("walkers.py").write_text(pages.block_with(page(name), "class Walker"))
+    for command in pages.commands(page(name)):
+        arguments = shlex.split(command.replace("scenes/", f"{ROOT}/scenes/"))[1:]
+        arguments += ["--seeds", "1"] if arguments[0] == "evaluate" else []
+        assert main(arguments) == 0, f"{command}: {capsys.readouterr().err}"
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_command_that_a_sentence_mentions_exists(
+    path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for mentioned in re.findall(r"`crowdbench( [^`…]*)`", path.read_text()):
+        try:
+            _parser().parse_args(shlex.split(mentioned))
+        except SystemExit:  # a command may be named without what it needs
+            assert "the following arguments are required" in capsys.readouterr().err, mentioned
+
+
+def test_every_page_of_results_says_how_it_was_made() -> None:
+    for kind in ("results", "ablation"):
+        for path in DOCS.glob(f"{kind}/*.md"):  # tests of the command itself run it on the plaza
+            assert pages.commands(path.read_text()) == [f"crowdbench {kind} {path.stem}"]
+
+
+def test_no_page_has_commands_that_no_test_runs() -> None:
+    here = {"training.md", "spawn-models.md"}
+    in_files_of_their_own = {
+        *("README.md", "scenes.md", "forum.md", "steering.md", "viewer.md"),
+        *("figures.md", "walks.md"),
+    }
+    of_results = [*DOCS.glob("results/*.md"), *DOCS.glob("ablation/*.md")]
+    with_commands = {path for path in PAGES if "crowdbench" in "".join(blocks_of(path))}
+    assert {path.name for path in with_commands - set(of_results)} == here | in_files_of_their_own
+
+
+def blocks_of(path: Path) -> list[str]:
+    return pages.blocks(path.read_text(), "sh")

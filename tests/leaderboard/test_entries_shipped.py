@@ -1,0 +1,89 @@
+"""What stands in leaderboard/entries: all that is shipped, as verification makes it today."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from crowdbench.leaderboard.submission.submission import open_submission
+from crowdbench.leaderboard.verification.entry import SCHEMA, SCORER, Entry, read_entry
+from crowdbench.leaderboard.verification.verify import verify
+from crowdbench.registry import import_recording, trained_policies
+from crowdbench.scene import load_scene
+from crowdbench.scoring.scorecard import files_of
+
+ROOT = Path(__file__).parents[2] / "leaderboard"
+ENTRIES = sorted((ROOT / "entries").glob("*.json"))
+SUBMISSIONS = sorted(folder for folder in (ROOT / "submissions").iterdir() if folder.is_dir())
+
+
+def test_all_that_is_shipped_is_an_entry() -> None:
+    assert {path.stem for path in ENTRIES} == {folder.name for folder in SUBMISSIONS}
+    declared = [read_entry(path).declared for path in ENTRIES]
+    assert {d.shipped_spawn for d in declared} >= {
+        *("poisson-gmm", "renewal-gmm", "ntpp-gmm", "block-replay")
+    }
+    networks = {(scene, name) for scene in ("eth-v0", "gc-v0", "forum-v0")
+                for name in trained_policies(load_scene(scene))}  # fmt: skip
+    walked = {
+        (scene, d.shipped_policy) for d in declared if d.track == "walk" for scene in d.scenes
+    }
+    assert networks <= walked
+
+
+@pytest.mark.parametrize("path", ENTRIES, ids=lambda path: path.stem)
+def test_an_entry_is_of_the_present_files(path: Path) -> None:
+    """Who adds one by hand, or changes it or its submission, is found out; and what was trained
+    anew is to be verified anew."""
+    entry = read_entry(path)
+    assert (entry.schema, entry.scorer) == (SCHEMA, SCORER)
+    with open_submission(ROOT / "submissions" / entry.id) as submission:
+        assert entry.declared == submission.declared
+        assert entry.status == submission.status
+        assert entry.artefacts == submission.artefacts | submission.shipped
+    assert set(entry.scenes) == set(entry.declared.scenes)
+    for scene, of_scene in entry.scenes.items():
+        assert of_scene.made_from == files_of(load_scene(scene))
+        assert of_scene.protocol == submission.protocol
+
+
+def numbers(found: object) -> list[float]:
+    """All numbers in an entry, in its order; resamples too."""
+    match found:
+        case bool() | str() | None:
+            return []
+        case int() | float():
+            return [found]
+        case bytes():
+            return np.frombuffer(found, "<f4").tolist()
+        case dict():
+            return [x for value in found.values() for x in numbers(value)]
+        case list() | tuple():
+            return [x for value in found for x in numbers(value)]
+    raise TypeError(found)
+
+
+def words(found: Any) -> Any:
+    """An entry without its numbers."""
+    if isinstance(found, dict):
+        return {key: words(value) for key, value in found.items()}
+    if isinstance(found, list | tuple):
+        return [words(value) for value in found]
+    return 0 if isinstance(found, int | float | bytes) else found
+
+
+def plain(entry: Entry) -> Any:
+    return msgspec.to_builtins(entry, builtin_types=(bytes,))
+
+
+def test_a_shipped_baseline_gives_its_entry_again(opentraj: Path, tmp_path: Path) -> None:
+    import_recording("eth", opentraj)
+    verify(ROOT / "submissions/ppo", tmp_path, workers=1)
+    entry, committed = read_entry(tmp_path / "ppo.json"), read_entry(ROOT / "entries/ppo.json")
+    assert words(plain(entry)) == words(plain(committed))
+    # The same bytes on the same machine. Another processor rounds otherwise, and crowds are
+    # chaotic: not to the last digit.
+    found, expected = np.array(numbers(plain(entry))), np.array(numbers(plain(committed)))
+    np.testing.assert_allclose(found, expected, rtol=0.02, atol=0.03)

@@ -1,0 +1,188 @@
+"""The sandbox: who hangs, crashes, forks or eats memory is refused, and leaves nothing behind."""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from crowdbench.errors import CrowdbenchError
+from crowdbench.leaderboard.sandbox.parent import Limits, SandboxError, call
+from crowdbench.leaderboard.submission.errors import SubmissionError
+
+NARROW = Limits(
+    memory_bytes=2**29, wall_s=20.0, cpu_s=10, file_bytes=2**24, open_files=64, processes=16
+)
+
+
+@pytest.fixture(autouse=True)
+def found_by_children(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]), prepend=os.pathsep)
+
+
+def tried(name: str, kind: type = object, limits: Limits = NARROW, **arguments: object) -> object:
+    return call(f"hostile:{name}", arguments, kind, where="mine.zip", limits=limits)[0]
+
+
+def test_a_result_comes_back_with_what_it_took_and_progress_is_told() -> None:
+    told = []
+    result, ran = call(
+        "hostile:add", {"a": 2, "b": 3}, int, where="mine", limits=NARROW,
+        progress=lambda done, total: told.append((done, total)),
+    )  # fmt: skip
+    assert result == 5
+    assert 0 < ran.wall_s < 20
+    assert ran.peak_bytes > 2**20
+    assert set(told) == {(1, 1)}
+
+
+@pytest.mark.parametrize(
+    ("name", "changed", "message"),
+    [
+        ("hang", {"wall_s": 1.0}, "mine.zip: got no end after 1 s"),
+        ("spin", {"cpu_s": 1}, "more than 1 s of CPU time"),
+        ("crash", {}, r"a crash \(SIGABRT\); it said last: about to fall\[31m"),
+        ("leave", {}, "an end with code 3"),
+        ("fail", {}, "an end with code 1; it said last: ValueError: no such thing"),
+        ("eat", {}, "more than 0.5 GiB of memory|out of memory"),
+        ("eat_together", {}, "more than 0.5 GiB of memory"),
+        ("multiply", {}, "more than 16 processes"),
+        ("pipe_for_answer", {}, "an answer that cannot be read .*no plain file"),
+        ("pipe_for_progress", {"wall_s": 1.0}, "no end after 1 s"),
+        ("endless_progress", {"wall_s": 1.0}, "no end after 1 s"),
+        ("pipe_for_what_it_says", {}, "an end with code 3"),
+        ("nested_answer", {}, "an answer that cannot be read"),
+    ],
+)
+def test_what_breaks_a_limit_is_refused_by_name(
+    name: str, changed: dict[str, float], message: str
+) -> None:
+    limits = replace(NARROW, **changed)
+    began = time.monotonic()
+    with pytest.raises(SandboxError, match=message):
+        tried(name, limits=limits)
+    assert time.monotonic() - began < 15
+
+
+def test_who_left_the_session_is_ended_with_the_one_that_hangs(tmp_path: Path) -> None:
+    note = tmp_path / "child"
+    with pytest.raises(SandboxError, match="no end after"):
+        tried("outlive", limits=replace(NARROW, wall_s=2.0), note=str(note), hang_s=600)
+    assert ended(int(note.read_text()))
+
+
+def test_who_left_the_session_is_ended_with_the_one_that_answers(tmp_path: Path) -> None:
+    note = tmp_path / "child"
+    tried("outlive", note=str(note), hang_s=1)
+    assert ended(int(note.read_text()))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends children with their parents")
+def test_it_ends_with_a_verifier_that_is_killed(tmp_path: Path) -> None:
+    note = tmp_path / "child"
+    verifying = (
+        f"call('hostile:hang_by_name', {{'note': '{note}'}}, object, where='', limits=Limits())"
+    )
+    script = f"from crowdbench.leaderboard.sandbox.parent import Limits, call; {verifying}"
+    with subprocess.Popen([sys.executable, "-c", script]) as verifier:
+        soon = time.monotonic() + 30
+        while not note.exists() and time.monotonic() < soon:
+            time.sleep(0.05)
+        verifier.kill()
+    assert ended(int(note.read_text()))
+
+
+def ended(process: int) -> bool:
+    """Whether it ends within seconds: who is killed is so only when its turn comes."""
+    soon = time.monotonic() + 5
+    while alive(process) and time.monotonic() < soon:
+        pass
+    return not alive(process)
+
+
+def alive(process: int) -> bool:
+    """Whether it runs; who has ended and was not asked after is a zombie."""
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def test_files_end_at_their_limit(tmp_path: Path) -> None:
+    assert tried("write_much", str, path=str(tmp_path / "much")) == "File too large"
+    assert (tmp_path / "much").stat().st_size == NARROW.file_bytes
+
+
+def test_so_many_files_can_be_open() -> None:
+    assert 0 < tried("open_many", int) < NARROW.open_files
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield server.getsockname()[1]
+
+
+def test_there_is_no_network_or_it_is_said_why(port: int) -> None:
+    found, ran = call("hostile:reach", {"port": port}, str, where="mine", limits=NARROW)
+    if ran.network == "none":
+        assert found != "reached"
+    else:
+        assert ran.network.startswith("not cut off: ")
+
+
+def test_keys_in_the_surroundings_are_not_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SECRET_TOKEN", "1234")
+    seen = tried("surroundings", list)
+    assert "PATH" in seen
+    assert "SECRET_TOKEN" not in seen
+
+
+def test_an_error_of_the_submission_keeps_its_message() -> None:
+    with pytest.raises(CrowdbenchError) as error:
+        tried("refuse")
+    assert str(error.value) == "the submission: got nothing; expected something. Add it."
+
+
+def test_an_error_of_the_submission_only_shows() -> None:
+    with pytest.raises(CrowdbenchError) as error:
+        tried("paint")
+    assert str(error.value).isprintable()
+    assert len(str(error.value)) < 600
+
+
+def test_all_that_is_wrong_with_a_submission_is_told() -> None:
+    with pytest.raises(SubmissionError) as error:
+        tried("refuse_submission")
+    assert str(error.value) == (
+        "mine.zip: 2 problems."
+        "\n  file 0: got x; expected y. Mend."
+        "\n  file 1: got x; expected y. Mend."
+    )
+
+
+def test_an_answer_that_leads_elsewhere_is_not_read(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text('{"network":"none","value":"secret"}')
+    with pytest.raises(SandboxError, match="an answer that cannot be read"):
+        tried("linked_answer", to=str(tmp_path / "secret"))
+
+
+def test_what_lies_where_one_stands_is_not_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As when a submission is verified from inside of its folder."""
+    for module in ("msgspec", "hostile"):
+        (tmp_path / f"{module}.py").write_text("import os\nos._exit(7)\n")
+    monkeypatch.chdir(tmp_path)
+    assert tried("add", int, a=1, b=1) == 2
+
+
+def test_an_answer_of_another_kind_is_refused() -> None:
+    with pytest.raises(SandboxError, match="an answer that cannot be read"):
+        tried("surroundings", int)

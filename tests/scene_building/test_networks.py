@@ -1,0 +1,87 @@
+"""How many networks ntpp-gmm has is what pages and entries say, counted in what is shipped."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from crowdbench.leaderboard.submission.template import _parameters
+from crowdbench.leaderboard.verification.entry import read_entry
+from crowdbench.scene import list_scenes, load_scene
+from crowdbench.scene_building.spawn_diagnostics import Networks, trained_networks
+from crowdbench.spawn import NtppGMM
+from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.ntpp import SHAPES
+from crowdbench.trajectories.blocks import PARTS
+
+ROOT = Path(__file__).parents[2]
+SCENES = list_scenes()
+WITH_NTPP = ("ntpp-gmm", "ntpp-gmm-bc", "ntpp-gmm-social-force")
+LEARNED = (*WITH_NTPP, "bc", "gail")
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, Networks]:
+    return {scene: trained_networks(load_scene(scene)) for scene in SCENES}
+
+
+def heldout(networks: Networks) -> str:
+    fits_and_folds = len(networks.heldout) * (len(PARTS) - 1)
+    return f"{sum(networks.heldout)} of {fits_and_folds * networks.areas}"
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_page_on_spawn_models_has_the_numbers(scene: str, found: dict[str, Networks]) -> None:
+    page = (ROOT / "docs" / "spawn-models.md").read_text()
+    (row,) = re.findall(rf"^\| {scene} \| (.*) \|$", page, re.M)
+    networks = found[scene]
+    low, high = min(networks.full), max(networks.full)
+    assert row.split(" | ")[:4] == [
+        str(networks.areas),
+        str(low) if low == high else f"{low} to {high}",
+        heldout(networks),
+        f"{networks.constant:.0%}".replace("%", " %"),
+    ]
+
+
+def test_the_readme_has_those_of_eth(found: dict[str, Networks]) -> None:
+    eth, readme = found["eth-v0"], " ".join((ROOT / "README.md").read_text().split())
+    (trained,) = set(eth.full)
+    assert f"a trained network in only {trained} of {eth.areas} areas" in readme
+    assert f"where {eth.constant:.0%}".replace("%", " % of the persons enter") in readme
+
+
+@pytest.mark.parametrize("name", WITH_NTPP)
+def test_entries_say_how_many_networks_were_trained(name: str, found: dict[str, Networks]) -> None:
+    declared = read_entry(ROOT / "leaderboard" / "entries" / f"{name}.json").declared
+    told = dict.fromkeys(SCENES, "")
+    for count, of, scene in re.findall(
+        r"(\d+) of (\d+)(?: areas)? of (\w+-v0)", declared.training.data
+    ):
+        told[scene] = f"{count} of {of}"
+    assert told == {s: heldout(found[s]) if s in declared.scenes else "" for s in SCENES}
+
+
+@pytest.mark.parametrize("name", LEARNED)
+def test_entries_count_what_was_learned(name: str) -> None:
+    declared = read_entry(ROOT / "leaderboard" / "entries" / f"{name}.json").declared
+    counts = []
+    for scene in declared.scenes:
+        place = load_scene(scene)
+        areas, network = read_areas(place), place.folder / "policies" / declared.shipped_policy
+        for part in PARTS[1:]:
+            fits = [NtppGMM.read(place, areas, part, k) for k in range(place.protocol.fits)]
+            fits = fits if declared.shipped_spawn else []
+            walker = network / f"{part}.onnx"
+            own = _parameters(walker) if walker.is_file() else 0
+            counts.append(own + sum(fit.learned() for fit in fits))
+    assert declared.training.parameters == max(counts)
+
+
+def test_numbers_of_areas_without_a_network_are_a_rate_and_a_size() -> None:
+    place = load_scene("eth-v0")
+    model = NtppGMM.read(place, read_areas(place))
+    assert model.trained().tolist() == [True] + 6 * [False]
+    each = sum(array[0].size for array in model.weights.values())
+    assert each == sum(model.weights[name][0].size for name in SHAPES)
+    assert model.learned() == each + 6 * 2

@@ -1,0 +1,191 @@
+"""The compiled kernels do what their source says, on any number of threads and worlds."""
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from worlds import Person, box, events, square
+
+from crowdbench.policies import SocialForce, StateView
+from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation.compilation import PARALLEL_FROM
+from crowdbench.spawn import SpawnEvents
+
+BLOCKS = square(6.0, box(-1, -1, 1, 1), box(-5, 2, -2, 2.5), dwell_p99_s=6.0)
+SIZES = Settings(max_alive=8, rays=16, ray_range_m=4.0)
+FRAMES = 60
+MANY = 24  # worlds
+
+
+def people(seed: int) -> SpawnEvents:
+    """A crowd that waits, hits walls, reaches goals, leaves, times out and finds no slot."""
+    rng = np.random.default_rng(seed)
+    doors = np.array([(-4.0, -4.0), (4.0, -3.0), (-3.0, 4.5)])
+    crowd = []
+    for time_s in np.sort(rng.uniform(-2, 20, 40)):
+        start, goal = rng.choice(doors, 2, replace=False) + rng.normal(0, 0.1, (2, 2))
+        scripted = bool(rng.random() < 0.1)
+        leave = int(time_s / 0.4) + 8 if scripted or rng.random() < 0.1 else -1
+        crowd.append(
+            Person(
+                time_s=float(time_s),
+                start=tuple(start),
+                goal=tuple(goal),
+                speed=float(rng.uniform(0.5, 2)),
+                leave_frame=leave,
+                scripted=scripted,
+            )
+        )
+    return events(*crowd)
+
+
+def actions(simulation: Simulation, seeds: tuple[int, ...], number: int) -> np.ndarray:
+    """Towards the goal with noise that depends on the world's seed and the step only."""
+    noise = [np.random.default_rng((seed, number)).normal(0, 0.3, (8, 2)) for seed in seeds]
+    way = simulation.slots.goal - simulation.slots.position
+    return (0.3 * np.sign(way) + np.array(noise)).astype(np.float32)
+
+
+def history(*seeds: int) -> list[list[bytes]]:
+    """Every array of every world after each step, as bytes."""
+    simulation = Simulation(BLOCKS, worlds=len(seeds), settings=SIZES)
+    simulation.reset([people(seed) for seed in seeds], horizon=FRAMES)
+    worlds: list[list[bytes]] = [[] for _ in seeds]
+    for number in range(FRAMES):
+        observation = simulation.observe()
+        slots = simulation.slots
+        there = slots.alive | (slots.ended != 0)
+        for w in range(len(seeds)):
+            arrays = [*slots, *simulation.clock, np.where(there[..., None], observation, 0)]
+            worlds[w].append(b"".join(array[w].tobytes() for array in arrays))
+        simulation.step(actions(simulation, seeds, number))
+    return worlds
+
+
+def social_force() -> bytes:
+    """Actions of a small crowd of social-force walkers."""
+    simulation = Simulation(BLOCKS, worlds=2, settings=SIZES)
+    simulation.reset([people(1), people(2)], horizon=FRAMES)
+    policy = SocialForce()
+    policy.reset(BLOCKS, np.random.default_rng(0))
+    return policy.act(StateView.of(simulation)).tobytes()
+
+
+def digest(worlds: int) -> str:
+    """Of a history, and of what social-force walkers do."""
+    states = [state for world in history(*range(1, worlds + 1)) for state in world]
+    return hashlib.sha256(b"".join(states) + social_force()).hexdigest()
+
+
+SHARED = os.pathsep.join(map(str, Path(__file__).parents[:2]))
+"""Where other processes find this module and what tests share."""
+
+
+def digest_elsewhere(worlds: int, **environment: str) -> str:
+    """The digest as another process computes it."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"import test_kernels; print(test_kernels.digest({worlds}))"],
+        env={**os.environ, "PYTHONPATH": SHARED, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_the_crowd_of_these_tests_meets_every_rule() -> None:
+    simulation = Simulation(BLOCKS, settings=SIZES)
+    simulation.reset([people(1)], horizon=FRAMES)
+    outcomes, hits = set(), 0
+    for number in range(FRAMES):
+        simulation.step(actions(simulation, (1,), number))
+        outcomes |= set(simulation.slots.ended.ravel().tolist())
+        hits += int(simulation.slots.hit_wall.sum())
+    waited = simulation.waited(0, simulation.slots.event[0], simulation.slots.born[0])
+    assert hits > 0
+    assert waited.max() > 0 or simulation.clock.no_slot[0] > 0
+    assert outcomes == {0, 1, 2, 3, 4, 5}
+
+
+def test_compiled_kernels_do_the_same_as_their_source() -> None:
+    assert digest_elsewhere(2, NUMBA_DISABLE_JIT="1") == digest(2)
+
+
+def test_many_worlds_are_many_enough_for_several_threads() -> None:
+    simulation = Simulation(BLOCKS, worlds=MANY, settings=SIZES)
+    simulation.reset([people(seed) for seed in range(MANY)], horizon=FRAMES)
+    most = 0
+    for number in range(FRAMES):
+        simulation.step(actions(simulation, tuple(range(MANY)), number))
+        most = max(most, int(simulation.slots.alive.sum()))
+    assert most >= PARALLEL_FROM
+
+
+def test_the_number_of_threads_changes_no_byte() -> None:
+    one, two = (digest_elsewhere(MANY, NUMBA_NUM_THREADS=threads) for threads in "12")
+    assert one == two
+
+
+FIRST = {
+    "nothing": "",
+    "torch": "import torch; torch.rand(100_000).exp().sum()",
+    "sklearn": "import sklearn.cluster",
+    "numba": (
+        "import numba, numpy as np\n"
+        "@numba.njit(parallel=True)\n"
+        "def f(x):\n"
+        "    for i in numba.prange(len(x)):\n"
+        "        x[i] += 1\n"
+        "f(np.zeros(10))"
+    ),
+}
+
+
+def compiled_elsewhere(first: str, **environment: str) -> list[str]:
+    """Names of the kernels that many worlds are stepped by, without and with environment."""
+    code = (
+        f"{first}\nimport os\nbefore = dict(os.environ)\n"
+        "import test_kernels\n"
+        "test_kernels.history(*range(1, test_kernels.MANY + 1))\n"
+        "from crowdbench.simulation.compilation import _dispatchers\n"
+        "assert dict(os.environ) == before\n"
+        "print(*sorted(d.py_func.__name__ for d in _dispatchers.values()))"
+    )
+    plain = {k: v for k, v in os.environ.items() if k != "NUMBA_NUM_THREADS"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**plain, "PYTHONPATH": SHARED, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize("first", FIRST)
+def test_kernels_run_on_one_thread_whatever_was_imported_before(first: str) -> None:
+    # What runs on one thread waits for no other, and nothing of the user's has to be changed.
+    names = compiled_elsewhere(FIRST[first], OMP_NUM_THREADS="2")
+    assert names
+    assert [name for name in names if "_alone_" not in name] == []
+
+
+def test_kernels_run_on_several_threads_where_they_are_asked_for() -> None:
+    names = compiled_elsewhere("", NUMBA_NUM_THREADS="2")
+    assert any("_parallel_" in name for name in names)
+
+
+def test_worlds_stepped_together_are_each_world_alone() -> None:
+    seeds = range(1, MANY + 1)
+    assert history(*seeds) == [history(seed)[0] for seed in seeds]
+
+
+def test_worlds_of_other_seeds_differ() -> None:
+    first, second = history(1, 2)
+    assert first != second
