@@ -110,7 +110,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         self._action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._recorder: Recorder | None = None
         self._seed = 0
-        self._renderer: "Renderer | None" = None
+        self._renderer: Renderer | None = None
         if render_mode is not None:
             from crowdbench.viewer import renderer
 

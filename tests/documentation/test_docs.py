@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pages
 import pytest
+from conftest import need_imitation
 
 from crowdbench import rollout
 from crowdbench.cli import _parser, main
@@ -92,6 +93,17 @@ def test_the_fields_of_the_state_are_those_that_the_page_lists() -> None:
     assert set(re.findall(r"`(\w+)`", first_cells)) == {f.name for f in fields(StateView)}
 
 
+# imitation logs tensors that know their gradient.
+@pytest.mark.filterwarnings("ignore:Converting a tensor with requires_grad")
+def test_the_imitation_example_trains(capsys: pytest.CaptureFixture[str]) -> None:
+    need_imitation()
+    exec(
+        compile(pages.block_with(page("training.md"), "demonstrations("), "training.md", "exec"), {}
+    )
+    reward = float(capsys.readouterr().out.split()[0])
+    assert reward > 5  # metres nearer to the goal
+
+
 @pytest.mark.parametrize(
     ("name", "words", "file"),
     [
@@ -147,7 +159,7 @@ def test_no_page_has_commands_that_no_test_runs() -> None:
     here = {"training.md", "spawn-models.md"}
     in_files_of_their_own = {
         *("README.md", "scenes.md", "forum.md", "steering.md", "viewer.md"),
-        *("figures.md", "walks.md"),
+        *("figures.md", "walks.md", "evaluation.md", "data.md", "submitting.md"),
     }
     of_results = [*DOCS.glob("results/*.md"), *DOCS.glob("ablation/*.md")]
     with_commands = {path for path in PAGES if "crowdbench" in "".join(blocks_of(path))}

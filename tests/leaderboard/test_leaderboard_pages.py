@@ -25,9 +25,10 @@ from crowdbench.leaderboard.pages import build
 from crowdbench.leaderboard.pages.axis import NARROW, bar
 from crowdbench.leaderboard.pages.curves import figure
 from crowdbench.leaderboard.pages.entry_page import entry_page
+from crowdbench.leaderboard.pages.excerpt import BEGIN, END, with_excerpt
 from crowdbench.leaderboard.pages.index import index_page
 from crowdbench.leaderboard.pages.readme import readme
-from crowdbench.leaderboard.pages.standings import TRACKS, View, scores, standing
+from crowdbench.leaderboard.pages.standings import TRACKS, View, read_entries, scores, standing
 from crowdbench.leaderboard.pages.text import in_html, in_markdown, link
 from crowdbench.leaderboard.submission.schema import SCENES
 from crowdbench.leaderboard.verification.entry import Curve, Entry, Flag, ScoreCard, read_entry
@@ -826,3 +827,28 @@ def test_on_paper_the_controls_are_gone(board: Path, browser: Browser) -> None:
     shown = browser.run("getComputedStyle(document.querySelector('.filters')).display")
     browser.ask("Emulation.setEmulatedMedia", media="")
     assert shown == "none"
+
+
+# The table in the repository's README.
+
+
+def test_the_readme_has_the_table_of_the_entries_that_are_there() -> None:
+    page = (ROOT.parent / "README.md").read_text()
+    entries = read_entries(ROOT / "entries")
+    assert with_excerpt(page, [standing(track, entries) for track in TRACKS]) == page
+
+
+def test_the_table_is_written_between_its_comments_and_nowhere_else(tmp_path: Path) -> None:
+    root = put(everyone(), tmp_path / "leaderboard")
+    (tmp_path / "README.md").write_text(f"before\n{BEGIN}old\n{END}\nafter\n")
+    build(root)
+    before, _, after = (tmp_path / "README.md").read_text().partition(BEGIN)
+    assert before == "before\n"
+    table, _, after = after.partition(END)
+    assert after == "\nafter\n"
+    rows = table.strip().splitlines()
+    assert rows[0].startswith("| track | entry | rank | overall | eth-v0 |")
+    assert "old" not in table
+    (tmp_path / "README.md").write_text("no table")
+    build(root)
+    assert (tmp_path / "README.md").read_text() == "no table"

@@ -44,11 +44,11 @@ def test_the_page_on_spawn_models_has_the_numbers(scene: str, found: dict[str, N
     ]
 
 
-def test_the_readme_has_those_of_eth(found: dict[str, Networks]) -> None:
-    eth, readme = found["eth-v0"], " ".join((ROOT / "README.md").read_text().split())
+def test_the_page_of_results_has_those_of_eth(found: dict[str, Networks]) -> None:
+    eth, page = found["eth-v0"], " ".join((ROOT / "docs" / "results.md").read_text().split())
     (trained,) = set(eth.full)
-    assert f"a trained network in only {trained} of {eth.areas} areas" in readme
-    assert f"where {eth.constant:.0%}".replace("%", " % of the persons enter") in readme
+    assert f"a trained network in only {trained} of {eth.areas} areas" in page
+    assert f"where {eth.constant:.0%}".replace("%", " % of the persons enter") in page
 
 
 @pytest.mark.parametrize("name", WITH_NTPP)

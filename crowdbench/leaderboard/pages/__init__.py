@@ -1,5 +1,7 @@
 """The leaderboard's pages: `README.md`, `index.html` and a page per entry, from the entries alone.
 
+The table in the README of a repository that has the leaderboard in it is made too.
+
 The same entries give the same bytes. Nothing is computed here but means over families and scenes,
 and ranks on the resamples that entries share.
 """
@@ -9,6 +11,7 @@ from pathlib import Path
 from crowdbench.errors import SettingError
 from crowdbench.files import read_bytes, unwritable, write_text
 from crowdbench.leaderboard.pages.entry_page import entry_page
+from crowdbench.leaderboard.pages.excerpt import with_excerpt
 from crowdbench.leaderboard.pages.index import index_page
 from crowdbench.leaderboard.pages.readme import readme
 from crowdbench.leaderboard.pages.standings import TRACKS, read_entries, standing
@@ -23,7 +26,8 @@ def build(root: Path) -> list[Path]:
     among those that come with crowdbench, whose rules are put into `pages/`.
 
     Returns:
-        What was written: `README.md`, `index.html`, then `pages/ID.html` by track.
+        What was written: `README.md`, `index.html`, then `pages/ID.html` by track. The table in the
+        README of the folder above is written where `excerpt.BEGIN` stands in it.
 
     Raises:
         SettingError: `root` is no folder of a leaderboard.
@@ -52,6 +56,11 @@ def build(root: Path) -> list[Path]:
     if preview:
         rules = read_bytes(shipped / RULES, SettingError, "Install crowdbench anew.")
         write_text(root / "pages" / RULES, rules.decode())
+    above = root.absolute().parent / "README.md"
+    if not preview and above.is_file():
+        page = above.read_text(encoding="utf-8")
+        if (new := with_excerpt(page, standings)) != page:
+            write_text(above, new)
     for path in (root / "pages").glob("*.html"):
         if path not in pages:
             _remove(path)
