@@ -12,7 +12,6 @@ from crowdbench.own_code import told
 from crowdbench.policies import OnnxPolicy, Policy, Random, ReplayPolicy, SocialForce, Straight
 from crowdbench.recordings import catalogue
 from crowdbench.scene import Scene, load_scene
-from crowdbench.scoring.reference import blocks_of
 from crowdbench.spawn import (
     BlockReplay,
     NtppGMM,
@@ -26,6 +25,7 @@ from crowdbench.spawn import (
     fit_areas,
 )
 from crowdbench.spawn.areas import Areas, read_areas
+from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.scenario import check_scenario, read_scenario, split
 from crowdbench.spawn.weights import check_part
 from crowdbench.trajectories.storage import read_own, write_parquet

@@ -7,9 +7,9 @@ from numpy.random import Generator
 
 from crowdbench.registry import recording_of
 from crowdbench.scene import Scene
-from crowdbench.scoring.reference import blocks_of
 from crowdbench.spawn import BlockReplay, SpawnEvents
 from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.events import blocks_of
 
 
 class JitteredBlocks:

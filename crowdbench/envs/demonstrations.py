@@ -23,10 +23,10 @@ from crowdbench.recordings.catalogue import source
 from crowdbench.registry import recording_of
 from crowdbench.rollouts.episode import actions_of, begin, check_capacity, generator
 from crowdbench.scene import Scene, load_scene
-from crowdbench.scoring.reference import blocks_of
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION
 from crowdbench.spawn import Replay
+from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.weights import check_part
 
 if TYPE_CHECKING:

@@ -41,6 +41,15 @@ from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
 _LARGE = 2**26  # bytes of a file beyond which its age is looked at, not what is in it
 
+MAKES_ROLLOUTS = (
+    "scene.py",
+    "registry.py",
+    *(f"{room}/**/*.py" for room in ("trajectories", "recordings", "spawn", "simulation")),
+    *(f"{room}/**/*.py" for room in ("policies", "rollouts")),
+    "evaluation/rollout_jobs.py",
+)
+"""The code that rollouts depend on. A change elsewhere, as of a page, keeps them."""
+
 Result = TypeVar("Result")
 Pair = tuple[str, str]
 Progress = Callable[[int, int], None]
@@ -305,8 +314,11 @@ def _fingerprint(scene: Scene, spawn: str, policy: str, part: str) -> str:
 
 
 def fingerprint(scene: Scene, what: str, more: Sequence[Path] = ()) -> str:
-    """Hash of what the result `what` depends on: our code, the scene's files, and more files."""
-    files = sorted(Path(__file__).parents[1].rglob("*.py"))
+    """Hash of what the rollout `what` depends on: the code that makes rollouts, the scene's files,
+    and more files.
+    """
+    package = Path(__file__).parents[1]
+    files = [file for name in MAKES_ROLLOUTS for file in sorted(package.glob(name))]
     files += [*_plain_files(scene.folder, without="anchors.json"), *more]
     parts = [f"{__version__} {scene.id} {what}".encode()]
     return sha256(b"".join([*parts, *(_hash_of(f) for f in files)]))[:16]

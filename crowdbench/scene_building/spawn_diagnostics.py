@@ -13,10 +13,9 @@ import numpy as np
 
 from crowdbench.registry import fitted_models, recording_of, spawn_model
 from crowdbench.scene import Scene
-from crowdbench.scoring.reference import blocks_of
 from crowdbench.spawn import Arrivals, PoissonGMM, SpawnModel, arrivals_of
 from crowdbench.spawn.areas import read_areas
-from crowdbench.spawn.events import arrivals_in
+from crowdbench.spawn.events import arrivals_in, blocks_of
 from crowdbench.spawn.groups import HasHazards
 from crowdbench.spawn.ntpp import networks
 from crowdbench.spawn.plaza import SCENE as PLAZA

@@ -16,7 +16,8 @@ from crowdbench.files import read_struct, write_json
 from crowdbench.metrics import METRICS, MetricResult, Place, Statistics, metrics_for
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn.areas import Areas, read_areas
-from crowdbench.trajectories.blocks import TimeBlocks, cut
+from crowdbench.spawn.events import blocks_of
+from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.table import Trajectories, from_rows
 
 SCHEMA = 2
@@ -46,16 +47,6 @@ class Reference:
             )
             for m in metrics_for(self.blocks)
         }
-
-
-def blocks_of(recording: Trajectories, scene: Scene) -> TimeBlocks:
-    """The time blocks of a recording by the scene's protocol."""
-    return cut(
-        recording.observed,
-        block_s=scene.protocol.block_s,
-        dt_s=scene.dt_s,
-        grid_s=scene.grid_s,
-    )
 
 
 def place_of(scene: Scene, areas: Areas) -> Place:

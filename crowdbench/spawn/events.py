@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from crowdbench.errors import SettingError
-from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.scene import Scene
+from crowdbench.trajectories.blocks import TimeBlocks, cut
 from crowdbench.trajectories.table import Trajectories
 
 
@@ -167,6 +168,16 @@ def arrivals_in(events: SpawnEvents, horizon_s: float, grid_s: float, areas: int
         windows=np.array([[0, stop]]),
         areas=areas,
         grid_s=grid_s,
+    )
+
+
+def blocks_of(recording: Trajectories, scene: Scene) -> TimeBlocks:
+    """The time blocks of a recording by the scene's protocol."""
+    return cut(
+        recording.observed,
+        block_s=scene.protocol.block_s,
+        dt_s=scene.dt_s,
+        grid_s=scene.grid_s,
     )
 
 

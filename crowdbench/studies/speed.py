@@ -28,13 +28,13 @@ from crowdbench.registry import policy as named_policy
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
 from crowdbench.scoring.energy import RESAMPLES, Energy, energy
-from crowdbench.scoring.reference import Reference, blocks_of, read_reference, summarise
+from crowdbench.scoring.reference import Reference, read_reference, summarise
 from crowdbench.scoring.score import Score, combined, ranks, score_of
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.reward import Reward
 from crowdbench.spawn import Arrivals, SpawnEvents, SpawnModel, arrivals_of
 from crowdbench.spawn.areas import read_areas
-from crowdbench.spawn.events import entering
+from crowdbench.spawn.events import blocks_of, entering
 from crowdbench.spawn.model import Start
 from crowdbench.trajectories.table import Trajectories
 

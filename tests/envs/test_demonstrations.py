@@ -9,7 +9,7 @@ from crowdbench import Demonstrations, demonstrations, load_scene, recording
 from crowdbench.envs.perturbation import HOMING_S, Aside
 from crowdbench.errors import SettingError
 from crowdbench.registry import import_recording
-from crowdbench.scoring.reference import blocks_of
+from crowdbench.spawn.events import blocks_of
 from crowdbench.trajectories.table import from_rows
 
 PLAZA = load_scene("plaza-v0")

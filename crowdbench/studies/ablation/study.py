@@ -102,7 +102,8 @@ def plan(scene: Scene, folder: Path) -> list[Job]:
     from crowdbench.spawn.ntpp_training import SETTINGS
 
     recording = cached(scene.recording.name)
-    files = [recording] if recording.exists() else []  # the plaza's is made by our code
+    files = [Path(__file__)]
+    files += [recording] if recording.exists() else []  # the plaza's is made by our code
     jobs = []
     for of in configurations():
         changed = {"window_frames": of.window_frames, "stride_frames": of.stride_frames}
