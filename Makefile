@@ -1,5 +1,6 @@
 # make evaluate   the environment and the main job
-# make test       the environment and all tests
+# make test       the environment and the fast tests
+# make test-all   these and the long ones
 # make lint       format, lint and types
 #
 # Another set of dependencies: make test VENV=.venv-imitation EXTRAS=all
@@ -11,7 +12,7 @@ EXTRAS ?= dev,fit,minari,onnx,orca,torchrl,viewer
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: evaluate test lint clean
+.PHONY: evaluate test test-all lint clean
 
 evaluate: $(VENV)/core.stamp
 	$(BIN)/crowdbench evaluate eth-v0 --out results/eth
@@ -20,6 +21,9 @@ ARGS ?= -n auto
 
 test: $(VENV)/dev.stamp
 	$(BIN)/python -m pytest $(ARGS)
+
+test-all: test
+	$(BIN)/python -m pytest $(ARGS) -m long
 
 lint: $(VENV)/dev.stamp
 	$(BIN)/ruff format --check .

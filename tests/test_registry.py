@@ -155,6 +155,7 @@ def test_a_folder_holds_the_fits_of_one_model(tmp_path: Path) -> None:
         spawn_model(str(tmp_path), PLAZA)
 
 
+@pytest.mark.long
 def test_evaluate_takes_a_folder_of_fits_and_sees_that_they_changed(tmp_path: Path) -> None:
     folder = tmp_path / "rates"
     folder.mkdir()

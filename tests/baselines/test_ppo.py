@@ -16,6 +16,8 @@ from crowdbench import Reward
 from crowdbench.envs.torchrl_env import CrowdEnv
 from crowdbench.policies import OnnxPolicy
 
+pytestmark = pytest.mark.long
+
 GAMMA, LMBDA = 0.9, 0.8
 
 

@@ -56,6 +56,7 @@ def test_a_scene_can_be_named_by_its_folder(table: Path, capsys: Printed) -> Non
     assert "on eth-v0" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_a_replay_is_the_recording(opentraj: Path, tmp_path: Path, capsys: Printed) -> None:
     assert main(["data", "import", "eth", "--source", str(opentraj)]) == 0
     capsys.readouterr()

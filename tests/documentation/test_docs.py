@@ -50,6 +50,7 @@ def test_the_environments_example_runs_to_the_end() -> None:
     assert world["observations"]
 
 
+@pytest.mark.long
 def test_the_page_on_python_runs_from_top_to_bottom_and_prints_what_it_shows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -104,6 +105,7 @@ def test_the_imitation_example_trains(capsys: pytest.CaptureFixture[str]) -> Non
     assert reward > 5  # metres nearer to the goal
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "words", "file"),
     [
@@ -122,6 +124,7 @@ def test_a_class_of_ones_own_is_evaluated(tmp_path: Path, name: str, words: str,
     assert "written to" in done.stdout
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["training.md", "spawn-models.md"])
 def test_every_command_runs(
     tmp_path: Path,

@@ -19,6 +19,8 @@ from crowdbench.scene import load_scene
 from crowdbench.scoring import power
 from crowdbench.scoring.scorecard import read_anchors
 
+pytestmark = pytest.mark.long
+
 FPS = 9
 HOURS = (4, 5)
 

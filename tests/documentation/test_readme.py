@@ -15,6 +15,8 @@ from crowdbench.cli import main
 from crowdbench.leaderboard.verification.entry import read_entry
 from crowdbench.recordings.catalogue import SOURCES
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 

@@ -9,6 +9,8 @@ import pytest
 from crowdbench.cli import main
 from crowdbench.recordings.own import FORMATS
 
+pytestmark = pytest.mark.long
+
 PAGE = (Path(__file__).parents[2] / "docs" / "scenes.md").read_text()
 SMALL = ["--fits", "1", "--rollouts-per-fit", "2"]
 

@@ -29,6 +29,7 @@ def rows(shown: Demonstrations, piece: int) -> slice:
     return slice(int(shown.offsets[piece]), int(shown.offsets[piece + 1]))
 
 
+@pytest.mark.long
 def test_every_step_of_the_recording_is_there(shown, recorded) -> None:
     steps = np.diff(recorded.offsets) - 1
     assert shown.person.tolist() == np.flatnonzero(steps).tolist()
@@ -47,6 +48,7 @@ def test_actions_are_displacements_in_units_of_the_greatest_speed(shown, recorde
         np.testing.assert_allclose(shown.actions[rows(shown, k)][:-1], expected, atol=1e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("version", ["lidar-1", "lidar-2", "lidar-3"])
 def test_observations_are_those_of_the_environment(version: str, recorded) -> None:
     shown = demonstrations("plaza-v0", observation=version, rays=8)
@@ -73,6 +75,7 @@ def test_observations_are_those_of_the_environment(version: str, recorded) -> No
     assert compared > 100
 
 
+@pytest.mark.long
 def test_the_displaced_come_back_as_smoothly_as_people_walk(shown, recorded) -> None:
     other = demonstrations("plaza-v0", rays=8, displaced_m=0.5, recovery_s=2.0, seed=3)
     assert other.person.tolist() == shown.person.tolist()
@@ -107,6 +110,7 @@ def test_the_displaced_come_back_as_smoothly_as_people_walk(shown, recorded) -> 
     assert again.observations.tobytes() == other.observations.tobytes()
 
 
+@pytest.mark.long
 def test_whoever_was_displaced_ends_where_the_record_does(shown, recorded) -> None:
     other = demonstrations("plaza-v0", rays=8, displaced_m=0.5, recovery_s=1.0, seed=1)
     ends = other.offsets[1:][other.complete] - 1
@@ -125,6 +129,7 @@ def test_nobody_comes_back_at_once() -> None:
         demonstrations("plaza-v0", displaced_m=0.5, recovery_s=0.0)
 
 
+@pytest.mark.long
 def test_a_fold_shows_nothing_of_its_scored_blocks(recorded) -> None:
     blocks = blocks_of(recorded, PLAZA)
     parts = [demonstrations("plaza-v0", part=f"fold{k}", rays=1) for k in range(3)]

@@ -20,6 +20,8 @@ from crowdbench.envs.parallel_env import CrowdParallelEnv
 from crowdbench.errors import ActionError, OutputError, SettingError
 from crowdbench.registry import import_recording
 
+pytestmark = pytest.mark.long
+
 PAGE = (Path(__file__).parents[2] / "docs" / "interoperability.md").read_text()
 GAPS = ("zara1-v0", 200.0)
 """A scene, and a horizon in seconds in which everyone leaves now and then."""

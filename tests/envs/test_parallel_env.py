@@ -245,6 +245,7 @@ def test_replayed_arrivals_begin_with_the_recorded_people() -> None:
     assert len(env.agents) == (recording.first == 0).sum()
 
 
+@pytest.mark.long
 def test_a_day_of_the_forum_takes_a_step_for_each_frame_with_someone() -> None:
     env = parallel_env("forum-v0")
     calls = walk_straight(env, seed=0)

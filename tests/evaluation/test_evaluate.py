@@ -76,6 +76,7 @@ def by_policy(card: Scorecard) -> dict[str, Entry]:
     return {entry.policy: entry for entry in card.entries}
 
 
+@pytest.mark.long
 def test_all_files_are_there(card: Scorecard, out: Path) -> None:
     rollouts = {
         f"rollouts/poisson-gmm_{p}_full_{seed}.parquet"
@@ -95,6 +96,7 @@ def test_the_scorecard_on_disk_is_the_one_returned(card: Scorecard, out: Path) -
     assert read_card(out) == card
 
 
+@pytest.mark.long
 def test_rollouts_are_the_same_bytes_by_two_workers(
     card: Scorecard, out: Path, again: tuple[Path, str]
 ) -> None:
@@ -284,6 +286,7 @@ def test_what_is_there_is_kept_and_what_is_missing_is_made(
     assert run() == whole
 
 
+@pytest.mark.long
 def test_folds_are_rolled_out_with_their_own_fits_and_random_numbers(tmp_path: Path) -> None:
     card = evaluate(
         "eth-v0", spawn=["renewal-gmm"], policy=["straight"], protocol="heldout", seeds=1,
@@ -296,6 +299,7 @@ def test_folds_are_rolled_out_with_their_own_fits_and_random_numbers(tmp_path: P
     assert card.entries[0].metrics["dwell"].energy is None  # one rollout tells nothing of chance
 
 
+@pytest.mark.long
 def test_recorded_arrivals_are_walked_where_the_recording_is_at_hand(tmp_path: Path) -> None:
     card = evaluate(
         "plaza-v0", spawn=["poisson-gmm"], policy=["straight"], seeds=10, workers=2, out=tmp_path
@@ -314,6 +318,7 @@ def test_recorded_arrivals_are_walked_where_the_recording_is_at_hand(tmp_path: P
     assert replayed.walk.value == pytest.approx(1)
 
 
+@pytest.mark.long
 def test_without_the_recording_walking_has_no_score(tmp_path: Path) -> None:
     card = evaluate(
         "eth-v0", spawn=["poisson-gmm"], policy=["straight"], seeds=10, workers=2, out=tmp_path
@@ -338,6 +343,7 @@ def test_a_lock_that_nobody_holds_is_no_hindrance(tmp_path: Path) -> None:
     assert not (tmp_path / ".lock").exists()
 
 
+@pytest.mark.long
 def test_what_lies_beside_an_own_class_is_part_of_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,6 +5,8 @@ import sys
 import kill_runs
 import pytest
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")
 def test_killed_runs_leave_nothing_and_end_with_the_same_bytes(

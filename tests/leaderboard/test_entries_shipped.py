@@ -14,6 +14,8 @@ from crowdbench.registry import import_recording, trained_policies
 from crowdbench.scene import load_scene
 from crowdbench.scoring.scorecard import files_of
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2] / "leaderboard"
 ENTRIES = sorted((ROOT / "entries").glob("*.json"))
 SUBMISSIONS = sorted(folder for folder in (ROOT / "submissions").iterdir() if folder.is_dir())

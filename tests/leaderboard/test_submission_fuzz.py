@@ -7,6 +7,7 @@ import pytest
 from fuzz_submissions import fuzz
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="limits memory as Linux does")
 def test_spoilt_submissions_are_refused_or_harmless(tmp_path: Path) -> None:
     counts, failures = fuzz(range(500), tmp_path)

@@ -120,6 +120,7 @@ def endless(path: Path) -> None:
     onnx.save(model, path)
 
 
+@pytest.mark.long
 def test_a_network_that_never_ends_is_refused(tmp_path: Path) -> None:
     folder = walk_submission(tmp_path / "walker")
     endless(folder / "plaza-v0" / "policy" / "fold0.onnx")

@@ -86,6 +86,7 @@ def walked(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     return folder, entry
 
 
+@pytest.mark.long
 def test_an_entry_has_what_the_track_is_scored_by(walked: tuple[Path, Entry]) -> None:
     entry = walked[1]
     assert (entry.id, entry.status) == ("mine-v2", "ranked")
@@ -164,6 +165,7 @@ def blocks(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
         return folder, make_entry(quietly, str(folder / "mine"), str(folder), 1, 2)
 
 
+@pytest.mark.long
 def test_blocks_of_the_recording_with_a_frame_of_jitter_are_flagged_as_a_model(
     blocks: tuple[Path, Entry],
 ) -> None:
@@ -184,6 +186,7 @@ def test_a_rollout_of_each_fit_gives_distances_and_no_score(blocks: tuple[Path, 
     assert len(scene.curves["Agents over time"].x) == 30
 
 
+@pytest.mark.long
 def test_entries_do_not_depend_on_the_number_of_workers(
     blocks: tuple[Path, Entry], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -218,6 +221,7 @@ def as_trajectories(folder: Path, crowds: list[Trajectories]) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_blocks_of_the_recording_with_a_frame_of_jitter_are_flagged_as_trajectories(
     crowds: list[Trajectories], tmp_path: Path
 ) -> None:

@@ -112,6 +112,7 @@ def test_it_is_shown_the_observation_that_its_card_names(tmp_path: Path) -> None
     assert (rays == 1).mean() > 0.5  # 2.5 m are not far
 
 
+@pytest.mark.long
 def test_evaluate_takes_a_file_and_a_folder_of_them(plain: Path, tmp_path: Path) -> None:
     card = crowdbench.evaluate(
         "plaza-v0", spawn=["poisson-gmm"], policy=[str(plain)], seeds=2, out=tmp_path / "full"
@@ -457,6 +458,7 @@ def test_a_missing_file_is_said_to_be_missing(tmp_path: Path, capsys) -> None:
     assert str(missing) in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_command_line_writes_and_shows_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -96,6 +96,7 @@ def test_export_refuses_what_mixes_rows_and_writes_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("act", MIXERS.values(), ids=MIXERS.keys())
 def test_submit_check_refuses_what_mixes_rows(
     act: Callable[[Tensor], Tensor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -188,6 +189,7 @@ def test_shipped_networks_answer_each_row_alone() -> None:
         policy.check_rows(load_scene(policy.card.scene))
 
 
+@pytest.mark.long
 def test_a_network_for_a_scene_that_is_not_at_hand_is_tried_too(tmp_path: Path) -> None:
     card = PolicyCard(name="mixer", observation="lidar-2", rays=8, scene="moon-v0", part="full")
     export_policy(Net(goal), tmp_path / "goal.onnx", card)

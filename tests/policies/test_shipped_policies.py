@@ -30,6 +30,7 @@ def test_there_is_one_for_each_part_made_by_one_command(scene: str, name: str) -
     assert all(card.revision and not card.revision.endswith("-dirty") for card in cards)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("scene", "name"), SHIPPED)
 def test_people_get_to_their_goals(scene: str, name: str) -> None:
     place = load_scene(scene)

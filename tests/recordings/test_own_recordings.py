@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from strategies import crowd_of
 
-from crowdbench.cli import data, main
+from crowdbench.cli import convert, data, main
 from crowdbench.errors import CrowdbenchError, RecordingError, SettingError
 from crowdbench.recordings.convert import WRITERS
 from crowdbench.recordings.own import FORMATS, import_own, read_recording
@@ -178,7 +178,7 @@ def test_the_command_imports_an_own_recording(
 
 def test_the_command_line_knows_all_formats() -> None:
     assert tuple(FORMATS) == data.FORMATS
-    assert tuple(WRITERS) == data.WRITTEN
+    assert tuple(WRITERS) == convert.WRITTEN
 
 
 def test_eth_as_an_own_recording_is_the_published_one(opentraj: Path) -> None:

@@ -136,6 +136,7 @@ def row_of(html: str, name: str) -> str:
     return found
 
 
+@pytest.mark.long
 def test_nothing_is_fetched_from_elsewhere(scored: str) -> None:
     assert re.findall(r"https?://|@import|url\(|<script|<link", scored) == []
     for tag, attributes in parsed(scored).tags:

@@ -184,6 +184,7 @@ EXCEPTIONS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", EXCEPTIONS)
 def test_replayed_recordings_are_the_recordings(opentraj: Path, name: str) -> None:
     scene = load_scene(name)

@@ -97,6 +97,7 @@ def copied(made: Made, tmp_path: Path) -> Path:
     return Path(shutil.copytree(made.scene.folder, tmp_path / "yard-v0"))
 
 
+@pytest.mark.long
 def test_one_command_makes_all_of_a_scene(made: Made) -> None:
     assert {path.name for path in made.scene.folder.iterdir()} == {
         "anchors.json", "areas.json", "place.png", "poisson-gmm.json", "poisson-groups.json",
@@ -152,6 +153,7 @@ def test_it_tells_times_and_what_was_left_out(made: Made) -> None:
     assert "crowdbench evaluate yard-v0 --spawn renewal-gmm" in made.out
 
 
+@pytest.mark.long
 def test_it_is_evaluated_with_its_recording(at_home: Made, tmp_path: Path, capsys: Printed) -> None:
     folder = str(at_home.scene.folder)
     pairs = ["--spawn", "renewal-gmm", "replay", "--policy", "straight", "replay"]

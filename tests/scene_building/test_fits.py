@@ -150,6 +150,7 @@ def test_neural_fits_are_made_for_every_part_and_told_of(
         assert all(np.array_equal(one.weights[n], round_again.weights[n]) for n in SHAPES)
 
 
+@pytest.mark.long
 def test_two_workers_write_what_one_writes(
     plaza: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

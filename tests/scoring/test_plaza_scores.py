@@ -17,6 +17,8 @@ from crowdbench.spawn.plaza import PlazaArrivals
 from crowdbench.trajectories.blocks import PARTS, TimeBlocks, cut
 from crowdbench.trajectories.table import Trajectories, from_rows
 
+pytestmark = pytest.mark.long
+
 PLAZA = load_scene("plaza-v0")
 TRUTH = "crowdbench.spawn.plaza:PlazaArrivals"
 PLACE = Place(spawn_areas=4, goal_areas=4, bounds_m=(0.0, 30.0, 0.0, 20.0))

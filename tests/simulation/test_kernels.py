@@ -176,6 +176,7 @@ def test_kernels_run_on_one_thread_whatever_was_imported_before(first: str) -> N
     assert [name for name in names if "_alone_" not in name] == []
 
 
+@pytest.mark.long
 def test_kernels_run_on_several_threads_where_they_are_asked_for() -> None:
     names = compiled_elsewhere("", NUMBA_NUM_THREADS="2")
     assert any("_parallel_" in name for name in names)

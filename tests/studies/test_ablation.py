@@ -27,6 +27,8 @@ from crowdbench.studies.ablation.measures import Numbers
 from crowdbench.studies.ablation.presence import Presence, stretches
 from crowdbench.studies.ablation.study import Configuration, Sample, configurations
 
+pytestmark = pytest.mark.long
+
 TINY = Settings(epochs=3, patience=1, calibration_points=2000)
 POISSON = Configuration("poisson-gmm")
 RECORDED = Presence(counts=[0, 0, 5, 5], pairs=[0] * 6)

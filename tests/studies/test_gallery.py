@@ -22,6 +22,8 @@ from crowdbench.studies import gallery
 from crowdbench.studies.gallery import FIGURES, with_areas, write_figures
 from crowdbench.trajectories.storage import read_own
 
+pytestmark = pytest.mark.long
+
 PLAZA = load_scene("plaza-v0")
 AREAS = read_areas(PLAZA)
 ROLLOUTS = 2

@@ -33,6 +33,8 @@ from crowdbench.studies.results.page import of_recording, page
 from crowdbench.studies.results.pictures import Picture
 from crowdbench.trajectories.storage import read_own
 
+pytestmark = pytest.mark.long
+
 PLAZA = load_scene("plaza-v0")
 REFERENCE = read_reference(PLAZA)
 LAGS = [Lag(10.0, 0.61, 0.42), Lag(30.0, 0.15, -0.07)]

@@ -10,6 +10,8 @@ import pytest
 from crowdbench.cli import main
 from crowdbench.studies import speed as bench
 
+pytestmark = pytest.mark.long
+
 NAMES = [
     "core with observations, 1 × 20",
     "core with observations, 1 × 100",

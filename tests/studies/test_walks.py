@@ -17,6 +17,8 @@ from crowdbench.scoring.scorecard import SCHEMA, Scorecard, read_anchors
 from crowdbench.studies.walks import RecordedPaths, write_walks
 from crowdbench.studies.walks.page import Walked, scores
 
+pytestmark = pytest.mark.long
+
 PLAZA = load_scene("plaza-v0")
 ORCA = "baselines.orca:ORCA"  # as asked for; shown as `orca`
 

@@ -480,6 +480,7 @@ def test_a_place_may_be_empty_for_long(tmp_path: Path, monkeypatch: pytest.Monke
 PAGE = (Path(__file__).parents[2] / "docs" / "viewer.md").read_text()
 
 
+@pytest.mark.long
 def test_the_pages_commands_open_the_real_viewer(
     viewer: Any, opentraj: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
