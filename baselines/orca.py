@@ -61,7 +61,7 @@ class ORCA:
                 "policy orca",
                 got=f"no {error.name}",
                 expected="the package that computes it",
-                mend='Install it, in the clone: pip install -e ".[orca]".',
+                hint='Install it, in the clone: pip install -e ".[orca]".',
             ) from error
 
     def reset(self, scene: Scene, rng: Generator) -> None:

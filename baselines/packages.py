@@ -30,7 +30,7 @@ def needs(extra: str, module: str) -> Iterator[None]:
             "packages",
             got=f"no {error.name}",
             expected=f"those of the extra {extra}",
-            mend=_INSTALL[extra],
+            hint=_INSTALL[extra],
         )
         if module != "__main__":
             raise missing from error

@@ -8,23 +8,23 @@ line prints that message and exits with code 2.
 class CrowdbenchError(Exception):
     """Base of every error that bad input or a bad setting causes."""
 
-    def __init__(self, where: object, *, got: str, expected: str, mend: str = "") -> None:
+    def __init__(self, where: object, *, got: str, expected: str, hint: str = "") -> None:
         self.where = str(where)
         self.got = got
         self.expected = expected
-        self.mend = mend
+        self.hint = hint
         message = f"{self.where}: got {got}; expected {expected}."
-        super().__init__(f"{message} {mend}".rstrip())
+        super().__init__(f"{message} {hint}".rstrip())
 
     def __reduce__(self) -> tuple[object, ...]:
         # Errors travel between worker processes, and keyword arguments do not pickle by default.
-        return _rebuild, (type(self), self.where, self.got, self.expected, self.mend)
+        return _rebuild, (type(self), self.where, self.got, self.expected, self.hint)
 
 
 def _rebuild(
-    kind: type[CrowdbenchError], where: str, got: str, expected: str, mend: str
+    kind: type[CrowdbenchError], where: str, got: str, expected: str, hint: str
 ) -> CrowdbenchError:
-    return kind(where, got=got, expected=expected, mend=mend)
+    return kind(where, got=got, expected=expected, hint=hint)
 
 
 class RecordingError(CrowdbenchError):

@@ -59,7 +59,7 @@ def unwritable(path: Path, error: OSError) -> OutputError:
     if isinstance(error, FileExistsError | NotADirectoryError):
         got = "a file where a folder should be"
     return OutputError(
-        path, got=got, expected="a place that can be written", mend="Name another folder."
+        path, got=got, expected="a place that can be written", hint="Name another folder."
     )
 
 
@@ -77,34 +77,34 @@ def write_json(path: Path, value: Any, *, compact: bool = False) -> None:
     write_text(path, encoded.decode() + "\n")
 
 
-def read_bytes(path: Path, error: type[CrowdbenchError], mend: str) -> bytes:
+def read_bytes(path: Path, error: type[CrowdbenchError], hint: str) -> bytes:
     """The bytes of `path`; raises `error` where it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as cause:
         got = "no such file" if isinstance(cause, FileNotFoundError) else str(cause.strerror)
-        raise error(path, got=got, expected="a readable file", mend=mend) from cause
+        raise error(path, got=got, expected="a readable file", hint=hint) from cause
 
 
-def read_struct(path: Path, kind: type[T], error: type[CrowdbenchError], mend: str) -> T:
+def read_struct(path: Path, kind: type[T], error: type[CrowdbenchError], hint: str) -> T:
     """Read a JSON or TOML file strictly into `kind`: unknown, missing and mistyped fields raise.
 
     Raises:
         error: the file is missing, is no JSON or TOML, or does not have the fields of `kind`.
     """
-    data = read_bytes(path, error, mend)
+    data = read_bytes(path, error, hint)
     try:
         raw = tomllib.loads(data.decode()) if path.suffix == ".toml" else msgspec.json.decode(data)
     except (ValueError, RecursionError) as cause:  # no text, no JSON or TOML, or nested deeply
         kind_of_file = path.suffix.lstrip(".").upper()
-        raise error(path, got=str(cause), expected=f"valid {kind_of_file}", mend=mend) from cause
+        raise error(path, got=str(cause), expected=f"valid {kind_of_file}", hint=hint) from cause
     try:
         # TOML writes 1 for 1.0, JSON has no tuples, and keys of both are text: the conversions of
         # these are wanted.
         return msgspec.convert(raw, kind, strict=True, str_keys=True)
     except (msgspec.ValidationError, OverflowError) as cause:
         raise error(
-            path, got=str(cause), expected="the fields that its format defines", mend=mend
+            path, got=str(cause), expected="the fields that its format defines", hint=hint
         ) from cause
 
 

@@ -173,7 +173,7 @@ def _check_shipped(model: str, scene: Scene) -> None:
             next(scene.folder / file for file, name in WEIGHTS.items() if name == model),
             got="no such file",
             expected=f"the scene's fits of {model}",
-            mend=f"Run `crowdbench fit {scene.asked}`{torch}"
+            hint=f"Run `crowdbench fit {scene.asked}`{torch}"
             + (f", or name a spawn model that it has: {others}." if others else "."),
         )
 
@@ -238,7 +238,7 @@ def weights_file(named: str) -> Path | None:
             f"spawn model {named}",
             got=f"a folder with {', '.join(f.name for f in found) or 'no fits'}",
             expected=f"exactly one of {', '.join(WEIGHTS)}",
-            mend="Put the fits of one model into a folder of their own.",
+            hint="Put the fits of one model into a folder of their own.",
         )
     return found[0]
 
@@ -267,7 +267,7 @@ def _own(path: str, kind: str, known: tuple[str, ...]) -> Callable[..., Any]:
             kind,
             got=f"{path!r} ({error})",
             expected="a class that can be imported",
-            mend="Install its package, or run where Python finds it.",
+            hint="Install its package, or run where Python finds it.",
         ) from error
     except Exception as error:
         raise OwnCodeError(

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 SCHEMA = 1
 _ID = re.compile(r"[a-z][a-z0-9_]*-v[0-9]+")
 _MARGIN_M = 0.01  # a place beside a wall or the bounds, not on the line
-_MEND = "Compare with scenes/plaza-v0/scene.toml."
+_HINT = "Compare with scenes/plaza-v0/scene.toml."
 
 
 class Recording(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -242,7 +242,7 @@ def load_scene(scene: str | Path | Scene) -> Scene:
             expected=f"one of {', '.join(list_scenes())}, or a folder with a scene.toml",
         )
     path = folder / "scene.toml"
-    file = read_struct(path, _SceneFile, SceneError, _MEND)
+    file = read_struct(path, _SceneFile, SceneError, _HINT)
     _check(file, path)
     fields = {name: getattr(file, name) for name in file.__struct_fields__ if name != "schema"}
     return Scene(**fields, folder=folder)
@@ -266,7 +266,7 @@ def _check(file: _SceneFile, path: Path) -> None:
 
     def require(holds: bool, got: str, expected: str) -> None:
         if not holds:
-            raise SceneError(path, got=got, expected=expected, mend=_MEND)
+            raise SceneError(path, got=got, expected=expected, hint=_HINT)
 
     b = file.bounds
     motion = file.motion

@@ -48,7 +48,7 @@ def fail(progress: Progress) -> None:
 
 
 def refuse(progress: Progress) -> None:
-    raise SettingError("the submission", got="nothing", expected="something", mend="Add it.")
+    raise SettingError("the submission", got="nothing", expected="something", hint="Add it.")
 
 
 def eat(progress: Progress) -> None:
@@ -117,13 +117,13 @@ def pipe_for_what_it_says(progress: Progress) -> None:
 
 def paint(progress: Progress) -> None:
     """A message that would clear a terminal and speak to what reads its lines."""
-    raise SettingError("\x1b[2J", got="a\n::warning::b", expected="c", mend="d" * 10_000)
+    raise SettingError("\x1b[2J", got="a\n::warning::b", expected="c", hint="d" * 10_000)
 
 
 def refuse_submission(progress: Progress) -> None:
     from crowdbench.leaderboard.submission.errors import SubmissionError  # which is heavy
 
-    problems = [SettingError(f"file {k}", got="x", expected="y", mend="Mend.") for k in range(2)]
+    problems = [SettingError(f"file {k}", got="x", expected="y", hint="Mend.") for k in range(2)]
     raise SubmissionError("mine.zip", problems)
 
 

@@ -209,4 +209,4 @@ def test_a_broken_scene_file_is_refused(tmp_path, was, becomes, got, expected):
     assert caught.value.where == str(folder / "scene.toml")
     assert got in caught.value.got
     assert expected in caught.value.expected
-    assert caught.value.mend
+    assert caught.value.hint

@@ -54,10 +54,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
-    asked = _parser().parse_args(arguments)
+    args = _parser().parse_args(arguments)
     try:
         with stopping_in_order():
-            asked.run(asked)
+            args.run(args)
     except CrowdbenchError as error:
         print(f"crowdbench: {error}", file=sys.stderr)
         return 2

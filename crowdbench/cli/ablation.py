@@ -28,9 +28,9 @@ def add(commands: "Commands") -> None:
     ablation.set_defaults(run=_ablation)
 
 
-def _ablation(asked: argparse.Namespace) -> None:
+def _ablation(args: argparse.Namespace) -> None:
     from crowdbench.studies.ablation import write_ablation
 
     with progress_bar("fits") as progress:
-        page = write_ablation(asked.scene, out=asked.out, workers=asked.workers, progress=progress)
+        page = write_ablation(args.scene, out=args.out, workers=args.workers, progress=progress)
     print(f"written to {page} and {page.with_suffix('')}/")

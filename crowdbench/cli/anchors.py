@@ -19,13 +19,13 @@ def add(commands: "Commands") -> None:
     anchors.set_defaults(run=_anchors)
 
 
-def _anchors(asked: argparse.Namespace) -> None:
+def _anchors(args: argparse.Namespace) -> None:
     from crowdbench.leftovers import temporary_folder
     from crowdbench.scene import load_scene
     from crowdbench.scene_building.anchors import make_anchors
     from crowdbench.scoring.scorecard import write_anchors
 
-    scene = load_scene(asked.scene)
+    scene = load_scene(args.scene)
     with temporary_folder("anchors") as folder, progress_bar("rollouts") as progress:
-        anchors = make_anchors(asked.scene, folder, workers=asked.workers, progress=progress)
+        anchors = make_anchors(args.scene, folder, workers=args.workers, progress=progress)
     print(f"written to {write_anchors(anchors, scene.folder)}")

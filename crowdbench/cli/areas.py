@@ -20,7 +20,7 @@ def add(commands: "Commands") -> None:
     areas.set_defaults(run=_areas)
 
 
-def _areas(asked: argparse.Namespace) -> None:
+def _areas(args: argparse.Namespace) -> None:
     from crowdbench.files import replacing
     from crowdbench.registry import fitted_models, spawn_model
     from crowdbench.scene import load_scene
@@ -28,7 +28,7 @@ def _areas(asked: argparse.Namespace) -> None:
     from crowdbench.spawn.ntpp import networks
     from crowdbench.studies.steering import areas_picture
 
-    scene = load_scene(asked.scene)
+    scene = load_scene(args.scene)
     model = spawn_model("poisson-gmm", scene)
     assert isinstance(model, PoissonGMM)
     areas, per_minute = model.areas, 60 * model.rate
@@ -51,7 +51,7 @@ def _areas(asked: argparse.Namespace) -> None:
             "constant rate."
         )
     new_console().print(goal)
-    if asked.out is not None:
-        with replacing(asked.out) as temporary:
+    if args.out is not None:
+        with replacing(args.out) as temporary:
             temporary.write_bytes(areas_picture(scene, areas))
-        print(f"written to {asked.out}")
+        print(f"written to {args.out}")

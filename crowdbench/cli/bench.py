@@ -16,12 +16,12 @@ def add(commands: "Commands") -> None:
     bench.set_defaults(run=_bench)
 
 
-def _bench(asked: argparse.Namespace) -> None:
+def _bench(args: argparse.Namespace) -> None:
     from crowdbench.files import replacing, write_json
     from crowdbench.studies.speed import measure
 
     # That the file can be written is found out before a minute of measuring.
-    with replacing(asked.json) if asked.json else nullcontext() as temporary:
+    with replacing(args.json) if args.json else nullcontext() as temporary:
         figures = []
         for figure in measure():
             print(f"{figure.name:<48} {figure.text()}", flush=True)

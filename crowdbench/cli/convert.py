@@ -36,19 +36,19 @@ def add(commands: "Commands") -> None:
     converted.set_defaults(run=_convert)
 
 
-def _convert(asked: argparse.Namespace) -> None:
+def _convert(args: argparse.Namespace) -> None:
     from crowdbench.recordings.convert import convert
 
     crowd = convert(
-        asked.table,
-        asked.out,
-        to=asked.to,
-        layout=asked.format,
-        dt_s=asked.dt_s,
-        gaps=asked.gaps,
-        offset_s=asked.offset_s,
+        args.table,
+        args.out,
+        to=args.to,
+        layout=args.format,
+        dt_s=args.dt_s,
+        gaps=args.gaps,
+        offset_s=args.offset_s,
     )
-    for name, fact in mended(crowd, asked).items():
+    for name, fact in mended(crowd, args).items():
         print(f"{name}: {fact}")
     print(f"{len(crowd)} persons, {crowd.frames} frames of {crowd.dt_s:.4g} s")
-    print(f"written to {asked.out}")
+    print(f"written to {args.out}")

@@ -80,56 +80,56 @@ def add_mending(command: argparse.ArgumentParser) -> None:
     )
 
 
-def _fetch(asked: argparse.Namespace) -> None:
+def _fetch(args: argparse.Namespace) -> None:
     from crowdbench.recordings.catalogue import source
     from crowdbench.recordings.fetch import default_folder, fetch
 
-    published = source(asked.name)
-    folder = asked.out or default_folder()
-    with progress_bar(asked.name, of_bytes=True) as progress:
-        fetched = fetch(asked.name, folder, progress)
+    published = source(args.name)
+    folder = args.out or default_folder()
+    with progress_bar(args.name, of_bytes=True) as progress:
+        fetched = fetch(args.name, folder, progress)
     how = f"fetched from {published.address}" if fetched else "already there"
     print(f"{folder / published.path}: {how}")
-    _bring(asked.name, folder)
+    _bring(args.name, folder)
 
 
-def _import(asked: argparse.Namespace) -> None:
+def _import(args: argparse.Namespace) -> None:
     from crowdbench.errors import SettingError
     from crowdbench.recordings.catalogue import cached
     from crowdbench.recordings.describe import describe
     from crowdbench.recordings.own import import_own
 
-    mending = {"gaps": asked.gaps, "offset_s": asked.offset_s}
-    if asked.format is None:
+    mending = {"gaps": args.gaps, "offset_s": args.offset_s}
+    if args.format is None:
         given = [option for option, value in mending.items() if value is not None]
         if given:
             raise SettingError(
                 "crowdbench data import",
                 got=f"--{given[0].replace('_', '-')} without --format",
                 expected="--format, of a recording of your own",
-                mend="Published recordings are read as they are published.",
+                hint="Published recordings are read as they are published.",
             )
-        _bring(asked.name, asked.source)
+        _bring(args.name, args.source)
         return
-    if asked.source is None:
+    if args.source is None:
         raise SettingError(
             "crowdbench data import", got="--format without --source", expected="--source PATH"
         )
-    crowd = import_own(asked.name, asked.source, asked.format, asked.dt_s, **mending)
-    facts = mended(crowd, asked) | describe(crowd) | {"kept at": str(cached(asked.name))}
-    print_facts(asked.name, facts)
+    crowd = import_own(args.name, args.source, args.format, args.dt_s, **mending)
+    facts = mended(crowd, args) | describe(crowd) | {"kept at": str(cached(args.name))}
+    print_facts(args.name, facts)
 
 
-def mended(crowd: "Trajectories", asked: argparse.Namespace) -> dict[str, str]:
+def mended(crowd: "Trajectories", args: argparse.Namespace) -> dict[str, str]:
     """What was mended of a recording, where that was asked for; `describe` tells it too."""
     notes = crowd.provenance.get("notes", {})
-    return {} if asked.gaps is None else {"mended": notes.get("mended", "nothing, all is whole")}
+    return {} if args.gaps is None else {"mended": notes.get("mended", "nothing, all is whole")}
 
 
-def _remove(asked: argparse.Namespace) -> None:
+def _remove(args: argparse.Namespace) -> None:
     from crowdbench.recordings.catalogue import remove_imported
 
-    print(f"{remove_imported(asked.name)}: removed")
+    print(f"{remove_imported(args.name)}: removed")
 
 
 def _bring(name: str, folder: Path | None) -> None:
@@ -148,7 +148,7 @@ def _bring(name: str, folder: Path | None) -> None:
         print(f"It stays under its owners' terms. Cite: {source(name).cite}.")
 
 
-def _list(asked: argparse.Namespace) -> None:
+def _list(args: argparse.Namespace) -> None:
     from crowdbench.recordings.catalogue import COMMIT, OWN_NAME, REPOSITORY, SOURCES, cached
     from crowdbench.registry import RECORDINGS
     from crowdbench.scene import list_scenes, load_scene
@@ -171,8 +171,8 @@ def _list(asked: argparse.Namespace) -> None:
     print_note("Other days of the Forum have names like forum-14jul (`crowdbench data fetch`).")
 
 
-def _describe(asked: argparse.Namespace) -> None:
+def _describe(args: argparse.Namespace) -> None:
     from crowdbench.recordings.describe import describe
     from crowdbench.registry import recording
 
-    print_facts(asked.name, describe(recording(asked.name)))
+    print_facts(args.name, describe(recording(args.name)))

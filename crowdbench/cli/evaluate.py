@@ -68,34 +68,34 @@ def add(commands: "Commands") -> None:
     evaluate.set_defaults(run=_evaluate)
 
 
-def _evaluate(asked: argparse.Namespace) -> None:
+def _evaluate(args: argparse.Namespace) -> None:
     from crowdbench.evaluation.evaluate import evaluate
     from crowdbench.scene import load_scene
 
     sys.path.insert(0, os.getcwd())  # one's own pkg.module:Class may lie beside
-    if asked.view:  # found out before minutes of rollouts
+    if args.view:  # found out before minutes of rollouts
         from crowdbench.viewer import check_screen
 
         check_screen()
     when = time.strftime("%Y%m%d-%H%M%S")
-    out = asked.out or Path("results") / f"{Path(asked.scene).name}-{when}"
+    out = args.out or Path("results") / f"{Path(args.scene).name}-{when}"
     with progress_bar("rollouts") as progress:
         card = evaluate(
-            asked.scene,
-            spawn=[f"{s}+{asked.scenario}" for s in asked.spawn] if asked.scenario else asked.spawn,
-            policy=asked.policy,
-            protocol=asked.protocol,
-            seeds=asked.seeds,
-            workers=asked.workers,
+            args.scene,
+            spawn=[f"{s}+{args.scenario}" for s in args.spawn] if args.scenario else args.spawn,
+            policy=args.policy,
+            protocol=args.protocol,
+            seeds=args.seeds,
+            workers=args.workers,
             out=out,
             progress=progress,
         )
-    print_card(card, load_scene(asked.scene))
+    print_card(card, load_scene(args.scene))
     if any(entry.spawn == entry.policy == "replay" for entry in card.entries):
-        _print_replay(asked.scene, out)
+        _print_replay(args.scene, out)
     print(f"written to {out}: report.html, scorecard.json, run.json, rollouts/ and pictures")
-    if asked.view:
-        _show_first(card, asked.scene, out)
+    if args.view:
+        _show_first(card, args.scene, out)
 
 
 def _print_replay(scene: str, out: Path) -> None:

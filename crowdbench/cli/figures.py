@@ -46,18 +46,18 @@ def add(commands: "Commands") -> None:
     figures.set_defaults(run=_figures)
 
 
-def _figures(asked: argparse.Namespace) -> None:
+def _figures(args: argparse.Namespace) -> None:
     from crowdbench.studies.gallery import FIGURES, write_figures
 
     with progress_bar("rollouts") as progress:
         made = write_figures(
-            asked.scenes,
-            figures=asked.figure or FIGURES,
-            spawn=asked.spawn,
-            policy=asked.policy,
-            out=asked.out,
-            seeds=asked.seeds,
-            workers=asked.workers,
+            args.scenes,
+            figures=args.figure or FIGURES,
+            spawn=args.spawn,
+            policy=args.policy,
+            out=args.out,
+            seeds=args.seeds,
+            workers=args.workers,
             progress=progress,
         )
     for path in made:

@@ -33,22 +33,22 @@ def add(commands: "Commands") -> None:
     fit.set_defaults(run=_fit)
 
 
-def _fit(asked: argparse.Namespace) -> None:
+def _fit(args: argparse.Namespace) -> None:
     from crowdbench.registry import recording
     from crowdbench.scene import load_scene
     from crowdbench.scene_building.fit import fit_scene
 
-    scene = load_scene(asked.scene)
+    scene = load_scene(args.scene)
     crowd = recording(scene.recording.name)
     with progress_bar("fits") as progress:
         facts = fit_scene(
             scene,
             crowd,
-            clustering=asked.clustering,
-            models=asked.models,
-            out=asked.out,
-            workers=asked.workers,
+            clustering=args.clustering,
+            models=args.models,
+            out=args.out,
+            workers=args.workers,
             progress=progress,
         )
     print_facts(scene.id, facts)
-    print(f"Next, if arrivals or areas changed: crowdbench anchors {asked.out or asked.scene}")
+    print(f"Next, if arrivals or areas changed: crowdbench anchors {args.out or args.scene}")

@@ -87,29 +87,29 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _limits(asked: argparse.Namespace) -> "Limits":
+def _limits(args: argparse.Namespace) -> "Limits":
     from crowdbench.leaderboard.sandbox.parent import Limits
 
     for name in ("hours", "memory_gib"):
-        if not 0 < getattr(asked, name) < 1e6:
+        if not 0 < getattr(args, name) < 1e6:
             raise SettingError(
-                f"--{name.replace('_', '-')}", got=f"{getattr(asked, name)}", expected="more than 0"
+                f"--{name.replace('_', '-')}", got=f"{getattr(args, name)}", expected="more than 0"
             )
-    return Limits(wall_s=3600 * asked.hours, memory_bytes=int(asked.memory_gib * 2**30))
+    return Limits(wall_s=3600 * args.hours, memory_bytes=int(args.memory_gib * 2**30))
 
 
-def _verify(asked: argparse.Namespace) -> None:
+def _verify(args: argparse.Namespace) -> None:
     from crowdbench.leaderboard.verification.verify import verify
 
-    limits = _limits(asked)
+    limits = _limits(args)
 
     made: set[str] = set()
 
     def one(submission: Path, progress: "Progress") -> "Entry":
         entry, ran = verify(
             submission,
-            asked.out,
-            workers=asked.workers,
+            args.out,
+            workers=args.workers,
             limits=limits,
             progress=progress,
             taken=made,
@@ -119,42 +119,42 @@ def _verify(asked: argparse.Namespace) -> None:
             print(f"crowdbench: network {ran.network}", file=sys.stderr)
         return entry
 
-    _each(asked.submission, one)
-    print(f"entries written to {asked.out}")
+    _each(args.submission, one)
+    print(f"entries written to {args.out}")
 
 
-def _build(asked: argparse.Namespace) -> None:
+def _build(args: argparse.Namespace) -> None:
     from crowdbench.leaderboard.pages import build
     from crowdbench.leaderboard.pages.standings import entry_paths
 
-    written = build(asked.root)
-    entries = len(entry_paths(asked.root / "entries"))
+    written = build(args.root)
+    entries = len(entry_paths(args.root / "entries"))
     number = f"{entries} {'entry' if entries == 1 else 'entries'}"
     if shipped := len(written) - 2 - entries:
         number += f" of yours beside {shipped} that come with crowdbench"
-    print(f"{number}: written to {asked.root}: README.md, index.html and pages/")
+    print(f"{number}: written to {args.root}: README.md, index.html and pages/")
 
 
-def _rescore(asked: argparse.Namespace) -> None:
+def _rescore(args: argparse.Namespace) -> None:
     from crowdbench.leaderboard.verification.rescore import entry_ids, rescore
 
-    limits = _limits(asked)
+    limits = _limits(args)
 
     def one(entry: str, progress: "Progress") -> "Entry":
         return rescore(
             entry,
-            asked.root,
-            reason=asked.reason,
-            out=asked.out,
-            workers=asked.workers,
+            args.root,
+            reason=args.reason,
+            out=args.out,
+            workers=args.workers,
             limits=limits,
             progress=progress,
         )
 
-    named = asked.entry or entry_ids(asked.root)
+    named = args.entry or entry_ids(args.root)
     if not named:
         raise SettingError(
-            f"{asked.root}/entries", got="no entries", expected="some", mend="Name it by --root."
+            f"{args.root}/entries", got="no entries", expected="some", hint="Name it by --root."
         )
     _each(named, one)
 
@@ -178,7 +178,7 @@ def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> 
             "leaderboard",
             got=f"{len(refused)} of {len(named)} refused ({', '.join(refused)})",
             expected="none",
-            mend="See above.",
+            hint="See above.",
         )
 
 

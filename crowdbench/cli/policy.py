@@ -56,25 +56,25 @@ def add(commands: "Commands") -> None:
     show.set_defaults(run=_show)
 
 
-def _export(asked: argparse.Namespace) -> None:
+def _export(args: argparse.Namespace) -> None:
     from crowdbench.policies import PolicyCard
     from crowdbench.policies.export import export_policy, revision
     from crowdbench.scene import load_scene
     from crowdbench.simulation.observations import OBSERVATION
 
     card = PolicyCard(
-        name=asked.name,
-        observation=asked.observation or OBSERVATION,
-        rays=asked.rays,
-        ray_range_m=asked.ray_range_m,
-        scene=load_scene(asked.scene).id,
-        part=asked.part,
-        command=asked.command,
+        name=args.name,
+        observation=args.observation or OBSERVATION,
+        rays=args.rays,
+        ray_range_m=args.ray_range_m,
+        scene=load_scene(args.scene).id,
+        part=args.part,
+        command=args.command,
         revision=revision(Path()),
     )
-    card.checked(asked.file)
-    export_policy(_network(asked.network), asked.file, card, noise=asked.noise)
-    print(f"written to {asked.file}")
+    card.checked(args.file)
+    export_policy(_network(args.network), args.file, card, noise=args.noise)
+    print(f"written to {args.file}")
 
 
 def _network(path: str) -> Any:
@@ -90,7 +90,7 @@ def _network(path: str) -> Any:
             "policy export",
             got="no torch",
             expected="torch, which networks are made of",
-            mend='Install it, in the clone: pip install -e ".[fit]".',
+            hint='Install it, in the clone: pip install -e ".[fit]".',
         ) from error
     sys.path.insert(0, os.getcwd())
     module, _, name = path.partition(":")
@@ -108,10 +108,10 @@ def _network(path: str) -> Any:
     return made
 
 
-def _show(asked: argparse.Namespace) -> None:
+def _show(args: argparse.Namespace) -> None:
     from crowdbench.policies import OnnxPolicy
 
-    policy = OnnxPolicy(asked.file)
+    policy = OnnxPolicy(args.file)
     card = policy.card
     facts = {
         "trained on": f"{card.part} of {card.scene}",
@@ -121,6 +121,6 @@ def _show(asked: argparse.Namespace) -> None:
         "chance": f"{policy.noise} normal numbers per person and step" if policy.noise else "none",
         "command": card.command or "not said",
         "revision": card.revision or "not said",
-        "size": f"{asked.file.stat().st_size / 1000:.0f} kB",
+        "size": f"{args.file.stat().st_size / 1000:.0f} kB",
     }
     print_facts(card.name, facts)

@@ -21,14 +21,14 @@ def add(commands: "Commands") -> None:
     power.set_defaults(run=_power)
 
 
-def _power(asked: argparse.Namespace) -> None:
+def _power(args: argparse.Namespace) -> None:
     from crowdbench.leftovers import temporary_folder
     from crowdbench.scene import load_scene, write_scored
     from crowdbench.scene_building.anchors import power_study
 
-    scene = load_scene(asked.scene)
+    scene = load_scene(args.scene)
     with temporary_folder("power") as folder, progress_bar("rollouts") as progress:
-        studies = power_study(asked.scene, folder, progress=progress)
+        studies = power_study(args.scene, folder, progress=progress)
     table = new_table("metric", "floor", "95 %", "anchor", "power", "")
     for s in studies:
         table.add_row(
@@ -47,5 +47,5 @@ def _power(asked: argparse.Namespace) -> None:
     )
     scored = [s.metric for s in studies if s.counts]
     print(f"scored = {scored}".replace("'", '"'))
-    if asked.write:
+    if args.write:
         print(f"written to {write_scored(scene, scored)}")

@@ -34,15 +34,15 @@ def add(commands: "Commands") -> None:
     results.set_defaults(run=_results)
 
 
-def _results(asked: argparse.Namespace) -> None:
+def _results(args: argparse.Namespace) -> None:
     from crowdbench.studies.results import write_results
 
     with progress_bar("rollouts") as progress:
         page = write_results(
-            asked.scene,
-            out=asked.out,
-            seeds=asked.seeds,
-            workers=asked.workers,
+            args.scene,
+            out=args.out,
+            seeds=args.seeds,
+            workers=args.workers,
             progress=progress,
         )
     print(f"written to {page} and {page.with_suffix('')}/")

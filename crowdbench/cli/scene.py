@@ -71,28 +71,28 @@ def _timed(what: str) -> "Iterator[Progress]":
     print(f"{what:<12} {time.perf_counter() - began:6.1f} s", flush=True)
 
 
-def _create(asked: argparse.Namespace) -> None:
+def _create(args: argparse.Namespace) -> None:
     from crowdbench.recordings.describe import describe
     from crowdbench.scene_building import create_scene
 
     created = create_scene(
-        asked.name,
-        asked.recording,
-        layout=asked.format,
-        dt_s=asked.dt_s,
-        gaps=asked.gaps,
-        offset_s=asked.offset_s,
-        walls=asked.walls,
-        title=asked.title,
-        out=asked.out,
-        fits=asked.fits,
-        rollouts_per_fit=asked.rollouts_per_fit,
-        workers=asked.workers,
+        args.name,
+        args.recording,
+        layout=args.format,
+        dt_s=args.dt_s,
+        gaps=args.gaps,
+        offset_s=args.offset_s,
+        walls=args.walls,
+        title=args.title,
+        out=args.out,
+        fits=args.fits,
+        rollouts_per_fit=args.rollouts_per_fit,
+        workers=args.workers,
         stage=_timed,
     )
     scene, crowd = created.scene, created.recording
     print()
-    print_facts(f"recording {crowd.scene}", mended(crowd, asked) | describe(crowd))
+    print_facts(f"recording {crowd.scene}", mended(crowd, args) | describe(crowd))
     print_facts(scene.id, created.facts)
     whole = (scene.folder / "ntpp-gmm.safetensors").exists()
     models = "" if whole else " --spawn renewal-gmm"
@@ -101,11 +101,11 @@ def _create(asked: argparse.Namespace) -> None:
         print('Environments have ntpp-gmm by default; on this scene say spawn="renewal-gmm".')
 
 
-def _check(asked: argparse.Namespace) -> None:
+def _check(args: argparse.Namespace) -> None:
     from crowdbench.errors import SceneError
     from crowdbench.scene_building import check_scene
 
-    findings = list(check_scene(asked.scene))
+    findings = list(check_scene(args.scene))
     table = new_table("part", "state")
     table.columns[1].justify, table.columns[1].no_wrap = "left", False
     for finding in findings:
@@ -116,4 +116,4 @@ def _check(asked: argparse.Namespace) -> None:
         print(f"crowdbench: {problem}", file=sys.stderr)
     if problems:
         number = f"{len(problems)} problem{'s' * (len(problems) != 1)}"
-        raise SceneError(asked.scene, got=number, expected="none", mend="See above.")
+        raise SceneError(args.scene, got=number, expected="none", hint="See above.")

@@ -13,7 +13,7 @@ def add(commands: "Commands") -> None:
     scenes.set_defaults(run=_scenes)
 
 
-def _scenes(asked: argparse.Namespace) -> None:
+def _scenes(args: argparse.Namespace) -> None:
     from crowdbench.scene import list_scenes, load_scene
 
     for name in list_scenes():

@@ -20,13 +20,13 @@ def add(commands: "Commands") -> None:
     score.set_defaults(run=_score)
 
 
-def _score(asked: argparse.Namespace) -> None:
+def _score(args: argparse.Namespace) -> None:
     from crowdbench.scene import load_scene
     from crowdbench.scoring.reference import score
     from crowdbench.trajectories.storage import read
 
-    scene = load_scene(asked.scene)
-    crowd = read(asked.table, scene=scene.id, dt_s=scene.dt_s)
+    scene = load_scene(args.scene)
+    crowd = read(args.table, scene=scene.id, dt_s=scene.dt_s)
     results = score(scene, crowd)
-    print(f"\n{asked.table.name} on {scene.id}: {len(crowd)} persons")
+    print(f"\n{args.table.name} on {scene.id}: {len(crowd)} persons")
     print_results(results)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from crowdbench.metrics import MetricResult
     from crowdbench.report.display_names import Names
     from crowdbench.scene import Scene
-    from crowdbench.scoring.scorecard import Entry, Row, Scorecard
+    from crowdbench.scoring.scorecard import PairResult, Row, Scorecard
 
     Column: TypeAlias = tuple[str, Callable[[Row], str]]
 
@@ -139,7 +139,7 @@ def _print_distances(card: "Scorecard", names: "Names") -> None:
     print()
 
 
-def _distance_table(card: "Scorecard", numbered: "Sequence[tuple[int, Entry]]") -> "Table":
+def _distance_table(card: "Scorecard", numbered: "Sequence[tuple[int, PairResult]]") -> "Table":
     from crowdbench.metrics import METRICS
 
     table = new_table("distance", "", "recorded", *(f"{k}" for k, _ in numbered))

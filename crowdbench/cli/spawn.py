@@ -18,7 +18,7 @@ def add(commands: "Commands") -> None:
     spawn.set_defaults(run=_spawn)
 
 
-def _spawn(asked: argparse.Namespace) -> None:
+def _spawn(args: argparse.Namespace) -> None:
     from crowdbench.scene import load_scene
     from crowdbench.scene_building.spawn_diagnostics import check_models, trained_networks
     from crowdbench.spawn.rescaling import KolmogorovSmirnov
@@ -29,7 +29,7 @@ def _spawn(asked: argparse.Namespace) -> None:
     def number(value: float | None) -> str:
         return "" if value is None else f"{value:.3f}"
 
-    scene = load_scene(asked.scene)
+    scene = load_scene(args.scene)
     found = list(check_models(scene))
     likelihood = new_table(
         "nats per person", "full", "held out", "fresh", "persons", "first 25 frames"

@@ -37,16 +37,16 @@ def add(commands: "Commands") -> None:
     steer.set_defaults(run=_steer)
 
 
-def _steer(asked: argparse.Namespace) -> None:
+def _steer(args: argparse.Namespace) -> None:
     from crowdbench.studies.steering import draw_steering, steering
 
     sys.path.insert(0, os.getcwd())  # one's own pkg.module:Class may lie beside
 
-    found = steering(asked.scene, asked.scenario, spawn=asked.spawn, seeds=asked.seeds)
+    found = steering(args.scene, args.scenario, spawn=args.spawn, seeds=args.seeds)
     _print_changes(found)
     with progress_bar("rollouts") as progress:
-        paths = draw_steering(found, asked.out, policy=asked.policy, progress=progress)
-    print(f"written to {asked.out}: {' and '.join(path.name for path in paths)}")
+        paths = draw_steering(found, args.out, policy=args.policy, progress=progress)
+    print(f"written to {args.out}: {' and '.join(path.name for path in paths)}")
 
 
 def _print_changes(found: "Steering") -> None:

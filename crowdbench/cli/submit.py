@@ -57,29 +57,29 @@ def add(commands: "Commands") -> None:
     pack.set_defaults(run=_pack)
 
 
-def _init(asked: argparse.Namespace) -> None:
+def _init(args: argparse.Namespace) -> None:
     from crowdbench.leaderboard.submission.template import start_submission
 
     scenes = start_submission(
-        asked.folder, asked.track, name=asked.name, scenes=asked.scene, policies=asked.policy
+        args.folder, args.track, name=args.name, scenes=args.scene, policies=args.policy
     )
-    print(f"{asked.folder}: track {asked.track} on {', '.join(scenes)}")
+    print(f"{args.folder}: track {args.track} on {', '.join(scenes)}")
     print(
-        f"Fill in {asked.folder / 'submission.toml'}; {asked.folder / 'README.md'} tells what goes "
-        f"where. Next: crowdbench submit check {asked.folder}"
+        f"Fill in {args.folder / 'submission.toml'}; {args.folder / 'README.md'} tells what goes "
+        f"where. Next: crowdbench submit check {args.folder}"
     )
 
 
-def _check(asked: argparse.Namespace) -> None:
+def _check(args: argparse.Namespace) -> None:
     from crowdbench.leaderboard.verification.check import check
 
-    _print(check(asked.submission))
+    _print(check(args.submission))
 
 
-def _pack(asked: argparse.Namespace) -> None:
+def _pack(args: argparse.Namespace) -> None:
     from crowdbench.leaderboard.submission.submission import pack_submission
 
-    print(f"written to {pack_submission(asked.folder, asked.out)}")
+    print(f"written to {pack_submission(args.folder, args.out)}")
 
 
 def _print(submission: "Checked") -> None:

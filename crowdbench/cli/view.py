@@ -39,23 +39,23 @@ def add(commands: "Commands") -> None:
     view.set_defaults(run=_view)
 
 
-def _view(asked: argparse.Namespace) -> None:
+def _view(args: argparse.Namespace) -> None:
     from crowdbench.scene import load_scene
     from crowdbench.trajectories.storage import read_own
     from crowdbench.viewer import save, show
 
-    if asked.scene is None:
-        crowd = read_own(asked.table)
+    if args.scene is None:
+        crowd = read_own(args.table)
         scene = load_scene(crowd.scene)
     else:
-        scene = load_scene(asked.scene)
-        crowd = _read(asked.table, scene)
-    against = None if asked.against is None else _against(asked.against, scene)
-    if asked.save:
-        save(crowd, scene, asked.save, against=against, person=asked.person)
-        print(f"written to {asked.save}: open it with `rerun {asked.save}`")
+        scene = load_scene(args.scene)
+        crowd = _read(args.table, scene)
+    against = None if args.against is None else _against(args.against, scene)
+    if args.save:
+        save(crowd, scene, args.save, against=against, person=args.person)
+        print(f"written to {args.save}: open it with `rerun {args.save}`")
     else:
-        show(crowd, scene, against=against, person=asked.person)
+        show(crowd, scene, against=against, person=args.person)
 
 
 def _against(named: str, scene: "Scene") -> "Trajectories":

@@ -41,16 +41,16 @@ def add(commands: "Commands") -> None:
     walks.set_defaults(run=_walks)
 
 
-def _walks(asked: argparse.Namespace) -> None:
+def _walks(args: argparse.Namespace) -> None:
     from crowdbench.studies.walks import write_walks
 
     with progress_bar("rollouts") as progress:
         page = write_walks(
-            asked.scenes,
-            more=asked.policy,
-            out=asked.out,
-            seeds=asked.seeds,
-            workers=asked.workers,
+            args.scenes,
+            more=args.policy,
+            out=args.out,
+            seeds=args.seeds,
+            workers=args.workers,
             progress=progress,
         )
     print(f"written to {page} and {page.with_suffix('')}/")

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int
 
 from crowdbench import __version__
-from crowdbench.envs.perturbation import Aside
+from crowdbench.envs.perturbation import PathPerturbation
 from crowdbench.errors import OutputError, SettingError
 from crowdbench.policies import ReplayPolicy
 from crowdbench.recordings.catalogue import source
@@ -141,7 +141,7 @@ class Demonstrations:
                     folder,
                     got="a dataset that is there already",
                     expected="a new id",
-                    mend=f"Count its version up, or run `minari delete {dataset_id}`.",
+                    hint=f"Count its version up, or run `minari delete {dataset_id}`.",
                 )
             try:
                 return self._write_minari(dataset_id)
@@ -155,7 +155,7 @@ class Demonstrations:
                 dataset_id,
                 got=str(error),
                 expected="a place that can be written to",
-                mend="Name one in MINARI_DATASETS_PATH.",
+                hint="Name one in MINARI_DATASETS_PATH.",
             ) from error
 
     def _write_minari(self, dataset_id: str) -> "MinariDataset":
@@ -250,7 +250,7 @@ def demonstrations(
         scripted=True,
     )
     walker.reset(place, generator(0, 0, "policy"))
-    aside = Aside.of(recording, displaced_m, recovery_s, seed)
+    aside = PathPerturbation.of(recording, displaced_m, recovery_s, seed)
     last = recording.offsets[1:] - 1
     step_m = place.dt_s * place.motion.max_speed_mps
     inside = _trained_on(blocks_of(recording, place).training(part).frames, recording.frames)

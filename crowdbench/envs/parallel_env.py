@@ -256,7 +256,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         if not self.agents:
             raise ActionError(
                 "step", got="a call without agents", expected="a call of reset first",
-                mend="The episode is over, or was never begun.",
+                hint="The episode is over, or was never begun.",
             )  # fmt: skip
         try:
             given = [actions[name] for name in self.agents]
@@ -275,7 +275,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
                 "step",
                 got=f"no action for {missing[:3]}, actions for {unknown[:3]} who are not there",
                 expected=f"one action for each of the {len(self.agents)} agents",
-                mend="Act for exactly the names in env.agents.",
+                hint="Act for exactly the names in env.agents.",
             )
         try:
             commands = np.array(given)
@@ -293,7 +293,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             name = self.agents[int(np.flatnonzero(~np.isfinite(commands).all(axis=1))[0])]
             raise ActionError(
                 "step", got=f"{actions[name]} from {name}", expected="finite numbers",
-                mend="Look for a division by zero or a diverged network in the policy.",
+                hint="Look for a division by zero or a diverged network in the policy.",
             )  # fmt: skip
         if commands.dtype != np.float32:
             commands = commands.clip(-1, 1)  # what float32 cannot hold is out of range anyway

@@ -22,7 +22,7 @@ a clone would not know how to stand."""
 
 
 @dataclass(frozen=True, eq=False)
-class Aside:
+class PathPerturbation:
     """Where each row of a recording is shown instead, beside its place, and how fast."""
 
     now: Float[np.ndarray, "R 2"]
@@ -35,7 +35,7 @@ class Aside:
     @classmethod
     def of(
         cls, recording: Trajectories, displaced_m: float, recovery_s: float, seed: int
-    ) -> "Aside":
+    ) -> "PathPerturbation":
         """Half of the persons are on a spring at each time, a new one after 4 τ."""
         shape = (len(recording.xy), 2)
         found = cls(np.zeros(shape), np.zeros(shape), np.zeros(shape))

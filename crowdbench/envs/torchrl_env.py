@@ -170,7 +170,7 @@ class CrowdEnv(EnvBase):
                 "action",
                 got=f"{int((~np.isfinite(actions)).sum())} values that are not finite",
                 expected="numbers in [−1, 1]",
-                mend="Look for a division by zero or a diverged network in the policy.",
+                hint="Look for a division by zero or a diverged network in the policy.",
             )
         simulation.step(actions)
         self._check_capacity()

@@ -292,7 +292,7 @@ class LivesVecEnv(VecEnv):
             "LivesVecEnv",
             got=f"a call of {method_name} in sub-environments",
             expected="a method of the whole",
-            mend="Sub-environments are persons of the same worlds, not objects of their own.",
+            hint="Sub-environments are persons of the same worlds, not objects of their own.",
         )
 
     def env_is_wrapped(

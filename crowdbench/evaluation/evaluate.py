@@ -27,7 +27,7 @@ from crowdbench.files import unwritable, write_json
 from crowdbench.leftovers import swept
 from crowdbench.registry import COMPARED, has_recording
 from crowdbench.report.html import write_report
-from crowdbench.report.plots import FIGURES, Sight, draw_figures
+from crowdbench.report.plots import FIGURES, PlotData, draw_figures
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.scoring.scorecard import (
@@ -115,7 +115,7 @@ def _finish(
         # What is walked under the recorded arrivals is the same in every part.
         if job.part in (parts_of(protocol)[0], PARTS[0]) and job.seed < SHOWN
     }
-    draw_figures(Sight.of(place, reference, crowds, protocol), out)
+    draw_figures(PlotData.of(place, reference, crowds, protocol), out)
     write_report(card, place, reference, crowds, out)
     write_json(
         out / "run.json",

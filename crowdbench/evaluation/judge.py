@@ -8,7 +8,7 @@ import numpy as np
 from crowdbench import __version__
 from crowdbench.evaluation.rollout_jobs import (
     Job,
-    Rolled,
+    RolloutSummary,
     parts_of,
 )
 from crowdbench.metrics import WALK, Metric, Statistics, metrics_for
@@ -18,8 +18,8 @@ from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.scorecard import (
     SCHEMA,
     EnergyCard,
-    Entry,
     MetricCard,
+    PairResult,
     Protocol,
     Scale,
     Scorecard,
@@ -32,7 +32,7 @@ from crowdbench.trajectories.table import OUTCOMES
 def judge(
     place: Scene,
     reference: Reference,
-    rolled: dict[Job, Rolled],
+    rolled: dict[Job, RolloutSummary],
     protocol: Protocol,
     seeds: int,
     scale: Scale,
@@ -87,8 +87,8 @@ def floors(scene: Scene, reference: Reference, protocol: str) -> dict[str, Energ
 
 
 def entries_of(
-    scene: Scene, reference: Reference, rolled: dict[Job, Rolled], protocol: str, seeds: int
-) -> list[Entry]:
+    scene: Scene, reference: Reference, rolled: dict[Job, RolloutSummary], protocol: str, seeds: int
+) -> list[PairResult]:
     """An entry of each pair."""
     pairs = list(dict.fromkeys((job.spawn, job.policy) for job in rolled))
     return [
@@ -110,17 +110,17 @@ def _rows(statistics: Statistics, inside: np.ndarray) -> Statistics:
 def _entry(
     scene: Scene,
     reference: Reference,
-    rolled: dict[Job, Rolled],
+    rolled: dict[Job, RolloutSummary],
     protocol: str,
     seeds: int,
-) -> Entry:
+) -> PairResult:
     first = next(iter(rolled))
     metrics = {
         metric.name: _metric_card(scene, reference, metric, rolled, protocol, seeds)
         for metric in metrics_for(reference.blocks)
     }
     ended = np.sum([r.outcomes for r in rolled.values()], axis=0)
-    return Entry(
+    return PairResult(
         spawn=first.spawn,
         policy=first.policy,
         seeds=[job.seed for job in rolled],
@@ -131,7 +131,7 @@ def _entry(
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class MetricSlice:
     """Rollouts and the recording as one metric sees them in the blocks that a part is scored on."""
 
     part: str
@@ -144,8 +144,8 @@ class Seen:
 
 
 def seen_in(
-    reference: Reference, metric: Metric, rolled: dict[Job, Rolled], protocol: str
-) -> Iterator[Seen]:
+    reference: Reference, metric: Metric, rolled: dict[Job, RolloutSummary], protocol: str
+) -> Iterator[MetricSlice]:
     """What a metric sees of one pair's rollouts in each part of a protocol that it applies to."""
     # Who was not trained on the recording walks all of it once, and is looked at fold by fold.
     whole_recording = all(job.part == "full" for job in rolled)
@@ -160,7 +160,7 @@ def seen_in(
             if whole_recording or job.part == part
         }
         fits = sorted({job.fit for job in crowds})
-        yield Seen(
+        yield MetricSlice(
             part,
             blocks,
             _rows(reference.statistics[metric.name], inside),
@@ -173,7 +173,7 @@ def _metric_card(
     scene: Scene,
     reference: Reference,
     metric: Metric,
-    rolled: dict[Job, Rolled],
+    rolled: dict[Job, RolloutSummary],
     protocol: str,
     seeds: int,
 ) -> MetricCard:

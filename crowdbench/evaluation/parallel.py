@@ -148,16 +148,16 @@ class _Worker:
 
 def _death(where: str, code: int) -> WorkerError:
     """The error of a process that did not end by itself."""
-    mend = "What was made before is kept: the same command goes on from there."
+    hint = "What was made before is kept: the same command goes on from there."
     if code >= 0:
         got = f"a worker process that ended with code {code}"
-        mend = f"Something in it leaves Python. {mend}"
+        hint = f"Something in it leaves Python. {hint}"
     else:
         killed = signal.Signals(-code).name
         got = f"a worker process that was killed by {killed}"
         if killed == "SIGKILL":
-            mend = f"The system does that where memory is short: use fewer workers. {mend}"
-    return WorkerError(where, got=got, expected="one that ends its work", mend=mend)
+            hint = f"The system does that where memory is short: use fewer workers. {hint}"
+    return WorkerError(where, got=got, expected="one that ends its work", hint=hint)
 
 
 def _sweeper_of() -> Connection | None:

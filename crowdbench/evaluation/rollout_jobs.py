@@ -74,7 +74,7 @@ class Job:
 
 
 @dataclass(frozen=True, eq=False)
-class Rolled:
+class RolloutSummary:
     """What is kept of a rollout."""
 
     statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]]
@@ -82,7 +82,7 @@ class Rolled:
     outcomes: np.ndarray
 
     @classmethod
-    def of_crowd(cls, crowd: Trajectories, reference: Reference) -> "Rolled":
+    def of_crowd(cls, crowd: Trajectories, reference: Reference) -> "RolloutSummary":
         """Summarise a crowd in the time blocks of the reference."""
         statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]] = {}
         for metric, of_metric in summarise(crowd, reference.blocks, reference.place).items():
@@ -166,20 +166,20 @@ def _check_unseen(policy: str, walker: Policy, place: Scene, part: str) -> None:
             f"policy {policy}",
             got=f"a network trained on {walker.card.part} of {place.id}",
             expected=f"one that has seen nothing of what {part} is scored on",
-            mend="Train one for each fold and name the folder with fold0.onnx, fold1.onnx, … , or "
+            hint="Train one for each fold and name the folder with fold0.onnx, fold1.onnx, … , or "
             "evaluate with --protocol full.",
         )
 
 
 def roll_out(
     jobs: list[Job], reference: Reference, workers: int | None, progress: Progress
-) -> dict[Job, Rolled]:
+) -> dict[Job, RolloutSummary]:
     """Make all rollouts that are missing; what is kept of each, in the order of the jobs.
 
     `progress(done, total)` is called before the first and after each; `workers` processes (by
     default one per core) share the work.
     """
-    rolled: dict[Job, Rolled] = {}
+    rolled: dict[Job, RolloutSummary] = {}
     _remove_halves(jobs)
     progress(0, len(jobs))
     # What is there is given back at once where the caller ends before all is done.
@@ -222,8 +222,8 @@ def _make(job: Job) -> None:
     _made(job)
 
 
-def _roll_out(job: Job, reference: Reference) -> Rolled:
-    return Rolled.of_crowd(_made(job), reference)
+def _roll_out(job: Job, reference: Reference) -> RolloutSummary:
+    return RolloutSummary.of_crowd(_made(job), reference)
 
 
 def _made(job: Job) -> Trajectories:
@@ -269,7 +269,7 @@ def _named(job: Job) -> Iterator[None]:
         if not own:
             raise
         where = f"{error.where}, {job}"
-        raise type(error)(where, got=error.got, expected=error.expected, mend=error.mend) from error
+        raise type(error)(where, got=error.got, expected=error.expected, hint=error.hint) from error
     except (Exception, SystemExit) as error:
         if not own:
             raise
@@ -277,7 +277,7 @@ def _named(job: Job) -> Iterator[None]:
             f"{' or '.join(own)}, {job}",
             got=told(error),
             expected="no error",
-            mend="Mend the class and start again: rollouts of other models are kept.",
+            hint="Mend the class and start again: rollouts of other models are kept.",
         ) from error
 
 
@@ -356,7 +356,7 @@ def alone_in(out: Path) -> Iterator[None]:
             out,
             got=f"a folder in which process {holder} evaluates",
             expected="a folder of one's own",
-            mend=f"Wait for it, or name another folder; if there is none, remove {lock}.",
+            hint=f"Wait for it, or name another folder; if there is none, remove {lock}.",
         )
     try:
         with leftovers.temporary(lock):

@@ -11,7 +11,7 @@ from crowdbench.trajectories.blocks import PARTS
 SCHEMA = 1
 ACTION = "velocity-1"
 """Version of the action: a velocity in units of the scene's greatest speed, in [−1, 1]²."""
-MEND = "Export it anew with `crowdbench policy export`."
+HINT = "Export it anew with `crowdbench policy export`."
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,39}")
 
 
@@ -66,7 +66,7 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         for name, got, fits, expected in problems:
             if not fits:
                 raise WeightsError(
-                    where, got=f"the {name} {got!r}"[:200], expected=expected, mend=MEND
+                    where, got=f"the {name} {got!r}"[:200], expected=expected, hint=HINT
                 )
         return self
 

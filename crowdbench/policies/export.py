@@ -71,7 +71,7 @@ def export_policy(
                     path,
                     got=f"actions that differ by {np.abs(got - expected).max():.2g}",
                     expected=f"those of the network, to {TOLERANCE:g}",
-                    mend="Does it depend on anything but its inputs?",
+                    hint="Does it depend on anything but its inputs?",
                 )
             read.check_rows(_scene_of(card), path)
     finally:
@@ -104,7 +104,7 @@ def _actions(
             expected=f"one that takes observations of shape (A, {card.inputs}): {card.observation} "
             f"has {card.inputs} numbers with {card.rays} rays"
             + (f", and noise of shape {tuple(fed[1].shape)}" if len(fed) > 1 else ""),
-            mend=f"These are {version}: name it as the observation."
+            hint=f"These are {version}: name it as the observation."
             if version
             else "Name the observation and rays that it was trained with."
             if takes
@@ -120,7 +120,7 @@ def _actions(
             path,
             got=f"a network that returns {got} for {len(fed[0])} persons",
             expected=f"one tensor of actions ({len(fed[0])}, 2)",
-            mend="Wrap it in a module that returns the actions alone.",
+            hint="Wrap it in a module that returns the actions alone.",
         )
     actions: np.ndarray = found.numpy()
     return actions
@@ -154,7 +154,7 @@ def _check_survival(file: Path, card: PolicyCard, noise: int, path: Path) -> Non
             path,
             got=f"a network that ends onnxruntime's process by signal {-done.returncode}",
             expected="one that runs",
-            mend="Write it with other operators; recurrent layers often are at fault.",
+            hint="Write it with other operators; recurrent layers often are at fault.",
         )
 
 
@@ -189,7 +189,7 @@ def _onnx(
             "policy",
             got=f"no {error.name}",
             expected="the packages that export needs",
-            mend='Install them, in the clone: pip install -e ".[onnx]".',
+            hint='Install them, in the clone: pip install -e ".[onnx]".',
         ) from error
     except Exception as error:  # torch's errors have no base of their own
         raise WeightsError(

@@ -22,7 +22,7 @@ from numpy.random import Generator
 
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.files import read_bytes
-from crowdbench.policies.card import MEND, PolicyCard
+from crowdbench.policies.card import HINT, PolicyCard
 from crowdbench.policies.rows import ROWS, Watch, check_rows, observed
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings
@@ -132,7 +132,7 @@ def check_onnx() -> None:
             "policy",
             got=f"no {error.name}",
             expected="the packages that ONNX files need",
-            mend='Install them, in the clone: pip install -e ".[onnx]".',
+            hint='Install them, in the clone: pip install -e ".[onnx]".',
         ) from error
 
 
@@ -158,12 +158,12 @@ def _model(path: Path) -> tuple[bytes, "ModelProto"]:
             got=f"{path.stat().st_size / 1e6:.1f} MB",
             expected=f"an ONNX file of up to {LARGEST / 1e6:.0f} MB",
         )
-    data = read_bytes(path, WeightsError, MEND)
+    data = read_bytes(path, WeightsError, HINT)
     try:
         return data, onnx.ModelProto.FromString(data)
     except (DecodeError, ValueError) as error:
         raise WeightsError(
-            path, got=f"no ONNX file ({error})", expected="one", mend=MEND
+            path, got=f"no ONNX file ({error})", expected="one", hint=HINT
         ) from error
 
 
@@ -196,7 +196,7 @@ def _unrunnable(path: Path, error: Exception) -> WeightsError:
         path,
         got=f"a network that onnxruntime refuses ({told})",
         expected="one that runs",
-        mend=MEND,
+        hint=HINT,
     )
 
 
@@ -207,14 +207,14 @@ def _card(path: Path, model: "ModelProto") -> PolicyCard:
             path,
             got=f"{len(found)} metadata entries {KEY!r}",
             expected="one, with the policy's card",
-            mend=MEND,
+            hint=HINT,
         )
     try:
         # What is no UTF-8 comes as bytes.
         text = found[0] if isinstance(found[0], bytes) else found[0].encode()
         card = msgspec.json.decode(text, type=PolicyCard)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise WeightsError(path, got=f"a card that {error}", expected="one", mend=MEND) from error
+        raise WeightsError(path, got=f"a card that {error}", expected="one", hint=HINT) from error
     return card.checked(path)
 
 
@@ -222,7 +222,7 @@ def _check_operators(path: Path, model: "ModelProto") -> None:
     """Refuse what the standard does not define, what draws, and data that lie elsewhere."""
     if model.functions:
         raise WeightsError(
-            path, got="functions of its own", expected="operators of the ONNX standard", mend=MEND
+            path, got="functions of its own", expected="operators of the ONNX standard", hint=HINT
         )
     for graph in _graphs(model.graph):
         for node in graph.node:
@@ -231,7 +231,7 @@ def _check_operators(path: Path, model: "ModelProto") -> None:
                     path,
                     got=f"the operator {node.domain}.{node.op_type}"[:200],
                     expected="operators of the ONNX standard",
-                    mend=MEND,
+                    hint=HINT,
                 )
             if _draws(node):
                 raise WeightsError(
@@ -239,7 +239,7 @@ def _check_operators(path: Path, model: "ModelProto") -> None:
                     got=f"the operator {node.op_type}, which draws random numbers of its own",
                     expected="the input noise (A, Z) in its place: the same seed gives the same "
                     "crowd",
-                    mend=MEND,
+                    hint=HINT,
                 )
     for tensor in _tensors(model.graph):
         if tensor.external_data or tensor.data_location == tensor.EXTERNAL:
@@ -247,7 +247,7 @@ def _check_operators(path: Path, model: "ModelProto") -> None:
                 path,
                 got=f"the tensor {tensor.name!r}, whose data lie in another file"[:200],
                 expected="all weights in this one",
-                mend="Save it with its data inside.",
+                hint="Save it with its data inside.",
             )
 
 
@@ -296,14 +296,14 @@ def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
             got=f"inputs {_written(inputs)}",
             expected=f"float32 {_written(expected)} and, if need be, noise (A, Z): "
             f"{card.observation} with {card.rays} rays has {card.inputs} numbers",
-            mend=MEND,
+            hint=HINT,
         )
     if outputs != {"action": (None, 2)}:
         raise WeightsError(
             path,
             got=f"outputs {_written(outputs)}",
             expected="float32 action (A, 2)",
-            mend=MEND,
+            hint=HINT,
         )
     if noise is None:
         return 0
@@ -313,7 +313,7 @@ def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
             path,
             got=_written({"noise": noise}),
             expected=f"float32 noise (A, Z) with Z from 1 to {MOST_NOISE}",
-            mend=MEND,
+            hint=HINT,
         )
     return width
 
@@ -348,9 +348,9 @@ def _try(path: Path, session: Any, card: PolicyCard, noise: int) -> None:
                 path,
                 got=f"actions of shape {action.shape} for {persons} persons",
                 expected=f"({persons}, 2)",
-                mend=MEND,
+                hint=HINT,
             )
         if not np.isfinite(action).all():
             raise WeightsError(
-                path, got="actions that are not finite", expected="numbers", mend=MEND
+                path, got="actions that are not finite", expected="numbers", hint=HINT
             )

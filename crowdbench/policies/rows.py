@@ -157,6 +157,6 @@ def _mixes(
         got=f"a network that mixes rows: the same person gets {told(one)} and {told(other)}, "
         f"{gap:.2g} apart",
         expected=f"the same action to {TOLERANCE:g}: each row is answered from that row alone",
-        mend="Take out what goes over the persons (axis 0): means, sums, softmax, attention, batch "
+        hint="Take out what goes over the persons (axis 0): means, sums, softmax, attention, batch "
         "statistics, dynamic quantisation.",
     )

@@ -137,7 +137,7 @@ def source(name: str) -> Source:
         "recording",
         got=f"the name {name!r}",
         expected=f"one of {', '.join(SOURCES)}, a day of the Forum like forum-14jul, or your own",
-        mend="`crowdbench data import NAME --source FILE --format FORMAT` imports your own.",
+        hint="`crowdbench data import NAME --source FILE --format FORMAT` imports your own.",
     )
 
 
@@ -161,7 +161,7 @@ def load_imported(name: str) -> Trajectories:
             f"recording {name}",
             got="none imported",
             expected=f"a table at {path}",
-            mend=f"Run `crowdbench data fetch {name}`, or "
+            hint=f"Run `crowdbench data fetch {name}`, or "
             f"`crowdbench data import {name} --source DIR`.",
         )
     return storage.read_own(path)
@@ -257,26 +257,26 @@ def read_files(source: Source, files: Mapping[str, bytes], where: object) -> Tra
 def _changed(
     source: Source, crowd: Trajectories, found: str, known: str, where: object
 ) -> RecordingError:
-    mend = "They may be cut short, altered, or have their line ends converted; scores would not be "
-    mend += f"comparable. Run `crowdbench data fetch {source.name}`: it takes {source.address}."
+    hint = "They may be cut short, altered, or have their line ends converted; scores would not be "
+    hint += f"comparable. Run `crowdbench data fetch {source.name}`: it takes {source.address}."
     expected = f"the published ones, SHA-256 {known[:12]}…"
     if source.sha256 is None:
         expected = f"SHA-256 {known[:12]}…, as noted at first use"
-        mend += f" If you want the new ones, delete {first_use.note_of(source.name)}."
+        hint += f" If you want the new ones, delete {first_use.note_of(source.name)}."
     return RecordingError(
         where,
         got=f"data of SHA-256 {found[:12]}… with {len(crowd)} persons",
         expected=expected,
-        mend=mend,
+        hint=hint,
     )
 
 
 def _files(source: Source, path: Path) -> dict[str, bytes]:
     """What a recording is read from, by name."""
-    mend = f"Run `crowdbench data fetch {source.name}`, or bring {source.address} into that place."
+    hint = f"Run `crowdbench data fetch {source.name}`, or bring {source.address} into that place."
     if source.format != "gc":
-        return {path.name: read_bytes(path, RecordingError, mend)}
-    return files_in(path, mend)
+        return {path.name: read_bytes(path, RecordingError, hint)}
+    return files_in(path, hint)
 
 
 def _read(source: Source, files: Mapping[str, bytes], where: object) -> Trajectories:
@@ -306,6 +306,6 @@ def _folder(folder: Path | None) -> Path:
         "crowdbench data import",
         got="no folder",
         expected="--source DIR or the environment variable CROWDBENCH_DATA",
-        mend="Name a folder in the layout of github.com/crowdbotp/OpenTraj, or run "
+        hint="Name a folder in the layout of github.com/crowdbotp/OpenTraj, or run "
         "`crowdbench data fetch NAME`.",
     )

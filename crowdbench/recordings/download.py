@@ -56,7 +56,7 @@ def download(address: str, part: Path, progress: Progress) -> None:
                     return
         except requests.RequestException as error:
             raise FetchError(
-                address, got=_reason(error), expected="an answer", mend=_OFFLINE
+                address, got=_reason(error), expected="an answer", hint=_OFFLINE
             ) from error
         except OSError as error:
             raise unwritable(part, error) from error
@@ -64,7 +64,7 @@ def download(address: str, part: Path, progress: Progress) -> None:
         address,
         got=f"a transfer that broke off {TRIES} times, {_size(part)} bytes so far",
         expected="the whole file",
-        mend="Run the command again: it goes on from there, if the server can.",
+        hint="Run the command again: it goes on from there, if the server can.",
     )
 
 
@@ -110,7 +110,7 @@ def _check(answer: "requests.Response", address: str) -> None:
             address,
             got=f"the answer {answer.status_code} {answer.reason}".rstrip(),
             expected="a file",
-            mend="It may have moved, or the server may be out of order for a while: look at the "
+            hint="It may have moved, or the server may be out of order for a while: look at the "
             "address in a browser.",
         )
     if answer.headers.get("Content-Type", "").startswith("text/html"):
@@ -118,7 +118,7 @@ def _check(answer: "requests.Response", address: str) -> None:
             address,
             got="an HTML page",
             expected="a file of data",
-            mend="A network that asks to log in answers like that: look at the address in a "
+            hint="A network that asks to log in answers like that: look at the address in a "
             "browser.",
         )
 

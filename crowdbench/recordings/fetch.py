@@ -85,16 +85,16 @@ def git_commands(published: Source, folder: Path, repository: str, commit: str) 
 
 
 def _by_git(published: Source, folder: Path) -> FetchError:
-    mend = "Name another folder with --out: this one has a repository in it."
+    hint = "Name another folder with --out: this one has a repository in it."
     if not (folder / ".git").exists():
         bring = ["crowdbench", "data", "import", published.name, "--source", str(folder)]
         commands = [*git_commands(published, folder, REPOSITORY, COMMIT), shlex.join(bring)]
-        mend = "Run\n\n" + "".join(f"  {command}\n" for command in commands)
+        hint = "Run\n\n" + "".join(f"  {command}\n" for command in commands)
     return FetchError(
         f"recording {published.name}",
         got="thousands of files without an address for all, so nothing was fetched",
         expected="a checkout of their folder with git",
-        mend=mend,
+        hint=hint,
     )
 
 
@@ -116,14 +116,14 @@ def _wrong(published: Source, found: str, known: str) -> FetchError:
             published.address,
             got=f"data of SHA-256 {found}",
             expected=f"the published ones, SHA-256 {known}",
-            mend="They are dropped. Run the command again; if that does not help, something on "
+            hint="They are dropped. Run the command again; if that does not help, something on "
             "the way alters them, or they are no longer what they were.",
         )
     return FetchError(
         published.address,
         got=f"data of SHA-256 {found}",
         expected=f"SHA-256 {known}, as noted at first use",
-        mend="They are dropped: scores would not be comparable. If you want the new ones, delete "
+        hint="They are dropped: scores would not be comparable. If you want the new ones, delete "
         f"{note_of(published.name)} and the day's tracks file, and run the command again.",
     )
 
@@ -147,7 +147,7 @@ def _tracks(data: bytes, published: Source, path: Path) -> bytes:
             published.address,
             got=f"a broken zip ({error})",
             expected="a zip with the day's tracks",
-            mend="It is dropped. Run the command again.",
+            hint="It is dropped. Run the command again.",
         ) from error
     if len(members) == 1 and len(tracks) <= MAX_TRACKS_BYTES:
         return tracks
@@ -156,7 +156,7 @@ def _tracks(data: bytes, published: Source, path: Path) -> bytes:
         published.address,
         got=got if len(members) != 1 else f"tracks of more than {MAX_TRACKS_BYTES} bytes",
         expected="one file with the day's tracks",
-        mend=f"Some days have none. If you have the tracks, bring them to {path}, and run "
+        hint=f"Some days have none. If you have the tracks, bring them to {path}, and run "
         f"`crowdbench data import {published.name} --source DIR`.",
     )
 

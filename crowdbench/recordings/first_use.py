@@ -30,8 +30,8 @@ def noted(name: str) -> str | None:
     path = note_of(name)
     if not path.exists():
         return None
-    mend = "Delete it, and import the recording again."
-    return read_struct(path, _Note, RecordingError, mend).sha256
+    hint = "Delete it, and import the recording again."
+    return read_struct(path, _Note, RecordingError, hint).sha256
 
 
 def note(name: str, sha256: str, address: str) -> None:

@@ -27,7 +27,7 @@ MAX_SHARING = 100
 """Tracks that share a detection; on 1 July 2010 four at most."""
 
 _STATED = re.compile(rb"Total number of trajectories in file are\s+(\d{1,9})\b")
-_MEND = "Fetch the file anew with `crowdbench data fetch`; if it is there already, delete it first."
+_HINT = "Fetch the file anew with `crowdbench data fetch`; if it is there already, delete it first."
 
 
 def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
@@ -50,7 +50,7 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
             where,
             got=f"{spans} persons times frames",
             expected=f"{MAX_ROWS} at most",
-            mend=f"A time may be wrong. {_MEND}",
+            hint=f"A time may be wrong. {_HINT}",
         )
     persons, frames, positions, entered_s = [], [], [], []
     fast = short = 0
@@ -75,7 +75,7 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
             where,
             got=f"{len(tracks)} tracks, all of them between two frames of {FRAME}/9 s",
             expected="at least one that is there in a frame",
-            mend=_MEND,
+            hint=_HINT,
         )
     crowd = from_rows(
         scene=name,
@@ -103,7 +103,7 @@ def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
             where,
             got="no line with the number of trajectories",
             expected="a tracks file of the Edinburgh Informatics Forum",
-            mend=_MEND,
+            hint=_HINT,
         )
     tracks: dict[int, Int[np.ndarray, "n 3"]] = {}
     for piece in data.split(b"TRACK.R")[1:]:
@@ -111,7 +111,7 @@ def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
         number = _number(label, where)
         if number in tracks:
             raise RecordingError(
-                where, got=f"TRACK.R{number} twice", expected="each track once", mend=_MEND
+                where, got=f"TRACK.R{number} twice", expected="each track once", hint=_HINT
             )
         body = body.partition(b"Properties")[0].partition(b"%")[0]
         tracks[number] = _detections(body, f"{where}, TRACK.R{number}")
@@ -120,7 +120,7 @@ def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
             where,
             got=f"{len(tracks)} tracks",
             expected=f"{int(stated[1])}, as the file's first line says, and at least one",
-            mend=f"The file may be broken off. {_MEND}",
+            hint=f"The file may be broken off. {_HINT}",
         )
     return tracks
 
@@ -131,7 +131,7 @@ def _number(label: bytes, where: object) -> int:
             where,
             got=f"a track named TRACK.R{_shown(label)}",
             expected="TRACK.RNUMBER=[...]",
-            mend=_MEND,
+            hint=_HINT,
         )
     return int(label)
 
@@ -158,13 +158,13 @@ def _detections(body: bytes, where: str) -> Int[np.ndarray, "n 3"]:
         detections = np.array(rows, dtype=np.int64)
     except (ValueError, OverflowError) as error:
         raise RecordingError(
-            where, got=str(error)[:100], expected="[column row time] in whole numbers", mend=_MEND
+            where, got=str(error)[:100], expected="[column row time] in whole numbers", hint=_HINT
         ) from error
     back = np.flatnonzero(np.diff(detections[:, 2]) < 0)
     if len(back):
         before, after = detections[back[0] : back[0] + 2, 2]
         raise RecordingError(
-            where, got=f"time {after} after time {before}", expected="ascending times", mend=_MEND
+            where, got=f"time {after} after time {before}", expected="ascending times", hint=_HINT
         )
     return detections
 
@@ -174,7 +174,7 @@ def _no_detections(got: bytes, where: str) -> RecordingError:
         where,
         got=f"{_shown(got)} among the detections",
         expected="[column row time] of each, the whole in brackets",
-        mend=f"The file may be broken off. {_MEND}",
+        hint=f"The file may be broken off. {_HINT}",
     )
 
 
@@ -205,7 +205,7 @@ def _doubles(tracks: dict[int, Int[np.ndarray, "n 3"]], where: object) -> set[in
             where,
             got=f"a detection that {most} tracks share",
             expected=f"at most {MAX_SHARING}",
-            mend=_MEND,
+            hint=_HINT,
         )
     shared: dict[tuple[int, int], int] = defaultdict(int)
     for of in owners.values():

@@ -27,7 +27,7 @@ HOMOGRAPHY = "H.json"
 UNIT_M = 0.8
 """Metres in a unit of the homography's plane."""
 
-_MEND = "Take the folder datasets/GC of github.com/crowdbotp/OpenTraj as it is."
+_HINT = "Take the folder datasets/GC of github.com/crowdbotp/OpenTraj as it is."
 
 
 def read_gc(
@@ -67,7 +67,7 @@ def read_gc(
             where,
             got=f"{single} files of a single annotation each",
             expected="at least one person who is annotated twice",
-            mend=_MEND,
+            hint=_HINT,
         )
     table = np.concatenate(pieces)
     crowd = from_rows(
@@ -87,14 +87,14 @@ def read_gc(
     return replace(crowd, provenance={"notes": notes})
 
 
-def files_in(folder: Path, mend: str = _MEND) -> dict[str, bytes]:
+def files_in(folder: Path, hint: str = _HINT) -> dict[str, bytes]:
     """What `read_gc` reads, by name.
 
     Raises:
         RecordingError: a file cannot be read.
     """
     names = [HOMOGRAPHY, *(f"Annotation/{p.name}" for p in (folder / "Annotation").glob("*.txt"))]
-    return {name: read_bytes(folder / name, RecordingError, mend) for name in sorted(names)}
+    return {name: read_bytes(folder / name, RecordingError, hint) for name in sorted(names)}
 
 
 def annotations(files: Mapping[str, bytes], where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
@@ -110,7 +110,7 @@ def annotations(files: Mapping[str, bytes], where: object) -> dict[int, Int[np.n
     }
     if not tracks:
         raise RecordingError(
-            where, got="no person's file", expected="files Annotation/NUMBER.txt", mend=_MEND
+            where, got="no person's file", expected="files Annotation/NUMBER.txt", hint=_HINT
         )
     return tracks
 
@@ -121,20 +121,20 @@ def _rows(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
         numbers = np.array(data.split(), dtype=np.int64)
     except (ValueError, OverflowError) as error:
         raise RecordingError(
-            where, got=str(error)[:100], expected="whole numbers", mend=_MEND
+            where, got=str(error)[:100], expected="whole numbers", hint=_HINT
         ) from error
     if len(numbers) == 0 or len(numbers) % 3:
         raise RecordingError(
             where,
             got=f"{len(numbers)} numbers",
             expected="three per annotation: column, row, frame",
-            mend=f"The file may be broken off. {_MEND}",
+            hint=f"The file may be broken off. {_HINT}",
         )
     rows = numbers.reshape(-1, 3)
     if (rows[:, 2] % STEP).any() or (rows[:, 2] < 0).any():
         wrong = rows[(rows[:, 2] % STEP != 0) | (rows[:, 2] < 0), 2]
         raise RecordingError(
-            where, got=f"an annotation of frame {wrong[0]}", expected=f"every {STEP}th", mend=_MEND
+            where, got=f"an annotation of frame {wrong[0]}", expected=f"every {STEP}th", hint=_HINT
         )
     if (np.diff(rows[:, 2]) <= 0).any():
         at = int(np.flatnonzero(np.diff(rows[:, 2]) <= 0)[0])
@@ -142,7 +142,7 @@ def _rows(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
             where,
             got=f"frame {rows[at + 1, 2]} after frame {rows[at, 2]}",
             expected="ascending frames",
-            mend=_MEND,
+            hint=_HINT,
         )
     return rows
 
@@ -179,20 +179,20 @@ def homography_of(data: bytes | None, where: object) -> Float[np.ndarray, "3 3"]
         RecordingError: the file is missing or broken.
     """
     if data is None:
-        raise RecordingError(where, got=f"no {HOMOGRAPHY}", expected="the homography", mend=_MEND)
+        raise RecordingError(where, got=f"no {HOMOGRAPHY}", expected="the homography", hint=_HINT)
     try:
         matrix = np.array(json.loads(data)["homog"], dtype=np.float64)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         got = str(error)[:100]
         raise RecordingError(
-            f"{where}/{HOMOGRAPHY}", got=got, expected='{"homog": 3 x 3 numbers}', mend=_MEND
+            f"{where}/{HOMOGRAPHY}", got=got, expected='{"homog": 3 x 3 numbers}', hint=_HINT
         ) from error
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise RecordingError(
             f"{where}/{HOMOGRAPHY}",
             got=f"shape {matrix.shape}",
             expected="3 x 3 finite numbers",
-            mend=_MEND,
+            hint=_HINT,
         )
     return matrix
 
@@ -201,6 +201,6 @@ def _person(name: str, where: object) -> int:
     stem = name.removeprefix("Annotation/").removesuffix(".txt")
     if not (stem.isascii() and stem.isdecimal() and len(stem) == 6):  # else one could be two
         raise RecordingError(
-            where, got=f"a file {name}", expected="Annotation/NUMBER.txt, of six digits", mend=_MEND
+            where, got=f"a file {name}", expected="Annotation/NUMBER.txt, of six digits", hint=_HINT
         )
     return int(stem)

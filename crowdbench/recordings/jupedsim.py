@@ -20,7 +20,7 @@ from crowdbench.trajectories.table import Trajectories
 
 _SQLITE = b"SQLite format 3\0"
 _RATE = re.compile(r"framerate\D*(\d+(?:\.\d+)?)")
-_MEND = "PedPy's loaders tell more of what is wrong with a file."
+_HINT = "PedPy's loaders tell more of what is wrong with a file."
 
 
 def read_jupedsim(
@@ -38,7 +38,7 @@ def read_jupedsim(
     if rate is not None and not 0 < rate < np.inf:
         raise RecordingError(where, got=f"{rate:g} frames a second", expected="a positive rate")
     if not len(rows):
-        raise RecordingError(where, got="no rows", expected="at least one row", mend=_MEND)
+        raise RecordingError(where, got="no rows", expected="at least one row", hint=_HINT)
     whole = (np.abs(rows[:, :2]) < 2.0**53) & (rows[:, :2] == np.floor(rows[:, :2]))
     if not whole.all():
         raise RecordingError(
@@ -80,7 +80,7 @@ def _text(data: bytes, where: object) -> tuple[float | None, Float[np.ndarray, "
         rows = np.loadtxt(body, ndmin=2, usecols=(0, 1, 2, 3)) if body else np.empty((0, 4))
     except (ValueError, IndexError) as error:
         raise RecordingError(
-            where, got=str(error), expected="rows of numbers: id frame x y z", mend=_MEND
+            where, got=str(error), expected="rows of numbers: id frame x y z", hint=_HINT
         ) from error
     if "x/cm" in header or "in cm" in header:
         rows[:, 2:] /= 100
@@ -100,7 +100,7 @@ def _sqlite(data: bytes, where: object) -> tuple[float, Shaped[np.ndarray, "R 4"
             where,
             got=str(error),
             expected="JuPedSim's tables trajectory_data and metadata, with its fps",
-            mend=_MEND,
+            hint=_HINT,
         ) from error
     finally:
         connection.close()

@@ -119,7 +119,7 @@ def on_frames(
     *,
     gaps: Gaps | None,
     where: object,
-    mend: str = FEW,
+    hint: str = FEW,
 ) -> Rows:
     """Put rows on the frames of a scene, and mend them as `gaps` says; None refuses what is not.
 
@@ -138,7 +138,7 @@ def on_frames(
     if not np.isfinite(ticks).all():
         row = int(np.flatnonzero(~np.isfinite(ticks))[0])
         raise RecordingError(
-            where, got=f"person {person[row]} at {ticks[row]}", expected="finite times", mend=mend
+            where, got=f"person {person[row]} at {ticks[row]}", expected="finite times", hint=hint
         )
     beside = _BESIDE[stamps.unit]
     order = np.lexsort((ticks, person))
@@ -150,7 +150,7 @@ def on_frames(
             where,
             got=f"person {person[rows[0]]} twice in {stamps.of(rows[0])} ({len(rows)} such rows)",
             expected="one row per person and frame",
-            mend="Remove the duplicates, or give each person an id of its own.",
+            hint="Remove the duplicates, or give each person an id of its own.",
         )
     if stamps.unit == "s":
         astray = np.abs(ticks - np.round(ticks)) >= beside
@@ -163,7 +163,7 @@ def on_frames(
         return _as_they_are(person, stamps, xy)
     _refuse_most(person, stamps, steps[same], astray, where)
     if gaps is None:
-        raise _refused(person, stamps, order, steps, wrong, astray, where, mend)
+        raise _refused(person, stamps, order, steps, wrong, astray, where, hint)
     if ticks.max() - ticks.min() > MAX_FRAMES:  # which `from_rows` refuses
         return _as_they_are(person, stamps, xy)
     faulty = np.isin(person, np.r_[person[order[1:][wrong]], person[astray]])
@@ -196,7 +196,7 @@ def _refuse_most(
             got=f"person {person[row]} at {stamps.of(row)} ({astray.sum()} of {len(astray)} rows "
             f"beside the frames{by})",
             expected=f"times in multiples of {stamps.long(1.0)}",
-            mend="Correct --dt-s, or resample the trajectories to it."
+            hint="Correct --dt-s, or resample the trajectories to it."
             if late is None
             else f"--offset-s {late * stamps.step + stamps.origin:.4g} lets the frames begin then.",
         )
@@ -208,7 +208,7 @@ def _refuse_most(
             where,
             got=f"rows of a person mostly {stamps.long(float(usual))} apart",
             expected=stamps.long(1.0),
-            mend=f"Correct {numbers}--dt-s.",
+            hint=f"Correct {numbers}--dt-s.",
         )
 
 
@@ -228,7 +228,7 @@ def _refused(
     wrong: Bool[np.ndarray, " S"],
     astray: Bool[np.ndarray, " R"],
     where: object,
-    mend: str,
+    hint: str,
 ) -> RecordingError:
     """Names the first that is wrong, and counts the others."""
     within = int((np.diff(person[order]) == 0).sum())
@@ -247,7 +247,7 @@ def _refused(
         where,
         got=f"{first} ({counted})",
         expected=f"each person every {stamps.long(1.0)}",
-        mend=mend,
+        hint=hint,
     )
 
 

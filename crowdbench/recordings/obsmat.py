@@ -18,10 +18,10 @@ from crowdbench.trajectories.table import Trajectories
 
 _COLUMNS = 8
 _STANDING_MPS = 0.2
-_MEND = "Take the file from the address that `crowdbench data list` names."
+_HINT = "Take the file from the address that `crowdbench data list` names."
 _OTHER_INTERVAL = (
     "Copies of this recording with another interval exist; their speeds are wrong by that factor. "
-    f"{_MEND}"
+    f"{_HINT}"
 )
 
 
@@ -33,13 +33,13 @@ def read_obsmat(
     frame_step: int,
     where: object,
     gaps: Gaps | None = None,
-    mend: str = _OTHER_INTERVAL,
+    hint: str = _OTHER_INTERVAL,
 ) -> Trajectories:
     """Read the bytes of an `obsmat.txt` annotated every `frame_step` frames of an `fps` video.
 
     Frames are put on the recording's grid by rounding down: the annotation's phase shifts at
     some pauses, and rounding to nearest would put a person twice into one frame. `gaps` says how
-    steps of another length are mended (see `mending`); else they are refused, with `mend`.
+    steps of another length are mended (see `mending`); else they are refused, with `hint`.
 
     Raises:
         RecordingError: the data are empty, broken off, not finite, or not annotated every
@@ -50,7 +50,7 @@ def read_obsmat(
     person = _whole(table[:, 1], "person", where)
     _check_interval(person, video_frame, frame_step, fps, where)
     stamps = Stamps(video_frame, "frame", step=float(frame_step), origin=float(video_frame.min()))
-    rows = on_frames(person, stamps, table[:, [2, 4]], gaps=gaps, where=where, mend=mend)
+    rows = on_frames(person, stamps, table[:, [2, 4]], gaps=gaps, where=where, hint=hint)
     crowd = rows.crowd(scene=name, dt_s=frame_step / fps, where=where)
     known = crowd.observed_in(observed_intervals(crowd))
     return replace(known, entered=known.entered & crowd.entered, left=known.left & crowd.left)
@@ -80,20 +80,20 @@ def step_of(data: bytes, where: object) -> tuple[int, float | None]:
 def _parse(data: bytes, where: object) -> Float[np.ndarray, "R 8"]:
     lines = [line for line in io.StringIO(data.decode("utf-8", "replace")) if line.strip()]
     if not lines:
-        raise RecordingError(where, got="an empty file", expected="rows of numbers", mend=_MEND)
+        raise RecordingError(where, got="an empty file", expected="rows of numbers", hint=_HINT)
     for number, line in enumerate(lines, start=1):
         if len(line.split()) != _COLUMNS:
             raise RecordingError(
                 where,
                 got=f"{len(line.split())} columns in row {number}",
                 expected=f"{_COLUMNS} (frame, person, x, z, y, vx, vz, vy)",
-                mend=f"The file may be broken off or in another format. {_MEND}",
+                hint=f"The file may be broken off or in another format. {_HINT}",
             )
     try:
         table = np.loadtxt(lines, ndmin=2, comments=None)
     except ValueError as error:
         raise RecordingError(
-            where, got=str(error), expected="numbers in each row", mend=_MEND
+            where, got=str(error), expected="numbers in each row", hint=_HINT
         ) from error
     return table
 
@@ -104,7 +104,7 @@ def _whole(values: Float[np.ndarray, " R"], column: str, where: object) -> Int[n
         row = int(np.flatnonzero(~whole)[0])
         raise RecordingError(
             where, got=f"{column} {values[row]} in row {row + 1}", expected="a whole number",
-            mend=_MEND,
+            hint=_HINT,
         )  # fmt: skip
     return values.astype(np.int64)
 
@@ -125,5 +125,5 @@ def _check_interval(
             got=f"positions every {usual} frames",
             expected=f"each person every {frame_step} frames ({frame_step / fps:g} s at "
             f"{fps:g} fps)",
-            mend=_OTHER_INTERVAL,
+            hint=_OTHER_INTERVAL,
         )

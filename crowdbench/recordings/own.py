@@ -88,20 +88,20 @@ def read_rows(
     if layout not in FORMATS:
         raise SettingError("--format", got=repr(layout), expected=f"one of {', '.join(FORMATS)}")
     _check_mendable(layout, gaps, offset_s)
-    mend = f"The format {layout}: {FORMATS[layout]}."
+    hint = f"The format {layout}: {FORMATS[layout]}."
     if layout == "gc":
-        files: Mapping[str, bytes] = gc.files_in(path, mend)
+        files: Mapping[str, bytes] = gc.files_in(path, hint)
     else:
-        files = {path.name: read_bytes(path, RecordingError, mend)}
+        files = {path.name: read_bytes(path, RecordingError, hint)}
     try:
         crowd = _rows(files, path, layout, name, dt_s, gaps, offset_s)
     except RecordingError as error:
-        asks = any(option in error.mend or option in error.expected for option in _OPTIONS)
+        asks = any(option in error.hint or option in error.expected for option in _OPTIONS)
         if layout in ("csv", "trajnet", "jupedsim") or asks:
             raise
         # The readers of published recordings would tell to fetch them anew.
         raise RecordingError(
-            error.where, got=error.got, expected=error.expected, mend=mend
+            error.where, got=error.got, expected=error.expected, hint=hint
         ) from error
     notes = {**crowd.provenance.get("notes", {}), **_transform(layout)}
     provenance = {"source": path.name, "sha256": hash_of(files), "notes": notes}
@@ -166,7 +166,7 @@ def keep(crowd: Trajectories) -> bool:
         f"recording {crowd.scene}",
         got="another one that is imported by that name",
         expected="a name that is free",
-        mend=f"Choose another one; or `crowdbench data remove {crowd.scene}` if you need it no "
+        hint=f"Choose another one; or `crowdbench data remove {crowd.scene}` if you need it no "
         "more.",
     )
 
@@ -178,7 +178,7 @@ def _check_mendable(layout: str, gaps: Gaps | None, offset_s: float | None) -> N
             "--gaps",
             got=f"{gaps} with the format {layout}",
             expected="one of the other formats",
-            mend="In this one people walk on straight wherever rows are missing.",
+            hint="In this one people walk on straight wherever rows are missing.",
         )
     if offset_s is not None and layout != "csv":
         raise SettingError(
@@ -262,7 +262,7 @@ def _stamps(
             path,
             got=f"person {person[row]} at {stamps.of(row)}",
             expected=f"times from {offset_s:g} s on, as asked by --offset-s",
-            mend="It is the time of a frame no later than the first row.",
+            hint="It is the time of a frame no later than the first row.",
         )
     return stamps
 
@@ -281,7 +281,7 @@ def _check_agree(person: np.ndarray, frame: np.ndarray, stamps: Stamps, path: Pa
         got=f"person {person[row]} in frame {frame[row]} at {stamps.of(row)}, and {wrong.sum()} "
         f"of {len(wrong)} rows whose times are not those of their frames",
         expected=f"time_s in multiples of {stamps.step:g} s, frame × that",
-        mend=f"--offset-s {usual * stamps.step + stamps.origin:.4g} lets frame 0 begin then."
+        hint=f"--offset-s {usual * stamps.step + stamps.origin:.4g} lets frame 0 begin then."
         if constant
         else "Remove the column that is wrong; the other one does.",
     )
@@ -297,10 +297,10 @@ def _obsmat(
             path,
             got=f"rows {by_speed_s:.2f} s apart, by the positions and velocities in them",
             expected=f"{dt_s:g} s, as asked by --dt-s",
-            mend="Correct --dt-s; or make the velocities zero if it is they that are wrong.",
+            hint="Correct --dt-s; or make the velocities zero if it is they that are wrong.",
         )
     fps = round(step / dt_s, 9)  # or 6 / (6 / 0.4) would not be 0.4
-    return read_obsmat(data, name=name, fps=fps, frame_step=step, where=path, gaps=gaps, mend=FEW)
+    return read_obsmat(data, name=name, fps=fps, frame_step=step, where=path, gaps=gaps, hint=FEW)
 
 
 def _transform(layout: str) -> dict[str, str]:
@@ -314,11 +314,11 @@ def _transform(layout: str) -> dict[str, str]:
 def _check_motion(crowd: Trajectories, path: Path) -> None:
     speeds = crowd.mean_speeds()
     size = float(np.ptp(crowd.xy.astype(np.float64), axis=0).max())
-    mend = "Positions must be metres, no pixels or centimetres, and --dt-s the seconds from one "
-    mend += "row of a person to the next."
+    hint = "Positions must be metres, no pixels or centimetres, and --dt-s the seconds from one "
+    hint += "row of a person to the next."
     if np.isnan(speeds).all():
         raise RecordingError(
-            path, got="nobody with more than one row", expected="people who walk", mend=mend
+            path, got="nobody with more than one row", expected="people who walk", hint=hint
         )
     median = float(np.nanmedian(speeds))
     if not _SPEEDS_MPS[0] <= median <= _SPEEDS_MPS[1]:
@@ -326,12 +326,12 @@ def _check_motion(crowd: Trajectories, path: Path) -> None:
             path,
             got=f"people half of whom are faster than {median:.3g} m/s",
             expected=f"{_SPEEDS_MPS[0]:g} to {_SPEEDS_MPS[1]:g} m/s",
-            mend=mend,
+            hint=hint,
         )
     if size > _LONGEST_M:
         raise RecordingError(
             path,
             got=f"positions {size:.0f} m apart",
             expected=f"a place of {_LONGEST_M:g} m at most",
-            mend=f"{mend} Remove strays, and cut out the part where people come and go.",
+            hint=f"{hint} Remove strays, and cut out the part where people come and go.",
         )

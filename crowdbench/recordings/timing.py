@@ -40,21 +40,21 @@ def checked_dt_s(where: object, stated_s: float | None, asked_s: float | None) -
             where,
             got="no word of the time from one row to the next",
             expected="--dt-s SECONDS",
-            mend="It is the time from one row of a person to the next.",
+            hint="It is the time from one row of a person to the next.",
         )
     if stated_s is not None and asked_s is not None and not np.isclose(stated_s, asked_s, 0.05):
         raise RecordingError(
             where,
             got=f"rows every {stated_s:.4g} s by the file itself",
             expected=f"every {asked_s:g} s, as asked by --dt-s",
-            mend="Correct --dt-s, or the file if it is what is wrong.",
+            hint="Correct --dt-s, or the file if it is what is wrong.",
         )
     if not 0 < dt_s <= LONGEST_DT_S:
         raise RecordingError(
             where,
             got=f"rows every {dt_s:g} s",
             expected=f"more than 0 and at most {LONGEST_DT_S:g} s",
-            mend="Between rows that far apart nobody knows how people walked.",
+            hint="Between rows that far apart nobody knows how people walked.",
         )
     return dt_s
 

@@ -17,7 +17,7 @@ from crowdbench.recordings.mending import Gaps, Stamps, on_frames
 from crowdbench.recordings.timing import checked_dt_s, plain_positions, usual_step
 from crowdbench.trajectories.table import Trajectories
 
-_MEND = 'Lines look like {"track": {"f": 10, "p": 3, "x": 1.25, "y": 4.5}}.'
+_HINT = 'Lines look like {"track": {"f": 10, "p": 3, "x": 1.25, "y": 4.5}}.'
 
 
 class _Track(msgspec.Struct, frozen=True):
@@ -60,11 +60,11 @@ def read_trajnet(
                 f"{where}, line {number}",
                 got="a predicted track",
                 expected="tracks of people who were seen",
-                mend="Name the file that the predictions were made from.",
+                hint="Name the file that the predictions were made from.",
             )
         tracks.append(line.track)
     if not tracks:
-        raise RecordingError(where, got="no track", expected="at least one", mend=_MEND)
+        raise RecordingError(where, got="no track", expected="at least one", hint=_HINT)
     if len(rates) > 1 or not all(0 < rate < np.inf for rate in rates):
         shown = ", ".join(f"{rate:g}" for rate in sorted(rates))
         raise RecordingError(
@@ -115,5 +115,5 @@ def _lines(data: bytes, where: object) -> Iterator[tuple[int, _Line]]:
                 f"{where}, line {number}",
                 got=str(error),
                 expected="a JSON object with a track or a scene",
-                mend=_MEND,
+                hint=_HINT,
             ) from error

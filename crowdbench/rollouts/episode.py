@@ -64,7 +64,7 @@ def begin(
             f"start of {spawn.name}",
             got=start,
             expected="recorded or empty" if recorded else "stationary or empty",
-            mend="Only replayed arrivals know the recorded initial population.",
+            hint="Only replayed arrivals know the recorded initial population.",
         )
     warm_up = 0
     if start == "stationary":
@@ -151,7 +151,7 @@ def _checked(actions: object, persons: int, policy: Policy) -> np.ndarray:
             f"policy {policy.name}",
             got=f"{int((~np.isfinite(got)).sum())} values from act that are not finite",
             expected="finite numbers",
-            mend="Look for a division by zero or a diverged network.",
+            hint="Look for a division by zero or a diverged network.",
         )
     return got.clip(-1, 1)
 
@@ -280,5 +280,5 @@ def check_capacity(simulation: Simulation) -> None:
                 f"{simulation.scene.id}, frame {int(clock.frame[0])}",
                 got=f"{count} persons more than {name} = {size} has room for",
                 expected="room for everyone who enters",
-                mend=f"Raise {name}.",
+                hint=f"Raise {name}.",
             )

@@ -45,7 +45,7 @@ def rollout(
             "policy replay",
             got=f"spawn model {spawn.name}, start {start or spawn.start}",
             expected="the spawn model replay, start recorded",
-            mend="Only then is each person one of the recording.",
+            hint="Only then is each person one of the recording.",
         )
     settings = settings or settings_for(policy)
     simulation = Simulation(scene, settings=settings)

@@ -86,7 +86,7 @@ def _areas(scene: Scene, areas: Areas) -> str:
             scene.folder / "areas.json",
             got=f"{most:.1%} of starts or ends in no area of their own",
             expected=f"less than {LEFT_OUT:.0%}",
-            mend="Raise eps_m in [clustering.default] of scene.toml, and fit the scene again.",
+            hint="Raise eps_m in [clustering.default] of scene.toml, and fit the scene again.",
         )
     return f"{len(areas.spawn)} to enter, {len(areas.goal)} to leave; {most:.1%} left out at most"
 
@@ -98,7 +98,7 @@ def _blocks(scene: Scene, reference: Reference) -> str:
             scene.folder / "scene.toml",
             got=f"{len(blocks)} time blocks",
             expected=f"{FOLDS} or more, one for each fold",
-            mend="Make protocol.block_s shorter, and fit the scene again.",
+            hint="Make protocol.block_s shorter, and fit the scene again.",
         )
     return f"{len(blocks)} time blocks, {blocks.exposure_s():.0f} s"
 
@@ -133,7 +133,7 @@ def _scored(scene: Scene, reference: Reference | None) -> str:
             scene.folder / "scene.toml",
             got=f"{names} in protocol.scored" if scored else "no protocol.scored",
             expected="metrics that these time blocks are long enough for, and at least one",
-            mend=f"Run `crowdbench power {scene.asked} --write` with the recording at hand.",
+            hint=f"Run `crowdbench power {scene.asked} --write` with the recording at hand.",
         )
     return f"{len(scored)} of {len(metrics_for(reference.blocks))}"
 
@@ -149,7 +149,7 @@ def _recording(scene: Scene, areas: Areas | None, reference: Reference | None) -
         return f"{name}, {len(crowd)} persons; areas and statistics {_NOT_LOOKED_AT}"
     fresh_areas, crowd = fit_areas(crowd, scene, scene.clustering["default"])
     fresh = Reference.of(crowd, scene, fresh_areas)
-    mend = f"Run `crowdbench fit {scene.asked}`, then `crowdbench anchors {scene.asked}`."
+    hint = f"Run `crowdbench fit {scene.asked}`, then `crowdbench anchors {scene.asked}`."
     for file, same in (
         ("areas.json", _same_areas(areas, fresh_areas)),
         ("reference.json", _same_statistics(reference, fresh)),
@@ -159,7 +159,7 @@ def _recording(scene: Scene, areas: Areas | None, reference: Reference | None) -
                 scene.folder / file,
                 got="other numbers than the recording has by the rules of scene.toml",
                 expected="the same",
-                mend=mend,
+                hint=hint,
             )
     return f"{name}, {len(crowd)} persons; areas and statistics are its own"
 
@@ -173,7 +173,7 @@ def _check_hash(scene: Scene, crowd: Trajectories) -> None:
             f"recording {name}",
             got=f"imported data of SHA-256 {str(got)[:12]}…",
             expected=f"{stated[:12]}…, which {scene.id} was made from",
-            mend="Import the recording that the scene was made from.",
+            hint="Import the recording that the scene was made from.",
         )
 
 

@@ -147,7 +147,7 @@ def _there_already(place: Path) -> OutputError:
         place,
         got="something that is there already",
         expected="a new folder",
-        mend="Name another one with --out, or delete it if you need it no more.",
+        hint="Name another one with --out, or delete it if you need it no more.",
     )
 
 
@@ -192,7 +192,7 @@ def _check_walls(scene: Scene, crowd: Trajectories, walls: Path) -> None:
             walls,
             got=f"walls in which {inside.mean():.1%} of the recorded positions lie, one at {at} m",
             expected=f"{ASTRAY:.0%} at most",
-            mend="Walls must be in metres, in the recording's frame: look at both in one picture.",
+            hint="Walls must be in metres, in the recording's frame: look at both in one picture.",
         )
 
 

@@ -63,7 +63,7 @@ def fit_scene(
             f"clustering of {scene.id}",
             got=repr(clustering),
             expected=f"one of {', '.join(scene.clustering)}",
-            mend="The founding paper's settings are known for eth-v0, gc-v0 and forum-v0."
+            hint="The founding paper's settings are known for eth-v0, gc-v0 and forum-v0."
             if clustering == "paper"
             else "",
         )
@@ -121,8 +121,8 @@ def has_torch() -> bool:
     return importlib.util.find_spec("torch") is not None
 
 
-def check_torch(mend: str = "") -> None:
-    """Refuse to begin what cannot be ended; `mend` is what else than installing torch would help.
+def check_torch(hint: str = "") -> None:
+    """Refuse to begin what cannot be ended; `hint` is what else than installing torch would help.
 
     Raises:
         SettingError: torch, which `ntpp-gmm` is fitted with, is not installed.
@@ -132,7 +132,7 @@ def check_torch(mend: str = "") -> None:
             "ntpp-gmm",
             got="no torch to fit it with",
             expected="torch 2.4 or newer",
-            mend=f'Install it, in the clone: pip install -e ".[fit]"{mend}.',
+            hint=f'Install it, in the clone: pip install -e ".[fit]"{hint}.',
         )
 
 
@@ -224,7 +224,7 @@ def check_against(scene: Scene, recording: Trajectories) -> None:
             got=", ".join(f"{name} = {stated}" for name, stated, _ in wrong),
             expected=", ".join(f"{name} = {found:.10g}" for name, _, found in wrong)
             + f", as in the recording {recording.scene}",
-            mend="Correct it, or fit with the recording that the scene is made from.",
+            hint="Correct it, or fit with the recording that the scene is made from.",
         )
     outside = ~scene.walkable(recording.xy.astype(np.float64))
     outside[recording.offsets[1:] - 1] = False  # a simulated person's last step may lead there
@@ -235,5 +235,5 @@ def check_against(scene: Scene, recording: Trajectories) -> None:
             got=f"{outside.mean():.1%} of the recorded positions outside the bounds or in a wall, "
             f"the first at {recording.xy[row].round(2).tolist()} m",
             expected=f"{ASTRAY:.0%} at most",
-            mend="Correct the bounds and walls, or the units of the recording.",
+            hint="Correct the bounds and walls, or the units of the recording.",
         )

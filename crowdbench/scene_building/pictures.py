@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crowdbench.files import replacing
-from crowdbench.report.plots import Sight, draw_figure, picture
+from crowdbench.report.plots import PlotData, draw_figure, picture
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.trajectories.table import Trajectories
@@ -26,26 +26,26 @@ def draw_place(scene: Scene, recording: Trajectories, out: Path) -> list[Path]:
         WeightsError: the scene has no areas or reference statistics.
         OutputError: a picture cannot be written.
     """
-    sight = Sight.of(scene, read_reference(scene), {}, "full", recording)
-    place = draw_figure("paths.png", sight, out, named=PICTURES[0])
+    plot = PlotData.of(scene, read_reference(scene), {}, "full", recording)
+    place = draw_figure("paths.png", plot, out, named=PICTURES[0])
     over_time = out / PICTURES[1]
     with replacing(over_time) as temporary:
-        temporary.write_bytes(_over_time(sight, recording))
+        temporary.write_bytes(_over_time(plot, recording))
     return [place, over_time]
 
 
-def _over_time(sight: Sight, recording: Trajectories) -> bytes:
+def _over_time(plot: PlotData, recording: Trajectories) -> bytes:
     """The recorded N(t), and the time blocks between whose edges it is compared."""
 
     def draw(axes: "list[Axes]") -> None:
         (axis,) = axes
-        blocks, dt_s = sight.reference.blocks, recording.dt_s
+        blocks, dt_s = plot.reference.blocks, recording.dt_s
         present = recording.present()
         axis.plot(np.arange(len(present)) * dt_s, present, color="black", linewidth=0.7)
         for k, (start, stop) in enumerate((blocks.frames * dt_s).tolist()):
             axis.axvspan(start, stop, color=("0.93", "0.85")[k % 2], linewidth=0)
         axis.set(xlim=(0, recording.duration_s), ylim=(0, 1.05 * present.max()))
         axis.set(xlabel="time (s); grey: time blocks, white: nobody annotated", ylabel="agents")
-        axis.set_title(f"{sight.scene.title}: agents over time")
+        axis.set_title(f"{plot.scene.title}: agents over time")
 
     return picture(draw, width=9.0, height=2.6, kind="small png")

@@ -50,7 +50,7 @@ def check_size(crowd: Trajectories, where: object) -> None:
             got=f"{observed_s:.0f} s of observation",
             expected=f"{LEAST_BLOCKS * block_s:.0f} s or more, for {LEAST_BLOCKS} time blocks of "
             f"{block_s:.0f} s",
-            mend="Some are held against what was seen in the others: record for longer.",
+            hint="Some are held against what was seen in the others: record for longer.",
         )
     whole = int((crowd.entered & crowd.left & (crowd.last > crowd.first)).sum())
     if whole < LEAST_PERSONS:
@@ -58,7 +58,7 @@ def check_size(crowd: Trajectories, where: object) -> None:
             where,
             got=f"{whole} persons who were seen to enter and to leave",
             expected=f"{LEAST_PERSONS} or more",
-            mend="Where people enter, whither they go and how long they stay is learned from them.",
+            hint="Where people enter, whither they go and how long they stay is learned from them.",
         )
 
 
@@ -112,7 +112,7 @@ def clustering_of(crowd: Trajectories, where: object) -> Clustering:
         f"and {_noise(sides[1].astype(np.float64), EPS_M[-1], least):.0%} have fewer than {least} "
         f"others within {EPS_M[-1]:g} m",
         expected=f"areas where {1 - LEFT_OUT:.0%} of people enter and leave",
-        mend="Tracks may be cut into pieces (join them), or the recording is too short.",
+        hint="Tracks may be cut into pieces (join them), or the recording is too short.",
     )
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _GRID_M = 0.001  # walls are written in millimetres
 _LEAST_M2 = 0.001
-_MEND = "Name a file of polygons, in GeoJSON or WKT, in metres in the recording's frame."
+_HINT = "Name a file of polygons, in GeoJSON or WKT, in metres in the recording's frame."
 
 
 def read_walls(path: Path, bounds: Bounds) -> tuple[Wall, ...]:
@@ -29,7 +29,7 @@ def read_walls(path: Path, bounds: Bounds) -> tuple[Wall, ...]:
     """
     import shapely
 
-    text = read_bytes(path, SceneError, _MEND).decode("utf-8-sig", "replace")
+    text = read_bytes(path, SceneError, _HINT).decode("utf-8-sig", "replace")
     shapes = list(_geojson(text, path) if text.lstrip().startswith("{") else _wkt(text, path))
     place = shapely.box(bounds.x_min_m, bounds.y_min_m, bounds.x_max_m, bounds.y_max_m)
     walls: list[Wall] = []
@@ -49,7 +49,7 @@ def read_walls(path: Path, bounds: Bounds) -> tuple[Wall, ...]:
             got=f"walls at {', '.join(_rounded(e) for e in extent[:3])}" if extent else "no wall",
             expected=f"at least one within the bounds {_rounded(place.bounds)} "
             "(x min, y min, x max, y max)",
-            mend=_MEND,
+            hint=_HINT,
         )
     return tuple(walls)
 
@@ -62,7 +62,7 @@ def _geojson(text: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
     try:
         yield from _features(json.loads(text), "", path)
     except (ValueError, RecursionError) as error:
-        raise SceneError(path, got=str(error), expected="valid GeoJSON", mend=_MEND) from error
+        raise SceneError(path, got=str(error), expected="valid GeoJSON", hint=_HINT) from error
 
 
 def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
@@ -84,7 +84,7 @@ def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.
             path,
             got=f"a {kind or 'thing without a type'} that is broken ({error})",
             expected="GeoJSON's features with polygons",
-            mend=_MEND,
+            hint=_HINT,
         ) from error
 
 
@@ -96,7 +96,7 @@ def _wkt(text: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
         yield "", shapely.from_wkt(text)
     except ShapelyError as error:
         raise SceneError(
-            path, got=str(error).splitlines()[0], expected="GeoJSON or WKT", mend=_MEND
+            path, got=str(error).splitlines()[0], expected="GeoJSON or WKT", hint=_HINT
         ) from error
 
 
@@ -112,14 +112,14 @@ def _polygons(shape: "shapely.Geometry", where: object) -> "Iterator[shapely.Pol
             where,
             got=f"a {shape.geom_type}",
             expected="polygons: a wall has an inside",
-            mend="Give a line its thickness first, like shapely's line.buffer(0.1).",
+            hint="Give a line its thickness first, like shapely's line.buffer(0.1).",
         )
     if not shape.is_valid:
         raise SceneError(
             where,
             got=f"a polygon that is none ({shapely.is_valid_reason(shape)})",
             expected="polygons that do not cross themselves",
-            mend="shapely.make_valid mends most of them.",
+            hint="shapely.make_valid mends most of them.",
         )
     yield shape
 

@@ -108,7 +108,7 @@ def _check_fits(crowd: Trajectories, scene: Scene) -> None:
             f"crowd scored on {scene.id}",
             got=f"frames of {crowd.dt_s:g} s",
             expected=f"frames of {scene.dt_s:g} s",
-            mend="Resample the trajectories to the scene's time step.",
+            hint="Resample the trajectories to the scene's time step.",
         )
     if crowd.scene not in (scene.id, scene.recording.name):
         raise RecordingError(
@@ -120,7 +120,7 @@ def _check_fits(crowd: Trajectories, scene: Scene) -> None:
             f"crowd scored on {scene.id}",
             got=f"{crowd.frames} frames ({crowd.duration_s:.1f} s)",
             expected=f"{needed} frames ({needed * scene.dt_s:.1f} s), as long as the recording",
-            mend="Both sides are looked at in the same time blocks: simulate as long, and "
+            hint="Both sides are looked at in the same time blocks: simulate as long, and "
             "check the time step.",
         )
 
@@ -177,14 +177,14 @@ def read_reference(scene: Scene) -> Reference:
     """
     _check_scored(scene)
     path = scene.folder / "reference.json"
-    mend = f"Run `crowdbench fit {scene.asked}`."
-    file = read_struct(path, _ReferenceFile, WeightsError, mend)
+    hint = f"Run `crowdbench fit {scene.asked}`."
+    file = read_struct(path, _ReferenceFile, WeightsError, hint)
     if (file.scene, file.schema) != (scene.id, SCHEMA):
         raise WeightsError(
             path,
             got=f"statistics of {file.scene}, schema {file.schema}",
             expected=f"statistics of {scene.id}, schema {SCHEMA}",
-            mend=mend,
+            hint=hint,
         )
     frames = max((stop for _, stop in file.blocks), default=0)
     for name, computed, stated in (
@@ -198,7 +198,7 @@ def read_reference(scene: Scene) -> Reference:
                 path,
                 got=f"statistics computed with {name} = {computed:g}",
                 expected=f"{name} = {stated:g}, as in scene.toml",
-                mend=mend,
+                hint=hint,
             )
     place = place_of(scene, read_areas(scene))
     areas = (file.spawn_areas, file.goal_areas)
@@ -207,16 +207,16 @@ def read_reference(scene: Scene) -> Reference:
             path,
             got=f"statistics of {areas[0]} spawn and {areas[1]} goal areas",
             expected=f"{place.spawn_areas} and {place.goal_areas}, as in areas.json",
-            mend=mend,
+            hint=hint,
         )
     if len(file.opens) != len(file.blocks):
         raise WeightsError(
-            path, got=f"{len(file.opens)} opens", expected=f"{len(file.blocks)} blocks", mend=mend
+            path, got=f"{len(file.opens)} opens", expected=f"{len(file.blocks)} blocks", hint=hint
         )
     blocks = TimeBlocks(np.array(file.blocks), np.array(file.opens), scene.dt_s, scene.grid_s)
     if (np.diff(blocks.frames.ravel()) < 0).any() or (np.diff(blocks.frames) == 0).any():
         raise WeightsError(
-            path, got="blocks that are empty or overlap", expected="ascending blocks", mend=mend
+            path, got="blocks that are empty or overlap", expected="ascending blocks", hint=hint
         )
     nobody = summarise(_nobody(scene), blocks, place)
     for name, expected in {n: set(s) for n, s in nobody.items()}.items():
@@ -227,7 +227,7 @@ def read_reference(scene: Scene) -> Reference:
                 path,
                 got=f"{name} with {', '.join(got) or 'nothing'} in {sorted(rows)} blocks",
                 expected=f"{', '.join(sorted(expected))} in {len(blocks)} blocks",
-                mend=mend,
+                hint=hint,
             )
     statistics = {
         metric: {n: dense(columns, rows) for n, (columns, rows) in file.statistics[metric].items()}

@@ -82,11 +82,11 @@ def overall(families: Mapping[str, Score], *, walk: bool) -> Score | None:
 
 def ranks(scores: Sequence[Score]) -> list[int]:
     """1 + the number of entries that are significantly better; equal ranks are a tie group."""
-    worse = [k for _, k in told_apart(scores)]
+    worse = [k for _, k in significant_pairs(scores)]
     return [1 + worse.count(k) for k in range(len(scores))]
 
 
-def told_apart(scores: Sequence[Score]) -> list[tuple[int, int]]:
+def significant_pairs(scores: Sequence[Score]) -> list[tuple[int, int]]:
     """The pairs of which the first is significantly better than the second, by index.
 
     Paired differences on the shared resamples, two-sided at 5 % over all pairs by Holm's (1979)

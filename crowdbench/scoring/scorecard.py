@@ -75,7 +75,7 @@ class MetricCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """None where the entry is not scored in this metric."""
 
 
-class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PairResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A spawn model with a policy."""
 
     spawn: str
@@ -94,7 +94,7 @@ class Scale(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     floor: dict[str, EnergyCard]
     """F by metric."""
-    anchors: list[Entry]
+    anchors: list[PairResult]
     """Of the pairs in `ANCHORS`."""
 
 
@@ -125,7 +125,7 @@ class Scorecard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     scored: list[str]
     """Metrics that count."""
     scale: Scale
-    entries: list[Entry]
+    entries: list[PairResult]
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +135,7 @@ class Row:
     spawn: str
     policy: str
     kind: Literal["entry", "anchor"]
-    entry: Entry
+    entry: PairResult
     families: dict[str, Score]
     """Of walking, those of the policy under the recorded arrivals."""
     crowd: Score | None
@@ -168,7 +168,7 @@ def scale_of(card: Scorecard) -> dict[str, tuple[Energy, Energy]]:
     return found
 
 
-def metric_scores(card: Scorecard, entry: Entry) -> dict[str, Score | None]:
+def metric_scores(card: Scorecard, entry: PairResult) -> dict[str, Score | None]:
     """The score of an entry in each scored metric; None where it has none."""
     scores: dict[str, Score | None] = {}
     for name, (floor, anchor) in scale_of(card).items():
@@ -188,7 +188,7 @@ def rows(card: Scorecard) -> list[Row]:
     walkers = {e.policy: of_entry[id(e)] for e in reversed(everyone) if e.spawn == "replay"}
     recorded = walked(card)
 
-    def row(entry: Entry, kind: Literal["entry", "anchor"]) -> Row:
+    def row(entry: PairResult, kind: Literal["entry", "anchor"]) -> Row:
         scores = dict(of_entry[id(entry)])
         # An anchor's walk scores are shipped; an entry's need its own rollouts, hence a recording.
         if kind == "anchor" or recorded:
@@ -259,8 +259,8 @@ def read_anchors(scene: Scene) -> Anchors:
         WeightsError: the file is missing, broken, another scene's, or of other fits.
     """
     path = scene.folder / "anchors.json"
-    mend = f"Run `crowdbench anchors {scene.asked}`."
-    anchors = read_struct(path, Anchors, WeightsError, mend)
+    hint = f"Run `crowdbench anchors {scene.asked}`."
+    anchors = read_struct(path, Anchors, WeightsError, hint)
     got = (anchors.scene, anchors.schema, anchors.made_from)
     expected = (scene.id, SCHEMA, files_of(scene))
     if got != expected:
@@ -268,17 +268,17 @@ def read_anchors(scene: Scene) -> Anchors:
             path,
             got=f"anchors of {got[0]}, schema {got[1]}, by rules and files of hash {got[2]}",
             expected=f"{expected[0]}, schema {expected[1]}, hash {expected[2]}",
-            mend=mend,
+            hint=hint,
         )
     if set(anchors.protocols) != {"full", "heldout"}:
         raise WeightsError(
             path,
             got=f"anchors of {', '.join(anchors.protocols) or 'no protocol'}",
             expected="full and heldout",
-            mend=mend,
+            hint=hint,
         )
     for scale in anchors.protocols.values():
-        _check(scale, path, mend, WeightsError)
+        _check(scale, path, hint, WeightsError)
     return anchors
 
 
@@ -288,21 +288,21 @@ def read_scorecard(path: Path) -> Scorecard:
     Raises:
         RecordingError: the file is missing or broken, or of another schema version.
     """
-    mend = "Run `crowdbench evaluate` again."
+    hint = "Run `crowdbench evaluate` again."
     try:
-        card = read_struct(path, Scorecard, RecordingError, mend)
+        card = read_struct(path, Scorecard, RecordingError, hint)
     except RecordingError as error:
         schema = _schema_of(path)
         if schema in (None, SCHEMA):
             raise
         raise RecordingError(
-            path, got=f"schema {schema}", expected=f"schema {SCHEMA}", mend=mend
+            path, got=f"schema {schema}", expected=f"schema {SCHEMA}", hint=hint
         ) from error
     if card.schema != SCHEMA:
         raise RecordingError(
-            path, got=f"schema {card.schema}", expected=f"schema {SCHEMA}", mend=mend
+            path, got=f"schema {card.schema}", expected=f"schema {SCHEMA}", hint=hint
         )
-    _check(card.scale, path, mend, RecordingError)
+    _check(card.scale, path, hint, RecordingError)
     return card
 
 
@@ -313,7 +313,7 @@ def _schema_of(path: Path) -> object:
         return None
 
 
-def _check(scale: Scale, path: Path, mend: str, error: type[CrowdbenchError]) -> None:
+def _check(scale: Scale, path: Path, hint: str, error: type[CrowdbenchError]) -> None:
     """Raise where anchors are missing or resamples are not as many as they should be."""
     missing = set(ANCHORS) - {(e.spawn, e.policy) for e in scale.anchors}
     lengths = {
@@ -324,5 +324,5 @@ def _check(scale: Scale, path: Path, mend: str, error: type[CrowdbenchError]) ->
             path,
             got=f"anchors without {sorted(missing)}" if missing else "resamples cut short",
             expected=f"all anchors, {RESAMPLES} resamples each",
-            mend=mend,
+            hint=hint,
         )

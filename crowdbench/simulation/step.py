@@ -66,14 +66,14 @@ def advance(actions, slots, queue, clock, limits, walls):
                 alive[w, i] = how == 0
                 if how != 0:
                     changed[w] = 1
-        _let_in(w, slots, queue, clock, limits)
+        _spawn_due(w, slots, queue, clock, limits)
 
 
 @kernel
 def populate(slots, queue, clock, limits):
     """Let in who is due in the first frame."""
     for w in prange(slots.alive.shape[0]):
-        _let_in(w, slots, queue, clock, limits)
+        _spawn_due(w, slots, queue, clock, limits)
 
 
 @njit(error_model="numpy")
@@ -98,7 +98,7 @@ def outcome(to_goal, x, y, frame, born, leave, scripted, horizon, limits):
 
 
 @njit(error_model="numpy")
-def _let_in(w, slots, queue, clock, limits):
+def _spawn_due(w, slots, queue, clock, limits):
     frame = clock.frame[w]
     if frame >= clock.horizon[w]:
         return

@@ -62,7 +62,7 @@ class Gaussians:
             got=f"an area around {self.mean[k].round(2).tolist()} m of which 1,000 draws in a row "
             "lie outside the bounds or in a wall",
             expected="areas where people can walk",
-            mend="Check the bounds and walls, or fit the scene again.",
+            hint="Check the bounds and walls, or fit the scene again.",
         )
 
     def outline(self, area: int) -> Float[np.ndarray, "60 2"]:
@@ -217,7 +217,7 @@ def _cluster(
             got=f"no cluster among {len(points)} starts or ends at ε {eps_m} m, {min_persons} "
             "persons",
             expected="at least one",
-            mend="Raise eps_m or lower min_persons in [clustering] of scene.toml.",
+            hint="Raise eps_m or lower min_persons in [clustering] of scene.toml.",
         )
     groups = [points[label == k] for k in range(label.max() + 1)]
     noise = np.flatnonzero(label < 0)
@@ -281,14 +281,14 @@ def read_areas(scene: Scene) -> Areas:
         WeightsError: the file is missing, broken, contradicts itself or is another scene's.
     """
     path = scene.folder / "areas.json"
-    mend = f"Run `crowdbench fit {scene.asked}`."
-    file = read_struct(path, _AreasFile, WeightsError, mend)
+    hint = f"Run `crowdbench fit {scene.asked}`."
+    file = read_struct(path, _AreasFile, WeightsError, hint)
     if file.scene != scene.id or file.schema != SCHEMA:
         raise WeightsError(
             path,
             got=f"areas of {file.scene}, schema {file.schema}",
             expected=f"areas of {scene.id}, schema {SCHEMA}",
-            mend=mend,
+            hint=hint,
         )
     k, g = len(file.spawn_mean_m), len(file.goal_mean_m)
     shapes = {
@@ -301,7 +301,7 @@ def read_areas(scene: Scene) -> Areas:
     }
     arrays = {}
     for name, shape in shapes.items():
-        arrays[name] = as_array(getattr(file, name), shape, f"{path}, {name}", mend)
+        arrays[name] = as_array(getattr(file, name), shape, f"{path}, {name}", hint)
     flow, speed = arrays["flow"], arrays["speed_quantiles_mps"]
     for name, holds, expected in (
         ("spawn_covariance_m2", _are_covariances(arrays["spawn_covariance_m2"]), _COVARIANCES),
@@ -310,7 +310,7 @@ def read_areas(scene: Scene) -> Areas:
         ("speed_quantiles_mps", (np.diff(speed, prepend=0) >= 0).all(), "ascending speeds"),
     ):
         if not holds:
-            raise WeightsError(f"{path}, {name}", got="other numbers", expected=expected, mend=mend)
+            raise WeightsError(f"{path}, {name}", got="other numbers", expected=expected, hint=hint)
     return Areas(
         scene=file.scene,
         spawn=Gaussians(arrays["spawn_mean_m"], arrays["spawn_covariance_m2"]),
@@ -326,7 +326,7 @@ def _are_covariances(matrices: Float[np.ndarray, "K 2 2"]) -> bool:
     return symmetric and bool((np.linalg.eigvalsh(matrices) > 0).all())
 
 
-def as_array(values: list, shape: tuple[int, ...], where: str, mend: str) -> np.ndarray:
+def as_array(values: list, shape: tuple[int, ...], where: str, hint: str) -> np.ndarray:
     """The numbers of a JSON file as a float64 array of a given shape.
 
     Raises:
@@ -338,6 +338,6 @@ def as_array(values: list, shape: tuple[int, ...], where: str, mend: str) -> np.
         array = np.empty((0, 0, 0, 0))
     if array.shape != shape or not np.isfinite(array).all():
         raise WeightsError(
-            where, got=f"shape {array.shape}", expected=f"finite numbers of {shape}", mend=mend
+            where, got=f"shape {array.shape}", expected=f"finite numbers of {shape}", hint=hint
         )
     return array

@@ -91,7 +91,7 @@ def check_events(events: object, model: str) -> SpawnEvents:
             where,
             got=type(events).__name__,
             expected="SpawnEvents",
-            mend="Make them with crowdbench.spawn.events.entering.",
+            hint="Make them with crowdbench.spawn.events.entering.",
         )
     for f in fields(events):
         values = np.asarray(getattr(events, f.name))

@@ -40,7 +40,7 @@ from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals, SpawnEvents
 from crowdbench.spawn.groups import Hazards, check_grid, per_person, spells_of
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.weights import Fits, check_origin, check_part, mend
+from crowdbench.spawn.weights import Fits, check_origin, check_part, hint
 from crowdbench.trajectories.blocks import PARTS
 
 NAME = "ntpp-gmm"
@@ -198,7 +198,7 @@ class NtppGMM:
         """
         check_part(part, fit)
         path = scene.folder / f"{NAME}.safetensors"
-        how = mend(scene)
+        how = hint(scene)
         data = read_bytes(path, WeightsError, how)
         header, tensors = _decode(path, data, how)
         check_origin(
@@ -206,7 +206,7 @@ class NtppGMM:
         )
         if header.memory < 1:
             raise WeightsError(
-                path, got=f"memory {header.memory}", expected="1 grid step or more", mend=how
+                path, got=f"memory {header.memory}", expected="1 grid step or more", hint=how
             )
         most = len(tensors) // len(SHAPES)
         if not 1 <= header.fits <= max(1, most) or not np.isclose(header.grid_s, scene.grid_s):
@@ -214,7 +214,7 @@ class NtppGMM:
                 path,
                 got=f"{header.fits} fits on a grid of {header.grid_s:g} s",
                 expected=f"as many fits as it holds, 1 or more, on a grid of {scene.grid_s:g} s",
-                mend=how,
+                hint=how,
             )
         k = len(areas.spawn)
         shapes = {name: (k, *shape) for name, shape in SHAPES.items()}
@@ -267,7 +267,7 @@ def _decode(path: Path, data: bytes, how: str) -> tuple[_Header, dict[str, np.nd
             path,
             got=f"no readable weights ({error})",
             expected="safetensors with crowdbench's header",
-            mend=how,
+            hint=how,
         ) from error
 
 
@@ -283,7 +283,7 @@ def _check(
             path,
             got=f"{len(wrong)} tensors missing or unknown, among them {wrong[0]}",
             expected="those of each part, fit and weight",
-            mend=how,
+            hint=how,
         )
     for name, array in tensors.items():
         where = f"{path}, {name}"
@@ -292,11 +292,11 @@ def _check(
                 where,
                 got=f"{array.dtype} of shape {array.shape}",
                 expected=f"float32 of shape {expected[name]}",
-                mend=how,
+                hint=how,
             )
         if not np.isfinite(array).all():
-            raise WeightsError(where, got="NaN or infinity", expected="finite numbers", mend=how)
+            raise WeightsError(where, got="NaN or infinity", expected="finite numbers", hint=how)
         if name.endswith("scaling") and (array[:, 1::2] <= 0).any():
             raise WeightsError(
-                where, got="a spread of 0 or less", expected="standard deviations > 0", mend=how
+                where, got="a spread of 0 or less", expected="standard deviations > 0", hint=how
             )

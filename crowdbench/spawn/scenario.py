@@ -36,7 +36,7 @@ from crowdbench.spawn.areas import Areas
 
 SCHEMA = 1
 MOST_FACTOR = 100.0
-_MEND = "Compare with the scenarios in docs/steering.md."
+_HINT = "Compare with the scenarios in docs/steering.md."
 
 Number = float | int
 Profile = Number | tuple[tuple[Number, Number], ...]
@@ -130,10 +130,10 @@ def read_scenario(path: Path, scene: Scene, areas: Areas) -> Scenario:
     Raises:
         SettingError: the file is missing or broken, of another schema, or does not fit the scene.
     """
-    file = read_struct(path, _File, SettingError, _MEND)
+    file = read_struct(path, _File, SettingError, _HINT)
     if file.schema != SCHEMA:
         raise SettingError(
-            path, got=f"schema = {file.schema}", expected=f"schema = {SCHEMA}", mend=_MEND
+            path, got=f"schema = {file.schema}", expected=f"schema = {SCHEMA}", hint=_HINT
         )
     fields = {name: getattr(file, name) for name in file.__struct_fields__ if name != "schema"}
     scenario = Scenario(name=path.stem, **fields)
@@ -153,7 +153,7 @@ def check_scenario(scenario: Scenario, scene: Scene, areas: Areas, where: str) -
             f"{where}, scene",
             got=repr(scenario.scene),
             expected=repr(scene.id),
-            mend="Areas have other numbers in each scene.",
+            hint="Areas have other numbers in each scene.",
         )
     for goal in scenario.closed_goals:
         _check_area(goal, len(areas.goal), "goal", f"{where}, closed_goals", scene)
@@ -165,7 +165,7 @@ def check_scenario(scenario: Scenario, scene: Scene, areas: Areas, where: str) -
                 f"{at}, area",
                 got=f"spawn area {change.area} again",
                 expected="one [[change]] of each area",
-                mend="Put them together.",
+                hint="Put them together.",
             )
         at = f"{at} (area {change.area})"
         _check_profile(change.factor, MOST_FACTOR, f"{at}, factor")
@@ -204,7 +204,7 @@ def _check_ways_out(scenario: Scenario, areas: Areas, where: str) -> None:
             f"{where}, closed_goals",
             got=f"all goals of the people of spawn area {', '.join(map(str, stuck))}",
             expected="another goal for everyone",
-            mend="Give these areas `goals` of their own in a [[change]].",
+            hint="Give these areas `goals` of their own in a [[change]].",
         )
 
 
@@ -214,7 +214,7 @@ def _check_area(area: int, number: int, kind: str, where: str, scene: Scene) -> 
             where,
             got=f"{kind} area {area}",
             expected=f"one of the {number} {kind} areas of {scene.id}, 0 to {number - 1}",
-            mend=f"See `crowdbench areas {scene.asked}`.",
+            hint=f"See `crowdbench areas {scene.asked}`.",
         )
 
 
@@ -258,5 +258,5 @@ def _check_goals(goals: Goals, scenario: Scenario, areas: Areas, where: str, sce
             where,
             got=f"probabilities that sum to {total:g}",
             expected="a sum of 1",
-            mend="Goals that are not named have probability 0.",
+            hint="Goals that are not named have probability 0.",
         )

@@ -105,14 +105,14 @@ class Steered:
                 self.name,
                 got="a second scenario",
                 expected="one scenario over a model",
-                mend="Put both into one.",
+                hint="Put both into one.",
             )
         if self.model.start != "stationary":
             raise SettingError(
                 self.name,
                 got=f"the spawn model {self.model.name}, which starts {self.model.start}",
                 expected="a stationary one: there is nothing more to draw from replayed people",
-                mend="Steer a fitted model, or block-replay.",
+                hint="Steer a fitted model, or block-replay.",
             )
 
     @property

@@ -34,7 +34,7 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     parts: dict[str, dict[str, list[float]]]
 
 
-def mend(scene: Scene) -> str:
+def hint(scene: Scene) -> str:
     """How to mend weights that are missing or broken, in a scene's folder or in another."""
     if (scene.folder / "scene.toml").is_file():
         return f"Run `crowdbench fit {scene.asked}`."
@@ -54,7 +54,7 @@ def check_part(part: str, fit: int) -> None:
 
 
 def check_origin(
-    path: Path, got: tuple[str, str, int], expected: tuple[str, str, int], mend: str
+    path: Path, got: tuple[str, str, int], expected: tuple[str, str, int], hint: str
 ) -> None:
     """Compare model, scene and schema of a file.
 
@@ -66,7 +66,7 @@ def check_origin(
             path,
             got="{} of {}, schema {}".format(*got),
             expected="{} of {}, schema {}".format(*expected),
-            mend=mend,
+            hint=hint,
         )
 
 
@@ -87,11 +87,11 @@ def read_part(
         WeightsError: the file is missing or broken, of an earlier schema, or another scene's.
     """
     path = scene.folder / f"{model}.json"
-    how = mend(scene)
+    how = hint(scene)
     schema = read_struct(path, _AnySchema, WeightsError, how).schema
     if schema != SCHEMA:
         raise WeightsError(
-            path, got=f"schema {schema}", expected=f"schema {SCHEMA}, with fits per fold", mend=how
+            path, got=f"schema {schema}", expected=f"schema {SCHEMA}, with fits per fold", hint=how
         )
     file = read_struct(path, _File, WeightsError, how)
     check_origin(path, (file.model, file.scene, schema), (model, scene.id, SCHEMA), how)
@@ -104,7 +104,7 @@ def read_part(
                 f"{path}, {where}",
                 got=", ".join(sorted(got)) or "nothing",
                 expected=", ".join(sorted(expected)),
-                mend=how,
+                hint=how,
             )
     arrays = {}
     for p, fit in file.parts.items():
@@ -125,5 +125,5 @@ def check_numbers(scene: Scene, model: str, numbers: Mapping[str, tuple[bool, st
         if not holds:
             path = scene.folder / f"{model}.json"
             raise WeightsError(
-                f"{path}, {name}", got="other numbers", expected=expected, mend=mend(scene)
+                f"{path}, {name}", got="other numbers", expected=expected, hint=hint(scene)
             )

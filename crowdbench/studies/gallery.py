@@ -17,7 +17,7 @@ from crowdbench.evaluation.rollout_jobs import Job, Progress, alone_in, make, pl
 from crowdbench.files import replacing, unwritable, write_json
 from crowdbench.registry import has_recording, recording_of, trained_policies
 from crowdbench.registry import policy as find_policy
-from crowdbench.report.plots import Sight
+from crowdbench.report.plots import PlotData
 from crowdbench.report.plots.flows import draw_flows
 from crowdbench.report.plots.policies import draw_policies
 from crowdbench.report.plots.sheet import draw_sheet
@@ -84,7 +84,7 @@ def write_figures(
         if figure in figures
     ]
     if "sheet" in figures:
-        picture, numbers = draw_sheet([of_scene.sight for of_scene in shown])
+        picture, numbers = draw_sheet([of_scene.plot for of_scene in shown])
         made.append(_write(out / "sheet.png", picture, {"figure": "sheet"} | numbers))
     return made
 
@@ -107,7 +107,7 @@ def _check(places: Sequence[Scene], figures: Sequence[str], spawn: str) -> None:
                 place.id,
                 got="no recording",
                 expected=f"its recording, for {' and '.join(wanted)}",
-                mend=f"Run `crowdbench data fetch {place.recording.name}`, or ask for "
+                hint=f"Run `crowdbench data fetch {place.recording.name}`, or ask for "
                 f"--figure {' '.join(others)} alone.",
             )
 
@@ -155,7 +155,7 @@ class _Shown:
         return read_areas(self.scene)
 
     @property
-    def sight(self) -> Sight:
+    def plot(self) -> PlotData:
         """Both spawn models against the recording's statistics."""
         name = self._named(self.policy)
         crowds = {
@@ -163,7 +163,7 @@ class _Shown:
             for model in dict.fromkeys((BASELINE, self.spawn))
             for k, crowd in enumerate(self._crowds(model, self.policy))
         }
-        return Sight.of(self.scene, read_reference(self.scene), crowds, "full")
+        return PlotData.of(self.scene, read_reference(self.scene), crowds, "full")
 
     def write(self, figure: str, folder: Path) -> Path:
         """Draw a figure of this scene into a folder."""

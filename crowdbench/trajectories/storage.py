@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 SCHEMA = 1
 _KEY = b"crowdbench"
 _COLUMNS = ("person_id", "frame", "time_s", "x", "y", *PERSON_COLUMNS)
-_MEND = "Name a file written by crowdbench, or a table with person_id, frame (or time_s), x, y."
+_HINT = "Name a file written by crowdbench, or a table with person_id, frame (or time_s), x, y."
 
 
 class _Metadata(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -115,7 +115,7 @@ def of_table(
         ):
             if got != expected:
                 raise RecordingError(
-                    path, got=f"{name} {got}", expected=f"{name} {expected}", mend=_MEND
+                    path, got=f"{name} {got}", expected=f"{name} {expected}", hint=_HINT
                 )
     return from_rows(
         scene=scene,
@@ -152,7 +152,7 @@ def _columns(path: Path, table: "pyarrow.Table") -> dict[str, np.ndarray]:
     if "frame" not in named and "time_s" not in named:
         raise _missing(path, "frame (or time_s)", table)
     if len(table) == 0:
-        raise RecordingError(path, got="no rows", expected="at least one row", mend=_MEND)
+        raise RecordingError(path, got="no rows", expected="at least one row", hint=_HINT)
     columns = {name: _numbers(path, table, name) for name in _COLUMNS if name in named}
     for name in {"person_id", "frame"} & set(columns):
         columns[name] = _integers(path, name, columns[name])
@@ -179,7 +179,7 @@ def _frames(path: Path, columns: dict[str, np.ndarray], dt_s: float) -> np.ndarr
                 f"{wrong.sum()} of {len(wrong)} times that do not stand on the scene's frames",
                 expected=f"time_s in multiples of {dt_s:g} s"
                 + ("" if frame is None else ", frame × that"),
-                mend="Resample the trajectories to the scene's time step.",
+                hint="Resample the trajectories to the scene's time step.",
             )
         frame = expected.astype(np.int64)
     assert frame is not None
@@ -199,7 +199,7 @@ def read_own(path: str | Path) -> Trajectories:
             path,
             got="a table without crowdbench's metadata",
             expected="a file of crowdbench's",
-            mend="Another program's table does not say its scene; name it, as in `crowdbench view "
+            hint="Another program's table does not say its scene; name it, as in `crowdbench view "
             '--scene eth-v0`, `crowdbench score eth-v0`, or `crowdbench.read(path, "eth-v0")`.',
         )
     return read(path, scene=metadata.scene, dt_s=metadata.dt_s)
@@ -218,18 +218,18 @@ def _read_table(path: Path) -> "pyarrow.Table":
     import pyarrow as pa
     from pyarrow import csv, parquet
 
-    data = pa.BufferReader(read_bytes(path, RecordingError, _MEND))
+    data = pa.BufferReader(read_bytes(path, RecordingError, _HINT))
     readers = {".parquet": parquet.read_table, ".csv": csv.read_csv}
     suffix = path.suffix.lower()
     if suffix not in readers:
         raise RecordingError(
-            path, got=f"a {path.suffix or 'nameless'} file", expected=".parquet or .csv", mend=_MEND
+            path, got=f"a {path.suffix or 'nameless'} file", expected=".parquet or .csv", hint=_HINT
         )
     try:
         table = readers[suffix](data)
     except (pa.ArrowException, OSError) as error:
         raise RecordingError(
-            path, got=str(error).splitlines()[0], expected="a readable table", mend=_MEND
+            path, got=str(error).splitlines()[0], expected="a readable table", hint=_HINT
         ) from error
     named = table.rename_columns([name.strip() for name in table.column_names])
     return named.replace_schema_metadata(table.schema.metadata)
@@ -257,7 +257,7 @@ def _own_metadata(path: Path, table: "pyarrow.Table") -> _Metadata | None:
             path,
             got=f"schema version {metadata.schema}",
             expected=f"schema version {SCHEMA}",
-            mend="Read it with the crowdbench version that wrote it.",
+            hint="Read it with the crowdbench version that wrote it.",
         )
     return metadata
 
@@ -265,7 +265,7 @@ def _own_metadata(path: Path, table: "pyarrow.Table") -> _Metadata | None:
 def _numbers(path: Path, table: "pyarrow.Table", name: str) -> np.ndarray:
     if table.column_names.count(name) > 1:
         raise RecordingError(
-            path, got=f"more than one column {name}", expected="one of that name", mend=_MEND
+            path, got=f"more than one column {name}", expected="one of that name", hint=_HINT
         )
     values = table.column(name)
     if values.null_count:
@@ -273,20 +273,20 @@ def _numbers(path: Path, table: "pyarrow.Table", name: str) -> np.ndarray:
             path,
             got=f"{values.null_count} empty values in column {name}",
             expected="a value in each row",
-            mend="Remove these rows or repair them at the source.",
+            hint="Remove these rows or repair them at the source.",
         )
     column: np.ndarray = values.to_numpy()
     if column.dtype.kind not in "biuf":
         kind = "text" if column.dtype == object else f"{values.type} values"
         raise RecordingError(
-            path, got=f"{kind} in column {name}", expected="numbers in each row", mend=_MEND
+            path, got=f"{kind} in column {name}", expected="numbers in each row", hint=_HINT
         )
     if np.issubdtype(PERSON_COLUMNS.get(name, np.bool_), np.integer):
         return _integers(path, name, column, PERSON_COLUMNS[name])
     if name in PERSON_COLUMNS and not np.isfinite(column).all():
         bad = column[~np.isfinite(column)][0]
         raise RecordingError(
-            path, got=f"{name} {bad}", expected=f"finite numbers in column {name}", mend=_MEND
+            path, got=f"{name} {bad}", expected=f"finite numbers in column {name}", hint=_HINT
         )
     return column
 
@@ -300,7 +300,7 @@ def _integers(path: Path, name: str, values: np.ndarray, kind: type = np.int64) 
             path,
             got=f"{name} {bad}",
             expected=f"whole numbers of {np.iinfo(kind).bits} bits in column {name}",
-            mend=_MEND,
+            hint=_HINT,
         )
     return values.astype(kind)
 
@@ -310,5 +310,5 @@ def _missing(path: Path, name: str, table: "pyarrow.Table") -> RecordingError:
         path,
         got=f"columns {', '.join(table.column_names)}",
         expected=f"a column {name}",
-        mend=_MEND,
+        hint=_HINT,
     )

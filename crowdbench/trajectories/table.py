@@ -179,7 +179,7 @@ def from_rows(
             got=f"{int((~finite).sum())} rows whose position is not finite, the first at person "
             f"{person_id[row]}, frame {frame[row]}",
             expected="finite x and y in metres",
-            mend="Remove these rows or repair them at the source.",
+            hint="Remove these rows or repair them at the source.",
         )
     length = int(frame.max()) + 1 if frames is None else frames
     if length > MAX_FRAMES:
@@ -187,14 +187,14 @@ def from_rows(
             where,
             got=f"{length} frames",
             expected=f"{MAX_FRAMES} at most",
-            mend="Count frames of the scene from 0 on, not milliseconds or video frames.",
+            hint="Count frames of the scene from 0 on, not milliseconds or video frames.",
         )
     if frame.min() < 0 or frame.max() >= length:
         raise RecordingError(
             where,
             got=f"frames {frame.min()} to {frame.max()}",
             expected=f"frames from 0 to {length - 1}",
-            mend="Count frames from the first one, and cut what runs past the end.",
+            hint="Count frames from the first one, and cut what runs past the end.",
         )
 
     order = np.lexsort((frame, person_id))
@@ -206,7 +206,7 @@ def from_rows(
             where,
             got=f"person {ids[row]} twice in frame {frame[row]} ({int(twice.sum())} such rows)",
             expected="one position per person and frame",
-            mend="Remove the duplicates, or give each person an id of its own.",
+            hint="Remove the duplicates, or give each person an id of its own.",
         )
 
     begins = np.flatnonzero(np.r_[True, np.diff(ids) != 0])

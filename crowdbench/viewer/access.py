@@ -53,7 +53,7 @@ def check_rerun() -> None:
             "the viewer",
             got="no rerun",
             expected="rerun, which draws",
-            mend='Install it, in the clone: pip install -e ".[viewer]".',
+            hint='Install it, in the clone: pip install -e ".[viewer]".',
         )
 
 
@@ -75,7 +75,7 @@ def _no_screen(got: str) -> SettingError:
         "the viewer",
         got=got,
         expected="a screen with room for its window",
-        mend="Write a file with `crowdbench view … --save crowd.rrd` and open it with `rerun "
+        hint="Write a file with `crowdbench view … --save crowd.rrd` and open it with `rerun "
         "crowd.rrd` where there is a screen, or start `rerun --serve-web` here first and look at "
         "it in a browser.",
     )

@@ -33,7 +33,7 @@ def index_of(person_id: int, crowd: Trajectories) -> int:
             "person",
             got=str(person_id),
             expected=f"an id from the table, {crowd.person_id.min()} to {crowd.person_id.max()}",
-            mend="The viewer's log and what it shows under the cursor tell ids.",
+            hint="The viewer's log and what it shows under the cursor tell ids.",
         )
     return int(found[0])
 

@@ -13,7 +13,7 @@ from crowdbench.metrics import FAMILIES, MetricResult
 from crowdbench.report.text.words import interval, number
 from crowdbench.scene import load_scene
 from crowdbench.scoring.energy import RESAMPLES
-from crowdbench.scoring.scorecard import SCHEMA, Entry, Scorecard, read_anchors, rows
+from crowdbench.scoring.scorecard import SCHEMA, PairResult, Scorecard, read_anchors, rows
 
 ETH = load_scene("eth-v0")
 ANCHORS = {(e.spawn, e.policy): e for e in read_anchors(ETH).protocols["full"].anchors}
@@ -23,7 +23,7 @@ CLASS = "baselines.heuristic:Heuristic"
 Printed = pytest.CaptureFixture[str]
 
 
-def crowd(spawn: str, policy: str, of: tuple[str, str] = ("poisson-gmm", "random")) -> Entry:
+def crowd(spawn: str, policy: str, of: tuple[str, str] = ("poisson-gmm", "random")) -> PairResult:
     """A crowd that walks as an anchor does."""
     return msgspec.structs.replace(ANCHORS[of], spawn=spawn, policy=policy)
 
@@ -35,12 +35,12 @@ def test_what_progress_is_of_may_be_any_path(what: str, capsys: Printed) -> None
     assert capsys.readouterr().out.startswith(what)
 
 
-def unscored(entry: Entry) -> Entry:
+def unscored(entry: PairResult) -> PairResult:
     metrics = {n: msgspec.structs.replace(m, energy=None) for n, m in entry.metrics.items()}
     return msgspec.structs.replace(entry, metrics=metrics)
 
 
-def card_of(*entries: Entry, rollouts: int = 30) -> Scorecard:
+def card_of(*entries: PairResult, rollouts: int = 30) -> Scorecard:
     return Scorecard(
         schema=SCHEMA, crowdbench=__version__, scene=ETH.id, made_from="", protocol="full",
         horizon_s=ETH.horizon_s, blocks=17, fits=5, rollouts=rollouts, resamples=RESAMPLES,

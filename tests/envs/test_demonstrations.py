@@ -6,7 +6,7 @@ from conftest import need_imitation
 
 import crowdbench
 from crowdbench import Demonstrations, demonstrations, load_scene, recording
-from crowdbench.envs.perturbation import HOMING_S, Aside
+from crowdbench.envs.perturbation import HOMING_S, PathPerturbation
 from crowdbench.errors import SettingError
 from crowdbench.registry import import_recording
 from crowdbench.spawn.events import blocks_of
@@ -199,7 +199,7 @@ def test_who_stands_is_not_displaced() -> None:
         scene="drawn", dt_s=0.4, where="test", person_id=np.repeat(np.arange(12), 40),
         frame=np.tile(np.arange(40), 12), xy=np.concatenate([walks] * 6 + [stands] * 6),
     )  # fmt: skip
-    aside = Aside.of(crowd, 0.5, 1.0, seed=0)
+    aside = PathPerturbation.of(crowd, 0.5, 1.0, seed=0)
     assert np.abs(aside.now[: 6 * 40]).max() > 0.3
     for shown in (aside.now, aside.after, aside.drift):
         assert not shown[6 * 40 :].any()

@@ -20,7 +20,7 @@ from crowdbench.files import write_json
 from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.scene import load_scene
 from crowdbench.scoring.reference import score
-from crowdbench.scoring.scorecard import Entry, Scorecard, rows
+from crowdbench.scoring.scorecard import PairResult, Scorecard, rows
 from crowdbench.trajectories.storage import read_own
 from crowdbench.trajectories.table import OUTCOMES
 
@@ -72,7 +72,7 @@ def read_card(folder: Path) -> Scorecard:
     return msgspec.json.decode((folder / "scorecard.json").read_bytes(), type=Scorecard)
 
 
-def by_policy(card: Scorecard) -> dict[str, Entry]:
+def by_policy(card: Scorecard) -> dict[str, PairResult]:
     return {entry.policy: entry for entry in card.entries}
 
 

@@ -15,7 +15,7 @@ from submissions import edit
 from crowdbench.cli import main
 from crowdbench.errors import OutputError, RecordingError
 from crowdbench.files import write_json
-from crowdbench.leaderboard.sandbox.parent import Limits, Ran, SandboxError
+from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage, SandboxError
 from crowdbench.leaderboard.submission.errors import SubmissionError
 from crowdbench.leaderboard.submission.submission import Submission
 from crowdbench.leaderboard.verification.entry import Entry, read_entry
@@ -287,7 +287,7 @@ def test_an_answer_of_anothers_id_is_refused(
     walked: tuple[Path, Entry], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     forged = msgspec.structs.replace(walked[1], id="orca")
-    ran = Ran(wall_s=1.0, cpu_s=1.0, peak_bytes=1, network="none")
+    ran = ResourceUsage(wall_s=1.0, cpu_s=1.0, peak_bytes=1, network="none")
     monkeypatch.setattr(
         "crowdbench.leaderboard.verification.verify.call", lambda *a, **k: (forged, ran)
     )

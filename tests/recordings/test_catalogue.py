@@ -146,8 +146,8 @@ def test_a_recording_that_was_not_imported_says_how_to(home):
     with pytest.raises(RecordingError) as caught:
         load_imported("eth")
     assert str(home) in caught.value.expected
-    assert "`crowdbench data fetch eth`" in caught.value.mend
-    assert "`crowdbench data import eth --source DIR`" in caught.value.mend
+    assert "`crowdbench data fetch eth`" in caught.value.hint
+    assert "`crowdbench data import eth --source DIR`" in caught.value.hint
 
 
 @pytest.mark.parametrize("use", [import_recording, load_imported])

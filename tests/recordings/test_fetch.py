@@ -286,13 +286,13 @@ ANSWERS = {
 def test_another_answer_than_a_file_is_a_message_and_exit_code_2(
     server: Published, what: str, tmp_path: Path, capsys: Printed
 ):
-    ways, got, mend = ANSWERS[what]
+    ways, got, hint = ANSWERS[what]
     for name, value in ways.items():
         setattr(server, name, value)
     assert main(["data", "fetch", "eth", "--out", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"crowdbench: {server.address}/obsmat.txt: {got}")
-    assert mend in error
+    assert hint in error
     assert "Traceback" not in error
     assert files_in(tmp_path) == []
 
@@ -422,7 +422,7 @@ def test_a_zip_without_a_days_tracks_is_refused_and_dropped(
     with pytest.raises((FetchError, RecordingError), match=message) as caught:
         fetch.fetch("forum-14jul", tmp_path)
     assert str(caught.value).startswith(f"{server.address}/Jul.14.zip")
-    assert caught.value.mend
+    assert caught.value.hint
     assert files_in(tmp_path) == []
     assert noted("forum-14jul") is None
 
@@ -533,8 +533,8 @@ def test_git_is_not_let_loose_on_a_repository_that_is_there(tmp_path: Path):
 def test_the_commands_name_the_pinned_commit(tmp_path: Path):
     with pytest.raises(FetchError) as caught:
         fetch.fetch("gc", tmp_path)
-    assert "https://github.com/crowdbotp/OpenTraj" in caught.value.mend
-    assert caught.value.mend.count("97ec1d5e1b579f26febeaa9083705952deac338a") == 2
+    assert "https://github.com/crowdbotp/OpenTraj" in caught.value.hint
+    assert caught.value.hint.count("97ec1d5e1b579f26febeaa9083705952deac338a") == 2
 
 
 @pytest.mark.parametrize("name", SOURCES)

@@ -278,7 +278,7 @@ def test_broken_data_are_refused_with_what_was_got_and_expected(data: bytes, got
     error = caught.value
     assert error.where.startswith("tracks.14Jul.txt")
     assert got in str(error)
-    assert error.mend or "frames" in error.got
+    assert error.hint or "frames" in error.got
     assert len(str(error)) < 1000
 
 

@@ -243,14 +243,14 @@ def test_broken_files_are_refused_with_what_was_got_and_expected(files: Files, g
     assert error.where.startswith("here")
     assert got in str(error)
     assert error.expected
-    assert error.mend
+    assert error.hint
     assert len(str(error)) < 1000
 
 
 def test_a_folder_without_the_files_is_refused(tmp_path: Path):
     with pytest.raises(RecordingError, match="no such file") as caught:
         read_published(GC, tmp_path)
-    assert "crowdbench data fetch gc" in caught.value.mend
+    assert "crowdbench data fetch gc" in caught.value.hint
 
 
 def test_a_folder_that_lacks_a_person_is_refused_by_its_hash(opentraj: Path, tmp_path: Path):

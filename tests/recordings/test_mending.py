@@ -47,8 +47,8 @@ def test_a_step_off_the_grid_is_refused_by_person_and_frame(campus: Path, late: 
     assert told.value.got.startswith(f"person {person} in frame {frame}, 13 frames after its row")
     assert "(2 of " in told.value.got
     assert told.value.expected == "each person every 10 frames"
-    assert "--gaps interpolate" in told.value.mend
-    assert "--gaps split" in told.value.mend
+    assert "--gaps interpolate" in told.value.hint
+    assert "--gaps split" in told.value.hint
 
 
 @pytest.mark.parametrize("gaps", GAPS)

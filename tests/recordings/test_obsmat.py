@@ -83,8 +83,8 @@ def test_broken_data_are_refused_with_what_was_got_and_expected(text, got, expec
     assert error.where == "here/obsmat.txt"
     assert got in error.got
     assert expected in error.expected
-    assert error.mend
-    for part in (error.where, error.got, error.expected, error.mend):
+    assert error.hint
+    for part in (error.where, error.got, error.expected, error.hint):
         assert part in str(error)
 
 
@@ -93,7 +93,7 @@ def test_another_annotation_interval_is_refused():
         read("".join(line(frame, 1) for frame in range(0, 100, 10)))
     assert "every 10 frames" in caught.value.got
     assert "every 6 frames (0.4 s at 15 fps)" in caught.value.expected
-    assert "another interval" in caught.value.mend
+    assert "another interval" in caught.value.hint
 
 
 def test_a_real_recording_of_another_interval_is_refused(opentraj):
@@ -107,7 +107,7 @@ def test_a_missing_file_is_refused_with_its_public_address(tmp_path):
         read_published(ETH, tmp_path)
     assert caught.value.where == str(tmp_path / ETH.path)
     assert caught.value.got == "no such file"
-    assert ETH.address in caught.value.mend
+    assert ETH.address in caught.value.hint
 
 
 def test_a_file_broken_off_within_a_row_is_refused(tmp_path, eth_bytes):
@@ -128,7 +128,7 @@ def test_a_file_that_looks_whole_but_is_cut_short_is_refused_by_its_hash(tmp_pat
     assert caught.value.where == str(path)
     assert "SHA-256" in caught.value.got
     assert ETH.sha256[:12] in caught.value.expected
-    assert ETH.address in caught.value.mend
+    assert ETH.address in caught.value.hint
 
 
 def test_a_changed_position_is_refused_by_the_hash(tmp_path, eth_bytes):

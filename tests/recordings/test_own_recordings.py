@@ -148,7 +148,7 @@ def test_what_is_not_there_is_told_with_what_the_format_is(layout: str, tmp_path
     with pytest.raises(CrowdbenchError) as told:
         read_recording(tmp_path / "nowhere", layout, name="yard", dt_s=0.4)
     assert "no such file" in told.value.got
-    assert FORMATS[layout] in told.value.mend
+    assert FORMATS[layout] in told.value.hint
 
 
 @pytest.mark.parametrize("layout", ["obsmat", "forum"])
@@ -159,7 +159,7 @@ def test_who_brings_a_broken_file_is_not_sent_to_the_published_one(
     path.write_text("1 2 3\n")
     with pytest.raises(RecordingError) as told:
         read_recording(path, layout, name="yard", dt_s=0.4 if layout == "obsmat" else None)
-    assert told.value.mend == f"The format {layout}: {FORMATS[layout]}."
+    assert told.value.hint == f"The format {layout}: {FORMATS[layout]}."
 
 
 def test_the_command_imports_an_own_recording(

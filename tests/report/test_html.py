@@ -24,7 +24,7 @@ from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.scoring.energy import RESAMPLES
 from crowdbench.scoring.reference import read_reference
-from crowdbench.scoring.scorecard import SCHEMA, Entry, Scorecard, read_anchors, rows
+from crowdbench.scoring.scorecard import SCHEMA, PairResult, Scorecard, read_anchors, rows
 
 ETH = load_scene("eth-v0")
 REFERENCE = read_reference(ETH)
@@ -44,7 +44,7 @@ def crowds() -> Crowds:
     }
 
 
-def card_of(*entries: Entry, protocol: str = "full", rollouts: int = 30) -> Scorecard:
+def card_of(*entries: PairResult, protocol: str = "full", rollouts: int = 30) -> Scorecard:
     """A scorecard of these entries."""
     return Scorecard(
         schema=SCHEMA,
@@ -63,14 +63,14 @@ def card_of(*entries: Entry, protocol: str = "full", rollouts: int = 30) -> Scor
     )
 
 
-def anchor(spawn: str, policy: str, **changes: object) -> Entry:
+def anchor(spawn: str, policy: str, **changes: object) -> PairResult:
     """One of the scene's anchors, as if it had been evaluated."""
     anchors = read_anchors(ETH).protocols["full"].anchors
     found = next(e for e in anchors if (e.spawn, e.policy) == (spawn, policy))
     return msgspec.structs.replace(found, **changes)
 
 
-def unscored(entry: Entry) -> Entry:
+def unscored(entry: PairResult) -> PairResult:
     metrics = {n: msgspec.structs.replace(m, energy=None) for n, m in entry.metrics.items()}
     return msgspec.structs.replace(entry, metrics=metrics)
 

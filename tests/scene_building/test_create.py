@@ -110,8 +110,8 @@ def test_a_scene_without_the_default_spawn_model_says_what_else_it_has(made: Mad
     with pytest.raises(WeightsError) as caught:
         crowdbench.parallel_env(made.scene.folder)
     assert caught.value.expected == "the scene's fits of ntpp-gmm"
-    assert "needs torch" in caught.value.mend
-    assert caught.value.mend.endswith("it has: poisson-gmm, poisson-groups, renewal-gmm.")
+    assert "needs torch" in caught.value.hint
+    assert caught.value.hint.endswith("it has: poisson-gmm, poisson-groups, renewal-gmm.")
     assert 'on this scene say spawn="renewal-gmm"' in made.out
     assert crowdbench.parallel_env(made.scene.folder, spawn="renewal-gmm").reset(seed=0)
 

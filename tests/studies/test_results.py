@@ -20,7 +20,7 @@ from crowdbench.scoring.energy import RESAMPLES
 from crowdbench.scoring.reference import read_reference
 from crowdbench.scoring.scorecard import (
     SCHEMA,
-    Entry,
+    PairResult,
     Protocol,
     Scorecard,
     read_anchors,
@@ -59,14 +59,14 @@ def written(folder: Path) -> Path:
     return folder / "docs/results/plaza-v0.md"
 
 
-def anchor(spawn: str, policy: str, /, **changes: object) -> Entry:
+def anchor(spawn: str, policy: str, /, **changes: object) -> PairResult:
     """One of the scene's anchors, as if it had been evaluated."""
     anchors = read_anchors(PLAZA).protocols["full"].anchors
     found = next(e for e in anchors if (e.spawn, e.policy) == (spawn, policy))
     return msgspec.structs.replace(found, **changes)
 
 
-def card_of(protocol: Protocol, *entries: Entry, **changes: object) -> Scorecard:
+def card_of(protocol: Protocol, *entries: PairResult, **changes: object) -> Scorecard:
     card = Scorecard(
         schema=SCHEMA,
         crowdbench=__version__,
@@ -85,7 +85,7 @@ def card_of(protocol: Protocol, *entries: Entry, **changes: object) -> Scorecard
     return msgspec.structs.replace(card, **changes)
 
 
-def with_metric_of(entry: Entry, name: str, other: Entry) -> Entry:
+def with_metric_of(entry: PairResult, name: str, other: PairResult) -> PairResult:
     """The entry, in one metric as bad as another."""
     return msgspec.structs.replace(entry, metrics=entry.metrics | {name: other.metrics[name]})
 
@@ -96,7 +96,7 @@ RIGHT = anchor("replay", "replay", spawn="ntpp-gmm", policy="straight")
 """A model that is as good as the recording itself."""
 
 
-def page_of(*entries: Entry, **changes: object) -> str:
+def page_of(*entries: PairResult, **changes: object) -> str:
     cards: dict[Protocol, Scorecard] = {
         "full": card_of("full", *entries, **changes),
         "heldout": card_of("heldout", *entries, **changes),

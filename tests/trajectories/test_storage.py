@@ -124,7 +124,7 @@ def test_a_broken_csv_is_refused_with_what_was_got_and_expected(tmp_path, text, 
     assert caught.value.where == str(tmp_path / "crowd.csv")
     assert got in caught.value.got
     assert expected in caught.value.expected
-    assert caught.value.mend
+    assert caught.value.hint
 
 
 def test_a_missing_file_is_refused(tmp_path):
@@ -263,8 +263,8 @@ KINDS = [
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_errors_travel_between_processes_whole(kind):
-    error = kind(Path("place"), got="this", expected="that", mend="Do so.")
+    error = kind(Path("place"), got="this", expected="that", hint="Do so.")
     copy = pickle.loads(pickle.dumps(error))
     assert type(copy) is kind
     assert str(copy) == str(error) == "place: got this; expected that. Do so."
-    assert (copy.where, copy.got, copy.expected, copy.mend) == ("place", "this", "that", "Do so.")
+    assert (copy.where, copy.got, copy.expected, copy.hint) == ("place", "this", "that", "Do so.")

@@ -41,7 +41,7 @@ def build(root: Path) -> list[Path]:
             root,
             got="neither entries/ nor RULES.md in it",
             expected="the folder of a leaderboard",
-            mend="Name it with --root.",
+            hint="Name it with --root.",
         )
     shipped = shipped_leaderboard()
     entries = read_entries(root / "entries", shipped / "entries" if preview else None)

@@ -169,7 +169,7 @@ def read_entries(folder: Path, beside: Path | None = None) -> list[Entry]:
                 path,
                 got=f"scores of scorer {entry.scorer}",
                 expected=f"scorer {scorer}, as other entries have",
-                mend="Run `crowdbench leaderboard rescore`.",
+                hint="Run `crowdbench leaderboard rescore`.",
             )
         for name, scene in entry.scenes.items():
             if made_from.setdefault(name, scene.made_from) != scene.made_from:
@@ -177,7 +177,7 @@ def read_entries(folder: Path, beside: Path | None = None) -> list[Entry]:
                     path,
                     got=f"{name} of the hash {scene.made_from}",
                     expected=f"{made_from[name]}, as other entries have",
-                    mend="Run `crowdbench leaderboard rescore`.",
+                    hint="Run `crowdbench leaderboard rescore`.",
                 )
     return [entry for _, entry in entries]
 

@@ -18,7 +18,7 @@ import msgspec
 from crowdbench import leftovers
 from crowdbench.errors import CrowdbenchError
 from crowdbench.evaluation.parallel import end_with
-from crowdbench.leaderboard.sandbox.parent import Failure, Limits, Told
+from crowdbench.leaderboard.sandbox.parent import ErrorPayload, Failure, Limits
 
 _CLONE_NEWUSER, _CLONE_NEWNET = 0x10000000, 0x40000000
 
@@ -35,8 +35,8 @@ def main(arguments: Sequence[str]) -> None:
     try:
         answer["value"] = _called(asked["target"], asked["arguments"], desk)
     except CrowdbenchError as error:
-        problems = [Told.of(problem) for problem in getattr(error, "problems", ())]
-        answer["failure"] = Failure(Told.of(error), problems)
+        problems = [ErrorPayload.of(problem) for problem in getattr(error, "problems", ())]
+        answer["failure"] = Failure(ErrorPayload.of(error), problems)
     except MemoryError:
         sys.exit("out of memory")
     (desk / "answer.json").write_bytes(msgspec.json.encode(answer))

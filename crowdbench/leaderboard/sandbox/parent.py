@@ -57,7 +57,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Ran:
+class ResourceUsage:
     """How a child ran, in numbers that depend on the machine."""
 
     wall_s: float
@@ -69,29 +69,29 @@ class Ran:
     """`none`, or why it could not be cut off."""
 
 
-class Told(msgspec.Struct, forbid_unknown_fields=True):
+class ErrorPayload(msgspec.Struct, forbid_unknown_fields=True):
     """The parts of an error's message."""
 
     where: str
     got: str
     expected: str
-    mend: str
+    hint: str
 
     @classmethod
-    def of(cls, error: CrowdbenchError) -> "Told":
+    def of(cls, error: CrowdbenchError) -> "ErrorPayload":
         """Those of an error."""
-        return cls(error.where, error.got, error.expected, error.mend)
+        return cls(error.where, error.got, error.expected, error.hint)
 
     def error(self) -> CrowdbenchError:
         """The error again."""
-        return CrowdbenchError(self.where, got=self.got, expected=self.expected, mend=self.mend)
+        return CrowdbenchError(self.where, got=self.got, expected=self.expected, hint=self.hint)
 
 
 class Failure(msgspec.Struct, forbid_unknown_fields=True):
     """An error that a child raised."""
 
-    told: Told
-    problems: list[Told] = []
+    told: ErrorPayload
+    problems: list[ErrorPayload] = []
     """All that is wrong with a submission that is refused."""
 
 
@@ -111,7 +111,7 @@ def call(
     where: object,
     limits: Limits,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> tuple[Result, Ran]:
+) -> tuple[Result, ResourceUsage]:
     """Call `module:function(progress, **arguments)` in a child; its result, read as `kind`.
 
     `arguments` and the result travel as JSON. `progress(done, total)` says here what the function
@@ -145,7 +145,7 @@ def call(
             raise SandboxError(
                 where, got=f"an answer that cannot be read ({error})", expected=kind.__name__
             ) from error
-    return value, Ran(**ran, network=plain(answer.network))
+    return value, ResourceUsage(**ran, network=plain(answer.network))
 
 
 def _raised(failure: Failure, where: object) -> CrowdbenchError:
@@ -178,7 +178,7 @@ def _run(
                 where,
                 got=f"{broken}{f'; it said last: {last}' if last else ''}",
                 expected="one that ends by itself within the limits",
-                mend="If it is sound and the limits are narrow, raise them.",
+                hint="If it is sound and the limits are narrow, raise them.",
             )
     return ran
 

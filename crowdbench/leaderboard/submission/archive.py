@@ -17,7 +17,7 @@ from crowdbench.files import replacing
 from crowdbench.leaderboard.submission.errors import RefusedError, SubmissionError
 from crowdbench.leaderboard.submission.limits import LARGEST_SUBMISSION, LONGEST_PATH, MOST_FILES
 
-_MEND = "Make it with `crowdbench submit pack`."
+_HINT = "Make it with `crowdbench submit pack`."
 _CHUNK = 2**20
 _END = struct.Struct("<4s4H2LH")  # end of central directory
 _ZIP64 = b"PK\x06\x07"
@@ -75,7 +75,7 @@ def unpack(path: Path, into: Path) -> None:
     except _BROKEN as error:
         told = str(error) or type(error).__name__
         broken = RefusedError(
-            path.name, got=f"no readable zip ({told})", expected="one", mend=_MEND
+            path.name, got=f"no readable zip ({told})", expected="one", hint=_HINT
         )
         raise SubmissionError(path, [broken]) from error
     except RefusedError as refusal:
@@ -95,7 +95,7 @@ def _check_end(path: Path) -> None:
             path.name,
             got="a file that does not end as a zip does",
             expected="a zip without a comment",
-            mend=_MEND,
+            hint=_HINT,
         )
     members, length = _END.unpack(tail[-_END.size :])[4:6]
     if tail.startswith(_ZIP64) or members > MOST_FILES or length > MOST_FILES * _LONGEST_ENTRY:
@@ -103,13 +103,13 @@ def _check_end(path: Path) -> None:
             path.name,
             got=f"a directory of {members} files and {length} bytes",
             expected=f"at most {MOST_FILES} files",
-            mend=_MEND,
+            hint=_HINT,
         )
 
 
 def _too_large(name: str, got: str) -> RefusedError:
     return RefusedError(
-        name, got=got, expected=f"at most {LARGEST_SUBMISSION / 1e6:.0f} MB, unpacked", mend=_MEND
+        name, got=got, expected=f"at most {LARGEST_SUBMISSION / 1e6:.0f} MB, unpacked", hint=_HINT
     )
 
 
@@ -129,7 +129,7 @@ def wrong_name(name: str) -> RefusedError | None:
                 ascii(name[:LONGEST_PATH]),
                 got=got,
                 expected=f"up to {LONGEST_PATH} letters, digits, and ._+-, folders divided by /",
-                mend="Leave the file out, or rename it.",
+                hint="Leave the file out, or rename it.",
             )
     return None
 
@@ -146,7 +146,7 @@ def _wrong_names(members: list[zipfile.ZipInfo]) -> Iterator[RefusedError]:
                 ascii(member.orig_filename),
                 got=f"another name besides, {member.filename[:LONGEST_PATH]!a}",
                 expected="one name",
-                mend=_MEND,
+                hint=_HINT,
             )
     files = Counter(name.casefold() for name in names if not name.endswith("/"))
     folders = {str(parent) for name in names for parent in PurePosixPath(name.casefold()).parents}
@@ -157,7 +157,7 @@ def _wrong_names(members: list[zipfile.ZipInfo]) -> Iterator[RefusedError]:
                 ascii(name[:LONGEST_PATH]),
                 got="a name twice",
                 expected="each once, in capitals or not",
-                mend=_MEND,
+                hint=_HINT,
             )
 
 
@@ -176,7 +176,7 @@ def _wrong_kinds(members: list[zipfile.ZipInfo]) -> Iterator[RefusedError]:
             (member.filename.lower().endswith(_ARCHIVES), "an archive in an archive"),
         ):
             if wrong:
-                yield RefusedError(name, got=got, expected="files, stored or deflated", mend=_MEND)
+                yield RefusedError(name, got=got, expected="files, stored or deflated", hint=_HINT)
 
 
 def _wrong_sizes(members: list[zipfile.ZipInfo]) -> Iterator[RefusedError]:

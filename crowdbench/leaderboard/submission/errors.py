@@ -1,4 +1,4 @@
-"""What is wrong with a submission: everything at once, each with where, got, expected and mend."""
+"""What is wrong with a submission: everything at once, each with where, got, expected and hint."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -25,10 +25,10 @@ class SubmissionError(CrowdbenchError):
         if len(problems) > MOST_SHOWN:
             shown.append(f"\n  and {len(problems) - MOST_SHOWN} more.")
         number = f"{len(problems)} problem{'s' * (len(problems) != 1)}"
-        super().__init__(where, got=number, expected="none", mend="".join(shown))
+        super().__init__(where, got=number, expected="none", hint="".join(shown))
 
     def __str__(self) -> str:
-        return f"{self.where}: {self.got}.{self.mend}"
+        return f"{self.where}: {self.got}.{self.hint}"
 
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.where, self.problems)
@@ -36,9 +36,9 @@ class SubmissionError(CrowdbenchError):
 
 def tidy(problem: CrowdbenchError) -> CrowdbenchError:
     """The same on one line that a terminal only shows: what was got may be a submitter's text."""
-    parts = (problem.where, problem.got, problem.expected, problem.mend)
-    where, got, expected, mend = (plain(part) for part in parts)
-    return type(problem)(where, got=got, expected=expected, mend=mend)
+    parts = (problem.where, problem.got, problem.expected, problem.hint)
+    where, got, expected, hint = (plain(part) for part in parts)
+    return type(problem)(where, got=got, expected=expected, hint=hint)
 
 
 def plain(text: str, longest: int = _LONGEST) -> str:
@@ -54,4 +54,4 @@ def collecting(problems: list[CrowdbenchError], folder: Path) -> Iterator[None]:
         yield
     except CrowdbenchError as error:
         where, got = (text.replace(f"{folder}/", "") for text in (error.where, error.got))
-        problems.append(type(error)(where, got=got, expected=error.expected, mend=error.mend))
+        problems.append(type(error)(where, got=got, expected=error.expected, hint=error.hint))

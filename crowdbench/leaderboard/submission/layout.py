@@ -54,7 +54,7 @@ def files_in(folder: Path, problems: list[CrowdbenchError]) -> list[str]:
                 elif not stat.S_ISREG(status.st_mode):
                     problems.append(
                         RefusedError(
-                            name, got="a link or a device", expected="files", mend="Remove it."
+                            name, got="a link or a device", expected="files", hint="Remove it."
                         )
                     )
                 elif name != NOTES:
@@ -67,7 +67,7 @@ def _too_much(folder: Path) -> RefusedError:
         folder.name,
         got=f"more than {MOST_FILES} files and folders, or {LARGEST_SUBMISSION / 1e6:.0f} MB",
         expected="less",
-        mend="Is this the folder of the submission alone?",
+        hint="Is this the folder of the submission alone?",
     )
 
 
@@ -93,7 +93,7 @@ def lay_out(declared: Declared, names: list[str], problems: list[CrowdbenchError
                 if len(surplus) == 1
                 else "files that have no place here",
                 expected=_places(declared, layout, needs_policy, needs_spawn),
-                mend=f"Remove or rename what is surplus, or correct {FILE}.",
+                hint=f"Remove or rename what is surplus, or correct {FILE}.",
             )
         )
     return layout
@@ -135,7 +135,7 @@ def _networks(declared: Declared, found: set[str], problems: list[CrowdbenchErro
                     got=f"no {', '.join(Path(name).name for name in lacking)}",
                     expected=f"{', '.join(f'{part}.onnx' for part in parts_of(declared))}, as "
                     f"training.protocol {declared.training.protocol} has it",
-                    mend="Write it with `crowdbench policy export`, or name a policy that comes "
+                    hint="Write it with `crowdbench policy export`, or name a policy that comes "
                     "with crowdbench as shipped_policy.",
                 )
             )
@@ -158,7 +158,7 @@ def _weights(
                     f"{scene}/spawn",
                     got=", ".join(Path(name).name for name in there),
                     expected="one of them",
-                    mend="A submission has one spawn model.",
+                    hint="A submission has one spawn model.",
                 )
             )
             found -= set(there)
@@ -168,7 +168,7 @@ def _weights(
                     f"{scene}/spawn",
                     got="no fits",
                     expected=f"one of {', '.join(WEIGHTS)}",
-                    mend=f"Write it with `crowdbench fit {scene} --out FOLDER`, or name a spawn "
+                    hint=f"Write it with `crowdbench fit {scene} --out FOLDER`, or name a spawn "
                     "model that comes with crowdbench as shipped_spawn.",
                 )
             )
@@ -191,7 +191,7 @@ def _crowds(
                     f"{scene}/trajectories",
                     got="files " + ", ".join(map(str, numbers)) if numbers else "no files",
                     expected=f"{least} to {MOST_ROLLOUTS} rollouts, a file each, numbered 0, 1, …",
-                    mend="A score needs several rollouts." if len(numbers) < least else "",
+                    hint="A score needs several rollouts." if len(numbers) < least else "",
                 )
             )
     for name in ("shipped_policy", "shipped_spawn"):
@@ -201,7 +201,7 @@ def _crowds(
                     f"{FILE}, {name}",
                     got="trajectories besides",
                     expected="either trajectories or models",
-                    mend="Remove the one or the other.",
+                    hint="Remove the one or the other.",
                 )
             )
     return crowds

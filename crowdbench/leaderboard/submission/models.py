@@ -39,7 +39,7 @@ def check_models(
                 f"{FILE}, kind",
                 got="'privileged'",
                 expected="learned or model-based: files see observations, not the state",
-                mend="Say which of the two it is.",
+                hint="Say which of the two it is.",
             )
         )
 
@@ -80,12 +80,12 @@ def _seen_too_much(name: str, card: PolicyCard, declared: Declared) -> Iterator[
         return
     if of_part:
         expected = f"one trained on {part} of {scene}"
-        mend = 'Train one for it; what has seen no scene of these has training.protocol "none".'
+        hint = 'Train one for it; what has seen no scene of these has training.protocol "none".'
     else:
         expected = "one that knows no recording of a scene it is submitted for"
-        mend = 'Train one on other scenes; or one for each fold, with training.protocol "heldout".'
+        hint = 'Train one on other scenes; or one for each fold, with training.protocol "heldout".'
     got = f"a network trained on {card.part} of {card.scene}"
-    yield RefusedError(name, got=got, expected=expected, mend=mend)
+    yield RefusedError(name, got=got, expected=expected, hint=hint)
 
 
 def _wrong_names(declared: Declared) -> Iterator[CrowdbenchError]:
@@ -99,7 +99,7 @@ def _wrong_names(declared: Declared) -> Iterator[CrowdbenchError]:
                 f"{FILE}, {name}",
                 got=repr(getattr(declared, name)),
                 expected=f"no such line: track {track} has {other}",
-                mend="Remove it, or choose the track crowd.",
+                hint="Remove it, or choose the track crowd.",
             )
             return
     named = declared.shipped_policy
@@ -120,7 +120,7 @@ def _wrong_names(declared: Declared) -> Iterator[CrowdbenchError]:
                 f"{FILE}, shipped_policy",
                 got=repr(named),
                 expected=f"a policy that comes with {scene}: {', '.join(known)}",
-                mend="Submit ONNX files for what does not come with crowdbench.",
+                hint="Submit ONNX files for what does not come with crowdbench.",
             )
 
 

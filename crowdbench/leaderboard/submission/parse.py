@@ -100,8 +100,8 @@ def _raw(path: Path, problems: list[CrowdbenchError]) -> dict[str, Any] | None:
         got, expected = error.strerror or "no file", "a readable file"
     except (ValueError, RecursionError) as error:  # no UTF-8, no TOML, numbers of 5000 digits
         got, expected = str(error), "valid TOML in UTF-8"
-    mend = "Compare it with what `crowdbench submit init` writes; texts stand in quotes."
-    problems.append(RefusedError(FILE, got=got, expected=expected, mend=mend))
+    hint = "Compare it with what `crowdbench submit init` writes; texts stand in quotes."
+    problems.append(RefusedError(FILE, got=got, expected=expected, hint=hint))
     return None
 
 
@@ -115,22 +115,22 @@ def _wrong_fields(
                 f"{FILE}, {prefix}{ascii(name)[1:-1][:60]}",
                 got="a field that does not exist",
                 expected=", ".join(fields),
-                mend="Remove or rename it.",
+                hint="Remove or rename it.",
             )
     for name, field in fields.items():
         if name in raw:
-            mend = _mend(prefix + name, raw[name], field.type)
+            hint = _hint(prefix + name, raw[name], field.type)
         elif field.required:
-            mend = "Add it."
+            hint = "Add it."
         else:
             continue
-        if mend is not None:
+        if hint is not None:
             got = _brief(raw[name]) if name in raw else "no such field"
             expected = _EXPECTED[prefix + name].format(scenes=", ".join(list_scenes()))
-            yield RefusedError(f"{FILE}, {prefix}{name}", got=got, expected=expected, mend=mend)
+            yield RefusedError(f"{FILE}, {prefix}{name}", got=got, expected=expected, hint=hint)
 
 
-def _mend(name: str, value: Any, kind: Any) -> str | None:
+def _hint(name: str, value: Any, kind: Any) -> str | None:
     """How to mend a value (no word where that is plain), None if it is right."""
     texts = [v for v in (value if isinstance(value, list) else [value]) if isinstance(v, str)]
     if any(text.startswith(PLACEHOLDER) for text in texts):

@@ -166,7 +166,7 @@ def _no_declaration(names: list[str]) -> RefusedError:
         FILE,
         got=f"none but {inside[0]}" if inside else "no such file",
         expected="it at the top, beside the folders of scenes",
-        mend="Take what is in that folder; `crowdbench submit pack` makes the zip."
+        hint="Take what is in that folder; `crowdbench submit pack` makes the zip."
         if inside
         else "Begin with `crowdbench submit init`.",
     )

@@ -96,7 +96,7 @@ def start_submission(
     """
     if folder.exists() or folder.is_symlink():
         raise OutputError(
-            folder, got="a folder that exists", expected="a new one", mend="Name another."
+            folder, got="a folder that exists", expected="a new one", hint="Name another."
         )
     if not name.isprintable():
         raise SettingError("--name", got=ascii(name), expected="printable characters")
@@ -110,7 +110,7 @@ def start_submission(
             got=f"a network trained on {one.part} of {one.scene}",
             expected=f"a folder with one for each fold, or a file that has seen none of "
             f"{', '.join(chosen)}",
-            mend="Other scenes are chosen by --scene.",
+            hint="Other scenes are chosen by --scene.",
         )
     places = ["policy"] * (track != "spawn") + ["spawn"] * (track != "walk")
     fill = f"{PLACEHOLDER}: "
@@ -168,7 +168,7 @@ def _networks(policies: Sequence[Path], track: Track) -> tuple[dict[str, Path], 
                 path,
                 got=f"no {', '.join(lacking)}" if path.is_dir() else "no such file or folder",
                 expected="a folder with a network for each fold, or one file",
-                mend="What has seen a whole recording is listed, not ranked: put it into the "
+                hint="What has seen a whole recording is listed, not ranked: put it into the "
                 "submission's folder later, as SCENE/policy/full.onnx."
                 if path.is_dir()
                 else "",

@@ -66,7 +66,7 @@ def check_crowds(
                             name,
                             got=f"the crowd of {same} again",
                             expected="rollouts that differ",
-                            mend="Give each a seed of its own.",
+                            hint="Give each a seed of its own.",
                         )
                     )
 
@@ -106,7 +106,7 @@ def _check_lives(path: Path, table: "pyarrow.Table") -> None:
             path,
             got=f"{persons} persons",
             expected=f"at most {MOST_PERSONS}",
-            mend="Give each person one id for its whole life.",
+            hint="Give each person one id for its whole life.",
         )
     steps = np.diff(when)[same]
     # Twice in a frame is told by the reader; the usual step is the shortest that is one.
@@ -118,7 +118,7 @@ def _check_lives(path: Path, table: "pyarrow.Table") -> None:
             got=f"person {ids[gap[0]]} without rows between {time} {when[gap[0]]:g} and "
             f"{when[gap[0] + 1]:g} ({len(gap)} such gaps)",
             expected="a row in each frame of a life, and an id of its own for each person",
-            mend="An id that has left must not be used again.",
+            hint="An id that has left must not be used again.",
         )
 
 
@@ -134,7 +134,7 @@ def broken_rules(
             name,
             got=f"{crowd.frames} frames, the last person in frame {last}",
             expected=f"{frames} frames, people until the last {1 - LAST:.0%}, all of it observed",
-            mend=f"Simulate {scene.horizon_s:g} s in steps of {scene.dt_s:.4g} s.",
+            hint=f"Simulate {scene.horizon_s:g} s in steps of {scene.dt_s:.4g} s.",
         )
     xy = crowd.xy.astype(np.float64)
     outside_m = float(-_depth_m(xy, scene).min())
@@ -143,9 +143,9 @@ def broken_rules(
             name,
             got=f"somebody {outside_m:.3g} m outside the scene's bounds",
             expected=f"at most {OUTSIDE_M:g} m",
-            mend="Who walks out of the bounds has left. Are x and y in the scene's metres?",
+            hint="Who walks out of the bounds has left. Are x and y in the scene's metres?",
         )
-    for share, most, got, mend in (
+    for share, most, got, hint in (
         (
             _in_walls(xy, scene),
             IN_WALLS,
@@ -168,7 +168,7 @@ def broken_rules(
     ):
         if share > most:
             yield RefusedError(
-                name, got=f"{share:.2%} of {got}", expected=f"at most {most:.0%}", mend=mend
+                name, got=f"{share:.2%} of {got}", expected=f"at most {most:.0%}", hint=hint
             )
 
 
@@ -201,7 +201,7 @@ def _columns(name: str, crowd: Trajectories, track: Track, areas: Areas) -> Iter
                 got=f"{got} {column[first]} of person {crowd.person_id[first]} "
                 f"({int(wrong.sum())} such persons)",
                 expected=expected,
-                mend="Columns that other programs do not know can be left out.",
+                hint="Columns that other programs do not know can be left out.",
             )
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _COLUMNS = ("person_id", "frame", "time_s", "x", "y", *PERSON_COLUMNS)
 _BATCH = 2**16
-_MEND = "Write one row per person and frame, with person_id, frame, x and y, and no more than that."
+_HINT = "Write one row per person and frame, with person_id, frame, x and y, and no more than that."
 _LONGEST_HEADER = 10_000  # bytes of the first line of a CSV file
 
 
@@ -36,22 +36,22 @@ def read_table(path: Path) -> "pyarrow.Table":
     size = path.stat().st_size
     if size > LARGEST_TABLE:
         most = f"at most {LARGEST_TABLE / 1e6:.0f} MB"
-        mend = "Parquet takes a tenth of CSV."
-        raise RecordingError(path, got=f"{size / 1e6:.1f} MB", expected=most, mend=mend)
+        hint = "Parquet takes a tenth of CSV."
+        raise RecordingError(path, got=f"{size / 1e6:.1f} MB", expected=most, hint=hint)
     read = _parquet if path.suffix == ".parquet" else _csv
     try:
         table = read(path)
         named = [name.strip() for name in table.column_names]
     except (pa.ArrowException, OSError, MemoryError, UnicodeDecodeError) as error:
         told = (str(error) or type(error).__name__).splitlines()[0]
-        raise RecordingError(path, got=told, expected="a readable table", mend=_MEND) from error
+        raise RecordingError(path, got=told, expected="a readable table", hint=_HINT) from error
     _check_names(path, named)
     return table.rename_columns(named).replace_schema_metadata(table.schema.metadata)
 
 
 def _refuse(path: Path, wrong: bool, got: str, most: str) -> None:
     if wrong:
-        raise RecordingError(path, got=got, expected=f"at most {most}", mend=_MEND)
+        raise RecordingError(path, got=got, expected=f"at most {most}", hint=_HINT)
 
 
 def _csv(path: Path) -> "pyarrow.Table":
@@ -87,7 +87,7 @@ def _parquet(path: Path) -> "pyarrow.Table":
             pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
         ):
             raise RecordingError(
-                path, got=f"{kind} in column {name}", expected="numbers", mend=_MEND
+                path, got=f"{kind} in column {name}", expected="numbers", hint=_HINT
             )
     batches, rows, size = [], 0, 0
     for batch in file.iter_batches(_BATCH, columns=wanted, use_threads=False):

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from crowdbench.evaluation.judge import Seen
+from crowdbench.evaluation.judge import MetricSlice
 from crowdbench.leaderboard.verification.entry import Curve
 from crowdbench.metrics import METRICS, Metric, Statistics, Sums, total
 from crowdbench.metrics.forms import RelativeWasserstein
@@ -24,7 +24,7 @@ _SHOWN = 0.996
 """Share of the values that a distribution is shown up to."""
 
 
-def agents_over_time(reference: Reference, parts: Iterable[Seen]) -> Curve:
+def agents_over_time(reference: Reference, parts: Iterable[MetricSlice]) -> Curve:
     """Mean number of agents in each time block, by those rollouts that are scored on it."""
     recorded, simulated = np.zeros((2, len(reference.blocks)))
     for seen in parts:
@@ -42,7 +42,7 @@ def agents_over_time(reference: Reference, parts: Iterable[Seen]) -> Curve:
     )
 
 
-def distribution(name: str, reference: Reference, parts: Iterable[Seen]) -> Curve:
+def distribution(name: str, reference: Reference, parts: Iterable[MetricSlice]) -> Curve:
     """Distribution functions of a metric's values, all rollouts and parts together."""
     metric = next(m for m in METRICS if m.name == name)
     assert isinstance(metric, RelativeWasserstein)

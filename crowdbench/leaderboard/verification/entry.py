@@ -23,7 +23,7 @@ SCORER = 1
 """Version of how rollouts become scores. It goes up with any change by which an entry's scores
 would be others; `crowdbench leaderboard rescore` then makes entries anew."""
 
-_MEND = "Make it with `crowdbench leaderboard verify`."
+_HINT = "Make it with `crowdbench leaderboard verify`."
 LARGEST = 1e12
 """No number of an entry is larger; learned parameters come nearest."""
 Status = Literal["ranked", "listed", "reference"]
@@ -156,13 +156,13 @@ def read_entry(path: Path) -> Entry:
     Raises:
         WeightsError: it is missing or broken, or of another schema.
     """
-    entry = read_struct(path, Entry, WeightsError, _MEND)
+    entry = read_struct(path, Entry, WeightsError, _HINT)
     for got, holds, expected in (
         (f"schema {entry.schema}", entry.schema == SCHEMA, f"schema {SCHEMA}"),
         (f"the entry {entry.id}", entry.id == path.stem, "the entry that its name says"),
     ):
         if not holds:
-            raise WeightsError(path, got=got, expected=expected, mend=_MEND)
+            raise WeightsError(path, got=got, expected=expected, hint=_HINT)
     check_numbers(entry, path)
     return entry
 
@@ -176,7 +176,7 @@ def check_numbers(entry: Entry, where: object) -> None:
     cards = [card for scene in entry.scenes.values() for card in scene.families.values()]
     if any(len(card.resampled) != 4 * RESAMPLES for card in cards):
         raise WeightsError(
-            where, got="resamples cut short", expected=f"{RESAMPLES} of each", mend=_MEND
+            where, got="resamples cut short", expected=f"{RESAMPLES} of each", hint=_HINT
         )
     numbers = _numbers(msgspec.to_builtins(entry))
     sound = all(abs(x) <= LARGEST for x in numbers) and all(
@@ -187,7 +187,7 @@ def check_numbers(entry: Entry, where: object) -> None:
             where,
             got="numbers that no verification gives",
             expected=f"numbers up to {LARGEST:.0e}",
-            mend=_MEND,
+            hint=_HINT,
         )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from crowdbench import __version__
 from crowdbench.errors import RecordingError
 from crowdbench.evaluation.judge import judge
-from crowdbench.evaluation.rollout_jobs import Job, Pair, Rolled, alone_in, plan, roll_out
+from crowdbench.evaluation.rollout_jobs import Job, Pair, RolloutSummary, alone_in, plan, roll_out
 from crowdbench.leaderboard.submission.submission import Submission, open_submission
 from crowdbench.leaderboard.verification.entry import SCHEMA, SCORER, Entry, Flag, SceneEntry
 from crowdbench.leaderboard.verification.scene_entry import Rollouts, scene_entry
@@ -146,12 +146,14 @@ def _local(name: str, folder: Path) -> str:
     return os.path.relpath(name, folder) if Path(name).is_absolute() else name
 
 
-def _rolled(task: _Task, workers: int | None, progress: Callable[[int], None]) -> dict[Job, Rolled]:
+def _rolled(
+    task: _Task, workers: int | None, progress: Callable[[int], None]
+) -> dict[Job, RolloutSummary]:
     if task.jobs[0].policy != TRAJECTORIES:
         return roll_out(task.jobs, task.reference, workers, lambda done, _: progress(done))
     rolled = {}
     for job in task.jobs:
-        rolled[job] = Rolled.of_crowd(_crowd_of(job), task.reference)
+        rolled[job] = RolloutSummary.of_crowd(_crowd_of(job), task.reference)
         progress(len(rolled))
     return rolled
 
@@ -177,6 +179,6 @@ def _recording(place: Scene) -> Trajectories:
             got="no recording",
             expected="its recording, under whose arrivals people walk and in which copies are "
             "looked for",
-            mend=f"Run `crowdbench data fetch {place.recording.name}`.",
+            hint=f"Run `crowdbench data fetch {place.recording.name}`.",
         )
     return recording_of(place)

@@ -78,5 +78,5 @@ def _check_changed(old: Entry, submission: Path) -> None:
             f"entry {old.id}",
             got=f"the scorer {SCORER} and the files that it was scored with",
             expected="a newer scorer, or a submission that changed",
-            mend="The scores would be the same.",
+            hint="The scores would be the same.",
         )

@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from crowdbench.evaluation.judge import Seen, seen_in
-from crowdbench.evaluation.rollout_jobs import Job, Pair, Rolled
+from crowdbench.evaluation.judge import MetricSlice, seen_in
+from crowdbench.evaluation.rollout_jobs import Job, Pair, RolloutSummary
 from crowdbench.leaderboard.verification.copying import ArrivalCopies, LifeCopies, independent_limit
 from crowdbench.leaderboard.verification.curves import (
     AGENTS,
@@ -29,7 +29,7 @@ from crowdbench.scene import Scene
 from crowdbench.scoring.energy import Energy, FitEnergies, energies_of_fits
 from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.score import LOWEST, Score, combined
-from crowdbench.scoring.scorecard import Entry as PairEntry
+from crowdbench.scoring.scorecard import PairResult as PairEntry
 from crowdbench.scoring.scorecard import Scorecard, metric_scores, rows, scale_of
 from crowdbench.trajectories.table import Trajectories
 
@@ -41,7 +41,7 @@ class Rollouts:
     place: Scene
     reference: Reference
     card: Scorecard
-    rolled: dict[Job, Rolled]
+    rolled: dict[Job, RolloutSummary]
     crowd: Pair | None
     """The pair that the families of crowds are of; None on track walk."""
     walk: Pair | None
@@ -54,7 +54,7 @@ class Rollouts:
         assert pair is not None
         return pair
 
-    def of(self, pair: Pair) -> dict[Job, Rolled]:
+    def of(self, pair: Pair) -> dict[Job, RolloutSummary]:
         """Those of a pair."""
         return {j: what for j, what in self.rolled.items() if (j.spawn, j.policy) == pair}
 
@@ -66,7 +66,7 @@ class Rollouts:
         """The pair that a metric is of, None where the track does not have it."""
         return self.walk if metric.family in WALK else self.crowd
 
-    def seen(self, metric: Metric) -> Iterator[Seen]:
+    def seen(self, metric: Metric) -> Iterator[MetricSlice]:
         """What the metric sees of its pair."""
         pair = self.pair_of(metric)
         assert pair is not None

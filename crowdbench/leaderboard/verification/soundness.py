@@ -70,5 +70,5 @@ def check_entry(entry: Entry, where: object) -> None:
         ),
     ):
         if not holds:
-            mend = "Make it with `crowdbench leaderboard verify`."
-            raise WeightsError(where, got=got, expected=expected, mend=mend)
+            hint = "Make it with `crowdbench leaderboard verify`."
+            raise WeightsError(where, got=got, expected=expected, hint=hint)

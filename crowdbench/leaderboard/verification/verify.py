@@ -14,7 +14,7 @@ import numpy as np
 from crowdbench import __version__
 from crowdbench.errors import OutputError, WeightsError
 from crowdbench.files import write_json
-from crowdbench.leaderboard.sandbox.parent import Limits, Ran, SandboxError, call
+from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage, SandboxError, call
 from crowdbench.leaderboard.submission.errors import plain
 from crowdbench.leaderboard.verification.check import Checked, check
 from crowdbench.leaderboard.verification.entry import Entry, read_entry
@@ -32,7 +32,7 @@ def verify(
     limits: Limits = DEFAULT,
     progress: Callable[[int, int], None] = lambda done, total: None,
     taken: Collection[str] = (),
-) -> tuple[Entry, Ran]:
+) -> tuple[Entry, ResourceUsage]:
     """Roll out and score a submission; write `ID.json` and `ID.run.json` into `out`.
 
     The same submission gives the same bytes in `ID.json`; time, memory and machine stand in the
@@ -72,7 +72,7 @@ def _check_free(submission: Path, known: Checked, out: Path, taken: Collection[s
             submission,
             got=f"the id {known.id}, which another submission{by} has",
             expected="an id of its own",
-            mend="Ids are made of names: choose another name, or verify it into another folder.",
+            hint="Ids are made of names: choose another name, or verify it into another folder.",
         )
 
 
@@ -82,7 +82,7 @@ def entry_of(
     workers: int | None,
     limits: Limits,
     progress: Callable[[int, int], None],
-) -> tuple[Entry, Ran]:
+) -> tuple[Entry, ResourceUsage]:
     """What verification finds, and how the child ran."""
     asked: dict[str, object] = {
         "submission": str(submission.resolve()),
@@ -106,7 +106,7 @@ def entry_of(
     return entry, ran
 
 
-def write_run(path: Path, ran: Ran) -> None:
+def write_run(path: Path, ran: ResourceUsage) -> None:
     """Write what depends on the machine and the day."""
     versions = {
         "crowdbench": __version__,

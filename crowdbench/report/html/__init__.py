@@ -15,7 +15,7 @@ from crowdbench.report.display_names import Names, names_of
 from crowdbench.report.html.pictures import pictures
 from crowdbench.report.html.shell import html_page
 from crowdbench.report.html.tables import by_rank, metric_tables, outcome_table, score_table
-from crowdbench.report.plots import Crowds, Sight
+from crowdbench.report.plots import Crowds, PlotData
 from crowdbench.report.text.words import PROTOCOLS, STEERED, named, with_interval
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import Reference
@@ -43,12 +43,12 @@ def write_report(
         OutputError: the file cannot be written.
     """
     path = out / "report.html"
-    write_text(path, _page(card, Sight.of(scene, reference, crowds, card.protocol)))
+    write_text(path, _page(card, PlotData.of(scene, reference, crowds, card.protocol)))
     return path
 
 
-def _page(card: Scorecard, sight: Sight) -> str:
-    scene, table = sight.scene, rows(card)
+def _page(card: Scorecard, plot: PlotData) -> str:
+    scene, table = plot.scene, rows(card)
     names = names_of([(row.spawn, row.policy) for row in table], scene)
     style = (Path(__file__).parent / "style.css").read_text(encoding="utf-8")
     body = f"""<header>
@@ -70,11 +70,11 @@ def _page(card: Scorecard, sight: Sight) -> str:
 </section>
 <section id="metrics">
 <h2>Metric by metric</h2>
-{metric_tables(card, sight, names)}
+{metric_tables(card, plot, names)}
 </section>
 <section id="pictures">
 <h2>Pictures</h2>
-{pictures(sight)}
+{pictures(plot)}
 </section>
 <section id="method">
 <h2>How it was made</h2>

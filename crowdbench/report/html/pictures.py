@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from crowdbench.colours import COLOURS
-from crowdbench.report.plots import Sight, panels, picture
-from crowdbench.report.plots.sight import Curves
+from crowdbench.report.plots import PlotData, panels, picture
+from crowdbench.report.plots.plot_data import Curves
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,52 +24,52 @@ _MOST_AREAS = 12
 _LEAST_GAPS = 20
 
 
-def pictures(sight: Sight) -> str:
+def pictures(plot: PlotData) -> str:
     """All sections of pictures."""
-    if not sight.groups:
+    if not plot.groups:
         return "<p>There is no rollout to draw.</p>"
-    rollouts = max(len(group.crowds) for group in sight.groups)
-    fold = " of the first fold, in its time blocks" if sight.part != "full" else ""
+    rollouts = max(len(group.crowds) for group in plot.groups)
+    fold = " of the first fold, in its time blocks" if plot.part != "full" else ""
     many = f"{rollouts} rollouts" if rollouts > 1 else "one rollout"
     return "\n".join(
         [
             f"<p>They show {many} of each crowd{fold}. Colours are spawn models, dashes are "
             "policies, the recording is black or grey. Pictures describe; scores judge.</p>",
-            _section("Agents over time", _over_time(sight), "wide", lead=_bands(sight)),
+            _section("Agents over time", _over_time(plot), "wide", lead=_bands(plot)),
             _section(
                 "Distributions",
-                _distributions(sight),
+                _distributions(plot),
                 "wide",
-                lead=f'{_key(sight)}<p class="note">Curves show the share of values above x. Where '
+                lead=f'{_key(plot)}<p class="note">Curves show the share of values above x. Where '
                 "a crowd’s curve stays in the grey band, the recording is too short to tell them "
                 "apart there.</p>",
             ),
             _section(
                 "Gaps between arrivals at each spawn area",
-                _per_area(sight),
+                _per_area(plot),
                 "small",
-                lead=f"{_key(sight)}{_which_areas(sight)}",
+                lead=f"{_key(plot)}{_which_areas(plot)}",
             ),
-            _section("From where to where", _flows(sight), "maps", lead=_areas_key(flows=True)),
+            _section("From where to where", _flows(plot), "maps", lead=_areas_key(flows=True)),
             _section(
                 "Where people spend their time",
-                _occupancy(sight),
+                _occupancy(plot),
                 "maps",
                 lead='<p class="note">Share of all people’s time in each square metre, the same '
                 "scale everywhere; brighter is more, white is never.</p>",
             ),
-            _section("Paths of one rollout", _paths(sight), "maps", lead=_areas_key(flows=False)),
+            _section("Paths of one rollout", _paths(plot), "maps", lead=_areas_key(flows=False)),
         ]
     )
 
 
-def _bands(sight: Sight) -> str:
+def _bands(plot: PlotData) -> str:
     """What black, grey and thin lines mean where agents are drawn over time."""
     mean = '<span class="mean"></span> recorded: mean N of a time block'
     band = '<span class="band"></span> recorded: what N lies between for 90 % of a time block'
     thin = "thin lines: rollouts, one of them drawn out; where only they are drawn, the recording "
     thin += "is not compared"
-    if panels.in_blocks(sight):
+    if panels.in_blocks(plot):
         keys = [mean, f"{thin}; of a recording as long as this they are drawn by such means too"]
     else:
         keys = [band, '<span class="mean"></span> its mean', thin]
@@ -109,10 +109,10 @@ def _sample(colour: str, dashes: Sequence[float], thick: float = 2.0) -> str:
     )
 
 
-def _key(sight: Sight) -> str:
+def _key(plot: PlotData) -> str:
     items = [f"<li>{_sample('currentColor', (), 3.0)} recorded</li>"]
     items.append('<li><span class="band"></span> recorded, 95 % by resampling time blocks</li>')
-    items += [f"<li>{_sample(g.colour, g.dashes)} {escape(g.label)}</li>" for g in sight.groups]
+    items += [f"<li>{_sample(g.colour, g.dashes)} {escape(g.label)}</li>" for g in plot.groups]
     return f'<ul class="key">{"".join(items)}</ul>'
 
 
@@ -131,14 +131,14 @@ def _areas_key(*, flows: bool) -> str:
     )
 
 
-def _over_time(sight: Sight) -> list[str]:
+def _over_time(plot: PlotData) -> list[str]:
     found = []
-    for group in sight.groups:
+    for group in plot.groups:
         present = np.concatenate([crowd.present() for crowd in group.crowds])
         count = len(group.crowds)
         found.append(
             _figure(
-                partial(panels.agents_over_time, sight=sight, group=group),
+                partial(panels.agents_over_time, plot=plot, group=group),
                 caption=f"<b>{escape(group.label)}</b>, {count} rollout{'s' * (count > 1)}",
                 alt=f"Number of agents over time in rollouts of {group.label}: mean "
                 f"{present.mean():.1f}, at most {present.max()}.",
@@ -150,8 +150,8 @@ def _over_time(sight: Sight) -> list[str]:
     return found
 
 
-def _distributions(sight: Sight) -> list[str]:
-    scene = sight.scene
+def _distributions(plot: PlotData) -> list[str]:
+    scene = plot.scene
     found = []
     for name, title, what, unit in (
         ("inter_spawn", "Inter-spawn time", "time between two arrivals (s)", scene.grid_s),
@@ -160,15 +160,22 @@ def _distributions(sight: Sight) -> list[str]:
         ("agents_over_time", "Agents present, N(t)", "agents present", 1.0),
         ("dwell", "Dwell time", "time from entering to leaving (s)", scene.dt_s),
     ):  # fmt: skip
-        curves = sight.curves(name)
+        curves = plot.curves(name)
 
-        cut_off = name == "dwell" and panels.patience_s(sight) < curves.longest() * unit
+        cut_off = name == "dwell" and panels.patience_s(plot) < curves.longest() * unit
         cut = "; dotted: simulated lives are cut off" if cut_off else ""
         found.append(
             _figure(
-                partial(_distribution, sight=sight, name=name, curves=curves, unit=unit, what=what),
+                partial(
+                    _distribution,
+                    plot=plot,
+                    name=name,
+                    curves=curves,
+                    unit=unit,
+                    what=what,
+                ),
                 caption=f"<b>{title}</b>{cut}",
-                alt=f"Survival curves, {title.lower()}. {medians(sight, curves, unit)}",
+                alt=f"Survival curves, {title.lower()}. {medians(plot, curves, unit)}",
                 width=4.6,
                 height=2.7,
             )
@@ -177,44 +184,44 @@ def _distributions(sight: Sight) -> list[str]:
 
 
 def _distribution(
-    axis: "Axes", sight: Sight, name: str, curves: Curves, unit: float, what: str
+    axis: "Axes", plot: PlotData, name: str, curves: Curves, unit: float, what: str
 ) -> None:
-    panels.survival(axis, sight, curves, unit=unit, what=what)
+    panels.survival(axis, plot, curves, unit=unit, what=what)
     if name == "dwell":
-        panels.patience(axis, sight)
+        panels.patience(axis, plot)
 
 
-def medians(sight: Sight, curves: Curves, unit: float, area: int = 0) -> str:
+def medians(plot: PlotData, curves: Curves, unit: float, area: int = 0) -> str:
     """The medians of a metric's distributions, recorded and of each group."""
     each = [curves.recorded[area], *curves.groups[:, area]]
-    labels = ["recorded", *(group.label for group in sight.groups)]
+    labels = ["recorded", *(group.label for group in plot.groups)]
     # The last value of a distribution function is 1 but for rounding.
     middle = [curves.support[min(int(np.searchsorted(f, 0.5)), len(f) - 1)] * unit for f in each]
     each_median = ", ".join(f"{n} {m:.3g}" for n, m in zip(labels, middle, strict=True))
     return f"Medians: {each_median}."
 
 
-def _per_area(sight: Sight) -> list[str]:
-    name, areas = "inter_spawn_per_area", sight.reference.place.spawn_areas
-    curves = sight.curves(name, samples=areas)
-    gaps = _gaps(sight)
+def _per_area(plot: PlotData) -> list[str]:
+    name, areas = "inter_spawn_per_area", plot.reference.place.spawn_areas
+    curves = plot.curves(name, samples=areas)
+    gaps = _gaps(plot)
     found = []
     for k in _busiest(gaps):
-        x, y = sight.areas.spawn.mean[k]
+        x, y = plot.areas.spawn.mean[k]
         where = f"({x:.1f}, {y:.1f})".replace("-", "−")
         found.append(
             _figure(
                 partial(
                     panels.survival,
-                    sight=sight,
+                    plot=plot,
                     curves=curves,
-                    unit=sight.scene.grid_s,
+                    unit=plot.scene.grid_s,
                     what="gap (s)",
                     area=k,
                 ),
                 caption=f"<b>Area {k}</b> around {where} m, {gaps[k]} recorded gaps",
                 alt=f"Survival curves of gaps between arrivals at spawn area {k}. "
-                f"{medians(sight, curves, sight.scene.grid_s, k)}",
+                f"{medians(plot, curves, plot.scene.grid_s, k)}",
                 width=3.0,
                 height=2.2,
             )
@@ -222,9 +229,9 @@ def _per_area(sight: Sight) -> list[str]:
     return found
 
 
-def _gaps(sight: Sight) -> list[int]:
+def _gaps(plot: PlotData) -> list[int]:
     """Recorded gaps of each spawn area."""
-    each = sight.reference.statistics["inter_spawn_per_area"].values()
+    each = plot.reference.statistics["inter_spawn_per_area"].values()
     return [int(counts.sum()) for counts in each]
 
 
@@ -234,8 +241,8 @@ def _busiest(gaps: Sequence[int]) -> list[int]:
     return [k for k in order[:_MOST_AREAS] if gaps[k] >= _LEAST_GAPS] or order[:1]
 
 
-def _which_areas(sight: Sight) -> str:
-    gaps = _gaps(sight)
+def _which_areas(plot: PlotData) -> str:
+    gaps = _gaps(plot)
     shown = _busiest(gaps)
     left_out = len(gaps) - len(shown)
     others = (
@@ -247,67 +254,67 @@ def _which_areas(sight: Sight) -> str:
     return f'<p class="note">Busiest area first.{others}</p>'
 
 
-def _map_height(sight: Sight, extra: float = 0.5) -> float:
-    b = sight.scene.bounds
+def _map_height(plot: PlotData, extra: float = 0.5) -> float:
+    b = plot.scene.bounds
     return (_WIDTH - 0.6) * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m) + extra
 
 
-def _flows(sight: Sight) -> list[str]:
+def _flows(plot: PlotData) -> list[str]:
     found = []
-    goals = sight.reference.place.goal_areas
-    labels = ["recorded", *(group.label for group in sight.groups)]
-    for label, share in zip(labels, sight.cells("origin_destination"), strict=True):
+    goals = plot.reference.place.goal_areas
+    labels = ["recorded", *(group.label for group in plot.groups)]
+    for label, share in zip(labels, plot.cells("origin_destination"), strict=True):
         k, g = divmod(int(np.argmax(share)), goals)
         found.append(
             _figure(
-                partial(panels.flows, sight=sight, share=share),
+                partial(panels.flows, plot=plot, share=share),
                 caption=f"<b>{escape(label)}</b>",
                 alt=f"Map of the ways that people walk, {label}. Most, {100 * share.max():.0f} %, "
                 f"from spawn area {k} to goal area {g}.",
-                height=_map_height(sight),
+                height=_map_height(plot),
             )
         )
     return found
 
 
-def _occupancy(sight: Sight) -> list[str]:
-    shares = sight.cells("occupancy")
+def _occupancy(plot: PlotData) -> list[str]:
+    shares = plot.cells("occupancy")
     # A cell where people pile up must not darken all others.
     top = 100 * float(np.percentile(shares[0][shares[0] > 0], 99.5)) if shares[0].any() else 1.0
-    labels = ["recorded", *(group.label for group in sight.groups)]
+    labels = ["recorded", *(group.label for group in plot.groups)]
     found = []
     for label, share in zip(labels, shares, strict=True):
         differs = 50 * float(np.abs(share - shares[0]).sum())
         found.append(
             _figure(
-                partial(_occupied, sight=sight, share=share, top=top),
+                partial(_occupied, plot=plot, share=share, top=top),
                 caption=f"<b>{escape(label)}</b>",
                 alt=f"Map of where people spend their time, {label}."
                 + (f" It differs from the recording in {differs:.0f} % of the time."
                    if label != "recorded" else ""),
-                height=_map_height(sight, 1.05),
+                height=_map_height(plot, 1.05),
             )
         )  # fmt: skip
     return found
 
 
-def _occupied(axis: "Axes", sight: Sight, share: np.ndarray, top: float) -> None:
-    image = panels.occupancy(axis, sight, share, top)
+def _occupied(axis: "Axes", plot: PlotData, share: np.ndarray, top: float) -> None:
+    image = panels.occupancy(axis, plot, share, top)
     bar = axis.figure.colorbar(image, ax=axis, location="bottom", aspect=40, extend="max", pad=0.02)
     bar.set_label("% of people’s time per m²")
 
 
-def _paths(sight: Sight) -> list[str]:
+def _paths(plot: PlotData) -> list[str]:
     found = []
-    for group in sight.groups:
+    for group in plot.groups:
         count = min(len(group.crowds[0]), panels.MOST_PATHS)
         found.append(
             _figure(
-                partial(panels.paths, sight=sight, crowd=group.crowds[0]),
+                partial(panels.paths, plot=plot, crowd=group.crowds[0]),
                 caption=f"<b>{escape(group.label)}</b>, the first {count} people",
                 alt=f"Paths of {count} people in one rollout of {group.label}, drawn over walls, "
                 "spawn areas and goal areas.",
-                height=_map_height(sight),
+                height=_map_height(plot),
                 kind="small png",
             )
         )

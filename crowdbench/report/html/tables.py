@@ -7,10 +7,10 @@ from html import escape
 from crowdbench.metrics import FAMILIES, METRICS, WALK, Metric
 from crowdbench.metrics.arrivals import burstiness, memory
 from crowdbench.report.display_names import Names
-from crowdbench.report.plots import Sight
+from crowdbench.report.plots import PlotData
 from crowdbench.report.text.words import NOTHING, digits, plainly
 from crowdbench.scoring.score import LOWEST, Score
-from crowdbench.scoring.scorecard import Entry, Row, Scorecard, metric_scores, walked
+from crowdbench.scoring.scorecard import PairResult, Row, Scorecard, metric_scores, walked
 from crowdbench.trajectories.table import OUTCOMES
 
 _BAR = 76.0  # pixels
@@ -97,7 +97,7 @@ def _score_row(
     )
 
 
-def _pair(crowd: Row | Entry, names: Names) -> str:
+def _pair(crowd: Row | PairResult, names: Names) -> str:
     spawn, policy = names.spawn[crowd.spawn], names.policy[crowd.policy]
     return f"<span>{escape(spawn)}</span> <span>× {escape(policy)}</span>"
 
@@ -146,27 +146,27 @@ class _Scale:
         )
 
 
-def metric_tables(card: Scorecard, sight: Sight, names: Names) -> str:
+def metric_tables(card: Scorecard, plot: PlotData, names: Names) -> str:
     """Every metric of the crowds, then the walking ones of policies under recorded arrivals."""
     crowds = [e for e in card.entries if e.spawn != "replay"]
     walkers = [e for e in card.entries if e.spawn == "replay"]
     if not crowds:
-        return _metric_table(card, sight, names, walkers, METRICS, "Metrics of each crowd")
+        return _metric_table(card, plot, names, walkers, METRICS, "Metrics of each crowd")
     policies = [metric for metric in METRICS if metric.family in WALK]
-    first = _metric_table(card, sight, names, crowds, METRICS, "Metrics of each crowd")
+    first = _metric_table(card, plot, names, crowds, METRICS, "Metrics of each crowd")
     if not walkers:
         return first
     second = _metric_table(
-        card, sight, names, walkers, policies, "Metrics of walking, under the recorded arrivals"
+        card, plot, names, walkers, policies, "Metrics of walking, under the recorded arrivals"
     )
     return f"{first}\n<h3>Walking under the recorded arrivals</h3>\n{second}"
 
 
 def _metric_table(
     card: Scorecard,
-    sight: Sight,
+    plot: PlotData,
     names: Names,
-    entries: Sequence[Entry],
+    entries: Sequence[PairResult],
     metrics: Sequence[Metric],
     caption: str,
 ) -> str:
@@ -190,7 +190,7 @@ def _metric_table(
                 f"<td>{_with_unit(recorded, metric.unit)}</td>{''.join(cells)}</tr>\n"
             )
             if metric.name == "inter_spawn":
-                lines += _gap_rows(sight, entries)
+                lines += _gap_rows(plot, entries)
         if lines:
             bodies.append(
                 f'<tbody><tr class="part"><th colspan="{2 + len(entries)}" scope="rowgroup">'
@@ -227,7 +227,7 @@ def _with_unit(value: float | None, unit: str) -> str:
     return f'<span class="nobreak">{escape(digits(value))}{shown}</span>'
 
 
-def _metric_cell(entry: Entry, metric: Metric, score: Score | None) -> str:
+def _metric_cell(entry: PairResult, metric: Metric, score: Score | None) -> str:
     card = entry.metrics[metric.name]
     distance = NOTHING if card.distance is None else f"{card.distance:.3f}"
     lines = [
@@ -243,10 +243,10 @@ def _metric_cell(entry: Entry, metric: Metric, score: Score | None) -> str:
     return f"<td>{''.join(lines)}</td>"
 
 
-def _gap_rows(sight: Sight, entries: Sequence[Entry]) -> list[str]:
+def _gap_rows(plot: PlotData, entries: Sequence[PairResult]) -> list[str]:
     """Burstiness and memory of the gaps between arrivals."""
-    (recorded, *groups), support = sight.pooled("inter_spawn")
-    by_pair = {(g.spawn, g.policy): sums for g, sums in zip(sight.groups, groups, strict=True)}
+    (recorded, *groups), support = plot.pooled("inter_spawn")
+    by_pair = {(g.spawn, g.policy): sums for g, sums in zip(plot.groups, groups, strict=True)}
     found = []
     for name, what, value in (
         (

@@ -9,22 +9,22 @@ from crowdbench.files import replacing
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.canvas import Draw, picture
 from crowdbench.report.plots.maps import maps
-from crowdbench.report.plots.sight import Crowds, Sight
+from crowdbench.report.plots.plot_data import Crowds, PlotData
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def draw_figures(sight: Sight, out: Path) -> list[Path]:
+def draw_figures(plot: PlotData, out: Path) -> list[Path]:
     """Draw all of `FIGURES` into `out`.
 
     Raises:
         OutputError: a picture cannot be written.
     """
-    return [draw_figure(name, sight, out) for name in FIGURES]
+    return [draw_figure(name, plot, out) for name in FIGURES]
 
 
-def draw_figure(name: str, sight: Sight, out: Path, *, named: str = "") -> Path:
+def draw_figure(name: str, plot: PlotData, out: Path, *, named: str = "") -> Path:
     """Draw one of `FIGURES` into `out`, under its own name or as the file `named`.
 
     Raises:
@@ -32,53 +32,53 @@ def draw_figure(name: str, sight: Sight, out: Path, *, named: str = "") -> Path:
     """
     path = out / (named or name)
     with replacing(path) as temporary:
-        temporary.write_bytes(_DRAWN[name](sight))
+        temporary.write_bytes(_DRAWN[name](plot))
     return path
 
 
-def _agents_over_time(sight: Sight) -> bytes:
+def _agents_over_time(plot: PlotData) -> bytes:
     """Draw a panel per crowd: its rollouts' N(t) over the recording's N in each time block."""
 
     def draw(axes: "list[Axes]") -> None:
-        for axis, group in zip(axes, sight.groups, strict=True):
-            panels.agents_over_time(axis, sight, group)
+        for axis, group in zip(axes, plot.groups, strict=True):
+            panels.agents_over_time(axis, plot, group)
             axis.plot([], [], color=group.colour,
                       label=f"{group.label}, {len(group.crowds)} rollouts")  # fmt: skip
-            axis.set(xlabel="", ylim=(0, 1.2 * panels.most_agents(sight)))
+            axis.set(xlabel="", ylim=(0, 1.2 * panels.most_agents(plot)))
             axis.legend(loc="upper right", ncols=3)
             if axis is not axes[0]:  # the recording is explained once
                 axis.legend(handles=axis.get_lines()[-1:], loc="upper right")
         axes[-1].set_xlabel(
             "time (s); where only rollouts are drawn, the recording is not compared"
         )
-        axes[0].set_title(f"{sight.scene.title}: agents over time")
+        axes[0].set_title(f"{plot.scene.title}: agents over time")
 
-    rows = len(sight.groups)
+    rows = len(plot.groups)
     return picture(draw, width=9.0, height=2.3 * rows + 0.6, rows=rows, kind="small png")
 
 
-def _survival(sight: Sight, name: str, title: str, what: str) -> bytes:
-    unit = {"inter_spawn": sight.scene.grid_s, "dwell": sight.scene.dt_s}.get(name, 1.0)
+def _survival(plot: PlotData, name: str, title: str, what: str) -> bytes:
+    unit = {"inter_spawn": plot.scene.grid_s, "dwell": plot.scene.dt_s}.get(name, 1.0)
 
     def draw(axes: "list[Axes]") -> None:
         (axis,) = axes
-        what_exactly = what.format(ten_frames=f"{10 * sight.scene.dt_s:.3g} s")
-        panels.survival(axis, sight, sight.curves(name), unit=unit, what=what_exactly)
+        what_exactly = what.format(ten_frames=f"{10 * plot.scene.dt_s:.3g} s")
+        panels.survival(axis, plot, plot.curves(name), unit=unit, what=what_exactly)
         if name == "dwell":
-            panels.patience(axis, sight)
+            panels.patience(axis, plot)
         axis.legend()
-        axis.set_title(f"{sight.scene.title}: {title}")
+        axis.set_title(f"{plot.scene.title}: {title}")
 
     return picture(draw, width=6.5, height=4.6, kind="small png")
 
 
-def _autocorrelation(sight: Sight) -> bytes:
+def _autocorrelation(plot: PlotData) -> bytes:
     def draw(axes: "list[Axes]") -> None:
         (axis,) = axes
-        panels.autocorrelation(axis, sight)
+        panels.autocorrelation(axis, plot)
         # Below the picture: where the number of people changes slowly, curves go everywhere in it.
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3)
-        axis.set_title(f"{sight.scene.title}: autocorrelation of agents over time")
+        axis.set_title(f"{plot.scene.title}: autocorrelation of agents over time")
 
     return picture(draw, width=6.5, height=5.2, kind="small png")
 
@@ -87,25 +87,25 @@ _TALL = 1.3
 """Places taller than this, over their width, stand four in a row, not two."""
 
 
-def _paths(sight: Sight) -> bytes:
+def _paths(plot: PlotData) -> bytes:
     """Draw the paths of each crowd's first rollout over the scene's walls and areas."""
     from matplotlib.lines import Line2D
 
-    shown = [(f"{group.label}, seed 0", group.crowds[0]) for group in sight.groups]
-    if sight.recording is not None:
-        shown.insert(0, ("recorded", sight.recording))
-    b = sight.scene.bounds
+    shown = [(f"{group.label}, seed 0", group.crowds[0]) for group in plot.groups]
+    if plot.recording is not None:
+        shown.insert(0, ("recorded", plot.recording))
+    b = plot.scene.bounds
     steep = (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m)
     columns, width = (4, 2.7) if steep > _TALL else (2, 4.0)
     handles = [
         Line2D([], [], color="black", linewidth=1.0, linestyle="--", label="spawn area, 2 σ"),
         Line2D([], [], color="0.4", linewidth=1.8, label="goal area, 2 σ, and paths to it"),
     ]
-    drawn = [(title, partial(panels.paths, sight=sight, crowd=crowd)) for title, crowd in shown]
-    return maps(sight.scene, drawn, width=width, columns=columns, handles=handles)
+    drawn = [(title, partial(panels.paths, plot=plot, crowd=crowd)) for title, crowd in shown]
+    return maps(plot.scene, drawn, width=width, columns=columns, handles=handles)
 
 
-_DRAWN: dict[str, Callable[[Sight], bytes]] = {
+_DRAWN: dict[str, Callable[[PlotData], bytes]] = {
     "agents_over_time.png": _agents_over_time,
     "autocorrelation.png": _autocorrelation,
     "inter_spawn.png": partial(
@@ -127,7 +127,7 @@ __all__ = [
     "FIGURES",
     "Crowds",
     "Draw",
-    "Sight",
+    "PlotData",
     "draw_figure",
     "draw_figures",
     "panels",

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crowdbench.colours import goal_colour
-from crowdbench.report.plots.sight import Curves, Group, Sight
+from crowdbench.report.plots.plot_data import Curves, Group, PlotData
 from crowdbench.scene import Scene
 from crowdbench.simulation.simulation import TIMEOUT_DWELLS
 from crowdbench.spawn.areas import Gaussians
@@ -30,41 +30,41 @@ def linestyle(group: Group) -> Any:
     return (0, group.dashes) if group.dashes else "-"
 
 
-def agents_over_time(axis: "Axes", sight: Sight, group: Group) -> None:
+def agents_over_time(axis: "Axes", plot: PlotData, group: Group) -> None:
     """The rollouts' N(t), the first one drawn out, over the recording's N in each time block."""
-    recorded_bands(axis, sight)
-    rollouts_over_time(axis, sight, group)
+    recorded_bands(axis, plot)
+    rollouts_over_time(axis, plot, group)
 
 
-def rollouts_over_time(axis: "Axes", sight: Sight, group: Group) -> None:
+def rollouts_over_time(axis: "Axes", plot: PlotData, group: Group) -> None:
     """The rollouts' N(t), the first one drawn out."""
-    frames = sight.scene.recording.frames
+    frames = plot.scene.recording.frames
     for k, crowd in enumerate(group.crowds):
         drawn_out: dict[str, Any] = {"linewidth": 0.9, "zorder": 3}
         style = drawn_out if k == 0 else {"linewidth": 0.6, "alpha": 0.3}
-        axis.plot(*_agents(sight, crowd), color=group.colour, **style)
-    axis.set(xlim=(0, frames * sight.scene.dt_s), ylim=(0, most_agents(sight)))
-    axis.set(xlabel="time (s)", ylabel="mean of agents" if in_blocks(sight) else "agents")
+        axis.plot(*_agents(plot, crowd), color=group.colour, **style)
+    axis.set(xlim=(0, frames * plot.scene.dt_s), ylim=(0, most_agents(plot)))
+    axis.set(xlabel="time (s)", ylabel="mean of agents" if in_blocks(plot) else "agents")
 
 
-def in_blocks(sight: Sight) -> bool:
+def in_blocks(plot: PlotData) -> bool:
     """Whether N(t) is shown by its means over time blocks.
 
     A recording of many hours has more frames than a picture can show: all that would be seen of
     them is their extremes.
     """
-    return sight.scene.recording.frames > MOST_FRAMES
+    return plot.scene.recording.frames > MOST_FRAMES
 
 
-def _agents(sight: Sight, crowd: Trajectories) -> tuple[np.ndarray, np.ndarray]:
+def _agents(plot: PlotData, crowd: Trajectories) -> tuple[np.ndarray, np.ndarray]:
     """Times in seconds and the number of agents there, or steps of its means over blocks."""
-    present = crowd.present()[: sight.scene.recording.frames]
-    if not in_blocks(sight):
-        return np.arange(len(present)) * sight.scene.dt_s, present
-    frames = sight.reference.blocks.frames
-    means = block_means(sight, crowd)
+    present = crowd.present()[: plot.scene.recording.frames]
+    if not in_blocks(plot):
+        return np.arange(len(present)) * plot.scene.dt_s, present
+    frames = plot.reference.blocks.frames
+    means = block_means(plot, crowd)
     # NaN breaks the line where blocks do not touch.
-    edges = np.pad(frames, ((0, 0), (0, 1)), constant_values=frames.max()) * sight.scene.dt_s
+    edges = np.pad(frames, ((0, 0), (0, 1)), constant_values=frames.max()) * plot.scene.dt_s
     steps = np.stack([means, means, np.full(len(means), np.nan)], axis=1)
     touching = np.r_[frames[1:, 0] == frames[:-1, 1], False]
     kept = np.ones(steps.shape, dtype=bool)
@@ -72,42 +72,42 @@ def _agents(sight: Sight, crowd: Trajectories) -> tuple[np.ndarray, np.ndarray]:
     return edges[kept], steps[kept]
 
 
-def block_means(sight: Sight, crowd: Trajectories) -> np.ndarray:
+def block_means(plot: PlotData, crowd: Trajectories) -> np.ndarray:
     """Mean number of agents in each time block."""
     present = crowd.present()
-    return np.array([present[a:b].mean() for a, b in sight.reference.blocks.frames.tolist()])
+    return np.array([present[a:b].mean() for a, b in plot.reference.blocks.frames.tolist()])
 
 
-def recorded_means(sight: Sight) -> np.ndarray:
+def recorded_means(plot: PlotData) -> np.ndarray:
     """Those of the recording."""
-    counts = sight.reference.statistics["agents_over_time"]["counts"]
+    counts = plot.reference.statistics["agents_over_time"]["counts"]
     means: np.ndarray = counts @ np.arange(counts.shape[1]) / counts.sum(axis=1)
     return means
 
 
-def most_agents(sight: Sight) -> float:
+def most_agents(plot: PlotData) -> float:
     """The top of a scale on which all rollouts and the recording have room."""
-    crowds = [crowd for group in sight.groups for crowd in group.crowds]
-    simulated = max(float(np.nanmax(_agents(sight, crowd)[1], initial=0)) for crowd in crowds)
-    if in_blocks(sight):
-        most = float(recorded_means(sight).max())
+    crowds = [crowd for group in plot.groups for crowd in group.crowds]
+    simulated = max(float(np.nanmax(_agents(plot, crowd)[1], initial=0)) for crowd in crowds)
+    if in_blocks(plot):
+        most = float(recorded_means(plot).max())
     else:
-        recorded = sight.reference.statistics["agents_over_time"]["counts"]
+        recorded = plot.reference.statistics["agents_over_time"]["counts"]
         most = float(np.flatnonzero(recorded.any(axis=0)).max(initial=1))
     return 1.05 * max(simulated, most)
 
 
-def recorded_bands(axis: "Axes", sight: Sight) -> None:
+def recorded_bands(axis: "Axes", plot: PlotData) -> None:
     """In each time block the recording's mean N, and what N lies between for 90 % of the time.
 
     The latter is left out where rollouts are shown by their means too.
     """
-    counts = sight.reference.statistics["agents_over_time"]["counts"]
-    blocks, means = sight.reference.blocks, recorded_means(sight)
+    counts = plot.reference.statistics["agents_over_time"]["counts"]
+    blocks, means = plot.reference.blocks, recorded_means(plot)
     for b, (start, stop) in enumerate(blocks.frames * blocks.dt_s):
         low, high = recorded_range(counts[b])
         first = b == 0
-        if not in_blocks(sight):
+        if not in_blocks(plot):
             axis.fill_between(
                 [start, stop], low - 0.2, high + 0.2, color=BAND, linewidth=0,
                 label="recorded, 5–95 % of a block" if first else None,
@@ -126,7 +126,7 @@ def recorded_range(counts: np.ndarray) -> tuple[int, int]:
 
 
 def survival(
-    axis: "Axes", sight: Sight, curves: Curves, *, unit: float, what: str, area: int = 0
+    axis: "Axes", plot: PlotData, curves: Curves, *, unit: float, what: str, area: int = 0
 ) -> None:
     """P(X > x) of the recording and of each group, all rollouts of a group together.
 
@@ -137,23 +137,23 @@ def survival(
     axis.fill_between(x, 1 - high, 1 - low, step="post", color=BAND, linewidth=0)
     axis.step(x, 1 - curves.recorded[area], where="post", color="black", linewidth=2.2,
               label="recorded")  # fmt: skip
-    for group, f in zip(sight.groups, curves.groups, strict=True):
+    for group, f in zip(plot.groups, curves.groups, strict=True):
         style = {"color": group.colour, "linestyle": linestyle(group), "linewidth": 1.4}
         axis.step(x, 1 - f[area], where="post", label=group.label, **style)
     axis.set(xlim=(0, max(1, curves.longest(area)) * unit), ylim=(0, 1))
     axis.set(xlabel=what, ylabel="share above it")
 
 
-def patience_s(sight: Sight) -> float:
+def patience_s(plot: PlotData) -> float:
     """After so long a simulated life ends, wherever it is."""
-    return TIMEOUT_DWELLS * sight.scene.recording.dwell_p99_s
+    return TIMEOUT_DWELLS * plot.scene.recording.dwell_p99_s
 
 
-def patience(axis: "Axes", sight: Sight) -> None:
+def patience(axis: "Axes", plot: PlotData) -> None:
     """Where simulated lives are cut off, if that is in sight."""
-    if patience_s(sight) < axis.get_xlim()[1]:
+    if patience_s(plot) < axis.get_xlim()[1]:
         axis.axvline(
-            patience_s(sight),
+            patience_s(plot),
             color="0.45",
             linewidth=0.9,
             linestyle=":",
@@ -170,45 +170,43 @@ def place(axis: "Axes", scene: Scene, *, fill: str = "0.75") -> None:
     axis.set(xlim=(b.x_min_m, b.x_max_m), ylim=(b.y_min_m, b.y_max_m))
 
 
-def autocorrelation(axis: "Axes", sight: Sight) -> None:
+def autocorrelation(axis: "Axes", plot: PlotData) -> None:
     """The autocorrelation of N(t) by lag: the recording's, and the mean of each group's rollouts.
 
     A dot with whiskers is a lag that the metric compares, known without the recording.
     """
-    recorded = sight.recorded_autocorrelation()
+    recorded = plot.recorded_autocorrelation()
     if recorded is not None:
         axis.fill_between(recorded.lag_s, recorded.low, recorded.high, color=BAND, linewidth=0)
         axis.plot(recorded.lag_s, recorded.value, color="black", linewidth=2.2, label="recorded")
-    for group, values in zip(
-        sight.groups, sight.autocorrelations(sight.lags_s.tolist()), strict=True
-    ):
+    for group, values in zip(plot.groups, plot.autocorrelations(plot.lags_s.tolist()), strict=True):
         style = {"color": group.colour, "linestyle": linestyle(group), "linewidth": 1.4}
-        axis.plot(sight.lags_s, values, label=group.label, **style)
-    at = sight.compared_autocorrelation()
+        axis.plot(plot.lags_s, values, label=group.label, **style)
+    at = plot.compared_autocorrelation()
     # A quantile of few blocks may lie on the wrong side of the value itself.
     whiskers = np.maximum(0, [at.value - at.low, at.high - at.value])
     axis.errorbar(at.lag_s, at.value, whiskers, fmt="o", color="black", markersize=5, capsize=3,
                   zorder=4, label="recorded, at the lags compared")  # fmt: skip
     axis.axhline(0, color="0.45", linewidth=0.8)
-    axis.set(xlim=(0, max(1.0, float(sight.lags_s[-1]))), ylim=(None, 1))
+    axis.set(xlim=(0, max(1.0, float(plot.lags_s[-1]))), ylim=(None, 1))
     axis.set(xlabel="lag (s)", ylabel="autocorrelation of the number of agents")
 
 
-def paths(axis: "Axes", sight: Sight, crowd: Trajectories) -> None:
+def paths(axis: "Axes", plot: PlotData, crowd: Trajectories) -> None:
     """The ways of a crowd's first people, each in its goal area's colour."""
-    place(axis, sight.scene)
+    place(axis, plot.scene)
     for p in range(min(len(crowd), MOST_PATHS)):
         colour = goal_colour(int(crowd.goal_area[p]))
         axis.plot(*crowd.path(p).T, color=colour, linewidth=0.5, alpha=0.5)
-    goal_ellipses(axis, sight)
-    for k in range(len(sight.areas.spawn)):
-        ellipse(axis, sight.areas.spawn, k, color="black", linewidth=1.0, linestyle="--")
+    goal_ellipses(axis, plot)
+    for k in range(len(plot.areas.spawn)):
+        ellipse(axis, plot.areas.spawn, k, color="black", linewidth=1.0, linestyle="--")
 
 
-def goal_ellipses(axis: "Axes", sight: Sight) -> None:
+def goal_ellipses(axis: "Axes", plot: PlotData) -> None:
     """Each goal area in its colour."""
-    for k in range(len(sight.areas.goal)):
-        ellipse(axis, sight.areas.goal, k, color=goal_colour(k), linewidth=1.8)
+    for k in range(len(plot.areas.goal)):
+        ellipse(axis, plot.areas.goal, k, color=goal_colour(k), linewidth=1.8)
 
 
 def ellipse(axis: "Axes", gaussians: Gaussians, k: int, **style: Any) -> None:
@@ -216,13 +214,13 @@ def ellipse(axis: "Axes", gaussians: Gaussians, k: int, **style: Any) -> None:
     axis.plot(*gaussians.outline(k).T, **style)
 
 
-def flows(axis: "Axes", sight: Sight, share: np.ndarray) -> None:
+def flows(axis: "Axes", plot: PlotData, share: np.ndarray) -> None:
     """Arrows from spawn to goal areas, as wide as the share of people who walk there."""
     from matplotlib.patches import FancyArrowPatch
     from matplotlib.patheffects import withStroke
 
-    place(axis, sight.scene)
-    spawn, goal = sight.areas.spawn, sight.areas.goal
+    place(axis, plot.scene)
+    spawn, goal = plot.areas.spawn, plot.areas.goal
     for k in range(len(spawn)):
         ellipse(axis, spawn, k, color="0.35", linewidth=0.8, linestyle="--")
     for cell in np.argsort(share[: len(spawn) * len(goal)], kind="stable"):
@@ -266,9 +264,9 @@ def flows(axis: "Axes", sight: Sight, share: np.ndarray) -> None:
                   markeredgecolor="white", markeredgewidth=0.8)  # fmt: skip
 
 
-def occupancy(axis: "Axes", sight: Sight, share: np.ndarray, top: float) -> "AxesImage":
+def occupancy(axis: "Axes", plot: PlotData, share: np.ndarray, top: float) -> "AxesImage":
     """Share of people's time in each cell of 1 m, percent, on a scale that ends at `top`."""
-    x0, x1, y0, y1 = sight.reference.place.bounds_m
+    x0, x1, y0, y1 = plot.reference.place.bounds_m
     low = np.floor([x0, y0]).astype(np.int64) - 1
     high = np.ceil([x1, y1]).astype(np.int64)
     cells = 100 * share[: int((high - low + 1).prod())].reshape(high - low + 1).T
@@ -276,5 +274,5 @@ def occupancy(axis: "Axes", sight: Sight, share: np.ndarray, top: float) -> "Axe
         np.ma.masked_equal(cells, 0), origin="lower", cmap="viridis", vmin=0, vmax=top,
         extent=(low[0], high[0] + 1, low[1], high[1] + 1), interpolation="nearest",
     )  # fmt: skip
-    place(axis, sight.scene)
+    place(axis, plot.scene)
     return image

@@ -91,7 +91,7 @@ def draw_situations(
             f"situations of {scene.id}",
             got=f"{len(recorded)} windows of {WINDOW_S:g} s that were observed",
             expected=f"windows over {3 * WINDOW_S:g} s or more",
-            mend="Ask for other figures.",
+            hint="Ask for other figures.",
         )
     windows = {model: [Windows.of(c, areas) for c in crowds] for model, crowds in rollouts.items()}
     wanted = {model: SHOWN if n == 0 else 1 for n, model in enumerate(rollouts)}

@@ -11,7 +11,7 @@ from crowdbench.evaluation.evaluate import evaluate
 from crowdbench.evaluation.rollout_jobs import Job, Progress, parts_of, plan
 from crowdbench.files import replacing, write_text
 from crowdbench.registry import has_recording, recording_of
-from crowdbench.report.plots import Sight
+from crowdbench.report.plots import PlotData
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.scoring.scorecard import Protocol, Scorecard
@@ -62,8 +62,8 @@ def write_results(
         reference = read_reference(place)
         crowds = {(job.spawn, job.policy, job.seed): read_own(job.path) for job in jobs["full"]}
         recording = recording_of(place) if has_recording(place) else None
-        sight = Sight.of(place, reference, crowds, "full", recording)
-        pictures = draw_pictures(sight, out / place.id)
+        plot = PlotData.of(place, reference, crowds, "full", recording)
+        pictures = draw_pictures(plot, out / place.id)
         lags = {
             protocol: _lags(reference, card, jobs[protocol]) for protocol, card in cards.items()
         }

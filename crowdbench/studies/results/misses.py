@@ -5,11 +5,11 @@ from collections.abc import Iterable, Sequence
 from crowdbench.metrics import FAMILIES, METRICS, WALK, Metric
 from crowdbench.report.text.words import plainly, with_interval
 from crowdbench.scoring.power import ENOUGH, PERCENTILE
-from crowdbench.scoring.score import LEVEL, Score, told_apart
+from crowdbench.scoring.score import LEVEL, Score, significant_pairs
 from crowdbench.scoring.scorecard import (
     ANCHOR,
     WALK_ANCHOR,
-    Entry,
+    PairResult,
     Row,
     Scorecard,
     metric_scores,
@@ -127,7 +127,7 @@ def _compared(card: Scorecard) -> tuple[list[Row], list[tuple[int, int]]]:
     """The crowds with scores, memory the last of them, and who is better than whom."""
     memory = [r for r in rows(card) if r.kind == "anchor" and (r.spawn, r.policy) == MEMORY]
     known = [row for row in (*_competing(card), *memory) if row.crowd is not None]
-    return known, told_apart([_crowd(row) for row in known])
+    return known, significant_pairs([_crowd(row) for row in known])
 
 
 def _against_others(card: Scorecard, best: Row) -> str:
@@ -216,14 +216,14 @@ def _of_family(card: Scorecard, best: Row, family: str, lags: Sequence[Lag]) -> 
     return [*found, *(fact for name, fact in facts if name not in named)]
 
 
-def _miss(metric: Metric, score: Score, entry: Entry, lags: Sequence[Lag]) -> str:
+def _miss(metric: Metric, score: Score, entry: PairResult, lags: Sequence[Lag]) -> str:
     """One scored metric that is low: its score, and both sides' values."""
     unsure = f", an interval that reaches above {LOW:g}" if score.interval[1] >= LOW else ""
     name = _plain(metric).capitalize()
     return f"{name} gets {with_interval(score)}{unsure}: {_both(metric, entry, lags)}."
 
 
-def _both(metric: Metric, entry: Entry, lags: Sequence[Lag]) -> str:
+def _both(metric: Metric, entry: PairResult, lags: Sequence[Lag]) -> str:
     card = entry.metrics[metric.name]
     what = QUANTITIES[metric.name]
     distance = "undefined" if card.distance is None else f"{card.distance:.3f}"

@@ -7,7 +7,7 @@ import numpy as np
 from crowdbench.metrics import FAMILIES, METRICS, WALK
 from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import NOTHING, digits, interval, number
-from crowdbench.scoring.scorecard import Entry, MetricCard, Row, Scorecard, may_rank
+from crowdbench.scoring.scorecard import MetricCard, PairResult, Row, Scorecard, may_rank
 
 
 def score_table(rows: Sequence[Row]) -> str:
@@ -68,7 +68,7 @@ def competes(row: Row) -> bool:
     return row.kind == "entry" and may_rank(row.spawn)
 
 
-def pair(crowd: Row | Entry) -> str:
+def pair(crowd: Row | PairResult) -> str:
     """Spawn model and policy."""
     return f"{crowd.spawn} × {crowd.policy}"
 

@@ -15,7 +15,7 @@ from crowdbench.files import replacing, write_text
 from crowdbench.policies import ReplayPolicy
 from crowdbench.registry import has_recording, recording_of, trained_policies
 from crowdbench.registry import policy as find_policy
-from crowdbench.report.plots.sight import Crowds
+from crowdbench.report.plots.plot_data import Crowds
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import read_reference
@@ -72,7 +72,7 @@ def write_walks(
                 place.id,
                 got="no recording",
                 expected="its recording, under whose arrivals policies walk",
-                mend=f"Run `crowdbench data fetch {place.recording.name}`.",
+                hint=f"Run `crowdbench data fetch {place.recording.name}`.",
             )
     path = out / "walks.md"
     with replacing(path) as temporary:  # that it can be written is found out first

@@ -9,7 +9,7 @@ from crowdbench.report.text.markdown import flowed, table
 from crowdbench.report.text.words import NOTHING, interval, named
 from crowdbench.scene import Scene
 from crowdbench.scoring.score import ranks
-from crowdbench.scoring.scorecard import Entry, Protocol, Scorecard, metric_scores, rows
+from crowdbench.scoring.scorecard import PairResult, Protocol, Scorecard, metric_scores, rows
 from crowdbench.studies.results.page import of_recording
 from crowdbench.studies.results.tables import distance_table, with_unit
 
@@ -135,7 +135,7 @@ def _lives(walked: Walked) -> str:
     return table(head, lines)
 
 
-def _life(entry: Entry) -> list[str]:
+def _life(entry: PairResult) -> list[str]:
     ended = sum(entry.outcomes.get(how, 0) for how in _ENDS)
     arrived = entry.outcomes.get("goal", 0)
     walls = entry.metrics["wall_hits"].simulated

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from crowdbench.colours import COLOURS
 from crowdbench.report.plots import draw_figure
-from crowdbench.report.plots.sight import Crowds, Sight
+from crowdbench.report.plots.plot_data import Crowds, PlotData
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import Reference
 
@@ -27,12 +27,12 @@ def draw_dwell(
         OutputError: a picture cannot be written.
     """
     shown = {key: crowd for key, crowd in crowds.items() if key[1] not in LEFT_OUT}
-    sight = Sight.of(scene, reference, shown, "full")
+    plot = PlotData.of(scene, reference, shown, "full")
     # One spawn model: the colour tells the policy.
     groups = [
         replace(group, label=names[group.policy], dashes=(),
                 colour=COLOURS[k % len(COLOURS)])
-        for k, group in enumerate(sight.groups)
+        for k, group in enumerate(plot.groups)
     ]  # fmt: skip
-    sight = replace(sight, groups=groups)
-    draw_figure("dwell.png", sight, folder, named=f"{scene.id}-dwell.png")
+    plot = replace(plot, groups=groups)
+    draw_figure("dwell.png", plot, folder, named=f"{scene.id}-dwell.png")

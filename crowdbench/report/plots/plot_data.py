@@ -74,7 +74,7 @@ class Correlations:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class PlotData:
     """A recording and the crowds to compare with it."""
 
     scene: Scene
@@ -94,7 +94,7 @@ class Sight:
         crowds: Crowds,
         protocol: str,
         recording: Trajectories | None = None,
-    ) -> "Sight":
+    ) -> "PlotData":
         """Look at the first part of a protocol.
 
         Crowds under the recorded arrivals are left out, unless there are no others.
@@ -127,7 +127,7 @@ class Sight:
         ]
         return cls(scene, seen, part, groups, recording)
 
-    def narrowed(self, *, policy: str | None = None, rollouts: int | None = None) -> "Sight":
+    def narrowed(self, *, policy: str | None = None, rollouts: int | None = None) -> "PlotData":
         """The groups of one policy, or of every one; of each the first so many rollouts, or all.
 
         Those of one policy are drawn without dashes, which would tell nothing.
