@@ -28,7 +28,15 @@ if TYPE_CHECKING:
     from crowdbench.errors import CrowdbenchError
     from crowdbench.evaluation.evaluate import evaluate
     from crowdbench.metrics import METRICS, MetricResult, distance
-    from crowdbench.registry import policy, recording, recording_of, spawn_model
+    from crowdbench.plugins import register
+    from crowdbench.registry import (
+        list_policies,
+        list_spawn_models,
+        policy,
+        recording,
+        recording_of,
+        spawn_model,
+    )
     from crowdbench.scene import Scene, list_scenes, load_scene
     from crowdbench.scoring.reference import score
     from crowdbench.simulation.reward import Reward
@@ -42,7 +50,11 @@ _HOME = {
     "errors": ("CrowdbenchError",),
     "evaluation.evaluate": ("evaluate",),
     "metrics": ("METRICS", "MetricResult", "distance"),
-    "registry": ("policy", "recording", "recording_of", "spawn_model"),
+    "plugins": ("register",),
+    "registry": (
+        *("list_policies", "list_spawn_models", "policy"),
+        *("recording", "recording_of", "spawn_model"),
+    ),
     "scene": ("Scene", "list_scenes", "load_scene"),
     "scoring.reference": ("score",),
     "simulation.reward": ("Reward",),
@@ -63,7 +75,9 @@ __all__ = [
     "demonstrations",
     "distance",
     "evaluate",
+    "list_policies",
     "list_scenes",
+    "list_spawn_models",
     "load_scene",
     "parallel_env",
     "policy",
@@ -71,6 +85,7 @@ __all__ = [
     "read_own",
     "recording",
     "recording_of",
+    "register",
     "rollout",
     "score",
     "spawn_model",

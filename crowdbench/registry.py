@@ -7,8 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from crowdbench import plugins
 from crowdbench.errors import CrowdbenchError, OwnCodeError, SettingError, WeightsError
-from crowdbench.own_code import told
+from crowdbench.plugins import told
 from crowdbench.policies import OnnxPolicy, Policy, Random, ReplayPolicy, SocialForce, Straight
 from crowdbench.recordings import catalogue
 from crowdbench.scene import Scene, load_scene
@@ -154,7 +155,8 @@ def _unsteered(model: str, scene: Scene, part: str, fit: int) -> SpawnModel:
         return BlockReplay(crowd, blocks_of(crowd, scene).training(part), read_areas(scene))
     if model == "replay":
         return Replay(recording_of(scene))
-    kind = _own(model, "spawn model", (*SPAWN_MODELS, "a folder with the fits of one"))
+    known = (*SPAWN_MODELS, *plugins.names("spawn_models"), "a folder with the fits of one")
+    kind = plugins.part("spawn_models", model) or _own(model, "spawn model", known)
     made: SpawnModel = _made(kind, model, scene, **_understood(kind, part=part, fit=fit))
     return _having(made, model, ("name", "start", "sample"))
 
@@ -203,8 +205,10 @@ def policy(named: str | Policy, scene: str | Path | Scene, part: str = "full") -
         return ReplayPolicy(recording_of(place))
     if file := policy_file(named, place, part):
         return OnnxPolicy(file)
-    known = (*POLICIES, *trained_policies(place), "an ONNX file, a folder of them")
-    made: Policy = _made(_own(named, "policy", known), named)
+    others = plugins.names("policies")
+    known = (*POLICIES, *trained_policies(place), *others, "an ONNX file, a folder of them")
+    kind = plugins.part("policies", named) or _own(named, "policy", known)
+    made: Policy = _made(kind, named)
     _having(made, named, ("name", "sees", "reset", "act"))
     if made.sees not in ("observation", "state"):
         raise SettingError(named, got=f"sees = {made.sees!r}", expected="'observation' or 'state'")
@@ -241,6 +245,42 @@ def weights_file(named: str) -> Path | None:
             hint="Put the fits of one model into a folder of their own.",
         )
     return found[0]
+
+
+def list_spawn_models(scene: str | Path | Scene) -> list[str]:
+    """Names of the spawn models that a scene ships or plays, and of those that others registered.
+
+    Raises:
+        SceneError: there is no such scene.
+    """
+    place = load_scene(scene)
+    played = [name for name in SPAWN_MODELS if name not in FITTED] * has_recording(place)
+    return [*fitted_models(place), *played, *plugins.names("spawn_models")]
+
+
+def list_policies(scene: str | Path | Scene) -> list[str]:
+    """Names of the policies that every scene has, that this one ships, and that others registered.
+
+    Raises:
+        SceneError: there is no such scene.
+    """
+    place = load_scene(scene)
+    plain = [name for name in POLICIES if name != "replay" or has_recording(place)]
+    return [*plain, *trained_policies(place), *plugins.names("policies")]
+
+
+def add_metric(path: str) -> None:
+    """Register the metric `pkg.module:Class` for this process and its workers.
+
+    Raises:
+        SettingError: it cannot be imported, or has no name.
+        OwnCodeError: its module or class raised something.
+    """
+    if path in plugins.names("metrics"):
+        return
+    kind = _own(path, "metric", tuple(plugins.names("metrics")))
+    metric = _having(_made(kind, path), path, ("name", "family", "summarise", "embed"))
+    plugins.register("metrics", metric.name, metric)
 
 
 def fitted_models(scene: Scene) -> list[str]:

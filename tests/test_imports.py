@@ -15,8 +15,8 @@ from crowdbench.evaluation.rollout_jobs import MAKES_ROLLOUTS
 PACKAGE = Path(crowdbench.__file__).parent
 
 FLOORS = (
-    ("colours", "errors", "leftovers", "own_code"),
-    ("files",),
+    ("colours", "errors", "leftovers"),
+    ("files", "plugins"),
     ("scene", "trajectories"),
     ("metrics", "recordings", "spawn"),
     ("scoring", "simulation"),
@@ -118,7 +118,7 @@ def test_rollouts_depend_on_no_room_that_their_fingerprint_leaves_out() -> None:
         found.add(room)
         todo += needs[room] - found
     listed = {name.split("/")[0].removesuffix(".py") for name in MAKES_ROLLOUTS}
-    assert found - listed <= {"errors", "files", "leftovers", "own_code"}  # which decide nothing
+    assert found - listed <= {"errors", "files", "leftovers", "plugins"}  # which decide nothing
 
 
 @pytest.mark.parametrize("name", SHORT_NAMES)

@@ -1,6 +1,6 @@
 """The command line: `crowdbench evaluate | score | view | steer | areas | policy | submit |
-leaderboard | data | convert | scenes | bench`, and for who makes a scene `scene | fit | spawn |
-anchors | power | results | walks | figures | ablation`.
+leaderboard | data | convert | scenes | metrics | bench`, and for who makes a scene `scene | fit |
+spawn | anchors | power | results | walks | figures | ablation`.
 
 A user's error is one message and exit code 2; an interrupt exits with 130, SIGTERM with 143. Output
 that nobody reads on, as of `crowdbench … | head`, ends quietly with 1.
@@ -24,6 +24,7 @@ from crowdbench.cli import (
     figures,
     fit,
     leaderboard,
+    metrics,
     policy,
     power,
     results,
@@ -82,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in (
         evaluate, score, view, areas, steer, policy, scene, fit, spawn, anchors, power, results,
-        walks, ablation, figures, submit, leaderboard, data, convert, scenes, bench,
+        walks, ablation, figures, submit, leaderboard, data, convert, scenes, metrics, bench,
     ):  # fmt: skip
         command.add(commands)
     return parser

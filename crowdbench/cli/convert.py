@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench.cli.data import FORMATS, add_mending, mended
+from crowdbench.cli.data import add_mending, mended
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -20,7 +20,7 @@ def add(commands: "Commands") -> None:
     converted.add_argument("table", type=Path, metavar="FILE", help="what is to be converted")
     converted.add_argument(
         "--format",
-        choices=FORMATS,
+        metavar="FORMAT",
         default="csv",
         help="of that file (default: csv, a table in CSV or Parquet)",
     )

@@ -47,7 +47,10 @@ def add(commands: "Commands") -> None:
         help="folder in OpenTraj's layout (default: $CROWDBENCH_DATA), or your own recording",
     )
     bring.add_argument(
-        "--format", choices=FORMATS, help="of your own recording (see `crowdbench scene create`)"
+        "--format",
+        metavar="FORMAT",
+        help=f"of your own recording: {', '.join(FORMATS)}, or one of an installed package "
+        "(see `crowdbench scene create`)",
     )
     bring.add_argument(
         "--dt-s", type=float, metavar="SECONDS", help="from one of its rows to the next"

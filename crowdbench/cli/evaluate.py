@@ -40,6 +40,13 @@ def add(commands: "Commands") -> None:
         "fold, or pkg.module:Class (default: straight social-force)",
     )
     evaluate.add_argument(
+        "--metric",
+        nargs="+",
+        default=[],
+        metavar="METRIC",
+        help="metrics of your own beside all others, pkg.module:Class (see `crowdbench metrics`)",
+    )
+    evaluate.add_argument(
         "--scenario",
         metavar="FILE.toml",
         help="steer each spawn model by it: other rates, goals and areas, without retraining",
@@ -84,6 +91,7 @@ def _evaluate(args: argparse.Namespace) -> None:
             args.scene,
             spawn=[f"{s}+{args.scenario}" for s in args.spawn] if args.scenario else args.spawn,
             policy=args.policy,
+            metric=args.metric,
             protocol=args.protocol,
             seeds=args.seeds,
             workers=args.workers,

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench.cli.data import FORMATS, add_mending, mended
+from crowdbench.cli.data import add_mending, mended
 from crowdbench.cli.printing import new_console, new_table, print_facts, progress_bar
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def add(commands: "Commands") -> None:
     create.add_argument("--recording", type=Path, required=True, metavar="PATH")
     create.add_argument(
         "--format",
-        choices=FORMATS,
+        metavar="FORMAT",
         required=True,
         help="obsmat: rows as of ETH and UCY; gc, forum: as of these places; csv: a table with "
         "person_id, frame or time_s, x, y; trajnet: TrajNet++; jupedsim: as PedPy reads it",

@@ -120,6 +120,13 @@ def _notes(card: "Scorecard", scene: "Scene") -> list[str]:
         name = scene.recording.name
         how = "fetch" if name in SOURCES else "import"
         notes.append(f"Motion and interaction need the recording: `crowdbench data {how} {name}`.")
+    from crowdbench.evaluation.references import missing
+
+    if absent := missing(scene):
+        notes.append(
+            f"Not computed without the recording: {', '.join(absent)}, of another package. Run "
+            f"`crowdbench data fetch {scene.recording.name}` or `data import`."
+        )
     if any(steered(entry.spawn) for entry in card.entries):
         notes.append(STEERED)
     return notes
@@ -140,11 +147,11 @@ def _print_distances(card: "Scorecard", names: "Names") -> None:
 
 
 def _distance_table(card: "Scorecard", numbered: "Sequence[tuple[int, PairResult]]") -> "Table":
-    from crowdbench.metrics import METRICS
+    from crowdbench.metrics import all_metrics
 
     table = new_table("distance", "", "recorded", *(f"{k}" for k, _ in numbered))
     known = numbered[0][1].metrics
-    for name, first in ((m.name, known[m.name]) for m in METRICS if m.name in known):
+    for name, first in ((m.name, known[m.name]) for m in all_metrics() if m.name in known):
         table.add_row(
             name.replace("_", " "),
             "scored" if name in card.scored else "",

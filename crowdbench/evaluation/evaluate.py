@@ -14,6 +14,7 @@ import numpy as np
 from crowdbench.errors import SettingError
 from crowdbench.evaluation.judge import judge
 from crowdbench.evaluation.parallel import checked_workers
+from crowdbench.evaluation.references import reference_of
 from crowdbench.evaluation.rollout_jobs import (
     Job,
     Pair,
@@ -25,11 +26,11 @@ from crowdbench.evaluation.rollout_jobs import (
 )
 from crowdbench.files import unwritable, write_json
 from crowdbench.leftovers import swept
-from crowdbench.registry import COMPARED, has_recording
+from crowdbench.registry import COMPARED, add_metric, has_recording
 from crowdbench.report.html import write_report
 from crowdbench.report.plots import FIGURES, PlotData, draw_figures
 from crowdbench.scene import Scene, load_scene
-from crowdbench.scoring.reference import Reference, read_reference
+from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.scorecard import (
     Protocol,
     Scorecard,
@@ -48,6 +49,7 @@ def evaluate(
     *,
     spawn: str | Sequence[str] = COMPARED,
     policy: str | Sequence[str] = DEFAULT_POLICY,
+    metric: str | Sequence[str] = (),
     protocol: Protocol = "full",
     seeds: int | None = None,
     workers: int | None = None,
@@ -63,6 +65,9 @@ def evaluate(
     fold), by default as many as the scene's protocol says; rollout k is of fit k modulo the
     number of fits. With fewer than two rollouts per fit there are distances but no scores. The
     spawn model `MODEL+FILE.toml` is MODEL under the scenario of that file; it is not ranked.
+
+    `metric` names metrics of your own beside ours, as `pkg.module:Class`; those that are registered
+    need no naming. They are computed where the recording is imported, and not scored.
 
     Policies are scored under the recorded arrivals too, where the recording is imported. Where
     they leave nothing to chance, one rollout does. The policy `replay` walks recorded arrivals
@@ -80,7 +85,9 @@ def evaluate(
     """
     began = time.time()
     place, out = load_scene(scene), Path(out)
-    reference = read_reference(place)
+    for name in _listed(metric):
+        add_metric(name)
+    reference = reference_of(place)
     scale = read_anchors(place).protocols[_known_protocol(protocol)]
     pairs = _pairs(place, _listed(spawn), _listed(policy))
     seeds = place.protocol.fits * place.protocol.rollouts_per_fit if seeds is None else seeds

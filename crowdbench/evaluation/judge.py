@@ -11,7 +11,7 @@ from crowdbench.evaluation.rollout_jobs import (
     RolloutSummary,
     parts_of,
 )
-from crowdbench.metrics import WALK, Metric, Statistics, metrics_for
+from crowdbench.metrics import WALK, Metric, Statistics, blamed
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import RESAMPLES, Draws, FloorDraws, energy, floor, mean_of
 from crowdbench.scoring.reference import Reference
@@ -71,7 +71,7 @@ def floors(scene: Scene, reference: Reference, protocol: str) -> dict[str, Energ
     draws = {part: draws_of(scene, reference, part) for part in parts}
     everyone = [(np.flatnonzero(reference.blocks.in_part(p)), draws[p]) for p in parts]
     found = {}
-    for metric in metrics_for(reference.blocks):
+    for metric in reference.metrics:
         each = []
         for part in parts:
             blocks = reference.blocks.scored(part)
@@ -115,10 +115,11 @@ def _entry(
     seeds: int,
 ) -> PairResult:
     first = next(iter(rolled))
-    metrics = {
-        metric.name: _metric_card(scene, reference, metric, rolled, protocol, seeds)
-        for metric in metrics_for(reference.blocks)
-    }
+    metrics = {}
+    for metric in reference.metrics:
+        with blamed(metric):
+            card = _metric_card(scene, reference, metric, rolled, protocol, seeds)
+        metrics[metric.name] = card
     ended = np.sum([r.outcomes for r in rolled.values()], axis=0)
     return PairResult(
         spawn=first.spawn,

@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection, Pipe, wait
 from multiprocessing.reduction import ForkingPickler
 from typing import Any, TypeVar
 
-from crowdbench import leftovers
+from crowdbench import leftovers, plugins
 from crowdbench.errors import SettingError, WorkerError
 
 Result = TypeVar("Result")
@@ -103,7 +103,7 @@ class _Worker:
         self.connection, theirs = Pipe()
         # Started afresh, not forked: forking after OpenMP has run hangs.
         self._process = multiprocessing.get_context("spawn").Process(
-            target=_work, args=(theirs, _sweeper_of()), daemon=True
+            target=_work, args=(theirs, _sweeper_of(), plugins.shared()), daemon=True
         )
         self._process.start()
         theirs.close()  # so that its death is told by the end of the pipe
@@ -188,7 +188,7 @@ def _as_workers_start() -> Iterator[None]:
                 del os.environ[variable]
 
 
-def _work(connection: Connection, sweeper: Connection | None) -> None:
+def _work(connection: Connection, sweeper: Connection | None, registered: bytes) -> None:
     """What a worker does until nobody has tasks for it any more."""
     parent = multiprocessing.parent_process()
     end_with(parent.pid if parent and parent.pid else os.getppid())
@@ -198,6 +198,7 @@ def _work(connection: Connection, sweeper: Connection | None) -> None:
     import numba
 
     numba.set_num_threads(1)  # the processes already fill the machine
+    plugins.restore(registered)
     with suppress(EOFError, ConnectionError):
         function, common = pickle.loads(connection.recv_bytes())
         while True:

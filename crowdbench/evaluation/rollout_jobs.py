@@ -15,7 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from crowdbench import __version__, leftovers
+from crowdbench import __version__, leftovers, plugins
 from crowdbench.errors import (
     CrowdbenchError,
     OutputError,
@@ -26,11 +26,11 @@ from crowdbench.errors import (
 from crowdbench.evaluation.parallel import Stopped, call_each, checked_workers
 from crowdbench.files import sha256, unwritable
 from crowdbench.metrics import Metric, Statistics
-from crowdbench.own_code import told
+from crowdbench.plugins import told
 from crowdbench.policies import OnnxPolicy, Policy
 from crowdbench.recordings.catalogue import cached
+from crowdbench.registry import POLICIES, SPAWN_MODELS, policy_file, spawn_model, weights_file
 from crowdbench.registry import policy as find_policy
-from crowdbench.registry import policy_file, spawn_model, weights_file
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, summarise
@@ -85,7 +85,9 @@ class RolloutSummary:
     def of_crowd(cls, crowd: Trajectories, reference: Reference) -> "RolloutSummary":
         """Summarise a crowd in the time blocks of the reference."""
         statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]] = {}
-        for metric, of_metric in summarise(crowd, reference.blocks, reference.place).items():
+        for metric, of_metric in summarise(
+            crowd, reference.blocks, reference.place, reference.metrics
+        ).items():
             statistics[metric] = {}
             for name, values in of_metric.items():
                 columns = np.flatnonzero(values.any(axis=0))
@@ -259,8 +261,9 @@ def _named(job: Job) -> Iterator[None]:
     Raises:
         OwnCodeError: the class raised something that is no error of crowdbench's.
     """
+    registered = [name for _, name in _foreign(split(job.spawn)[0], job.policy)]
     own = [f"{what} {name}" for what, name in (("policy", job.policy), ("spawn model", job.spawn))
-           if ":" in name]  # fmt: skip
+           if ":" in name or name in registered]  # fmt: skip
     try:
         yield
     except Stopped:
@@ -305,12 +308,27 @@ def _fingerprint(scene: Scene, spawn: str, policy: str, part: str) -> str:
         files.append(cached(scene.recording.name))
     named = (scenario, weights_file(base), policy_file(policy, scene, part))
     files += [file for file in named if file]
+    registered = b""
+    for kind, name in _foreign(base, policy):
+        code = plugins.code_of(plugins.part(kind, name))
+        if isinstance(code, bytes):
+            registered += code
+        else:
+            files += code
     for name in (base, policy):
         module, colon, _ = name.partition(":")
         found = importlib.util.find_spec(module) if colon else None
         if found is not None and found.origin is not None:
             files += _plain_files(Path(found.origin).parent)
-    return fingerprint(scene, f"{spawn} {policy}", files)
+    what = f"{spawn} {policy}" + (f" {sha256(registered)}" if registered else "")
+    return fingerprint(scene, what, files)
+
+
+def _foreign(spawn: str, policy: str) -> list[tuple[plugins.Kind, str]]:
+    """Those of a spawn model and a policy that another package or program has registered."""
+    each: tuple[tuple[plugins.Kind, str], ...] = (("spawn_models", spawn), ("policies", policy))
+    ours = (*SPAWN_MODELS, *POLICIES)
+    return [(kind, name) for kind, name in each if name not in ours and name in plugins.names(kind)]
 
 
 def fingerprint(scene: Scene, what: str, more: Sequence[Path] = ()) -> str:

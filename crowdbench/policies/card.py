@@ -5,7 +5,7 @@ import re
 import msgspec
 
 from crowdbench.errors import WeightsError
-from crowdbench.simulation.observations import OBSERVATIONS
+from crowdbench.simulation.observations import known_observations, size_of
 from crowdbench.trajectories.blocks import PARTS
 
 SCHEMA = 1
@@ -22,7 +22,7 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     name: str
     """Under which tables show it."""
     observation: str
-    """Version of what it sees, one of `OBSERVATIONS`."""
+    """Version of what it sees, see `crowdbench.simulation.observations`."""
     rays: int = 32
     ray_range_m: float = 10.0
     action: str = ACTION
@@ -38,7 +38,7 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     @property
     def inputs(self) -> int:
         """Numbers in an observation."""
-        return OBSERVATIONS[self.observation] + self.rays
+        return size_of(self.observation, self.rays)
 
     def checked(self, where: object) -> "PolicyCard":
         """The card, if what it says can be.
@@ -52,8 +52,8 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             (
                 "observation",
                 self.observation,
-                self.observation in OBSERVATIONS,
-                f"one of {', '.join(OBSERVATIONS)}",
+                self.observation in known_observations(),
+                f"one of {', '.join(known_observations())}",
             ),
             ("rays", self.rays, 1 <= self.rays <= 1024, "1 to 1024"),
             ("ray_range_m", self.ray_range_m, 0 < self.ray_range_m <= 1000, "metres up to 1000"),

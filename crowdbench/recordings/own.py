@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from crowdbench.errors import RecordingError, SettingError
+from crowdbench.errors import OwnCodeError, RecordingError, SettingError
 from crowdbench.files import read_bytes
+from crowdbench.plugins import blaming, names, part
 from crowdbench.recordings import gc
 from crowdbench.recordings.catalogue import OWN_NAME, SOURCES, cached, hash_of
 from crowdbench.recordings.forum import FPS as FORUM_FPS
@@ -86,7 +87,7 @@ def read_rows(
             rows beside the frames and `gaps` is None.
     """
     if layout not in FORMATS:
-        raise SettingError("--format", got=repr(layout), expected=f"one of {', '.join(FORMATS)}")
+        return _read_by_others(path, layout, name, dt_s, gaps, offset_s)
     _check_mendable(layout, gaps, offset_s)
     hint = f"The format {layout}: {FORMATS[layout]}."
     if layout == "gc":
@@ -106,6 +107,39 @@ def read_rows(
     notes = {**crowd.provenance.get("notes", {}), **_transform(layout)}
     provenance = {"source": path.name, "sha256": hash_of(files), "notes": notes}
     return replace(crowd, provenance=provenance)
+
+
+def _read_by_others(
+    path: Path,
+    layout: str,
+    name: str,
+    dt_s: float | None,
+    gaps: Gaps | None,
+    offset_s: float | None,
+) -> Trajectories:
+    """Read a format that another package registered, `read(path, name=, dt_s=)`."""
+    read = part("recordings", layout)
+    if read is None:
+        known = ", ".join((*FORMATS, *names("recordings")))
+        raise SettingError("--format", got=repr(layout), expected=f"one of {known}")
+    if gaps is not None or offset_s is not None:
+        raise SettingError(
+            "--gaps" if gaps is not None else "--offset-s",
+            got=f"the format {layout}, of another package",
+            expected=f"one of crowdbench's: {', '.join(FORMATS)}",
+        )
+    with blaming(f"format {layout}, {path}"):
+        crowd = read(path, name=name, dt_s=dt_s)
+    if not isinstance(crowd, Trajectories):
+        raise OwnCodeError(f"format {layout}", got=repr(crowd)[:200], expected="Trajectories")
+    files = sorted(path.rglob("*")) if path.is_dir() else [path]
+    hashed = {
+        str(file.relative_to(path.parent)): file.read_bytes() for file in files if file.is_file()
+    }
+    notes = crowd.provenance.get("notes", {})
+    return replace(
+        crowd, provenance={"source": path.name, "sha256": hash_of(hashed), "notes": notes}
+    )
 
 
 def import_own(

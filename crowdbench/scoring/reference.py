@@ -4,6 +4,7 @@ They are the metrics' statistics per time block. Distances computed from them eq
 from the recording, and no path, no arrival time and no per-frame series can be read back from them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +14,16 @@ import numpy as np
 
 from crowdbench.errors import RecordingError, SceneError, WeightsError
 from crowdbench.files import read_struct, write_json
-from crowdbench.metrics import METRICS, MetricResult, Place, Statistics, metrics_for
+from crowdbench.metrics import (
+    METRICS,
+    Metric,
+    MetricResult,
+    Place,
+    Statistics,
+    all_metrics,
+    blamed,
+    metrics_for,
+)
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.events import blocks_of
@@ -39,13 +49,17 @@ class Reference:
         place = place_of(scene, areas)
         return cls(blocks, place, summarise(recording, blocks, place))
 
+    @property
+    def metrics(self) -> tuple[Metric, ...]:
+        """Those that there are statistics of, ours first."""
+        return tuple(metric for metric in all_metrics() if metric.name in self.statistics)
+
     def score(self, crowd: Trajectories) -> dict[str, MetricResult]:
         """All metrics of a crowd against the recording, by name."""
+        seen = summarise(crowd, self.blocks, self.place, self.metrics)
         return {
-            m.name: m.compare(
-                self.statistics[m.name], m.summarise(crowd, self.blocks, self.place), self.blocks
-            )
-            for m in metrics_for(self.blocks)
+            m.name: m.compare(self.statistics[m.name], seen[m.name], self.blocks)
+            for m in self.metrics
         }
 
 
@@ -61,9 +75,19 @@ def place_of(scene: Scene, areas: Areas) -> Place:
     )
 
 
-def summarise(crowd: Trajectories, blocks: TimeBlocks, place: Place) -> dict[str, Statistics]:
-    """All metrics' statistics of a crowd, by name."""
-    return {m.name: m.summarise(crowd, blocks, place) for m in metrics_for(blocks)}
+def summarise(
+    crowd: Trajectories,
+    blocks: TimeBlocks,
+    place: Place,
+    metrics: Sequence[Metric] | None = None,
+) -> dict[str, Statistics]:
+    """Statistics of a crowd by name of metric: of `metrics`, or of all of ours."""
+    metrics = metrics_for(blocks) if metrics is None else metrics
+    found = {}
+    for metric in metrics:
+        with blamed(metric):
+            found[metric.name] = metric.summarise(crowd, blocks, place)
+    return found
 
 
 def score(
@@ -92,9 +116,16 @@ def score(
     _check_fits(crowd, scene)
     if against is not None:
         _check_fits(against, scene)
-        there = summarise(areas.assign(against), reference.blocks, reference.place)
+        there = summarise(
+            areas.assign(against), reference.blocks, reference.place, applicable(reference.blocks)
+        )
         reference = replace(reference, statistics=there)
     return reference.score(areas.assign(crowd))
+
+
+def applicable(blocks: TimeBlocks) -> list[Metric]:
+    """Every metric, ours or not, that blocks of this length can tell something by."""
+    return [metric for metric in all_metrics() if metric.applies(blocks)]
 
 
 def _check_fits(crowd: Trajectories, scene: Scene) -> None:

@@ -26,20 +26,85 @@ in the half plane towards that person's centre.
 """
 
 import math
-from typing import NamedTuple
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
+from jaxtyping import Float32
 from numba import njit, prange
 
+from crowdbench.errors import SettingError
+from crowdbench.plugins import made, names, part
 from crowdbench.simulation.compilation import kernel
 from crowdbench.simulation.walls import CELL_M, cell_of
+
+if TYPE_CHECKING:
+    from crowdbench.simulation.simulation import Simulation
 
 OBSERVATIONS = {"lidar-1": 5, "lidar-2": 6, "lidar-3": 10}
 """Versions of the observation, and how many values stand before the rays."""
 OBSERVATION = "lidar-2"
 """The version that everything shows and takes where none is named."""
 GOAL_RANGE_M = 30.0
+GOAL_DISTANCE, GOAL_DIRECTION, PREFERRED_SPEED = slice(2, 3), slice(3, 5), slice(5, 6)
+"""Where these stand in an observation; the last from `lidar-2` on."""
 CHUNK = 10  # persons a thread takes at a time
+
+
+class Observation(ABC):
+    """An observation of somebody else's: one of ours, `base`, and more numbers behind it."""
+
+    name: ClassVar[str]
+    base: ClassVar[str] = OBSERVATION
+    """Which of `OBSERVATIONS` comes first."""
+    extra: ClassVar[int]
+    """How many numbers are added."""
+
+    @abstractmethod
+    def observe(self, simulation: "Simulation", out: Float32[np.ndarray, "W N extra"]) -> None:
+        """Write the added numbers, in [−1, 1], for everyone alive or just ended.
+
+        `simulation.slots` holds everybody's state, `simulation.observation` what `base` shows.
+        """
+
+
+def known_observations() -> tuple[str, ...]:
+    """Names of ours, and of those that others have registered."""
+    return (*OBSERVATIONS, *names("observations"))
+
+
+def observation_of(name: str) -> Observation | None:
+    """What others have registered under a name; None for one of ours.
+
+    Raises:
+        SettingError: nobody has, or it is no `Observation`.
+    """
+    if name in OBSERVATIONS:
+        return None
+    found = made(part("observations", name))
+    if not isinstance(found, Observation) or found.base not in OBSERVATIONS or found.extra < 1:
+        raise SettingError(
+            "observation",
+            got=repr(name) if found is None else f"{name!r}, which is {found!r}",
+            expected=f"one of {', '.join(known_observations())}",
+            hint=""
+            if found is None
+            else "Others derive from crowdbench.simulation."
+            "observations.Observation, with a base among ours and extra numbers.",
+        )
+    return found
+
+
+def head_of(name: str) -> int:
+    """Numbers before the rays."""
+    found = observation_of(name)
+    return OBSERVATIONS[name if found is None else found.base]
+
+
+def size_of(name: str, rays: int) -> int:
+    """Numbers in an observation."""
+    found = observation_of(name)
+    return head_of(name) + rays + (0 if found is None else found.extra)
 
 
 class Cells(NamedTuple):

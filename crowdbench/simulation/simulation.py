@@ -8,7 +8,14 @@ from jaxtyping import Float32, Int
 
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.scene import Scene
-from crowdbench.simulation.observations import OBSERVATION, OBSERVATIONS, Cells, observe
+from crowdbench.simulation.observations import (
+    OBSERVATION,
+    OBSERVATIONS,
+    Cells,
+    observation_of,
+    observe,
+    size_of,
+)
 from crowdbench.simulation.routes import Routes
 from crowdbench.simulation.state import Clock, Limits, Queue, Slots
 from crowdbench.simulation.step import advance, populate
@@ -41,12 +48,7 @@ class Settings:
             raise SettingError(
                 "ray_range_m", got=str(self.ray_range_m), expected="a positive number of metres"
             )
-        if self.observation not in OBSERVATIONS:
-            raise SettingError(
-                "observation",
-                got=repr(self.observation),
-                expected=f"one of {', '.join(OBSERVATIONS)}",
-            )
+        observation_of(self.observation)  # whether there is one
 
 
 class Simulation:
@@ -97,17 +99,23 @@ class Simulation:
             y_min=bounds.y_min_m,
             y_max=bounds.y_max_m,
         )
-        self._head = OBSERVATIONS[s.observation]
+        self._more = observation_of(s.observation)
+        base = s.observation if self._more is None else self._more.base
+        self._head = OBSERVATIONS[base]
         self._bounds = np.array([bounds.x_min_m, bounds.x_max_m, bounds.y_min_m, bounds.y_max_m])
         self.observation: Float32[np.ndarray, "W N obs"] = np.zeros(
-            (worlds, s.max_alive, self._head + s.rays), np.float32
+            (worlds, s.max_alive, size_of(s.observation, s.rays)), np.float32
         )
+        self._seen = self.observation
+        if self._more is not None:
+            shape = (worlds, s.max_alive, self._head + s.rays)
+            self._seen = np.zeros(shape, np.float32)  # kernels write whole arrays
         self.nearest: Float32[np.ndarray, "W N"] = np.full(
             (worlds, s.max_alive), np.inf, np.float32
         )
         self.remaining: Float32[np.ndarray, "W N"] = np.zeros((worlds, s.max_alive), np.float32)
         self.remaining_before: Float32[np.ndarray, "W N"] = np.zeros_like(self.remaining)
-        self._routes = Routes.on(scene) if s.observation != "lidar-1" else None
+        self._routes = Routes.on(scene) if base != "lidar-1" else None
         self._target = np.zeros((worlds, s.max_alive, 2), np.float32)
         self._beyond = np.zeros((worlds, s.max_alive))
         self.slots = Slots.empty(worlds, s.max_alive)
@@ -171,9 +179,13 @@ class Simulation:
             self.settings.ray_range_m,
             self.remaining,
             self.nearest,
-            self.observation,
+            self._seen,
         )
         self._observe(int(np.count_nonzero(self.slots.alive)), *arguments)
+        if self._more is not None:
+            size = self._seen.shape[-1]
+            self.observation[..., :size] = self._seen
+            self._more.observe(self, self.observation[..., size:])
         return self.observation
 
     def _towards(self) -> Float32[np.ndarray, "W N 2"]:

@@ -8,7 +8,7 @@ from jaxtyping import Float32
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.observations import OBSERVATIONS
+from crowdbench.simulation.observations import head_of
 from crowdbench.simulation.state import GOAL
 from crowdbench.trajectories.table import Trajectories
 from crowdbench.viewer.crowd import time_columns
@@ -111,7 +111,7 @@ def ray_lengths(
     just ended, and who has just ended sees the crowd of before the entries.
     """
     simulation = Simulation(scene, settings=settings)
-    slots, head = simulation.slots, OBSERVATIONS[settings.observation]
+    slots, head = simulation.slots, head_of(settings.observation)
     last, final = crowd.last, crowd.frames - 1
     seen = np.empty((len(crowd.path(chosen)), settings.rays), np.float32)
     for k, frame in enumerate(range(crowd.first[chosen], last[chosen] + 1)):
@@ -124,5 +124,5 @@ def ray_lengths(
         slots.spawned[0, :n] = crowd.entered[here] & (crowd.first[here] == frame)
         slots.position[0, :n] = crowd.xy[crowd.offsets[here] + frame - crowd.first[here]]
         slot = int(np.searchsorted(here, chosen))
-        seen[k] = simulation.observe()[0, slot, head:]
+        seen[k] = simulation.observe()[0, slot, head : head + settings.rays]
     return seen * np.float32(settings.ray_range_m)

@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from crowdbench.metrics import FAMILIES, METRICS, WALK, Metric
+from crowdbench.metrics import FAMILIES, WALK, Metric, all_metrics
 from crowdbench.metrics.arrivals import burstiness, memory
 from crowdbench.report.display_names import Names
 from crowdbench.report.plots import PlotData
@@ -151,9 +151,9 @@ def metric_tables(card: Scorecard, plot: PlotData, names: Names) -> str:
     crowds = [e for e in card.entries if e.spawn != "replay"]
     walkers = [e for e in card.entries if e.spawn == "replay"]
     if not crowds:
-        return _metric_table(card, plot, names, walkers, METRICS, "Metrics of each crowd")
-    policies = [metric for metric in METRICS if metric.family in WALK]
-    first = _metric_table(card, plot, names, crowds, METRICS, "Metrics of each crowd")
+        return _metric_table(card, plot, names, walkers, all_metrics(), "Metrics of each crowd")
+    policies = [metric for metric in all_metrics() if metric.family in WALK]
+    first = _metric_table(card, plot, names, crowds, all_metrics(), "Metrics of each crowd")
     if not walkers:
         return first
     second = _metric_table(

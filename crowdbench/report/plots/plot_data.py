@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.colours import spawn_colours
-from crowdbench.metrics import METRICS, Metric, Statistics, Sums, Support, total
+from crowdbench.metrics import Metric, Statistics, Sums, Support, all_metrics, total
 from crowdbench.metrics.lattice import correlation
 from crowdbench.metrics.presence import LAGS_S, counted, lag_key, lagged
 from crowdbench.report.display_names import names_of
@@ -256,4 +256,4 @@ class PlotData:
 
 
 def _metric(name: str) -> Metric:
-    return next(m for m in METRICS if m.name == name)
+    return next(m for m in all_metrics() if m.name == name)

@@ -225,7 +225,7 @@ def _miss(metric: Metric, score: Score, entry: PairResult, lags: Sequence[Lag]) 
 
 def _both(metric: Metric, entry: PairResult, lags: Sequence[Lag]) -> str:
     card = entry.metrics[metric.name]
-    what = QUANTITIES[metric.name]
+    what = QUANTITIES.get(metric.name, f"the typical value of {_plain(metric)}")
     distance = "undefined" if card.distance is None else f"{card.distance:.3f}"
     if metric.name == "autocorrelation" and lags:
         return _at_lags(lags)

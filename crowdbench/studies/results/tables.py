@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from crowdbench.metrics import FAMILIES, METRICS, WALK
+from crowdbench.metrics import FAMILIES, WALK, all_metrics
 from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import NOTHING, digits, interval, number
 from crowdbench.scoring.scorecard import MetricCard, PairResult, Row, Scorecard, may_rank
@@ -44,7 +44,7 @@ def distance_table(
     names = {} if names is None else names
     columns = [names.get(entry.policy, pair(entry)) for entry in card.entries]
     lines = []
-    for metric in METRICS:
+    for metric in all_metrics():
         if metric.name in first and metric.family in families:
             lines.append(
                 [

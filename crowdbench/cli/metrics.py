@@ -1,0 +1,34 @@
+"""`crowdbench metrics`: the metrics that there are, ours and those of others."""
+
+import argparse
+from typing import TYPE_CHECKING
+
+from crowdbench.cli.printing import new_console, new_table, print_note
+
+if TYPE_CHECKING:
+    from crowdbench.cli.printing import Commands
+
+
+def add(commands: "Commands") -> None:
+    """Add it to the command line."""
+    metrics = commands.add_parser("metrics", help="list the metrics")
+    metrics.set_defaults(run=_metrics)
+
+
+def _metrics(args: argparse.Namespace) -> None:
+    from crowdbench.metrics import METRICS, all_metrics
+    from crowdbench.scene import list_scenes, load_scene
+
+    scored = {scene: load_scene(scene).protocol.scored for scene in list_scenes()}
+    table = new_table("metric", "family", "unit", "scored on", "from")
+    for column in table.columns:
+        column.justify = "left"
+    for metric in all_metrics():
+        scenes = [scene for scene, names in scored.items() if metric.name in names]
+        package = "crowdbench" if metric in METRICS else type(metric).__module__
+        table.add_row(metric.name, metric.family, metric.unit, ", ".join(scenes), package)
+    new_console().print(table)
+    print_note(
+        "A scene is scored by the metrics that `crowdbench power` found able to tell its anchor "
+        "from its recording; all others are shown as distances."
+    )

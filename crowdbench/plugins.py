@@ -1,0 +1,182 @@
+"""Parts that others add: metrics, spawn models, policies, recording formats and observations.
+
+An installed package names them as entry points of the groups `crowdbench.metrics`,
+`crowdbench.spawn_models`, `crowdbench.policies`, `crowdbench.recordings` and
+`crowdbench.observations`; `register` adds one in a program or a notebook. Either way the part is
+known by its name wherever those of crowdbench are, in worker processes too. `told` says in one line
+what went wrong in code that is not ours.
+"""
+
+import functools
+import inspect
+import os
+import re
+import sysconfig
+import traceback
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, Literal
+
+from crowdbench.errors import CrowdbenchError, OwnCodeError, SettingError
+
+Kind = Literal["metrics", "spawn_models", "policies", "recordings", "observations"]
+KINDS: tuple[Kind, ...] = ("metrics", "spawn_models", "policies", "recordings", "observations")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+_registered: dict[str, dict[str, Any]] = {kind: {} for kind in KINDS}
+
+_OURS = Path(__file__).parent
+_LIBRARIES = tuple(
+    Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib", "purelib", "platlib")
+)
+
+
+def register(kind: Kind, name: str, part: Any) -> None:
+    """Add a part under a name, in this process and in the workers that it starts from now on.
+
+    Args:
+        kind: `metrics`, `spawn_models`, `policies`, `recordings` or `observations`.
+        name: letters, digits, `_`, `.` and `-`; not that of a part of crowdbench.
+        part: a `Metric` or its class; the class of a spawn model or policy, or a function that
+            makes one; a function that reads a recording; an `Observation` or its class.
+
+    Raises:
+        SettingError: there is no such kind, or the name has other letters.
+    """
+    if kind not in KINDS:
+        raise SettingError(
+            "register", got=f"the kind {kind!r}", expected=f"one of {', '.join(KINDS)}"
+        )
+    if not _NAME.fullmatch(name):
+        raise SettingError(
+            "register", got=f"the name {name!r}", expected="letters, digits, '_', '.' and '-'"
+        )
+    _registered[kind][name] = part
+
+
+def part(kind: Kind, name: str) -> Any:
+    """The part that somebody registered under a name, None if nobody has.
+
+    Raises:
+        OwnCodeError: its package raised something on import.
+    """
+    if name in _registered[kind]:
+        return _registered[kind][name]
+    entry = _installed(kind).get(name)
+    return None if entry is None else _loaded(entry)
+
+
+def parts(kind: Kind, ours: Collection[str] = ()) -> dict[str, Any]:
+    """All parts of a kind that somebody registered, by name; `ours` are names of crowdbench's own.
+
+    Raises:
+        SettingError: somebody has taken one of our names.
+        OwnCodeError: a package raised something on import.
+    """
+    found = {name: part(kind, name) for name in (*_installed(kind), *_registered[kind])}
+    if taken := sorted(set(found) & set(ours)):
+        raise SettingError(
+            f"crowdbench.{kind}",
+            got=f"{', '.join(taken)}, registered by another package or program",
+            expected="names that crowdbench does not have",
+        )
+    return found
+
+
+def names(kind: Kind) -> list[str]:
+    """The names alone: no package is imported."""
+    return list(dict.fromkeys((*_installed(kind), *_registered[kind])))
+
+
+def made(part: Any) -> Any:
+    """An instance of a part that may be a class."""
+    return part() if inspect.isclass(part) else part
+
+
+def code_of(part: Any) -> list[Path] | bytes:
+    """What a part depends on: the files beside its module, or itself where it has no file."""
+    import cloudpickle
+
+    kind = part if inspect.isclass(part) or inspect.isroutine(part) else type(part)
+    try:
+        folder = Path(inspect.getfile(kind)).parent
+    except (TypeError, OSError):  # of a notebook
+        return bytes(cloudpickle.dumps(part))
+    return sorted(path for path in folder.iterdir() if path.is_file())
+
+
+def shared() -> bytes:
+    """What was registered in this process, for workers."""
+    import cloudpickle
+
+    return bytes(cloudpickle.dumps(_registered)) if any(_registered.values()) else b""
+
+
+def restore(data: bytes) -> None:
+    """Register in a worker what its parent has."""
+    import pickle
+
+    for kind, known in (pickle.loads(data) if data else {}).items():
+        _registered[kind].update(known)
+
+
+@functools.cache
+def _installed(kind: Kind) -> dict[str, EntryPoint]:
+    return {entry.name: entry for entry in entry_points(group=f"crowdbench.{kind}")}
+
+
+@functools.cache
+def _loaded(entry: EntryPoint) -> Any:
+    try:
+        return entry.load()
+    except Exception as error:
+        package = entry.dist.name if entry.dist else "a package"
+        raise OwnCodeError(
+            f"{entry.group} {entry.name}",
+            got=f"{told(error)} on import of {entry.value}",
+            expected="a module without errors",
+            hint=f"Mend {package}, or uninstall it.",
+        ) from error
+
+
+@contextmanager
+def blaming(what: str) -> Iterator[None]:
+    """Tell of an error in code that is not ours as one message about `what`.
+
+    Raises:
+        OwnCodeError: it raised something that is no error of crowdbench's.
+    """
+    try:
+        yield
+    except CrowdbenchError:
+        raise
+    except Exception as error:
+        raise OwnCodeError(what, got=told(error), expected="no error") from error
+
+
+def told(error: BaseException) -> str:
+    """An error's type and message, and the line of the user's code that led to it."""
+    message = " ".join(str(error).split())[:300]
+    named = f"{type(error).__name__}: {message}" if message else type(error).__name__
+    frame = _frame(traceback.extract_tb(error.__traceback__))
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{type(error).__name__}: {error.msg} ({_short(error.filename)}:{error.lineno})"
+    return f"{named} ({_short(frame.filename)}:{frame.lineno}, {frame.name})" if frame else named
+
+
+def _frame(frames: traceback.StackSummary) -> traceback.FrameSummary | None:
+    """The innermost frame of the user's code, or what is nearest to that."""
+    foreign = [f for f in frames if not _within(f.filename, _OURS) and os.path.isabs(f.filename)]
+    theirs = [f for f in foreign if not any(_within(f.filename, place) for place in _LIBRARIES)]
+    return next(reversed(theirs or foreign or list(frames)), None)
+
+
+def _within(file: str, folder: Path) -> bool:
+    return Path(file).is_relative_to(folder)
+
+
+def _short(file: str) -> str:
+    """As seen from where the user stands."""
+    here = Path.cwd()
+    return str(Path(file).relative_to(here)) if _within(file, here) else file
