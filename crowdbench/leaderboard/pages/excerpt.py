@@ -34,7 +34,8 @@ def _rows(standing: Standing) -> list[list[str]]:
         for line in standing.ordered(OVERALL)
         if line.entry.status == "ranked" or line.entry.id == MEMORY
     ]
-    shown.sort(key=lambda line: OVERALL not in line.scores)  # who has no overall score stands last
+    # Who has no overall score stands after the others, and who is not ranked last.
+    shown.sort(key=lambda line: (line.entry.id == MEMORY, OVERALL not in line.scores))
     return [[standing.track, *_cells(line, standing)] for line in shown]
 
 
