@@ -119,6 +119,7 @@ def test_who_is_reminded_is_made_steadier_in_the_end(
     monkeypatch.setattr(
         Command, "write", lambda _, part, sampler, **__: written.append(sampler) or tmp_path
     )
+    monkeypatch.setattr(Command, "walk", lambda *_: None)  # there is no file to walk
     monkeypatch.setattr(gail, "_write", lambda *_: None)
     for reminders in (0, 1):
         more = f"--learning-rate 0 --reminders {reminders} --out {tmp_path}"
