@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from crowdbench.crowds import read, rollout
+    from crowdbench.crowds import read, rollout, score
     from crowdbench.envs.demonstrations import Demonstrations, demonstrations
     from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
     from crowdbench.errors import CrowdbenchError
@@ -38,13 +38,12 @@ if TYPE_CHECKING:
         spawn_model,
     )
     from crowdbench.scene import Scene, list_scenes, load_scene
-    from crowdbench.scoring.reference import score
     from crowdbench.simulation.reward import Reward
     from crowdbench.trajectories.storage import read_own, write_parquet
     from crowdbench.trajectories.table import Trajectories
 
 _HOME = {
-    "crowds": ("read", "rollout"),
+    "crowds": ("read", "rollout", "score"),
     "envs.demonstrations": ("Demonstrations", "demonstrations"),
     "envs.parallel_env": ("CrowdParallelEnv", "parallel_env"),
     "errors": ("CrowdbenchError",),
@@ -56,7 +55,6 @@ _HOME = {
         *("recording", "recording_of", "spawn_model"),
     ),
     "scene": ("Scene", "list_scenes", "load_scene"),
-    "scoring.reference": ("score",),
     "simulation.reward": ("Reward",),
     "trajectories.storage": ("read_own", "write_parquet"),
     "trajectories.table": ("Trajectories",),

@@ -1,4 +1,4 @@
-"""Crowds as a user names them: rolled out by names, or read from a file of some scene.
+"""Crowds as a user names them: rolled out by names, read from a file of some scene, and scored.
 
 The parts that work on objects are `crowdbench.rollouts.rollout` and
 `crowdbench.trajectories.storage`.
@@ -12,6 +12,7 @@ from crowdbench.trajectories import storage
 from crowdbench.trajectories.table import Trajectories
 
 if TYPE_CHECKING:
+    from crowdbench.metrics import MetricResult
     from crowdbench.policies import Policy
     from crowdbench.simulation import Settings
     from crowdbench.spawn import SpawnModel
@@ -67,6 +68,39 @@ def rollout(
         start=start,
         settings=settings,
     )
+
+
+def score(
+    scene: str | Path | Scene, crowd: Trajectories, *, against: Trajectories | None = None
+) -> dict[str, "MetricResult"]:
+    """Score any simulator's crowd against a scene's recording, or against another crowd.
+
+    Gives the result of each metric that the scene's time blocks can tell something by, by name.
+    With `against`, that crowd takes the place of the recording: its values are the `recorded`
+    ones, and distances are divided by its means.
+
+    A crowd is a continuous run as long as the recording, its first frame being frame 0: it is
+    looked at in the same time blocks. A table does not tell an empty scene at its end from an
+    end that came early; up to one time block is taken for empty. More than a block shorter or
+    longer is refused. Persons without areas are given the likeliest ones. Metrics that others have
+    registered are computed where the scene's recording is imported.
+
+    Raises:
+        SceneError: there is no such scene.
+        WeightsError: the scene has no reference statistics.
+        RecordingError: a crowd is another scene's, or its time step or length is not the
+            scene's.
+    """
+    from crowdbench.scoring.reference import applicable, read_reference, score_against
+
+    place = load_scene(scene)
+    reference = read_reference(place)
+    if against is None and len(reference.statistics) < len(applicable(reference.blocks)):
+        # Only then: it loads the simulation, which scoring a table does not need.
+        from crowdbench.evaluation.references import reference_of
+
+        reference = reference_of(place)
+    return score_against(reference, place, crowd, against)
 
 
 def read(path: str | Path, scene: str | Path | Scene | None = None) -> Trajectories:

@@ -74,19 +74,23 @@ def parts(kind: Kind, ours: Collection[str] = ()) -> dict[str, Any]:
         SettingError: somebody has taken one of our names.
         OwnCodeError: a package raised something on import.
     """
-    found = {name: part(kind, name) for name in (*_installed(kind), *_registered[kind])}
-    if taken := sorted(set(found) & set(ours)):
+    return {name: part(kind, name) for name in names(kind, ours)}
+
+
+def names(kind: Kind, ours: Collection[str] = ()) -> list[str]:
+    """The names alone: no package is imported.
+
+    Raises:
+        SettingError: somebody has taken one of `ours`, crowdbench's own names.
+    """
+    found = dict.fromkeys((*_installed(kind), *_registered[kind]))
+    if taken := sorted(found.keys() & set(ours)):
         raise SettingError(
             f"crowdbench.{kind}",
             got=f"{', '.join(taken)}, registered by another package or program",
             expected="names that crowdbench does not have",
         )
-    return found
-
-
-def names(kind: Kind) -> list[str]:
-    """The names alone: no package is imported."""
-    return list(dict.fromkeys((*_installed(kind), *_registered[kind])))
+    return list(found)
 
 
 def made(part: Any) -> Any:
@@ -107,10 +111,17 @@ def code_of(part: Any) -> list[Path] | bytes:
 
 
 def shared() -> bytes:
-    """What was registered in this process, for workers."""
+    """What was registered in this process, for workers.
+
+    Raises:
+        OwnCodeError: something of it cannot be pickled.
+    """
     import cloudpickle
 
-    return bytes(cloudpickle.dumps(_registered)) if any(_registered.values()) else b""
+    if not any(_registered.values()):
+        return b""
+    with blaming("what was registered, on its way to worker processes"):
+        return bytes(cloudpickle.dumps(_registered))
 
 
 def restore(data: bytes) -> None:

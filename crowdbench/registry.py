@@ -125,6 +125,7 @@ def spawn_model(
         RecordingError: it needs a recording that has not been imported.
     """
     place = load_scene(scene)
+    plugins.names("spawn_models", SPAWN_MODELS)  # whether somebody has taken one of ours
     if isinstance(model, str):
         base, file = split(model)
         model = _unsteered(base, place, part, fit)
@@ -198,6 +199,7 @@ def policy(named: str | Policy, scene: str | Path | Scene, part: str = "full") -
         "social-force": SocialForce,
         "random": Random,
     }
+    plugins.names("policies", POLICIES)  # whether somebody has taken one of ours
     if named in plain:
         return plain[named]()
     place = load_scene(scene)
@@ -255,7 +257,7 @@ def list_spawn_models(scene: str | Path | Scene) -> list[str]:
     """
     place = load_scene(scene)
     played = [name for name in SPAWN_MODELS if name not in FITTED] * has_recording(place)
-    return [*fitted_models(place), *played, *plugins.names("spawn_models")]
+    return [*fitted_models(place), *played, *plugins.names("spawn_models", SPAWN_MODELS)]
 
 
 def list_policies(scene: str | Path | Scene) -> list[str]:
@@ -266,7 +268,7 @@ def list_policies(scene: str | Path | Scene) -> list[str]:
     """
     place = load_scene(scene)
     plain = [name for name in POLICIES if name != "replay" or has_recording(place)]
-    return [*plain, *trained_policies(place), *plugins.names("policies")]
+    return [*plain, *trained_policies(place), *plugins.names("policies", POLICIES)]
 
 
 def add_metric(path: str) -> None:
@@ -297,9 +299,8 @@ def trained_policies(scene: Scene) -> list[str]:
 def _own(path: str, kind: str, known: tuple[str, ...]) -> Callable[..., Any]:
     module, colon, attribute = path.partition(":")
     if not colon:
-        raise SettingError(
-            kind, got=repr(path), expected=f"one of {', '.join(known)}, or pkg.module:Class"
-        )
+        named = f"one of {', '.join(known)}, or " if known else ""
+        raise SettingError(kind, got=repr(path), expected=f"{named}pkg.module:Class")
     try:
         found: Callable[..., Any] = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, ValueError, TypeError) as error:

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -227,6 +228,39 @@ def test_kinds_and_names_are_checked() -> None:
     register("observations", "mine", Eastward)
     with pytest.raises(SettingError, match="Others derive from"):
         Settings(observation="mine")
+
+
+@pytest.mark.usefixtures("free")
+def test_nobody_takes_a_name_of_ours_unnoticed() -> None:
+    register("policies", "straight", Eastward)
+    with pytest.raises(SettingError, match="got straight, registered by another package"):
+        crowdbench.policy("straight", "plaza-v0")
+    register("spawn_models", "ntpp-gmm", Eastward)
+    with pytest.raises(SettingError, match="got ntpp-gmm, registered"):
+        crowdbench.spawn_model("ntpp-gmm", "plaza-v0")
+
+
+@pytest.mark.usefixtures("free")
+def test_what_cannot_be_sent_to_workers_is_told() -> None:
+    register("metrics", "mine", threading.Lock())
+    with pytest.raises(OwnCodeError, match="on its way to worker processes: got TypeError"):
+        plugins.shared()
+
+
+def test_an_installed_metric_is_scored_where_the_recording_is(
+    installed: Path, tmp_path: Path
+) -> None:
+    rows = [f"{p},{3 * p + k},{0.5 * k},5.0" for p in range(1490) for k in range(20)]
+    (tmp_path / "mine.csv").write_text("\n".join(["person_id,frame,x,y", *rows]))
+    printed = ran(installed, tmp_path, "-m", "crowdbench", "score", "plaza-v0", "mine.csv")
+    assert "path length" in printed
+    elsewhere = "from crowdbench.cli.score_tables import missing_notes as n\n"
+    elsewhere += "from crowdbench import load_scene as s; print(n(s('eth-v0')), n(s('plaza-v0')))"
+    told = ran(installed, tmp_path, "-c", elsewhere)
+    assert (
+        "Without the recording path_length cannot be computed: `crowdbench data fetch eth`" in told
+    )
+    assert told.strip().endswith("[]")
 
 
 def test_a_package_that_cannot_be_imported_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

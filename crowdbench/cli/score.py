@@ -4,7 +4,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench.cli.score_tables import print_results
+from crowdbench.cli.printing import print_note
+from crowdbench.cli.score_tables import missing_notes, print_results
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -21,8 +22,8 @@ def add(commands: "Commands") -> None:
 
 
 def _score(args: argparse.Namespace) -> None:
+    from crowdbench.crowds import score
     from crowdbench.scene import load_scene
-    from crowdbench.scoring.reference import score
     from crowdbench.trajectories.storage import read
 
     scene = load_scene(args.scene)
@@ -30,3 +31,5 @@ def _score(args: argparse.Namespace) -> None:
     results = score(scene, crowd)
     print(f"\n{args.table.name} on {scene.id}: {len(crowd)} persons")
     print_results(results)
+    for note in missing_notes(scene):
+        print_note(note)

@@ -120,16 +120,29 @@ def _notes(card: "Scorecard", scene: "Scene") -> list[str]:
         name = scene.recording.name
         how = "fetch" if name in SOURCES else "import"
         notes.append(f"Motion and interaction need the recording: `crowdbench data {how} {name}`.")
-    from crowdbench.evaluation.references import missing
-
-    if absent := missing(scene):
-        notes.append(
-            f"Not computed without the recording: {', '.join(absent)}, of another package. Run "
-            f"`crowdbench data fetch {scene.recording.name}` or `data import`."
-        )
+    notes += missing_notes(scene)
     if any(steered(entry.spawn) for entry in card.entries):
         notes.append(STEERED)
     return notes
+
+
+def missing_notes(scene: "Scene") -> list[str]:
+    """What to say of metrics of others that could not be computed: nothing, or one note."""
+    from crowdbench.metrics import METRICS, all_metrics
+
+    if len(all_metrics()) == len(METRICS):
+        return []
+    from crowdbench.evaluation.references import missing
+    from crowdbench.recordings.catalogue import SOURCES
+
+    absent, name = missing(scene), scene.recording.name
+    if not absent:
+        return []
+    how = "fetch" if name in SOURCES else "import"
+    return [
+        f"Without the recording {', '.join(absent)} cannot be computed: "
+        f"`crowdbench data {how} {name}`."
+    ]
 
 
 def _print_distances(card: "Scorecard", names: "Names") -> None:

@@ -26,6 +26,7 @@ from crowdbench.evaluation.rollout_jobs import (
 )
 from crowdbench.files import unwritable, write_json
 from crowdbench.leftovers import swept
+from crowdbench.metrics import METRICS
 from crowdbench.registry import COMPARED, add_metric, has_recording
 from crowdbench.report.html import write_report
 from crowdbench.report.plots import FIGURES, PlotData, draw_figures
@@ -86,7 +87,8 @@ def evaluate(
     began = time.time()
     place, out = load_scene(scene), Path(out)
     for name in _listed(metric):
-        add_metric(name)
+        if name not in {known.name for known in METRICS}:  # those are computed anyway
+            add_metric(name)
     reference = reference_of(place)
     scale = read_anchors(place).protocols[_known_protocol(protocol)]
     pairs = _pairs(place, _listed(spawn), _listed(policy))

@@ -120,7 +120,7 @@ def _read_by_others(
     """Read a format that another package registered, `read(path, name=, dt_s=)`."""
     read = part("recordings", layout)
     if read is None:
-        known = ", ".join((*FORMATS, *names("recordings")))
+        known = ", ".join((*FORMATS, *names("recordings", FORMATS)))
         raise SettingError("--format", got=repr(layout), expected=f"one of {known}")
     if gaps is not None or offset_s is not None:
         raise SettingError(

@@ -24,7 +24,7 @@ from crowdbench.metrics import (
     blamed,
     metrics_for,
 )
-from crowdbench.scene import Scene, load_scene
+from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.events import blocks_of
 from crowdbench.trajectories.blocks import TimeBlocks
@@ -90,35 +90,20 @@ def summarise(
     return found
 
 
-def score(
-    scene: str | Path | Scene, crowd: Trajectories, *, against: Trajectories | None = None
+def score_against(
+    reference: Reference, scene: Scene, crowd: Trajectories, against: Trajectories | None = None
 ) -> dict[str, MetricResult]:
-    """Score any simulator's crowd against a scene's recording, or against another crowd.
-
-    Gives the result of each metric that the scene's time blocks can tell something by, by name.
-    With `against`, that crowd takes the place of the recording: its values are the `recorded`
-    ones, and distances are divided by its means.
-
-    A crowd is a continuous run as long as the recording, its first frame being frame 0: it is
-    looked at in the same time blocks. A table does not tell an empty scene at its end from an
-    end that came early; up to one time block is taken for empty. More than a block shorter or
-    longer is refused. Persons without areas are given the likeliest ones.
+    """What `crowdbench.score` gives, with a reference of the scene.
 
     Raises:
-        SceneError: there is no such scene.
-        WeightsError: the scene has no reference statistics.
-        RecordingError: a crowd is another scene's, or its time step or length is not the
-            scene's.
+        RecordingError: a crowd is another scene's, or its time step or length is not the scene's.
     """
-    scene = load_scene(scene)
-    reference = read_reference(scene)
     areas = read_areas(scene)
     _check_fits(crowd, scene)
     if against is not None:
         _check_fits(against, scene)
-        there = summarise(
-            areas.assign(against), reference.blocks, reference.place, applicable(reference.blocks)
-        )
+        blocks, place = reference.blocks, reference.place
+        there = summarise(areas.assign(against), blocks, place, applicable(blocks))
         reference = replace(reference, statistics=there)
     return reference.score(areas.assign(crowd))
 

@@ -70,7 +70,7 @@ class Observation(ABC):
 
 def known_observations() -> tuple[str, ...]:
     """Names of ours, and of those that others have registered."""
-    return (*OBSERVATIONS, *names("observations"))
+    return (*OBSERVATIONS, *names("observations", OBSERVATIONS))
 
 
 def observation_of(name: str) -> Observation | None:

@@ -13,9 +13,9 @@ import pytest
 
 from crowdbench import __version__
 from crowdbench.cli import main
+from crowdbench.crowds import score
 from crowdbench.recordings.catalogue import SOURCES
 from crowdbench.scene import list_scenes, load_scene
-from crowdbench.scoring.reference import score
 from crowdbench.trajectories.storage import read
 
 Printed = pytest.CaptureFixture[str]

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from crowdbench.cli import main
+from crowdbench.crowds import score
 from crowdbench.errors import OutputError, RecordingError, SceneError, SettingError
 from crowdbench.evaluation.evaluate import evaluate
 from crowdbench.evaluation.replay_check import arrival_rule_changes, compare_replay
 from crowdbench.files import write_json
 from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.scene import load_scene
-from crowdbench.scoring.reference import score
 from crowdbench.scoring.scorecard import PairResult, Scorecard, rows
 from crowdbench.trajectories.storage import read_own
 from crowdbench.trajectories.table import OUTCOMES

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from crowdbench.crowds import score
 from crowdbench.envs.parallel_env import parallel_env
 from crowdbench.errors import ActionError, RecordingError, SettingError, WeightsError
 from crowdbench.evaluation.evaluate import evaluate
 from crowdbench.registry import policy, spawn_model
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene
-from crowdbench.scoring.reference import read_reference, score
+from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn.events import SpawnEvents, entering
 from crowdbench.trajectories.storage import read
 

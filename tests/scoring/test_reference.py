@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+from crowdbench.crowds import score
 from crowdbench.errors import OutputError, RecordingError, SceneError, SettingError, WeightsError
 from crowdbench.metrics import distance, metrics_for
 from crowdbench.policies import Random, Straight
@@ -19,7 +20,7 @@ from crowdbench.registry import recording, spawn_model
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building.fit import fit_scene
-from crowdbench.scoring.reference import Reference, place_of, read_reference, score, write_reference
+from crowdbench.scoring.reference import Reference, place_of, read_reference, write_reference
 from crowdbench.spawn import fit_areas
 from crowdbench.spawn.areas import read_areas
 from crowdbench.trajectories.table import Trajectories
