@@ -3,8 +3,8 @@
 An installed package names them as entry points of the groups `crowdbench.metrics`,
 `crowdbench.spawn_models`, `crowdbench.policies`, `crowdbench.recordings` and
 `crowdbench.observations`; `register` adds one in a program or a notebook. Either way the part is
-known by its name wherever those of crowdbench are, in worker processes too. `told` says in one line
-what went wrong in code that is not ours.
+known by its name wherever a part of crowdbench is, in worker processes too. `told` describes an
+error in code of others in one line.
 """
 
 import functools
@@ -153,7 +153,7 @@ def _loaded(entry: EntryPoint) -> Any:
 
 @contextmanager
 def blaming(what: str) -> Iterator[None]:
-    """Tell of an error in code that is not ours as one message about `what`.
+    """Report an error in code of others as one message about `what`.
 
     Raises:
         OwnCodeError: it raised something that is no error of crowdbench's.

@@ -125,7 +125,7 @@ def spawn_model(
         RecordingError: it needs a recording that has not been imported.
     """
     place = load_scene(scene)
-    plugins.names("spawn_models", SPAWN_MODELS)  # whether somebody has taken one of ours
+    plugins.names("spawn_models", SPAWN_MODELS)  # raises if somebody registered a name of ours
     if isinstance(model, str):
         base, file = split(model)
         model = _unsteered(base, place, part, fit)
@@ -199,7 +199,7 @@ def policy(named: str | Policy, scene: str | Path | Scene, part: str = "full") -
         "social-force": SocialForce,
         "random": Random,
     }
-    plugins.names("policies", POLICIES)  # whether somebody has taken one of ours
+    plugins.names("policies", POLICIES)  # raises if somebody registered a name of ours
     if named in plain:
         return plain[named]()
     place = load_scene(scene)

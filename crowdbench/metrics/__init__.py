@@ -84,7 +84,7 @@ def _checked(name: str, part: Metric | type[Metric]) -> Metric:
 
 
 def blamed(metric: Metric) -> AbstractContextManager[None]:
-    """Errors of a metric that is not ours are told as its own."""
+    """Reports errors of a metric of another package under its name."""
     return nullcontext() if metric in METRICS else blaming(f"metric {metric.name}")
 
 

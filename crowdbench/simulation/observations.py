@@ -52,7 +52,7 @@ CHUNK = 10  # persons a thread takes at a time
 
 
 class Observation(ABC):
-    """An observation of somebody else's: one of ours, `base`, and more numbers behind it."""
+    """An observation that another package adds: one of ours, `base`, followed by more numbers."""
 
     name: ClassVar[str]
     base: ClassVar[str] = OBSERVATION
