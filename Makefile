@@ -1,6 +1,7 @@
 # make evaluate   the environment and the main job
 # make test       the environment and the fast tests
 # make test-all   these and the long ones
+# make coverage   the fast tests, and which share of the lines they run
 # make lint       format, lint and types
 #
 # Another set of dependencies: make test VENV=.venv-imitation EXTRAS=all
@@ -12,18 +13,21 @@ EXTRAS ?= dev,fit,minari,onnx,orca,torchrl,viewer
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: evaluate test test-all lint clean
+.PHONY: evaluate test test-all coverage lint clean
 
 evaluate: $(VENV)/core.stamp
 	$(BIN)/crowdbench evaluate eth-v0 --out results/eth
 
-ARGS ?= -n auto
+ARGS ?= -n auto --dist loadgroup
 
 test: $(VENV)/dev.stamp
 	$(BIN)/python -m pytest $(ARGS)
 
 test-all: test
 	$(BIN)/python -m pytest $(ARGS) -m long
+
+coverage: $(VENV)/dev.stamp
+	$(BIN)/python -m pytest $(ARGS) --cov --cov-report=term:skip-covered
 
 lint: $(VENV)/dev.stamp
 	$(BIN)/ruff format --check .
@@ -43,4 +47,4 @@ $(VENV)/dev.stamp: $(BIN)/python pyproject.toml constraints.txt
 	touch $@ $(VENV)/core.stamp
 
 clean:
-	rm -rf .venv .venv-* results build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-* results build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage

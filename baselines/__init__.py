@@ -1,1 +1,1 @@
-"""Policies to learn from, one readable file each."""
+"""Example policies, one readable file each."""

@@ -1,14 +1,15 @@
-"""Behaviour cloning: do what recorded people did in what they saw, with `imitation`.
+"""Behaviour cloning of recorded people with `imitation`.
 
     python -m baselines.bc --scene eth-v0
 
 writes `results/bc-eth-v0/full.onnx`, which `crowdbench evaluate eth-v0 --policy
-results/bc-eth-v0/full.onnx` rolls out. The defaults are not the founding paper's clone, of which
-they have the size (two layers of 32), the learning rate (Adam, 1e-4, but falling) and the most
-epochs (1000). That is a plain network on an observation of its own. This one sees `lidar-3`
-and says a mixture of Gaussians, is shown people beside their paths too, and stops when the
-likelihood of people who are held out no longer gets better. The policies that come with scenes have
-other sizes, rates and epochs: `crowdbench policy show` tells each one's command.
+results/bc-eth-v0/full.onnx` rolls out. Compared with the cloned policy of the founding paper
+(Kreutz et al. 2025), the defaults have the same size (two layers of 32), initial learning rate
+(Adam, 1e-4, which decreases here) and maximum number of epochs (1000). The paper uses a plain
+network and its own observation. This policy sees `lidar-3`, predicts a mixture of Gaussians, is
+also trained on people displaced from their paths, and stops when the likelihood of held-out people
+no longer improves. The policies shipped with scenes have other sizes, rates and epochs;
+`crowdbench policy show` prints their commands.
 """
 
 import argparse
@@ -38,13 +39,14 @@ with needs("imitation", __name__):
     from baselines.mixture import NEAR_GOAL_M, NOISE, MixturePolicy, Sampler
 
 OBSERVATIONS = ("lidar-3", "lidar-2")
-"""What can be cloned from. Where goals lie along the bounds, only who sees these gets there; where
-they do not, a small recording is more easily learned by heart by who knows where it is."""
+"""Observations that a policy can be cloned on. If goals are close to the bounds, a policy needs
+`lidar-3`, with the distances to the bounds, to reach them. Otherwise `lidar-2` is less prone to
+memorising a small recording."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How a policy is cloned."""
+    """Settings of the cloning."""
 
     observation: str = OBSERVATIONS[0]
     hidden: tuple[int, ...] = (32, 32)
@@ -52,36 +54,38 @@ class Settings:
     batch_size: int = 32
     epochs: int = 1000
     patience: int = 30
-    """Epochs without a better held-out likelihood after which training ends."""
+    """Number of epochs without a better held-out likelihood after which training stops."""
     held_out: float = 0.1
-    """Share of the persons by whom training is stopped."""
+    """Share of the persons held out for early stopping."""
     displaced_m: float = 0.5
+    """Standard deviation of the displacements, see `crowdbench.demonstrations`."""
     homing: int = 1
-    """Times that what is done near a goal is shown: it is rare, and who misses it never arrives."""
+    """Number of times that samples near a goal are repeated. They are rare, and a policy that
+    misses its goal never arrives."""
     width: float = 1.0
-    """By which standard deviations are multiplied in the end. Gaussians that are fitted to what is
-    not Gaussian are wide: those who draw from them are less steady than who was recorded."""
+    """Factor by which standard deviations are multiplied after training. Gaussians fitted to data
+    that are not Gaussian are too wide, and samples from them are less steady than the recording."""
     copies: int = 1
-    """Times that the recording is shown, with other persons displaced."""
+    """Number of copies of the recording, with different persons displaced in each."""
     seed: int = 0
 
 
 SETTABLE = {
-    "learning_rate": "Adam's in the first epoch; it falls to 0 along half a cosine",
-    "batch_size": "situations in a batch",
-    "epochs": "at most so many times through all that is shown",
-    "patience": "epochs without a better held-out likelihood after which training ends",
-    "displaced_m": "standard deviation of how far persons are shown off their paths, in metres, "
-    "from where they come back; 0: never",
-    "homing": "times that what is done near a goal is shown",
-    "width": "by which standard deviations are multiplied in the end",
-    "copies": "times that the recording is shown, with other persons displaced",
+    "learning_rate": "initial learning rate of Adam; it decreases to 0 along half a cosine",
+    "batch_size": "number of samples in a batch",
+    "epochs": "maximum number of epochs",
+    "patience": "number of epochs without a better held-out likelihood after which training stops",
+    "displaced_m": "standard deviation of displacements from the recorded paths in metres, from "
+    "which the samples show how to return; 0: no displacements",
+    "homing": "number of times that samples near a goal are repeated",
+    "width": "factor by which standard deviations are multiplied after training",
+    "copies": "number of copies of the recording, with different persons displaced in each",
 }
-"""Settings that the command line takes, and what it says of them."""
+"""Settings with a command line option, and the help texts of the options."""
 
 
 def check(settings: Settings) -> None:
-    """Raise where nothing could be cloned with these settings.
+    """Check the settings.
 
     Raises:
         SettingError: a number is out of range.
@@ -90,10 +94,10 @@ def check(settings: Settings) -> None:
 
 
 class Clipped(torch.optim.Adam):
-    """Adam with gradients of norm 1 at most: a narrow Gaussian that is missed throws it far."""
+    """Adam with gradients clipped to norm 1; actions far from a narrow Gaussian give large ones."""
 
     def step(self, closure: Any = None) -> Any:
-        """Cut, and go on."""
+        """Clip the gradients and take a step."""
         for group in self.param_groups:
             torch.nn.utils.clip_grad_norm_(group["params"], 1.0)
         return super().step(closure)
@@ -101,13 +105,13 @@ class Clipped(torch.optim.Adam):
 
 @dataclass
 class Batches:
-    """Batches of demonstrations in an order drawn anew each time they are gone through.
+    """Batches of demonstrations, shuffled in each pass.
 
     `imitation`'s own loader collates one pair at a time, which takes longer than the training.
     """
 
     columns: Mapping[str, np.ndarray]
-    """By the names that `imitation` gives them: `obs`, `acts`, …, each of as many rows."""
+    """Arrays of equal length, by the names that `imitation` uses: `obs`, `acts`, …"""
     size: int
     rng: np.random.Generator
 
@@ -125,12 +129,12 @@ class Batches:
         return len(self.columns["acts"])
 
 
-def shown(scene: str, part: str, settings: Settings) -> list[Demonstrations]:
-    """What is learned from: the recording, once for each copy."""
+def shown(scene: str, split: str, settings: Settings) -> list[Demonstrations]:
+    """Demonstrations to learn from, one set for each copy of the recording."""
     return [
         demonstrations(
             scene,
-            part=part,
+            split=split,
             observation=settings.observation,
             displaced_m=settings.displaced_m,
             seed=settings.seed + k,
@@ -140,21 +144,25 @@ def shown(scene: str, part: str, settings: Settings) -> list[Demonstrations]:
 
 
 def everything(lots: list[Demonstrations], settings: Settings) -> Batches:
-    """All that is shown, nobody held out."""
+    """Batches of all demonstrations, with nobody held out."""
     seen, did = (np.concatenate(each) for each in zip(*(lot.pairs() for lot in lots), strict=True))
     rng = np.random.default_rng(settings.seed)
     return Batches({"obs": seen, "acts": did}, min(settings.batch_size, len(did)), rng)
 
 
 def clone(lots: list[Demonstrations], settings: Settings) -> tuple[MixturePolicy, float, int]:
-    """The policy, its held-out log-likelihood in nats per action, and the epochs trained."""
+    """Clone a policy.
+
+    Returns the policy of the best epoch, its held-out log-likelihood in nats per action, and the
+    number of that epoch.
+    """
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
     splits = [lot.split(settings.held_out, settings.seed) for lot in lots]
     x, a = (np.concatenate(each) for each in zip(*(t.pairs() for t, _ in splits), strict=True))
     seen, did = (np.concatenate(e) for e in zip(*(h.pairs() for _, h in splits), strict=True))
     held_out = torch.from_numpy(seen), torch.from_numpy(did)
-    # What is done in a situation stays what it is, however often the situation comes.
+    # Repeated samples change how often situations occur, not the actions in each situation.
     near = np.flatnonzero(x[:, 2] * GOAL_RANGE_M < NEAR_GOAL_M)
     rows = np.concatenate([np.arange(len(x)), np.tile(near, settings.homing - 1)])
     x, a = x[rows], a[rows]
@@ -183,7 +191,7 @@ def clone(lots: list[Demonstrations], settings: Settings) -> tuple[MixturePolicy
     for epoch in range(1, settings.epochs + 1):
         for group in trainer.optimizer.param_groups:
             group["lr"] = settings.learning_rate * _decay((epoch - 1) / settings.epochs)
-        with warnings.catch_warnings():  # imitation logs tensors that know their gradient
+        with warnings.catch_warnings():  # imitation logs tensors with gradients
             warnings.filterwarnings("ignore", message="Converting a tensor")
             trainer.train(n_epochs=1, progress_bar=False, log_interval=10**9)
         likelihood = _likelihood(policy, *held_out)
@@ -217,36 +225,36 @@ def _likelihood(policy: MixturePolicy, seen: torch.Tensor, did: torch.Tensor) ->
 
 
 def add_cloning(parser: argparse._ActionsContainer, prefix: str = "") -> None:
-    """Give a parser the options of `Settings`, but for the observation and the seed."""
+    """Add options for `Settings`, except for the observation and the seed."""
     parser.add_argument(
         f"--{prefix}hidden",
         nargs="+",
         type=int,
         default=list(Settings.hidden),
         metavar="N",
-        help=f"widths of its layers (default: {' '.join(map(str, Settings.hidden))})",
+        help=f"widths of the hidden layers (default: {' '.join(map(str, Settings.hidden))})",
     )
     add_settings(parser, Settings(), SETTABLE, prefix)
 
 
 def add_observation(parser: argparse.ArgumentParser) -> None:
-    """Give a parser the choice of what can be cloned from."""
+    """Add the option for the observation."""
     parser.add_argument(
         "--observation",
         choices=OBSERVATIONS,
         default=OBSERVATIONS[0],
-        help="what it sees; lidar-3 has the bounds too (default: %(default)s)",
+        help="observation of the policy; lidar-3 contains the bounds (default: %(default)s)",
     )
 
 
 def settings_from(asked: argparse.Namespace, prefix: str = "") -> Settings:
-    """What was asked for by these options."""
+    """Settings from the parsed options."""
     named = {name: getattr(asked, prefix + name) for name in SETTABLE}
     return Settings(hidden=tuple(getattr(asked, f"{prefix}hidden")), **named)
 
 
 def command_line() -> argparse.ArgumentParser:
-    """The options of this script."""
+    """Argument parser of this script."""
     parser = new_parser("bc", __doc__)
     add_cloning(parser)
     add_observation(parser)
@@ -254,17 +262,17 @@ def command_line() -> argparse.ArgumentParser:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Clone and write policies."""
+    """Clone and write a policy for each split; return the exit code."""
     asked = command_line().parse_args(arguments)
     use_one_thread()
     settings = replace(settings_from(asked), observation=asked.observation, seed=asked.seed)
     try:
         check(settings)
-        command = Command.of("bc", asked.scene, asked.parts, asked.out, arguments)
-        for part in asked.parts:
-            policy, likelihood, epochs = clone(shown(asked.scene, part, settings), settings)
+        command = Command.of("bc", asked.scene, asked.splits, asked.out, arguments)
+        for split in asked.splits:
+            policy, likelihood, epochs = clone(shown(asked.scene, split, settings), settings)
             path = command.write(
-                part, Sampler(policy), observation=settings.observation, noise=NOISE
+                split, Sampler(policy), observation=settings.observation, noise=NOISE
             )
             print(f"{path}: {likelihood:.4f} nats per action after {epochs} epochs")
             print(f"{path}: {command.walk(path, 'ntpp-gmm')}", flush=True)

@@ -1,6 +1,4 @@
-"""What the baselines' commands share: what is checked before training, a policy's file, and how it
-walks.
-"""
+"""Shared code of the training scripts: options, checks before training, and export."""
 
 import argparse
 import math
@@ -24,27 +22,28 @@ from crowdbench.policies.export import export_policy, revision
 from crowdbench.registry import DEFAULT_SPAWN
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import read_areas
-from crowdbench.spawn.weights import check_part
+from crowdbench.spawn.weights import check_split
 from crowdbench.trajectories.table import OUTCOMES
 
 WALKED_S = 600.0
+"""Length of the rollout that tests a trained policy."""
 
 
 def use_one_thread() -> None:
-    """Let torch train on one thread, unless `OMP_NUM_THREADS` says otherwise.
+    """Let torch use one thread, unless `OMP_NUM_THREADS` is set.
 
-    Networks this small gain nothing by several, and threads that wait for each other on a busy
-    machine take many times as long.
+    Several threads do not speed up such small networks. On a busy machine they are many times
+    slower, because they wait for each other.
     """
     if "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(1)
 
 
 def check_numbers(settings: Any, *, or_zero: Sequence[str] = ()) -> None:
-    """Raise where a number of a dataclass is not positive, or not at least 0 if it may be that.
+    """Check that all numbers of a dataclass are positive; those named in `or_zero` may be 0.
 
     Raises:
-        SettingError: one is not.
+        SettingError: a number is out of range.
     """
     for name in (f.name for f in fields(settings)):
         value = getattr(settings, name)
@@ -59,7 +58,7 @@ def check_numbers(settings: Any, *, or_zero: Sequence[str] = ()) -> None:
 
 
 def new_parser(name: str, description: str | None) -> argparse.ArgumentParser:
-    """A parser of `python -m baselines.NAME` with the options that all of them have."""
+    """Argument parser of `python -m baselines.NAME` with the options that all scripts have."""
     parser = argparse.ArgumentParser(
         prog=f"python -m baselines.{name}",
         description=description,
@@ -67,18 +66,18 @@ def new_parser(name: str, description: str | None) -> argparse.ArgumentParser:
     )
     parser.add_argument("--scene", required=True, help="id of a scene, or its folder")
     parser.add_argument(
-        "--parts",
+        "--splits",
         nargs="+",
         default=["full"],
-        metavar="PART",
-        help="what to train on, a policy for each: full is all of the recording, fold0, fold1 and "
-        "fold2 are two thirds of it, for --protocol heldout (default: full)",
+        metavar="SPLIT",
+        help="splits of the recording; one policy is trained on each. full: the whole recording; "
+        "fold0, fold1, fold2: two thirds of it, for --protocol heldout (default: full)",
     )
     parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of all chance (default: %(default)s)"
+        "--seed", type=int, default=0, metavar="N", help="random seed (default: %(default)s)"
     )
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help=f"folder (default: results/{name}-SCENE)"
+        "--out", type=Path, metavar="DIR", help=f"output folder (default: results/{name}-SCENE)"
     )
     return parser
 
@@ -86,7 +85,7 @@ def new_parser(name: str, description: str | None) -> argparse.ArgumentParser:
 def add_settings(
     parser: argparse._ActionsContainer, default: Any, told: Mapping[str, str], prefix: str = ""
 ) -> None:
-    """Give a parser options for some settings of a dataclass, by name with what is told of them."""
+    """Add an option for each setting in `told`, which maps names of settings to help texts."""
     for name, what in told.items():
         value = getattr(default, name)
         parser.add_argument(
@@ -100,7 +99,7 @@ def add_settings(
 
 @dataclass(frozen=True)
 class Command:
-    """A call of `python -m baselines.NAME`, all of which can be done as far as one can tell."""
+    """A call of `python -m baselines.NAME` whose arguments have been checked."""
 
     name: str
     scene: Scene
@@ -112,19 +111,19 @@ class Command:
         cls,
         name: str,
         scene: str,
-        parts: Sequence[str],
+        splits: Sequence[str],
         out: Path | None,
         arguments: Sequence[str] | None,
     ) -> "Command":
-        """Find the scene and make the folder, by default `results/NAME-SCENE`.
+        """Load the scene and create the output folder, by default `results/NAME-SCENE`.
 
         Raises:
-            SceneError, SettingError: there is no such scene or part.
-            OutputError: the folder cannot be made.
+            SceneError, SettingError: the scene or a split does not exist.
+            OutputError: the folder cannot be created.
         """
         place = load_scene(scene)
-        for part in parts:
-            check_part(part, 0)
+        for split in splits:
+            check_split(split, 0)
         folder = out or Path("results") / f"{name}-{place.id}"
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -132,30 +131,33 @@ class Command:
             raise unwritable(folder, error) from error
         return cls(name, place, folder, sys.argv[1:] if arguments is None else arguments)
 
-    def write(self, part: str, network: nn.Module, *, observation: str, noise: int) -> Path:
-        """Write the policy of a part, with this call in its card; see `export_policy`."""
+    def write(self, split: str, network: nn.Module, *, observation: str, noise: int) -> Path:
+        """Export the policy of a split and return its path; see `export_policy`.
+
+        The card contains the command line of this call.
+        """
         card = PolicyCard(
             name=self.name,
             observation=observation,
             scene=self.scene.id,
-            part=part,
+            split=split,
             command=f"python -m baselines.{self.name} {shlex.join(self.given)}",
             revision=revision(Path(__file__).parent),
         )
-        return export_policy(network, self.out / f"{part}.onnx", card, noise=noise)
+        return export_policy(network, self.out / f"{split}.onnx", card, noise=noise)
 
     def walk(self, path: Path, spawn: str = DEFAULT_SPAWN) -> str:
-        """Walk a crowd for ten minutes by a policy's file, and say how fast and how many arrive.
+        """Roll out an exported policy for ten minutes; return a line on speeds and arrivals.
 
-        Speeds are means over persons of what they walked per time, as `Trajectories.mean_speeds`.
+        The speed is the mean over persons of `Trajectories.mean_speeds`.
         """
         crowd = rollout(self.scene, spawn, OnnxPolicy(path), seed=0, horizon_s=WALKED_S)
         over = crowd.left & (crowd.last > crowd.first)
         if not over.any():
-            return f"nobody's way ended in {WALKED_S:.0f} s"
+            return f"no trip ended within {WALKED_S:.0f} s"
         recorded = float(np.mean(read_areas(self.scene).speed_quantiles))
         arrived = crowd.outcome[over] == OUTCOMES.index("goal")
         return (
-            f"walked for {WALKED_S:.0f} s: mean speed {crowd.mean_speeds()[over].mean():.2f} m/s "
+            f"rollout of {WALKED_S:.0f} s: mean speed {crowd.mean_speeds()[over].mean():.2f} m/s "
             f"(recorded {recorded:.2f}), {arrived.mean():.1%} of {len(arrived)} persons arrive"
         )

@@ -1,23 +1,24 @@
-"""GAIL: walk so that a discriminator cannot tell it from recorded people, with `imitation`.
+"""GAIL with `imitation`: train a policy whose actions a discriminator cannot detect as simulated.
 
     python -m baselines.gail --scene eth-v0
 
-writes `results/gail-eth-v0/full.onnx`, and `full.csv` with the curves of the training. Generative
-adversarial imitation learning is Ho & Ermon (2016), NeurIPS; the walkers are improved by PPO.
+writes `results/gail-eth-v0/full.onnx`, and the training curves to `full.csv`. Generative
+adversarial imitation learning is the method of Ho & Ermon (2016), NeurIPS. PPO optimises the
+policy.
 
-Lives differ in length, and a reward that is always positive, as GAIL's −log(1 − D), pays people
-for staying, one that is always negative for leaving (Kostrikov et al. 2019, Discriminator-Actor-
-Critic, ICLR, sec. 4.1). So the reward here is their difference log D − log(1 − D), as in Fu et al.
-(2018, AIRL, ICLR): where the discriminator is at a loss it is zero, and nobody gains by the length
-of a life. That is what `imitation`'s `allow_variable_horizon` is set for.
+Trips differ in length. A reward that is always positive, such as GAIL's −log(1 − D), encourages
+people to stay, and one that is always negative encourages them to leave (Kostrikov et al. 2019,
+Discriminator-Actor-Critic, ICLR, sec. 4.1). The reward here is log D − log(1 − D), as in Fu et al.
+(2018, AIRL, ICLR). It is zero where the discriminator is undecided, so that episode length does not
+bias the reward. This is why `allow_variable_horizon` of `imitation` is set.
 
-Everyone in the crowd is walked by the policy that is being trained; the persons of the
-sub-environments are those it learns from.
+The policy in training controls everyone in the crowd, but it learns only from the persons of the
+sub-environments.
 
-PPO moves the mean of a narrow Gaussian by more than it is wide, and walkers who kept their velocity
-exactly, as recorded people do between two annotations, no longer do. Where that matters, they are
-shown recorded people between the rounds as in cloning (`--reminders`; Jena et al. 2020, Augmenting
-GAIL with BC for Sample Efficient Imitation Learning, CoRL).
+PPO shifts the mean of a narrow Gaussian by more than its width. Walkers then no longer keep their
+velocity exactly, as recorded people do between two annotations. To prevent this, the policy can
+also be trained on recorded people between the rounds, as in cloning (`--reminders`; Jena et al.
+2020, Augmenting GAIL with BC for Sample Efficient Imitation Learning, CoRL).
 """
 
 import argparse
@@ -52,45 +53,46 @@ with needs("imitation", __name__):
     from baselines import bc
     from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
     from baselines.mixture import BOUNDS, NOISE, MixturePolicy, Sampler
-    from crowdbench.envs.vec_env import LivesVecEnv
+    from crowdbench.envs.vec_env import CrowdVecEnv
 
 CHANGES = 10.0
-"""How much larger the discriminator sees changes of velocity, which are small, than velocities."""
+"""Factor by which changes of velocity, which are small, are scaled for the discriminator."""
 AGAINST = 10.0
-"""Log-odds against those who walk out of the bounds."""
+"""Amount subtracted from the log-odds of people who walk out of the bounds."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How a policy is trained; how it is cloned first stands in `baselines.bc`."""
+    """Settings of the training with GAIL; `bc.Settings` has those of the cloning before it."""
 
     spawn: str = DEFAULT_SPAWN
     observation: str = bc.OBSERVATIONS[0]
     persons: int = 64
-    """Sub-environments."""
+    """Number of sub-environments."""
     steps: int = 500_000
-    """Of persons, all together."""
+    """Number of training steps, summed over all sub-environments."""
     horizon_s: float = 120.0
     round_steps: int = 64
-    """Steps of each person between two improvements."""
+    """Number of steps of each sub-environment between two updates."""
     ppo_epochs: int = 5
     learning_rate: float = 1e-4
     reminders: int = 0
-    """Batches of recorded people from whom it clones anew after each improvement."""
+    """Number of batches of recorded people on which the policy is cloned after each update."""
     clip: float = 0.1
     gamma: float = 0.95
     discriminator: int = 64
-    """Width of its two layers."""
+    """Width of the discriminator's two layers."""
     discriminator_rate: float = 1e-3
     discriminator_updates: int = 8
     discriminator_batch: int = 512
 
 
 class Discriminator(RewardNet):
-    """Log-odds that a person who does this in this situation is a recorded one.
+    """Log-odds that an action in a state is that of a recorded person.
 
-    Where they see the bounds it need not learn that nobody recorded walks out of them: so rare an
-    end, even if it is one life in ten, it would learn too slowly.
+    If the observation contains the bounds, a constant is subtracted for people who walk out of
+    them. No recorded person does so, but the network would learn this too slowly, because such
+    steps are rare even if every tenth trip ends this way.
     """
 
     def __init__(
@@ -105,7 +107,7 @@ class Discriminator(RewardNet):
         )  # fmt: skip
 
     def forward(self, state: Tensor, action: Tensor, next_state: Tensor, done: Tensor) -> Tensor:
-        """Of states (A, obs) and actions (A, 2); shape (A,)."""
+        """Log-odds (A,) for states (A, obs) and actions (A, 2)."""
         change = CHANGES * (action - state[:, :2])
         odds = self.layers(torch.cat([state, action, change], dim=1))[:, 0]
         if not self.bounds:
@@ -114,16 +116,16 @@ class Discriminator(RewardNet):
 
 
 class FairGAIL(GAIL):
-    """GAIL whose reward is log D − log(1 − D): the discriminator's log-odds as they are."""
+    """GAIL with the reward log D − log(1 − D), which is the discriminator's log-odds."""
 
     @property
     def reward_train(self) -> RewardNet:
-        """The discriminator."""
+        """The discriminator, whose output is used as the reward."""
         return self._reward_net
 
 
 class Learner:
-    """The policy under training as a walker of everyone else."""
+    """The policy in training, as the policy of people without a sub-environment."""
 
     name = "learner"
     sees: ClassVar[Literal["observation"]] = "observation"
@@ -133,30 +135,30 @@ class Learner:
         self.observation = observation
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Draw from `rng` from now on."""
+        """Begin an episode whose noise is drawn from `rng`."""
         self._rng = rng
 
     def act(self, seen: np.ndarray) -> np.ndarray:
-        """One action per observation."""
+        """Actions (A, 2), one per observation."""
         noise = self._rng.standard_normal((len(seen), NOISE), dtype=np.float32)
         with torch.no_grad():
             return self.sampler(torch.from_numpy(seen), torch.from_numpy(noise)).numpy()
 
 
 class Outcomes(VecEnvWrapper):
-    """Counts how lives end, and how fast people walk."""
+    """Wrapper that counts the outcomes of trips and records speeds."""
 
-    def __init__(self, venv: LivesVecEnv) -> None:
+    def __init__(self, venv: CrowdVecEnv) -> None:
         super().__init__(venv)
         self.ended: Counter[str] = Counter()
         self.speeds: list[float] = []
 
     def reset(self) -> Any:
-        """Pass it on."""
+        """Reset the wrapped environment."""
         return self.venv.reset()
 
     def step_wait(self) -> Any:
-        """Count, and pass it on."""
+        """Step the wrapped environment and record outcomes and speeds."""
         seen, rewards, dones, infos = self.venv.step_wait()
         self.ended.update(info["outcome"] for info in infos if "outcome" in info)
         goes_on = seen[~dones]
@@ -166,7 +168,7 @@ class Outcomes(VecEnvWrapper):
 
 
 def experts(shown: Demonstrations, size: int, rng: np.random.Generator) -> bc.Batches:
-    """Batches of recorded transitions."""
+    """Batches of `size` recorded transitions, in random order."""
     acted = ~np.isnan(shown.actions[:, 0])
     after = np.flatnonzero(acted) + 1
     return bc.Batches(
@@ -182,7 +184,7 @@ def experts(shown: Demonstrations, size: int, rng: np.random.Generator) -> bc.Ba
 
 
 def remind(policy: MixturePolicy, lessons: Iterator[Mapping[str, Tensor]], times: int) -> None:
-    """Make what recorded people did likelier, a batch at a time."""
+    """Increase the likelihood of recorded actions, for `times` batches of `lessons`."""
     for batch in islice(lessons, times):
         loss = -policy.get_distribution(batch["obs"]).log_prob(batch["acts"]).mean()
         policy.optimizer.zero_grad()
@@ -193,28 +195,28 @@ def remind(policy: MixturePolicy, lessons: Iterator[Mapping[str, Tensor]], times
 
 def train(
     scene: str,
-    part: str,
+    split: str,
     policy: MixturePolicy,
     settings: Settings,
     seed: int,
     lessons: Iterable[Mapping[str, Tensor]] = (),
 ) -> Iterator[dict[str, float]]:
-    """Improve the policy in place; yields figures after each round.
+    """Train the policy in place; yield statistics after each round.
 
-    `lessons` are what it is reminded of: batches of `obs` and `acts`, without an end.
+    `lessons` are infinitely many batches of recorded `obs` and `acts` for the reminders.
     """
     torch.manual_seed(seed)
     lessons = iter(lessons)
     rng = np.random.default_rng(seed)
-    lives = LivesVecEnv(
+    trips = CrowdVecEnv(
         scene,
         settings.persons,
-        spawn=spawn_model(settings.spawn, scene, part),
+        spawn=spawn_model(settings.spawn, scene, split),
         horizon_s=settings.horizon_s,
         observation=settings.observation,
         seed=seed,
     )
-    venv = Outcomes(lives)
+    venv = Outcomes(trips)
     per_round = settings.round_steps * settings.persons
     generator = PPO(
         MixturePolicy,
@@ -231,9 +233,9 @@ def train(
         policy_kwargs={"net_arch": [layer.out_features for layer in _hidden(policy)]},
     )
     generator.policy.load_state_dict(policy.state_dict())
-    lives.others = Learner(generator.policy, settings.observation)
+    trips.others = Learner(generator.policy, settings.observation)
     size = min(settings.discriminator_batch, per_round)
-    shown = demonstrations(scene, part=part, observation=settings.observation)
+    shown = demonstrations(scene, split=split, observation=settings.observation)
     trainer = FairGAIL(
         demonstrations=experts(shown, size, rng),
         demo_batch_size=size,
@@ -261,10 +263,10 @@ def train(
         yield {
             "steps": (k + 1) * per_round,
             "at goal": venv.ended["goal"] / max(1, venv.ended.total()),
-            "m/s": float(np.mean(venv.speeds)) * lives.scene.motion.max_speed_mps,
+            "m/s": float(np.mean(venv.speeds)) * trips.scene.motion.max_speed_mps,
             "recorded told": float(np.mean([f["disc_acc_expert"] for f in found])),
             "walked told": float(np.mean([f["disc_acc_gen"] for f in found])),
-            "waited": lives.waited,
+            "waited": trips.waited,
         }
 
 
@@ -273,29 +275,31 @@ def _hidden(policy: MixturePolicy) -> list[nn.Linear]:
 
 
 SETTABLE = {
-    "steps": "steps of persons to train for, all together",
-    "persons": "persons it learns from at a time; the crowd around them is walked by it too",
-    "spawn": "spawn model that lets people in",
-    "horizon_s": "length of an episode, in seconds",
-    "learning_rate": "Adam's, of the policy",
-    "discriminator_rate": "Adam's, of the discriminator",
-    "reminders": "batches of recorded people from whom it clones anew after each improvement",
+    "steps": "number of training steps, summed over all sub-environments",
+    "persons": "number of sub-environments, that is, of people it learns from at a time; the "
+    "policy controls everyone else too",
+    "spawn": "spawn model",
+    "horizon_s": "length of an episode in seconds",
+    "learning_rate": "learning rate of Adam for the policy",
+    "discriminator_rate": "learning rate of Adam for the discriminator",
+    "reminders": "number of batches of recorded people on which the policy is cloned after each "
+    "update",
 }
-"""Settings that the command line takes, and what it says of them."""
+"""Settings with a command line option, and the help texts of the options."""
 
 
 def command_line() -> argparse.ArgumentParser:
-    """The options of this script."""
+    """Argument parser of this script."""
     parser = new_parser("gail", __doc__)
     add_settings(parser, Settings(), SETTABLE)
     bc.add_observation(parser)
-    cloning = parser.add_argument_group("cloning, from which it starts (0 epochs: from nothing)")
+    cloning = parser.add_argument_group("cloning before GAIL (0 epochs: no cloning)")
     bc.add_cloning(cloning, "cloning-")
     return parser
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Clone, train and write policies."""
+    """Clone, train and write a policy for each split; return the exit code."""
     asked = command_line().parse_args(arguments)
     use_one_thread()
     names = (*SETTABLE, "observation")
@@ -305,19 +309,19 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         check_numbers(settings, or_zero=("learning_rate", "gamma", "reminders"))
         bc.check(first)
-        command = Command.of("gail", asked.scene, asked.parts, asked.out, arguments)
-        spawn_model(settings.spawn, command.scene)  # if there is none, before anything is cloned
-        for part in asked.parts:
-            lots = bc.shown(asked.scene, part, first)
-            # Reminders would undo a narrowing of the clone: then it comes last.
+        command = Command.of("gail", asked.scene, asked.splits, asked.out, arguments)
+        spawn_model(settings.spawn, command.scene)  # raises errors early, before the cloning
+        for split in asked.splits:
+            lots = bc.shown(asked.scene, split, first)
+            # Reminders would undo the narrowing of the clone, so with them it is done at the end.
             width = first.width if settings.reminders else 1.0
             policy, _, _ = bc.clone(lots, replace(first, width=first.width / width))
             lessons = chain.from_iterable(repeat(bc.everything(lots, first)))
-            rounds = train(asked.scene, part, policy, settings, asked.seed, lessons)
+            rounds = train(asked.scene, split, policy, settings, asked.seed, lessons)
             curves = _watched(rounds)
             policy.narrow(width)
             path = command.write(
-                part, Sampler(policy), observation=settings.observation, noise=NOISE
+                split, Sampler(policy), observation=settings.observation, noise=NOISE
             )
             _write(curves, path.with_suffix(".csv"))
             print(f"{path}: {command.walk(path, settings.spawn)}", flush=True)

@@ -1,12 +1,12 @@
-"""A policy that is a distribution: a mixture of Gaussians around the present velocity.
+"""A stochastic policy: a mixture of Gaussians around the present velocity.
 
-People keep their velocity, or change it in one of several ways: one Gaussian has to be as wide as
-all of these together, and who draws from it staggers. The network says how likely each of a few
-changes is, where it leads and how exactly (mixture density network: Bishop 1994, Neural Computing
-Research Group Report NCRG/94/004, eqs. 22-27).
+People keep their velocity or change it in one of several ways. A single Gaussian would have to be
+wide enough for all of these, and samples from it would be unsteady. The network therefore predicts
+the weight, mean and standard deviation of several changes of velocity (mixture density network:
+Bishop 1994, Neural Computing Research Group Report NCRG/94/004, eqs. 22-27).
 
-It is a policy of Stable-Baselines3, so that `imitation` clones it and GAIL's PPO trains it, and
-`Sampler` is what of it goes into an ONNX file.
+`MixturePolicy` is a policy of Stable-Baselines3, so that `imitation` can clone it and GAIL can
+train it with PPO. `Sampler` is the part that is exported to an ONNX file.
 """
 
 import math
@@ -20,32 +20,40 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
 from crowdbench.simulation import Settings
-from crowdbench.simulation.observations import GOAL_RANGE_M
+from crowdbench.simulation.observations import (
+    GOAL_DIRECTION,
+    GOAL_DISTANCE,
+    GOAL_RANGE_M,
+    PREFERRED_SPEED,
+)
 
 SELF = 6
-"""Values of an observation before its distances, to bounds and along rays."""
+"""Number of values of an observation before the distances to bounds and along rays."""
 BOUNDS = slice(SELF, 10)
+"""Slice of the distances to the bounds in `lidar-3`."""
 RAY_RANGE_M = Settings().ray_range_m
 NEAR_GOAL_M = 2.0
+"""Distance below which a goal counts as near."""
 NEAR_M = 1.0
-"""Distances at which people and goals matter are small beside the ranges they are divided by."""
+"""Length scale of the nearness of people, walls and bounds."""
 CHANGES = 5.0
-"""How much larger than velocities the change is shown that would lead to the goal."""
+"""Factor by which the change of velocity towards the goal is scaled, compared with velocities."""
 COMPONENTS = 5
 NOISE = 3
-"""Normal numbers that a sample takes: one chooses the component, two its deviation."""
-_WIDTH = -3.0  # log standard deviation that a fresh network starts from, in units of max_speed
+"""Number of normal numbers per sample: one chooses the component, two the deviation."""
+_WIDTH = -3.0  # initial log standard deviation, in units of max_speed
 _NARROWEST, _WIDEST = -6.0, 1.0
-"""The narrowest is millimetres in a step. With less, who keeps the velocity exactly, as people do
-between two annotations, makes up all of the likelihood, and nobody turns to the goal."""
+"""Bounds of the log standard deviation. The lower one corresponds to millimetres per step. With a
+smaller one, people who keep their velocity exactly, as between two annotations, would dominate the
+likelihood, and the policy would not learn to turn to the goal."""
 
 
 class Scales(BaseFeaturesExtractor):
-    """An observation, and of what is in it what a small network would not find by itself.
+    """An observation and derived features that a small network would not learn by itself.
 
-    The observation may be `lidar-2` or `lidar-3`. What is added is the change of velocity that
-    would lead to the goal at the preferred speed, the way to the goal where it is near, and how
-    near each ray ends and each bound is that is seen.
+    The observation may be `lidar-2` or `lidar-3`. The added features are the change of velocity
+    that leads to the goal at the preferred speed, the offset to a near goal, and the nearness of
+    the end of each ray and of each observed bound.
     """
 
     def __init__(self, observation_space: spaces.Box) -> None:
@@ -53,10 +61,10 @@ class Scales(BaseFeaturesExtractor):
         super().__init__(observation_space, 2 * numbers - SELF + 4)
 
     def forward(self, seen: Tensor) -> Tensor:
-        """Of observations (A, obs)."""
-        towards = seen[:, 3:5]
-        change = CHANGES * (towards * seen[:, 5:6] - seen[:, :2])
-        way = (seen[:, 2:3] * (GOAL_RANGE_M / NEAR_GOAL_M)).clamp(max=1) * towards
+        """Features (A, 2·obs − 2) of observations (A, obs)."""
+        towards = seen[:, GOAL_DIRECTION]
+        change = CHANGES * (towards * seen[:, PREFERRED_SPEED] - seen[:, :2])
+        way = (seen[:, GOAL_DISTANCE] * (GOAL_RANGE_M / NEAR_GOAL_M)).clamp(max=1) * towards
         nearness = torch.exp(-seen[:, SELF:] * (RAY_RANGE_M / NEAR_M))
         return torch.cat([seen, change, way, nearness], dim=1)
 
@@ -65,7 +73,7 @@ class Mixture(Distribution):
     """Mixtures of Gaussians with diagonal covariance, one for each of A observations."""
 
     def __init__(self, parameters: Tensor, velocity: Tensor) -> None:
-        """Take parameters of shape (A, 5 · components), and velocities (A, 2)."""
+        """Create mixtures from network outputs (A, 5 · components) and velocities (A, 2)."""
         super().__init__()
         p = parameters.unflatten(1, (parameters.shape[1] // 5, 5))
         self.mean = velocity[:, None] + p[..., :2]
@@ -73,13 +81,13 @@ class Mixture(Distribution):
         self.log_weight = torch.log_softmax(p[..., 4], dim=1)
 
     def log_prob(self, actions: Tensor) -> Tensor:
-        """Of actions (A, 2); shape (A,)."""
+        """Log-densities (A,) of actions (A, 2)."""
         z = (actions[:, None] - self.mean) / self.log_std.exp()
         each = -(0.5 * z * z + self.log_std).sum(dim=2) - math.log(2 * math.pi)
         return torch.logsumexp(each + self.log_weight, dim=1)
 
     def drawn(self, noise: Tensor) -> Tensor:
-        """Samples (A, 2) from standard normal numbers (A, 3)."""
+        """Samples (A, 2) as a function of standard normal numbers (A, 3)."""
         uniform = 0.5 * (1 + torch.erf(noise[:, :1] / math.sqrt(2)))
         below = torch.cumsum(self.log_weight.exp(), dim=1) < uniform
         chosen = below.sum(dim=1, keepdim=True).clamp(max=below.shape[1] - 1)
@@ -88,27 +96,27 @@ class Mixture(Distribution):
         return mean + std * noise[:, 1:]
 
     def sample(self) -> Tensor:
-        """One action each."""
+        """Random actions (A, 2), one per observation."""
         noise = torch.randn(len(self.mean), NOISE, device=self.mean.device)
         return self.drawn(noise)
 
     def mode(self) -> Tensor:
-        """The mean of the likeliest component."""
+        """Mean (A, 2) of the most likely component."""
         at = self.log_weight.argmax(dim=1)[:, None, None].expand(-1, 1, 2)
         return self.mean.gather(1, at)[:, 0]
 
     def entropy(self) -> None:
-        """None: a mixture's has no closed form, and who needs one estimates it by samples."""
+        """Return None: the entropy of a mixture has no closed form."""
 
     def proba_distribution_net(self, *_: Any, **__: Any) -> nn.Module:
-        """Not used: the policy makes its own."""
+        """Not used: `MixturePolicy` creates its own network."""
         raise NotImplementedError
 
     proba_distribution = actions_from_params = log_prob_from_params = proba_distribution_net
 
 
 class MixturePolicy(ActorCriticPolicy):
-    """Two hidden layers, and a mixture of Gaussians as the distribution of actions."""
+    """Policy with two hidden layers and a mixture of Gaussians as the distribution of actions."""
 
     def __init__(self, *args: Any, components: int = COMPONENTS, **kwargs: Any) -> None:
         self.components = components
@@ -117,7 +125,7 @@ class MixturePolicy(ActorCriticPolicy):
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
-        self.log_std.requires_grad_(False)  # the Gaussian's, which is replaced
+        self.log_std.requires_grad_(False)  # belongs to the Gaussian, which is replaced
         self.action_net = nn.Linear(self.mlp_extractor.latent_dim_pi, 5 * self.components)
         self.optimizer = self.optimizer_class(
             self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs
@@ -129,7 +137,7 @@ class MixturePolicy(ActorCriticPolicy):
             self.action_net.bias.unflatten(0, (self.components, 5))[:, 2:4] += math.log(width)
 
     def get_distribution(self, obs: Tensor) -> Mixture:
-        """Of the action in each observation."""
+        """Distribution of the action for each observation."""
         features = self.extract_features(obs, self.pi_features_extractor)
         parameters = self.action_net(self.mlp_extractor.forward_actor(features))
         return Mixture(parameters, obs[:, :2])
@@ -141,12 +149,12 @@ class MixturePolicy(ActorCriticPolicy):
         return actions, self.predict_values(obs), distribution.log_prob(actions)
 
     def evaluate_actions(self, obs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor, None]:
-        """Values, log-probabilities, and no entropy."""
+        """Values, log-probabilities, and None for the entropy."""
         return self.predict_values(obs), self.get_distribution(obs).log_prob(actions), None
 
 
 class Sampler(nn.Module):
-    """A policy's actions as a function of observations (A, obs) and normal numbers (A, 3)."""
+    """Computes actions from observations (A, obs) and standard normal numbers (A, 3)."""
 
     def __init__(self, policy: MixturePolicy) -> None:
         super().__init__()
@@ -155,7 +163,7 @@ class Sampler(nn.Module):
         self.head = policy.action_net
 
     def forward(self, seen: Tensor, noise: Tensor) -> Tensor:
-        """Actions (A, 2)."""
+        """Sampled actions (A, 2), clipped to [−1, 1]."""
         return (
             Mixture(self.head(self.actor(self.scales(seen))), seen[:, :2]).drawn(noise).clamp(-1, 1)
         )

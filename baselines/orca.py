@@ -1,25 +1,24 @@
-"""Optimal reciprocal collision avoidance, as the RVO2 library computes it.
+"""Optimal reciprocal collision avoidance (ORCA), computed by the RVO2 library.
 
-The method is van den Berg, Guy, Lin & Manocha (2011), Reciprocal n-body collision avoidance,
-Springer Tracts in Advanced Robotics 70, 3: everyone takes the velocity that, of those at which
-nobody is met for a while if all do their half of the avoiding, is nearest to the preferred one.
+The method is that of van den Berg, Guy, Lin & Manocha (2011), Reciprocal n-body collision
+avoidance, Springer Tracts in Advanced Robotics 70, 3. Each person takes the velocity closest to
+its preferred one that avoids collisions for a given time, if everyone makes half of each avoidance.
 `pip install -e ".[orca]"`, then `crowdbench evaluate eth-v0 --policy baselines.orca:ORCA`.
 
-Parameters are those that RVO2's authors gave pedestrians in Menge (Curtis, Best & Manocha 2016,
-Collective Dynamics 1, A1): its default horizons, and the neighbours of its documentation, whose
-bodies of 0.19 m are 0.2 m here, what ways keep off corners. The greatest speed is that of
-`social-force`. What was measured, with arrivals by ntpp-gmm:
+The parameters are those that the authors of RVO2 use for pedestrians in Menge (Curtis, Best &
+Manocha 2016, Collective Dynamics 1, A1): its default horizons, and the neighbours of its
+documentation. The radius is 0.2 m, the distance of shortest paths from corners, instead of 0.19 m.
+The maximum speed is that of `social-force`. Measurements with arrivals of ntpp-gmm:
 
-- Bodies of the scene's 0.3 m jam an entrance of `gc-v0` for good as soon as many come out while
-  many go in; those of 0.2 m do not. Recorded people, too, have someone nearer than 0.6 m: 16 % of
-  the time there, 5 % on `eth-v0`. Walkers with bodies of 0.2 m have 13 % and 10 %, `straight` has
-  11 % and 11 %.
-- One step per frame of 0.4 s would be longer than the walls' horizon. On `eth-v0`, steps of 0.4,
-  0.2, 0.1 and 0.05 s let bodies overlap 0.52, 0.38, 0.33 and 0.34 % of the time, at accelerations
-  of 0.31, 0.32, 0.27 and 0.28 m/s² (root mean square).
-- Eight to twelve people who set out from a circle 10 m wide to its opposite side stand in each
-  other's way for 27 to 42 s with the nudge of RVO2's examples, 10⁻⁴ m/s, and take 9 to 10 s in all
-  with 0.01 m/s.
+- With the scene's radius of 0.3 m, people block an entrance of `gc-v0` permanently as soon as many
+  leave while many enter. With 0.2 m they do not. Recorded people also have someone closer than
+  0.6 m: 16 % of the time there and 5 % on `eth-v0`. With a radius of 0.2 m it is 13 % and 10 %,
+  with `straight` 11 % and 11 %.
+- One step per frame of 0.4 s would be longer than the time horizon for walls. On `eth-v0`, steps of
+  0.4, 0.2, 0.1 and 0.05 s lead to overlaps in 0.52, 0.38, 0.33 and 0.34 % of the time, with
+  accelerations of 0.31, 0.32, 0.27 and 0.28 m/s² (root mean square).
+- Eight to twelve people who walk to the opposite side of a circle 10 m wide block each other for 27
+  to 42 s with the nudge of RVO2's examples, 10⁻⁴ m/s. With 0.01 m/s they need 9 to 10 s in total.
 """
 
 from typing import ClassVar, Literal
@@ -35,19 +34,19 @@ from crowdbench.scene import Scene
 from crowdbench.simulation.routes import Routes
 
 BODY_M = 0.2  # radius; no more than crowdbench.simulation.routes.CLEARANCE_M
-NEIGHBOURS = 10  # the nearest, whom a person avoids
+NEIGHBOURS = 10  # maximum number of people that a person avoids
 NEIGHBOUR_RANGE_M = 5.0
-HORIZON_S = 2.5  # τ, for how long nobody is to be met
-WALL_HORIZON_S = 0.15  # likewise no wall
-FASTEST = 1.3  # times the preferred speed: Helbing & Molnár (1995), eq. 11
+HORIZON_S = 2.5  # τ, time without collisions with people
+WALL_HORIZON_S = 0.15  # time without collisions with walls
+FASTEST = 1.3  # maximum speed as a multiple of the preferred one: Helbing & Molnár (1995), eq. 11
 SUBSTEP_S = 0.1
-NUDGE_MPS = 0.01  # by which preferences are off, each person's in another direction
+NUDGE_MPS = 0.01  # perturbation of the preferred velocity, in another direction for each person
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
-FAR_M, APART_M = 1000.0, 10.0  # beyond anyone's range, of the scene and of each other
+FAR_M, APART_M = 1000.0, 10.0  # positions of unused agents, out of range of everyone
 
 
 class ORCA:
-    """Walkers who give way to each other, each by half."""
+    """Walkers who share the avoidance of collisions equally."""
 
     name = "orca"
     sees: ClassVar[Literal["state"]] = "state"
@@ -60,24 +59,24 @@ class ORCA:
             raise SettingError(
                 "policy orca",
                 got=f"no {error.name}",
-                expected="the package that computes it",
-                hint='Install it, in the clone: pip install -e ".[orca]".',
+                expected="the package of RVO2",
+                hint='Run in the clone: pip install -e ".[orca]".',
             ) from error
 
     def reset(self, scene: Scene, rng: Generator) -> None:
-        """Take the walls of `scene`; nothing is left to chance."""
+        """Load the walls of `scene`; there are no random draws."""
         self._scene = scene
         self._routes = Routes.on(scene)
         self._crowds: dict[int, Crowd] = {}
 
     def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
-        """Mean velocity over the frame, in units of the greatest speed."""
+        """Mean velocities (A, 2) over the frame, in units of the maximum speed."""
         dt_s, most = self._scene.dt_s, self._scene.motion.max_speed_mps
         way = seen.towards(self._routes) - seen.position
         distance = np.linalg.norm(way, axis=1)
         speed = np.minimum(seen.speed, distance / dt_s)
         scale = np.divide(speed, distance, out=np.zeros_like(speed), where=distance > 0)
-        # Who meet in perfect symmetry, or stand in one place, would not know which side to take.
+        # Breaks the symmetry of people who meet head-on or have the same position.
         angle = GOLDEN_ANGLE * seen.person
         nudge = NUDGE_MPS * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         fastest = np.minimum(FASTEST * seen.speed, most)
@@ -90,18 +89,18 @@ class ORCA:
                 self._crowds[world] = Crowd(self._scene)
             here = seen.world == world
             moved[here] = self._crowds[world].walk(state[here])
-        # In a throng RVO2's linear programs, in float32, exceed the greatest speed they are given.
+        # In dense crowds, RVO2's linear programs (float32) exceed the given maximum speed.
         length = np.linalg.norm(moved, axis=1)
         moved *= np.minimum(1.0, fastest * dt_s / np.maximum(length, 1e-9))[:, None]
         return (moved / (dt_s * most)).astype(np.float32)
 
 
 class Crowd:
-    """The simulator of one world, whose walls and agents stay from frame to frame.
+    """The RVO2 simulator of one world, whose walls and agents are kept between frames.
 
-    An agent knows no more than what it is told before each frame, so agent k is whoever is the
-    k-th person there; those left over stand far away, out of everyone's sight. (pyrvo 0.4.3 can
-    `clear_agents`, but its search tree goes on pointing to them.)
+    The complete state of an agent is set before each frame, so agent k can represent the k-th
+    person present. Unused agents are placed far away, out of range of everyone. (pyrvo 0.4.3 has
+    `clear_agents`, but its search tree keeps references to removed agents.)
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -119,16 +118,16 @@ class Crowd:
         )
         for wall in scene.walls:
             corners = wall.corners_m
-            # Anticlockwise: to RVO2, what is on the right of an edge is outside.
+            # Anticlockwise, because for RVO2 the right side of an edge is outside.
             solid = corners if LinearRing(corners).is_ccw else corners[::-1]
             self.simulator.add_obstacle(solid)
         self.simulator.process_obstacles()
         self._present = 0
 
     def walk(self, state: Float[np.ndarray, "A 7"]) -> Float[np.ndarray, "A 2"]:
-        """How far everyone gets in a frame, metres.
+        """Displacements (A, 2) in a frame, in metres.
 
-        A row of `state` is a position, a velocity, the preferred velocity and the greatest speed.
+        A row of `state` is a position, a velocity, a preferred velocity and a maximum speed.
         """
         simulator, size = self.simulator, len(state)
         for _ in range(simulator.get_num_agents(), size):

@@ -1,4 +1,4 @@
-"""What is said where a baseline's packages are not installed."""
+"""Error messages for baselines whose packages are not installed."""
 
 import sys
 from collections.abc import Iterator
@@ -7,18 +7,18 @@ from contextlib import contextmanager
 from crowdbench.errors import SettingError
 
 _INSTALL = {
-    "imitation": "It pins gymnasium 0.29 and wants an environment of its own. In the clone: "
+    "imitation": "It pins gymnasium 0.29 and needs a separate environment. Run in the clone: "
     "python -m venv .venv-imitation && "
     '.venv-imitation/bin/pip install -c constraints.txt -e ".[imitation,onnx]".',
-    "torchrl": 'In the clone: pip install -c constraints.txt -e ".[torchrl,onnx]".',
+    "torchrl": 'Run in the clone: pip install -c constraints.txt -e ".[torchrl,onnx]".',
 }
 
 
 @contextmanager
 def needs(extra: str, module: str) -> Iterator[None]:
-    """Stands around the imports of the baseline `module` (its `__name__`).
+    """Context for the imports of the baseline `module` (its `__name__`).
 
-    A baseline that is run as a command prints the message and exits with 2.
+    If the baseline is run as a command, a missing package prints a message and exits with code 2.
 
     Raises:
         SettingError: a package of the extra is not installed.
@@ -29,7 +29,7 @@ def needs(extra: str, module: str) -> Iterator[None]:
         missing = SettingError(
             "packages",
             got=f"no {error.name}",
-            expected=f"those of the extra {extra}",
+            expected=f"the packages of the extra {extra}",
             hint=_INSTALL[extra],
         )
         if module != "__main__":

@@ -1,15 +1,15 @@
-"""PPO with TorchRL: one network walks everyone, and learns from all of their lives.
+"""PPO with TorchRL: one network controls everyone and learns from all trips.
 
     python -m baselines.ppo --scene plaza-v0
 
-writes `results/ppo-plaza-v0/full.onnx`. The worlds are TorchRL's environment `CrowdEnv`, walked by
-TorchRL's collector and improved by its clipped loss (Schulman et al. 2017, arXiv:1707.06347) with
-generalised advantages (Schulman et al. 2016, arXiv:1506.02438).
+writes `results/ppo-plaza-v0/full.onnx`. It uses the environment `CrowdEnv`, TorchRL's collector and
+clipped loss (Schulman et al. 2017, arXiv:1707.06347), and generalised advantage estimation
+(Schulman et al. 2016, arXiv:1506.02438).
 
-A slot of a world is many persons, one after the other. What makes that right is the mask and the
-ends of lives in `CrowdEnv`: only steps in which someone acted are learned from, an advantage sums
-rewards of one life, and the value after a life that was cut off (by a timeout or the horizon) is
-that of its own last observation, never of whoever came into the slot next.
+Each slot of a world is used by many persons in turn. Training therefore uses the mask and the ends
+of trips in `CrowdEnv`. It only learns from steps in which someone acted. An advantage sums the
+rewards of a single trip. If a trip is truncated by a timeout or the horizon, its value is
+bootstrapped from its own last observation, not from that of the next person in the slot.
 """
 
 import argparse
@@ -39,26 +39,27 @@ with needs("torchrl", __name__):
 
     from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
     from crowdbench.envs.torchrl_env import CrowdEnv
-    from crowdbench.simulation.observations import OBSERVATION
+    from crowdbench.simulation.observations import GOAL_DIRECTION, OBSERVATION, PREFERRED_SPEED
 
 NOISE = 2
+"""Number of normal numbers per action."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How a policy is trained."""
+    """Settings of the training; those in `SETTABLE` are described there."""
 
     spawn: str = DEFAULT_SPAWN
     worlds: int = 16
     max_alive: int = 50
     frames: int = 320_000
-    """World frames to train for, all worlds together."""
+    """Number of training frames, summed over all worlds."""
     batch_frames: int = 1600
-    """World frames between two improvements."""
+    """Number of frames between two updates, summed over all worlds."""
     horizon_s: float = 120.0
     epochs: int = 4
     minibatch: int = 2048
-    """Steps of persons."""
+    """Number of steps of single persons in a minibatch."""
     learning_rate: float = 1e-3
     gamma: float = 0.98
     lmbda: float = 0.95
@@ -69,7 +70,7 @@ class Settings:
 
 
 class Around(nn.Module):
-    """The first guess: towards the goal at the preferred speed; a network says what else."""
+    """Distribution of actions: walking straight to the goal plus the correction of a network."""
 
     def __init__(self, numbers: int, hidden: int) -> None:
         super().__init__()
@@ -79,21 +80,21 @@ class Around(nn.Module):
         self.split = NormalParamExtractor(scale_mapping="biased_softplus_0.15")
 
     def forward(self, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """Location before the squashing, and scale."""
+        """Location (before tanh) and scale of the actions, each (…, 2)."""
         location, scale = self.split(self.layers(seen))
-        straight = seen[..., 3:5] * seen[..., 5:6]
+        straight = seen[..., GOAL_DIRECTION] * seen[..., PREFERRED_SPEED]
         return location + torch.atanh(straight.clamp(-0.99, 0.99)), scale
 
 
 class Sampler(nn.Module):
-    """Actions as a function of observations (A, obs) and normal numbers (A, 2)."""
+    """Computes actions from observations (A, obs) and standard normal numbers (A, 2)."""
 
     def __init__(self, network: Around) -> None:
         super().__init__()
         self.network = network
 
     def forward(self, seen: Tensor, noise: Tensor) -> Tensor:
-        """Actions (A, 2)."""
+        """Sampled actions (A, 2)."""
         location, scale = self.network(seen)
         return torch.tanh(location + scale * noise)
 
@@ -108,11 +109,11 @@ def _layers(numbers: int, hidden: int, out: int) -> nn.Sequential:
 def advantages(
     batch: TensorDictBase, critic: Callable[[Tensor], Tensor], gamma: float, lmbda: float
 ) -> tuple[Tensor, Tensor]:
-    """Advantages and targets of the values, (W, T, N, 1), of a batch (W, T) of `CrowdEnv`."""
+    """Advantages and value targets, each (W, T, N, 1), of a batch (W, T) of `CrowdEnv`."""
     after = batch["next", "agents"]
     with torch.no_grad():
         value = critic(batch["agents", "observation"])
-        # Of one life alone: a slot's next observation is never that of its next person.
+        # In `CrowdEnv`, the next observation of a slot is always that of the same person.
         following = critic(after["observation"])
     by_slot = [
         x.transpose(1, 2)  # (W, N, T, 1)
@@ -124,13 +125,13 @@ def advantages(
 
 
 def train(
-    scene: str, settings: Settings, reward: Reward | None = None, part: str = "full"
+    scene: str, settings: Settings, reward: Reward | None = None, split: str = "full"
 ) -> Iterator[tuple[Around, dict[str, float]]]:
-    """Yield the network and figures of what it did after each improvement."""
+    """Train a network; yield it and statistics of the last batch after each update."""
     torch.manual_seed(settings.seed)
     env = CrowdEnv(
         scene,
-        spawn=spawn_model(settings.spawn, scene, part),
+        spawn=spawn_model(settings.spawn, scene, split),
         worlds=settings.worlds,
         max_alive=settings.max_alive,
         horizon_s=settings.horizon_s,
@@ -204,10 +205,10 @@ def train(
 
 
 def _speeds(batch: TensorDictBase, max_speed_mps: float) -> dict[str, float]:
-    """Mean speed walked and mean preferred speed of those who acted, m/s."""
+    """Mean speed and mean preferred speed of everyone who acted, in m/s."""
     acted = batch["agents", "mask"]
     walked = batch["next", "agents", "observation"][acted][:, :2].norm(dim=1)
-    preferred = batch["agents", "observation"][acted][:, 5]
+    preferred = batch["agents", "observation"][acted][:, PREFERRED_SPEED]
     return {
         "m/s": float(walked.mean()) * max_speed_mps,
         "m/s preferred": float(preferred.mean()) * max_speed_mps,
@@ -215,7 +216,7 @@ def _speeds(batch: TensorDictBase, max_speed_mps: float) -> dict[str, float]:
 
 
 def _steps(batch: TensorDictBase, advantage: Tensor, target: Tensor) -> TensorDict:
-    """The steps in which someone acted."""
+    """The steps in which someone acted, as one flat batch."""
     acted = batch["agents", "mask"]
     agents = batch["agents"]
     return TensorDict(
@@ -232,41 +233,41 @@ def _steps(batch: TensorDictBase, advantage: Tensor, target: Tensor) -> TensorDi
 
 
 SETTABLE = {
-    "spawn": "spawn model that lets people in",
-    "worlds": "crowds side by side",
-    "max_alive": "persons that a world has room for",
-    "frames": "frames to train for, those of all worlds together",
-    "batch_frames": "frames between two improvements, those of all worlds together",
-    "horizon_s": "length of an episode, in seconds",
-    "learning_rate": "Adam's",
+    "spawn": "spawn model",
+    "worlds": "number of parallel worlds",
+    "max_alive": "maximum number of people at the same time per world",
+    "frames": "number of training frames, summed over all worlds",
+    "batch_frames": "number of frames between two updates, summed over all worlds",
+    "horizon_s": "length of an episode in seconds",
+    "learning_rate": "learning rate of Adam",
 }
-"""Settings that the command line takes, and what it says of them."""
+"""Settings with a command line option, and the help texts of the options."""
 
 
 def command_line() -> argparse.ArgumentParser:
-    """The options of this script."""
+    """Argument parser of this script."""
     parser = new_parser("ppo", __doc__)
     add_settings(parser, Settings(), SETTABLE)
     return parser
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Train and write a policy."""
+    """Train and write a policy for each split; return the exit code."""
     asked = command_line().parse_args(arguments)
     use_one_thread()
     settings = Settings(**{name: getattr(asked, name) for name in (*SETTABLE, "seed")})
     try:
         check_numbers(settings, or_zero=("gamma", "lmbda", "entropy", "seed"))
-        command = Command.of("ppo", asked.scene, asked.parts, asked.out, arguments)
-        for part in asked.parts:
+        command = Command.of("ppo", asked.scene, asked.splits, asked.out, arguments)
+        for split in asked.splits:
             network = None
-            rounds = train(asked.scene, settings, part=part)
+            rounds = train(asked.scene, settings, split=split)
             for k, (network, figures) in enumerate(rounds, 1):  # noqa: B007
                 if k % 20 == 1:
                     said = "  ".join(f"{name} {value:,.3g}" for name, value in figures.items())
                     print(f"{k * settings.batch_frames:9,} frames  {said}", flush=True)
             assert network is not None
-            path = command.write(part, Sampler(network), observation=OBSERVATION, noise=NOISE)
+            path = command.write(split, Sampler(network), observation=OBSERVATION, noise=NOISE)
             print(f"{path}: {command.walk(path, settings.spawn)}", flush=True)
     except CrowdbenchError as error:
         print(f"baselines.ppo: {error}", file=sys.stderr)

@@ -1,6 +1,7 @@
-"""crowdbench: a benchmark of crowds that come and go.
+"""crowdbench: a benchmark for crowd simulation with realistic arrivals.
 
     import crowdbench
+    from crowdbench.simulation.observations import GOAL_DIRECTION, PREFERRED_SPEED
 
     env = crowdbench.parallel_env("eth-v0")
     observations, infos = env.reset(seed=0)
@@ -8,12 +9,12 @@
         actions = {}
         for agent in env.agents:
             seen = observations[agent]
-            actions[agent] = seen[5] * seen[3:5]  # at its preferred speed to its goal
+            actions[agent] = seen[PREFERRED_SPEED] * seen[GOAL_DIRECTION]
         observations, rewards, terminations, truncations, infos = env.step(actions)
     for name, result in crowdbench.score("eth-v0", env.trajectories()).items():
         print(f"{name:22}{result.distance:.3f}")
 
-Names are loaded when they are first used: importing crowdbench is quick.
+Names are loaded on first use, so importing crowdbench is fast.
 """
 
 import importlib
@@ -22,11 +23,10 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from crowdbench.crowds import read, rollout, score
+    from crowdbench.crowds import evaluate, read, rollout, score, score_rollouts
     from crowdbench.envs.demonstrations import Demonstrations, demonstrations
     from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
     from crowdbench.errors import CrowdbenchError
-    from crowdbench.evaluation.evaluate import evaluate
     from crowdbench.metrics import METRICS, MetricResult, distance
     from crowdbench.plugins import register
     from crowdbench.registry import (
@@ -43,11 +43,10 @@ if TYPE_CHECKING:
     from crowdbench.trajectories.table import Trajectories
 
 _HOME = {
-    "crowds": ("read", "rollout", "score"),
+    "crowds": ("evaluate", "read", "rollout", "score", "score_rollouts"),
     "envs.demonstrations": ("Demonstrations", "demonstrations"),
     "envs.parallel_env": ("CrowdParallelEnv", "parallel_env"),
     "errors": ("CrowdbenchError",),
-    "evaluation.evaluate": ("evaluate",),
     "metrics": ("METRICS", "MetricResult", "distance"),
     "plugins": ("register",),
     "registry": (
@@ -86,6 +85,7 @@ __all__ = [
     "register",
     "rollout",
     "score",
+    "score_rollouts",
     "spawn_model",
     "write_parquet",
 ]

@@ -1,4 +1,4 @@
-"""`python -m crowdbench` is `crowdbench`."""
+"""Lets `python -m crowdbench` run the `crowdbench` command."""
 
 import sys
 

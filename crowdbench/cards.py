@@ -1,3 +1,3 @@
-"""`crowdbench.scoring.scorecard` by its short name."""
+"""Short import path for `crowdbench.scoring.scorecard`."""
 
 from crowdbench.scoring.scorecard import rows as rows

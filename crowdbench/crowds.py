@@ -1,9 +1,10 @@
-"""Crowds as a user names them: rolled out by names, read from a file of some scene, and scored.
+"""The user-facing functions `rollout`, `read` and `score`, which accept names as well as objects.
 
-The parts that work on objects are `crowdbench.rollouts.rollout` and
-`crowdbench.trajectories.storage`.
+`crowdbench.rollouts.rollout` and `crowdbench.trajectories.storage` hold the functions that take
+objects only.
 """
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,9 +15,14 @@ from crowdbench.trajectories.table import Trajectories
 if TYPE_CHECKING:
     from crowdbench.metrics import MetricResult
     from crowdbench.policies import Policy
+    from crowdbench.scoring.scorecard import Protocol, Scorecard
     from crowdbench.simulation import Settings
     from crowdbench.spawn import SpawnModel
     from crowdbench.spawn.model import Start
+
+SPAWN = ("poisson-gmm", "renewal-gmm", "ntpp-gmm")
+POLICY = ("straight", "social-force")
+"""The spawn models and policies that are evaluated by default."""
 
 
 def rollout(
@@ -29,28 +35,29 @@ def rollout(
     start: "Start | None" = None,
     settings: "Settings | None" = None,
 ) -> Trajectories:
-    """Let `spawn` people a scene and `policy` walk them for `horizon_s` seconds.
+    """Simulate a crowd: `spawn` draws the arrivals and `policy` moves the people.
 
-    The same seed gives the same table. Models may be given by name; of one with several fits that
-    is the first, fitted to the whole recording (`spawn_model(…, part=…, fit=…)` gives the others).
+    Returns the trajectories of `horizon_s` seconds. The same seed gives the same table. A model
+    given by name is its first fit to the whole recording; `spawn_model(…, split=…, fit=…)` returns
+    the other fits.
 
     Args:
-        scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a scene.
-        spawn: who enters when and where: a name, `pkg.module:Class`, or a model.
-        policy: who walks them: a name, `pkg.module:Class`, an ONNX file, or a policy. One that
-            sees observations may say which, by its attributes `observation` (`lidar-2` by
-            default), `rays` and `ray_range_m`.
-        seed: of all that is left to chance.
-        horizon_s: length in seconds, by default the recording's.
-        start: `stationary` (after a discarded warm-up), `recorded` (replay only) or `empty`; by
-            default the spawn model's own.
-        settings: of the simulation, by default what the policy asks for.
+        scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
+        spawn: the spawn model: a name, `pkg.module:Class`, or an object.
+        policy: the policy: a name, `pkg.module:Class`, an ONNX file, or an object. A policy with
+            `sees = "observation"` may choose its observation by the attributes `observation`
+            (default `lidar-2`), `rays` and `ray_range_m`.
+        seed: seed of all random draws.
+        horizon_s: length in seconds; default: the length of the recording.
+        start: `stationary` (after a discarded warm-up), `recorded` (replay only) or `empty`;
+            default: the spawn model's attribute `start`.
+        settings: settings of the simulation; default: what the policy needs.
 
     Raises:
-        SceneError, SettingError, WeightsError, RecordingError: what was asked for does not exist
-            or does not fit, or nobody came.
-        ActionError: the policy does not give one finite action per person.
-        CapacityError: more people than slots.
+        SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or recording
+            does not exist or does not fit, or nobody entered.
+        ActionError: the policy does not return one finite action per person.
+        CapacityError: there are more people than slots.
     """
     from crowdbench import registry
     from crowdbench.rollouts.episode import check_horizon
@@ -73,54 +80,139 @@ def rollout(
 def score(
     scene: str | Path | Scene, crowd: Trajectories, *, against: Trajectories | None = None
 ) -> dict[str, "MetricResult"]:
-    """Score any simulator's crowd against a scene's recording, or against another crowd.
+    """Compare the crowd of any simulator with a scene's recording, or with another crowd.
 
-    Gives the result of each metric that the scene's time blocks can tell something by, by name.
-    With `against`, that crowd takes the place of the recording: its values are the `recorded`
-    ones, and distances are divided by its means.
+    Returns the result of each metric by name, for the metrics that apply to the scene's time
+    blocks. If `against` is given, it replaces the recording: the `recorded` values of the results
+    are those of `against`, and distances are divided by its means.
 
-    A crowd is a continuous run as long as the recording, its first frame being frame 0: it is
-    looked at in the same time blocks. A table does not tell an empty scene at its end from an
-    end that came early; up to one time block is taken for empty. More than a block shorter or
-    longer is refused. Persons without areas are given the likeliest ones. Metrics that others have
-    registered are computed where the scene's recording is imported.
+    A crowd must be one continuous run that starts at frame 0 and is as long as the recording,
+    because both are compared in the same time blocks. A table cannot show whether it ends early
+    or whether the scene is empty at its end: a missing end of up to one time block counts as
+    empty. A crowd that is more than one block shorter or longer is rejected. People without areas
+    are assigned to the most likely ones. Registered metrics of other packages are computed only
+    if the scene's recording is imported.
 
     Raises:
-        SceneError: there is no such scene.
+        SceneError: the scene does not exist.
         WeightsError: the scene has no reference statistics.
-        RecordingError: a crowd is another scene's, or its time step or length is not the
-            scene's.
+        RecordingError: a crowd belongs to another scene, or its time step or length differs from
+            the scene's.
     """
     from crowdbench.scoring.reference import applicable, read_reference, score_against
 
     place = load_scene(scene)
     reference = read_reference(place)
     if against is None and len(reference.statistics) < len(applicable(reference.blocks)):
-        # Only then: it loads the simulation, which scoring a table does not need.
+        # Imported only if needed: it loads the simulation, which scoring a table does not use.
         from crowdbench.evaluation.references import reference_of
 
         reference = reference_of(place)
     return score_against(reference, place, crowd, against)
 
 
-def read(path: str | Path, scene: str | Path | Scene | None = None) -> Trajectories:
-    """Read a Parquet or CSV table of trajectories, crowdbench's own or another simulator's.
+def score_rollouts(
+    scene: str | Path | Scene, crowds: Sequence[Trajectories], *, recorded_arrivals: bool = False
+) -> "Scorecard":
+    """Score several rollouts of any simulator against the anchors of a scene.
 
-    A file that crowdbench wrote knows its scene. Another's needs the columns `person_id`, `x`,
-    `y` (metres) and `frame` or `time_s` (seconds, on the frames of the scene), and may have the
-    others of `Trajectories`.
-
-    Args:
-        path: a `.parquet` or `.csv`.
-        scene: whose crowd it is: an id from `list_scenes()`, a folder with a `scene.toml`, or a
-            scene. Needed for another program's table.
+    The scorecard has one entry, called `trajectories`, under the protocol `full`. With
+    `recorded_arrivals` the entry is scored on motion and interaction, otherwise on the other four
+    families. Two rollouts are the least for a score. See `score` for what a crowd has to be.
 
     Raises:
-        RecordingError: the file is missing, is no table, lacks a column, holds values that
+        SceneError: the scene does not exist.
+        SettingError: there are no crowds.
+        WeightsError: the scene has no reference statistics or anchors.
+        RecordingError: a crowd belongs to another scene, or its time step or length differs from
+            the scene's.
+    """
+    from crowdbench.evaluation.judge import judge_crowds
+    from crowdbench.evaluation.references import reference_of
+
+    place = load_scene(scene)
+    return judge_crowds(place, reference_of(place), crowds, recorded_arrivals=recorded_arrivals)
+
+
+def read(path: str | Path, scene: str | Path | Scene | None = None) -> Trajectories:
+    """Read a Parquet or CSV table of trajectories, written by crowdbench or another program.
+
+    A file written by crowdbench contains its scene. A table of another program needs the columns
+    `person_id`, `x`, `y` (metres) and `frame` or `time_s` (seconds, at the frames of the scene).
+    It may have the other columns of `Trajectories`.
+
+    Args:
+        path: a `.parquet` or `.csv` file.
+        scene: the scene of the crowd: an id from `list_scenes()`, a folder with a `scene.toml`,
+            or a `Scene`. Required for tables of other programs.
+
+    Raises:
+        RecordingError: the file is missing, is not a table, lacks a column, contains values that
             are not finite, or belongs to another scene or time step.
-        SceneError: there is no such scene.
+        SceneError: the scene does not exist.
     """
     if scene is None:
         return storage.read_own(path)
     place = load_scene(scene)
     return storage.read(path, scene=place.id, dt_s=place.dt_s)
+
+
+def evaluate(
+    scene: str | Path | Scene,
+    *,
+    spawn: str | Sequence[str] = SPAWN,
+    policy: str | Sequence[str] = POLICY,
+    metric: str | Sequence[str] = (),
+    protocol: "Protocol" = "full",
+    seeds: int | None = None,
+    workers: int | None = None,
+    out: str | Path,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> "Scorecard":
+    """Evaluate each spawn model with each policy on a scene, all given by name.
+
+    Worker processes read the scene's files again, so a loaded scene is used by its folder.
+
+    The protocol `full` fits and compares on the whole recording. `heldout` fits on two thirds of
+    its time blocks and scores the remaining third, three times. `seeds` is the number of rollouts
+    per pair of spawn model and policy (in each fold), by default that of the scene's protocol;
+    rollout k uses fit k modulo the number of fits. With fewer than two rollouts per fit there are
+    distances but no scores. The spawn model `MODEL+FILE.toml` is MODEL under the scenario in that
+    file; it is not ranked.
+
+    `metric` names your own metrics as `pkg.module:Class`, in addition to crowdbench's; registered
+    metrics are included without being named. They are computed if the recording is imported, and
+    never scored.
+
+    If the recording is imported, policies are also scored under the recorded arrivals. A
+    deterministic policy needs only one rollout there. The policy `replay` works only with the
+    spawn model `replay`; other pairs with it are skipped.
+
+    Writes `scorecard.json`, `run.json`, `report.html`, `rollouts/*.parquet` and the figures into
+    `out`. Existing rollouts are kept if nothing that they depend on has changed.
+    `progress(done, total)` is called before the first and after each rollout. `workers` is the
+    number of processes, by default one per core.
+
+    Returns the scorecard.
+
+    Raises:
+        SceneError, WeightsError, RecordingError, SettingError: an argument names something that
+            does not exist or does not fit; checked before the first rollout.
+        OutputError: `out` cannot be written.
+    """
+    from crowdbench.evaluation import evaluate as evaluation
+    from crowdbench.report.html import FILES, publish
+
+    return evaluation.evaluate(
+        scene,
+        spawn=spawn,
+        policy=policy,
+        metric=metric,
+        protocol=protocol,
+        seeds=seeds,
+        workers=workers,
+        out=out,
+        progress=progress,
+        publish=publish,
+        published=FILES,
+    )

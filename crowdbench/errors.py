@@ -1,12 +1,12 @@
-"""The errors a user can cause.
+"""Errors caused by user input.
 
-Each says where it happened, what was got, what was expected and how to mend it; the command
-line prints that message and exits with code 2.
+Each message states where the error occurred, what was found, what was expected and how to fix it.
+The command line prints the message and exits with code 2.
 """
 
 
 class CrowdbenchError(Exception):
-    """Base of every error that bad input or a bad setting causes."""
+    """Base class of all errors caused by invalid input or settings."""
 
     def __init__(self, where: object, *, got: str, expected: str, hint: str = "") -> None:
         self.where = str(where)
@@ -17,7 +17,8 @@ class CrowdbenchError(Exception):
         super().__init__(f"{message} {hint}".rstrip())
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Errors travel between worker processes, and keyword arguments do not pickle by default.
+        # Worker processes send errors to their parent, and exceptions with keyword-only arguments
+        # cannot be pickled by default.
         return _rebuild, (type(self), self.where, self.got, self.expected, self.hint)
 
 
@@ -28,40 +29,40 @@ def _rebuild(
 
 
 class RecordingError(CrowdbenchError):
-    """A recording or a table of trajectories that cannot be read or does not fit."""
+    """A recording or table of trajectories cannot be read or does not fit."""
 
 
 class FetchError(CrowdbenchError):
-    """A published recording that cannot be fetched."""
+    """A published recording cannot be downloaded."""
 
 
 class SceneError(CrowdbenchError):
-    """A scene that is unknown or whose files are broken."""
+    """A scene does not exist or its files are invalid."""
 
 
 class WeightsError(CrowdbenchError):
-    """Fitted weights that are missing, broken, or belong to something else."""
+    """Fitted weights are missing or invalid, or belong to another scene or model."""
 
 
 class OutputError(CrowdbenchError):
-    """A place that cannot be written to."""
+    """A file or folder cannot be written."""
 
 
 class SettingError(CrowdbenchError):
-    """A name, a number or an option that does not exist or is out of range."""
+    """A name or option does not exist, or a value is out of range."""
 
 
 class WorkerError(CrowdbenchError):
-    """A process that died before its work was done."""
+    """A worker process ended before its work was complete."""
 
 
 class OwnCodeError(CrowdbenchError):
-    """A class of the user's own that raised an error of another kind."""
+    """A user-supplied class or function raised an exception."""
 
 
 class ActionError(CrowdbenchError):
-    """Actions that do not fit the agents that are there."""
+    """Actions do not match the agents present."""
 
 
 class CapacityError(CrowdbenchError):
-    """More persons than the environment has slots or ids for."""
+    """There are more people than slots or ids."""

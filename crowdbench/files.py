@@ -1,4 +1,4 @@
-"""Files that are either whole or absent, and strict readers of JSON and TOML."""
+"""Atomic writing of files, and strict readers for JSON and TOML."""
 
 import hashlib
 import os
@@ -19,16 +19,16 @@ T = TypeVar("T")
 
 
 def home() -> Path:
-    """The user's folder of imported recordings: `CROWDBENCH_HOME` or the platform's own."""
+    """Folder of the imported recordings: `CROWDBENCH_HOME`, else the platform's data folder."""
     named = os.environ.get("CROWDBENCH_HOME")
     return Path(named) if named else Path(platformdirs.user_data_dir("crowdbench"))
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; rename it to `path` when the block succeeds.
+    """Yield a temporary path next to `path`; rename it to `path` if the block succeeds.
 
-    Where it does not, folders that were made for `path` go too, if nothing else is in them.
+    If the block fails, folders that were created for `path` are removed if they are empty.
 
     Raises:
         OutputError: the folder or the file cannot be written.
@@ -48,29 +48,27 @@ def replacing(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise unwritable(path, error) from error
     finally:
-        with suppress(OSError):  # the first that holds something ends it
+        with suppress(OSError):  # stops at the first folder that is not empty
             for folder in made:
                 folder.rmdir()
 
 
 def unwritable(path: Path, error: OSError) -> OutputError:
-    """The error of a place that cannot be written to."""
+    """Error that states why `path` cannot be written."""
     got = error.strerror or str(error)
     if isinstance(error, FileExistsError | NotADirectoryError):
-        got = "a file where a folder should be"
-    return OutputError(
-        path, got=got, expected="a place that can be written", hint="Name another folder."
-    )
+        got = "a file in place of a folder"
+    return OutputError(path, got=got, expected="a writable location", hint="Choose another folder.")
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write `text` (UTF-8) to `path`, whole or not at all."""
+    """Write `text` (UTF-8) to `path` atomically."""
     with replacing(path) as temporary:
         temporary.write_bytes(text.encode())
 
 
 def write_json(path: Path, value: Any, *, compact: bool = False) -> None:
-    """Write `value` as JSON, indented or on one line: the same value gives the same bytes."""
+    """Write `value` as JSON, indented or on one line. Equal values give identical bytes."""
     encoded = msgspec.json.encode(value, order="deterministic")
     if not compact:
         encoded = msgspec.json.format(encoded, indent=1)
@@ -78,7 +76,7 @@ def write_json(path: Path, value: Any, *, compact: bool = False) -> None:
 
 
 def read_bytes(path: Path, error: type[CrowdbenchError], hint: str) -> bytes:
-    """The bytes of `path`; raises `error` where it cannot be read."""
+    """Content of the file `path`; raises `error` if it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as cause:
@@ -87,20 +85,21 @@ def read_bytes(path: Path, error: type[CrowdbenchError], hint: str) -> bytes:
 
 
 def read_struct(path: Path, kind: type[T], error: type[CrowdbenchError], hint: str) -> T:
-    """Read a JSON or TOML file strictly into `kind`: unknown, missing and mistyped fields raise.
+    """Read a JSON or TOML file as an object of type `kind`.
 
     Raises:
-        error: the file is missing, is no JSON or TOML, or does not have the fields of `kind`.
+        error: the file is missing, is not valid JSON or TOML, or has unknown, missing or mistyped
+            fields.
     """
     data = read_bytes(path, error, hint)
     try:
         raw = tomllib.loads(data.decode()) if path.suffix == ".toml" else msgspec.json.decode(data)
-    except (ValueError, RecursionError) as cause:  # no text, no JSON or TOML, or nested deeply
+    except (ValueError, RecursionError) as cause:  # not UTF-8, not JSON or TOML, or nested deeply
         kind_of_file = path.suffix.lstrip(".").upper()
         raise error(path, got=str(cause), expected=f"valid {kind_of_file}", hint=hint) from cause
     try:
-        # TOML writes 1 for 1.0, JSON has no tuples, and keys of both are text: the conversions of
-        # these are wanted.
+        # Three conversions are allowed: integers to floats (TOML files often state 1 for 1.0),
+        # lists to tuples, and text keys to other types.
         return msgspec.convert(raw, kind, strict=True, str_keys=True)
     except (msgspec.ValidationError, OverflowError) as cause:
         raise error(

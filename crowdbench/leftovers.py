@@ -1,11 +1,11 @@
-"""Nothing is left behind: what is temporary goes when the processes that made it have ended.
+"""Removal of temporary files, even if the processes that created them are killed.
 
-A process that is killed cannot tidy up. So a run starts a second, small process, the sweeper, and
-tells it through a pipe which files are temporary. All processes of the run hold that pipe open;
-when the last of them has ended, however it ended, the sweeper removes what is left, and ends too.
-Where the sweeper is killed as well, what is left is removed at the next start.
+A killed process cannot clean up. Therefore a run starts a small second process, the sweeper, and
+sends it the paths of temporary files through a pipe. All processes of the run keep this pipe open.
+When the last of them has ended, for whatever reason, the sweeper removes the remaining temporary
+files and exits. If the sweeper is killed too, the next run removes them when it starts.
 
-The sweeper runs this file as a script: it imports nothing but the standard library.
+The sweeper runs this file as a script, so this file imports the standard library only.
 """
 
 import os
@@ -19,16 +19,16 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _PREFIX = "crowdbench-tmp-"
-_YOUNG_S = 60.0  # a folder that was just made may not be held yet
-_LONGEST = 4000  # bytes that a pipe takes as a whole, whoever else writes
+_YOUNG_S = 60.0  # a folder that was just created may not be locked yet
+_LONGEST = 4000  # bytes; longer writes to a pipe may mix with those of other processes
 
 _pipe: int | None = None
-"""Where the sweeper is told; None without one."""
+"""File descriptor of the pipe to the sweeper; None if there is no sweeper."""
 
 
 @contextmanager
 def swept() -> Iterator[None]:
-    """Have a sweeper while the block runs, unless there is one already."""
+    """Run a sweeper for the duration of the block, unless one runs already."""
     global _pipe
     if _pipe is not None:
         yield
@@ -39,10 +39,10 @@ def swept() -> Iterator[None]:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            start_new_session=True,  # what ends a whole group, as Ctrl-C does, does not end it
+            start_new_session=True,  # signals to the whole process group (Ctrl-C) do not reach it
             cwd=os.path.abspath(os.sep),
         )
-    except OSError:  # no more processes: the next start removes what is left
+    except OSError:  # no process can be started: the next run removes the files
         yield
         return
     assert sweeper.stdin is not None
@@ -57,12 +57,12 @@ def swept() -> Iterator[None]:
 
 
 def pipe() -> int | None:
-    """The descriptor by which other processes of the run may reach the sweeper, if there is one."""
+    """File descriptor for messages to the sweeper, for other processes of the run; None without."""
     return _pipe
 
 
 def share(descriptor: int | None) -> None:
-    """Tell the sweeper of the process that started this one; a descriptor that was inherited."""
+    """Use the sweeper of the parent process, through an inherited file descriptor."""
     global _pipe
     _pipe = descriptor
     if descriptor is not None:
@@ -71,7 +71,7 @@ def share(descriptor: int | None) -> None:
 
 @contextmanager
 def temporary(path: Path) -> Iterator[None]:
-    """Have a file or folder removed if the block is left without its being gone."""
+    """Register a file or folder with the sweeper until the block has removed it."""
     name = os.fsencode(path.absolute())
     _tell(b"+" + name)
     try:
@@ -83,7 +83,7 @@ def temporary(path: Path) -> Iterator[None]:
 
 @contextmanager
 def temporary_folder(what: str) -> Iterator[Path]:
-    """An empty folder, removed when the block ends or, at the latest, all processes of the run."""
+    """Yield an empty folder, removed at the end of the block or, at the latest, of the run."""
     with swept():
         _remove_abandoned()
         with (
@@ -98,13 +98,13 @@ def temporary_folder(what: str) -> Iterator[Path]:
 
 def _tell(message: bytes) -> None:
     if _pipe is not None and len(message) < _LONGEST:
-        with suppress(OSError):  # it was killed
+        with suppress(OSError):  # the sweeper was killed
             os.write(_pipe, message + b"\0")
 
 
 @contextmanager
 def _held(folder: str) -> Iterator[None]:
-    """Hold a lock on a folder, which the system gives up when this process ends."""
+    """Lock a folder; the operating system releases the lock when this process ends."""
     descriptor = _lock(folder)
     try:
         yield
@@ -114,7 +114,7 @@ def _held(folder: str) -> Iterator[None]:
 
 
 def _lock(folder: str | Path) -> int | None:
-    """A descriptor that holds the lock on a folder, None where another process has it."""
+    """File descriptor that holds the lock on a folder; None if another process holds it."""
     try:
         import fcntl
     except ImportError:  # Windows
@@ -131,7 +131,7 @@ def _lock(folder: str | Path) -> int | None:
 
 
 def _remove_abandoned() -> None:
-    """Remove the user's temporary folders whose processes and sweepers were killed."""
+    """Remove this user's temporary folders whose processes and sweepers were killed."""
     if sys.platform == "win32":
         return
     import shutil
@@ -147,7 +147,7 @@ def _remove_abandoned() -> None:
 
 
 def _sweep() -> None:
-    """What the sweeper does."""
+    """Collect paths until the pipe is closed, then remove those that are left."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)

@@ -1,14 +1,13 @@
-"""Scenes: real places (and one made-up one) with bounds, walls and the rules of their protocol.
+"""Scenes: real places (and one synthetic one) with bounds, walls and a protocol for scoring.
 
-A scene is a folder with `scene.toml`, which says what the place is, and the files that
-`crowdbench fit` computed from its recording. Its id ends in `-vN`: whatever changes a score
-makes a new version.
+A scene is a folder with `scene.toml`, which describes the place, and the files that
+`crowdbench fit` computes from its recording. Its id ends in `-vN`: any change that affects scores
+requires a new version.
 """
 
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,14 +17,15 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from crowdbench.errors import SceneError
-from crowdbench.files import read_struct, write_text
+from crowdbench.files import read_struct
 
 if TYPE_CHECKING:
     import shapely
 
 SCHEMA = 1
+TIMEOUT_DWELLS = 2.0
 _ID = re.compile(r"[a-z][a-z0-9_]*-v[0-9]+")
-_MARGIN_M = 0.01  # a place beside a wall or the bounds, not on the line
+_MARGIN_M = 0.01  # moved points keep this distance from walls and bounds
 _HINT = "Compare with scenes/plaza-v0/scene.toml."
 
 
@@ -34,15 +34,15 @@ class Recording(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_de
 
     name: str
     frames: int
-    """Its length in frames of the scene; a rollout is by default as long."""
+    """Length in frames of the scene; also the default length of a rollout."""
     dwell_p99_s: float
-    """99th percentile of the dwell times of those who entered and left."""
+    """99th percentile of the dwell times of people who entered and left, seconds."""
     sha256: str = ""
-    """Of the data it was read from, where it is a user's own."""
+    """SHA-256 of the source data, for users' own recordings."""
 
 
 class Bounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Who walks out of this rectangle has left the scene."""
+    """The rectangle of the scene; people who walk out of it leave the scene."""
 
     x_min_m: float
     x_max_m: float
@@ -51,54 +51,82 @@ class Bounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Wall(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """An obstacle: a filled simple polygon, its corners in order, the last joined to the first."""
+    """An obstacle: a solid simple polygon with its corners in order."""
 
     name: str
     corners_m: tuple[tuple[float, float], ...]
 
 
 class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How persons move and end."""
+    """Limits of motion, and sizes of persons and goals."""
 
     max_speed_mps: float
     person_radius_m: float
     """Radius of a person's disc in rays and overlaps."""
     goal_radius_m: float
-    """A life ends when the way walked in a step comes this close to the goal."""
+    """A person arrives when the segment walked in a step comes this close to the goal."""
 
 
 class Spawning(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """When an entering person waits."""
+    """Rules for waiting before entry."""
 
     clearance_m: float
-    """An entry waits while someone already present is closer than this."""
+    """A person waits to enter while somebody is closer than this to its start."""
     patience_s: float
-    """After so long the person enters anyway."""
+    """Maximum waiting time, seconds; after it the person enters in any case."""
 
 
 class Clustering(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Settings of DBSCAN for starts and ends."""
+    """Settings of DBSCAN for the clustering of starts and ends of trips."""
 
     spawn_eps_m: float
     spawn_min_persons: int
     goal_eps_m: float
     goal_min_persons: int
     keep_noise: bool
-    """True: persons in no cluster join the nearest one or a broad area of their own. False:
+    """If True, persons in no cluster join the nearest cluster or a separate broad area. If False,
     they are left out, as in the founding paper."""
 
 
 class Protocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the scene is scored."""
+    """Settings of the scene's scoring."""
 
     block_s: float
+    """Length of a time block, seconds."""
     resample_s: float
-    """Runs of consecutive scored blocks so long are resampled together."""
+    """Length of the runs of consecutive scored blocks that are resampled together, seconds."""
     fits: int
-    """How many fits of a model that depends on chance are evaluated."""
+    """Number of fits of each spawn model."""
     rollouts_per_fit: int
     scored: tuple[str, ...] = ()
-    """The metrics that count, by `crowdbench power`."""
+    """Names of the scored metrics, determined by `crowdbench power`."""
+
+
+class Walking(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Time scales of the walking metrics, chosen so that people move more than positions jitter.
+
+    `crowdbench scene create` derives them from the recording's own noise; see `rules.walking_of`.
+    """
+
+    tick_frames: int = 1
+    """Frames from one tick to the next. Walking is measured at ticks: frames with annotated, not
+    interpolated positions."""
+    window_ticks: int = 9
+    """Length of the window in which speeds are measured, in ticks; odd."""
+    lags_ticks: tuple[int, ...] = (3, 4, 6)
+    """Time scales of accelerations, in ticks."""
+    shifts_s: tuple[float, ...] = (20.0, 40.0)
+    """Shifts in time of the pairs that encounters are compared with, in seconds, in both
+    directions."""
+
+
+class Gate(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Limits for the policies of a scene. Beyond them `walk` is at most 0."""
+
+    speed: float = 0.15
+    """Relative deviation of the mean speed from that of recorded people walked."""
+    arrivals: float = 0.95
+    """Share of people at the goal, as a share of that of recorded people walked."""
 
 
 class _SceneFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -113,6 +141,8 @@ class _SceneFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     motion: Motion
     spawning: Spawning
     clustering: dict[str, Clustering]
+    walking: Walking = Walking()
+    gate: Gate = Gate()
     protocol: Protocol
 
 
@@ -125,26 +155,48 @@ class Scene:
     dt_s: float
     """Seconds from one frame to the next."""
     grid_s: float
-    """Seconds of the grid on which the recording's arrivals were annotated."""
+    """Step of the grid on which the recording's arrivals were annotated, seconds."""
     recording: Recording
     bounds: Bounds
     walls: tuple[Wall, ...]
     motion: Motion
     spawning: Spawning
     clustering: dict[str, Clustering]
+    walking: Walking
+    gate: Gate
     protocol: Protocol
     folder: Path
 
     @property
     def asked(self) -> str:
-        """How a user names the scene: its id, or the folder it lies in."""
+        """The name by which commands find the scene: its id, or its folder if it is not shipped."""
         shipped = self.folder.parent == scenes_folder()
         return self.id if shipped else str(self.folder)
 
     @property
     def horizon_s(self) -> float:
-        """Default length of a rollout: the recording's."""
+        """Default length of a rollout, seconds: that of the recording."""
         return self.recording.frames * self.dt_s
+
+    @property
+    def timeout_s(self) -> float:
+        """Seconds after which a person is removed: twice the 99th percentile of dwell times."""
+        return TIMEOUT_DWELLS * self.recording.dwell_p99_s
+
+    @property
+    def rules(self) -> bytes:
+        """The settings of `scene.toml` that rollouts depend on, as canonical JSON.
+
+        The title, the settings of DBSCAN (whose result is `areas.json`) and those of scores are
+        left out.
+        """
+        rules = {
+            f.name: getattr(self, f.name)
+            for f in fields(self)
+            if f.name not in ("title", "folder", "clustering", "walking", "gate")
+        }
+        rules["protocol"] = msgspec.structs.replace(self.protocol, scored=())
+        return msgspec.json.encode(rules, order="deterministic")
 
     def frames(self, duration_s: float) -> int:
         """The number of frames that `duration_s` fills, rounded up."""
@@ -152,7 +204,7 @@ class Scene:
 
     @cached_property
     def obstacles(self) -> "shapely.Geometry":
-        """Union of the walls."""
+        """The union of all walls."""
         import shapely
 
         obstacles = shapely.union_all([shapely.Polygon(wall.corners_m) for wall in self.walls])
@@ -173,7 +225,7 @@ class Scene:
 
     @cached_property
     def wall_of_segment(self) -> tuple[int, ...]:
-        """Index of the wall that each segment belongs to."""
+        """Index of the wall to which each of `wall_segments` belongs."""
         return tuple(k for k, wall in enumerate(self.walls) for _ in wall.corners_m)
 
     def inside(self, points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
@@ -187,7 +239,7 @@ class Scene:
         )
 
     def walkable(self, points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-        """Whether each point lies within the bounds and in no wall."""
+        """Whether each point lies within the bounds and outside all walls."""
         import shapely
 
         return self.inside(points) & ~shapely.intersects_xy(
@@ -195,7 +247,7 @@ class Scene:
         )
 
     def nearest_walkable(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """The points, those outside the bounds or in a wall moved to the nearest walkable place."""
+        """The points; those outside the bounds or in a wall are moved to the nearest free place."""
         import shapely
 
         lost = np.flatnonzero(~self.walkable(points))
@@ -212,7 +264,7 @@ class Scene:
 def scenes_folder() -> Path:
     """The folder of the scenes that come with crowdbench."""
     package = Path(__file__).parent
-    installed = package / "_scenes"  # where the wheel puts them
+    installed = package / "_scenes"  # location in an installed package
     return installed if installed.is_dir() else package.parent / "scenes"
 
 
@@ -222,13 +274,13 @@ def list_scenes() -> list[str]:
 
 
 def load_scene(scene: str | Path | Scene) -> Scene:
-    """A scene by its id, or from a folder that holds a `scene.toml`.
+    """Load a scene by its id, or from a folder with a `scene.toml`.
 
-    A folder in the working directory whose name is an id is found by it too, unless a scene of
-    that id comes with crowdbench.
+    The id of a shipped scene takes precedence over a folder of the same name in the working
+    directory. A `Scene` is returned unchanged.
 
     Raises:
-        SceneError: there is no such scene, or its file is broken or contradicts itself.
+        SceneError: there is no such scene, or its file is broken or inconsistent.
     """
     if isinstance(scene, Scene):
         return scene
@@ -244,21 +296,8 @@ def load_scene(scene: str | Path | Scene) -> Scene:
     path = folder / "scene.toml"
     file = read_struct(path, _SceneFile, SceneError, _HINT)
     _check(file, path)
-    fields = {name: getattr(file, name) for name in file.__struct_fields__ if name != "schema"}
-    return Scene(**fields, folder=folder)
-
-
-def write_scored(scene: Scene, scored: Sequence[str]) -> Path:
-    """Make these the metrics that count, in `scene.toml`, whose other lines stay as they are."""
-    path = scene.folder / "scene.toml"
-    lines = [f'    "{name}",' for name in scored]
-    text = re.sub(r"^scored = \[[^\]]*\]\n", "", path.read_text(), flags=re.M).rstrip("\n")
-    if not text.split("\n[")[-1].startswith("protocol]"):
-        raise SceneError(
-            path, got="[protocol] followed by another table", expected="[protocol] last"
-        )
-    write_text(path, "\n".join([text, "scored = [", *lines, "]", ""]))
-    return path
+    known = {name: getattr(file, name) for name in file.__struct_fields__ if name != "schema"}
+    return Scene(**known, folder=folder)
 
 
 def _check(file: _SceneFile, path: Path) -> None:
@@ -295,17 +334,44 @@ def _check(file: _SceneFile, path: Path) -> None:
         require(math.isfinite(value) and value >= 0, f"{name} = {value}", "zero or more")
     for name, value in msgspec.structs.asdict(b).items():
         require(math.isfinite(value), f"bounds.{name} = {value}", "a finite number")
+    walking, gate = file.walking, file.gate
+    lags, shifts = walking.lags_ticks, walking.shifts_s
+    for name, holds, got, expected in (
+        ("tick_frames", walking.tick_frames >= 1, walking.tick_frames, "1 or more"),
+        (
+            "window_ticks",
+            walking.window_ticks >= 3 and walking.window_ticks % 2 == 1,
+            walking.window_ticks,
+            "an odd number, 3 or more",
+        ),
+        (
+            "lags_ticks",
+            lags == tuple(sorted(set(lags))) and min(lags, default=0) >= 2,
+            list(lags),
+            "ascending numbers of ticks, 2 or more",
+        ),
+        (
+            "shifts_s",
+            len(shifts) > 0 and all(math.isfinite(s) and s >= 1 for s in shifts),
+            list(shifts),
+            "numbers of seconds, 1 or more",
+        ),
+    ):
+        require(holds, f"walking.{name} = {got}", expected)
+    require(gate.speed > 0, f"gate.speed = {gate.speed}", "a positive number")
+    require(0 <= gate.arrivals <= 1, f"gate.arrivals = {gate.arrivals}", "a share from 0 to 1")
     for key, settings in file.clustering.items():
         for name, value in msgspec.structs.asdict(settings).items():
             holds = name == "keep_noise" or (math.isfinite(value) and value > 0)
             require(holds, f"clustering.{key}.{name} = {value}", "a positive number")
-    require("default" in file.clustering, "no [clustering.default]", "its DBSCAN settings")
+    require("default" in file.clustering, "no [clustering.default]", "settings of DBSCAN there")
     for wall in file.walls:
-        require(len(wall.corners_m) >= 3, f"wall {wall.name!r}", "three corners or more")
+        few = f"wall {wall.name!r} with {len(wall.corners_m)} corners"
+        require(len(wall.corners_m) >= 3, few, "three corners or more")
         finite = bool(np.isfinite(wall.corners_m).all())
-        require(finite, f"wall {wall.name!r} with a corner that is not finite", "metres")
+        require(finite, f"wall {wall.name!r} with a corner that is not finite", "corners in metres")
         distinct = len(set(wall.corners_m)) == len(wall.corners_m)
-        require(distinct, f"wall {wall.name!r} with a corner twice", "each corner once")
+        require(distinct, f"wall {wall.name!r} with a repeated corner", "distinct corners")
         polygon = shapely.Polygon(wall.corners_m)
         require(
             bool(polygon.is_valid), f"wall {wall.name!r} that crosses itself", "a simple polygon"

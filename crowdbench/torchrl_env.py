@@ -1,3 +1,3 @@
-"""`crowdbench.envs.torchrl_env` by its short name."""
+"""Short import path for `crowdbench.envs.torchrl_env`."""
 
 from crowdbench.envs.torchrl_env import CrowdEnv as CrowdEnv

@@ -1,3 +1,3 @@
-"""`crowdbench.envs.vec_env` by its short name."""
+"""Short import path for `crowdbench.envs.vec_env`."""
 
-from crowdbench.envs.vec_env import LivesVecEnv as LivesVecEnv
+from crowdbench.envs.vec_env import CrowdVecEnv as CrowdVecEnv

@@ -26,22 +26,30 @@ PLACE = Place(
 
 
 def mingling(seed: int) -> Trajectories:
-    """Up to 60 people who jump about on a square of 10 m, on odd sixteenths of a metre.
+    """Up to 60 people who jump about on a square of 10 m, and two who walk in curves together.
 
-    So their coordinates are exact, and stay so when turned and moved by whole metres.
+    All are on sixteenths of a metre. So their coordinates are exact, and stay so when turned and
+    moved by whole metres.
     """
     rng = np.random.default_rng(seed)
     number, frames = int(rng.integers(1, 60)), 130
     first = rng.integers(0, frames, number)
     last = np.minimum(first + rng.integers(0, 25, number), frames - 1)
     rows = int((last - first + 1).sum())
+    jumping = rng.integers(-40, 40, (rows, 2)) / 8 + 1 / 16
+    t = np.arange(frames)
+    angle = 0.15 * t + 0.35 * np.sin(0.5 * t + rng.uniform(0, 6))
+    curve = np.round(8 * 20 * np.stack([np.cos(angle), np.sin(angle)], axis=1)) / 8 + 1 / 16
+    beside_m = (4 + seed % 9) / 8
+    first, last = (np.append(ends, [end] * 2) for ends, end in ((first, 0), (last, frames - 1)))
+    number += 2
     return crowd_of(
         list(zip(first, last, strict=True)),
         frames=frames,
         observed=OBSERVED,
         dt_s=DT_S,
         grid_s=2.0,
-        xy=rng.integers(-40, 40, (rows, 2)) / 8 + 1 / 16,
+        xy=np.concatenate([jumping, curve, curve + np.array([beside_m, 0.0])]),
         persons={
             "spawn_area": rng.integers(-1, 5, number),
             "goal_area": rng.integers(-1, 5, number),

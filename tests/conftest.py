@@ -16,76 +16,28 @@ from hypothesis import settings
 settings.register_profile("crowdbench", deadline=None, max_examples=50)
 settings.load_profile("crowdbench")
 
-# Compiled kernels take no annotations; everything else is checked at each call.
-_hook = jaxtyping.install_import_hook(
-    [
-        "crowdbench.colours",
-        "crowdbench.envs.demonstrations",
-        "crowdbench.envs.perturbation",
-        "crowdbench.envs.torchrl_env",
-        "crowdbench.envs.vec_env",
-        "crowdbench.evaluation.evaluate",
-        "crowdbench.evaluation.judge",
-        "crowdbench.evaluation.replay_check",
-        "crowdbench.evaluation.rollout_jobs",
-        "crowdbench.files",
-        "crowdbench.leaderboard",
-        "crowdbench.metrics.arrivals",
-        "crowdbench.metrics.forms",
-        "crowdbench.metrics.interaction",
-        "crowdbench.metrics.lattice",
-        "crowdbench.metrics.lives",
-        "crowdbench.metrics.metric",
-        "crowdbench.metrics.motion",
-        "crowdbench.metrics.presence",
-        "crowdbench.metrics.rows",
-        "crowdbench.metrics.space",
-        "crowdbench.policies.card",
-        "crowdbench.policies.export",
-        "crowdbench.policies.network",
-        "crowdbench.policies.policy",
-        "crowdbench.policies.walkers",
-        "crowdbench.recordings",
-        "crowdbench.registry",
-        "crowdbench.report.display_names",
-        "crowdbench.report.html",
-        "crowdbench.report.plots",
-        "crowdbench.rollouts.episode",
-        "crowdbench.rollouts.rollout",
-        "crowdbench.report.text",
-        "crowdbench.scene",
-        "crowdbench.scene_building",
-        "crowdbench.scoring.reference",
-        "crowdbench.simulation.reward",
-        "crowdbench.simulation.simulation",
-        "crowdbench.spawn.areas",
-        "crowdbench.spawn.block_replay",
-        "crowdbench.spawn.events",
-        "crowdbench.spawn.groups",
-        "crowdbench.spawn.model",
-        "crowdbench.spawn.ntpp",
-        "crowdbench.spawn.ntpp_likelihood",
-        "crowdbench.spawn.ntpp_sequences",
-        "crowdbench.spawn.ntpp_training",
-        "crowdbench.spawn.poisson",
-        "crowdbench.spawn.renewal",
-        "crowdbench.spawn.replay",
-        "crowdbench.spawn.rescaling",
-        "crowdbench.spawn.scenario",
-        "crowdbench.spawn.steered",
-        "crowdbench.spawn.weights",
-        "crowdbench.studies.ablation",
-        "crowdbench.studies.gallery",
-        "crowdbench.studies.results",
-        "crowdbench.studies.steering",
-        "crowdbench.studies.walks",
-        "crowdbench.trajectories.blocks",
-        "crowdbench.trajectories.storage",
-        "crowdbench.trajectories.table",
-        "crowdbench.viewer",
-    ],
-    "beartype.beartype",
-)
+
+_LOOSE = ("crowdbench.envs.actions", "crowdbench.envs.parallel_env", "crowdbench.plugins")
+
+
+def _checked() -> list[str]:
+    """All modules whose functions are checked at each call.
+
+    Left out are modules with compiled kernels, which take no annotations, and modules whose tests
+    pass arguments of wrong types to see the error messages.
+    """
+    package = Path(find_spec("crowdbench").origin).parent  # type: ignore[union-attr, arg-type]
+    kernels, others = [], []
+    for path in package.rglob("*.py"):
+        parts = path.relative_to(package.parent).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        left_out = name in _LOOSE or "njit" in path.read_text("utf-8")
+        (kernels if left_out else others).append(name)
+    # A package's name stands for all its modules.
+    return [n for n in others if not any(k.startswith(f"{n}.") for k in kernels)]
+
+
+_hook = jaxtyping.install_import_hook(_checked(), "beartype.beartype")
 
 # Tests run side by side: threads that wait for work must not keep others from theirs.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
@@ -135,3 +87,14 @@ def home(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPat
     folder = tmp_path_factory.mktemp("home")
     monkeypatch.setenv("CROWDBENCH_HOME", str(folder))
     return folder
+
+
+ONE_WORKER = ("test_ablation", "test_create", "test_demonstrations", "test_gallery", "test_results",
+              "test_verification")  # fmt: skip
+"""Modules whose fixtures take long: with `--dist loadgroup` one worker runs all of their tests."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.path.stem in ONE_WORKER:
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))

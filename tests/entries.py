@@ -26,7 +26,7 @@ from crowdbench.metrics import METRICS, WALK
 from crowdbench.scoring.energy import RESAMPLES
 from crowdbench.scoring.score import Score
 
-UNCOUNTED = ("dwell", "detour", "wall_hits")
+UNCOUNTED = ("dwell", "detour", "wall_clearance", "overlap_rate", "companion_distance")
 """Metrics that no made-up scene counts."""
 
 
@@ -94,15 +94,15 @@ def on_scene(name: str, scene: str, track: Track, level: float, spread: float) -
                     scored=counts,
                     score=value if counts else None,
                     interval=score.interval if counts else None,
-                    parts={f"fold{k}": fits[k] for k in range(3)} if counts else {},
+                    splits={f"fold{k}": fits[k] for k in range(3)} if counts else {},
                 )
-    if "lives" in families:
-        # Nothing of lives counts on ETH, as on the real one.
+    if "trips" in families:
+        # Nothing of trips counts on ETH, as on the real one.
         for metric_name in ("origin_destination", "goal_share"):
             if scene == "eth-v0":
                 metrics[metric_name] = msgspec.structs.replace(metrics[metric_name], scored=False)
         if scene == "eth-v0":
-            del families["lives"]
+            del families["trips"]
     arrivals = None if track == "walk" else round(float(own.uniform(0.2, 0.45)), 4)
     return SceneEntry(
         made_from=f"{zlib.crc32(scene.encode()):016x}",
@@ -111,12 +111,17 @@ def on_scene(name: str, scene: str, track: Track, level: float, spread: float) -
         rollouts=30,
         persons=10_812,
         outcomes={"goal": 9_930, "exit": 402, "timeout": 60, "horizon": 420},
+        speed_mps=1.31,
+        at_goal=0.9555,
+        recorded_speed_mps=1.33,
+        recorded_at_goal=1.0,
+        fails=[],
         families=families,
         metrics=metrics,
         copy=Copy(
             arrivals=arrivals,
             arrivals_limit=None if arrivals is None else 0.46,
-            lives=round(float(own.uniform(0, 0.03)), 4),
+            trips=round(float(own.uniform(0, 0.03)), 4),
         ),
         curves=curves(own, track) if scene in SCENES[:2] else {},
     )

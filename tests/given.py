@@ -45,10 +45,10 @@ class OneByOne(Given):
 class PerFold(Given):
     """Lets in as many as the number of the fold it was made for, plus one."""
 
-    def __init__(self, scene: Scene, part: str) -> None:
+    def __init__(self, scene: Scene, split: str) -> None:
         b = scene.bounds
         middle = ((b.x_min_m + b.x_max_m) / 2, (b.y_min_m + b.y_max_m) / 2)
-        there = [Person(time_s=5.0, start=middle, goal=middle) for _ in range(int(part[-1]) + 1)]
+        there = [Person(time_s=5.0, start=middle, goal=middle) for _ in range(int(split[-1]) + 1)]
         super().__init__(*there)
 
 

@@ -1,7 +1,7 @@
 """Does the default reward train walkers? A check to run by hand, minutes per scene and route.
 
     python tests/runners.py --scene eth-v0 --route plain     # PPO by name on parallel_env
-    python tests/runners.py --scene eth-v0 --route sb3       # Stable-Baselines3 on LivesVecEnv
+    python tests/runners.py --scene eth-v0 --route sb3       # Stable-Baselines3 on CrowdVecEnv
 
 Trains on the default reward and prints how fast the policy then walks beside how fast people
 prefer to, and how many arrive, for its mean actions and for sampled ones. It exits with 1 where
@@ -82,7 +82,7 @@ def plain_ppo(scene: str, steps: int, gamma: float, seed: int) -> tuple[Act, Act
     seen, _ = env.reset(seed=seed)
     network = Network(len(next(iter(seen.values()))))
     optimizer = torch.optim.Adam(network.parameters(), 1e-3, eps=1e-5)
-    done, lives, batch = 0, {}, []
+    done, trips, batch = 0, {}, []
     while done < steps:
         names = env.agents
         rows = torch.from_numpy(np.stack([seen[name] for name in names]))
@@ -93,17 +93,17 @@ def plain_ppo(scene: str, steps: int, gamma: float, seed: int) -> tuple[Act, Act
         acted = dict(zip(names, actions.numpy(), strict=True))
         seen, rewards, terminated, truncated, _ = env.step(acted)
         for k, name in enumerate(names):
-            lives.setdefault(name, []).append((rows[k], actions[k], chance[k], rewards[name]))
+            trips.setdefault(name, []).append((rows[k], actions[k], chance[k], rewards[name]))
             if terminated[name] or truncated[name]:
                 last = None if terminated[name] else seen[name]
-                batch.append((lives.pop(name), last))
+                batch.append((trips.pop(name), last))
         done += len(names)
         if not env.agents:
             seen, _ = env.reset()
-        if sum(len(life) for life, _ in batch) + sum(map(len, lives.values())) >= 2048:
-            batch += [(life, seen[name]) for name, life in lives.items()]  # so far
+        if sum(len(life) for life, _ in batch) + sum(map(len, trips.values())) >= 2048:
+            batch += [(life, seen[name]) for name, life in trips.items()]  # so far
             improve(network, optimizer, batch, gamma)
-            lives, batch = {}, []
+            trips, batch = {}, []
 
     def mean(rows: np.ndarray) -> np.ndarray:
         with torch.no_grad():
@@ -117,7 +117,7 @@ def plain_ppo(scene: str, steps: int, gamma: float, seed: int) -> tuple[Act, Act
 
 
 def improve(network: Network, optimizer: torch.optim.Optimizer, batch: list, gamma: float) -> None:
-    """Ten epochs on pieces of lives, each with what was seen after it (None: it is over)."""
+    """Ten epochs on pieces of trips, each with what was seen after it (None: it is over)."""
     rows, actions, chances, advantages, targets = [], [], [], [], []
     for life, last in batch:
         seen = torch.stack([step[0] for step in life])
@@ -152,12 +152,12 @@ def improve(network: Network, optimizer: torch.optim.Optimizer, batch: list, gam
 
 
 def sb3_ppo(scene: str, steps: int, gamma: float, seed: int) -> tuple[Act, Act]:
-    """Stable-Baselines3's PPO on `LivesVecEnv`."""
+    """Stable-Baselines3's PPO on `CrowdVecEnv`."""
     from stable_baselines3 import PPO
 
-    from crowdbench.envs.vec_env import LivesVecEnv
+    from crowdbench.envs.vec_env import CrowdVecEnv
 
-    env = LivesVecEnv(scene, 16, seed=seed)
+    env = CrowdVecEnv(scene, 16, seed=seed)
     model = PPO(
         "MlpPolicy", env, gamma=gamma, learning_rate=1e-3, n_steps=128, batch_size=256, seed=seed,
         policy_kwargs={"log_std_init": LOG_STD}, device="cpu",

@@ -15,7 +15,7 @@ METRES = st.floats(-50, 50, width=32)
 
 
 def crowd_of(
-    lives: Sequence[tuple[int, int]],
+    trips: Sequence[tuple[int, int]],
     *,
     frames: int | None = None,
     observed: Sequence[tuple[int, int]] | None = None,
@@ -29,15 +29,15 @@ def crowd_of(
 
     `persons` holds columns with one value per life.
     """
-    sizes = [last - first + 1 for first, last in lives]
+    sizes = [last - first + 1 for first, last in trips]
     return from_rows(
         scene="made by hand",
         dt_s=dt_s,
         grid_s=grid_s,
         frames=frames,
         observed=None if observed is None else np.array(observed),
-        person_id=np.repeat(np.arange(len(lives)) if person_id is None else person_id, sizes),
-        frame=np.concatenate([np.arange(first, last + 1) for first, last in lives]),
+        person_id=np.repeat(np.arange(len(trips)) if person_id is None else person_id, sizes),
+        frame=np.concatenate([np.arange(first, last + 1) for first, last in trips]),
         xy=np.zeros((sum(sizes), 2)) if xy is None else np.asarray(xy, dtype=np.float64),
         persons={name: np.repeat(values, sizes) for name, values in (persons or {}).items()},
         where="test",
@@ -57,11 +57,11 @@ def crowds(draw: st.DrawFn, dt_s: float | None = None) -> Trajectories:
     frames = draw(st.integers(1, 30))
     frame = st.integers(0, frames - 1)
     life = st.tuples(frame, frame).map(lambda ends: (min(ends), max(ends)))
-    lives = draw(st.lists(life, min_size=1, max_size=8))
-    number = len(lives)
+    trips = draw(st.lists(life, min_size=1, max_size=8))
+    number = len(trips)
     ids = draw(st.lists(st.integers(0, 2**40), min_size=number, max_size=number, unique=True))
     dt_s = draw(st.sampled_from([0.4, 1.0, 4 / 9])) if dt_s is None else dt_s
-    first = np.array([first for first, _ in lives])
+    first = np.array([first for first, _ in trips])
     early = draw(arrays(np.float64, number, elements=st.sampled_from([0.0, 0.25, 0.75])))
     spawn_s = (first - early) * dt_s
 
@@ -69,13 +69,13 @@ def crowds(draw: st.DrawFn, dt_s: float | None = None) -> Trajectories:
         return draw(st.lists(elements, min_size=number, max_size=number))
 
     crowd = crowd_of(
-        lives,
+        trips,
         frames=frames,
         observed=draw(intervals(frames)),
         dt_s=dt_s,
         grid_s=dt_s * draw(st.sampled_from([0.25, 1.0, 2.0])),
         person_id=ids,
-        xy=draw(arrays(np.float32, (sum(b - a + 1 for a, b in lives), 2), elements=METRES)),
+        xy=draw(arrays(np.float32, (sum(b - a + 1 for a, b in trips), 2), elements=METRES)),
         persons={
             "spawn_area": column(st.integers(-1, 4)),
             "goal_area": column(st.integers(-1, 4)),

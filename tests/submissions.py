@@ -44,9 +44,9 @@ def declare(folder: Path, track: str = "walk", protocol: str = "heldout", more: 
     return folder
 
 
-def write_network(path: Path, part: str, scene: str = "plaza-v0", scale: float = 0.4) -> Path:
+def write_network(path: Path, split: str, scene: str = "plaza-v0", scale: float = 0.4) -> Path:
     """A network of one layer that walks towards the goal."""
-    card = PolicyCard(name="tiny", observation="lidar-2", rays=8, scene=scene, part=part)
+    card = PolicyCard(name="tiny", observation="lidar-2", rays=8, scene=scene, split=split)
     weights = np.zeros((card.inputs, 2), dtype=np.float32)
     weights[3, 0] = weights[4, 1] = scale
     graph = helper.make_graph(
@@ -68,8 +68,8 @@ def write_network(path: Path, part: str, scene: str = "plaza-v0", scale: float =
 def walk_submission(folder: Path) -> Path:
     """Track walk: a network for each fold."""
     declare(folder)
-    for part in FOLDS:
-        write_network(folder / "plaza-v0" / "policy" / f"{part}.onnx", part)
+    for split in FOLDS:
+        write_network(folder / "plaza-v0" / "policy" / f"{split}.onnx", split)
     return folder
 
 
@@ -139,9 +139,9 @@ def edit(folder: Path, old: str, new: str) -> Path:
 
 FILLED = {
     '"FILL IN: your name"': '"Ada Lovelace"',
-    '"FILL IN: an e-mail address, or where issues are opened"': '"ada@example.org"',
+    '"FILL IN: an e-mail address or an issue tracker"': '"ada@example.org"',
     '"FILL IN: https://… of the paper or the code"': '"https://example.org"',
-    '"FILL IN: of the files here, an SPDX identifier such as Apache-2.0"': '"MIT"',
+    '"FILL IN: the SPDX identifier of these files\' licence, such as Apache-2.0"': '"MIT"',
     '"FILL IN: what it was trained on"': '"the plaza"',
     '"FILL IN: a number"': "12",
 }

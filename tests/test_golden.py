@@ -22,16 +22,17 @@ def test_yesterdays_rollout_is_read() -> None:
 
 
 def test_yesterdays_scorecard_is_read_and_ranked() -> None:
-    card = read_scorecard(GOLDEN / "scorecard-2.json")
+    card = read_scorecard(GOLDEN / "scorecard-3.json")
     assert (card.scene, card.protocol, card.blocks, card.rollouts) == ("eth-v0", "full", 17, 30)
     entry, walk, *anchors = rows(card)
     assert (entry.spawn, entry.policy, entry.rank) == ("renewal-gmm", "straight", 1)
     assert entry.overall is not None
-    assert round(entry.overall.value, 2) == 0.53
+    assert round(entry.overall.value, 2) == 0.35
     assert walk.spawn == "replay"
-    assert len(anchors) == 5
+    assert len(anchors) == 6
 
 
-def test_a_scorecard_from_before_there_were_scores_is_refused() -> None:
-    with pytest.raises(RecordingError, match=r"schema 1; expected schema 2.*evaluate"):
-        read_scorecard(GOLDEN / "scorecard-1.json")
+@pytest.mark.parametrize("schema", [1, 2])
+def test_scorecards_with_other_metrics_are_refused(schema: int) -> None:
+    with pytest.raises(RecordingError, match=rf"schema {schema}; expected schema 3.*evaluate"):
+        read_scorecard(GOLDEN / f"scorecard-{schema}.json")

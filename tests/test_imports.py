@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import crowdbench
-from crowdbench.evaluation.rollout_jobs import MAKES_ROLLOUTS
+from crowdbench.evaluation.resolved import MAKES_ROLLOUTS
 
 PACKAGE = Path(crowdbench.__file__).parent
 
@@ -22,8 +22,8 @@ FLOORS = (
     ("scoring", "simulation"),
     ("policies",),
     ("registry", "rollouts"),
-    ("report", "viewer"),
-    ("envs", "evaluation"),
+    ("evaluation", "report", "viewer"),
+    ("envs",),
     ("crowds", "leaderboard", "scene_building"),
     ("studies",),
     ("cli",),

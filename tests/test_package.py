@@ -1,5 +1,6 @@
 """What a wheel carries, and that it works where nothing of the repository is."""
 
+import json
 import os
 import subprocess
 import sys
@@ -7,9 +8,11 @@ import sysconfig
 import zipfile
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from crowdbench.files import write_json
+from crowdbench.leaderboard.verification.entry import read_entry
 
 ROOT = Path(__file__).parents[1]
 
@@ -40,14 +43,17 @@ def test_the_wheel_carries_the_scenes_and_the_types(wheel: Path) -> None:
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path) -> Path:
-    """A program that runs Python with the wheel and what it needs, but without the repository."""
+    """A Python outside the repository in which the wheel is installed; dependencies are shared."""
     venv = wheel.parent / "venv"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(venv)], check=True)
+    scripts = Path(sysconfig.get_path("scripts", "venv", {"base": str(venv)}))
     packages = Path(sysconfig.get_path("purelib", "venv", {"base": str(venv)}))
-    zipfile.ZipFile(wheel).extractall(packages)  # which is all that installing pure Python does
-    # Named by a .pth file, the folder's own ones, such as that of an editable install, do nothing.
+    python = scripts / f"python{Path(sys.executable).suffix}"
+    install = [sys.executable, "-m", "pip", "--python", str(python), "install", "--no-deps"]
+    subprocess.run([*install, "--no-index", str(wheel)], check=True, capture_output=True)
+    # Python ignores .pth files in folders that a .pth file names, such as an editable install's.
     (packages / "needed.pth").write_text(f"{sysconfig.get_path('purelib')}\n")
-    return venv / Path(sysconfig.get_path("scripts", "venv", {"base": ""})).name / "python"
+    return python
 
 
 def run(program: Path, *arguments: str, folder: Path) -> str:
@@ -71,18 +77,30 @@ def test_baselines_come_with_an_installed_wheel(installed: Path, tmp_path: Path)
     assert name == "heuristic"
 
 
+@pytest.mark.long
+def test_an_installed_wheel_evaluates(installed: Path, tmp_path: Path) -> None:
+    pairs = ["--spawn", "poisson-gmm", "--policy", "straight", "--seeds", "1", "--workers", "1"]
+    asked = ["-m", "crowdbench", "evaluate", "plaza-v0", *pairs, "--out", "found"]
+    assert "poisson-gmm" in run(installed, *asked, folder=tmp_path)
+    card = json.loads((tmp_path / "found" / "scorecard.json").read_text())
+    assert card["entries"][0]["metrics"]["inter_spawn"]["distance"] > 0
+    assert (tmp_path / "found" / "report.html").is_file()
+
+
 def test_an_installed_wheel_previews_beside_the_shipped_entries(
     installed: Path, tmp_path: Path
 ) -> None:
     from entries import made_up
 
     (tmp_path / "entries").mkdir()
+    shipped_scorer = read_entry(ROOT / "leaderboard" / "entries" / "bc.json").scorer
     lone = made_up("lone", "walk", 0.5, scenes=("plaza-v0",))
+    lone = msgspec.structs.replace(lone, scorer=shipped_scorer)
     write_json(tmp_path / "entries" / "lone.json", lone)
     asked = ["-m", "crowdbench", "leaderboard", "build", "--root", str(tmp_path)]
     out = run(installed, *asked, folder=tmp_path)
     shipped = len(list((ROOT / "leaderboard" / "entries").glob("*.json")))
-    assert out.startswith(f"1 entry of yours beside {shipped} that come with crowdbench")
+    assert out.startswith(f"1 entry of yours and {shipped} that ship with crowdbench")
     assert (tmp_path / "pages" / "RULES.md").read_text() == (
         ROOT / "leaderboard" / "RULES.md"
     ).read_text()

@@ -17,7 +17,7 @@ from crowdbench.cli import main
 from crowdbench.errors import OwnCodeError, SettingError
 from crowdbench.evaluation.rollout_jobs import plan
 from crowdbench.metrics import METRICS, all_metrics
-from crowdbench.metrics.lives import Dwell
+from crowdbench.metrics.trips import Dwell
 from crowdbench.plugins import register
 from crowdbench.scene import load_scene
 from crowdbench.simulation import Settings, Simulation
@@ -226,7 +226,7 @@ def test_kinds_and_names_are_checked() -> None:
     with pytest.raises(SettingError, match="one of lidar-1, lidar-2, lidar-3"):
         Settings(observation="lidar-9")
     register("observations", "mine", Eastward)
-    with pytest.raises(SettingError, match="Others derive from"):
+    with pytest.raises(SettingError, match=r"Derive it from crowdbench\.simulation"):
         Settings(observation="mine")
 
 
@@ -258,7 +258,7 @@ def test_an_installed_metric_is_scored_where_the_recording_is(
     elsewhere += "from crowdbench import load_scene as s; print(n(s('eth-v0')), n(s('plaza-v0')))"
     told = ran(installed, tmp_path, "-c", elsewhere)
     assert (
-        "Without the recording path_length cannot be computed: `crowdbench data fetch eth`" in told
+        "path_length can only be computed with the recording: `crowdbench data fetch eth`" in told
     )
     assert told.strip().endswith("[]")
 

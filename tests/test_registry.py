@@ -25,7 +25,7 @@ from crowdbench.registry import (
 )
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Replay
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.storage import write_parquet
 from crowdbench.trajectories.table import Trajectories
 
@@ -94,11 +94,11 @@ def test_each_listed_spawn_model_is_found(name: str, imported: Path) -> None:
 @pytest.mark.parametrize("name", [name for name in SPAWN_MODELS if name != "replay"])
 def test_each_part_has_a_spawn_model_of_its_own(name: str, imported: Path) -> None:
     drawn = set()
-    for part in PARTS:
-        model = spawn_model(name, "plaza-v0", part)
+    for split in SPLITS:
+        model = spawn_model(name, "plaza-v0", split)
         events = model.sample(200.0, load_scene("plaza-v0"), np.random.default_rng(0))
         drawn.add(events.time_s.tobytes())
-    assert len(drawn) == len(PARTS)
+    assert len(drawn) == len(SPLITS)
 
 
 @pytest.mark.parametrize("name", SPAWN_MODELS)

@@ -191,8 +191,8 @@ BROKEN = {
     "corner twice": (
         FIRST_WALL,
         "corners_m = [[0, 0], [4, 0], [4, 0], [0, 4]]",
-        "'south parapet' with a corner twice",
-        "each corner once",
+        "'south parapet' with a repeated corner",
+        "distinct corners",
     ),
     "two corners": (FIRST_WALL, "corners_m = [[0, 0], [4, 4]]", "'south parapet'", "three corners"),
     "nan corner": ("[-0.793, -0.595]", "[nan, -0.595]", "'south parapet' with a corner", "metres"),

@@ -50,13 +50,16 @@ class Person:
     leave_frame: int = -1
     scripted: bool = False
     censored: bool = False
+    group: int = -1
+    via: Point = (np.nan, np.nan)
+    wait_s: float = 0.0
     spawn_area: int = 0
     goal_area: int = 0
 
 
 def events(*people: Person) -> SpawnEvents:
     """The events of people who come by ascending time."""
-    kinds = {"start": np.float32, "goal": np.float32, "speed": np.float32, "velocity": np.float32}
+    kinds = dict.fromkeys(("start", "goal", "speed", "velocity", "via"), np.float32)
     columns = {}
     for f in fields(SpawnEvents):
         column = np.array([getattr(person, f.name) for person in people])

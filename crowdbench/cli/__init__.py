@@ -1,9 +1,11 @@
-"""The command line: `crowdbench evaluate | score | view | steer | areas | policy | submit |
-leaderboard | data | convert | scenes | metrics | bench`, and for who makes a scene `scene | fit |
-spawn | anchors | power | results | walks | figures | ablation`.
+"""The command line.
 
-A user's error is one message and exit code 2; an interrupt exits with 130, SIGTERM with 143. Output
-that nobody reads on, as of `crowdbench … | head`, ends quietly with 1.
+Main commands: `crowdbench evaluate | score | view | steer | areas | policy | submit | leaderboard |
+data | convert | scenes | metrics | bench`. Commands for making a scene and its pages: `scene |
+fit | spawn | anchors | power | results | walks | cheats | figures | ablation`.
+
+Exit codes: 2 after an error of the user (one message), 130 after an interrupt, 143 after SIGTERM,
+and 1, without a message, if the reader of the output closes it (`crowdbench … | head`).
 """
 
 import argparse
@@ -18,6 +20,7 @@ from crowdbench.cli import (
     anchors,
     areas,
     bench,
+    cheats,
     convert,
     data,
     evaluate,
@@ -42,14 +45,14 @@ from crowdbench.evaluation.parallel import Stopped, stopping_in_order
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; the return value is the exit code."""
+    """Run a command and return its exit code."""
     try:
         try:
             return _run(arguments)
         finally:
-            sys.stdout.flush()  # where a pipe that nobody reads from any more is found out in time
+            sys.stdout.flush()  # raises BrokenPipeError here if the reader has closed the pipe
     except BrokenPipeError:
-        # The interpreter flushes once more when it exits.
+        # The interpreter flushes stdout again when it exits, which must not raise an error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
 
@@ -67,7 +70,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError):
                 stream.flush()
-        # All that is open is closed. Unloading libraries takes a second on a busy machine.
+        # All files are closed by now. A normal exit would unload libraries for up to a second.
         os._exit(stopped.number)
     except KeyboardInterrupt:
         print("crowdbench: interrupted", file=sys.stderr)
@@ -77,13 +80,15 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="crowdbench", description="A benchmark of crowds that come and go."
+        prog="crowdbench",
+        description="A benchmark for crowd simulation with realistic arrivals.",
     )
     parser.add_argument("--version", action="version", version=f"crowdbench {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in (
         evaluate, score, view, areas, steer, policy, scene, fit, spawn, anchors, power, results,
-        walks, ablation, figures, submit, leaderboard, data, convert, scenes, metrics, bench,
+        walks, cheats, ablation, figures, submit, leaderboard, data, convert, scenes, metrics,
+        bench,
     ):  # fmt: skip
         command.add(commands)
     return parser

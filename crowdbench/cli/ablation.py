@@ -1,4 +1,4 @@
-"""`crowdbench ablation`: the study of training windows and strides."""
+"""`crowdbench ablation`: study of training windows and strides."""
 
 import argparse
 from pathlib import Path
@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
+    """Add this command to the command line."""
     ablation = commands.add_parser(
         "ablation",
-        help="study the windows and strides that ntpp-gmm is trained with (minutes to hours)",
+        help="study how training windows and strides affect ntpp-gmm (minutes to hours)",
     )
     ablation.add_argument("scene", help="id of a scene, or its folder")
     ablation.add_argument(
@@ -22,9 +22,9 @@ def add(commands: "Commands") -> None:
         type=Path,
         default=Path("docs/ablation"),
         metavar="DIR",
-        help="folder of the page and its picture (default: docs/ablation)",
+        help="output folder of the page and its picture (default: docs/ablation)",
     )
-    ablation.add_argument("--workers", type=int, help="processes (default: one per core)")
+    ablation.add_argument("--workers", type=int, help="worker processes (default: one per core)")
     ablation.set_defaults(run=_ablation)
 
 

@@ -1,4 +1,4 @@
-"""`crowdbench anchors`: the crowds that a scene's scores are measured by."""
+"""`crowdbench anchors`: roll out the crowds that define a scene's score scale."""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -10,12 +10,12 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
+    """Add this command to the command line."""
     anchors = commands.add_parser(
-        "anchors", help="roll out what a scene's scores are measured by (minutes)"
+        "anchors", help="roll out the crowds that define a scene's score scale (minutes)"
     )
     anchors.add_argument("scene", help="id of a scene, or its folder")
-    anchors.add_argument("--workers", type=int, help="processes (default: one per core)")
+    anchors.add_argument("--workers", type=int, help="worker processes (default: one per core)")
     anchors.set_defaults(run=_anchors)
 
 

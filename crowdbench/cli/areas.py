@@ -1,4 +1,4 @@
-"""`crowdbench areas`: a scene's spawn and goal areas by number."""
+"""`crowdbench areas`: list a scene's spawn and goal areas by number."""
 
 import argparse
 from pathlib import Path
@@ -9,14 +9,14 @@ from crowdbench.cli.printing import new_console, new_table, print_note
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
 
-_LEAST = 0.005  # of the people, to be shown: half a per cent
+_LEAST = 0.005  # smallest share of people for which a goal is listed
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
+    """Add this command to the command line."""
     areas = commands.add_parser("areas", help="list a scene's spawn and goal areas by number")
     areas.add_argument("scene", help="id of a scene, or its folder")
-    areas.add_argument("--out", type=Path, metavar="FILE.png", help="draw a map of them too")
+    areas.add_argument("--out", type=Path, metavar="FILE.png", help="also draw a map of the areas")
     areas.set_defaults(run=_areas)
 
 
@@ -47,8 +47,8 @@ def _areas(args: argparse.Namespace) -> None:
     new_console().print(spawn)
     if fits is not None:
         print_note(
-            "networks: in how many fits ntpp-gmm has a trained one; without it groups come at a "
-            "constant rate."
+            "networks: number of ntpp-gmm fits that have a trained network for this area; without "
+            "one, groups enter at a constant rate."
         )
     new_console().print(goal)
     if args.out is not None:

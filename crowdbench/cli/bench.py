@@ -1,4 +1,4 @@
-"""`bench`: how fast is it here?"""
+"""`crowdbench bench`: measure the speed of crowdbench on this machine."""
 
 import argparse
 from contextlib import nullcontext
@@ -10,9 +10,9 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add them to the command line."""
-    bench = commands.add_parser("bench", help="measure how fast crowdbench is here")
-    bench.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
+    """Add this command to the command line."""
+    bench = commands.add_parser("bench", help="measure the speed of crowdbench on this machine")
+    bench.add_argument("--json", type=Path, metavar="FILE", help="also write the results to FILE")
     bench.set_defaults(run=_bench)
 
 
@@ -20,7 +20,7 @@ def _bench(args: argparse.Namespace) -> None:
     from crowdbench.files import replacing, write_json
     from crowdbench.studies.speed import measure
 
-    # That the file can be written is found out before a minute of measuring.
+    # Opened first: a file that cannot be written raises an error before a minute of measuring.
     with replacing(args.json) if args.json else nullcontext() as temporary:
         figures = []
         for figure in measure():

@@ -1,4 +1,4 @@
-"""`crowdbench convert`: a crowd in a format that other programs read."""
+"""`crowdbench convert`: convert trajectories between file formats."""
 
 import argparse
 from pathlib import Path
@@ -13,26 +13,26 @@ WRITTEN = ("csv", "trajnet", "jupedsim")
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
+    """Add this command to the command line."""
     converted = commands.add_parser(
-        "convert", help="write a crowd in a format that other programs read, or read theirs"
+        "convert", help="convert trajectories between the formats of crowdbench and other programs"
     )
-    converted.add_argument("table", type=Path, metavar="FILE", help="what is to be converted")
+    converted.add_argument("table", type=Path, metavar="FILE", help="file to convert")
     converted.add_argument(
         "--format",
         metavar="FORMAT",
         default="csv",
-        help="of that file (default: csv, a table in CSV or Parquet)",
+        help="format of FILE (default: csv, a table in CSV or Parquet)",
     )
     converted.add_argument(
         "--dt-s",
         type=float,
         metavar="SECONDS",
-        help="from one row of a person to the next, where the file does not say it",
+        help="time between two rows of a person, if the file does not state it",
     )
     add_mending(converted)
     converted.add_argument("--to", choices=WRITTEN, required=True, help="format to write")
-    converted.add_argument("--out", type=Path, required=True, metavar="FILE")
+    converted.add_argument("--out", type=Path, required=True, metavar="FILE", help="file to write")
     converted.set_defaults(run=_convert)
 
 

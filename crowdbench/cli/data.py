@@ -1,4 +1,4 @@
-"""`crowdbench data`: recordings fetched, imported, listed, described and removed."""
+"""`crowdbench data`: fetch, import, list, describe and remove recordings."""
 
 import argparse
 from pathlib import Path
@@ -22,23 +22,23 @@ FORMATS = ("obsmat", "gc", "forum", "csv", "trajnet", "jupedsim")
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
-    data = commands.add_parser("data", help="fetch, import, list and describe recordings")
+    """Add this command to the command line."""
+    data = commands.add_parser("data", help="fetch, import, list, describe and remove recordings")
     of_data = data.add_subparsers(required=True, metavar="COMMAND")
-    fetch = of_data.add_parser(
-        "fetch", help="download a recording from where it is published, and import it"
-    )
+    fetch = of_data.add_parser("fetch", help="download a published recording and import it")
     fetch.add_argument("name", help="name of a recording (see `crowdbench data list`)")
     fetch.add_argument(
         "--out",
         type=Path,
         metavar="DIR",
-        help="folder to download to, in OpenTraj's layout (default: OpenTraj in $CROWDBENCH_HOME)",
+        help="download folder, in OpenTraj's layout (default: OpenTraj in $CROWDBENCH_HOME)",
     )
     fetch.set_defaults(run=_fetch)
-    bring = of_data.add_parser("import", help="read a recording and keep it for later use")
+    bring = of_data.add_parser("import", help="read a recording and store it for later use")
     bring.add_argument(
-        "name", help="name of a recording (see `crowdbench data list`), or with --format your own"
+        "name",
+        help="name of a recording (see `crowdbench data list`); with --format, a new name for "
+        "your own recording",
     )
     bring.add_argument(
         "--source",
@@ -49,37 +49,37 @@ def add(commands: "Commands") -> None:
     bring.add_argument(
         "--format",
         metavar="FORMAT",
-        help=f"of your own recording: {', '.join(FORMATS)}, or one of an installed package "
-        "(see `crowdbench scene create`)",
+        help=f"format of your own recording: {', '.join(FORMATS)}, or a format of an installed "
+        "package (see `crowdbench scene create`)",
     )
     bring.add_argument(
-        "--dt-s", type=float, metavar="SECONDS", help="from one of its rows to the next"
+        "--dt-s", type=float, metavar="SECONDS", help="time between two rows of a person"
     )
     add_mending(bring)
     bring.set_defaults(run=_import)
-    remove = of_data.add_parser("remove", help="forget a recording that was imported")
+    remove = of_data.add_parser("remove", help="delete an imported recording")
     remove.add_argument("name", help="name of a recording")
     remove.set_defaults(run=_remove)
     listing = of_data.add_parser("list", help="list the known recordings")
     listing.set_defaults(run=_list)
-    describe = of_data.add_parser("describe", help="print a recording's figures")
+    describe = of_data.add_parser("describe", help="print statistics of a recording")
     describe.add_argument("name", help="name of a recording")
     describe.set_defaults(run=_describe)
 
 
 def add_mending(command: argparse.ArgumentParser) -> None:
-    """Add the options that mend a recording's small faults."""
+    """Add the options that repair small faults of a recording."""
     command.add_argument(
         "--gaps",
         choices=GAPS,
-        help="where rows of a person are missing: let it walk on straight, or make two persons of "
-        "one; either puts rows beside the frames onto them (default: refuse)",
+        help="repair missing rows of a person: interpolate linearly, or split the person into two; "
+        "both also interpolate rows that lie between frames (default: reject such files)",
     )
     command.add_argument(
         "--offset-s",
         type=float,
         metavar="SECONDS",
-        help="the time_s of a table at which its frames begin (default: 0)",
+        help="time_s of the first frame of a table (default: 0)",
     )
 
 
@@ -109,8 +109,8 @@ def _import(args: argparse.Namespace) -> None:
             raise SettingError(
                 "crowdbench data import",
                 got=f"--{given[0].replace('_', '-')} without --format",
-                expected="--format, of a recording of your own",
-                hint="Published recordings are read as they are published.",
+                expected="--format as well",
+                hint="The option applies to your own recordings only.",
             )
         _bring(args.name, args.source)
         return
@@ -119,14 +119,14 @@ def _import(args: argparse.Namespace) -> None:
             "crowdbench data import", got="--format without --source", expected="--source PATH"
         )
     crowd = import_own(args.name, args.source, args.format, args.dt_s, **mending)
-    facts = mended(crowd, args) | describe(crowd) | {"kept at": str(cached(args.name))}
+    facts = mended(crowd, args) | describe(crowd) | {"stored at": str(cached(args.name))}
     print_facts(args.name, facts)
 
 
 def mended(crowd: "Trajectories", args: argparse.Namespace) -> dict[str, str]:
-    """What was mended of a recording, where that was asked for; `describe` tells it too."""
+    """Repairs made by `--gaps`, as a fact to print; empty if the option was not given."""
     notes = crowd.provenance.get("notes", {})
-    return {} if args.gaps is None else {"mended": notes.get("mended", "nothing, all is whole")}
+    return {} if args.gaps is None else {"mended": notes.get("mended", "nothing; no faults found")}
 
 
 def _remove(args: argparse.Namespace) -> None:
@@ -142,13 +142,13 @@ def _bring(name: str, folder: Path | None) -> None:
 
     first = name != "plaza" and known_sha256(source(name)) is None
     crowd = import_recording(name, folder)
-    print_facts(name, describe(crowd) | {"kept at": str(cached(name))})
+    print_facts(name, describe(crowd) | {"stored at": str(cached(name))})
     if first:
         print(
-            f"SHA-256 {crowd.provenance['sha256']} noted at first use; the publisher states none."
+            f"SHA-256 {crowd.provenance['sha256']} stored at first use; the publisher states none."
         )
     if name != "plaza":
-        print(f"It stays under its owners' terms. Cite: {source(name).cite}.")
+        print(f"The recording remains subject to its owners' terms. Cite: {source(name).cite}.")
 
 
 def _list(args: argparse.Namespace) -> None:
@@ -157,21 +157,23 @@ def _list(args: argparse.Namespace) -> None:
     from crowdbench.scene import list_scenes, load_scene
 
     scenes = {load_scene(scene).recording.name: scene for scene in list_scenes()}
-    table = new_table("name", "scene", "state", "where it is from")
+    table = new_table("name", "scene", "state", "source")
     for column in table.columns:
         column.justify = "left"
     for name in RECORDINGS:
         state = "imported" if cached(name).exists() else "not imported"
         path = SOURCES[name].path if name in SOURCES else "generated"
         if path == "generated":
-            state = "always there"
+            state = "always available"
         table.add_row(name, scenes.get(name, ""), state, path)
     for file in sorted(cached("").parent.glob("*.parquet")):
         if OWN_NAME.fullmatch(file.stem) and file.stem not in RECORDINGS:
             table.add_row(file.stem, scenes.get(file.stem, ""), "imported", "your own")
     print_fitting([[table]], new_console())
-    print(f"Files are those of OpenTraj, {REPOSITORY}/tree/{COMMIT}")
-    print_note("Other days of the Forum have names like forum-14jul (`crowdbench data fetch`).")
+    print(f"File paths are those of OpenTraj, {REPOSITORY}/tree/{COMMIT}")
+    print_note(
+        "`crowdbench data fetch` also accepts other days of the Forum, for example forum-14jul."
+    )
 
 
 def _describe(args: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""`crowdbench evaluate`: spawn models and policies rolled out on a scene, and scored."""
+"""`crowdbench evaluate`: roll out spawn models and policies on a scene and score them."""
 
 import argparse
 import os
@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench.cli.printing import print_facts, progress_bar
+from crowdbench.cli.printing import add_json_option, json_written, print_facts, progress_bar
 from crowdbench.cli.score_tables import print_card
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
+    """Add this command to the command line."""
     evaluate = commands.add_parser(
         "evaluate", help="roll out crowds on a scene and compare them with its recording"
     )
@@ -27,60 +27,71 @@ def add(commands: "Commands") -> None:
         nargs="+",
         default=["poisson-gmm", "renewal-gmm", "ntpp-gmm"],
         metavar="MODEL",
-        help="poisson-gmm, poisson-groups, renewal-gmm, ntpp-gmm, block-replay, replay, a folder "
-        "with the fits of one model, or pkg.module:Class (default: poisson-gmm renewal-gmm "
-        "ntpp-gmm)",
+        help="spawn models: poisson-gmm, poisson-groups, renewal-gmm, ntpp-gmm, block-replay, "
+        "replay, a folder with the fits of one model, or pkg.module:Class (default: poisson-gmm "
+        "renewal-gmm ntpp-gmm)",
     )
     evaluate.add_argument(
         "--policy",
         nargs="+",
         metavar="POLICY",
         default=["straight", "social-force"],
-        help="straight, social-force, random, replay, FILE.onnx, a folder of such files for each "
-        "fold, or pkg.module:Class (default: straight social-force)",
+        help="policies: straight, social-force, random, replay, FILE.onnx, a folder with such a "
+        "file for each fold, or pkg.module:Class (default: straight social-force)",
     )
     evaluate.add_argument(
         "--metric",
         nargs="+",
         default=[],
         metavar="METRIC",
-        help="metrics of your own beside all others, pkg.module:Class (see `crowdbench metrics`)",
+        help="additional metrics of your own, pkg.module:Class (see `crowdbench metrics`)",
     )
     evaluate.add_argument(
         "--scenario",
         metavar="FILE.toml",
-        help="steer each spawn model by it: other rates, goals and areas, without retraining",
+        help="scenario that changes rates, goals and areas of each spawn model without retraining",
     )
     evaluate.add_argument(
         "--protocol",
         choices=["full", "heldout"],
         default="full",
-        help="fit and compare on the whole recording, or on what was held out (default: full)",
+        help="full: fit and compare on the whole recording; heldout: compare on the folds that "
+        "were held out from fitting (default: full)",
     )
     evaluate.add_argument(
         "--seeds",
         type=int,
         metavar="N",
-        help="rollouts of each pair (in each fold); a score needs at least two of each of the "
-        "scene's fits, which are 5 as a rule: 10, 15, 20 and so on make scores, 1 to 9 only plain "
-        "distances (default: the scene's protocol, 15 to 50)",
+        help="rollouts of each pair of spawn model and policy (in each fold). Scores need at least "
+        "two rollouts per fit. With the usual 5 fits, use 10, 15, 20, …; fewer give only plain "
+        "distances (default: as in the scene's protocol, 15 to 50)",
     )
-    evaluate.add_argument("--workers", type=int, help="processes (default: one per core)")
-    evaluate.add_argument("--out", type=Path, help="folder of the results (default: results/…)")
+    evaluate.add_argument("--workers", type=int, help="worker processes (default: one per core)")
+    evaluate.add_argument(
+        "--out", type=Path, help="output folder (default: results/SCENE-DATE-TIME)"
+    )
     evaluate.add_argument(
         "--view",
         action="store_true",
-        help="open the viewer with the first rollout of each pair when all are made",
+        help="show the first rollout of each pair in the viewer at the end",
     )
+    add_json_option(evaluate)
     evaluate.set_defaults(run=_evaluate)
 
 
 def _evaluate(args: argparse.Namespace) -> None:
-    from crowdbench.evaluation.evaluate import evaluate
+    from crowdbench.scoring.score_json import score_rows
+
+    with json_written(args.json) as write:
+        write(score_rows(_evaluated(args)))
+
+
+def _evaluated(args: argparse.Namespace) -> "Scorecard":
+    from crowdbench.crowds import evaluate
     from crowdbench.scene import load_scene
 
-    sys.path.insert(0, os.getcwd())  # one's own pkg.module:Class may lie beside
-    if args.view:  # found out before minutes of rollouts
+    sys.path.insert(0, os.getcwd())  # so that pkg.module:Class is found in the working directory
+    if args.view:  # checked before minutes of rollouts
         from crowdbench.viewer import check_screen
 
         check_screen()
@@ -104,10 +115,11 @@ def _evaluate(args: argparse.Namespace) -> None:
     print(f"written to {out}: report.html, scorecard.json, run.json, rollouts/ and pictures")
     if args.view:
         _show_first(card, args.scene, out)
+    return card
 
 
 def _print_replay(scene: str, out: Path) -> None:
-    """Say where the replay differs from the recording, and what the arrival rule would change."""
+    """Print how the replay differs from the recording, and the effect of the arrival rule."""
     from crowdbench.evaluation.replay_check import arrival_rule_changes, compare_replay
     from crowdbench.registry import recording_of
     from crowdbench.scene import load_scene
@@ -116,13 +128,13 @@ def _print_replay(scene: str, out: Path) -> None:
     place = load_scene(scene)
     recording = recording_of(place)
     walked = read_own(out / "rollouts" / "replay_replay_full_0.parquet")
-    print_facts("replay against the recording", compare_replay(recording, walked, place))
-    print_facts("what the arrival rule would change", arrival_rule_changes(recording, place))
+    print_facts("replay compared with the recording", compare_replay(recording, walked, place))
+    print_facts("effect of the arrival rule", arrival_rule_changes(recording, place))
     print()
 
 
 def _show_first(card: "Scorecard", named: str, out: Path) -> None:
-    """Show the first rollout of each pair beside the recording, where that is at hand."""
+    """Show the first rollout of each pair, next to the recording if it is available."""
     from crowdbench.registry import has_recording, recording_of
     from crowdbench.scene import load_scene
     from crowdbench.trajectories.storage import read_own

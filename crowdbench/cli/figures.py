@@ -1,4 +1,4 @@
-"""`figures`: pictures of scenes, with their numbers."""
+"""`crowdbench figures`: draw the figures of scenes and write their data."""
 
 import argparse
 from pathlib import Path
@@ -11,37 +11,41 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
+    """Add this command to the command line."""
     figures = commands.add_parser(
-        "figures", help="draw how people walk and come on some scenes, with the numbers (minutes)"
+        "figures", help="draw figures of trajectories and arrivals, with their data (minutes)"
     )
     figures.add_argument("scenes", nargs="+", metavar="SCENE", help="id of a scene, or its folder")
     figures.add_argument(
         "--figure",
         nargs="+",
         metavar="FIGURE",
-        help="policies (ways beside the recorded ones), flows (density and mean ways per spawn "
-        "area), situations (recorded windows and the most similar simulated ones), sheet (curves "
-        "of all scenes on one); default: all four",
+        help="policies (simulated next to recorded paths), flows (density and mean paths per "
+        "spawn area), situations (recorded windows and the most similar simulated ones), sheet "
+        "(curves of all scenes in one figure); default: all four",
     )
-    figures.add_argument("--spawn", default="ntpp-gmm", metavar="MODEL",
-                         help="spawn model, beside poisson-gmm (default: ntpp-gmm)")  # fmt: skip
+    figures.add_argument(
+        "--spawn",
+        default="ntpp-gmm",
+        metavar="MODEL",
+        help="spawn model, shown with poisson-gmm (default: ntpp-gmm)",
+    )
     figures.add_argument(
         "--policy",
         metavar="POLICY",
-        help="who walks the crowds (default: gail or bc if they come with the scene, else "
+        help="policy that moves the people (default: gail or bc if they ship with the scene, else "
         "social-force)",
     )
     figures.add_argument(
         "--seeds", type=int, default=5, help="rollouts of each spawn model (default: 5)"
     )
-    figures.add_argument("--workers", type=int, help="processes (default: one per core)")
+    figures.add_argument("--workers", type=int, help="worker processes (default: one per core)")
     figures.add_argument(
         "--out",
         type=Path,
         default=Path("docs/figures"),
         metavar="DIR",
-        help="folder of the pictures and numbers (default: docs/figures)",
+        help="output folder (default: docs/figures)",
     )
     figures.set_defaults(run=_figures)
 

@@ -1,4 +1,4 @@
-"""`crowdbench fit`: a scene's areas, spawn models and reference statistics."""
+"""`crowdbench fit`: fit a scene's areas, spawn models and reference statistics."""
 
 import argparse
 from pathlib import Path
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
+    """Add this command to the command line."""
     fit = commands.add_parser(
         "fit", help="fit a scene's areas, spawn models and reference statistics"
     )
@@ -19,17 +19,18 @@ def add(commands: "Commands") -> None:
     fit.add_argument(
         "--clustering",
         default="default",
-        help="settings of that name in scene.toml (default: default)",
+        help="name of the clustering settings in scene.toml (default: default)",
     )
     fit.add_argument(
         "--models",
-        nargs="+",
+        nargs="*",
         metavar="MODEL",
         default=["poisson-gmm", "poisson-groups", "renewal-gmm", "ntpp-gmm"],
-        help="spawn models to fit (default: poisson-gmm poisson-groups renewal-gmm ntpp-gmm)",
+        help="spawn models to fit; an empty list fits only areas and reference statistics "
+        "(default: poisson-gmm poisson-groups renewal-gmm ntpp-gmm)",
     )
-    fit.add_argument("--workers", type=int, help="processes (default: one per core)")
-    fit.add_argument("--out", type=Path, help="folder to write to (default: the scene's)")
+    fit.add_argument("--workers", type=int, help="worker processes (default: one per core)")
+    fit.add_argument("--out", type=Path, help="output folder (default: the scene's folder)")
     fit.set_defaults(run=_fit)
 
 

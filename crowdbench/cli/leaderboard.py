@@ -1,4 +1,4 @@
-"""`leaderboard`: verify submissions, build the pages, score entries anew."""
+"""`crowdbench leaderboard`: verify submissions, build the pages, rescore entries."""
 
 import argparse
 import sys
@@ -19,9 +19,9 @@ Named = TypeVar("Named", Path, str)
 
 
 def add(commands: "Commands") -> None:
-    """Add them to the command line."""
+    """Add these commands to the command line."""
     leaderboard = commands.add_parser(
-        "leaderboard", help="verify submissions, build the pages, score entries anew"
+        "leaderboard", help="verify submissions, build the pages, rescore entries"
     )
     of_leaderboard = leaderboard.add_subparsers(required=True, metavar="COMMAND")
     _add_verify(of_leaderboard)
@@ -31,59 +31,65 @@ def add(commands: "Commands") -> None:
 
 def _add_verify(commands: "Commands") -> None:
     verify = commands.add_parser(
-        "verify", help="roll out submissions in a sandbox, score them, and write their entries"
+        "verify", help="roll out and score submissions in a sandbox and write their entries"
     )
     verify.add_argument(
         "submission", nargs="+", type=Path, help="folder of a submission, or its zip"
     )
     verify.add_argument(
         "--out", type=Path, required=True, metavar="DIR",
-        help="where ID.json, ID.run.json and the rollouts (work/) go",
+        help="output folder of ID.json, ID.run.json and the rollouts (work/)",
     )  # fmt: skip
     _add_limits(verify)
     verify.set_defaults(run=_verify)
 
 
 def _add_build(commands: "Commands") -> None:
-    build = commands.add_parser("build", help="write the table and the pages from the entries")
+    build = commands.add_parser("build", help="write the table and the pages of all entries")
     build.add_argument(
         "--root",
         type=Path,
         default=Path("leaderboard"),
         metavar="DIR",
-        help="folder of the leaderboard, with entries/ in it (default: leaderboard)",
+        help="folder of the leaderboard, which contains entries/ (default: leaderboard)",
     )
     build.set_defaults(run=_build)
 
 
 def _add_rescore(commands: "Commands") -> None:
     rescore = commands.add_parser(
-        "rescore", help="verify entries anew with a newer scorer; the earlier result is kept"
+        "rescore",
+        help="verify entries again with the current scorer; earlier results stay in the history",
     )
     rescore.add_argument("entry", nargs="*", help="ids of entries (default: all)")
-    rescore.add_argument("--reason", required=True, metavar="TEXT", help="why, for the history")
+    rescore.add_argument(
+        "--reason", required=True, metavar="TEXT", help="reason to state in the entry's history"
+    )
     rescore.add_argument(
         "--root", type=Path, default=Path("leaderboard"), metavar="DIR",
         help="folder of entries/ and submissions/ (default: leaderboard)",
     )  # fmt: skip
     rescore.add_argument(
         "--out", type=Path, default=Path("results/leaderboard"), metavar="DIR",
-        help="where ID.run.json and the rollouts go (default: results/leaderboard)",
+        help="output folder of ID.run.json and the rollouts (default: results/leaderboard)",
     )  # fmt: skip
     _add_limits(rescore)
     rescore.set_defaults(run=_rescore)
 
 
 def _add_limits(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--workers", type=int, help="processes (default: one per core)")
+    parser.add_argument("--workers", type=int, help="worker processes (default: one per core)")
     parser.add_argument(
         "--hours",
         type=float,
         default=24.0,
-        help="after which a submission is given up (default: 24)",
+        help="time limit per submission, in hours (default: 24)",
     )
     parser.add_argument(
-        "--memory-gib", type=float, default=12.0, help="that a submission may use (default: 12)"
+        "--memory-gib",
+        type=float,
+        default=12.0,
+        help="memory limit per submission, in GiB (default: 12)",
     )
 
 
@@ -93,7 +99,9 @@ def _limits(args: argparse.Namespace) -> "Limits":
     for name in ("hours", "memory_gib"):
         if not 0 < getattr(args, name) < 1e6:
             raise SettingError(
-                f"--{name.replace('_', '-')}", got=f"{getattr(args, name)}", expected="more than 0"
+                f"--{name.replace('_', '-')}",
+                got=f"{getattr(args, name)}",
+                expected="a number above 0",
             )
     return Limits(wall_s=3600 * args.hours, memory_bytes=int(args.memory_gib * 2**30))
 
@@ -131,7 +139,7 @@ def _build(args: argparse.Namespace) -> None:
     entries = len(entry_paths(args.root / "entries"))
     number = f"{entries} {'entry' if entries == 1 else 'entries'}"
     if shipped := len(written) - 2 - entries:
-        number += f" of yours beside {shipped} that come with crowdbench"
+        number += f" of yours and {shipped} that ship with crowdbench"
     print(f"{number}: written to {args.root}: README.md, index.html and pages/")
 
 
@@ -154,13 +162,16 @@ def _rescore(args: argparse.Namespace) -> None:
     named = args.entry or entry_ids(args.root)
     if not named:
         raise SettingError(
-            f"{args.root}/entries", got="no entries", expected="some", hint="Name it by --root."
+            f"{args.root}/entries",
+            got="no entries",
+            expected="at least one",
+            hint="Set the folder of the leaderboard with --root.",
         )
     _each(named, one)
 
 
 def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> None:
-    """Do one after the other; who is refused keeps nobody from the next."""
+    """Process the items in turn; a rejected one does not stop the others."""
     refused = []
     for name in named:
         try:
@@ -176,9 +187,9 @@ def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> 
     if refused:
         raise SettingError(
             "leaderboard",
-            got=f"{len(refused)} of {len(named)} refused ({', '.join(refused)})",
+            got=f"{len(refused)} of {len(named)} rejected ({', '.join(refused)})",
             expected="none",
-            hint="See above.",
+            hint="The reasons are listed above.",
         )
 
 
@@ -189,7 +200,7 @@ def _print_entry(entry: "Entry") -> None:
     from crowdbench.report.text.words import interval, number
 
     families = [f for f in FAMILIES if any(f in s.families for s in entry.scenes.values())]
-    copies = ("copied arrivals", "copied lives")
+    copies = ("copied arrivals", "copied trips")
     table = new_table(f"{entry.id} ({entry.status})", *families, "score", *copies)
     found = scores(entry)
     for name, scene in entry.scenes.items():
@@ -199,7 +210,7 @@ def _print_entry(entry: "Entry") -> None:
             *[number(found.get(View(f, name))) for f in families],
             interval(found.get(View(scene=name))),
             "–" if copy.arrivals is None else f"{copy.arrivals:.2f}",
-            "–" if copy.lives is None else f"{100 * copy.lives:.0f} %",
+            "–" if copy.trips is None else f"{100 * copy.trips:.0f} %",
         )
     new_console().print(table)
     for flag in entry.flags:

@@ -1,4 +1,4 @@
-"""`crowdbench metrics`: the metrics that there are, ours and those of others."""
+"""`crowdbench metrics`: list the metrics, built-in and registered."""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -10,8 +10,8 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
-    metrics = commands.add_parser("metrics", help="list the metrics")
+    """Add this command to the command line."""
+    metrics = commands.add_parser("metrics", help="list the metrics and where they are scored")
     metrics.set_defaults(run=_metrics)
 
 
@@ -29,6 +29,6 @@ def _metrics(args: argparse.Namespace) -> None:
         table.add_row(metric.name, metric.family, metric.unit, ", ".join(scenes), package)
     new_console().print(table)
     print_note(
-        "A scene is scored by the metrics that `crowdbench power` found able to tell its anchor "
-        "from its recording; all others are shown as distances."
+        "A scene is scored on the metrics that, according to `crowdbench power`, distinguish its "
+        "anchor (the crowd that scores 0) from its recording. Other metrics are shown as distances."
     )

@@ -1,4 +1,4 @@
-"""`policy`: networks into files, and what a file says of itself."""
+"""`crowdbench policy`: export a network as a policy file, or show the card of a file."""
 
 import argparse
 import importlib
@@ -15,41 +15,49 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add them to the command line."""
-    policy = commands.add_parser("policy", help="write a trained policy as one file, or show one")
+    """Add these commands to the command line."""
+    policy = commands.add_parser(
+        "policy", help="export a trained policy to an ONNX file, or show such a file"
+    )
     of_policy = policy.add_subparsers(required=True, metavar="COMMAND")
     export = of_policy.add_parser("export", help="write a torch network as an ONNX file")
     export.add_argument(
         "network",
         metavar="pkg.module:NAME",
-        help="a torch.nn.Module, or what makes one when it is called without arguments",
+        help="a torch.nn.Module, or a class or function without arguments that returns one",
     )
-    export.add_argument("file", type=Path, metavar="FILE.onnx")
-    export.add_argument("--name", required=True, help="under which tables show it")
+    export.add_argument("file", type=Path, metavar="FILE.onnx", help="file to write")
+    export.add_argument("--name", required=True, help="name of the policy in tables")
     export.add_argument(
-        "--scene", required=True, help="id of the scene it was trained on (if on none: plaza-v0)"
+        "--scene",
+        required=True,
+        help="id of the scene it was trained on (plaza-v0 if it was trained on none)",
     )
     export.add_argument(
-        "--part",
+        "--split",
         default="full",
-        help="what of the recording it was trained on: full, fold0, fold1 or fold2 (default: full)",
+        help="split of the recording it was trained on: full, fold0, fold1 or fold2 (default: "
+        "full)",
     )
     export.add_argument(
         "--observation",
-        help="what it sees: lidar-1, lidar-2 or lidar-3 (default: lidar-2)",
+        help="observation of the policy: lidar-1, lidar-2 or lidar-3 (default: lidar-2)",
     )
-    export.add_argument("--rays", type=int, default=32, help="how many (default: 32)")
+    export.add_argument("--rays", type=int, default=32, help="number of rays (default: 32)")
     export.add_argument(
-        "--ray-range-m", type=float, default=10.0, help="and how long, metres (default: 10)"
+        "--ray-range-m",
+        type=float,
+        default=10.0,
+        help="range of the rays in metres (default: 10)",
     )
     export.add_argument(
         "--noise",
         type=int,
         default=0,
         metavar="Z",
-        help="standard normal numbers it takes per person and step (default: 0)",
+        help="standard normal numbers that the network takes per person and step (default: 0)",
     )
-    export.add_argument("--command", default="", help="what trained it, to be written down")
+    export.add_argument("--command", default="", help="training command, to be stored in the file")
     export.set_defaults(run=_export)
     show = of_policy.add_parser("show", help="check an ONNX file and print its card")
     show.add_argument("file", type=Path, metavar="FILE.onnx")
@@ -68,7 +76,7 @@ def _export(args: argparse.Namespace) -> None:
         rays=args.rays,
         ray_range_m=args.ray_range_m,
         scene=load_scene(args.scene).id,
-        part=args.part,
+        split=args.split,
         command=args.command,
         revision=revision(Path()),
     )
@@ -78,10 +86,10 @@ def _export(args: argparse.Namespace) -> None:
 
 
 def _network(path: str) -> Any:
-    """What `pkg.module:NAME` names.
+    """Network named by `pkg.module:NAME`.
 
     Raises:
-        SettingError: torch is not installed, or it names no network.
+        SettingError: torch is not installed, or the name is not that of a network.
     """
     try:
         import torch
@@ -89,8 +97,8 @@ def _network(path: str) -> Any:
         raise SettingError(
             "policy export",
             got="no torch",
-            expected="torch, which networks are made of",
-            hint='Install it, in the clone: pip install -e ".[fit]".',
+            expected="torch to be installed",
+            hint='Run in the clone: pip install -e ".[fit]".',
         ) from error
     sys.path.insert(0, os.getcwd())
     module, _, name = path.partition(":")
@@ -98,7 +106,9 @@ def _network(path: str) -> Any:
         found = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
         raise SettingError(
-            "network", got=f"{path!r} ({error})", expected="pkg.module:NAME that can be imported"
+            "network",
+            got=f"{path!r} ({error})",
+            expected="a pkg.module:NAME that can be imported",
         ) from error
     made = found() if callable(found) and not isinstance(found, torch.nn.Module) else found
     if not isinstance(made, torch.nn.Module):
@@ -114,13 +124,13 @@ def _show(args: argparse.Namespace) -> None:
     policy = OnnxPolicy(args.file)
     card = policy.card
     facts = {
-        "trained on": f"{card.part} of {card.scene}",
-        "sees": f"{card.observation}, {card.rays} rays of {card.ray_range_m:g} m "
+        "trained on": f"{card.split} of {card.scene}",
+        "observation": f"{card.observation}, {card.rays} rays of {card.ray_range_m:g} m "
         f"({card.inputs} numbers)",
         "action": card.action,
-        "chance": f"{policy.noise} normal numbers per person and step" if policy.noise else "none",
-        "command": card.command or "not said",
-        "revision": card.revision or "not said",
+        "noise": f"{policy.noise} normal numbers per person and step" if policy.noise else "none",
+        "command": card.command or "not stated",
+        "revision": card.revision or "not stated",
         "size": f"{args.file.stat().st_size / 1000:.0f} kB",
     }
     print_facts(card.name, facts)

@@ -1,4 +1,4 @@
-"""How the command line prints: tables, facts and bars."""
+"""Printing for the command line: tables, facts, notes and progress bars."""
 
 import argparse
 import os
@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
@@ -15,12 +16,12 @@ if TYPE_CHECKING:
 
     Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
-_UNLIMITED = 10_000  # characters; tables are as wide as what is in them
+_UNLIMITED = 10_000  # characters; wider than any table
 _PARAGRAPH = 90
 
 
 def new_console() -> "Console":
-    """The terminal; a file, where lines are as long as they need to be; or as wide as `COLUMNS`."""
+    """Console as wide as the terminal or `COLUMNS`; unlimited if the output goes to a file."""
     from rich.console import Console
 
     unlimited = not sys.stdout.isatty() and "COLUMNS" not in os.environ
@@ -28,7 +29,7 @@ def new_console() -> "Console":
 
 
 def new_table(*columns: str) -> "Table":
-    """An empty table, its first column to the left; that alone is folded where there is no room."""
+    """Empty table. The first column is left-aligned and the only one that may be folded."""
     from rich import box
     from rich.table import Table
 
@@ -42,9 +43,9 @@ def new_table(*columns: str) -> "Table":
 
 
 def print_fitting(layouts: "Iterable[Sequence[Table]]", console: "Console") -> None:
-    """Print the first layout whose tables have room without folding anything, else the last.
+    """Print the first layout whose tables fit the console without folding, else the last layout.
 
-    Each is tried with two spaces between its columns, then with one.
+    Each layout is tried with two spaces between columns, then with one.
     """
     unlimited = console.options.update(width=_UNLIMITED)
     for tables, padding in product(layouts, (1, 0)):
@@ -58,13 +59,13 @@ def print_fitting(layouts: "Iterable[Sequence[Table]]", console: "Console") -> N
 
 
 def print_note(text: str) -> None:
-    """Print a paragraph, folded between words."""
+    """Print a paragraph, wrapped between words."""
     width = min(new_console().width, _PARAGRAPH)
     print(textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False))
 
 
 def print_facts(title: str, facts: dict[str, str]) -> None:
-    """Print facts as `name  value`, one a line."""
+    """Print a title and one line `name  value` per fact."""
     width = max(len(name) for name in facts)
     print(title)
     for name, value in facts.items():
@@ -75,7 +76,7 @@ def print_facts(title: str, facts: dict[str, str]) -> None:
 def progress_bar(
     what: str, *, of_bytes: bool = False
 ) -> "Iterator[Callable[[int, int | None], None]]":
-    """A bar that appears with the first call of what this yields: progress(done, total)."""
+    """Yield a function progress(done, total); its first call shows the progress bar."""
     from rich.progress import (
         BarColumn,
         DownloadColumn,
@@ -87,23 +88,55 @@ def progress_bar(
     )
 
     columns = (
-        TextColumn("{task.description}", markup=False),  # it may be a path, which may hold anything
+        TextColumn("{task.description}", markup=False),  # it may be a path with brackets
         BarColumn(),
         DownloadColumn() if of_bytes else MofNCompleteColumn(),
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    # Fits take minutes: the speed of the last half minute alone would mostly be unknown.
+    # Fits take minutes. With the default period of 30 s, the speed would mostly be unknown.
     bar = Progress(*columns, console=new_console(), speed_estimate_period=600.0)
     task = bar.add_task(what)
 
     def progress(done: int, total: int | None) -> None:
-        bar.start()  # not before everything asked for was found
+        bar.start()  # not earlier, because errors in the arguments are reported first
         bar.update(task, completed=done, total=total)
 
     try:
         yield progress
     finally:
-        if bar.live.is_started:  # else it would print an empty line
+        if bar.live.is_started:  # otherwise it would print an empty line
             bar.stop()
+
+
+def add_json_option(command: argparse.ArgumentParser) -> None:
+    """Add the option `--json` to a command that computes scores."""
+    command.add_argument(
+        "--json",
+        metavar="FILE",
+        help="also write the scores as JSON, or print nothing but JSON (-); see docs/evaluation.md",
+    )
+
+
+@contextmanager
+def json_written(where: str | None) -> "Iterator[Callable[[object], None]]":
+    """Yield a function that writes its argument as JSON to `where`, which may be None or `-`.
+
+    For `-`, everything else that the block prints goes to standard error.
+    """
+    import contextlib
+
+    import msgspec
+
+    from crowdbench.files import write_json
+
+    if where != "-":
+        yield lambda value: None if where is None else write_json(Path(where), value)
+        return
+    found: list[object] = []
+    with contextlib.redirect_stdout(sys.stderr):
+        yield found.append
+    for value in found:
+        encoded = msgspec.json.encode(value, order="deterministic")
+        print(msgspec.json.format(encoded, indent=1).decode())

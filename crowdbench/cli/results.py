@@ -1,4 +1,4 @@
-"""`crowdbench results`: a scene's page of results."""
+"""`crowdbench results`: write a scene's results page."""
 
 import argparse
 from pathlib import Path
@@ -11,9 +11,9 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
+    """Add this command to the command line."""
     results = commands.add_parser(
-        "results", help="write a scene's page of results, with pictures (minutes)"
+        "results", help="write a scene's results page, with pictures (minutes)"
     )
     results.add_argument("scene", help="id of a scene, or its folder")
     results.add_argument(
@@ -21,15 +21,15 @@ def add(commands: "Commands") -> None:
         type=Path,
         default=Path("docs/results"),
         metavar="DIR",
-        help="folder of the page and its pictures (default: docs/results)",
+        help="output folder of the page and its pictures (default: docs/results)",
     )
-    results.add_argument("--workers", type=int, help="processes (default: one per core)")
+    results.add_argument("--workers", type=int, help="worker processes (default: one per core)")
     results.add_argument(
         "--seeds",
         type=int,
         metavar="N",
-        help="rollouts of each crowd (in each fold); fewer than two of each of the scene's fits, "
-        "as a rule 10, make no scores (default: the scene's protocol)",
+        help="rollouts of each crowd (in each fold). Scores need at least two rollouts per fit, "
+        "usually 10 (default: as in the scene's protocol)",
     )
     results.set_defaults(run=_results)
 

@@ -1,4 +1,4 @@
-"""`scene create` and `scene check`: a place of one's own."""
+"""`crowdbench scene`: create a scene from your own recording, or check a scene."""
 
 import argparse
 import sys
@@ -17,49 +17,55 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add them to the command line."""
-    scene = commands.add_parser("scene", help="make a scene from a recording of your own, or check")
+    """Add these commands to the command line."""
+    scene = commands.add_parser(
+        "scene", help="create a scene from your own recording, or check a scene"
+    )
     of_scene = scene.add_subparsers(required=True, metavar="COMMAND")
     create = of_scene.add_parser(
-        "create", help="make a scene: areas, models, anchors and scored metrics (minutes)"
+        "create", help="create a scene: areas, models, anchors and scored metrics (minutes)"
     )
-    create.add_argument("name", metavar="NAME-v0", help="the new scene's name, small letters")
-    create.add_argument("--recording", type=Path, required=True, metavar="PATH")
+    create.add_argument("name", metavar="NAME-v0", help="id of the new scene, lower case")
+    create.add_argument(
+        "--recording", type=Path, required=True, metavar="PATH", help="the recording"
+    )
     create.add_argument(
         "--format",
         metavar="FORMAT",
         required=True,
-        help="obsmat: rows as of ETH and UCY; gc, forum: as of these places; csv: a table with "
-        "person_id, frame or time_s, x, y; trajnet: TrajNet++; jupedsim: as PedPy reads it",
+        help="format of the recording. obsmat: format of ETH and UCY; gc, forum: formats of Grand "
+        "Central and the Forum; csv: a table with person_id, frame or time_s, x, y; trajnet: "
+        "TrajNet++; jupedsim: format that PedPy reads",
     )
     create.add_argument(
         "--dt-s",
         type=float,
         metavar="SECONDS",
-        help="from one row of a person to the next; obsmat and csv do not say it themselves",
+        help="time between two rows of a person; required for obsmat and csv",
     )
     add_mending(create)
     create.add_argument(
-        "--walls", type=Path, metavar="FILE", help="polygons in GeoJSON or WKT, in metres"
+        "--walls", type=Path, metavar="FILE", help="wall polygons in GeoJSON or WKT, in metres"
     )
-    create.add_argument("--title", default="", help="what the place is called in pictures")
+    create.add_argument("--title", default="", help="title of the scene in pictures")
     create.add_argument(
-        "--out", type=Path, metavar="DIR", help="the new folder (default: ./NAME-v0)"
+        "--out", type=Path, metavar="DIR", help="folder to create (default: ./NAME-v0)"
     )
     create.add_argument(
-        "--fits", type=int, metavar="N", help="fits of ntpp-gmm for each part (default: 5)"
+        "--fits", type=int, metavar="N", help="ntpp-gmm fits for each split (default: 5)"
     )
     create.add_argument(
         "--rollouts-per-fit",
         type=int,
         metavar="N",
-        help="of the protocol (default: 3 to 10, by the length of the recording)",
+        help="rollouts per fit in the protocol (default: 3 to 10, depending on the length of the "
+        "recording)",
     )
-    create.add_argument("--workers", type=int, help="processes (default: one per core)")
+    create.add_argument("--workers", type=int, help="worker processes (default: one per core)")
     create.set_defaults(run=_create)
 
-    check = of_scene.add_parser("check", help="tell what is there of a scene, and what is wrong")
-    check.add_argument("scene", help="folder of a scene, or its id")
+    check = of_scene.add_parser("check", help="list the parts of a scene and their problems")
+    check.add_argument("scene", help="id of a scene, or its folder")
     check.set_defaults(run=_check)
 
 
@@ -96,9 +102,9 @@ def _create(args: argparse.Namespace) -> None:
     print_facts(scene.id, created.facts)
     whole = (scene.folder / "ntpp-gmm.safetensors").exists()
     models = "" if whole else " --spawn renewal-gmm"
-    print(f"Look at place.png and time.png there. Next: crowdbench evaluate {scene.asked}{models}")
+    print(f"Check place.png and time.png there. Next: crowdbench evaluate {scene.asked}{models}")
     if not whole:
-        print('Environments have ntpp-gmm by default; on this scene say spawn="renewal-gmm".')
+        print('This scene has no ntpp-gmm, the default of environments: pass spawn="renewal-gmm".')
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -116,4 +122,6 @@ def _check(args: argparse.Namespace) -> None:
         print(f"crowdbench: {problem}", file=sys.stderr)
     if problems:
         number = f"{len(problems)} problem{'s' * (len(problems) != 1)}"
-        raise SceneError(args.scene, got=number, expected="none", hint="See above.")
+        raise SceneError(
+            args.scene, got=number, expected="none", hint="The problems are listed above."
+        )

@@ -1,4 +1,4 @@
-"""`crowdbench scenes`: the scenes that there are."""
+"""`crowdbench scenes`: list the scenes."""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -8,8 +8,8 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
-    scenes = commands.add_parser("scenes", help="list the scenes")
+    """Add this command to the command line."""
+    scenes = commands.add_parser("scenes", help="list the shipped scenes")
     scenes.set_defaults(run=_scenes)
 
 

@@ -1,35 +1,60 @@
-"""`crowdbench score`: distances of trajectories that any simulator made."""
+"""`crowdbench score`: compare the trajectories of any simulator with a scene's recording."""
 
 import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench.cli.printing import print_note
-from crowdbench.cli.score_tables import missing_notes, print_results
+from crowdbench.cli.printing import add_json_option, json_written, print_note
+from crowdbench.cli.score_tables import missing_notes, print_card, print_results
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
+    from crowdbench.scoring.scorecard import Scorecard
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
-    score = commands.add_parser("score", help="score trajectories that any simulator made")
+    """Add this command to the command line."""
+    score = commands.add_parser(
+        "score", help="compare the trajectories of any simulator with a scene's recording"
+    )
     score.add_argument("scene", help="id of a scene, or its folder")
     score.add_argument(
-        "table", type=Path, help="CSV or Parquet with person_id, frame (or time_s), x, y"
+        "table",
+        type=Path,
+        nargs="+",
+        help="CSV or Parquet with person_id, frame (or time_s), x, y; several files are rollouts "
+        "of one simulator and get scores",
     )
+    score.add_argument(
+        "--recorded-arrivals",
+        action="store_true",
+        help="people enter as recorded: score how they walk (motion and interaction)",
+    )
+    add_json_option(score)
     score.set_defaults(run=_score)
 
 
 def _score(args: argparse.Namespace) -> None:
-    from crowdbench.crowds import score
+    from crowdbench.scoring.score_json import score_rows
+
+    with json_written(args.json) as write:
+        card = _scored(args)
+        write(score_rows(card))
+
+
+def _scored(args: argparse.Namespace) -> "Scorecard":
+    from crowdbench.crowds import score, score_rollouts
     from crowdbench.scene import load_scene
     from crowdbench.trajectories.storage import read
 
     scene = load_scene(args.scene)
-    crowd = read(args.table, scene=scene.id, dt_s=scene.dt_s)
-    results = score(scene, crowd)
-    print(f"\n{args.table.name} on {scene.id}: {len(crowd)} persons")
-    print_results(results)
+    crowds = [read(table, scene=scene.id, dt_s=scene.dt_s) for table in args.table]
+    card = score_rollouts(scene, crowds, recorded_arrivals=args.recorded_arrivals)
+    if len(crowds) > 1:
+        print_card(card, scene)
+        return card
+    print(f"\n{args.table[0].name} on {scene.id}: {len(crowds[0])} persons")
+    print_results(score(scene, crowds[0]))
     for note in missing_notes(scene):
         print_note(note)
+    return card

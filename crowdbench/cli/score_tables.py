@@ -1,4 +1,4 @@
-"""How the command line prints a scorecard: as much in one table as there is room for."""
+"""Printing of scorecards; the layout depends on the width of the console."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -8,19 +8,20 @@ from crowdbench.cli.printing import new_console, new_table, print_fitting, print
 
 if TYPE_CHECKING:
     from rich.table import Table
+    from rich.text import Text
 
     from crowdbench.metrics import MetricResult
     from crowdbench.report.display_names import Names
     from crowdbench.scene import Scene
     from crowdbench.scoring.scorecard import PairResult, Row, Scorecard
 
-    Column: TypeAlias = tuple[str, Callable[[Row], str]]
+    Column: TypeAlias = tuple[str, Callable[[Row], str | Text]]
 
-_NAME = 16  # characters that a name is folded to at the least
+_NAME = 16  # minimum width of the name column, in characters
 
 
 def print_card(card: "Scorecard", scene: "Scene") -> None:
-    """Print scores and plain distances of all crowds, and what they mean."""
+    """Print the scores and plain distances of all crowds, with explanations."""
     from crowdbench.report.display_names import names_of
     from crowdbench.scoring.scorecard import rows
 
@@ -47,8 +48,8 @@ def print_results(results: "dict[str, MetricResult]") -> None:
         table.add_row(name.replace("_", " "), _distance(r.distance), *means, f"{r.n}")
     new_console().print(table)
     print_note(
-        "Plain distances to the recording; 0 is equal, – not defined here. A single crowd gets no "
-        "score: a score needs several rollouts."
+        "Plain distances to the recording. 0: equal; –: not defined here. A single crowd has no "
+        "score, because a score needs several rollouts."
     )
 
 
@@ -57,9 +58,9 @@ def _rollouts(number: int) -> str:
 
 
 def _score_tables(table: "Sequence[Row]", names: "Names") -> "Iterator[Sequence[Table]]":
-    """Layouts, the widest first: all in one table, means before families, only one interval."""
+    """Layouts from wide to narrow: one table, two tables, three tables with only one interval."""
     from crowdbench.metrics import FAMILIES, WALK
-    from crowdbench.report.text.words import interval, number
+    from crowdbench.report.text.words import interval, number, share, speed
 
     def family(name: str) -> "Column":
         return name, lambda row: number(row.families.get(name))
@@ -70,13 +71,20 @@ def _score_tables(table: "Sequence[Row]", names: "Names") -> "Iterator[Sequence[
     crowds = [family(name) for name in FAMILIES if name not in WALK]
     walks = [family(name) for name in WALK]
     rank: Column = ("rank", lambda row: "" if row.rank is None else f"{row.rank}")
-    ranked = "overall" if any(row.overall for row in table if row.kind == "entry") else "crowd"
+    entries = [row for row in table if row.kind == "entry"]
+    ranked = "overall" if any(row.overall for row in entries) else "crowd"
+    if all(row.spawn == "replay" for row in entries):
+        ranked = "walk"
+    gate: list[Column] = [
+        ("speed", lambda row: _gated(row, "speed", speed(row.entry.speed_mps))),
+        ("at goal", lambda row: _gated(row, "arrivals", share(row.entry.at_goal))),
+    ]
     three = ("crowd", "walk", "overall")
-    joint = [*crowds, mean("crowd"), *walks, mean("walk"), mean("overall"), rank]
-    means = [*map(mean, three), rank]
+    joint = [*crowds, mean("crowd"), *walks, mean("walk"), *gate, mean("overall"), rank]
+    means = [*map(mean, three), *gate, rank]
     short = [*(mean(name, whole=name == ranked) for name in three), rank]
     families = [*crowds, *walks]
-    for layout in ([joint], [means, families], [short, families]):
+    for layout in ([joint], [means, families], [short, families, gate]):
         yield [_score_table(columns, table, names) for columns in layout]
 
 
@@ -90,36 +98,50 @@ def _score_table(columns: "Sequence[Column]", table: "Sequence[Row]", names: "Na
     return made
 
 
+def _gated(row: "Row", limit: str, value: str) -> "Text":
+    """A value of the gate, in red with an exclamation mark where the policy exceeds the limit."""
+    from rich.text import Text
+
+    return Text(f"{value} !", style="bold red") if limit in row.fails else Text(value)
+
+
 def _notes(card: "Scorecard", scene: "Scene") -> list[str]:
-    """What the scores mean, and why some are missing."""
+    """Explanations of the scores, and reasons why scores are missing."""
     from crowdbench.recordings.catalogue import SOURCES
     from crowdbench.report.text.words import STEERED
     from crowdbench.scoring.scorecard import ANCHOR, steered, walked
 
     notes = [
-        f"Scores: 0 is the anchor ({' × '.join(ANCHOR)}; in motion and interaction straight "
-        "walkers under the recorded arrivals), 1 what the true process gets on average; in "
-        "brackets 95 % intervals. crowd is the mean of arrivals, presence, lives and space, walk "
-        "that of motion and interaction, overall that of all six (– where nothing is scored). "
-        "Equal ranks cannot be told apart (5 %, Holm). The last lines are anchors, for comparison: "
-        "replay has the recording by heart, block-replay pieces of it."
+        f"Scores: 0 is the score of the anchor ({' × '.join(ANCHOR)}; for motion and interaction, "
+        "straight walkers with the recorded arrivals), 1 the expected score of a perfect model. "
+        "Brackets: 95 % intervals. crowd: mean of arrivals, presence, trips and space. walk: the "
+        "lesser of motion and interaction. overall: mean of crowd and walk. –: nothing is scored. "
+        "Crowds with equal ranks do not differ significantly (5 %, Holm). Unranked baselines "
+        "follow: replay repeats the recording, recorded-paths walks it, block-replay repeats "
+        "random blocks of it.",
+        f"speed: mean of people who walk, m/s. at goal: share of people who reach it. walk is at "
+        f"most 0 for policies marked with ! under the recorded arrivals: speed more than "
+        f"{card.gate.speed:.0%} off that of recorded-paths, or less than {card.gate.arrivals:.0%} "
+        "of its share at the goal.",
     ]
     if not card.scored:
         notes.append(
-            "No scores: no metric of this scene is scored yet. Run "
+            "No scores: this scene has no scored metrics yet. Run "
             f"`crowdbench power {scene.asked} --write`."
         )
     elif card.rollouts < 2 * card.fits:
         in_folds = " in each fold" if card.protocol == "heldout" else ""
         notes.append(
-            f"No scores of your crowds: a score needs at least two rollouts of each of the "
-            f"{card.fits} fits, {2 * card.fits} of each pair{in_folds}; "
-            f"{card.rollouts} {'was' if card.rollouts == 1 else 'were'} made."
+            f"No scores of your crowds: a score needs at least two rollouts for each of the "
+            f"{card.fits} fits, that is, {2 * card.fits} of each pair{in_folds}; "
+            f"there {'is' if card.rollouts == 1 else 'are'} {card.rollouts}."
         )
     if not walked(card):
         name = scene.recording.name
         how = "fetch" if name in SOURCES else "import"
-        notes.append(f"Motion and interaction need the recording: `crowdbench data {how} {name}`.")
+        notes.append(
+            f"Scores of motion and interaction need the recording: `crowdbench data {how} {name}`."
+        )
     notes += missing_notes(scene)
     if any(steered(entry.spawn) for entry in card.entries):
         notes.append(STEERED)
@@ -127,7 +149,7 @@ def _notes(card: "Scorecard", scene: "Scene") -> list[str]:
 
 
 def missing_notes(scene: "Scene") -> list[str]:
-    """What to say of metrics of others that could not be computed: nothing, or one note."""
+    """A note on registered metrics that could not be computed; empty if there are none."""
     from crowdbench.metrics import METRICS, all_metrics
 
     if len(all_metrics()) == len(METRICS):
@@ -140,7 +162,7 @@ def missing_notes(scene: "Scene") -> list[str]:
         return []
     how = "fetch" if name in SOURCES else "import"
     return [
-        f"Without the recording {', '.join(absent)} cannot be computed: "
+        f"{', '.join(absent)} can only be computed with the recording: "
         f"`crowdbench data {how} {name}`."
     ]
 
@@ -153,18 +175,20 @@ def _print_distances(card: "Scorecard", names: "Names") -> None:
         for size in range(len(numbered), 0, -1)
     )
     print_fitting(layouts, new_console())
-    print_note("Plain distances to the recording, means over the rollouts; 0 is equal. Crowds:")
+    print_note("Plain distances to the recording, means over rollouts; 0: equal. Crowds:")
     for k, entry in numbered:
         print(f"{k:4d}  {names.pair(entry.spawn, entry.policy)}")
     print()
 
 
 def _distance_table(card: "Scorecard", numbered: "Sequence[tuple[int, PairResult]]") -> "Table":
-    from crowdbench.metrics import all_metrics
+    from crowdbench.metrics import all_metrics, paper_first
 
     table = new_table("distance", "", "recorded", *(f"{k}" for k, _ in numbered))
     known = numbered[0][1].metrics
-    for name, first in ((m.name, known[m.name]) for m in all_metrics() if m.name in known):
+    for name, first in (
+        (m.name, known[m.name]) for m in paper_first(all_metrics()) if m.name in known
+    ):
         table.add_row(
             name.replace("_", " "),
             "scored" if name in card.scored else "",
@@ -183,5 +207,5 @@ def _distance(value: float | None) -> str:
 
 
 def _undefined(value: float | None) -> bool:
-    """Scorecards hold None for NaN, which JSON does not have."""
+    """Whether a value is NaN; scorecards store NaN as None, because JSON has no NaN."""
     return value is None or math.isnan(value)

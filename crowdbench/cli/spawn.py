@@ -1,4 +1,4 @@
-"""`crowdbench spawn`: how well a scene's spawn models explain its recording."""
+"""`crowdbench spawn`: test how well a scene's spawn models explain its recording."""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -10,9 +10,9 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
+    """Add this command to the command line."""
     spawn = commands.add_parser(
-        "spawn", help="tell how well a scene's spawn models explain its recording"
+        "spawn", help="test how well a scene's spawn models explain its recording"
     )
     spawn.add_argument("scene", help="id of a scene, or its folder")
     spawn.set_defaults(run=_spawn)
@@ -44,14 +44,16 @@ def _spawn(args: argparse.Namespace) -> None:
     console = new_console()
     console.print(likelihood)
     print_note(
-        "Log-probability of the persons per area and grid point, means over the fits: of the "
-        "recording, of each fold by models fitted to the others, of ten fresh hours (where the "
-        "truth is known). persons: in samples, per recorded one. first 25 frames: per average."
+        "Log-likelihood of the arrivals per area and grid point, in nats per person, averaged over "
+        "the fits. full: of the recording. held out: of each fold, by models fitted to the other "
+        "folds. fresh: of ten new hours, where the true process is known. persons: sampled people "
+        "per recorded person. first 25 frames: arrivals relative to the average."
     )
     console.print(rescaling)
     print_note(
-        "Time rescaling: Kolmogorov-Smirnov statistic of the recording's gaps and group sizes "
-        "under each model, and of ten hours of its own samples; a small p is a misfit."
+        "Time rescaling: Kolmogorov-Smirnov statistic of the recorded gaps between arrivals and of "
+        "group sizes under each model. own: the same for ten hours of the model's own samples. A "
+        "small p indicates a misfit."
     )
     if any(c.model == "ntpp-gmm" for c in found):
         print_note(str(trained_networks(scene)))

@@ -1,4 +1,4 @@
-"""`crowdbench steer`: what a scenario changes about a scene's crowd."""
+"""`crowdbench steer`: show how a scenario changes a scene's arrivals and crowd."""
 
 import argparse
 import os
@@ -14,25 +14,30 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
+    """Add this command to the command line."""
     steer = commands.add_parser(
-        "steer", help="show what a scenario changes about a scene's crowd, and what not"
+        "steer", help="show what a scenario changes in a scene's crowd, and what it does not"
     )
     steer.add_argument("scene", help="id of a scene, or its folder")
-    steer.add_argument("scenario", type=Path, metavar="FILE.toml")
+    steer.add_argument("scenario", type=Path, metavar="FILE.toml", help="the scenario")
     steer.add_argument(
         "--spawn", default="ntpp-gmm", metavar="MODEL", help="spawn model (default: ntpp-gmm)"
     )
     steer.add_argument(
-        "--policy", default="straight", metavar="POLICY", help="who walks (default: straight)"
+        "--policy",
+        default="straight",
+        metavar="POLICY",
+        help="policy that moves the people (default: straight)",
     )
-    steer.add_argument("--seeds", type=int, help="episodes (default: the scene's protocol)")
+    steer.add_argument(
+        "--seeds", type=int, help="number of episodes (default: as in the scene's protocol)"
+    )
     steer.add_argument(
         "--out",
         type=Path,
         default=Path("results/steering"),
         metavar="DIR",
-        help="folder of the pictures (default: results/steering)",
+        help="output folder of the pictures (default: results/steering)",
     )
     steer.set_defaults(run=_steer)
 
@@ -40,7 +45,7 @@ def add(commands: "Commands") -> None:
 def _steer(args: argparse.Namespace) -> None:
     from crowdbench.studies.steering import draw_steering, steering
 
-    sys.path.insert(0, os.getcwd())  # one's own pkg.module:Class may lie beside
+    sys.path.insert(0, os.getcwd())  # so that pkg.module:Class is found in the working directory
 
     found = steering(args.scene, args.scenario, spawn=args.spawn, seeds=args.seeds)
     _print_changes(found)
@@ -52,9 +57,10 @@ def _steer(args: argparse.Namespace) -> None:
 def _print_changes(found: "Steering") -> None:
     from crowdbench.studies.steering import area_changes, goal_changes
 
+    episodes = len(found.usual)
     print(
         f"\n{found.steered[0].name} on {found.scene.id}: persons per episode of "
-        f"{found.scene.horizon_s:.0f} s, means of {len(found.usual)}"
+        f"{found.scene.horizon_s:.0f} s, mean of {episodes} episode{'s' * (episodes != 1)}"
     )
     heads = ("centre (m)", "as fitted", "asked for", "steered")
     spawn = new_table("spawn area", *heads, "same entry", "same goal too")
@@ -67,8 +73,9 @@ def _print_changes(found: "Steering") -> None:
     console = new_console()
     console.print(spawn)
     print_note(
-        "same entry: share of the people as fitted who come under the scenario too, at the same "
-        "time and place with the same speed, bit for bit; same goal too: and to the same goal."
+        "same entry: share of the people of the fitted model who also enter under the scenario, "
+        "at exactly the same time and place and with the same speed. same goal too: those who "
+        "also have the same goal."
     )
     console.print(goal)
 
@@ -78,7 +85,7 @@ def _cells(centre_m: tuple[float, float], *numbers: float) -> list[str]:
 
 
 def _share(value: float | None) -> str:
-    """A share that says `all` only of all."""
+    """Share as a percentage; `none` and `all` for exactly 0 and 1, `–` for None."""
     if value is None:
         return "–"
     return {0.0: "none", 1.0: "all"}.get(value, f"{100 * value:.1f} %")

@@ -1,4 +1,4 @@
-"""`submit`: begin, check and pack a submission to the leaderboard."""
+"""`crowdbench submit`: create, check and pack a submission to the leaderboard."""
 
 import argparse
 from pathlib import Path
@@ -12,20 +12,20 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
-    submit = commands.add_parser("submit", help="begin, check and pack a leaderboard submission")
+    """Add these commands to the command line."""
+    submit = commands.add_parser("submit", help="create, check and pack a leaderboard submission")
     of_submit = submit.add_subparsers(required=True, metavar="COMMAND")
-    init = of_submit.add_parser("init", help="write a new submission's folder, to be filled in")
-    init.add_argument("folder", type=Path, metavar="DIR", help="the new folder")
+    init = of_submit.add_parser("init", help="create the folder of a new submission to fill in")
+    init.add_argument("folder", type=Path, metavar="DIR", help="folder to create")
     init.add_argument(
         "--track",
         choices=["walk", "spawn", "crowd"],
         required=True,
-        help="walk: a policy under the recorded arrivals; spawn: a spawn model with straight "
-        "walkers; crowd: both",
+        help="walk: a policy with the recorded arrivals; spawn: a spawn model with straight "
+        "walkers; crowd: a spawn model and a policy",
     )
     init.add_argument(
-        "--name", default="", help="under which the leaderboard is to show it (default: DIR's)"
+        "--name", default="", help="name on the leaderboard (default: the name of DIR)"
     )
     init.add_argument(
         "--policy",
@@ -33,18 +33,19 @@ def add(commands: "Commands") -> None:
         nargs="+",
         default=[],
         metavar="PATH",
-        help="networks to copy: a folder with fold0.onnx, fold1.onnx and fold2.onnx for each "
-        "scene, or one FILE.onnx that has seen none of the scenes",
+        help="networks to copy: for each scene a folder with fold0.onnx, fold1.onnx and "
+        "fold2.onnx, or one FILE.onnx that was trained on none of the scenes",
     )
     init.add_argument(
         "--scene",
         nargs="+",
         default=[],
         metavar="SCENE",
-        help="scenes to submit for (default: those of the policies, else eth-v0 gc-v0 forum-v0)",
+        help="scenes of the submission (default: those of the policies, else eth-v0 gc-v0 "
+        "forum-v0)",
     )
     init.set_defaults(run=_init)
-    check = of_submit.add_parser("check", help="tell everything that is wrong with a submission")
+    check = of_submit.add_parser("check", help="check a submission and list all its problems")
     check.add_argument(
         "submission", type=Path, metavar="DIR_OR_ZIP", help="folder of a submission, or its zip"
     )
@@ -52,7 +53,7 @@ def add(commands: "Commands") -> None:
     pack = of_submit.add_parser("pack", help="check a submission's folder and pack it as a zip")
     pack.add_argument("folder", type=Path, metavar="DIR", help="folder of a submission")
     pack.add_argument(
-        "--out", type=Path, metavar="FILE.zip", help="where to (default: beside the folder)"
+        "--out", type=Path, metavar="FILE.zip", help="file to write (default: next to the folder)"
     )
     pack.set_defaults(run=_pack)
 
@@ -65,8 +66,8 @@ def _init(args: argparse.Namespace) -> None:
     )
     print(f"{args.folder}: track {args.track} on {', '.join(scenes)}")
     print(
-        f"Fill in {args.folder / 'submission.toml'}; {args.folder / 'README.md'} tells what goes "
-        f"where. Next: crowdbench submit check {args.folder}"
+        f"Fill in {args.folder / 'submission.toml'} as described in {args.folder / 'README.md'}. "
+        f"Next: crowdbench submit check {args.folder}"
     )
 
 

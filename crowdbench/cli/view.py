@@ -1,4 +1,4 @@
-"""`view`: look at a crowd."""
+"""`crowdbench view`: show a crowd in the viewer."""
 
 import argparse
 from pathlib import Path
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
-    view = commands.add_parser("view", help="look at a crowd in the rerun viewer")
+    """Add this command to the command line."""
+    view = commands.add_parser("view", help="show a crowd in the rerun viewer")
     view.add_argument(
         "table",
         type=Path,
@@ -22,19 +22,19 @@ def add(commands: "Commands") -> None:
     view.add_argument(
         "--against",
         metavar="recording|TABLE",
-        help="what to show beside it on the same clock: the scene's recording, or another table",
+        help="crowd to show next to it on the same clock: the scene's recording, or another table",
     )
     view.add_argument(
-        "--scene", help="id of a scene, or its folder (default: the one that the rollout names)"
+        "--scene", help="id of a scene, or its folder (default: the scene stated in the rollout)"
     )
     view.add_argument(
-        "--person", type=int, metavar="ID", help="show what this person sees by its rays"
+        "--person", type=int, metavar="ID", help="show the rays of this person's observation"
     )
     view.add_argument(
         "--save",
         type=Path,
         metavar="FILE.rrd",
-        help="write a file that `rerun FILE.rrd` opens, instead of opening the viewer",
+        help="write a file for `rerun FILE.rrd` instead of opening the viewer",
     )
     view.set_defaults(run=_view)
 
@@ -69,5 +69,5 @@ def _read(path: Path, scene: "Scene") -> "Trajectories":
     from crowdbench.viewer.place import areas_of
 
     crowd = read(path, scene=scene.id, dt_s=scene.dt_s)
-    areas = areas_of(scene)  # another simulator knows no areas: they give people their colours
+    areas = areas_of(scene)  # people are coloured by area; tables of other programs have none
     return crowd if areas is None else areas.assign(crowd)

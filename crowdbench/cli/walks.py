@@ -1,4 +1,4 @@
-"""`crowdbench walks`: the page on how policies walk."""
+"""`crowdbench walks`: write the page that compares how policies walk."""
 
 import argparse
 from pathlib import Path
@@ -11,9 +11,9 @@ if TYPE_CHECKING:
 
 
 def add(commands: "Commands") -> None:
-    """Add it to the command line."""
+    """Add this command to the command line."""
     walks = commands.add_parser(
-        "walks", help="write the page on how policies walk on some scenes, with pictures (minutes)"
+        "walks", help="write the page that compares how policies walk, with pictures (minutes)"
     )
     walks.add_argument("scenes", nargs="+", metavar="SCENE", help="id of a scene, or its folder")
     walks.add_argument(
@@ -21,22 +21,22 @@ def add(commands: "Commands") -> None:
         nargs="+",
         default=[],
         metavar="POLICY",
-        help="policies besides random, straight, social-force and those that come with each scene",
+        help="policies in addition to random, straight, social-force and those of each scene",
     )
     walks.add_argument(
         "--out",
         type=Path,
         default=Path("docs"),
         metavar="DIR",
-        help="folder of walks.md and its pictures (default: docs)",
+        help="output folder of walks.md and its pictures (default: docs)",
     )
-    walks.add_argument("--workers", type=int, help="processes (default: one per core)")
+    walks.add_argument("--workers", type=int, help="worker processes (default: one per core)")
     walks.add_argument(
         "--seeds",
         type=int,
         metavar="N",
-        help="rollouts of each policy (in each fold); fewer than two of each of the scene's fits "
-        "make no scores of policies that leave anything to chance (default: two of each)",
+        help="rollouts of each policy (in each fold). Scores of stochastic policies need at least "
+        "two rollouts per fit (default: two per fit)",
     )
     walks.set_defaults(run=_walks)
 

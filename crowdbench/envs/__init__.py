@@ -1,1 +1,1 @@
-"""The simulation behind the interfaces of PettingZoo, TorchRL and Stable-Baselines3."""
+"""Environments: the simulation with the interfaces of PettingZoo, TorchRL and Stable-Baselines3."""

@@ -1,8 +1,8 @@
-"""What recorded people saw and did: state-action pairs to learn a policy from.
+"""Demonstrations: observations and actions of recorded people, for imitation learning.
 
-The recording is replayed in the simulation that environments stand on, everyone along its recorded
-path, and what each person sees there is written down beside the action that takes it on. So the
-pairs are those of the environment, observation for observation, walls and speed limit included.
+The recording is replayed in the simulation of the environments. Everyone follows the recorded
+path, and each observation is stored with the action that leads to the next recorded position.
+Observations, walls and the speed limit are therefore the same as in the environments.
 """
 
 import shutil
@@ -27,7 +27,7 @@ from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION
 from crowdbench.spawn import Replay
 from crowdbench.spawn.events import blocks_of
-from crowdbench.spawn.weights import check_part
+from crowdbench.spawn.weights import check_split
 
 if TYPE_CHECKING:
     from imitation.data.types import Trajectory
@@ -36,36 +36,37 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Demonstrations:
-    """`L` lives or pieces of lives, `S` state-action pairs.
+    """`L` pieces (trips or parts of trips) with `S` observation-action pairs in total.
 
-    A life is cut where it leaves the blocks that a part of the recording is fitted on.
+    Trips are cut at the ends of the time blocks on which a split of the recording is fitted.
     """
 
     observations: Float32[np.ndarray, "R obs"]
-    """R = S + L: after the observations of each piece, one of where its last action leads."""
+    """Observations of all pieces, R = S + L rows. The last row of each piece is the observation
+    after its last action."""
     actions: Float32[np.ndarray, "R 2"]
-    """Velocity in units of the scene's greatest speed; NaN in the last row of each piece."""
+    """Velocities in units of the scene's maximum speed; NaN in the last row of each piece."""
     person: Int[np.ndarray, " L"]
     """Index of the person in the recording."""
     offsets: Int[np.ndarray, " L+1"]
-    """Rows of piece k are offsets[k] … offsets[k + 1] − 1."""
+    """Piece k has the rows offsets[k] … offsets[k + 1] − 1."""
     first: Int[np.ndarray, " L"]
     """Frame of each piece's first row."""
     complete: Bool[np.ndarray, " L"]
-    """Whether the piece ends where the person left, or is cut off."""
+    """True if the piece ends where the person left the scene, false if it is cut off."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    """Whose they are and how they were made: the recording, whom to cite, and all settings."""
+    """The recording, the paper to cite, and all settings of the demonstrations."""
 
     def __len__(self) -> int:
         return len(self.person)
 
     def pairs(self) -> tuple[Float32[np.ndarray, "S obs"], Float32[np.ndarray, "S 2"]]:
-        """All observations, and the actions taken in them."""
+        """Observations (S, obs) and the actions (S, 2) taken in them, of all pieces."""
         acted = ~np.isnan(self.actions[:, 0])
         return self.observations[acted], self.actions[acted]
 
     def take(self, pieces: Sequence[int] | Int[np.ndarray, " l"]) -> "Demonstrations":
-        """Some of the pieces, by index."""
+        """The pieces with the given indices."""
         chosen = np.asarray(pieces, dtype=np.int64)
         length = np.diff(self.offsets)[chosen]
         offsets = np.concatenate([[0], np.cumsum(length)])
@@ -82,14 +83,14 @@ class Demonstrations:
         )
 
     def split(self, share: float, seed: int) -> tuple["Demonstrations", "Demonstrations"]:
-        """Two lots, the second of about that share of the persons: nobody is in both."""
+        """Two disjoint sets of persons, the second with about `share` of them."""
         persons = np.unique(self.person)
         chosen = np.random.default_rng(seed).random(len(persons)) < share
         second = np.isin(self.person, persons[chosen])
         return self.take(np.flatnonzero(~second)), self.take(np.flatnonzero(second))
 
     def to_imitation(self) -> "list[Trajectory]":
-        """The pieces as `imitation`'s trajectories; needs the extra `imitation`."""
+        """The pieces as trajectories of `imitation`; needs the extra `imitation`."""
         from imitation.data.types import Trajectory
 
         return [
@@ -105,29 +106,29 @@ class Demonstrations:
         ]
 
     def to_minari(self, dataset_id: str) -> "MinariDataset":
-        """Write the pieces as a dataset of Minari; needs the extra `minari`.
+        """Write the pieces as a Minari dataset and return it; needs the extra `minari`.
 
-        It lies where Minari keeps its own: in the folder that the environment variable
-        `MINARI_DATASETS_PATH` names, by default `~/.minari/datasets`. Each piece is an episode of
-        one observation more than actions. It ends terminated where the person left and truncated
-        where it is cut off; its metadata hold `person` and `first_frame`. Rewards are zero: nobody
-        recorded any. The dataset's metadata hold `provenance`, with whom to cite, as `crowdbench`.
+        The dataset is written to Minari's folder: `MINARI_DATASETS_PATH`, by default
+        `~/.minari/datasets`. Each piece is an episode with one more observation than actions. The
+        episode is terminated if the person left the scene and truncated if the piece is cut off.
+        Its metadata contain `person` and `first_frame`. All rewards are zero, because recordings
+        contain none. The dataset's metadata contain `provenance` under the key `crowdbench`.
 
-        A recording stays under its owners' terms, and so does what is made of it: the dataset is
-        for your own use, not to be published.
+        A dataset made from a recording remains subject to the terms of the recording's owners. It
+        is for your own use and must not be published.
 
         Args:
-            dataset_id: as Minari wants it, like `crowdbench/eth-full-v0`.
+            dataset_id: a Minari id such as `crowdbench/eth-full-v0`.
 
         Raises:
-            SettingError: there are no pieces, or Minari does not take the id.
-            OutputError: there is a dataset of that id, or it cannot be written.
+            SettingError: there are no pieces, or Minari does not accept the id.
+            OutputError: a dataset with this id exists, or it cannot be written.
         """
         from minari.dataset.minari_dataset import parse_dataset_id
         from minari.storage import get_dataset_path
 
         if not len(self):
-            raise SettingError("to_minari", got="no demonstrations", expected="one or more")
+            raise SettingError("to_minari", got="no demonstrations", expected="at least one")
         try:
             parse_dataset_id(dataset_id)
         except (TypeError, ValueError) as error:  # TypeError: an id without a version
@@ -139,23 +140,23 @@ class Demonstrations:
             if folder.exists():
                 raise OutputError(
                     folder,
-                    got="a dataset that is there already",
+                    got="a dataset that already exists",
                     expected="a new id",
-                    hint=f"Count its version up, or run `minari delete {dataset_id}`.",
+                    hint=f"Increase its version, or run `minari delete {dataset_id}`.",
                 )
             try:
                 return self._write_minari(dataset_id)
-            except (FileExistsError, ValueError):  # someone else has made one meanwhile
+            except (FileExistsError, ValueError):  # another process has created it meanwhile
                 raise
-            except BaseException:  # half a dataset would look like a whole one
+            except BaseException:  # an incomplete dataset would look like a complete one
                 shutil.rmtree(folder, ignore_errors=True)
                 raise
         except OSError as error:
             raise OutputError(
                 dataset_id,
                 got=str(error),
-                expected="a place that can be written to",
-                hint="Name one in MINARI_DATASETS_PATH.",
+                expected="a writable folder",
+                hint="Set MINARI_DATASETS_PATH to one.",
             ) from error
 
     def _write_minari(self, dataset_id: str) -> "MinariDataset":
@@ -178,7 +179,7 @@ class Demonstrations:
             )
             notes.append({"person": int(self.person[k]), "first_frame": int(self.first[k])})
         with warnings.catch_warnings():
-            # Minari asks for an author, an address and an environment of Gymnasium's: none of them.
+            # Minari warns if a dataset has no author, e-mail address or Gymnasium environment.
             warnings.filterwarnings("ignore", ".* is set to None|env_spec is None", UserWarning)
             dataset = create_dataset_from_buffers(
                 dataset_id,
@@ -196,7 +197,7 @@ class Demonstrations:
 def demonstrations(
     scene: str | Path | Scene,
     *,
-    part: str = "full",
+    split: str = "full",
     observation: str = OBSERVATION,
     rays: int = 32,
     ray_range_m: float = 10.0,
@@ -204,38 +205,43 @@ def demonstrations(
     recovery_s: float = 1.5,
     seed: int = 0,
 ) -> Demonstrations:
-    """The demonstrations of a scene's recording in the blocks that `part` is fitted on.
+    """Demonstrations of a scene's recording, from the time blocks on which `split` is fitted.
 
-    Who only ever saw people on their way does not know how to get back to it: a cloned policy
-    drifts, and then is where no demonstration was. So half of the persons, drawn by chance, can be
-    displaced: again and again each is somewhere beside its recorded path, at another velocity, and
-    comes back as a critically damped spring of time constant τ does, with
-    (δ + (ε + δ/τ) t) exp(−t/τ) from where it was recorded after t. (Laskey et al. 2017, DART,
-    CoRL, disturb the demonstrator for the same reason.) What displaced people do is as smooth as
-    what was recorded: a displacement that came back in one step would look like unrest. In their
-    last 2 s they go straight to where the record ends, and who stands is not displaced.
+    A cloned policy drifts away from the recorded paths into states without demonstrations. To show
+    how to return, a random half of the persons can be displaced repeatedly: each displacement
+    starts at an offset δ from the recorded path with an additional velocity ε, and decays like a
+    critically damped spring with time constant τ. At time t the person is
+    (δ + (ε + δ/τ) t) exp(−t/τ) away from the recorded position. (Laskey et al. 2017, DART, CoRL,
+    disturb the demonstrator for the same reason.) The displaced motion is as smooth as the
+    recorded one; a return in a single step would look like restless motion. In their last 2 s,
+    displaced people walk straight to the last recorded position. People who stand still are not
+    displaced.
 
     Args:
-        scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a scene.
-        part: `full`, or `fold0` … for what a fold of the protocol `heldout` is fitted on, which
-            knows nothing of the blocks it is scored on.
-        observation: what they see, as in `parallel_env`; so are `rays` and `ray_range_m`.
-        displaced_m: standard deviation of both components of δ, metres, and times 1/τ of those
-            of ε; 0 for none.
-        recovery_s: τ. A displacement lasts for 4 τ, and then there is another.
-        seed: of the displacements.
+        scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
+        split: `full`, or `fold0`, `fold1`, … for the training data of a fold of the protocol
+            `heldout`, which exclude the blocks that the fold is scored on.
+        observation: version of the observation, as in `parallel_env`.
+        rays: number of rays.
+        ray_range_m: range of the rays in metres.
+        displaced_m: standard deviation σ of each component of δ in metres; each component of ε has
+            σ/τ. 0: no displacements.
+        recovery_s: τ in seconds. Each displacement lasts for 4 τ and is followed by another one.
+        seed: random seed of the displacements.
 
     Raises:
-        RecordingError: the recording has not been imported.
-        SceneError, SettingError: there is no such scene, part or observation.
+        RecordingError: the recording is not imported.
+        SceneError, SettingError: the scene, split or observation does not exist.
     """
     place = load_scene(scene)
-    check_part(part, 0)
+    check_split(split, 0)
     for name, value, least in (("displaced_m", displaced_m, 0), ("recovery_s", recovery_s, 1e-3)):
         if not (np.isfinite(value) and value >= least):
-            raise SettingError(name, got=str(value), expected=f"a finite number from {least:g} on")
+            raise SettingError(
+                name, got=str(value), expected=f"a finite number of at least {least:g}"
+            )
     recording = recording_of(place)
-    # A slot is free in the frame after the last, when others have entered already.
+    # A slot becomes free only in the frame after the last, when others have already entered.
     most = 2 * int(recording.present().max())
     settings = Settings(max_alive=most, rays=rays, ray_range_m=ray_range_m, observation=observation)
     simulation = Simulation(place, settings=settings)
@@ -253,7 +259,7 @@ def demonstrations(
     aside = PathPerturbation.of(recording, displaced_m, recovery_s, seed)
     last = recording.offsets[1:] - 1
     step_m = place.dt_s * place.motion.max_speed_mps
-    inside = _trained_on(blocks_of(recording, place).training(part).frames, recording.frames)
+    inside = _trained_on(blocks_of(recording, place).training(split).frames, recording.frames)
 
     person: list[np.ndarray] = []
     frame: list[np.ndarray] = []
@@ -292,7 +298,7 @@ def demonstrations(
         "cite": _cite(place.recording.name),
         "dt_s": place.dt_s,
         "max_speed_mps": place.motion.max_speed_mps,
-        "part": part,
+        "split": split,
         "observation": observation,
         "rays": rays,
         "ray_range_m": ray_range_m,
@@ -311,7 +317,7 @@ def demonstrations(
 
 
 def _cite(name: str) -> str:
-    """The paper to cite for a recording; empty for what is generated or somebody's own."""
+    """The paper to cite for a recording; empty for generated recordings and users' own."""
     try:
         return source(name).cite
     except SettingError:
@@ -319,12 +325,13 @@ def _cite(name: str) -> str:
 
 
 def _description(provenance: Mapping[str, Any]) -> str:
-    """What a dataset says of itself where it is listed."""
-    words = "What pedestrians saw and did, one episode for each piece of a life; rewards are zero."
+    """Description of a dataset in Minari's lists."""
+    words = "Observations and actions of pedestrians. An episode is a trip or a part of one. "
+    words += "All rewards are zero."
     if name := provenance.get("recording"):
-        words += f" Of the recording {name}, scene {provenance['scene']}, by crowdbench."
+        words += f" Made by crowdbench from the recording {name}, scene {provenance['scene']}."
     if cite := provenance.get("cite"):
-        words += f" It stays under its owners' terms, for your own use; cite {cite}."
+        words += f" For your own use only, subject to the terms of its owners. Cite: {cite}."
     return words
 
 
@@ -343,7 +350,10 @@ def _pieces(
     last: Int[np.ndarray, " P"],
     provenance: Mapping[str, Any],
 ) -> Demonstrations:
-    """Rows sorted into runs of frames of one person; runs of one row show no action."""
+    """Demonstrations from unsorted rows: runs of consecutive frames of one person.
+
+    Runs of a single row are dropped, because they contain no action.
+    """
     order = np.lexsort((frame, person))
     person, frame = person[order], frame[order]
     begins = (np.diff(person, prepend=-1) != 0) | (np.diff(frame, prepend=-2) != 1)

@@ -1,6 +1,6 @@
-"""The PettingZoo view: a `ParallelEnv` whose agents come and go as persons do.
+"""The PettingZoo environment: a `ParallelEnv` whose agents enter and leave during an episode.
 
-It adds names, dictionaries and a reward to `Simulation`, and no physics.
+It adds names, dictionaries and a reward to `Simulation`; all physics is in `Simulation`.
 """
 
 import operator
@@ -14,6 +14,7 @@ from gymnasium.utils import seeding
 from jaxtyping import UInt8
 from pettingzoo import ParallelEnv
 
+from crowdbench.envs.actions import commands_of
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import DEFAULT_SPAWN, spawn_model
@@ -41,30 +42,30 @@ RENDER_MODES = ("human", "rgb_array")
 
 
 class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped
-    """A crowd as a parallel environment; made by `crowdbench.parallel_env`.
+    """A crowd as a parallel environment; created by `crowdbench.parallel_env`.
 
-    An agent is a person: it appears when the person enters (reward 0, not done), acts once a
-    frame, and disappears with its last entries when the person's life ends: terminated at the
-    goal, outside the bounds, or where its record breaks off; truncated by the patience of the
-    scene (timeout) and by the episode's horizon. Nobody enters at the horizon.
+    An agent is a person. It appears when the person enters (with reward 0, not done), acts once
+    per frame, and disappears when the person's trip ends. The trip is terminated at the goal,
+    outside the bounds, or where its recording ends. It is truncated by the scene's timeout or by
+    the episode's horizon. Nobody enters at the horizon.
 
-    A frame in which nobody is there is no step: the call goes on to the next arrival, and
-    `infos` tells the `frame`, the `frames_skipped` and, with a person's last entries, the
-    `outcome`. `agents` is thus empty only when the episode is over.
+    Empty frames are skipped: the call continues to the next arrival. `infos` contain the `frame`,
+    the number of `frames_skipped` and, in the last step of a trip, the `outcome`. `agents` is
+    therefore empty only when the episode is over.
 
     - Observation: `lidar-1` to `lidar-3`, see `crowdbench.simulation.observations`.
-    - Action: velocity in units of the scene's greatest speed, Box(−1, 1, (2,)). Values out of
-      range are clipped; NaN or infinity, a missing agent, or one that is not there raise.
-    - Reward: progress, arrival, overlap, walls and pace, see `crowdbench.simulation.reward.Reward`;
-      the parts stand in `infos` as `reward_parts`, in the order of its `PARTS`.
-    - Rendering: with `render_mode="rgb_array"` a call of `render` gives a picture; with `"human"`
-      a rerun viewer shows each frame as it comes. Neither changes what happens.
+    - Action: velocity in units of the scene's maximum speed, Box(−1, 1, (2,)). Values out of range
+      are clipped. NaN, infinity, or missing or unknown agents raise an `ActionError`.
+    - Reward: progress, arrival, overlap, walls and pace, see `crowdbench.simulation.reward.Reward`.
+      `infos` contain the parts as `reward_parts`, in the order of `reward.PARTS`.
+    - Rendering: with `render_mode="rgb_array"`, `render` returns an image. With `"human"`, a rerun
+      viewer shows each frame. Rendering does not affect the simulation.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
         "name": "crowdbench",
         "render_modes": list(RENDER_MODES),
-        "render_fps": 10,  # of a video: four times as fast as the frames of most scenes
+        "render_fps": 10,  # of videos; four times real time on most scenes
         "is_parallelizable": True,
     }
 
@@ -117,23 +118,25 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             self._renderer = renderer.Renderer(scene, render_mode, f"{spawn.name} × environment")
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """The same for each agent."""
+        """Observation space, the same for each agent."""
         return self._observation_space
 
     def action_space(self, agent: str) -> spaces.Box:
-        """The same for each agent."""
+        """Action space, the same for each agent."""
         return self._action_space
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
-        """Begin an episode; the same seed gives the same arrivals. `options` are not used.
+        """Begin an episode; return observations and infos by agent.
+
+        The same seed gives the same arrivals. `options` are ignored.
 
         Raises:
-            CapacityError: more persons than slots or ids, unless `on_full` is `drop`.
+            CapacityError: there are more people than slots or ids, unless `on_full` is `drop`.
         """
         if seed is not None:
-            seed = operator.index(seed)  # numpy's integers too, which gymnasium refuses
+            seed = operator.index(seed)  # also accepts numpy integers, which gymnasium rejects
             self._seeds, _ = seeding.np_random(seed)
         self._seed = int(self._seeds.integers(2**31)) if seed is None else seed
         simulation = self._simulation
@@ -166,16 +169,18 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Advance by a frame, and on to the next arrival where nobody is left.
+        """Advance by one frame and, if nobody is present then, to the next arrival.
+
+        Returns observations, rewards, terminations, truncations and infos by agent.
 
         Raises:
-            ActionError: before `reset` or after the end, or actions that do not fit `agents`.
-            CapacityError: more persons than slots or ids, unless `on_full` is `drop`.
+            ActionError: the episode has not begun or is over, or actions do not match `agents`.
+            CapacityError: there are more people than slots or ids, unless `on_full` is `drop`.
         """
         simulation, slots = self._simulation, self._simulation.slots
         acted, acting = self._there, self.agents
-        commands = self._actions  # of those who are not there, nothing is read
-        commands[0][acted] = self._commands(actions)
+        commands = self._actions  # rows of empty slots are not read
+        commands[0][acted] = commands_of(actions, self.agents)
         simulation.step(commands)
         assert self._recorder is not None
         self._recorder.write()
@@ -215,10 +220,11 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         return observations, rewards, terminations, truncations, infos
 
     def trajectories(self) -> Trajectories:
-        """The episode so far, as the table that metrics score.
+        """The trajectories of the episode so far.
 
         Raises:
-            ActionError: before `reset`.
+            ActionError: `reset` has not been called.
+            RecordingError: nobody has entered.
         """
         if self._recorder is None:
             raise ActionError("trajectories", got="no episode", expected="a call of reset first")
@@ -228,79 +234,35 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
 
     @property
     def dropped(self) -> int:
-        """Persons turned away in this episode for want of slots or ids."""
+        """Number of people who could not enter in this episode for lack of slots or ids."""
         clock = self._simulation.clock
         return int(clock.no_slot[0] + clock.no_id[0])
 
     def render(self) -> UInt8[np.ndarray, "h w 3"] | None:
-        """The present frame as a picture, if `render_mode` is `rgb_array`.
+        """The current frame as an RGB image if `render_mode` is `rgb_array`, else None.
 
-        With `human` there is nothing left to do: the viewer shows each frame when it comes.
+        With `human`, `reset` and `step` already send each frame to the viewer.
 
         Raises:
-            ActionError: before `reset`.
+            ActionError: `reset` has not been called.
         """
         if self._renderer is None:
-            logger.warn("Without a render_mode, render draws nothing: make it with one.")
+            logger.warn("render draws nothing: the environment was created without a render_mode.")
             return None
         if self._recorder is None:
             raise ActionError("render", got="no episode", expected="a call of reset first")
         return self._renderer.picture(self._recorder)
 
     def close(self) -> None:
-        """Send the viewer what is left, if there is one; it stays open."""
+        """Send the remaining frames to the viewer, if there is one. The viewer stays open."""
         if self._renderer is not None:
             self._renderer.close()
 
-    def _commands(self, actions: Mapping[str, np.ndarray]) -> np.ndarray:
-        if not self.agents:
-            raise ActionError(
-                "step", got="a call without agents", expected="a call of reset first",
-                hint="The episode is over, or was never begun.",
-            )  # fmt: skip
-        try:
-            given = [actions[name] for name in self.agents]
-        except KeyError:
-            given = []
-        except (TypeError, IndexError) as error:
-            raise ActionError(
-                "step",
-                got=f"actions of type {type(actions).__name__}",
-                expected="a dictionary from the names in env.agents to arrays of shape (2,)",
-            ) from error
-        if not given or len(actions) != len(given):
-            missing = [name for name in self.agents if name not in actions]
-            unknown = sorted(set(actions) - set(self.agents))
-            raise ActionError(
-                "step",
-                got=f"no action for {missing[:3]}, actions for {unknown[:3]} who are not there",
-                expected=f"one action for each of the {len(self.agents)} agents",
-                hint="Act for exactly the names in env.agents.",
-            )
-        try:
-            commands = np.array(given)
-        except ValueError:  # rows of different shapes
-            commands = np.array(None)
-        if commands.dtype.kind not in "fiu" or commands.shape != (len(self.agents), 2):
-            raise ActionError(
-                "step",
-                got=f"actions of shape {commands.shape[1:]}"
-                if commands.dtype.kind in "fiu"
-                else "actions that are no pairs of numbers",
-                expected="arrays of shape (2,): a velocity in units of the greatest speed",
-            )
-        if not np.isfinite(commands).all():
-            name = self.agents[int(np.flatnonzero(~np.isfinite(commands).all(axis=1))[0])]
-            raise ActionError(
-                "step", got=f"{actions[name]} from {name}", expected="finite numbers",
-                hint="Look for a division by zero or a diverged network in the policy.",
-            )  # fmt: skip
-        if commands.dtype != np.float32:
-            commands = commands.clip(-1, 1)  # what float32 cannot hold is out of range anyway
-        return commands
-
     def _skip_empty(self) -> int:
-        """Go on to the next arrival or the horizon, and return how many frames that took."""
+        """Continue to the next arrival or the horizon if nobody is present.
+
+        Returns the number of frames skipped.
+        """
         simulation = self._simulation
         slots, clock = simulation.slots, simulation.clock
         first = int(clock.frame[0])
@@ -344,32 +306,32 @@ def parallel_env(
     reward: Reward | None = None,
     render_mode: "RenderMode | None" = None,
 ) -> CrowdParallelEnv:
-    """Make a PettingZoo environment of a scene.
+    """Create a PettingZoo environment of a scene.
 
     Args:
-        scene: an id from `list_scenes()`, or a folder with a `scene.toml`.
-        spawn: who enters when and where: a name, `pkg.module:Class`, or a model; by default
-            the crowd that `ntpp-gmm` spawns.
-        horizon_s: length of an episode in seconds, by default the recording's.
-        start: `stationary` (a discarded warm-up walked straight), `recorded` (replay only) or
-            `empty`; by default the spawn model's own.
-        rays: R, number of rays that a person sees by.
-        ray_range_m: their range in metres.
-        observation: `lidar-1`; `lidar-2`, the default, which knows the way around walls and the
-            speed that each person prefers; or `lidar-3`, which sees the bounds too.
-        max_alive: persons at once; by default 512, or more where a crowd of which nobody reaches
-            a goal would grow to more.
-        max_persons: persons per episode and its warm-up, all of them in `possible_agents`; by
-            default twice a sample of the spawn model, and some.
-        on_full: what happens when either runs out: `error` raises, `drop` turns the person
-            away and counts it in `env.dropped`.
-        reward: weights of its parts, by default those of `Reward()`.
-        render_mode: `rgb_array` for pictures from `render`, or `human` for a rerun viewer that
-            shows what happens while it does (needs the extra `viewer`). If you log to rerun
-            yourself, the crowd joins your recording stream.
+        scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
+        spawn: the spawn model: a name (default `ntpp-gmm`), `pkg.module:Class`, or an object.
+        horizon_s: length of an episode in seconds; default: the length of the recording.
+        start: `stationary` (after a discarded warm-up with straight walkers), `recorded` (replay
+            only) or `empty`; default: the spawn model's attribute `start`.
+        rays: number of rays of an observation.
+        ray_range_m: range of the rays in metres.
+        observation: `lidar-1`; `lidar-2` (default), which contains the preferred speed and the
+            path around walls; or `lidar-3`, which also contains the distances to the bounds.
+        max_alive: maximum number of people at the same time; default: 512, or more if a crowd in
+            which nobody reaches a goal would be larger.
+        max_persons: maximum number of people in an episode and its warm-up, and the length of
+            `possible_agents`; default: twice the size of a sample of the spawn model, plus 100.
+        on_full: what happens if either maximum is exceeded: `error` raises an error, `drop` omits
+            the person and counts it in `env.dropped`.
+        reward: weights of the parts of the reward; default: `Reward()`.
+        render_mode: `rgb_array` for images from `render`, or `human` for a live rerun viewer
+            (needs the extra `viewer`). If your program logs to rerun, the crowd is added to its
+            recording stream.
 
     Raises:
-        SceneError, SettingError, WeightsError, RecordingError: what is asked for is not there.
+        SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or recording
+            does not exist or does not fit.
     """
     scene = load_scene(scene)
     model = spawn_model(spawn, scene)

@@ -1,7 +1,8 @@
-"""Displacements: where people are shown instead of on their recorded paths, and come back.
+"""Displacements of recorded people from their paths, and their return to them.
 
-Where a recording was annotated in some frames only and lies straight in between, displaced people
-change their velocity in these frames only too: else they would be told by their unrest.
+If a recording was annotated only every few frames and interpolated linearly in between, displaced
+people also change their velocity in the annotated frames only. Otherwise their motion would be less
+steady than the recorded motion.
 """
 
 from dataclasses import dataclass
@@ -12,31 +13,32 @@ from jaxtyping import Float, Float32, Int
 from crowdbench.trajectories.table import Trajectories
 
 HOMING_S = 2.0
-"""So long before its record ends whoever is displaced goes straight to where that is, from any
-frame as if it had not begun to yet. This looks like no unrest, since the goal is in sight, and is
-what a clone needs so as not to miss it."""
+"""In this time before the end of a trajectory, the actions of a displaced person lead straight to
+the last recorded position, each from the position on the spring in its frame. A cloned policy needs
+these demonstrations to reach its goal."""
 PACE_S = 4.0
+"""Window over which the speed of a person is measured."""
 WALKING_MPS = 0.8
-"""Who goes more slowly than this, over 4 s, is displaced by less, and who stands by nothing: else
-a clone would not know how to stand."""
+"""People slower than this are displaced by less, and those who stand still are not displaced.
+Otherwise a cloned policy would not learn to stand still."""
 
 
 @dataclass(frozen=True, eq=False)
 class PathPerturbation:
-    """Where each row of a recording is shown instead, beside its place, and how fast."""
+    """Displacement of each of the `R` rows of a recording."""
 
     now: Float[np.ndarray, "R 2"]
-    """Metres."""
+    """Offset from the recorded position, in metres."""
     drift: Float[np.ndarray, "R 2"]
-    """Added to the velocity, m/s."""
+    """Offset from the recorded velocity, in m/s."""
     after: Float[np.ndarray, "R 2"]
-    """Where its action leads to, beside the next row's place, metres."""
+    """Offset from the next recorded position to which the action leads, in metres."""
 
     @classmethod
     def of(
         cls, recording: Trajectories, displaced_m: float, recovery_s: float, seed: int
     ) -> "PathPerturbation":
-        """Half of the persons are on a spring at each time, a new one after 4 τ."""
+        """Displace a random half of the persons, each with a new spring every 4 τ."""
         shape = (len(recording.xy), 2)
         found = cls(np.zeros(shape), np.zeros(shape), np.zeros(shape))
         rng = np.random.default_rng(seed)
@@ -55,14 +57,14 @@ class PathPerturbation:
             velocity = epsilon / recovery_s
             pace = _pace(recording.path(person), dt_s)
 
-            # The frames before, now and after, each on the spring of now: who has just been
-            # displaced has a velocity as if it had come along that.
+            # The frames before, now and after are all computed from the present spring. A person
+            # who has just been displaced thus has the velocity of that spring.
             before, now, after = (
                 _between_knots(delta, velocity, step, within + ahead, knot, dt_s, recovery_s)
                 * pace[1 + ahead : 1 + ahead + length]
                 for ahead in (-1, 0, 1)
             )
-            left = np.arange(length - 1, -1, -1)[:, None]  # frames
+            left = np.arange(length - 1, -1, -1)[:, None]  # frames until the end
             homing = (left > 0) & (left * dt_s <= HOMING_S)
             after = np.where(homing, now * (1 - 1 / np.maximum(left, 1)), after)
             now[-1] = before[-1] = 0.0  # at the goal
@@ -72,7 +74,10 @@ class PathPerturbation:
 
 
 def _pace(path: Float32[np.ndarray, "n 2"], dt_s: float) -> Float[np.ndarray, "n+2 1"]:
-    """0 for who stands to 1 for who walks, in each frame, the one before them and the one after."""
+    """Weight of displacements, from 0 (standing) to 1 (walking), per frame.
+
+    The first and last values belong to the frames before and after the trajectory.
+    """
     half = max(1, round(PACE_S / dt_s / 2))
     known = np.pad(path.astype(np.float64), ((half + 1, half + 1), (0, 0)), mode="edge")
     way = np.linalg.norm(known[2 * half :] - known[: -2 * half], axis=1)
@@ -88,7 +93,7 @@ def _between_knots(
     dt_s: float,
     tau: float,
 ) -> Float[np.ndarray, "n 2"]:
-    """The spring at the frames `step` · `knot` + `within`, straight from one knot to the next."""
+    """The spring at frames `step` · `knot` + `within`, interpolated linearly between knots."""
     first = (step + within // knot)[:, None] * knot * dt_s
     share = (within % knot / knot)[:, None]
     ends = [_spring(displaced, velocity, t, tau) for t in (first, first + knot * dt_s)]
@@ -101,5 +106,5 @@ def _spring(
     t: Float[np.ndarray, "n 1"],
     tau: float,
 ) -> Float[np.ndarray, "n 2"]:
-    """Where a critically damped spring is at t if it is there, at that velocity, at 0."""
+    """Displacement at time t of a critically damped spring, from displacement and velocity at 0."""
     return (displaced + (velocity + displaced / tau) * t) * np.exp(-t / tau)

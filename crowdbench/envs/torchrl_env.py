@@ -1,6 +1,6 @@
-"""The TorchRL view: `W` worlds of `N` slots as tensors, with a mask.
+"""The TorchRL environment: `W` worlds of `N` slots as tensors, with a mask.
 
-It adds names and a reward to `Simulation`, and no physics.
+It adds names and a reward to `Simulation`; all physics is in `Simulation`.
 """
 
 from pathlib import Path
@@ -26,22 +26,23 @@ from crowdbench.spawn.model import Start
 
 
 class CrowdEnv(EnvBase):
-    """Worlds of a scene as a TorchRL environment of batch size (W,), its agents the N slots.
+    """Worlds of a scene as a TorchRL environment with batch size (W,) and the N slots as agents.
 
-    Under `agents`, with a leading (W, N):
+    Tensors under `agents`, with leading shape (W, N):
 
     - `observation`, `action`: as in `parallel_env`.
-    - `mask`: whether someone is there, who acts in the coming step. Actions of the others are not
-      read; learn from transitions whose mask, before the step, is true, and from no others.
-    - `reward` (W, N, 1), and its parts in `reward_parts` (W, N, 5); zeros where nobody acted.
-    - `done`, `terminated`, `truncated` (W, N, 1): the person's life has ended in this step, at its
-      goal or outside (terminated), or by a timeout or the horizon (truncated). The observation
-      that comes with them is the last of that life: values of truncated lives are of it. Where
-      nobody is, `done` and `terminated` are true, so that no advantage is passed on from whoever
-      has the slot next. A slot is handed over in a later step, never in the one that ends a life.
-    - `person_id`: −1 where nobody is; `just_spawned`: the person entered in this step.
+    - `mask`: whether the slot is occupied by a person, who acts in the next step. Actions of empty
+      slots are ignored. Train only on transitions whose mask is true before the step.
+    - `reward` (W, N, 1) and its parts `reward_parts` (W, N, 5): zero where nobody acted.
+    - `done`, `terminated`, `truncated` (W, N, 1): whether the person's trip ended in this step, at
+      the goal or outside the bounds (terminated), or by a timeout or the horizon (truncated). The
+      observation of this step is the last one of the trip; bootstrap the value of a truncated trip
+      from it. In empty slots `done` and `terminated` are true, so that no advantage is propagated
+      back from the next person in the slot. A slot is never reused in the step in which a trip
+      ends.
+    - `person_id`: −1 in empty slots. `just_spawned`: whether the person entered in this step.
 
-    All worlds begin and end together, at the horizon. Each has arrivals of its own.
+    All worlds begin and end together, at the horizon. Each world has its own arrivals.
     """
 
     batch_locked = True
@@ -62,27 +63,26 @@ class CrowdEnv(EnvBase):
         drop: bool = True,
         seed: int | None = None,
     ) -> None:
-        """Make the worlds.
+        """Create the environment.
 
         Args:
-            scene: an id from `list_scenes()`, or a folder with a `scene.toml`.
-            spawn: who enters when and where: a name, `pkg.module:Class`, or a model; by default
-                the crowd that `ntpp-gmm` spawns.
-            worlds: W.
-            max_alive: N, persons at once in each world.
-            horizon_s: length of an episode in seconds, by default the recording's.
-            start: how it begins, as in `parallel_env`.
-            rays: R, number of rays that a person sees by.
-            ray_range_m: their range in metres.
-            observation: `lidar-1`, `lidar-2` (the default) or `lidar-3`.
-            reward: weights of its parts, by default those of `Reward()`.
-            drop: whether people for whom there is no slot are turned away, and counted in
-                `dropped`; else they are an error.
-            seed: of the first episode and of the seeds of all others.
+            scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
+            spawn: the spawn model: a name (default `ntpp-gmm`), `pkg.module:Class`, or an object.
+            worlds: number of worlds W.
+            max_alive: number of slots N, the maximum number of people at the same time per world.
+            horizon_s: length of an episode in seconds; default: the length of the recording.
+            start: how an episode begins, as in `parallel_env`.
+            rays: number of rays of an observation.
+            ray_range_m: range of the rays in metres.
+            observation: `lidar-1`, `lidar-2` (default) or `lidar-3`.
+            reward: weights of the parts of the reward; default: `Reward()`.
+            drop: if true, people without a free slot are omitted and counted in `dropped`; if
+                false, they raise a `CapacityError`.
+            seed: seed of the first episode, from which the seeds of later episodes are drawn.
 
         Raises:
-            SceneError, SettingError, WeightsError, RecordingError: what was asked for does not
-                exist or does not fit.
+            SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or
+                recording does not exist or does not fit.
         """
         if worlds < 1:
             raise SettingError("worlds", got=str(worlds), expected="a whole number, 1 or more")
@@ -140,7 +140,7 @@ class CrowdEnv(EnvBase):
         asked = None if tensordict is None else tensordict.get("_reset", None)
         if asked is not None and not asked.all():
             raise SettingError(
-                "reset", got="some of the worlds", expected="all of them: they end together"
+                "reset", got="some of the worlds", expected="all worlds, which end together"
             )
         seed = int(self._seeds.integers(2**31)) if self._next_seed is None else self._next_seed
         self._next_seed = None
@@ -170,7 +170,7 @@ class CrowdEnv(EnvBase):
                 "action",
                 got=f"{int((~np.isfinite(actions)).sum())} values that are not finite",
                 expected="numbers in [−1, 1]",
-                hint="Look for a division by zero or a diverged network in the policy.",
+                hint="Check the policy for a division by zero or a diverged network.",
             )
         simulation.step(actions)
         self._check_capacity()
@@ -182,7 +182,7 @@ class CrowdEnv(EnvBase):
         return found
 
     def _seen(self, parts: np.ndarray) -> TensorDict:
-        """What everyone sees who is there or has just ended; zeros and −1 in free slots."""
+        """Tensors of everyone present or just ended; zeros, and −1 as id, in empty slots."""
         simulation, slots = self._simulation, self._simulation.slots
         there = slots.alive | (slots.ended != 0)
         seen = np.where(there[..., None], simulation.observation, np.float32(0))
@@ -199,7 +199,10 @@ class CrowdEnv(EnvBase):
         )
 
     def _ended(self, nobody: np.ndarray) -> TensorDict:
-        """Who ended in this step; where nobody acted there is nothing to carry on."""
+        """The flags `done`, `terminated` and `truncated`; in the slots `nobody`, nobody acted.
+
+        Those slots are terminated, so that no value is propagated through them.
+        """
         simulation = self._simulation
         ended = simulation.slots.ended
         terminated = np.isin(ended, TERMINAL) | nobody
@@ -222,7 +225,7 @@ class CrowdEnv(EnvBase):
 
     @property
     def dropped(self) -> int:
-        """Persons turned away in this episode for want of slots, in all worlds."""
+        """Number of people who could not enter in this episode for lack of slots, in all worlds."""
         return int(self._simulation.clock.no_slot.sum())
 
     def _check_capacity(self) -> None:

@@ -1,6 +1,7 @@
-"""The view of Stable-Baselines3 and `imitation`: a sub-environment is a person, an episode a life.
+"""The environment for Stable-Baselines3 and `imitation`.
 
-It adds choosing persons and a reward to `Simulation`, and no physics.
+A sub-environment controls one person at a time, and an episode is that person's trip. The module
+adds the selection of persons and a reward to `Simulation`; all physics is in `Simulation`.
 """
 
 import math
@@ -28,31 +29,30 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION
 from crowdbench.simulation.reward import Reward, Rewarder
-from crowdbench.simulation.simulation import TIMEOUT_DWELLS
 from crowdbench.simulation.state import TERMINAL
 from crowdbench.spawn import SpawnEvents, SpawnModel
 from crowdbench.spawn.model import Start
 from crowdbench.trajectories.table import OUTCOMES
 
 RESERVE = 3
-"""Persons expected to be there for each sub-environment, so that it seldom waits for one."""
+"""Expected number of people present per sub-environment, so that it rarely waits for a person."""
 
 
-class LivesVecEnv(VecEnv):
-    """`num_envs` persons at a time in the worlds of a scene, each until its life ends.
+class CrowdVecEnv(VecEnv):
+    """A `VecEnv` that controls `num_envs` persons at a time in the worlds of a scene.
 
-    A sub-environment whose person's life has ended goes on, as the contract of a `VecEnv` has it,
-    with the first observation of its next one: of the persons whom no sub-environment has, the one
-    who entered last, most often in this very step. All who are not chosen are walked by `others`.
+    When a trip ends, the sub-environment continues with the first observation of another person, as
+    a `VecEnv` must: of the people without a sub-environment, the one who entered last, usually in
+    the same step. All other people are controlled by the policy `others`.
 
-    - Episodes differ in length: they end at the goal or outside (`TimeLimit.truncated` False), or
-      by a timeout or the horizon (True). The last observation of a life is its
-      `terminal_observation`, and `outcome` says how it ended.
-    - `infos` hold `person_id` and `world` of whom the transition is about, and `reward_parts`.
-    - Where everyone is taken, a sub-environment waits: it sees zeros, and each step is an episode
-      of its own with reward 0 and `waiting` in its info. `waited` counts these steps; more
-      `worlds` make them fewer.
-    - All worlds end together at the horizon, and begin anew with other arrivals in the same step.
+    - Episodes differ in length. They end at the goal or outside the bounds (`TimeLimit.truncated`
+      is false), or by a timeout or the horizon (true). Their last info contains
+      `terminal_observation` and `outcome`.
+    - `infos` contain the `person_id`, `world` and `reward_parts` of the transition.
+    - If no person is free, a sub-environment waits. Each waiting step is an episode with an
+      all-zero observation, reward 0 and `waiting` in its info. `waited` counts these steps. More
+      `worlds` reduce them.
+    - All worlds end together at the horizon and restart with new arrivals in the same step.
     """
 
     def __init__(
@@ -72,27 +72,28 @@ class LivesVecEnv(VecEnv):
         reward: Reward | None = None,
         seed: int | None = None,
     ) -> None:
-        """Make the worlds.
+        """Create the environment.
 
         Args:
-            scene: an id from `list_scenes()`, or a folder with a `scene.toml`.
-            num_envs: sub-environments, which is persons at a time in all worlds together.
-            spawn: who enters when and where: a name, `pkg.module:Class`, or a model; by default
-                the crowd that `ntpp-gmm` spawns.
-            others: who walks everyone else, by default `straight`. It can be set later.
-            worlds: by default as many as hold three persons for each sub-environment.
-            max_alive: persons at once in each world; by default as in `parallel_env`.
-            horizon_s: length of an episode of the worlds, by default the recording's.
-            start: how it begins, as in `parallel_env`.
-            rays: R, number of rays that a person sees by.
-            ray_range_m: their range in metres.
-            observation: `lidar-1`, `lidar-2` (the default) or `lidar-3`.
-            reward: weights of its parts, by default those of `Reward()`.
-            seed: of the first episode and of the seeds of all others; `seed()` sets it too.
+            scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
+            num_envs: number of sub-environments, that is, of controlled persons in all worlds.
+            spawn: the spawn model: a name (default `ntpp-gmm`), `pkg.module:Class`, or an object.
+            others: policy of all other people; default: `straight`. It can be replaced later.
+            worlds: number of worlds; default: enough for three people per sub-environment.
+            max_alive: maximum number of people at the same time per world; default as in
+                `parallel_env`.
+            horizon_s: time after which all worlds end; default: the length of the recording.
+            start: how an episode of the worlds begins, as in `parallel_env`.
+            rays: number of rays of an observation.
+            ray_range_m: range of the rays in metres.
+            observation: `lidar-1`, `lidar-2` (default) or `lidar-3`.
+            reward: weights of the parts of the reward; default: `Reward()`.
+            seed: seed of the first episode, from which the seeds of later episodes are drawn;
+                `seed()` also sets it.
 
         Raises:
-            SceneError, SettingError, WeightsError, RecordingError: what was asked for does not
-                exist or does not fit.
+            SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or
+                recording does not exist or does not fit.
         """
         for name, value in (("num_envs", num_envs), ("worlds", 1 if worlds is None else worlds)):
             if not isinstance(value, int | np.integer) or value < 1:
@@ -119,7 +120,7 @@ class LivesVecEnv(VecEnv):
         )
         self._rewarder = Rewarder(reward or Reward(), self._simulation)
         self._actions = np.zeros((num_envs, 2), np.float32)
-        self._at = np.zeros((2, num_envs), np.int64)  # world and slot of each one's person
+        self._at = np.zeros((2, num_envs), np.int64)  # world and slot of each person
         self._waits = np.ones(num_envs, bool)
         self._taken = np.zeros((worlds, max_alive), bool)
         size = self._simulation.observation.shape[-1]
@@ -132,26 +133,26 @@ class LivesVecEnv(VecEnv):
 
     @property
     def person_id(self) -> Int[np.ndarray, " num_envs"]:
-        """Whom each sub-environment has, numbered within its `world`; −1 for nobody."""
+        """Id of each sub-environment's person within its `world`; −1 while it waits."""
         ids = self._simulation.slots.person[*self._at].astype(np.int64)
         return np.where(self._waits, -1, ids)
 
     @property
     def world(self) -> Int[np.ndarray, " num_envs"]:
-        """The world of that person."""
+        """World of each sub-environment's person."""
         return self._at[0].copy()
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Set the seed of the next episode, and of the seeds of those that follow."""
+        """Set the seed of the next episode, from which the seeds of later episodes are drawn."""
         self._rng = np.random.default_rng(seed)
         self._next_seed = seed
         return [seed] * self.num_envs
 
     def reset(self) -> Float32[np.ndarray, "num_envs obs"]:
-        """Begin an episode of all worlds with new arrivals; first observations.
+        """Restart all worlds with new arrivals and return the first observations.
 
         Raises:
-            CapacityError: more persons than `max_alive`.
+            CapacityError: there are more people than `max_alive`.
         """
         simulation = self._simulation
         seed = int(self._rng.integers(2**31)) if self._next_seed is None else self._next_seed
@@ -174,15 +175,15 @@ class LivesVecEnv(VecEnv):
         return self._seen()
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the actions of the coming step.
+        """Set the actions of the next step.
 
         Raises:
-            ActionError: another shape, or values that are not finite.
+            ActionError: actions have another shape or are not finite.
         """
         given = np.asarray(actions, np.float32)
         if given.shape != (self.num_envs, 2) or not np.isfinite(given).all():
             raise ActionError(
-                "LivesVecEnv.step",
+                "CrowdVecEnv.step",
                 got=f"an array of shape {given.shape}"
                 if given.shape != (self.num_envs, 2)
                 else f"{int((~np.isfinite(given)).sum())} values that are not finite",
@@ -193,10 +194,10 @@ class LivesVecEnv(VecEnv):
     def step_wait(
         self,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Advance all worlds by a frame.
+        """Advance all worlds by one frame; return observations, rewards, dones and infos.
 
         Raises:
-            CapacityError: more persons than `max_alive`.
+            CapacityError: there are more people than `max_alive`.
         """
         simulation = self._simulation
         acting = ~self._waits
@@ -248,7 +249,7 @@ class LivesVecEnv(VecEnv):
         return self._seen(), rewards, dones, infos
 
     def _choose(self) -> None:
-        """Give those who have nobody the persons who entered last, ties by world and slot."""
+        """Assign the people who entered last to the waiting sub-environments."""
         free = np.flatnonzero(self._waits)
         if not len(free):
             return
@@ -266,10 +267,10 @@ class LivesVecEnv(VecEnv):
         return seen
 
     def close(self) -> None:
-        """Hold nothing that needs closing."""
+        """Do nothing: there is nothing to close."""
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        """The attribute of this object, once for each sub-environment: they share it."""
+        """The attribute of this object, repeated for each sub-environment."""
         if attr_name == "render_mode":
             return [None] * len(self._indices(indices))
         return [getattr(self, attr_name) for _ in self._indices(indices)]
@@ -277,28 +278,28 @@ class LivesVecEnv(VecEnv):
     def set_attr(
         self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None
     ) -> None:
-        """Set an attribute of this object: all sub-environments share it."""
+        """Set an attribute of this object, which all sub-environments share."""
         setattr(self, attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Not there: persons have no methods.
+        """Not supported: sub-environments are not objects with methods.
 
         Raises:
             SettingError: always.
         """
         raise SettingError(
-            "LivesVecEnv",
+            "CrowdVecEnv",
             got=f"a call of {method_name} in sub-environments",
-            expected="a method of the whole",
-            hint="Sub-environments are persons of the same worlds, not objects of their own.",
+            expected="a method of the whole environment",
+            hint="Sub-environments are persons in shared worlds, not separate objects.",
         )
 
     def env_is_wrapped(
         self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None
     ) -> list[bool]:
-        """No sub-environment is wrapped."""
+        """False for each sub-environment."""
         return [False] * len(self._indices(indices))
 
     def _indices(self, indices: int | Iterable[int] | None) -> list[int]:
@@ -306,8 +307,8 @@ class LivesVecEnv(VecEnv):
 
 
 def _persons_at_once(events: SpawnEvents, scene: Scene) -> float:
-    """Mean number of persons who are there if all walk straight, with their patience."""
-    way = np.linalg.norm(events.goal - events.start, axis=1)
-    patience_s = TIMEOUT_DWELLS * scene.recording.dwell_p99_s
-    dwell_s = way / np.maximum(events.speed, 1e-3)
-    return max(float(np.minimum(dwell_s, patience_s).sum()) / scene.horizon_s, 1e-3)
+    """Mean number of people present if all walk straight to their goals or until the timeout."""
+    via = np.where(np.isnan(events.via), events.start, events.via)
+    way = np.linalg.norm(via - events.start, axis=1) + np.linalg.norm(events.goal - via, axis=1)
+    dwell_s = way / np.maximum(events.speed, 1e-3) + events.wait_s
+    return max(float(np.minimum(dwell_s, scene.timeout_s).sum()) / scene.horizon_s, 1e-3)

@@ -1,1 +1,1 @@
-"""Many rollouts of spawn models and policies on a scene, and their scorecard."""
+"""Evaluation: many rollouts of spawn models and policies on a scene, and their scorecard."""

@@ -1,20 +1,24 @@
-"""The scorecard of rollouts: their distances, energy scores and floors."""
+"""Computes the scorecard of rollouts: distances, energy scores and noise floors."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from crowdbench import __version__
+from crowdbench.errors import SettingError
 from crowdbench.evaluation.rollout_jobs import (
     Job,
     RolloutSummary,
-    parts_of,
+    splits_of,
 )
 from crowdbench.metrics import WALK, Metric, Statistics, blamed
+from crowdbench.metrics.motion import STANDING_MPS, Speed
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import RESAMPLES, Draws, FloorDraws, energy, floor, mean_of
-from crowdbench.scoring.reference import Reference
+from crowdbench.scoring.reference import Reference, check_fits
 from crowdbench.scoring.scorecard import (
     SCHEMA,
     EnergyCard,
@@ -24,9 +28,15 @@ from crowdbench.scoring.scorecard import (
     Scale,
     Scorecard,
     files_of,
+    read_anchors,
 )
-from crowdbench.trajectories.blocks import PARTS, TimeBlocks
-from crowdbench.trajectories.table import OUTCOMES
+from crowdbench.spawn.areas import read_areas
+from crowdbench.trajectories.blocks import SPLITS, TimeBlocks
+from crowdbench.trajectories.table import OUTCOMES, Trajectories
+
+FINISHED = (OUTCOMES.index("goal"), OUTCOMES.index("exit"), OUTCOMES.index("timeout"))
+TRAJECTORIES = "trajectories"
+"""Name of the spawn model and policy of rollouts that another program made."""
 
 
 def judge(
@@ -37,7 +47,7 @@ def judge(
     seeds: int,
     scale: Scale,
 ) -> Scorecard:
-    """The scorecard of rollouts, `seeds` of each pair (in each fold)."""
+    """The scorecard of rollouts; `seeds` is their number per pair (in each fold)."""
     return Scorecard(
         schema=SCHEMA,
         crowdbench=__version__,
@@ -50,38 +60,65 @@ def judge(
         rollouts=seeds,
         resamples=RESAMPLES,
         scored=list(place.protocol.scored),
+        gate=place.gate,
         scale=scale,
         entries=entries_of(place, reference, rolled, protocol, seeds),
     )
 
 
-def draws_of(scene: Scene, reference: Reference, part: str) -> Draws:
-    """The resamples of a part: the same for everyone who is scored on it."""
+def judge_crowds(
+    place: Scene,
+    reference: Reference,
+    crowds: Sequence[Trajectories],
+    *,
+    recorded_arrivals: bool,
+) -> Scorecard:
+    """The scorecard of rollouts of another simulator; see `crowdbench.score_rollouts`.
+
+    Raises:
+        SettingError: there are no crowds.
+        RecordingError: a crowd does not fit the scene.
+    """
+    if not crowds:
+        raise SettingError("crowds", got="none", expected="one or more rollouts")
+    areas, spawn = read_areas(place), "replay" if recorded_arrivals else TRAJECTORIES
+    rolled = {}
+    for k, crowd in enumerate(crowds):
+        check_fits(crowd, place)
+        job = Job(place.id, spawn, TRAJECTORIES, "full", 0, k, Path(), "")
+        rolled[job] = RolloutSummary.of_crowd(areas.assign(crowd), reference)
+    scale = read_anchors(place).protocols["full"]
+    card = judge(place, reference, rolled, "full", len(crowds), scale)
+    return msgspec.structs.replace(card, fits=1)  # nothing is known of fits
+
+
+def draws_of(scene: Scene, reference: Reference, split: str) -> Draws:
+    """The resamples of a split, which are the same for all entries."""
     return Draws.of(
-        reference.blocks.scored(part),
+        reference.blocks.scored(split),
         resample_s=scene.protocol.resample_s,
         block_s=scene.protocol.block_s,
-        seed=(PARTS.index(part),),
+        seed=(SPLITS.index(split),),
     )
 
 
 def floors(scene: Scene, reference: Reference, protocol: str) -> dict[str, EnergyCard]:
-    """F of each metric."""
-    parts = parts_of(protocol)
-    draws = {part: draws_of(scene, reference, part) for part in parts}
-    everyone = [(np.flatnonzero(reference.blocks.in_part(p)), draws[p]) for p in parts]
+    """Noise floor F of each metric, averaged over the splits of a protocol."""
+    splits = splits_of(protocol)
+    draws = {split: draws_of(scene, reference, split) for split in splits}
+    everyone = [(np.flatnonzero(reference.blocks.in_split(p)), draws[p]) for p in splits]
     found = {}
     for metric in reference.metrics:
         each = []
-        for part in parts:
-            blocks = reference.blocks.scored(part)
+        for split in splits:
+            blocks = reference.blocks.scored(split)
             if metric.applies(blocks):
                 recording = reference.statistics[metric.name]
-                recorded = _rows(recording, reference.blocks.in_part(part))
-                of_floor = FloorDraws.of(draws[part], everyone)
+                recorded = _rows(recording, reference.blocks.in_split(split))
+                of_floor = FloorDraws.of(draws[split], everyone)
                 each.append(floor(metric, recording, recorded, blocks, of_floor))
         known = [e for e in each if e is not None]
-        if len(known) == len(parts):
+        if len(known) == len(splits):
             found[metric.name] = EnergyCard.of(mean_of(known))
     return found
 
@@ -89,7 +126,7 @@ def floors(scene: Scene, reference: Reference, protocol: str) -> dict[str, Energ
 def entries_of(
     scene: Scene, reference: Reference, rolled: dict[Job, RolloutSummary], protocol: str, seeds: int
 ) -> list[PairResult]:
-    """An entry of each pair."""
+    """The results of each pair of spawn model and policy."""
     pairs = list(dict.fromkeys((job.spawn, job.policy) for job in rolled))
     return [
         _entry(
@@ -121,48 +158,65 @@ def _entry(
             card = _metric_card(scene, reference, metric, rolled, protocol, seeds)
         metrics[metric.name] = card
     ended = np.sum([r.outcomes for r in rolled.values()], axis=0)
+    finished = int(ended[list(FINISHED)].sum())
     return PairResult(
         spawn=first.spawn,
         policy=first.policy,
         seeds=[job.seed for job in rolled],
         persons=int(ended.sum()),
         outcomes={n: int(c) for n, c in zip(OUTCOMES, ended, strict=True) if c},
+        speed_mps=_walking_speed(rolled),
+        at_goal=float(ended[FINISHED[0]]) / finished if finished else None,
         metrics=metrics,
     )
 
 
+def _walking_speed(rolled: dict[Job, RolloutSummary]) -> float | None:
+    """Mean speed of people who walk, m/s, over all rollouts; None if nobody does."""
+    speed = Speed()
+    each = [what.of(speed)["counts"].sum(axis=0) for what in rolled.values()]
+    counts = np.zeros(max(map(len, each)), dtype=np.int64)
+    for of_rollout in each:
+        counts[: len(of_rollout)] += of_rollout
+    cm_per_s = np.arange(len(counts))
+    counts[cm_per_s < 100 * STANDING_MPS] = 0
+    number = int(counts.sum())
+    return float(counts @ cm_per_s) / number / 100 if number else None
+
+
 @dataclass(frozen=True, eq=False)
 class MetricSlice:
-    """Rollouts and the recording as one metric sees them in the blocks that a part is scored on."""
+    """One metric's statistics of rollouts and recording, in the scored blocks of a split."""
 
-    part: str
+    split: str
     blocks: TimeBlocks
     recorded: Statistics
     crowds: list[Statistics]
-    """The rollouts', by seed."""
+    """Statistics of the rollouts, by seed."""
     fits: list[list[Statistics]]
-    """The same, of each fit."""
+    """The same statistics, grouped by fit."""
 
 
 def seen_in(
     reference: Reference, metric: Metric, rolled: dict[Job, RolloutSummary], protocol: str
 ) -> Iterator[MetricSlice]:
-    """What a metric sees of one pair's rollouts in each part of a protocol that it applies to."""
-    # Who was not trained on the recording walks all of it once, and is looked at fold by fold.
-    whole_recording = all(job.part == "full" for job in rolled)
-    for part in parts_of(protocol):
-        inside = reference.blocks.in_part(part)
-        blocks = reference.blocks.scored(part)
+    """One metric's statistics of a pair's rollouts, for each split that the metric applies to."""
+    # Pairs that are not fitted to the recording have rollouts of the split `full` only; these
+    # are evaluated fold by fold.
+    whole_recording = all(job.split == "full" for job in rolled)
+    for split in splits_of(protocol):
+        inside = reference.blocks.in_split(split)
+        blocks = reference.blocks.scored(split)
         if not metric.applies(blocks):
             continue
         crowds = {
             job: _rows(what.of(metric), inside)
             for job, what in rolled.items()
-            if whole_recording or job.part == part
+            if whole_recording or job.split == split
         }
         fits = sorted({job.fit for job in crowds})
         yield MetricSlice(
-            part,
+            split,
             blocks,
             _rows(reference.statistics[metric.name], inside),
             list(crowds.values()),
@@ -185,10 +239,10 @@ def _metric_card(
         if (metric.family not in WALK or recorded_arrivals) and (
             len(seen.crowds) == 1 < seeds or min(map(len, seen.fits)) >= 2
         ):
-            draws = draws_of(scene, reference, seen.part)
+            draws = draws_of(scene, reference, seen.split)
             energies.append(energy(metric, seen.recorded, seen.fits, seen.blocks, draws))
     known = [e for e in energies if e is not None]
-    whole = bool(known) and len(known) == len(parts_of(protocol))
+    whole = bool(known) and len(known) == len(splits_of(protocol))
     return MetricCard(
         distance=_mean([r.distance for r in results]),
         distances=[_number(r.distance) for r in results],
@@ -205,5 +259,5 @@ def _mean(values: list[float]) -> float | None:
 
 
 def _number(value: float | np.floating) -> float | None:
-    """JSON has neither NaN nor infinity."""
+    """The value, or None if it is not finite, because JSON has neither NaN nor infinity."""
     return float(value) if np.isfinite(value) else None

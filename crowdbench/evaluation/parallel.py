@@ -1,4 +1,4 @@
-"""Work shared by processes, which end when the one that started them does, however that ends."""
+"""Parallel work in processes that always end together with the process that started them."""
 
 import ctypes
 import multiprocessing
@@ -29,10 +29,10 @@ _THREADS = (
 
 
 def checked_workers(asked: int | None) -> int:
-    """The number of processes: as asked, or one per core.
+    """The number of processes: `asked`, or one per core if it is None.
 
     Raises:
-        SettingError: fewer than one are asked for.
+        SettingError: `asked` is less than 1.
     """
     if asked is not None and asked < 1:
         raise SettingError("workers", got=str(asked), expected="1 or more")
@@ -47,14 +47,15 @@ def call_each(
     common: tuple[object, ...] = (),
     name: Callable[..., str] = lambda *task: "a task",
 ) -> Generator[tuple[int, Result], None, None]:
-    """Call `function(*task, *common)` for each task; index and result of each as it is done.
+    """Call `function(*task, *common)` for each task; yields the index and result of each call.
 
-    With one worker the calls are made here, else in so many processes, on one thread each. What
-    all tasks have in common is sent to each process once.
+    Results are yielded as soon as they are available. With one worker the calls run in this
+    process, otherwise in `workers` processes with one thread each. `common` is sent to each
+    process once.
 
     Raises:
-        WorkerError: a process died; `name(*task)` says at which task.
-        Exception: what a call raised.
+        WorkerError: a process died; `name(*task)` describes the task in the message.
+        Exception: any exception that a call raised.
     """
     workers = min(workers, len(tasks))
     if workers <= 1:
@@ -76,7 +77,7 @@ def call_each(
 def _share(
     team: "list[_Worker]", first: object, tasks: Sequence[tuple[object, ...]]
 ) -> Iterator[tuple[int, Any]]:
-    """Give each worker a task at a time: of one that dies it is known which it had."""
+    """Give each worker one task at a time, so that the task of a worker that dies is known."""
     waiting = iter(enumerate(tasks))
     busy = {}
     for worker in team:
@@ -94,39 +95,39 @@ def _share(
 
 
 class _Worker:
-    """A process that is sent one task after the other."""
+    """A process that receives one task after the other."""
 
     def __init__(self, name: Callable[..., str]) -> None:
         self.index = 0
         self._name = name
         self._task: tuple[object, ...] = ()
         self.connection, theirs = Pipe()
-        # Started afresh, not forked: forking after OpenMP has run hangs.
+        # Spawned instead of forked: a fork hangs after OpenMP has been used.
         self._process = multiprocessing.get_context("spawn").Process(
             target=_work, args=(theirs, _sweeper_of(), plugins.shared()), daemon=True
         )
         self._process.start()
-        theirs.close()  # so that its death is told by the end of the pipe
+        theirs.close()  # so that the pipe ends when the process dies
 
     def begin(self, first: object, index: int, task: tuple[object, ...]) -> None:
-        """Send what it needs for all tasks, and the first of them."""
+        """Send the data that all tasks share, and the first task."""
         self._send(first)
         self.send(index, task)
 
     def send(self, index: int, task: tuple[object, ...]) -> None:
-        """Give it a task."""
+        """Send a task to the process."""
         self.index, self._task = index, task
         self._send(ForkingPickler.dumps(task))
 
     def _send(self, data: object) -> None:
-        with suppress(ConnectionError):  # its end is told when its result is asked for
+        with suppress(ConnectionError):  # `result` reports that the process has died
             self.connection.send_bytes(data)  # type: ignore[arg-type]
 
     def result(self) -> object:
-        """What the call returned, or raise what it raised.
+        """Wait for the call and return its result, or raise the exception that it raised.
 
         Raises:
-            WorkerError: it died.
+            WorkerError: the process died.
         """
         try:
             done, what, trace = pickle.loads(self.connection.recv_bytes())
@@ -139,7 +140,7 @@ class _Worker:
         raise what
 
     def end(self) -> None:
-        """End it, whatever it does."""
+        """Kill the process."""
         self._process.kill()
         self._process.join()
         self._process.close()
@@ -147,21 +148,21 @@ class _Worker:
 
 
 def _death(where: str, code: int) -> WorkerError:
-    """The error of a process that did not end by itself."""
-    hint = "What was made before is kept: the same command goes on from there."
+    """The error for a process that died."""
+    hint = "Finished work is kept: the same command continues from there."
     if code >= 0:
         got = f"a worker process that ended with code {code}"
-        hint = f"Something in it leaves Python. {hint}"
+        hint = f"Code in it exits Python. {hint}"
     else:
         killed = signal.Signals(-code).name
         got = f"a worker process that was killed by {killed}"
         if killed == "SIGKILL":
-            hint = f"The system does that where memory is short: use fewer workers. {hint}"
-    return WorkerError(where, got=got, expected="one that ends its work", hint=hint)
+            hint = f"The system may have run out of memory: use fewer workers. {hint}"
+    return WorkerError(where, got=got, expected="one that finishes its work", hint=hint)
 
 
 def _sweeper_of() -> Connection | None:
-    """The way to the sweeper, as something that can be sent to a process that is started."""
+    """The pipe to the process that removes leftovers, in a form that a new process can inherit."""
     pipe = leftovers.pipe()
     if pipe is None or sys.platform == "win32":
         return None
@@ -170,9 +171,10 @@ def _sweeper_of() -> Connection | None:
 
 @contextmanager
 def _as_workers_start() -> Iterator[None]:
-    """Surroundings that workers inherit: one thread each, and no main module to run again.
+    """An environment for workers to inherit: one thread each, and an empty main module.
 
-    The caller's script need not guard what it does by `if __name__ == "__main__"`.
+    Because of the empty main module, the caller's script does not need the guard
+    `if __name__ == "__main__"`.
     """
     before = dict(os.environ)
     main = sys.modules["__main__"]
@@ -189,15 +191,15 @@ def _as_workers_start() -> Iterator[None]:
 
 
 def _work(connection: Connection, sweeper: Connection | None, registered: bytes) -> None:
-    """What a worker does until nobody has tasks for it any more."""
+    """Main function of a worker process: run tasks until the connection is closed."""
     parent = multiprocessing.parent_process()
     end_with(parent.pid if parent and parent.pid else os.getppid())
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # which ends who started it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # handled by the process that started this one
     if sweeper is not None:
         leftovers.share(sweeper.fileno())
     import numba
 
-    numba.set_num_threads(1)  # the processes already fill the machine
+    numba.set_num_threads(1)  # the processes already use all cores
     plugins.restore(registered)
     with suppress(EOFError, ConnectionError):
         function, common = pickle.loads(connection.recv_bytes())
@@ -207,13 +209,13 @@ def _work(connection: Connection, sweeper: Connection | None, registered: bytes)
 
 
 def _outcome(function: Callable[..., object], arguments: tuple[object, ...]) -> Any:
-    """The result of a call, or what it raised, as bytes."""
+    """The result of a call, or the exception that it raised, pickled."""
     try:
         return ForkingPickler.dumps((True, function(*arguments), ""))
     except BaseException as error:
         trace = traceback.format_exc()
         try:
-            # Some exceptions can be written, but not made again from what was written.
+            # Some exceptions can be pickled but not unpickled.
             data = ForkingPickler.dumps((False, error, trace))
             pickle.loads(data)
         except Exception:
@@ -223,14 +225,14 @@ def _outcome(function: Callable[..., object], arguments: tuple[object, ...]) -> 
 
 
 def end_with(parent: int) -> None:
-    """End at once when the process that started this one ends.
+    """Make this process end as soon as the process `parent` ends.
 
-    Linux kills it then; elsewhere a thread looks after the parent.
+    On Linux the kernel kills it; on other systems a thread watches the parent.
     """
     killed = False
     if sys.platform.startswith("linux"):
         killed = ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) == 0
-    if os.getppid() != parent:  # it ended before that was asked for
+    if os.getppid() != parent:  # the parent ended before this was set up
         os._exit(1)
     if not killed:
         threading.Thread(target=_look_after, args=(parent,), daemon=True).start()
@@ -253,9 +255,10 @@ class Stopped(SystemExit):
 
 @contextmanager
 def stopping_in_order() -> Iterator[None]:
-    """Turn SIGTERM and SIGHUP into `Stopped`: what is open is closed, what is temporary removed.
+    """Turn SIGTERM and SIGHUP into `Stopped`, so that resources and temporary files are cleaned up.
 
-    The code is that of shells, 128 + the signal's number. What is ignored stays so (`nohup`).
+    The exit code is that of shells, 128 + the signal's number. Signals that are ignored stay
+    ignored (`nohup`).
     """
 
     def stop(number: int, frame: object) -> None:
@@ -264,7 +267,7 @@ def stopping_in_order() -> Iterator[None]:
     changed = []
     if threading.current_thread() is threading.main_thread():
         for name in ("SIGTERM", "SIGHUP"):
-            number = getattr(signal, name, None)  # Windows has one of them
+            number = getattr(signal, name, None)  # Windows has only SIGTERM
             if number is not None and signal.getsignal(number) == signal.SIG_DFL:
                 signal.signal(number, stop)
                 changed.append(number)

@@ -1,4 +1,4 @@
-"""Statistics of recordings for every metric: shipped ones, and those of metrics that others add."""
+"""Reference statistics for all metrics: those shipped with a scene, and those of added metrics."""
 
 from dataclasses import replace
 
@@ -8,10 +8,10 @@ from crowdbench.scoring.reference import Reference, applicable, read_reference, 
 
 
 def reference_of(scene: Scene) -> Reference:
-    """The scene's reference, with the metrics that others have registered.
+    """The scene's reference statistics, including metrics that other packages have registered.
 
-    A scene ships no statistics of those. They are computed where the recording is imported; where
-    it is not, `missing` names them.
+    A scene does not ship statistics of registered metrics. They are computed from the recording if
+    it is imported; otherwise they are left out, and `missing` lists them.
 
     Raises:
         WeightsError: the scene has no reference statistics.
@@ -25,7 +25,7 @@ def reference_of(scene: Scene) -> Reference:
 
 
 def missing(scene: Scene) -> list[str]:
-    """Names of the registered metrics that need the scene's recording, which is not imported."""
+    """Names of the metrics that cannot be computed because the recording is not imported."""
     if has_recording(scene):
         return []
     reference = read_reference(scene)

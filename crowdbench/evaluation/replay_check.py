@@ -1,4 +1,4 @@
-"""Does the environment walk a recording as it was, and where not, why?"""
+"""Checks whether replaying a recording reproduces it, and explains deviations."""
 
 import numpy as np
 
@@ -12,7 +12,10 @@ TOLERANCE_M = 1e-3
 
 
 def compare_replay(recording: Trajectories, walked: Trajectories, scene: Scene) -> dict[str, str]:
-    """Count the persons whose replayed path is the recorded one to 1 mm, and why others differ."""
+    """Count the replayed paths that equal the recorded ones to 1 mm, and why others differ.
+
+    Returns the results as text for a table, by name.
+    """
     reasons: dict[str, int] = {}
     same = 0
     common = min(len(recording), len(walked))
@@ -23,7 +26,7 @@ def compare_replay(recording: Trajectories, walked: Trajectories, scene: Scene) 
         else:
             reasons[reason] = reasons.get(reason, 0) + 1
     if len(recording) != len(walked):
-        reasons["not there"] = abs(len(recording) - len(walked))
+        reasons["missing"] = abs(len(recording) - len(walked))
     differing = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
     return {
         "persons": f"{len(recording)} recorded, {len(walked)} replayed",
@@ -37,7 +40,7 @@ def _difference(recording: Trajectories, walked: Trajectories, p: int, scene: Sc
     if recording.first[p] != walked.first[p]:
         return "enter in another frame"
     if len(there) != len(here):
-        return "leave in another frame (a life has two frames at least)"
+        return "leave in another frame (a trip has at least two frames)"
     if np.abs(there - here).max() <= TOLERANCE_M:
         return None
     steps = np.linalg.norm(np.diff(there.astype(np.float64), axis=0), axis=1)
@@ -47,7 +50,10 @@ def _difference(recording: Trajectories, walked: Trajectories, p: int, scene: Sc
 
 
 def arrival_rule_changes(recording: Trajectories, scene: Scene) -> dict[str, str]:
-    """What it means that a life ends at the goal: for recorded paths, and for straight walkers."""
+    """Effects of the rule that a trip ends at the goal, on recorded paths and straight walkers.
+
+    Returns the results as text for a table, by name.
+    """
     dt_s, radius_m = scene.dt_s, scene.motion.goal_radius_m
     early = []
     for p in np.flatnonzero(recording.left).tolist():
@@ -65,7 +71,7 @@ def arrival_rule_changes(recording: Trajectories, scene: Scene) -> dict[str, str
     ended = np.bincount(straight.outcome, minlength=len(OUTCOMES))
     return {
         "recorded paths": f"{int((shortened > 0).sum())} of {len(shortened)} would end earlier, "
-        f"all together by {shortened.sum():.1f} s",
+        f"by {shortened.sum():.1f} s in total",
         "straight walkers": ", ".join(
             f"{count} {OUTCOMES[k]}" for k, count in enumerate(ended) if count
         ),

@@ -1,8 +1,10 @@
 """Metrics: distances between a recorded and a simulated crowd.
 
-They see `Trajectories` and `TimeBlocks` and nothing else, so they score any simulator.
+They are computed from `Trajectories`, `TimeBlocks` and `Place` alone, so they can score the output
+of any simulator.
 """
 
+from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
 
 from crowdbench.errors import SettingError
@@ -13,8 +15,12 @@ from crowdbench.metrics.arrivals import (
     InterSpawnPerArea,
     SpawnCounts,
 )
-from crowdbench.metrics.interaction import ClosestApproach, OverlapRate, WallHits
-from crowdbench.metrics.lives import Detour, Dwell, GoalShare, OriginDestination
+from crowdbench.metrics.interaction import (
+    Avoidance,
+    CompanionDistance,
+    OverlapRate,
+    WallClearance,
+)
 from crowdbench.metrics.metric import (
     FAMILIES,
     WALK,
@@ -27,9 +33,10 @@ from crowdbench.metrics.metric import (
     distance,
     total,
 )
-from crowdbench.metrics.motion import Acceleration, Speed, Turning
+from crowdbench.metrics.motion import Acceleration, Deviation, Pace, Speed, Turning
 from crowdbench.metrics.presence import AgentsOverTime, AgentsSpread, Autocorrelation
 from crowdbench.metrics.space import NearestNeighbour, Occupancy
+from crowdbench.metrics.trips import Detour, Dwell, GoalShare, OriginDestination
 from crowdbench.plugins import blaming, made, parts
 from crowdbench.trajectories.blocks import TimeBlocks
 
@@ -49,20 +56,36 @@ METRICS: tuple[Metric, ...] = (
     Occupancy(),
     NearestNeighbour(),
     Speed(),
+    Pace(),
     Acceleration(),
     Turning(),
-    ClosestApproach(),
+    Deviation(),
+    Avoidance(),
+    WallClearance(),
     OverlapRate(),
-    WallHits(),
+    CompanionDistance(),
 )
-"""Our metrics, in the order in which tables show them."""
+"""crowdbench's own metrics, in the order of the tables."""
+
+PAPER = ("agents_over_time", "inter_spawn", "dwell")
+"""The three metrics of the founding paper. Tables of distances show them first, whether or not a
+scene scores them."""
+
+
+def paper_first(metrics: Iterable[Metric]) -> list[Metric]:
+    """The metrics in the order of tables of distances: those of the founding paper first."""
+    known = list(metrics)
+    by_name = {metric.name: metric for metric in known}
+    first = [by_name[name] for name in PAPER if name in by_name]
+    return [*first, *(metric for metric in known if metric.name not in PAPER)]
 
 
 def all_metrics() -> tuple[Metric, ...]:
-    """Ours, then those that others have registered.
+    """All metrics: crowdbench's own, then those that other packages have registered.
 
     Raises:
-        SettingError: what was registered is no metric, or has the name of one of ours.
+        SettingError: a registered object is not a metric, its name or family is invalid, or one of
+            crowdbench's own metrics already has its name.
     """
     found = parts("metrics", [metric.name for metric in METRICS])
     return (*METRICS, *(_checked(name, part) for name, part in found.items()))
@@ -78,24 +101,25 @@ def _checked(name: str, part: Metric | type[Metric]) -> Metric:
         raise SettingError(
             f"metric {name}",
             got=f"the name {metric.name!r} and the family {metric.family!r}",
-            expected=f"{name!r}, and one of {', '.join(FAMILIES)}",
+            expected=f"the name {name!r} and one of the families {', '.join(FAMILIES)}",
         )
     return metric
 
 
 def blamed(metric: Metric) -> AbstractContextManager[None]:
-    """Reports errors of a metric of another package under its name."""
+    """A context that reports errors in another package's metric under the metric's name."""
     return nullcontext() if metric in METRICS else blaming(f"metric {metric.name}")
 
 
 def metrics_for(blocks: TimeBlocks) -> tuple[Metric, ...]:
-    """Our metrics that blocks of this length can tell something by."""
+    """Those of crowdbench's own metrics that apply to time blocks of this length."""
     return tuple(metric for metric in METRICS if metric.applies(blocks))
 
 
 __all__ = [
     "FAMILIES",
     "METRICS",
+    "PAPER",
     "WALK",
     "Metric",
     "MetricResult",
@@ -107,5 +131,6 @@ __all__ = [
     "blamed",
     "distance",
     "metrics_for",
+    "paper_first",
     "total",
 ]

@@ -1,4 +1,7 @@
-"""Family arrivals: when people enter. All on the annotation grid, each person an arrival."""
+"""Family arrivals: when people enter.
+
+Arrival times are on the annotation grid. Each person is one arrival, even within a group.
+"""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,17 +21,17 @@ from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.table import Trajectories
 
 ENOUGH_GAPS = 10
-"""Recorded gaps from which on an area tells a distribution."""
+"""Minimum number of recorded gaps at an area for its distribution to be compared."""
 LONG_BLOCK_S = 120.0
-"""Blocks from which on counts in 60 s can be told apart."""
+"""Minimum length of time blocks, in seconds, for statistics of counts in 60 s."""
 
 
 class InterSpawn(RelativeWasserstein):
-    """Gaps between consecutive arrivals of the whole scene.
+    """Gaps between consecutive arrivals in the whole scene.
 
-    People who enter together make gaps of zero. A gap lies within one block. Distance:
-    Wasserstein-1 of the gaps divided by the recording's mean gap; a crowd without a gap counts as
-    one whose gaps are a block long.
+    People who enter together have gaps of zero. Gaps across the edge of a block are not counted.
+    Distance: Wasserstein-1 of the gaps, divided by the recording's mean gap. A crowd without gaps
+    is treated as if its gaps were one block long.
     """
 
     name = "inter_spawn"
@@ -36,7 +39,7 @@ class InterSpawn(RelativeWasserstein):
     unit = "s"
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, g]`: gaps of g grid steps in block b; `pairs`: of consecutive gaps."""
+        """`counts[b, g]`: gaps of g grid steps in block b; `pairs[b]`: sums for `memory`."""
         _, block, tick = blocks.of_arrivals(crowd)
         within = np.diff(block) == 0
         gap, block = np.diff(tick)[within], block[1:][within]
@@ -47,18 +50,19 @@ class InterSpawn(RelativeWasserstein):
         }
 
     def step(self, blocks: TimeBlocks) -> float:
-        """The annotation grid."""
+        """Lattice step: one step of the annotation grid, in seconds."""
         return blocks.grid_s
 
     def if_empty(self, blocks: TimeBlocks) -> int:
-        """The mean length of the blocks."""
+        """Value of an empty sample: the mean length of the blocks, in grid steps."""
         return _block_in_grid_steps(blocks)
 
 
 def burstiness(sums: Sums, support: Support) -> float:
-    """B = (σ − μ)/(σ + μ) of the gaps, by `InterSpawn`'s sums (Goh & Barabási 2008, eq. 1).
+    """Burstiness B = (σ − μ)/(σ + μ) of the gaps (Goh & Barabási 2008, eq. 1).
 
-    −1 is a clock, 0 Poisson, 1 the extreme of bursts. Shown, not scored.
+    `sums` are those of `InterSpawn`. B is −1 for equal gaps, 0 for a Poisson process, and
+    approaches 1 for extremely bursty arrivals. Shown, not scored.
     """
     mean, variance = moments(sums["counts"], support)
     sigma = np.sqrt(variance)
@@ -66,18 +70,21 @@ def burstiness(sums: Sums, support: Support) -> float:
 
 
 def memory(sums: Sums) -> float:
-    """M: correlation of consecutive gaps (Goh & Barabási 2008, eq. 2). Shown, not scored."""
+    """Memory M: correlation of consecutive gaps (Goh & Barabási 2008, eq. 2).
+
+    `sums` are those of `InterSpawn`. Shown, not scored.
+    """
     return float(correlation(sums["pairs"]))
 
 
 class InterSpawnPerArea(Metric):
     """Gaps between consecutive arrivals at the same spawn area.
 
-    Distance: Wasserstein-1 of each area, averaged with the areas' shares of the recorded gaps as
-    weights, divided by the recorded mean gap within areas (an area's own mean can be 0). Where some
-    areas have ten recorded gaps or more, others do not count: a handful tells no distribution. An
-    area without a gap counts as one whose gaps are a block long. Persons of unknown area do not
-    count.
+    Distance: Wasserstein-1 per area, averaged with the areas' shares of the recorded gaps as
+    weights, divided by the recorded mean gap over all areas (the mean of a single area can be 0).
+    If any area has at least ten recorded gaps, areas with fewer are ignored, because a few gaps do
+    not determine a distribution. An area without gaps is treated as if its gaps were one block
+    long. Persons with an unknown area are ignored.
     """
 
     name = "inter_spawn_per_area"
@@ -85,7 +92,7 @@ class InterSpawnPerArea(Metric):
     unit = "s"
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`area k[b, g]`: gaps of g grid steps at area k in block b."""
+        """`area k[b, g]`: number of gaps of g grid steps at area k in block b."""
         persons, block, tick = blocks.of_arrivals(crowd)
         area = crowd.spawn_area[persons]
         statistics = {}
@@ -96,24 +103,27 @@ class InterSpawnPerArea(Metric):
         return statistics
 
     def on_lattice(self, name: str) -> bool:
-        """All of them."""
+        """True: all statistics are histograms."""
         return True
 
     def if_empty(self, blocks: TimeBlocks) -> int:
-        """The mean length of the blocks."""
+        """Value of an empty sample: the mean length of the blocks, in grid steps."""
         return _block_in_grid_steps(blocks)
 
     def embed(
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
-        """The areas' distribution functions, one after the other."""
+        """The distribution functions of all areas, concatenated."""
         block = self.if_empty(blocks)
         return np.concatenate([cdf(c, support, if_empty=block) for c in sums.values()], axis=-1)
 
     def weights(
         self, recorded: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, " #F"]:
-        """Of each area its share of the gaps (equal ones of none), over the mean gap of all."""
+        """Lattice widths times each area's share of the gaps, over the mean gap of all areas.
+
+        The shares are equal if there are no gaps. Infinite if the mean gap is 0.
+        """
         enough = [c.sum() >= ENOUGH_GAPS for c in recorded.values()]
         counts = {
             name: c if good or not any(enough) else np.zeros_like(c)
@@ -127,7 +137,7 @@ class InterSpawnPerArea(Metric):
         return np.concatenate([widths(support) * (share / mean) for share in shares])
 
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
-        """The mean gap over all areas."""
+        """Mean gap over all areas, seconds."""
         return self._mean(sums, support, blocks) * blocks.grid_s
 
     def _mean(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
@@ -137,15 +147,16 @@ class InterSpawnPerArea(Metric):
         return sum(int(c @ support) for c in sums.values()) / gaps
 
     def size(self, sums: Sums) -> int:
-        """Gaps."""
+        """Number of gaps."""
         return sum(int(c.sum()) for c in sums.values())
 
 
 class SpawnCounts(RelativeWasserstein):
-    """Persons who enter in ten frames.
+    """Number of persons who enter within ten frames.
 
-    Bins begin with the block, one that would straddle its end is left out. Distance:
-    Wasserstein-1 divided by the recording's mean; a crowd without a bin has none enter.
+    The bins of a block start at its beginning; an incomplete last bin is left out. Distance:
+    Wasserstein-1 divided by the recording's mean. A crowd without bins is treated as one that
+    nobody enters.
     """
 
     name = "spawns_per_10_frames"
@@ -153,18 +164,18 @@ class SpawnCounts(RelativeWasserstein):
     unit = "persons"
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, n]`: bins of block b in which n persons enter."""
+        """`counts[b, n]`: number of bins of block b in which n persons enter."""
         return {"counts": _binned(crowd, blocks, 10 * blocks.dt_s)}
 
     def step(self, blocks: TimeBlocks) -> float:
-        """One person."""
+        """Lattice step: 1 person."""
         return 1.0
 
 
 class FanoFactor10(LogRatio):
-    """Fano factor: variance over mean of the persons who enter in ten frames; Poisson has 1.
+    """Fano factor of arrival counts in ten frames: their variance over their mean.
 
-    Distance: |log((a + .05)/(b + .05))|. Where nobody enters the factor is 0.
+    It is 1 for a Poisson process, and 0 if nobody enters. Distance: |log((a + .05)/(b + .05))|.
     Source: Fano (1947), Phys. Rev. 72, 26.
     """
 
@@ -173,32 +184,32 @@ class FanoFactor10(LogRatio):
     unit = ""
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, n]`: bins of block b in which n persons enter."""
+        """`counts[b, n]`: number of bins of block b in which n persons enter."""
         return {"counts": _binned(crowd, blocks, 10 * blocks.dt_s)}
 
     def value(self, sums: Sums, support: Support) -> Numbers:
-        """Variance over mean."""
+        """Variance of the counts over their mean; 0 if the mean is 0."""
         mean, variance = moments(sums["counts"], support)
         return np.divide(variance, mean, out=np.zeros_like(variance), where=mean > 0)
 
 
 class FanoFactor60s(FanoFactor10):
-    """The Fano factor of the persons who enter in 60 s; for blocks of 120 s and more."""
+    """Fano factor of arrival counts in 60 s; only for time blocks of 120 s or more."""
 
     name = "fano_60_s"
 
     def applies(self, blocks: TimeBlocks) -> bool:
-        """From blocks of 120 s on (up to the frame that rounding may take)."""
+        """Whether blocks are at least 120 s long, up to rounding to whole frames."""
         lengths = np.diff(blocks.frames, axis=1) * blocks.dt_s
         return bool(np.median(lengths) >= LONG_BLOCK_S - 2 * blocks.dt_s)
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, n]`: minutes of block b in which n persons enter."""
+        """`counts[b, n]`: number of minutes of block b in which n persons enter."""
         return {"counts": _binned(crowd, blocks, 60.0)}
 
 
 def _binned(crowd: Trajectories, blocks: TimeBlocks, bin_s: float) -> Int[np.ndarray, "B V"]:
-    """Per block how many whole bins have how many arrivals."""
+    """Histogram per block of the number of arrivals in each complete bin."""
     steps = max(1, round(bin_s / blocks.grid_s))
     ticks = np.ceil(blocks.arrival_s / blocks.grid_s - 1e-6).astype(np.int64)
     bins = (ticks[:, 1] - ticks[:, 0]) // steps
@@ -211,6 +222,6 @@ def _binned(crowd: Trajectories, blocks: TimeBlocks, bin_s: float) -> Int[np.nda
 
 
 def _block_in_grid_steps(blocks: TimeBlocks) -> int:
-    # From whole frames: differences of times would round differently from block to block.
+    # Computed from whole frames, because differences of times would round differently per block.
     frames = (np.diff(blocks.frames, axis=1)[:, 0] - blocks.opens).mean()
     return max(1, round(float(frames) * blocks.dt_s / blocks.grid_s))

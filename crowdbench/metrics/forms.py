@@ -1,4 +1,4 @@
-"""The few forms that distances take; each metric is one of them with statistics of its own."""
+"""Base classes for the common forms of distances; each metric adds its own statistics."""
 
 from abc import abstractmethod
 
@@ -18,38 +18,38 @@ class RelativeWasserstein(Metric):
 
     @abstractmethod
     def step(self, blocks: TimeBlocks) -> float:
-        """One lattice step, in `unit`."""
+        """Size of one lattice step, in `unit`."""
 
     def embed(
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
-        """The distribution function."""
+        """The distribution function at each value of the support."""
         return cdf(sums["counts"], support, if_empty=self.if_empty(blocks))
 
     def weights(
         self, recorded: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, " #F"]:
-        """Width of each step over the recording's mean; infinite where that mean is 0."""
+        """Width of each lattice interval over the recording's mean; infinite if that mean is 0."""
         mean = mean_of_cdf(self.embed(recorded, support, blocks), support)
         if mean == 0:
             return np.full(1, np.inf)
         return widths(support) / mean
 
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
-        """The mean."""
+        """Mean of the sample, in `unit`."""
         return float(mean_of_cdf(self.embed(sums, support, blocks), support)) * self.step(blocks)
 
     def size(self, sums: Sums) -> int:
-        """Values in the sample."""
+        """Number of values in the sample."""
         return int(sums["counts"].sum())
 
 
 class LogRatio(Metric):
-    """|log((a + .05)/(b + .05))| of a positive number per crowd."""
+    """|log((a + .05)/(b + .05))| of one number a, b ≥ 0 per crowd."""
 
     @abstractmethod
     def value(self, sums: Sums, support: Support) -> Numbers:
-        """The number."""
+        """The number that is compared, in `unit`."""
 
     def embed(
         self, sums: Sums, support: Support, blocks: TimeBlocks
@@ -58,41 +58,44 @@ class LogRatio(Metric):
         return np.log(np.asarray(self.value(sums, support)) + 0.05)[..., None]
 
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
-        """The number itself."""
+        """The number that is compared, in `unit`."""
         return float(self.value(sums, support))
 
     def size(self, sums: Sums) -> int:
-        """Values that the number is computed from."""
+        """Number of values that the compared number is computed from."""
         return int(sums["counts"].sum())
 
 
 class ShareDifference(Metric):
-    """|difference| of two shares; the statistics hold numerator and denominator under `share`."""
+    """Absolute difference of two shares.
+
+    The statistics hold numerator and denominator per block under `share`.
+    """
 
     def embed(
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
-        """The share."""
+        """The share, a number from 0 to 1."""
         return np.asarray(share(sums["share"]))[..., None]
 
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
-        """The share."""
+        """The share, a number from 0 to 1."""
         return float(share(sums["share"]))
 
     def size(self, sums: Sums) -> int:
-        """The denominator."""
+        """Denominator of the share."""
         return int(sums["share"][1])
 
 
 class TotalVariation(Metric):
-    """½ Σ |p − q| of two distributions over cells; an empty sample is a cell of its own."""
+    """½ Σ |p − q| of two distributions over cells; an empty sample has an extra cell."""
 
     unit = ""
 
     def embed(
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
-        """The probabilities, and last the cell of the empty sample."""
+        """Probability of each cell, then 1 for an empty sample and 0 otherwise."""
         counts = sums["counts"]
         n = counts.sum(axis=-1, keepdims=True)
         return np.concatenate([counts / np.maximum(n, 1), n == 0], axis=-1)
@@ -100,13 +103,13 @@ class TotalVariation(Metric):
     def weights(
         self, recorded: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, " #F"]:
-        """One half."""
+        """The factor ½ of the total variation."""
         return np.full(1, 0.5)
 
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
-        """None."""
+        """NaN: a distribution over cells has no typical value."""
         return float("nan")
 
     def size(self, sums: Sums) -> int:
-        """Values in the sample."""
+        """Number of values in the sample."""
         return int(sums["counts"].sum())

@@ -1,158 +1,243 @@
-"""Family interaction: how people keep clear of each other and of walls."""
+"""Family interaction: how people avoid each other and walls."""
 
 from functools import lru_cache
+from itertools import combinations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Int
 
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
 from crowdbench.metrics.lattice import counted, histograms, rounded
-from crowdbench.metrics.metric import Place, Statistics
-from crowdbench.metrics.rows import (
-    block_of_frames,
-    nearest_neighbour_m,
-    pairs_within,
-    rows_in,
-    velocities,
-)
+from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
+from crowdbench.metrics.motion import Ticks, ticks_of
+from crowdbench.metrics.rows import rows_in
 from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.companions import groups_of
+from crowdbench.trajectories.neighbours import nearest_neighbour_m
 from crowdbench.trajectories.table import Trajectories
 
 ENCOUNTER_M = 2.0
 STRANGERS_MPS = 0.7
-CELLS = 250_000
-"""At most so many cells, of 0.25 m or more, tell where walls are."""
-TOUCH_M = 0.02
-"""This close to a wall counts as touching it: a simulated step ends a hair before."""
+BIN_M = 0.05
+BINS = round(ENCOUNTER_M / BIN_M)
+AROUND_TICKS = 2
+"""Velocities in encounters are measured over this many ticks before and after."""
+CLEARANCE_M = 2.0
+"""Distances to walls are clipped at this value."""
+APART_M = 5.0
+"""Distances between companions are clipped at this value."""
 
 
-def _lengths(
-    vectors: Float[np.ndarray, "R 2"], pairs: Int[np.ndarray, "n 2"]
-) -> Float[np.ndarray, " n"]:
-    """Length of the difference of the two rows of each pair."""
-    x, y = (vectors[pairs[:, 0]] - vectors[pairs[:, 1]]).T
-    length: np.ndarray = np.sqrt(x * x + y * y)
-    return length
+class Avoidance(Metric):
+    """How much less often strangers come close to each other than if they ignored each other.
 
+    An encounter is a run of consecutive ticks in which two people are within 2 m of each other.
+    They are strangers if their relative speed exceeds 0.7 m/s in more than half of these ticks. Its
+    closest approach is the smallest distance on the linear steps from the tick before to the tick
+    after. The baseline is the same quantity for pairs of people one of whom is shifted in time, so
+    that they cannot have seen each other; their paths, and how crowded they are, are the same.
 
-class ClosestApproach(RelativeWasserstein):
-    """Smallest distance between two strangers in each of their encounters.
-
-    An encounter is a run of frames in which two people are within 2 m of each other; they are
-    strangers where their relative speed exceeds 0.7 m/s in more than half of these frames. It
-    sees avoidance, since people who walk together do not count. It counts in the block of its
-    minimum. Distance: Wasserstein-1 of distances rounded to 1 cm, divided by the recording's
-    mean; a crowd without an encounter counts as one whose strangers pass 2 m apart.
+    Distance: ∫ |ΔG(d)| dd over 2 m, where G is the distribution function of the observed closest
+    approaches minus that of the baseline.
     """
 
-    name = "closest_approach"
+    name = "avoidance"
+    family = "interaction"
+    unit = "m"
+
+    def on_lattice(self, name: str) -> bool:
+        """False: all histograms have the same 40 bins."""
+        return False
+
+    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
+        """`observed[b, d]`, `shifted[b, d]`: encounters in block b, in bins of 5 cm."""
+        from crowdbench.metrics.encounters import encounters
+
+        at = ticks_of(crowd, blocks, place.tick_frames)
+        velocity = _velocities(at)
+        tick = crowd.row_frame()[at.row] // place.tick_frames
+        order = np.lexsort((at.xy[:, 0], tick))
+        begins = np.concatenate([[0], np.cumsum(np.bincount(tick))])
+
+        def histogram(shift: int) -> Int[np.ndarray, "B 40"]:
+            closest, index = encounters(
+                at.xy, velocity, at.person, order, begins, shift, ENCOUNTER_M, STRANGERS_MPS
+            )
+            block = at.block[index]
+            inside = block >= 0
+            bins = np.minimum((closest[inside] / BIN_M).astype(np.int64), BINS - 1)
+            flat = np.bincount(block[inside] * BINS + bins, minlength=len(blocks) * BINS)
+            return flat.reshape(len(blocks), BINS)
+
+        shifts = [round(shift_s / at.dt_s) for shift_s in place.shifts_s]
+        return {
+            "observed": histogram(0),
+            "shifted": np.sum([histogram(s) for k in shifts for s in (-k, k)], axis=0),
+        }
+
+    def embed(
+        self, sums: Sums, support: Support, blocks: TimeBlocks
+    ) -> Float[np.ndarray, "*batch F"]:
+        """G at the upper edge of each bin; without encounters a distribution function is 0."""
+        observed, shifted = (
+            counts.cumsum(axis=-1) / np.maximum(counts.sum(axis=-1, keepdims=True), 1)
+            for counts in (sums["observed"], sums["shifted"])
+        )
+        return np.asarray(observed - shifted)
+
+    def weights(
+        self, recorded: Sums, support: Support, blocks: TimeBlocks
+    ) -> Float[np.ndarray, " #F"]:
+        """Width of a bin, metres."""
+        return np.full(1, BIN_M)
+
+    def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
+        """∫ G dd: minus the distance by which strangers keep away from each other, metres."""
+        return float(self.embed(sums, support, blocks).sum() * BIN_M)
+
+    def size(self, sums: Sums) -> int:
+        """Number of observed encounters."""
+        return int(sums["observed"].sum())
+
+
+def _velocities(at: Ticks) -> Float[np.ndarray, "n 2"]:
+    """Velocity over two ticks before and after each position, less at the ends of a trip, m/s."""
+    begin = np.flatnonzero(np.diff(at.person, prepend=-1) != 0)
+    trip = np.cumsum(np.diff(at.person, prepend=-1) != 0) - 1
+    last = np.append(begin[1:], len(at.person)) - 1
+    index = np.arange(len(at.person))
+    before = np.maximum(index - AROUND_TICKS, begin[trip])
+    after = np.minimum(index + AROUND_TICKS, last[trip])
+    way = at.xy[after] - at.xy[before]
+    return np.asarray(way / (np.maximum(after - before, 1) * at.dt_s)[:, None])
+
+
+class WallClearance(RelativeWasserstein):
+    """Distance of each position at a tick to the nearest wall, clipped at 2 m.
+
+    Distance: Wasserstein-1 of distances rounded to 5 cm, divided by the recording's mean.
+    """
+
+    name = "wall_clearance"
     family = "interaction"
     unit = "m"
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, d]`: encounters with a closest approach of d cm in block b."""
-        pairs = pairs_within(crowd, ENCOUNTER_M)
-        person, frame = crowd.row_person(), crowd.row_frame()
-        # By pair of persons, then by frame, as they come.
-        both = person[pairs[:, 0]] * len(crowd) + person[pairs[:, 1]]
-        order = np.argsort(both, kind="stable")
-        pairs, both = pairs[order], both[order]
-        t = frame[pairs[:, 0]]
-        new = (np.diff(both, prepend=-1) != 0) | (np.diff(t, prepend=-1) != 1)
-        encounter = np.cumsum(new) - 1
-        gap = _lengths(crowd.xy.astype(np.float64), pairs)
-        fast = np.bincount(encounter, _lengths(velocities(crowd), pairs) > STRANGERS_MPS)
-        strangers = fast > np.bincount(encounter) / 2
-        # The first frame of each encounter's smallest distance.
-        smallest = np.minimum.reduceat(gap, np.flatnonzero(new)) if len(gap) else gap
-        closest = np.flatnonzero(gap == smallest[encounter])
-        closest = closest[np.diff(encounter[closest], prepend=-1) != 0]
-        block = block_of_frames(blocks, crowd.frames)[t[closest]]
-        counts = strangers & (block >= 0)
-        return {
-            "counts": histograms(rounded(gap[closest][counts], 0.01), block[counts], len(blocks))
-        }
+        """`counts[b, d]`: number of positions in block b at a distance of d · 5 cm from walls."""
+        at = ticks_of(crowd, blocks, place.tick_frames)
+        inside = at.block >= 0
+        distance = clearance(place.walls, at.xy[inside])
+        return {"counts": histograms(rounded(distance, 0.05), at.block[inside], len(blocks))}
 
     def step(self, blocks: TimeBlocks) -> float:
-        """1 cm."""
-        return 0.01
+        """Lattice step: 0.05 m."""
+        return 0.05
 
     def if_empty(self, blocks: TimeBlocks) -> int:
-        """2 m."""
-        return round(ENCOUNTER_M / 0.01)
+        """Value of an empty sample: 2 m, in lattice steps."""
+        return round(CLEARANCE_M / 0.05)
+
+
+def clearance(
+    walls: tuple[tuple[tuple[float, float], ...], ...], xy: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, " n"]:
+    """Distance of each position to the nearest wall in metres, at most 2; 0 inside a wall."""
+    import shapely
+
+    from crowdbench.metrics.wall_distance import clearances
+
+    if not walls:
+        return np.full(len(xy), CLEARANCE_M)
+    solid, grid = _walls_by_cell(walls)
+    distance = clearances(xy, CLEARANCE_M, *grid)
+    solids: Bool[np.ndarray, " n"] = shapely.contains_xy(solid, xy[:, 0], xy[:, 1])
+    distance[solids] = 0.0
+    return np.asarray(distance)
+
+
+@lru_cache(maxsize=8)
+def _walls_by_cell(
+    walls: tuple[tuple[tuple[float, float], ...], ...],
+) -> tuple[Any, tuple[Any, ...]]:
+    """The union of all walls; their edges, and the edges near each cell of a grid."""
+    import shapely
+
+    from crowdbench.metrics.wall_distance import CELL_M, near_segments
+
+    solid = shapely.union_all([shapely.Polygon(corners) for corners in walls])
+    shapely.prepare(solid)
+    rings = [np.array([*corners, corners[0]], dtype=np.float64) for corners in walls]
+    segments = np.concatenate([np.hstack([ring[:-1], ring[1:]]) for ring in rings])
+    points = np.concatenate(rings)
+    lower = points.min(axis=0) - CLEARANCE_M
+    columns, rows = (np.ceil((points.max(axis=0) + CLEARANCE_M - lower) / CELL_M)).astype(int)
+    start, near = near_segments(segments, lower, int(columns), int(rows), CLEARANCE_M)
+    return solid, (segments, lower, int(columns), int(rows), start, near)
 
 
 class OverlapRate(ShareDifference):
-    """Share of the frames of people who are not alone in which their disc overlaps another's.
+    """Share of positions at which a person's disc overlaps another person's disc.
 
-    Two-sided: in recordings people overlap too, mostly those who walk together. Distance:
-    |difference|.
+    Positions of people who are alone in a frame are ignored. The distance |difference| is
+    two-sided, because people overlap in recordings too, mostly those who walk together.
     """
 
     name = "overlap_rate"
     family = "interaction"
     unit = ""
+    scored = False
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`share[b]`: persons and frames that overlap someone, and that are not alone."""
+        """`share[b]`: number of positions with an overlap, and of positions of people not alone."""
         rows, block = rows_in(crowd, blocks)
         nearest = nearest_neighbour_m(crowd)[rows]
         known = np.isfinite(nearest)
         return {"share": counted(nearest[known] < 2 * place.radius_m, block[known], len(blocks))}
 
 
-class WallHits(ShareDifference):
-    """Share of people's frames in which they touch a wall, that is, come within 2 cm of it.
+class CompanionDistance(RelativeWasserstein):
+    """Distance between two companions at each tick, clipped at 5 m.
 
-    Distance: |difference|.
+    Companions are found by one rule in recordings and rollouts, see
+    `crowdbench.trajectories.companions`. Distance: Wasserstein-1 of distances rounded to 5 cm,
+    divided by the recording's mean.
     """
 
-    name = "wall_hits"
+    name = "companion_distance"
     family = "interaction"
-    unit = ""
+    unit = "m"
+    scored = False
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`share[b]`: persons and frames at a wall, and in all."""
-        rows, block = rows_in(crowd, blocks)
-        return {"share": counted(touching(place.walls, crowd.xy[rows]), block, len(blocks))}
+        """`counts[b, d]`: number of pairs and ticks in block b with a distance of d · 5 cm."""
+        at = ticks_of(crowd, blocks, place.tick_frames)
+        group = groups_of(crowd)
+        begin = np.searchsorted(at.person, np.arange(len(crowd)))
+        stop = np.searchsorted(at.person, np.arange(len(crowd)), side="right")
+        tick = crowd.row_frame()[at.row] // place.tick_frames
+        members = np.flatnonzero(group >= 0)
+        members = members[np.argsort(group[members], kind="stable")]
+        edges = np.flatnonzero(np.diff(group[members])) + 1
+        gaps, in_block = [np.empty(0)], [np.empty(0, np.int64)]
+        for of_group in np.split(members, edges):
+            for a, b in combinations(of_group.tolist(), 2):
+                if stop[a] == begin[a] or stop[b] == begin[b]:
+                    continue
+                shift = int(begin[b] - tick[begin[b]] - begin[a] + tick[begin[a]])
+                first, last = max(begin[a], begin[b] - shift), min(stop[a], stop[b] - shift)
+                if first < last:
+                    here, there = at.xy[first:last], at.xy[first + shift : last + shift]
+                    gaps.append(np.hypot(*(here - there).T))
+                    in_block.append(at.block[first:last])
+        gap, block = np.minimum(np.concatenate(gaps), APART_M), np.concatenate(in_block)
+        inside = block >= 0
+        return {"counts": histograms(rounded(gap[inside], 0.05), block[inside], len(blocks))}
 
+    def step(self, blocks: TimeBlocks) -> float:
+        """Lattice step: 0.05 m."""
+        return 0.05
 
-def touching(
-    walls: tuple[tuple[tuple[float, float], ...], ...], xy: Float32[np.ndarray, "n 2"]
-) -> Bool[np.ndarray, " n"]:
-    """Whether each position is at a wall, or in one."""
-    import shapely
-
-    solid, lower, cell_m, near = _walls_by_cell(walls)
-    column, line = (
-        np.clip((xy[:, k].astype(np.float64) - lower[k]) / cell_m, -1, size).astype(np.int64)
-        for k, size in enumerate(near.shape)
-    )
-    beyond = (column < 0) | (column == near.shape[0]) | (line < 0) | (line == near.shape[1])
-    at = np.flatnonzero(~beyond)
-    at = at[near[column[at], line[at]]]
-    hit = np.zeros(len(xy), dtype=bool)
-    hit[at] = shapely.dwithin(solid, shapely.points(xy[at].astype(np.float64)), TOUCH_M)
-    return hit
-
-
-@lru_cache(maxsize=8)
-def _walls_by_cell(
-    walls: tuple[tuple[tuple[float, float], ...], ...],
-) -> tuple[Any, Float[np.ndarray, " 2"], float, Bool[np.ndarray, "X Y"]]:
-    """All walls as one shape, and in which cells, from `lower` on, a position may be at one."""
-    import shapely
-
-    solid = shapely.union_all([shapely.Polygon(corners) for corners in walls])
-    shapely.prepare(solid)
-    if solid.is_empty:
-        return solid, np.zeros(2), 1.0, np.zeros((0, 0), dtype=bool)
-    x_min, y_min, x_max, y_max = solid.bounds
-    cell_m = max(0.25, ((x_max - x_min) * (y_max - y_min) / CELLS) ** 0.5)
-    lower = np.array([x_min, y_min]) - cell_m
-    count = np.ceil((np.array([x_max, y_max]) - lower) / cell_m).astype(int) + 1
-    x, y = (low + (np.arange(n) + 0.5) * cell_m for low, n in zip(lower, count, strict=True))
-    centre = shapely.points(*np.meshgrid(x, y, indexing="ij"))
-    # A centre is at most 0.71 of a cell away from the cell's points.
-    return solid, lower, cell_m, shapely.dwithin(solid, centre, TOUCH_M + 0.75 * cell_m)
+    def if_empty(self, blocks: TimeBlocks) -> int:
+        """Value of an empty sample: 5 m, in lattice steps."""
+        return round(APART_M / 0.05)

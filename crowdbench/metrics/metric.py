@@ -1,10 +1,11 @@
-"""What a metric is: statistics of a crowd per time block, and a distance between their sums.
+"""The base class of metrics: statistics of a crowd per time block, and a distance between sums.
 
 Each distance is the weighted L1 distance of two vectors that are computed from sums over blocks:
 the distribution function for Wasserstein-1, the probabilities for total variation, a logarithm or
-a share for the others. That has three consequences. Shipping the statistics loses nothing against
-shipping the crowd. Blocks can be resampled without looking at a crowd again. And every distance is
-of negative type (Székely & Rizzo 2013, Sec. 2), which makes the energy score of them proper.
+a share for the others. This has three consequences. The statistics contain everything that is
+needed of a crowd, so a scene can be shipped without its recording. Blocks can be resampled without
+access to the trajectories. And every distance is of negative type (Székely & Rizzo 2013, Sec. 2),
+so the energy score based on it is proper.
 """
 
 from abc import ABC, abstractmethod
@@ -19,56 +20,65 @@ from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.table import Trajectories
 
 Statistics = dict[str, Int[np.ndarray, "_B _V"]]
-"""Counts or sums per block, by name. Those that `Metric.on_lattice` names are histograms: column v
-counts the value v, and V may differ from crowd to crowd; `aligned` brings them to one support."""
+"""Counts or sums per block, by name.
+
+Those for which `Metric.on_lattice` is true are histograms: column v counts the value v. Their
+number of columns V may differ between crowds; `Metric.aligned` brings them to a common support."""
 
 Support = Int[np.ndarray, " V"]
-"""Ascending lattice values that the columns of aligned histograms stand for; 0 is the first."""
+"""Lattice values of the columns of aligned histograms, ascending from 0."""
 
 Sums = dict[str, np.ndarray]
-"""Aligned statistics summed over blocks, (…, V): leading axes are resamples or rollouts."""
+"""Aligned statistics summed over blocks, (…, V); leading axes are resamples or rollouts."""
 
-Family = Literal["arrivals", "presence", "lives", "space", "motion", "interaction"]
+Family = Literal["arrivals", "presence", "trips", "space", "motion", "interaction"]
 FAMILIES: tuple[Family, ...] = (
     "arrivals",
     "presence",
-    "lives",
+    "trips",
     "space",
     "motion",
     "interaction",
 )
 WALK: tuple[Family, ...] = ("motion", "interaction")
-"""Families that are compared under the recorded arrivals: they judge how people walk."""
+"""Families that evaluate how people walk; they are scored under the recorded arrivals."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """What metrics need to know of a scene."""
+    """The properties of a scene that metrics use."""
 
     spawn_areas: int
     goal_areas: int
     bounds_m: tuple[float, float, float, float]
-    """x from and to, y from and to."""
+    """x min, x max, y min, y max."""
     radius_m: float = 0.3
     """Radius of a person's disc."""
     walls: tuple[tuple[tuple[float, float], ...], ...] = ()
-    """Corners of each obstacle, metres."""
+    """Corners of each wall, metres."""
+    tick_frames: int = 1
+    """Frames from one tick to the next; walking is measured at ticks."""
+    window_ticks: int = 9
+    """Length of the window in which speeds are measured, in ticks; odd."""
+    lags_ticks: tuple[int, ...] = (3, 4, 6)
+    """Time scales of accelerations, in ticks."""
+    shifts_s: tuple[float, ...] = (20.0, 40.0)
+    """Shifts in time, in both directions, of the pairs that encounters are compared with."""
 
 
 @dataclass(frozen=True)
 class MetricResult:
-    """A distance between two crowds, with what stands behind it."""
+    """A distance between two crowds, with their typical values and a sample size."""
 
     distance: float
-    """0 is equal. What it is divided by, the metric says."""
+    """The distance; 0 means equal. Each metric documents its normalisation."""
     recorded: float
-    """Typical value of the recording, or of the crowd that stands for it, in `unit`; NaN where a
-    metric has none."""
+    """Typical value of the recording or reference crowd, in `unit`; NaN if the metric has none."""
     simulated: float
-    """That of the other crowd."""
+    """Typical value of the simulated crowd."""
     unit: str
     n: int
-    """Size of the other crowd's sample."""
+    """Sample size of the simulated crowd."""
 
     def __repr__(self) -> str:
         if np.isnan(self.recorded):
@@ -83,18 +93,23 @@ class MetricResult:
 
 
 class Metric(ABC):
-    """A metric: its statistics, the vectors that are compared, and their weights."""
+    """A metric: its statistics, the vectors that are compared, and the weights of their components.
+
+    Subclasses set `name`, `family` and `unit`.
+    """
 
     name: ClassVar[str]
     family: ClassVar[Family]
     unit: ClassVar[str]
-    """Of the typical value."""
+    """Unit of the typical value."""
+    scored: ClassVar[bool] = True
+    """False for metrics that are computed and shown, but never affect scores."""
 
     def __repr__(self) -> str:
         return f"<metric {self.name}, {self.family}>"
 
     def applies(self, blocks: TimeBlocks) -> bool:
-        """Whether blocks so long can tell anything."""
+        """Whether the metric applies to time blocks of this length."""
         return True
 
     def on_lattice(self, name: str) -> bool:
@@ -102,7 +117,7 @@ class Metric(ABC):
         return name == "counts"
 
     def if_empty(self, blocks: TimeBlocks) -> int:
-        """The value, in lattice steps, at which an empty sample stands."""
+        """The value, in lattice steps, that stands for an empty sample."""
         return 0
 
     @abstractmethod
@@ -113,17 +128,17 @@ class Metric(ABC):
     def embed(
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
-        """The vectors whose L1 distance is taken."""
+        """The vectors whose weighted L1 distance is the metric's distance."""
 
     def weights(
         self, recorded: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, " #F"]:
-        """Weight of each component, from the recording's sums."""
+        """Weight of each vector component, computed from the recording's sums."""
         return np.ones(1)
 
     @abstractmethod
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
-        """The value that a table shows, in `unit`."""
+        """The typical value that tables show, in `unit`."""
 
     @abstractmethod
     def size(self, sums: Sums) -> int:
@@ -132,12 +147,12 @@ class Metric(ABC):
     def compare(
         self, recorded: Statistics, simulated: Statistics, blocks: TimeBlocks
     ) -> MetricResult:
-        """Distance between two crowds' statistics in the same blocks."""
+        """Distance between the statistics of two crowds in the same blocks."""
         (y, x), support = self.aligned([recorded, simulated], blocks)
         p, q = total(y), total(x)
         weight = self.weights(p, support, blocks)
         difference = np.abs(self.embed(p, support, blocks) - self.embed(q, support, blocks))
-        with np.errstate(invalid="ignore"):  # 0 times an infinite weight is no difference
+        with np.errstate(invalid="ignore"):  # 0 times an infinite weight counts as 0
             parts = np.where(difference > 0, difference * weight, 0.0)
         return MetricResult(
             distance=float(parts.sum()),
@@ -150,7 +165,10 @@ class Metric(ABC):
     def aligned(
         self, crowds: Sequence[Statistics], blocks: TimeBlocks
     ) -> tuple[list[Statistics], Support]:
-        """The statistics of several crowds on one support: the values that any of them has."""
+        """The statistics of several crowds on a common support, and that support.
+
+        The support holds 0, `if_empty` and every value that occurs in any of the crowds.
+        """
         names = [name for name in crowds[0] if self.on_lattice(name)]
         used = {0, self.if_empty(blocks)}
         for crowd in crowds:
@@ -159,7 +177,8 @@ class Metric(ABC):
         support = np.array(sorted(used))
         return [
             {
-                # In one order: a file sorts names otherwise than a crowd does.
+                # All in the order of the first crowd: statistics from a file may be sorted
+                # differently.
                 name: _at(crowd[name], support) if name in names else crowd[name]
                 for name in crowds[0]
             }
@@ -181,7 +200,7 @@ def distance(
     blocks: TimeBlocks,
     place: Place,
 ) -> MetricResult:
-    """`metric` between two crowds, looked at through `blocks`."""
+    """Distance between two crowds by `metric`, computed in the same time blocks."""
     return metric.compare(
         metric.summarise(recorded, blocks, place),
         metric.summarise(simulated, blocks, place),
@@ -190,5 +209,5 @@ def distance(
 
 
 def total(statistics: Statistics) -> Sums:
-    """Sums over all blocks."""
+    """Sum of each statistic over all blocks."""
     return {name: values.sum(axis=0) for name, values in statistics.items()}

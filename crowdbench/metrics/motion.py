@@ -1,47 +1,88 @@
-"""Family motion: how people move, by central differences over 0.8 s at every frame.
+"""Family motion: how people move, on time scales on which they move more than annotations jitter.
 
-The span is two frames where a frame is 0.4 s, and the even number of frames next to 0.8 s
-elsewhere. Frames count by their middle; both ends lie within the life.
+Positions are taken at *ticks*: every `Place.tick_frames` frames, so that no position is an
+interpolated one. Speeds are slopes over a window of ticks. Accelerations are mean products of two
+second differences that share no position, so that independent noise of the positions, of any size
+and distribution, cancels.
 """
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.metrics.forms import RelativeWasserstein
 from crowdbench.metrics.lattice import histograms, rounded
-from crowdbench.metrics.metric import Place, Statistics
+from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
 from crowdbench.metrics.rows import block_of_frames
 from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.table import Trajectories
 
-SPAN_S = 0.8
-STANDING_MPS = 0.2
-"""Slower steps have no direction to speak of: annotation jitters by centimetres."""
 FASTEST_MPS = 100.0
-HARDEST_MPS2 = 1000.0
-"""Beyond these a table is broken; its histogram must not outgrow memory."""
+LARGEST = 1e6
+"""m²/s⁴. Larger values and products only occur in broken tables; they are clipped."""
+STANDING_MPS = 0.3
+"""Slower displacements have no reliable direction."""
+PRODUCT = 1e-6
+"""Unit of stored products of accelerations, m²/s⁴."""
+SHORTEST_M = 3.0
+FEWEST_STEPS = 4
+"""Trips with a shorter distance from start to end, or with fewer steps, have no deviation."""
+HARMONICS = 3
 
 
-@lru_cache(maxsize=1)  # three metrics of the same crowd look at them
-def _steps(
-    crowd: Trajectories, blocks: TimeBlocks
-) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"], Int[np.ndarray, " n"], float]:
-    """The way before and after each frame, metres, the frame's block, and seconds of each way."""
-    half = max(1, round(SPAN_S / 2 / crowd.dt_s))
-    row = np.arange(len(crowd.xy))
-    person = crowd.row_person()
-    inside = (row - half >= crowd.offsets[:-1][person]) & (row + half < crowd.offsets[1:][person])
-    block = block_of_frames(blocks, crowd.frames)[crowd.row_frame()]
-    middle = np.flatnonzero(inside & (block >= 0))
-    xy = crowd.xy.astype(np.float64)
-    before, after = xy[middle] - xy[middle - half], xy[middle + half] - xy[middle]
-    return before, after, block[middle], half * crowd.dt_s
+class Ticks(NamedTuple):
+    """The positions of a crowd at its `n` ticks, trip by trip."""
+
+    xy: Float[np.ndarray, "n 2"]
+    """Metres."""
+    row: Int[np.ndarray, " n"]
+    """Index of each position in `Trajectories.xy`."""
+    person: Int[np.ndarray, " n"]
+    block: Int[np.ndarray, " n"]
+    """Time block of each position; −1 outside all blocks."""
+    dt_s: float
+    """Seconds from one tick to the next."""
+
+    def with_room(self, before: int, after: int) -> Int[np.ndarray, " m"]:
+        """Indices of the positions whose trip has as many ticks before and after them."""
+        index = np.arange(before, max(before, len(self.xy) - after))
+        return index[self.person[index - before] == self.person[index + after]]
+
+
+@lru_cache(maxsize=1)  # several metrics use the ticks of the same crowd
+def ticks_of(crowd: Trajectories, blocks: TimeBlocks, tick_frames: int) -> Ticks:
+    """The positions of a crowd at its ticks."""
+    frame = crowd.row_frame()
+    rows = np.flatnonzero(frame % tick_frames == 0)
+    block = block_of_frames(blocks, crowd.frames)[frame[rows]]
+    xy = crowd.xy[rows].astype(np.float64)
+    return Ticks(xy, rows, crowd.row_person()[rows], block, tick_frames * crowd.dt_s)
+
+
+@lru_cache(maxsize=1)  # two metrics use the speeds of the same crowd
+def _speeds(
+    crowd: Trajectories, blocks: TimeBlocks, tick_frames: int, window: int
+) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+    """Speed (m/s), person and block at the middle of each full window of ticks.
+
+    The velocity is the slope of the least-squares line through the window's positions (Savitzky &
+    Golay 1964, first derivative).
+    """
+    at = ticks_of(crowd, blocks, tick_frames)
+    half = (window - 1) // 2
+    index = at.with_room(half, half)
+    slope = np.zeros((len(index), 2))
+    for i in range(1, half + 1):
+        slope += i * (at.xy[index + i] - at.xy[index - i])
+    slope /= at.dt_s * 2 * sum(i * i for i in range(1, half + 1))
+    speed = np.minimum(np.hypot(slope[:, 0], slope[:, 1]), FASTEST_MPS)
+    return speed, at.person[index], at.block[index]
 
 
 class Speed(RelativeWasserstein):
-    """Speed of each person in each frame; speeds end at 100 m/s.
+    """Speed of each person at each tick, clipped at 100 m/s.
 
     Distance: Wasserstein-1 of speeds rounded to 1 cm/s, divided by the recording's mean.
     """
@@ -51,59 +92,152 @@ class Speed(RelativeWasserstein):
     unit = "m/s"
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, v]`: persons and frames with a speed of v cm/s."""
-        before, after, block, half_s = _steps(crowd, blocks)
-        speed = np.linalg.norm(before + after, axis=1) / (2 * half_s)
-        speed = np.minimum(speed, FASTEST_MPS)
-        return {"counts": histograms(rounded(speed, 0.01), block, len(blocks))}
+        """`counts[b, v]`: number of positions in block b with a speed of v cm/s."""
+        speed, _, block = _speeds(crowd, blocks, place.tick_frames, place.window_ticks)
+        inside = block >= 0
+        return {"counts": histograms(rounded(speed[inside], 0.01), block[inside], len(blocks))}
 
     def step(self, blocks: TimeBlocks) -> float:
-        """1 cm/s."""
+        """Lattice step: 0.01 m/s."""
         return 0.01
 
 
-class Acceleration(RelativeWasserstein):
-    """Size of the change of velocity, in each frame; accelerations end at 1000 m/s².
+class Pace(RelativeWasserstein):
+    """Difference of a person's speed at each tick from the mean speed of the person's trip.
 
-    Distance: Wasserstein-1 of accelerations rounded to 1 cm/s², divided by the recording's mean.
+    Distance: Wasserstein-1 of absolute differences rounded to 1 cm/s, divided by the recording's
+    mean.
+    """
+
+    name = "pace"
+    family = "motion"
+    unit = "m/s"
+
+    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
+        """`counts[b, v]`: number of positions in block b whose speed differs by v cm/s."""
+        speed, person, block = _speeds(crowd, blocks, place.tick_frames, place.window_ticks)
+        total, count = np.bincount(person, speed), np.bincount(person)
+        unsteady = np.abs(speed - (total / np.maximum(count, 1))[person])
+        inside = block >= 0
+        return {"counts": histograms(rounded(unsteady[inside], 0.01), block[inside], len(blocks))}
+
+    def step(self, blocks: TimeBlocks) -> float:
+        """Lattice step: 0.01 m/s."""
+        return 0.01
+
+
+@lru_cache(maxsize=4)  # two metrics use the products of the same crowd, at up to four lags
+def _products(
+    crowd: Trajectories, blocks: TimeBlocks, tick_frames: int, lag: int
+) -> Int[np.ndarray, "B 3"]:
+    """Per block, sums of products along and across the path, in 1e-6 m²/s⁴, and their number."""
+    from crowdbench.metrics.acceleration import products
+
+    at = ticks_of(crowd, blocks, tick_frames)
+    stands = STANDING_MPS * (2 * lag + 1) * at.dt_s
+    found: np.ndarray = products(
+        at.xy, at.person, at.block, len(blocks), lag, lag * at.dt_s, stands, LARGEST, PRODUCT
+    )
+    return found
+
+
+class _NoiseCancelled(Metric):
+    """Root of the mean product of successive accelerations, at each lag of the scene."""
+
+    family = "motion"
+    unit = "m/s²"
+    _component: int
+
+    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
+        """`lag k`: per block the sum of products, in 1e-6 m²/s⁴, and their number."""
+        found = {}
+        for lag in place.lags_ticks:
+            of_lag = _products(crowd, blocks, place.tick_frames, lag)
+            found[f"lag {lag}"] = of_lag[:, [self._component, 2]]
+        return found
+
+    def embed(
+        self, sums: Sums, support: Support, blocks: TimeBlocks
+    ) -> Float[np.ndarray, "*batch F"]:
+        """√max(0, mean product) at each lag, m/s²."""
+        each = [s[..., 0] * PRODUCT / np.maximum(s[..., 1], 1) for s in sums.values()]
+        return np.sqrt(np.maximum(np.stack(each, axis=-1), 0.0))
+
+    def weights(
+        self, recorded: Sums, support: Support, blocks: TimeBlocks
+    ) -> Float[np.ndarray, " #F"]:
+        """One over the number of lags times the recorded value; infinite if that is 0."""
+        value = self.embed(recorded, support, blocks)
+        with np.errstate(divide="ignore"):
+            return 1.0 / (len(value) * value)
+
+    def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
+        """Mean over the lags, m/s²."""
+        return float(self.embed(sums, support, blocks).mean())
+
+    def size(self, sums: Sums) -> int:
+        """Number of products at the shortest lag."""
+        return int(next(iter(sums.values()))[1])
+
+
+class Acceleration(_NoiseCancelled):
+    """Acceleration along the path; white noise of the positions cancels.
+
+    Distance: mean over the lags of |difference| over the recorded value.
     """
 
     name = "acceleration"
-    family = "motion"
-    unit = "m/s²"
-
-    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, a]`: persons and frames with an acceleration of a cm/s²."""
-        before, after, block, half_s = _steps(crowd, blocks)
-        acceleration = np.linalg.norm(after - before, axis=1) / half_s**2
-        acceleration = np.minimum(acceleration, HARDEST_MPS2)
-        return {"counts": histograms(rounded(acceleration, 0.01), block, len(blocks))}
-
-    def step(self, blocks: TimeBlocks) -> float:
-        """1 cm/s²."""
-        return 0.01
+    _component = 0
 
 
-class Turning(RelativeWasserstein):
-    """Angle between the ways before and after each frame, where neither is slower than 0.2 m/s.
+class Turning(_NoiseCancelled):
+    """Acceleration across the path; white noise of the positions cancels.
 
-    Distance: Wasserstein-1 of angles rounded to 1°, divided by the recording's mean.
+    Distance: mean over the lags of |difference| over the recorded value.
     """
 
     name = "turning"
+    _component = 1
+
+
+class Deviation(RelativeWasserstein):
+    """How far a trip leaves the straight line from its start to its end.
+
+    It is √(a₁² + a₂² + a₃²), the amplitudes of the first three half sines of the sideways offsets,
+    in metres. Trips of people who entered and left, of 3 m from start to end and four steps at
+    least, count in the block of their first tick.
+
+    Distance: Wasserstein-1 of deviations rounded to 1 cm, divided by the recording's mean.
+    """
+
+    name = "deviation"
     family = "motion"
-    unit = "°"
+    unit = "m"
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, a]`: persons and frames with a turn of a degrees, to either side."""
-        before, after, block, half_s = _steps(crowd, blocks)
-        slower = np.minimum(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
-        walks = slower >= STANDING_MPS * half_s
-        cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-        dot = (before * after).sum(axis=1)
-        turn = np.degrees(np.abs(np.arctan2(cross, dot)))[walks]
-        return {"counts": histograms(rounded(turn, 1.0), block[walks], len(blocks))}
+        """`counts[b, d]`: number of trips that begin in block b with a deviation of d cm."""
+        at = ticks_of(crowd, blocks, place.tick_frames)
+        begin = np.flatnonzero(np.diff(at.person, prepend=-1) != 0)
+        steps = np.diff(np.append(begin, len(at.person))) - 1
+        chord = at.xy[begin + steps] - at.xy[begin]
+        length = np.hypot(chord[:, 0], chord[:, 1])
+        whole = (crowd.entered & crowd.left)[at.person[begin]]
+        chosen = whole & (length >= SHORTEST_M) & (steps >= FEWEST_STEPS) & (at.block[begin] >= 0)
+        trip = np.repeat(np.arange(len(begin)), steps + 1)
+        step = np.arange(len(at.person)) - begin[trip]
+        r = at.xy - at.xy[begin[trip]]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = (chord / length[:, None])[trip]
+            phase = np.pi * step / steps[trip]
+        offset = np.where(chosen[trip], u[:, 0] * r[:, 1] - u[:, 1] * r[:, 0], 0.0)
+        square = np.zeros(len(begin))
+        for m in range(1, HARMONICS + 1):
+            sine = np.where(chosen[trip], offset * np.sin(m * phase), 0.0)
+            square += (2 / np.maximum(steps, 1) * np.bincount(trip, sine)) ** 2
+        deviation = np.sqrt(square)[chosen]
+        block = at.block[begin][chosen]
+        return {"counts": histograms(rounded(deviation, 0.01), block, len(blocks))}
 
     def step(self, blocks: TimeBlocks) -> float:
-        """1°."""
-        return 1.0
+        """Lattice step: 0.01 m."""
+        return 0.01

@@ -1,4 +1,4 @@
-"""Family presence: how many people are there at once."""
+"""Family presence: how many people are present at the same time."""
 
 from collections.abc import Sequence
 
@@ -13,13 +13,16 @@ from crowdbench.trajectories.table import Trajectories
 
 LAGS_S = (10.0, 30.0, 60.0)
 ENOUGH = 0.1
-"""Share of the frames that must have a partner at a lag."""
+"""Minimum share of frames that must have a frame one lag later in the same block."""
 
 
 def present_in(
     crowd: Trajectories, blocks: TimeBlocks
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """N(t) in each frame of the blocks, and the frame's block; beyond its end a crowd is empty."""
+    """N(t) in each frame of the blocks, and the frame's block.
+
+    N(t) is 0 after the end of the crowd.
+    """
     last = int(blocks.frames.max())
     present = np.pad(crowd.present(), (0, max(0, last - crowd.frames)))
     frame = np.concatenate([np.arange(start, stop) for start, stop in blocks.frames])
@@ -27,7 +30,7 @@ def present_in(
 
 
 class AgentsOverTime(RelativeWasserstein):
-    """N(t), the persons present, on the scene's frames in the blocks, empty frames included.
+    """N(t), the number of persons present, in all frames of the blocks, including empty frames.
 
     N(t) is the number of people whose first frame is ≤ t minus those whose last frame is < t.
     Distance: Wasserstein-1 of the two distributions of N, divided by the recording's mean N.
@@ -38,12 +41,12 @@ class AgentsOverTime(RelativeWasserstein):
     unit = "persons"
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, n]`: frames of block b with n persons."""
+        """`counts[b, n]`: number of frames of block b with n persons."""
         present, block = present_in(crowd, blocks)
         return {"counts": histograms(present, block, len(blocks))}
 
     def step(self, blocks: TimeBlocks) -> float:
-        """One person."""
+        """Lattice step: 1 person."""
         return 1.0
 
 
@@ -58,22 +61,22 @@ class AgentsSpread(LogRatio):
     unit = "persons"
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, n]`: frames of block b with n persons."""
+        """`counts[b, n]`: number of frames of block b with n persons."""
         present, block = present_in(crowd, blocks)
         return {"counts": histograms(present, block, len(blocks))}
 
     def value(self, sums: Sums, support: Support) -> Numbers:
-        """The standard deviation."""
+        """Standard deviation of N(t)."""
         return np.sqrt(moments(sums["counts"], support)[1])
 
 
 class Autocorrelation(Metric):
-    """Autocorrelation of N(t) at lags of 10, 30 and 60 s, those that are shorter than the blocks.
+    """Autocorrelation of N(t) at lags of 10, 30 and 60 s.
 
     Pearson's correlation of N(t) and N(t + lag), both in the same block, over all blocks together;
-    0 where N does not vary. A lag counts where at least a tenth of the frames have a partner, so
-    that no correlation stands on one long block among short ones. Distance: |difference|,
-    averaged over the lags.
+    0 if N does not vary. A lag is used if at least a tenth of the frames have a frame one lag later
+    in the same block, so that no correlation rests on one long block among short ones. Distance:
+    |difference|, averaged over the lags.
     """
 
     name = "autocorrelation"
@@ -81,40 +84,40 @@ class Autocorrelation(Metric):
     unit = ""
 
     def applies(self, blocks: TimeBlocks) -> bool:
-        """Where the blocks are longer than the shortest lag."""
+        """Whether the blocks are long enough for at least one lag."""
         return bool(counted(LAGS_S, blocks))
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`lag n s[b]`: n, Σx, Σx′, Σxx′, Σx², Σx′² in block b, at each lag, counted or not."""
+        """`lag n s[b]`: n, Σx, Σx′, Σxx′, Σx², Σx′² in block b, for every lag, used or not."""
         sums = lagged(crowd, blocks, LAGS_S)
         return {lag_key(lag_s): of_lag for lag_s, of_lag in zip(LAGS_S, sums, strict=True)}
 
     def embed(
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
-        """The correlation at each lag."""
+        """The correlation at each lag that is used."""
         each = [correlation(sums[lag_key(lag_s)]) for lag_s in counted(LAGS_S, blocks)]
         return np.stack(each, axis=-1)
 
     def weights(
         self, recorded: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, " #F"]:
-        """One over the number of lags."""
+        """1 / number of lags: the distance is a mean over the lags."""
         return np.full(1, 1 / len(counted(LAGS_S, blocks)))
 
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
-        """The mean over the lags."""
+        """Mean correlation over the lags."""
         return float(self.embed(sums, support, blocks).mean())
 
     def size(self, sums: Sums) -> int:
-        """Pairs of frames at the shortest lag."""
+        """Number of pairs of frames at the shortest lag."""
         return int(sums[lag_key(LAGS_S[0])][0])
 
 
 def lagged(
     crowd: Trajectories, blocks: TimeBlocks, lags_s: Sequence[float]
 ) -> Int[np.ndarray, "L B 6"]:
-    """n, Σx, Σx′, Σxx′, Σx², Σx′² of N(t) and N(t + lag), both in the same block, at each lag."""
+    """n, Σx, Σx′, Σxx′, Σx², Σx′² of x = N(t) and x′ = N(t + lag) in each block, for each lag."""
     present, block = present_in(crowd, blocks)
     found = np.zeros((len(lags_s), len(blocks), 6), dtype=np.int64)
     for k, lag_s in enumerate(lags_s):
@@ -126,7 +129,7 @@ def lagged(
 
 
 def counted(lags_s: Sequence[float], blocks: TimeBlocks) -> list[float]:
-    """The lags at which enough frames have a partner."""
+    """The lags for which enough frames have a frame one lag later in the same block."""
     length = np.diff(blocks.frames)
     return [
         lag_s
@@ -136,7 +139,7 @@ def counted(lags_s: Sequence[float], blocks: TimeBlocks) -> list[float]:
 
 
 def lag_key(lag_s: float) -> str:
-    """Name of the statistic of a lag."""
+    """Name of the statistic for a lag."""
     return f"lag {lag_s:g} s"
 
 

@@ -1,29 +1,30 @@
-"""Family space: where people are, and how close to each other."""
+"""Family space: where people are, and how close they are to each other."""
 
 import numpy as np
 
 from crowdbench.metrics.forms import RelativeWasserstein, TotalVariation
 from crowdbench.metrics.lattice import histograms, rounded
 from crowdbench.metrics.metric import Place, Statistics
-from crowdbench.metrics.rows import nearest_neighbour_m, rows_in
+from crowdbench.metrics.rows import rows_in
 from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.neighbours import nearest_neighbour_m
 from crowdbench.trajectories.table import Trajectories
 
 ALONE_M = 50.0
 
 
 class Occupancy(TotalVariation):
-    """Shares of the time that people spend in each cell of 1 m, in the frames in the blocks.
+    """Share of the time that people spend in each 1 m × 1 m cell.
 
-    Cells stand on whole metres; positions beyond the bounds count in a margin of one cell.
-    Distance: total variation.
+    Cell edges are at whole metres; positions outside the bounds are counted in a margin of one
+    cell. Distance: total variation.
     """
 
     name = "occupancy"
     family = "space"
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, cell]`: frames that persons spend in each cell, column by column."""
+        """`counts[b, cell]`: number of positions in each cell; cells are in order of x, then y."""
         rows, block = rows_in(crowd, blocks)
         x0, x1, y0, y1 = place.bounds_m
         low = np.floor([x0, y0]).astype(np.int64) - 1
@@ -36,11 +37,12 @@ class Occupancy(TotalVariation):
 
 
 class NearestNeighbour(RelativeWasserstein):
-    """Distance to the nearest other person, of everyone who is not alone in a frame.
+    """Distance to the nearest other person in the same frame.
 
-    It sees groups rather than avoidance. Distance: Wasserstein-1 of distances rounded to 1 cm,
-    divided by the recording's mean; a crowd in which nobody has a neighbour counts as one whose
-    neighbours are 50 m away, where distances end.
+    People who are alone in a frame are ignored. The metric measures groups rather than avoidance.
+    Distance: Wasserstein-1 of distances rounded to 1 cm and clipped at 50 m, divided by the
+    recording's mean. A crowd in which nobody has a neighbour is treated as one whose neighbours
+    are 50 m away.
     """
 
     name = "nearest_neighbour"
@@ -48,7 +50,7 @@ class NearestNeighbour(RelativeWasserstein):
     unit = "m"
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, d]`: persons and frames with a nearest neighbour d cm away."""
+        """`counts[b, d]`: number of positions whose nearest neighbour is d cm away."""
         rows, block = rows_in(crowd, blocks)
         nearest = nearest_neighbour_m(crowd)[rows]
         known = np.isfinite(nearest)
@@ -56,9 +58,9 @@ class NearestNeighbour(RelativeWasserstein):
         return {"counts": histograms(rounded(gap, 0.01), block[known], len(blocks))}
 
     def step(self, blocks: TimeBlocks) -> float:
-        """1 cm."""
+        """Lattice step: 0.01 m."""
         return 0.01
 
     def if_empty(self, blocks: TimeBlocks) -> int:
-        """50 m."""
+        """Value of an empty sample: 50 m, in lattice steps."""
         return round(ALONE_M / 0.01)

@@ -1,10 +1,10 @@
-"""Policies: what walks the persons."""
+"""Policies: models that move the people of a crowd."""
 
 from crowdbench.policies.card import PolicyCard
 from crowdbench.policies.network import OnnxPolicy
 from crowdbench.policies.policy import ObservationPolicy, Policy, StatePolicy, StateView
 from crowdbench.policies.social_force import SocialForce
-from crowdbench.policies.walkers import Random, ReplayPolicy, Straight
+from crowdbench.policies.walkers import Random, RecordedPaths, ReplayPolicy, Straight
 
 __all__ = [
     "ObservationPolicy",
@@ -12,6 +12,7 @@ __all__ = [
     "Policy",
     "PolicyCard",
     "Random",
+    "RecordedPaths",
     "ReplayPolicy",
     "SocialForce",
     "StatePolicy",

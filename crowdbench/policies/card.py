@@ -1,4 +1,4 @@
-"""The card of a policy's file: what it sees, and what it was trained on."""
+"""The card of a policy file: metadata on its observation and training data."""
 
 import re
 
@@ -6,45 +6,48 @@ import msgspec
 
 from crowdbench.errors import WeightsError
 from crowdbench.simulation.observations import known_observations, size_of
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.blocks import SPLITS
 
 SCHEMA = 1
 ACTION = "velocity-1"
-"""Version of the action: a velocity in units of the scene's greatest speed, in [−1, 1]²."""
-HINT = "Export it anew with `crowdbench policy export`."
+"""Version of the action: a velocity in units of the scene's maximum speed, in [−1, 1]²."""
+HINT = "Export the network again with `crowdbench policy export`."
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,39}")
 
 
 class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What a policy's file says of it."""
+    """Metadata of a policy file."""
 
     schema: int = SCHEMA
     name: str
-    """Under which tables show it."""
+    """Name of the policy in tables."""
     observation: str
-    """Version of what it sees, see `crowdbench.simulation.observations`."""
+    """Version of the observation, see `crowdbench.simulation.observations`."""
     rays: int = 32
+    """Number of rays of an observation."""
     ray_range_m: float = 10.0
+    """Range of the rays in metres."""
     action: str = ACTION
+    """Version of the action."""
     scene: str
     """Id of the scene it was trained on."""
-    part: str
-    """One of `blocks.PARTS`: what of the recording it was trained on."""
+    split: str
+    """Split of the recording it was trained on, one of `blocks.SPLITS`."""
     command: str = ""
-    """What trained it."""
+    """Command that trained it."""
     revision: str = ""
-    """Git revision of the code that did."""
+    """Git revision of the training code."""
 
     @property
     def inputs(self) -> int:
-        """Numbers in an observation."""
+        """Number of values in an observation."""
         return size_of(self.observation, self.rays)
 
     def checked(self, where: object) -> "PolicyCard":
-        """The card, if what it says can be.
+        """This card, after validation; `where` is named in error messages.
 
         Raises:
-            WeightsError: it is of another version, or a value is out of range.
+            WeightsError: the card has another version, or a value is out of range.
         """
         problems = (
             ("schema", self.schema, self.schema == SCHEMA, str(SCHEMA)),
@@ -55,10 +58,10 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
                 self.observation in known_observations(),
                 f"one of {', '.join(known_observations())}",
             ),
-            ("rays", self.rays, 1 <= self.rays <= 1024, "1 to 1024"),
+            ("rays", self.rays, 1 <= self.rays <= 1024, "a number from 1 to 1024"),
             ("ray_range_m", self.ray_range_m, 0 < self.ray_range_m <= 1000, "metres up to 1000"),
             ("action", self.action, self.action == ACTION, ACTION),
-            ("part", self.part, self.part in PARTS, " or ".join(PARTS)),
+            ("split", self.split, self.split in SPLITS, " or ".join(SPLITS)),
             ("scene", self.scene, _NAME.fullmatch(self.scene), "the id of a scene"),
             ("command", "", _plain(self.command), "plain text of up to 1000 characters"),
             ("revision", "", _plain(self.revision), "plain text of up to 1000 characters"),

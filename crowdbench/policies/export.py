@@ -1,4 +1,4 @@
-"""Writing policies as ONNX files; needs torch and the extra `onnx`."""
+"""Export of policies to ONNX files; needs torch and the extra `onnx`."""
 
 import logging
 import subprocess
@@ -29,20 +29,23 @@ TRIAL = Path(__file__).with_name("trial.py")
 def export_policy(
     network: "torch.nn.Module", path: Path, card: PolicyCard, *, noise: int = 0
 ) -> Path:
-    """Write a torch network as a policy's file, and hold its actions against the network's.
+    """Write a torch network as a policy file and check that the file gives the same actions.
 
     Args:
-        network: called with observations (A, card.inputs) and, if `noise`, standard normal
+        network: takes observations (A, card.inputs) and, if `noise` is positive, standard normal
             numbers (A, noise); returns actions (A, 2). It is not changed.
-        path: the file, which is replaced.
-        card: what the file is to say of it.
-        noise: Z, how many random numbers it takes per person and step.
+        path: the file to write; an existing file is replaced.
+        card: metadata of the file.
+        noise: number Z of random numbers that the network takes per person and step.
+
+    Returns:
+        `path`.
 
     Raises:
         SettingError: onnx, onnxruntime or onnxscript is not installed, or `noise` is out of range.
-        WeightsError: the card is not right, the network does not take what the card says or
-            cannot be written, the file's actions differ from its own by more than 1e-5, or it mixes
-            rows.
+        WeightsError: the card is invalid, the network does not match the card or cannot be
+            exported, the file's actions differ from those of the network by more than 1e-5, or the
+            network mixes rows.
         OutputError: `path` cannot be written.
     """
     check_onnx()
@@ -70,8 +73,8 @@ def export_policy(
                 raise WeightsError(
                     path,
                     got=f"actions that differ by {np.abs(got - expected).max():.2g}",
-                    expected=f"those of the network, to {TOLERANCE:g}",
-                    hint="Does it depend on anything but its inputs?",
+                    expected=f"the actions of the network, within {TOLERANCE:g}",
+                    hint="Check whether the network depends on anything except its inputs.",
                 )
             read.check_rows(_scene_of(card), path)
     finally:
@@ -82,33 +85,33 @@ def export_policy(
 def _actions(
     network: "torch.nn.Module", fed: "tuple[torch.Tensor, ...]", card: PolicyCard, path: Path
 ) -> np.ndarray:
-    """What the network does, before anything is traced: its own errors are the legible ones.
+    """Actions (A, 2) of the network, before it is traced, because its own errors are clearer.
 
     Raises:
-        WeightsError: it does not take what the card says, or returns something else than actions.
+        WeightsError: the network does not take the inputs of the card or does not return actions.
     """
     import torch
 
     try:
         with torch.no_grad():
             found = network(*fed)
-    except Exception as error:  # whatever a network of somebody's raises
+    except Exception as error:  # a user's network may raise any exception
         takes = _takes(network, fed)
         version = {n + card.rays: name for name, n in OBSERVATIONS.items()}.get(takes or -1)
         raise WeightsError(
             path,
-            got=f"the network takes {takes} numbers"
+            got=f"a network that takes {takes} numbers"
             if takes
-            else f"the network raises {type(error).__name__}: "
+            else f"a network that raises {type(error).__name__}: "
             + (str(error).splitlines() or [""])[0][:200],
             expected=f"one that takes observations of shape (A, {card.inputs}): {card.observation} "
             f"has {card.inputs} numbers with {card.rays} rays"
             + (f", and noise of shape {tuple(fed[1].shape)}" if len(fed) > 1 else ""),
-            hint=f"These are {version}: name it as the observation."
+            hint=f"This is the size of {version}; set it as the observation."
             if version
-            else "Name the observation and rays that it was trained with."
+            else "State the observation and rays that it was trained with."
             if takes
-            else "Name the observation, rays and noise that it was trained with.",
+            else "State the observation, rays and noise that it was trained with.",
         ) from error
     if not isinstance(found, torch.Tensor) or tuple(found.shape) != (len(fed[0]), 2):
         got = (
@@ -120,14 +123,14 @@ def _actions(
             path,
             got=f"a network that returns {got} for {len(fed[0])} persons",
             expected=f"one tensor of actions ({len(fed[0])}, 2)",
-            hint="Wrap it in a module that returns the actions alone.",
+            hint="Wrap it in a module that returns only the actions.",
         )
     actions: np.ndarray = found.numpy()
     return actions
 
 
 def _takes(network: "torch.nn.Module", fed: "tuple[torch.Tensor, ...]") -> int | None:
-    """How many numbers of an observation the network takes, None where that cannot be told."""
+    """Number of values of an observation that the network takes; None if it cannot be found."""
     import torch
 
     sizes = {p.shape[-1] for p in network.parameters() if p.dim() > 1}
@@ -135,31 +138,31 @@ def _takes(network: "torch.nn.Module", fed: "tuple[torch.Tensor, ...]") -> int |
         try:
             with torch.no_grad():
                 network(torch.zeros(len(fed[0]), size), *fed[1:])
-        except Exception:  # not this one
+        except Exception:  # not this size
             continue
         return int(size)
     return None
 
 
 def _check_survival(file: Path, card: PolicyCard, noise: int, path: Path) -> None:
-    """Run the file in a process of its own first: some networks take onnxruntime's down.
+    """Run the file in a separate process first, because some networks crash onnxruntime.
 
     Raises:
-        WeightsError: the process was killed.
+        WeightsError: the process was killed by a signal.
     """
     command = [sys.executable, "-I", str(TRIAL), str(file), str(card.inputs), str(noise)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode < 0:
         raise WeightsError(
             path,
-            got=f"a network that ends onnxruntime's process by signal {-done.returncode}",
+            got=f"a network that crashes onnxruntime with signal {-done.returncode}",
             expected="one that runs",
-            hint="Write it with other operators; recurrent layers often are at fault.",
+            hint="Use other operators; recurrent layers are often the cause.",
         )
 
 
 def _scene_of(card: PolicyCard) -> Scene | None:
-    """The scene that a network is for, None where it is not at hand."""
+    """The scene that a network was trained on; None if it is not available."""
     try:
         return load_scene(card.scene)
     except SceneError:
@@ -174,7 +177,7 @@ def _onnx(
     persons = torch.export.Dim("A", min=1)
     try:
         with warnings.catch_warnings(), _quiet("torch.onnx"):
-            warnings.simplefilter("ignore")  # of its own deprecations
+            warnings.simplefilter("ignore")  # torch warns of its own deprecations
             program = torch.onnx.export(
                 network,
                 fed,
@@ -188,19 +191,19 @@ def _onnx(
         raise SettingError(
             "policy",
             got=f"no {error.name}",
-            expected="the packages that export needs",
-            hint='Install them, in the clone: pip install -e ".[onnx]".',
+            expected="the packages for ONNX export",
+            hint='Run in the clone: pip install -e ".[onnx]".',
         ) from error
-    except Exception as error:  # torch's errors have no base of their own
+    except Exception as error:  # torch's errors have no common base class
         raise WeightsError(
             path,
             got=f"a network that torch cannot export ({str(error).splitlines()[0][:200]})",
-            expected="one of standard operators that takes any number of persons",
+            expected="one with standard operators that takes any number of persons",
         ) from error
     assert program is not None
     model = program.model_proto
     model.doc_string = ""
-    for node in model.graph.node:  # traces of source files, with their paths
+    for node in model.graph.node:  # remove traces, which contain paths of source files
         node.doc_string = ""
         del node.metadata_props[:]
     del model.graph.metadata_props[:]
@@ -217,7 +220,7 @@ def _onnx(
 
 @contextmanager
 def _quiet(name: str) -> Iterator[None]:
-    """Without a logger's warnings, here of operators of packages that are not installed."""
+    """Suppress the warnings of a logger, here on operators of packages that are not installed."""
     log = logging.getLogger(name)
     level = log.level
     log.setLevel(logging.ERROR)
@@ -228,7 +231,7 @@ def _quiet(name: str) -> Iterator[None]:
 
 
 def revision(folder: Path) -> str:
-    """The git revision of a folder, with `-dirty` where files differ from it; empty outside git."""
+    """Git revision of a folder, with `-dirty` if files were changed; empty outside git."""
     try:
         done = subprocess.run(
             ["git", "-C", str(folder), "describe", "--always", "--abbrev=12", "--dirty"],

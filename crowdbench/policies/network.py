@@ -1,13 +1,12 @@
-"""Policies that travel: a network in one ONNX file, with a card that says what it sees.
+"""Policy files: a network in one ONNX file, with a card that describes its inputs.
 
-A file has the input `observation`, float32 (A, 5 + R), and the output `action`, float32 (A, 2);
-A, the number of persons, is free. A policy that leaves something to chance has a second input
-`noise`, float32 (A, Z): standard normal numbers, drawn anew for each person and step by whoever
-rolls it out, so that the same seed gives the same crowd; operators that draw numbers of their own
-are refused. Each row is answered from that row alone, which `crowdbench.policies.rows` tries. Its
-metadata hold a `PolicyCard` as JSON under the key `crowdbench`. Nothing in the file runs but
-operators of the ONNX standard, on onnxruntime: no pickle, no custom operators, no data outside the
-file.
+A file has the input `observation`, float32 (A, inputs of the card), and the output `action`,
+float32 (A, 2), where the number of persons A is free. A stochastic policy has a second input
+`noise`, float32 (A, Z): standard normal numbers that the rollout draws for each person and step, so
+that the same seed gives the same crowd. Operators that draw random numbers are rejected. Each
+action must be computed from the person's own row, which `crowdbench.policies.rows` tests. The
+metadata contain a `PolicyCard` as JSON under the key `crowdbench`. A file can only contain standard
+ONNX operators, which onnxruntime executes: no pickle, no custom operators and no external data.
 """
 
 from collections.abc import Iterator
@@ -56,8 +55,8 @@ class OnnxPolicy:
         """Read and check the file.
 
         Raises:
-            WeightsError: it is missing, too large, not ONNX, or not what this module describes.
-            SettingError: onnxruntime is not installed.
+            WeightsError: it is missing, too large, not ONNX, or not a valid policy file.
+            SettingError: onnx or onnxruntime is not installed.
         """
         self.path = Path(path)
         self.card, self.noise, self._session = _read(self.path)
@@ -69,15 +68,15 @@ class OnnxPolicy:
         self._watch = Watch(self.path)
 
     def reset(self, scene: Scene, rng: Generator) -> None:
-        """Draw noise from `rng` from now on."""
+        """Begin an episode whose noise is drawn from `rng`."""
         self._rng = rng
         self._watch = Watch(self.path)
 
     def act(self, seen: Float32[np.ndarray, "A obs"]) -> Float32[np.ndarray, "A 2"]:
-        """One action per observation.
+        """Actions (A, 2), one per observation.
 
         Raises:
-            WeightsError: it mixes rows, as far as was looked, or cannot be run.
+            WeightsError: the network cannot be run, or a test found that it mixes rows.
         """
         fed = {"observation": np.ascontiguousarray(seen, dtype=np.float32)}
         if self.noise:
@@ -87,13 +86,13 @@ class OnnxPolicy:
         return action
 
     def check_rows(self, scene: Scene | None, where: object = None) -> None:
-        """Refuse it where it answers a row from others, of observations as made in a scene.
+        """Check row independence on observations from a scene.
 
-        Without a scene, or where nothing is known of its arrivals, the observations are drawn by
-        chance. `where` is named in the message.
+        Without a scene, or if the scene has no arrival rates, the observations are random. `where`
+        is named in error messages.
 
         Raises:
-            WeightsError: it mixes rows, or cannot be run.
+            WeightsError: the network mixes rows or cannot be run.
         """
         rng = np.random.default_rng(0)
         seen = rng.uniform(-1, 1, (ROWS, self.card.inputs)).astype(np.float32)
@@ -113,13 +112,13 @@ class OnnxPolicy:
     def _run(self, fed: dict[str, np.ndarray]) -> Float32[np.ndarray, "A 2"]:
         try:
             action: np.ndarray = self._session.run(["action"], fed)[0]
-        except Exception as error:  # onnxruntime's errors have no base of their own
+        except Exception as error:  # onnxruntime's errors have no common base class
             raise _unrunnable(self.path, error) from error
         return action
 
 
 def check_onnx() -> None:
-    """Raise where ONNX files cannot be read.
+    """Check that ONNX files can be read.
 
     Raises:
         SettingError: onnx or onnxruntime is not installed.
@@ -131,23 +130,23 @@ def check_onnx() -> None:
         raise SettingError(
             "policy",
             got=f"no {error.name}",
-            expected="the packages that ONNX files need",
-            hint='Install them, in the clone: pip install -e ".[onnx]".',
+            expected="the packages for ONNX files",
+            hint='Run in the clone: pip install -e ".[onnx]".',
         ) from error
 
 
 def read_card(path: Path) -> PolicyCard:
-    """What a file says of its policy; whether that can walk anyone is not looked at.
+    """Card of a policy file. The network itself is not checked.
 
     Raises:
-        WeightsError: it is missing, too large, not ONNX, or has no card.
+        WeightsError: the file is missing, too large, not ONNX, or has no valid card.
         SettingError: onnx or onnxruntime is not installed.
     """
     return _card(path, _model(path)[1])
 
 
 def _model(path: Path) -> tuple[bytes, "ModelProto"]:
-    """A file as it is, and as ONNX."""
+    """Content of a file, as bytes and as an ONNX model."""
     check_onnx()
     import onnx
     from google.protobuf.message import DecodeError
@@ -163,7 +162,7 @@ def _model(path: Path) -> tuple[bytes, "ModelProto"]:
         return data, onnx.ModelProto.FromString(data)
     except (DecodeError, ValueError) as error:
         raise WeightsError(
-            path, got=f"no ONNX file ({error})", expected="one", hint=HINT
+            path, got=f"invalid data ({error})", expected="an ONNX file", hint=HINT
         ) from error
 
 
@@ -175,7 +174,7 @@ def _read(path: Path) -> tuple[PolicyCard, int, Any]:
     _check_operators(path, model)
     noise = _check_shapes(path, model, card)
     options = onnxruntime.SessionOptions()
-    # One thread: sums of several are added in no fixed order, and nets this small gain nothing.
+    # One thread: several threads add sums in varying order and do not speed up small networks.
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     try:
@@ -185,7 +184,7 @@ def _read(path: Path) -> tuple[PolicyCard, int, Any]:
         _try(path, session, card, noise)
     except WeightsError:
         raise
-    except Exception as error:  # onnxruntime's errors have no base of their own
+    except Exception as error:  # onnxruntime's errors have no common base class
         raise _unrunnable(path, error) from error
     return card, noise, session
 
@@ -194,7 +193,7 @@ def _unrunnable(path: Path, error: Exception) -> WeightsError:
     told = (str(error) or type(error).__name__).splitlines()[0][:200]
     return WeightsError(
         path,
-        got=f"a network that onnxruntime refuses ({told})",
+        got=f"a network that onnxruntime cannot run ({told})",
         expected="one that runs",
         hint=HINT,
     )
@@ -206,23 +205,25 @@ def _card(path: Path, model: "ModelProto") -> PolicyCard:
         raise WeightsError(
             path,
             got=f"{len(found)} metadata entries {KEY!r}",
-            expected="one, with the policy's card",
+            expected="one entry with the policy's card",
             hint=HINT,
         )
     try:
-        # What is no UTF-8 comes as bytes.
+        # protobuf returns text that is not UTF-8 as bytes.
         text = found[0] if isinstance(found[0], bytes) else found[0].encode()
         card = msgspec.json.decode(text, type=PolicyCard)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise WeightsError(path, got=f"a card that {error}", expected="one", hint=HINT) from error
+        raise WeightsError(
+            path, got=f"an invalid card ({error})", expected="a valid card", hint=HINT
+        ) from error
     return card.checked(path)
 
 
 def _check_operators(path: Path, model: "ModelProto") -> None:
-    """Refuse what the standard does not define, what draws, and data that lie elsewhere."""
+    """Reject non-standard operators, operators that draw random numbers, and external data."""
     if model.functions:
         raise WeightsError(
-            path, got="functions of its own", expected="operators of the ONNX standard", hint=HINT
+            path, got="custom functions", expected="operators of the ONNX standard", hint=HINT
         )
     for graph in _graphs(model.graph):
         for node in graph.node:
@@ -236,8 +237,8 @@ def _check_operators(path: Path, model: "ModelProto") -> None:
             if _draws(node):
                 raise WeightsError(
                     path,
-                    got=f"the operator {node.op_type}, which draws random numbers of its own",
-                    expected="the input noise (A, Z) in its place: the same seed gives the same "
+                    got=f"the operator {node.op_type}, which draws random numbers",
+                    expected="the input noise (A, Z) instead, so that the same seed gives the same "
                     "crowd",
                     hint=HINT,
                 )
@@ -245,20 +246,20 @@ def _check_operators(path: Path, model: "ModelProto") -> None:
         if tensor.external_data or tensor.data_location == tensor.EXTERNAL:
             raise WeightsError(
                 path,
-                got=f"the tensor {tensor.name!r}, whose data lie in another file"[:200],
-                expected="all weights in this one",
-                hint="Save it with its data inside.",
+                got=f"the tensor {tensor.name!r}, whose data is in another file"[:200],
+                expected="all weights in this file",
+                hint="Save the model without external data.",
             )
 
 
 def _draws(node: "NodeProto") -> bool:
-    # Dropout draws if its third input says that it is in training.
+    # Dropout draws random numbers if its third input (training mode) is set.
     in_training = node.op_type == "Dropout" and any(node.input[2:])
     return node.op_type in _DRAWING or in_training
 
 
 def _graphs(graph: "GraphProto") -> "Iterator[GraphProto]":
-    """The graph and all within it."""
+    """The graph and all nested graphs."""
     yield graph
     for attribute in _attributes(graph):
         for inner in (attribute.g, *attribute.graphs):
@@ -284,7 +285,7 @@ def _tensors(graph: "GraphProto") -> "Iterator[TensorProto]":
 
 
 def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
-    """The width of the noise, 0 without any; inputs and outputs must be what they have to be."""
+    """Check inputs and outputs and return the width Z of the noise, 0 without noise."""
     fixed = {tensor.name for tensor in model.graph.initializer}
     inputs = {i.name: _shape(i) for i in model.graph.input if i.name not in fixed}
     outputs = {o.name: _shape(o) for o in model.graph.output}
@@ -294,7 +295,7 @@ def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
         raise WeightsError(
             path,
             got=f"inputs {_written(inputs)}",
-            expected=f"float32 {_written(expected)} and, if need be, noise (A, Z): "
+            expected=f"float32 {_written(expected)} and optionally noise (A, Z): "
             f"{card.observation} with {card.rays} rays has {card.inputs} numbers",
             hint=HINT,
         )
@@ -319,7 +320,7 @@ def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
 
 
 def _shape(value: "ValueInfoProto") -> tuple[int | None, ...]:
-    """Sizes, None where they are free; −1 alone for what is no array of float32."""
+    """Shape with None for free sizes; (−1,) if the value is not a float32 array."""
     tensor = value.type.tensor_type
     if tensor.elem_type != 1 or not tensor.HasField("shape"):
         return (-1,)
@@ -336,7 +337,7 @@ def _written(shapes: dict[str, tuple[int | None, ...]]) -> str:
 
 
 def _try(path: Path, session: Any, card: PolicyCard, noise: int) -> None:
-    """Run it for one and for three persons."""
+    """Run the network for one and for three persons and check its actions."""
     rng = np.random.default_rng(0)
     for persons in (1, 3):
         fed = {"observation": rng.uniform(-1, 1, (persons, card.inputs)).astype(np.float32)}
@@ -346,11 +347,11 @@ def _try(path: Path, session: Any, card: PolicyCard, noise: int) -> None:
         if action.shape != (persons, 2) or action.dtype != np.float32:
             raise WeightsError(
                 path,
-                got=f"actions of shape {action.shape} for {persons} persons",
-                expected=f"({persons}, 2)",
+                got=f"{action.dtype} actions of shape {action.shape} for {persons} persons",
+                expected=f"float32 actions of shape ({persons}, 2)",
                 hint=HINT,
             )
         if not np.isfinite(action).all():
             raise WeightsError(
-                path, got="actions that are not finite", expected="numbers", hint=HINT
+                path, got="actions that are not finite", expected="finite numbers", hint=HINT
             )

@@ -1,4 +1,4 @@
-"""The protocol behind which every policy stands, and what model-based walkers see."""
+"""The protocols that policies implement, and the state that model-based policies see."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Protocol, runtime_checkable
@@ -14,29 +14,34 @@ from crowdbench.simulation.routes import Routes
 
 @dataclass(frozen=True, eq=False)
 class StateView:
-    """The `A` persons who are there, all worlds in one list: privileged state, not observation."""
+    """State of the `A` people present, all worlds in one list. Observations do not contain it."""
 
     world: Int[np.ndarray, " A"]
+    """World of each person."""
     slot: Int[np.ndarray, " A"]
+    """Slot of each person in its world."""
     person: Int[np.ndarray, " A"]
+    """Id of each person in its world."""
     event: Int[np.ndarray, " A"]
     """Index of each person's spawn event."""
     frame: Int[np.ndarray, " A"]
-    """Present frame of each person's world."""
+    """Current frame of each person's world."""
     position: Float32[np.ndarray, "A 2"]
-    """Metres."""
+    """Positions in metres."""
     velocity: Float32[np.ndarray, "A 2"]
-    """m/s."""
+    """Velocities in m/s."""
     goal: Float32[np.ndarray, "A 2"]
-    """Metres."""
+    """Goal positions in metres."""
+    target: Float32[np.ndarray, "A 2"]
+    """Where each person walks to now, in metres: its via point, if not yet visited, or its goal."""
     speed: Float32[np.ndarray, " A"]
-    """Preferred walking speed, m/s."""
+    """Preferred speeds in m/s."""
 
     @classmethod
     def of(cls, simulation: Simulation) -> "StateView":
-        """Everyone alive, ordered by world, then slot."""
+        """View of everyone present, ordered by world, then slot."""
         slots = simulation.slots
-        at = np.flatnonzero(slots.alive)  # one index is looked up faster than two
+        at = np.flatnonzero(slots.alive)  # indexing by one array is faster than by two
         world, slot = np.divmod(at, slots.alive.shape[1])
         return cls(
             world=world,
@@ -47,53 +52,54 @@ class StateView:
             position=slots.position.reshape(-1, 2).take(at, axis=0),
             velocity=slots.velocity.reshape(-1, 2).take(at, axis=0),
             goal=slots.goal.reshape(-1, 2).take(at, axis=0),
+            target=slots.target.reshape(-1, 2).take(at, axis=0),
             speed=slots.speed.ravel().take(at),
         )
 
     def towards(self, routes: Routes) -> Float[np.ndarray, "A 2"]:
-        """Where each person is to walk next so as to take the shortest way around the walls."""
-        return routes.next_of(self.world, self.slot, self.person, self.position, self.goal)[0]
+        """Next point on each person's shortest path to its target around walls, in metres."""
+        return routes.next_of(self.world, self.slot, self.position, self.target)[0]
 
 
 class _Named(Protocol):
     @property
     def name(self) -> str:
-        """Under which tables show it."""
+        """Name of the policy in tables."""
         ...
 
     def reset(self, scene: Scene, rng: Generator) -> None:
-        """An episode begins."""
+        """Begin an episode; all random draws must use `rng`."""
         ...
 
 
 @runtime_checkable  # tests check annotations at run time
 class ObservationPolicy(_Named, Protocol):
-    """Sees what agents in an environment see."""
+    """A policy that sees the observations of the environments."""
 
     sees: ClassVar[Literal["observation"]]
 
     def act(self, seen: Float32[np.ndarray, "A obs"]) -> Float32[np.ndarray, "A 2"]:
-        """Actions of the persons whose observations these are."""
+        """Actions for the given observations, one per person."""
         ...
 
 
 @runtime_checkable
 class StatePolicy(_Named, Protocol):
-    """Sees the state itself; a leaderboard shows it as privileged."""
+    """A policy that sees the state; the leaderboard marks it as privileged."""
 
     sees: ClassVar[Literal["state"]]
 
     def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
-        """Actions of everyone present, in the order of the view."""
+        """Actions for everyone present, in the order of the view."""
         ...
 
 
 Policy = ObservationPolicy | StatePolicy
-"""What walks the persons: a batch of what they see in, a batch of actions out.
+"""A policy maps a batch of observations, or the state, to a batch of actions.
 
-A policy that leaves nothing to chance may say so by `deterministic = True`: under recorded
-arrivals one rollout of it is as good as many.
+An action is a velocity in units of the scene's `max_speed_mps`. Components outside [−1, 1] are
+clipped, as in the environments.
 
-An action is a velocity in units of the scene's `max_speed_mps`, both components in [−1, 1]; what is
-beyond is clipped, as in the environment.
+A policy without random draws may have the attribute `deterministic = True`. With recorded arrivals,
+a single rollout of it is then sufficient.
 """

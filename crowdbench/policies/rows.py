@@ -1,8 +1,9 @@
-"""Whether a network answers each row from that row alone: people do not see what others observe.
+"""Test of row independence: a network must compute each person's action from that person's row.
 
-Nobody can tell that from the file, so it is tried. Before a rollout: rows that were observed, alone
-and in batches of many sizes and orders, up to the largest that a rollout can have. And in rollouts:
-now and then, and whenever there are more people than before, everyone is asked again in two parts.
+The file alone does not show this, so it is tested by running the network. Before rollouts, actions
+of single rows are compared with those of batches of many sizes and orders, up to the largest batch
+of a rollout. During rollouts, the batch is regularly split into two parts and evaluated again, also
+whenever it is larger than before.
 """
 
 from collections.abc import Callable
@@ -20,15 +21,17 @@ from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.poisson import PoissonGMM
 
 TOLERANCE = 1e-5
-"""Of an action's components, which lie in [−1, 1]. Sums of a batch may be added up in another order
-than those of a row: that moves the networks that scenes ship by up to 6e-8."""
+"""Tolerance for the components of an action, which lie in [−1, 1]. Sums in a batch may be computed
+in another order than for a single row, which changes the actions of shipped networks by up to
+6e-8."""
 EVERY = 16
-"""Every so many steps of a rollout are looked at."""
+"""Interval between two tests in a rollout, in steps."""
 SIZES = (2, 3, 4, 5, 8, 13, 34, 100, 1000, 4096)
-"""Persons in the batches that are tried; no rollout has more at once."""
+"""Sizes of the tested batches; no rollout has more people at the same time."""
 ROWS = 256
+"""Number of observations to test."""
 _LONGEST_S = 600.0
-_STEP_S = 5.0  # between the frames whose observations are taken
+_STEP_S = 5.0  # time between the frames from which observations are taken
 
 Fed = dict[str, np.ndarray]
 Run = Callable[[Fed], Float32[np.ndarray, "A 2"]]
@@ -38,10 +41,10 @@ _known: dict[tuple[Path, Settings], np.ndarray] = {}
 
 
 def observed(scene: Scene, shown: Settings) -> Float32[np.ndarray, "rows obs"]:
-    """What straight walkers see under Poisson arrivals: 256 rows, or as many as 10 minutes give.
+    """Up to 256 observations of straight walkers with Poisson arrivals, from at most 10 minutes.
 
     Raises:
-        WeightsError: the scene has no areas or rates of arrivals.
+        WeightsError: the scene has no areas or arrival rates.
     """
     key = (scene.folder, shown)
     if key not in _known:
@@ -69,16 +72,16 @@ def _observed(scene: Scene, shown: Settings) -> Float32[np.ndarray, "rows obs"]:
         actions = np.zeros(simulation.slots.position.shape, np.float32)
         actions[view.world, view.slot] = walker.act(view)
         simulation.step(actions)
-    if len(rows) == 0:  # nobody comes
+    if len(rows) == 0:  # nobody entered
         rows = rng.uniform(-1, 1, (1, width)).astype(np.float32)
     return rows[rng.permutation(len(rows))[:ROWS]]
 
 
 def check_rows(where: object, run: Run, fed: Fed) -> None:
-    """Hold batches of rows against the rows alone.
+    """Compare the actions of batches of rows with those of the single rows.
 
     Raises:
-        WeightsError: actions differ.
+        WeightsError: the actions differ.
     """
     rng = np.random.default_rng(0)
     rows = len(fed["observation"])
@@ -94,7 +97,7 @@ def check_rows(where: object, run: Run, fed: Fed) -> None:
 
 
 class Watch:
-    """Looks at a network's actions in one rollout."""
+    """Tests row independence during one rollout."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -102,17 +105,17 @@ class Watch:
         self._wrong = self._rows = 0
 
     def look(self, run: Run, fed: Fed, action: Float32[np.ndarray, "A 2"]) -> None:
-        """Ask everyone again in two parts, if it is time to.
+        """Evaluate the batch again in two parts, if a test is due.
 
         Raises:
-            WeightsError: the answers differ.
+            WeightsError: the actions differ.
         """
         self._calls += 1
         persons = len(action)
         if persons < 2 or not (self._calls % EVERY == 0 or persons > 1.05 * self._most):
             return
         self._most = max(self._most, persons)
-        # Numbers of its own: what it draws must not change the crowd.
+        # A separate generator, so that the test does not change the crowd.
         rng = np.random.default_rng(self._calls)
         order = rng.permutation(persons)
         cut = int(rng.integers(1, persons))
@@ -128,14 +131,18 @@ class Watch:
 def differing(
     one: Float32[np.ndarray, "A 2"], other: Float32[np.ndarray, "A 2"]
 ) -> Bool[np.ndarray, " A"]:
-    """Which actions are not the same; what is beyond [−1, 1] is clipped, as in a rollout."""
+    """Which actions differ, after clipping to [−1, 1] as in a rollout."""
     with np.errstate(invalid="ignore"):
         apart = np.abs(one.clip(-1, 1) - other.clip(-1, 1)).max(axis=1)
-    return apart > TOLERANCE  # NaN is not: who walks people refuses that
+    return apart > TOLERANCE  # false for NaN, which rollouts reject elsewhere
 
 
 def too_many(wrong: int | np.integer, rows: int, one_in: int = 100) -> bool:
-    """Whether that cannot be rounding: where an action is chosen, the last bit may turn it over."""
+    """Whether so many differing rows cannot be due to rounding.
+
+    A few differing rows are allowed: in a network that chooses between actions, rounding may change
+    the choice.
+    """
     return bool(wrong > 1 + rows / one_in)
 
 
@@ -155,8 +162,8 @@ def _mixes(
     return WeightsError(
         where,
         got=f"a network that mixes rows: the same person gets {told(one)} and {told(other)}, "
-        f"{gap:.2g} apart",
-        expected=f"the same action to {TOLERANCE:g}: each row is answered from that row alone",
-        hint="Take out what goes over the persons (axis 0): means, sums, softmax, attention, batch "
+        f"a difference of {gap:.2g}",
+        expected=f"the same action within {TOLERANCE:g}, computed from the person's row alone",
+        hint="Remove operations over the persons (axis 0): means, sums, softmax, attention, batch "
         "statistics, dynamic quantisation.",
     )

@@ -1,10 +1,10 @@
-"""`social-force`: the model of Helbing & Molnár (1995), Physical Review E 51, 4282.
+"""`social-force`: the social force model of Helbing & Molnár (1995), Physical Review E 51, 4282.
 
-Parameters are the paper's (its Sec. III). Forces are integrated at 0.05 s for the whole crowd
-together; the action is the mean velocity over the frame.
+The parameters are those of the paper (Sec. III). Forces are integrated in steps of 0.05 s for the
+whole crowd; the action is the mean velocity over the frame.
 
-Where another is about to step, e in eq. 4, is the direction it moves in. Taking the direction of
-its goal instead makes people who push each other aside circle each other for good.
+The direction e of another person's next step in eq. 4 is its direction of motion. If it were the
+direction to its goal, people who push each other aside would circle each other forever.
 """
 
 import math
@@ -22,38 +22,44 @@ from crowdbench.simulation.routes import Routes
 RELAXATION_S = 0.5  # τ, eq. 2
 REPULSION = 2.1  # V⁰, m²/s², eq. 13
 REPULSION_RANGE_M = 0.3  # σ
-STEP_S = 2.0  # Δt, the time another's next steps are seen ahead, eq. 4
+STEP_S = 2.0  # Δt, the time for which others' next steps are anticipated, eq. 4
 WALL = 10.0  # U⁰, m²/s², eq. 13
 WALL_RANGE_M = 0.2  # R
 COS_OF_VIEW = math.cos(math.radians(100.0))  # φ, half of 200°
-BEHIND = 0.5  # c, the weight of what is out of view, eq. 8
-FASTEST = 1.3  # times the preferred speed, eq. 11
-REACH_M = 5.0  # beyond which a repulsion, below V⁰/σ·e⁻⁷, is left out
+BEHIND = 0.5  # c, the weight of people out of view, eq. 8
+FASTEST = 1.3  # maximum speed as a multiple of the preferred speed, eq. 11
+REACH_M = 5.0  # repulsions beyond this distance, which are below V⁰/σ·e⁻⁷, are omitted
 SUBSTEP_S = 0.05
 
 
 class SocialForce:
-    """Walkers drawn to their goals, around walls, and pushed off by each other and by walls."""
+    """Walkers attracted by their goals and repelled by each other and by walls."""
 
     name = "social-force"
     sees: ClassVar[Literal["state"]] = "state"
     deterministic: ClassVar[bool] = True
 
     def reset(self, scene: Scene, rng: Generator) -> None:
-        """Take the walls of `scene`."""
+        """Load the walls of `scene`."""
         self._scene = scene
         self._walls = np.array(scene.wall_of_segment, dtype=np.int32)
         self._routes = Routes.on(scene)
 
     def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
-        """Mean velocity over the frame, in units of the greatest speed."""
+        """Mean velocities (A, 2) over the frame, in units of the maximum speed."""
         dt_s = self._scene.dt_s
+        towards = seen.towards(self._routes)
+        # People stay at a via point until their wait is over.
+        speed = seen.speed.astype(np.float64)
+        visits = (seen.target != seen.goal).any(axis=1)
+        rest = np.linalg.norm(towards - seen.position, axis=1) / dt_s
+        speed[visits] = np.minimum(speed, rest)[visits]
         displacement = _walk(
             seen.world,
             seen.position.astype(np.float64),
             seen.velocity.astype(np.float64),
-            seen.towards(self._routes),
-            seen.speed.astype(np.float64),
+            towards,
+            speed,
             self._scene.wall_segments,
             self._walls,
             max(1, round(dt_s / SUBSTEP_S)),
@@ -64,7 +70,7 @@ class SocialForce:
 
 @njit(cache=True, error_model="numpy")
 def _walk(world, position, velocity, goal, speed, segments, walls, substeps, dt):
-    """Displacement of everyone in `dt` seconds; `world` is ascending."""
+    """Displacements (A, 2) in `dt` seconds, in metres; `world` must be in ascending order."""
     h = dt / substeps
     start = position.copy()
     size = len(world)
@@ -110,24 +116,24 @@ def _walk(world, position, velocity, goal, speed, segments, walls, substeps, dt)
 
 @njit(cache=True, error_model="numpy")
 def _repulsion(rx, ry, sx, sy):
-    """Force on someone at r from another at 0 who is about to step by s: −∇V(b), eqs. 3 and 4.
+    """Force −∇V(b) on a person at r from another at 0 whose next step is s, eqs. 3 and 4.
 
-    2b = √((|r| + |r − s|)² − |s|²) is the minor axis of the ellipse whose foci the other's
-    present and next place are; ∇b = (|r| + |r − s|) (r/|r| + (r − s)/|r − s|) / 4b.
+    2b = √((|r| + |r − s|)² − |s|²) is the minor axis of the ellipse whose foci are the other
+    person's present and next positions; ∇b = (|r| + |r − s|) (r/|r| + (r − s)/|r − s|) / 4b.
     """
     tx, ty = rx - sx, ry - sy
     r, t = math.sqrt(rx * rx + ry * ry), math.sqrt(tx * tx + ty * ty)
     both = r + t
     b = 0.5 * math.sqrt(max(0.0, both * both - sx * sx - sy * sy))
     if r < 1e-6 or t < 1e-6 or b < 1e-6:
-        return 0.0, 0.0  # in the same place, or on the line of its way: no direction to flee to
+        return 0.0, 0.0  # same position, or on the line of the step: the direction is undefined
     strength = REPULSION / REPULSION_RANGE_M * math.exp(-b / REPULSION_RANGE_M) * both / (4.0 * b)
     return strength * (rx / r + tx / t), strength * (ry / r + ty / t)
 
 
 @njit(cache=True, error_model="numpy")
 def _walls_near(position, speed, segments, dt):
-    """Segments that come within reach of each person during the frame, and how many."""
+    """Wall segments that can act on each person in the frame, and their number per person."""
     near = np.empty((len(position), len(segments)), dtype=np.int32)
     count = np.zeros(len(position), dtype=np.int32)
     for a in range(len(position)):
@@ -142,7 +148,7 @@ def _walls_near(position, speed, segments, dt):
 
 @njit(cache=True, error_model="numpy")
 def _nearest(x, y, segment):
-    """From the nearest point of a segment to (x, y)."""
+    """Vector from the nearest point of a segment to (x, y)."""
     ax, ay = segment[0], segment[1]
     ex, ey = segment[2] - ax, segment[3] - ay
     along = ((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey)
@@ -152,7 +158,7 @@ def _nearest(x, y, segment):
 
 @njit(cache=True, error_model="numpy")
 def _wall_force(x, y, segments, walls, near):
-    """Sum over walls of the push from each wall's nearest point, −∇U, eq. 5."""
+    """Sum over walls of the repulsion −∇U from each wall's nearest point, eq. 5."""
     fx, fy = 0.0, 0.0
     k = 0
     while k < len(near):

@@ -1,9 +1,8 @@
-"""Runs an ONNX file once, as a script in a process of its own, which it may take down.
+"""Script that runs an ONNX file in a separate process, because some files crash onnxruntime.
 
     python trial.py FILE INPUTS NOISE
 
-It imports nothing of crowdbench, so that it starts quickly. Whether what comes out is right is
-looked at elsewhere.
+It does not import crowdbench, so that it starts quickly. The actions are checked elsewhere.
 """
 
 import sys
@@ -13,7 +12,7 @@ import onnxruntime
 
 
 def main() -> None:
-    """Run it for one and for three persons."""
+    """Run the file for one and for three persons."""
     file, inputs, noise = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1

@@ -1,4 +1,4 @@
-"""The plain walkers: `straight`, `random` and `replay`."""
+"""Simple policies: `straight`, `random` and `replay`."""
 
 from typing import ClassVar, Literal
 
@@ -14,19 +14,22 @@ from crowdbench.trajectories.table import Trajectories
 
 
 class Straight:
-    """Walks to the goal at the preferred speed, through everyone; straight, or around walls."""
+    """Walks on the shortest path to the target at the preferred speed and ignores other people.
+
+    At a via point it stands still until the wait is over.
+    """
 
     name = "straight"
     sees: ClassVar[Literal["state"]] = "state"
     deterministic: ClassVar[bool] = True
 
     def reset(self, scene: Scene, rng: Generator) -> None:
-        """Nothing to draw."""
+        """Load the walls of `scene`; there are no random draws."""
         self._scene = scene
         self._routes = Routes.on(scene)
 
     def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
-        """Along the shortest way, and no further than its next corner or the goal."""
+        """Actions (A, 2) along the shortest path, at most up to the next corner or the target."""
         way = seen.towards(self._routes).astype(np.float32) - seen.position
         distance = np.sqrt(way[:, 0] * way[:, 0] + way[:, 1] * way[:, 1])
         speed = np.minimum(seen.speed, distance / np.float32(self._scene.dt_s))
@@ -35,22 +38,22 @@ class Straight:
 
 
 class Random:
-    """Draws each action evenly from the action space, and looks at nothing."""
+    """Draws each action uniformly from the action space."""
 
     name = "random"
-    sees: ClassVar[Literal["state"]] = "state"  # which costs nothing: rays are cast to be seen
+    sees: ClassVar[Literal["state"]] = "state"  # unused, but avoids the computation of rays
 
     def reset(self, scene: Scene, rng: Generator) -> None:
-        """Draw from `rng` from now on."""
+        """Begin an episode whose actions are drawn from `rng`."""
         self._rng = rng
 
     def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
-        """Independent of what is there."""
+        """Random actions (A, 2)."""
         return self._rng.uniform(-1, 1, (len(seen.slot), 2)).astype(np.float32)
 
 
 class ReplayPolicy:
-    """Walks each recorded person along its recorded path; needs recorded arrivals."""
+    """Moves each recorded person along its recorded path; needs the spawn model `replay`."""
 
     name = "replay"
     sees: ClassVar[Literal["state"]] = "state"
@@ -60,14 +63,14 @@ class ReplayPolicy:
         self.recording = recording
 
     def reset(self, scene: Scene, rng: Generator) -> None:
-        """Nothing to draw."""
+        """Begin an episode; there are no random draws."""
         self._scene = scene
 
     def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
-        """To the position that the record holds for the next frame.
+        """Actions (A, 2) to the recorded positions in the next frame.
 
         Raises:
-            SettingError: the arrivals are not the recording's.
+            SettingError: the arrivals are not those of the recording.
         """
         crowd = self.recording
         if len(seen.event) and seen.event.max() >= len(crowd):
@@ -78,3 +81,31 @@ class ReplayPolicy:
         row = np.clip(row, crowd.offsets[seen.event], crowd.offsets[seen.event + 1] - 1)
         step = (crowd.xy[row].astype(np.float64) - seen.position) / self._scene.dt_s
         return (step / self._scene.motion.max_speed_mps).astype(np.float32)
+
+
+class RecordedPaths(ReplayPolicy):
+    """Moves people along their recorded paths, but their trips end as with all other policies.
+
+    It shows what a perfect walker scores under the rules of the simulation. People whose recorded
+    path leads through a wall walk around it. Needs the spawn model `replay`.
+    """
+
+    name = "recorded-paths"
+
+    def reset(self, scene: Scene, rng: Generator) -> None:
+        """Load the walls of `scene`; there are no random draws."""
+        super().reset(scene, rng)
+        self._routes = Routes.on(scene)
+
+    def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
+        """Actions (A, 2) to the recorded positions in the next frame, or to the goal after the end.
+
+        Raises:
+            SettingError: the arrivals are not those of the recording.
+        """
+        step_m = super().act(seen) * np.float64(self._scene.motion.max_speed_mps * self._scene.dt_s)
+        over = seen.frame >= self.recording.last[seen.event]
+        point = np.where(over[:, None], seen.goal, seen.position + step_m)
+        point = self._routes.next_of(seen.world, seen.slot, seen.position, point)[0]
+        way = (point - seen.position) / self._scene.dt_s
+        return (way / self._scene.motion.max_speed_mps).astype(np.float32)

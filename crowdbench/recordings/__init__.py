@@ -1,1 +1,1 @@
-"""Recordings: where they are published, and readers that make `Trajectories` of them."""
+"""Recordings: where they are published, and readers that convert them to `Trajectories`."""

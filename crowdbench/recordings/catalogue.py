@@ -1,4 +1,4 @@
-"""The recordings crowdbench knows: where they are published, and the user's imported copies."""
+"""The catalogue of published recordings, and the user's imported recordings."""
 
 import os
 import re
@@ -14,6 +14,7 @@ from crowdbench.recordings.forum import read_forum
 from crowdbench.recordings.gc import files_in, read_gc
 from crowdbench.recordings.obsmat import read_obsmat
 from crowdbench.trajectories import storage
+from crowdbench.trajectories.companions import with_companions
 from crowdbench.trajectories.table import Trajectories
 
 REPOSITORY = "https://github.com/crowdbotp/OpenTraj"
@@ -26,17 +27,18 @@ class Source:
 
     name: str
     path: str
-    """A file, or the folder of several, relative to the layout's root folder."""
+    """Path of a file, or of a folder of files, relative to the layout's root folder."""
     format: Literal["obsmat", "gc", "forum"]
     sha256: str | None
-    """Of the file, or of a list of the folder's files and their hashes; None: not known."""
+    """Hash of the data, see `hash_of`; None if the publisher states none."""
     address: str
-    """Where it is published."""
+    """Address where the data are published."""
     cite: str
-    """The paper to cite; the recording stays under its owners' terms."""
+    """The paper to cite. The recording remains subject to its owners' terms."""
     fps: float = 0.0
+    """Frames per second of the video; for the format `obsmat` only."""
     frame_step: int = 0
-    """Of `obsmat`: frames of the video a second, and from one annotation to the next."""
+    """Video frames from one annotation to the next; for the format `obsmat` only."""
 
 
 def _copy(path: str) -> str:
@@ -104,22 +106,22 @@ SOURCES = {
         ),
     )
 }
-"""Recordings whose files are known to the byte. Other days of the Forum have names like
-`forum-14jul`; `source` knows them too."""
+"""Recordings with known hashes, by name. `source` also accepts other days of the Forum, with names
+like `forum-14jul`."""
 
 _FORUM_DAY = re.compile(
     r"forum-(0[1-9]|[12]\d|3[01])(jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec)"
 )
 OWN_NAME = re.compile(r"[a-z][a-z0-9_]*")
-"""What users may call recordings of their own."""
+"""Valid names of users' own recordings."""
 _FORUM_DAYS = "https://homepages.inf.ed.ac.uk/rbf/FORUMTRACKING/DAYS"
 
 
 def source(name: str) -> Source:
-    """A recording's source by its name.
+    """The source of a published recording, by its name.
 
     Raises:
-        SettingError: there is no recording of that name.
+        SettingError: there is no published recording of that name.
     """
     if name in SOURCES:
         return SOURCES[name]
@@ -136,13 +138,15 @@ def source(name: str) -> Source:
     raise SettingError(
         "recording",
         got=f"the name {name!r}",
-        expected=f"one of {', '.join(SOURCES)}, a day of the Forum like forum-14jul, or your own",
-        hint="`crowdbench data import NAME --source FILE --format FORMAT` imports your own.",
+        expected=f"one of {', '.join(SOURCES)}, a day of the Forum like forum-14jul, or the name "
+        "of an imported recording",
+        hint="Import your own recording with "
+        "`crowdbench data import NAME --source FILE --format FORMAT`.",
     )
 
 
 def cached(name: str) -> Path:
-    """Where the imported table of a recording lies (or would lie)."""
+    """Path of the imported table of a recording, whether it exists or not."""
     return home() / "recordings" / f"{name}.parquet"
 
 
@@ -159,7 +163,7 @@ def load_imported(name: str) -> Trajectories:
     if not path.exists():
         raise RecordingError(
             f"recording {name}",
-            got="none imported",
+            got="no imported table",
             expected=f"a table at {path}",
             hint=f"Run `crowdbench data fetch {name}`, or "
             f"`crowdbench data import {name} --source DIR`.",
@@ -168,9 +172,9 @@ def load_imported(name: str) -> Trajectories:
 
 
 def remove_imported(name: str) -> Path:
-    """Remove the imported table of a recording; its path.
+    """Remove the imported table of a recording; returns its path.
 
-    The files that it was read from stay, and so does the noted hash of one that states none.
+    The files that it was read from are kept, and so is a hash that was stored at the first import.
 
     Raises:
         SettingError: there is no recording of that name.
@@ -185,8 +189,8 @@ def remove_imported(name: str) -> Path:
     except FileNotFoundError as error:
         raise RecordingError(
             f"recording {name}",
-            got="none imported by that name",
-            expected="one of those that `crowdbench data list` shows as imported",
+            got="no imported recording of that name",
+            expected="one that `crowdbench data list` shows as imported",
         ) from error
     except OSError as error:
         raise unwritable(path, error) from error
@@ -194,13 +198,14 @@ def remove_imported(name: str) -> Path:
 
 
 def import_recording(name: str, folder: Path | None = None) -> Trajectories:
-    """Read the recording `name` from a folder in OpenTraj's layout and keep it for later use.
+    """Read the recording `name` from a folder in OpenTraj's layout and store it for later use.
 
-    `folder` is by default the one that the environment variable `CROWDBENCH_DATA` names. Where
-    no hash is published the first import notes it, and later ones hold against it.
+    `folder` is by default the value of the environment variable `CROWDBENCH_DATA`. If no hash is
+    published, the first import stores the hash of the data, and later imports are verified
+    against it.
 
     Raises:
-        SettingError: there is no recording of that name, or no folder is named.
+        SettingError: there is no recording of that name, or no folder is given.
         RecordingError: the file is missing, broken, or not the published one.
         OutputError: the imported table cannot be written.
     """
@@ -213,16 +218,19 @@ def import_recording(name: str, folder: Path | None = None) -> Trajectories:
 
 
 def known_sha256(source: Source) -> str | None:
-    """The hash that a recording's data must have; None before the first use of unpinned ones.
+    """The hash that a recording's data must have.
+
+    This is the published hash or, if there is none, the hash stored at the first import; None
+    before that.
 
     Raises:
-        RecordingError: the note of the first use is broken.
+        RecordingError: the file with the stored hash is broken.
     """
     return source.sha256 or first_use.noted(source.name)
 
 
 def sha256_in(source: Source, folder: Path) -> str | None:
-    """The hash of a recording's data in a folder, right or wrong; None where a file is missing."""
+    """The hash of a recording's data in a folder, unverified; None if a file is missing."""
     try:
         return hash_of(_files(source, folder / source.path))
     except RecordingError:
@@ -230,20 +238,20 @@ def sha256_in(source: Source, folder: Path) -> str | None:
 
 
 def read_published(source: Source, folder: Path) -> Trajectories:
-    """Read a published recording and hold it against the hash of what was published.
+    """Read a published recording from a folder and verify its hash.
 
     Raises:
-        RecordingError: a file is missing or broken, or the data are others than the published.
+        RecordingError: a file is missing or broken, or the data differ from the published ones.
     """
     path = folder / source.path
     return read_files(source, _files(source, path), path)
 
 
 def read_files(source: Source, files: Mapping[str, bytes], where: object) -> Trajectories:
-    """Read a recording's files by name, and hold them against the known hash.
+    """Convert a recording's files, given by name, and verify their hash.
 
     Raises:
-        RecordingError: a file is broken, or the data are others than the published.
+        RecordingError: a file is broken, or the data differ from the published ones.
     """
     crowd = _read(source, files, where)
     found = hash_of(files)
@@ -251,29 +259,29 @@ def read_files(source: Source, files: Mapping[str, bytes], where: object) -> Tra
     if known is not None and found != known:
         raise _changed(source, crowd, found, known, where)
     provenance = {**crowd.provenance, "source": source.address, "sha256": found}
-    return replace(crowd, provenance=provenance)
+    return with_companions(replace(crowd, provenance=provenance))
 
 
 def _changed(
     source: Source, crowd: Trajectories, found: str, known: str, where: object
 ) -> RecordingError:
-    hint = "They may be cut short, altered, or have their line ends converted; scores would not be "
-    hint += f"comparable. Run `crowdbench data fetch {source.name}`: it takes {source.address}."
-    expected = f"the published ones, SHA-256 {known[:12]}…"
+    hint = "They may be truncated, altered, or have converted line endings; scores would not be "
+    hint += f"comparable. Run `crowdbench data fetch {source.name}` to get {source.address}."
+    expected = f"the published data with SHA-256 {known[:12]}…"
     if source.sha256 is None:
-        expected = f"SHA-256 {known[:12]}…, as noted at first use"
-        hint += f" If you want the new ones, delete {first_use.note_of(source.name)}."
+        expected = f"data with SHA-256 {known[:12]}…, as stored at first use"
+        hint += f" To use the new data, delete {first_use.note_of(source.name)}."
     return RecordingError(
         where,
-        got=f"data of SHA-256 {found[:12]}… with {len(crowd)} persons",
+        got=f"data with SHA-256 {found[:12]}… and {len(crowd)} persons",
         expected=expected,
         hint=hint,
     )
 
 
 def _files(source: Source, path: Path) -> dict[str, bytes]:
-    """What a recording is read from, by name."""
-    hint = f"Run `crowdbench data fetch {source.name}`, or bring {source.address} into that place."
+    """The files that a recording is read from, by name."""
+    hint = f"Run `crowdbench data fetch {source.name}`, or copy {source.address} to that path."
     if source.format != "gc":
         return {path.name: read_bytes(path, RecordingError, hint)}
     return files_in(path, hint)
@@ -291,7 +299,7 @@ def _read(source: Source, files: Mapping[str, bytes], where: object) -> Trajecto
 
 
 def hash_of(files: Mapping[str, bytes]) -> str:
-    """SHA-256 of a file; of several that of the lines `HASH  NAME`, sorted by name."""
+    """SHA-256 of a single file; for several files, of the lines `HASH  NAME` sorted by name."""
     if len(files) == 1:
         return sha256(*files.values())
     return sha256("".join(f"{sha256(files[name])}  {name}\n" for name in sorted(files)).encode())
@@ -306,6 +314,6 @@ def _folder(folder: Path | None) -> Path:
         "crowdbench data import",
         got="no folder",
         expected="--source DIR or the environment variable CROWDBENCH_DATA",
-        hint="Name a folder in the layout of github.com/crowdbotp/OpenTraj, or run "
+        hint="Give a folder in the layout of github.com/crowdbotp/OpenTraj, or run "
         "`crowdbench data fetch NAME`.",
     )

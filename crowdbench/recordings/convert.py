@@ -1,4 +1,4 @@
-"""Crowds for other programs, and theirs for crowdbench: the same rows in another format."""
+"""Conversion of crowds between file formats."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -30,12 +30,12 @@ def convert(
 ) -> Trajectories:
     """Read a crowd in one of `own.FORMATS` and write it to `out` in one of `WRITERS`.
 
-    Every row and frame stays; what the other format has no place for is lost. `dt_s` are the
-    seconds between the rows of a person, where the file does not say it; `gaps` and `offset_s`
-    mend small faults, see `own.read_rows`.
+    All rows and frames are kept; information that the other format cannot represent is lost.
+    `dt_s` is the time between consecutive rows of a person in seconds, if the file does not state
+    it. `gaps` and `offset_s` repair small faults; see `own.read_rows`. Returns the crowd.
 
     Raises:
-        SettingError: there is no such format.
+        SettingError: the format does not exist.
         RecordingError: the file cannot be read.
         OutputError: `out` cannot be written.
     """

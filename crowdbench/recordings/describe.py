@@ -1,4 +1,4 @@
-"""A recording's figures at a glance."""
+"""A summary of a recording as a table of figures."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ _PERCENTILES = (5, 50, 95, 99)
 
 
 def describe(crowd: Trajectories) -> dict[str, str]:
-    """Figures of a crowd by name, as text for a table."""
+    """Summary figures of a crowd by name, as text for a table."""
     observed = np.diff(crowd.observed, axis=1)[:, 0]
     inside = np.zeros(crowd.frames, dtype=bool)
     for start, stop in crowd.observed:

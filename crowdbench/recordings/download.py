@@ -1,4 +1,4 @@
-"""A file from an address, in a transfer that goes on where an earlier one broke off."""
+"""Resumable download of a file."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,28 +11,28 @@ if TYPE_CHECKING:
     import requests
 
 TIMEOUT_S = 30.0
-"""How long a server may say nothing."""
+"""Time after which a server that sends nothing counts as unreachable."""
 TRIES = 3
 PAUSE_S = 0.5
-"""Before the second try; twice as long before each further one."""
+"""Pause before the second attempt; it doubles before each further attempt."""
 MAX_BYTES = 1 << 28
-"""More than any recording: whatever sends more sends something else."""
-_CHUNK = 1 << 13  # what is lost at most when a line breaks
-_OFFLINE = "See whether this machine can reach the address, and run the command again."
+"""Maximum size of a download; every published recording is smaller."""
+_CHUNK = 1 << 13  # bytes that are lost at most when the connection breaks
+_OFFLINE = "Check that this machine can reach the address, and run the command again."
 
 Progress = Callable[[int, int | None], None]
-"""Called with the bytes that are there, and with those of the whole file where they are known."""
+"""Called with the number of bytes received so far, and the size of the file or None if unknown."""
 
 
 def download(address: str, part: Path, progress: Progress) -> None:
-    """Bring the file at `address` into `part`, and go on from the bytes that are already in it.
+    """Download the file at `address` to `part`, and continue from the bytes that it already has.
 
-    A server that knows no ranges sends all of it anew. What came before an error or an interrupt
-    stays in `part` for the next call.
+    A server without support for ranges sends the whole file again. Data received before an error
+    or an interrupt stay in `part` for the next call.
 
     Raises:
-        FetchError: the address cannot be reached or answers with something else, or the transfer
-            broke off three times.
+        FetchError: the address cannot be reached or sends something else, or the transfer was
+            interrupted three times.
         OutputError: `part` cannot be written.
     """
     import requests
@@ -44,7 +44,7 @@ def download(address: str, part: Path, progress: Progress) -> None:
         backoff_factor=PAUSE_S,
         status_forcelist=(502, 503, 504),
         raise_on_status=False,
-        respect_retry_after_header=False,  # it may ask for hours
+        respect_retry_after_header=False,  # it may be hours
     )
     with requests.Session() as session:
         session.mount("http://", HTTPAdapter(max_retries=retry))
@@ -56,24 +56,24 @@ def download(address: str, part: Path, progress: Progress) -> None:
                     return
         except requests.RequestException as error:
             raise FetchError(
-                address, got=_reason(error), expected="an answer", hint=_OFFLINE
+                address, got=_reason(error), expected="a response", hint=_OFFLINE
             ) from error
         except OSError as error:
             raise unwritable(part, error) from error
     raise FetchError(
         address,
-        got=f"a transfer that broke off {TRIES} times, {_size(part)} bytes so far",
+        got=f"a transfer that was interrupted {TRIES} times, after {_size(part)} bytes",
         expected="the whole file",
-        hint="Run the command again: it goes on from there, if the server can.",
+        hint="Run the command again: it continues from there if the server supports it.",
     )
 
 
 def _whole(session: "requests.Session", address: str, part: Path, progress: Progress) -> bool:
-    """One transfer into `part`; whether it is whole then."""
+    """Transfer the rest of the file to `part` once; returns whether the file is complete."""
     import requests
 
     have = _size(part)
-    headers = {"Accept-Encoding": "identity"}  # ranges count the bytes of what is sent
+    headers = {"Accept-Encoding": "identity"}  # ranges refer to the bytes as sent
     if have:
         headers["Range"] = f"bytes={have}-"
     with session.get(address, headers=headers, stream=True, timeout=TIMEOUT_S) as answer:
@@ -83,7 +83,7 @@ def _whole(session: "requests.Session", address: str, part: Path, progress: Prog
         if answer.status_code == 416 or (
             answer.status_code == 206 and not span.startswith(f"bytes {have}-")
         ):
-            part.unlink(missing_ok=True)  # of another file than the one that is there now
+            part.unlink(missing_ok=True)  # the bytes in it belong to another file
             return False
         _check(answer, address)
         if answer.status_code == 200:
@@ -108,18 +108,17 @@ def _check(answer: "requests.Response", address: str) -> None:
     if answer.status_code not in (200, 206):
         raise FetchError(
             address,
-            got=f"the answer {answer.status_code} {answer.reason}".rstrip(),
+            got=f"the response {answer.status_code} {answer.reason}".rstrip(),
             expected="a file",
-            hint="It may have moved, or the server may be out of order for a while: look at the "
+            hint="The file may have moved, or the server may be temporarily unavailable: open the "
             "address in a browser.",
         )
     if answer.headers.get("Content-Type", "").startswith("text/html"):
         raise FetchError(
             address,
             got="an HTML page",
-            expected="a file of data",
-            hint="A network that asks to log in answers like that: look at the address in a "
-            "browser.",
+            expected="a data file",
+            hint="The network may require a login: open the address in a browser.",
         )
 
 
@@ -134,7 +133,7 @@ def _size(part: Path) -> int:
 
 
 def _reason(error: Exception) -> str:
-    """What lies at the bottom: requests wraps it several times."""
+    """The message of the innermost error; requests wraps it several times."""
     below: object = error
     while isinstance(below, Exception):
         error = below

@@ -1,4 +1,4 @@
-"""Published recordings, fetched into a folder in OpenTraj's layout."""
+"""Downloads published recordings into a folder in OpenTraj's layout."""
 
 import io
 import lzma
@@ -23,28 +23,28 @@ from crowdbench.recordings.download import Progress, download
 from crowdbench.recordings.first_use import note_of
 
 MAX_TRACKS_BYTES = 1 << 26
-"""Ten times the tracks of the busiest day."""
+"""Maximum size of an unpacked tracks file; ten times that of the busiest day."""
 _HEAD = 1 << 16
-"""Bytes of a file in which its first track begins."""
+"""Bytes at the beginning of a file in which the first track must begin."""
 
 
 def default_folder() -> Path:
-    """Where recordings are fetched to if no folder is named."""
+    """The folder that recordings are downloaded to by default."""
     return home() / "OpenTraj"
 
 
 def fetch(name: str, folder: Path, progress: Progress = lambda *_: None) -> bool:
-    """Bring a recording's file to its place in `folder`; whether anything had to be transferred.
+    """Download a recording's file to its place in `folder`; returns whether a download was needed.
 
-    A file that is there and right is left alone, one that is not right is replaced. What is
-    transferred comes to a file beside it, ending in .part, which stays when a transfer breaks off
-    and goes when it was whole; nothing wrong comes under the name of the file.
+    A correct existing file is kept, any other is replaced. Data are first written to a file ending
+    in .part. It is kept if the transfer is interrupted and removed if it is complete, so that only
+    verified data get the name of the recording's file.
 
     Raises:
         SettingError: there is no recording of that name.
-        FetchError: the file cannot be had, or is not the one that was published; of `gc`, which
-            has no file of its own to fetch, the error says what to run.
-        RecordingError: the data are no recording.
+        FetchError: the file cannot be downloaded, or is not the published one. For `gc`, which
+            consists of many files, the error says which commands to run.
+        RecordingError: the data are not a recording.
         OutputError: the folder cannot be written.
     """
     published = source(name)
@@ -69,7 +69,7 @@ def fetch(name: str, folder: Path, progress: Progress = lambda *_: None) -> bool
 
 
 def git_commands(published: Source, folder: Path, repository: str, commit: str) -> list[str]:
-    """Shell commands that check out only a recording's folder, only as of the pinned commit."""
+    """Shell commands that check out only a recording's folder at the pinned commit."""
     git = ["git", "-C", str(folder)]
     return [
         shlex.join(command)
@@ -78,34 +78,34 @@ def git_commands(published: Source, folder: Path, repository: str, commit: str) 
             [*git, "remote", "add", "origin", repository],
             [*git, "sparse-checkout", "set", published.path],
             [*git, "fetch", "--depth", "1", "--filter=blob:none", "origin", commit],
-            # Converted line ends would change the hash.
+            # Converted line endings would change the hash.
             [*git, "-c", "core.autocrlf=false", "checkout", "--detach", commit],
         )
     ]
 
 
 def _by_git(published: Source, folder: Path) -> FetchError:
-    hint = "Name another folder with --out: this one has a repository in it."
+    hint = "Choose another folder with --out: this one contains a git repository."
     if not (folder / ".git").exists():
         bring = ["crowdbench", "data", "import", published.name, "--source", str(folder)]
         commands = [*git_commands(published, folder, REPOSITORY, COMMIT), shlex.join(bring)]
         hint = "Run\n\n" + "".join(f"  {command}\n" for command in commands)
     return FetchError(
         f"recording {published.name}",
-        got="thousands of files without an address for all, so nothing was fetched",
+        got="thousands of files that cannot be downloaded as one, so nothing was downloaded",
         expected="a checkout of their folder with git",
         hint=hint,
     )
 
 
 def _checked(data: bytes, published: Source, path: Path, known: str | None) -> bytes:
-    """The recording's file out of what was transferred, if it is the right one."""
+    """Extract the recording's file from the transferred data and verify it."""
     if published.address.endswith(".zip"):
         data = _tracks(data, published, path)
     if known is not None and sha256(data) != known:
         raise _wrong(published, sha256(data), known)
     if known is None:
-        # It will be known by this hash from now on: what cannot be read must not be.
+        # Its hash will be stored and required from now on, so it must be readable.
         read_files(published, {path.name: data}, published.address)
     return data
 
@@ -114,24 +114,25 @@ def _wrong(published: Source, found: str, known: str) -> FetchError:
     if published.sha256 is not None:
         return FetchError(
             published.address,
-            got=f"data of SHA-256 {found}",
-            expected=f"the published ones, SHA-256 {known}",
-            hint="They are dropped. Run the command again; if that does not help, something on "
-            "the way alters them, or they are no longer what they were.",
+            got=f"data with SHA-256 {found}",
+            expected=f"the published data with SHA-256 {known}",
+            hint="The download was discarded. Run the command again. If that does not help, the "
+            "network alters the data, or the publisher has changed them.",
         )
     return FetchError(
         published.address,
-        got=f"data of SHA-256 {found}",
-        expected=f"SHA-256 {known}, as noted at first use",
-        hint="They are dropped: scores would not be comparable. If you want the new ones, delete "
-        f"{note_of(published.name)} and the day's tracks file, and run the command again.",
+        got=f"data with SHA-256 {found}",
+        expected=f"data with SHA-256 {known}, as stored at first use",
+        hint="The download was discarded, because scores would not be comparable. To use the new "
+        f"data, delete {note_of(published.name)} and the day's tracks file, and run the command "
+        "again.",
     )
 
 
 def _tracks(data: bytes, published: Source, path: Path) -> bytes:
-    """The text of a day's tracks out of a zip, whatever its name there is.
+    """The text of a day's tracks from a zip archive, in which the file may have any name.
 
-    Of other files no more than 64 kB are unpacked, and nothing goes to the disk by its own name.
+    At most 64 kB of other files are unpacked, and no file name from the archive is used on disk.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -139,7 +140,7 @@ def _tracks(data: bytes, published: Source, path: Path) -> bytes:
             if len(members) == 1:
                 tracks = _unpacked(archive, members[0], MAX_TRACKS_BYTES + 1)
     except (
-        # The last two: compressed or encrypted in a way that is not known.
+        # The last two: an unknown compression or encryption.
         zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, ValueError, struct.error,
         NotImplementedError, RuntimeError,
     ) as error:  # fmt: skip
@@ -147,7 +148,7 @@ def _tracks(data: bytes, published: Source, path: Path) -> bytes:
             published.address,
             got=f"a broken zip ({error})",
             expected="a zip with the day's tracks",
-            hint="It is dropped. Run the command again.",
+            hint="The download was discarded. Run the command again.",
         ) from error
     if len(members) == 1 and len(tracks) <= MAX_TRACKS_BYTES:
         return tracks
@@ -156,7 +157,7 @@ def _tracks(data: bytes, published: Source, path: Path) -> bytes:
         published.address,
         got=got if len(members) != 1 else f"tracks of more than {MAX_TRACKS_BYTES} bytes",
         expected="one file with the day's tracks",
-        hint=f"Some days have none. If you have the tracks, bring them to {path}, and run "
+        hint=f"Some days have no tracks. If you have them, copy them to {path}, and run "
         f"`crowdbench data import {published.name} --source DIR`.",
     )
 

@@ -1,6 +1,6 @@
-"""Hashes of recordings whose publisher states none: noted when one is first imported.
+"""Hashes of recordings whose publisher states none, stored when a recording is first imported.
 
-From then on other data under the same name are refused.
+From then on, other data under the same name are rejected.
 """
 
 from pathlib import Path
@@ -17,15 +17,15 @@ class _Note(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def note_of(name: str) -> Path:
-    """Where the note of a recording lies (or would lie)."""
+    """Path of the file that holds the stored hash of a recording, whether it exists or not."""
     return home() / "recordings" / f"{name}.json"
 
 
 def noted(name: str) -> str | None:
-    """The SHA-256 that was noted of a recording's data; None before the first use.
+    """The stored SHA-256 of a recording's data; None before the first import.
 
     Raises:
-        RecordingError: the note is broken.
+        RecordingError: the file with the stored hash is broken.
     """
     path = note_of(name)
     if not path.exists():
@@ -35,9 +35,9 @@ def noted(name: str) -> str | None:
 
 
 def note(name: str, sha256: str, address: str) -> None:
-    """Note the hash of a recording's data and where they were published.
+    """Store the hash of a recording's data and the address where they were published.
 
     Raises:
-        OutputError: the note cannot be written.
+        OutputError: the file cannot be written.
     """
     write_json(note_of(name), _Note(sha256, address))

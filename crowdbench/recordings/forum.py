@@ -1,6 +1,6 @@
-"""A day of the Edinburgh Informatics Forum: tracks in the pixels of a camera on the ceiling.
+"""Reader for a day of the Edinburgh Informatics Forum: tracks in pixels of a ceiling camera.
 
-The file is Matlab code. Of each track it has `Properties.Rn= [...]`, which is not read, and
+The file is Matlab code. For each track it has `Properties.Rn= [...]`, which is ignored, and
 `TRACK.Rn=[[x y t];[x y t];...];` with t in frames of about 9 fps.
 """
 
@@ -16,31 +16,31 @@ from crowdbench.trajectories.table import Trajectories, from_rows
 
 FPS = 9.0
 FRAME = 4
-"""Frames of the camera in one of the scene. Tracks jitter: in most of them someone steps faster
-than 3 m/s from one frame of the camera to the next, over four that is rare."""
+"""Camera frames per frame of the scene. Tracks jitter: most of them have a step above 3 m/s from
+one camera frame to the next, which is rare over four camera frames."""
 PIXEL_M = 0.0247
 IMAGE_ROWS = 480
 
 MAX_ROWS = 10_000_000
-"""Persons times frames; a busy day has 100,000."""
+"""Maximum number of rows (persons times frames); a busy day has 100,000."""
 MAX_SHARING = 100
-"""Tracks that share a detection; on 1 July 2010 four at most."""
+"""Maximum number of tracks that share a detection; on 1 July 2010 it is at most four."""
 
 _STATED = re.compile(rb"Total number of trajectories in file are\s+(\d{1,9})\b")
-_HINT = "Fetch the file anew with `crowdbench data fetch`; if it is there already, delete it first."
+_HINT = "Delete the file and fetch it again with `crowdbench data fetch`."
 
 
 def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
     """Read the bytes of a day's `tracks` file.
 
-    Positions are the tracks' in every fourth frame of the camera (4/9 s), interpolated where the
-    camera missed one; arrivals stay on the camera's frames. Observation begins with the camera's
-    frame 0 and ends with the last detection. Of two tracks that share half of the shorter one's
-    detections (the same pixel at the same time) the shorter is left out: both follow one person.
-    Where a track has several detections at one time, their mean is taken.
+    Positions are those in every fourth camera frame (4/9 s), interpolated if the camera missed
+    one; arrival times are kept on the camera's frames. Observation begins with camera frame 0 and
+    ends with the last detection. If two tracks share at least half of the shorter one's detections
+    (the same pixel at the same time), both follow one person, and the shorter is left out. If a
+    track has several detections at one time, their mean is used.
 
     Raises:
-        RecordingError: the file is empty, broken off, or holds no tracks.
+        RecordingError: the file is empty, truncated, or holds no tracks.
     """
     tracks = _tracks(data, where)
     doubles = _doubles(tracks, where)
@@ -48,8 +48,8 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
     if spans > MAX_ROWS:
         raise RecordingError(
             where,
-            got=f"{spans} persons times frames",
-            expected=f"{MAX_ROWS} at most",
+            got=f"{spans} rows (persons times frames)",
+            expected=f"at most {MAX_ROWS}",
             hint=f"A time may be wrong. {_HINT}",
         )
     persons, frames, positions, entered_s = [], [], [], []
@@ -74,7 +74,7 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
         raise RecordingError(
             where,
             got=f"{len(tracks)} tracks, all of them between two frames of {FRAME}/9 s",
-            expected="at least one that is there in a frame",
+            expected="at least one track that spans a frame",
             hint=_HINT,
         )
     crowd = from_rows(
@@ -88,7 +88,7 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
         where=where,
     )
     notes = {
-        "tracks": f"{len(tracks)}; left out: {len(doubles)} that double another, {short} that fall "
+        "tracks": f"{len(tracks)}; left out: {len(doubles)} duplicates of other tracks, {short} "
         "between two frames",
         "jitter": f"{fast} tracks with a step above 3 m/s within 1/9 s",
     }
@@ -96,7 +96,7 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
 
 
 def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
-    """Column, row and time of the detections of each track, by its number."""
+    """Column, row and time of the detections of each track, by track number."""
     stated = _STATED.search(data)
     if stated is None:
         raise RecordingError(
@@ -119,8 +119,8 @@ def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
         raise RecordingError(
             where,
             got=f"{len(tracks)} tracks",
-            expected=f"{int(stated[1])}, as the file's first line says, and at least one",
-            hint=f"The file may be broken off. {_HINT}",
+            expected=f"{int(stated[1])}, as stated in the file's first line, and at least one",
+            hint=f"The file may be truncated. {_HINT}",
         )
     return tracks
 
@@ -139,7 +139,8 @@ def _number(label: bytes, where: object) -> int:
 def _detections(body: bytes, where: str) -> Int[np.ndarray, "n 3"]:
     """The rows of `[[x y t];[x y t];...];`.
 
-    Split at brackets: a regular expression would try a broken file again and again.
+    The text is split at brackets, because a regular expression could backtrack for very long on a
+    broken file.
     """
     body = body.strip().removesuffix(b";").rstrip()
     if not (body.startswith(b"[") and body.endswith(b"]")) or len(body) < 2:
@@ -164,7 +165,10 @@ def _detections(body: bytes, where: str) -> Int[np.ndarray, "n 3"]:
     if len(back):
         before, after = detections[back[0] : back[0] + 2, 2]
         raise RecordingError(
-            where, got=f"time {after} after time {before}", expected="ascending times", hint=_HINT
+            where,
+            got=f"time {after} after time {before}",
+            expected="times in ascending order",
+            hint=_HINT,
         )
     return detections
 
@@ -173,8 +177,8 @@ def _no_detections(got: bytes, where: str) -> RecordingError:
     return RecordingError(
         where,
         got=f"{_shown(got)} among the detections",
-        expected="[column row time] of each, the whole in brackets",
-        hint=f"The file may be broken off. {_HINT}",
+        expected="[[column row time];…], all in brackets",
+        hint=f"The file may be truncated. {_HINT}",
     )
 
 
@@ -185,7 +189,7 @@ def _shown(text: bytes) -> str:
 def _at_each_time(
     rows: Int[np.ndarray, "n 3"],
 ) -> tuple[Int[np.ndarray, " t"], Float[np.ndarray, "t 2"]]:
-    """Times, each once, and the mean position in metres of what was detected then."""
+    """The distinct times, and the mean detected position at each, in metres."""
     tick, of_row, count = np.unique(rows[:, 2], return_inverse=True, return_counts=True)
     x = np.bincount(of_row, rows[:, 0]) / count
     y = np.bincount(of_row, rows[:, 1]) / count
@@ -193,18 +197,21 @@ def _at_each_time(
 
 
 def _doubles(tracks: dict[int, Int[np.ndarray, "n 3"]], where: object) -> set[int]:
-    """Tracks half of whose detections a longer one (of equal ones: an earlier) has too."""
+    """Numbers of the tracks that are duplicates: a longer track has half of their detections.
+
+    Of two tracks of equal length, the one with the smaller number counts as longer.
+    """
     detections = {number: {tuple(row) for row in rows.tolist()} for number, rows in tracks.items()}
     owners: dict[tuple[int, ...], list[int]] = defaultdict(list)
     for number, each in detections.items():
         for detection in each:
             owners[detection].append(number)
     most = max(len(of) for of in owners.values())
-    if most > MAX_SHARING:  # the pairs below would be too many
+    if most > MAX_SHARING:  # the loop over pairs below would take too long
         raise RecordingError(
             where,
             got=f"a detection that {most} tracks share",
-            expected=f"at most {MAX_SHARING}",
+            expected=f"at most {MAX_SHARING} tracks per detection",
             hint=_HINT,
         )
     shared: dict[tuple[int, int], int] = defaultdict(int)

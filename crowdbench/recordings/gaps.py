@@ -1,8 +1,8 @@
-"""Which pauses of a recording are empty scenes, and which are times nobody annotated.
+"""Finds pauses of the annotation, as opposed to times when a scene was empty.
 
-Where frames without a person stand between two people who vanish and appear in the middle of
-the scene, the annotation paused. Such a gap is *unobserved*: nothing is known of it, and the
-people at its edges have neither left nor entered.
+If people vanish or appear in the middle of the scene at the edges of a run of empty frames, the
+annotation paused there. Such a gap is *unobserved*: the crowd is unknown, and the people at its
+edges have neither left nor entered.
 """
 
 import numpy as np
@@ -15,16 +15,16 @@ USUAL_SHARE = 0.1
 
 
 def observed_intervals(crowd: Trajectories) -> Int[np.ndarray, "I 2"]:
-    """Observed intervals [start, stop) in frames of a recording whose pauses are unknown.
+    """Find the observed intervals [start, stop), in frames, of a recording.
 
-    A run of frames without anyone is unobserved if anyone ends mid-scene in the frame before
-    it, or starts mid-scene in the frame after it. *Mid-scene* is a place where people pass but
-    do not usually start (end): of the persons who come within 1 m of it, fewer than 10 % start
-    (end) there, counting only those who start (end) away from any pause.
+    A run of empty frames is unobserved if a track ends mid-scene in the frame before it, or starts
+    mid-scene in the frame after it. A place is *mid-scene* if people pass there but rarely start
+    (end) there: of the persons who come within 1 m of it, fewer than 10 % start (end) there.
+    Starts (ends) at the edges of a pause are not counted.
     """
     present = crowd.present() > 0
     edges = np.flatnonzero(np.diff(present.astype(np.int8)))
-    before, after = edges[::2], edges[1::2] + 1  # last frame before each pause, first after it
+    before, after = edges[::2], edges[1::2] + 1  # last frame before and first after each pause
     starts_at_edge = np.isin(crowd.first, np.r_[0, after])
     ends_at_edge = np.isin(crowd.last, np.r_[before, crowd.frames - 1])
     born_mid = starts_at_edge & _unusual(crowd.start, ~starts_at_edge, crowd)
@@ -45,7 +45,7 @@ def observed_intervals(crowd: Trajectories) -> Int[np.ndarray, "I 2"]:
 def _unusual(
     points: Float[np.ndarray, "P 2"], usual: Bool[np.ndarray, " P"], crowd: Trajectories
 ) -> Bool[np.ndarray, " P"]:
-    """Whether each person's start (end) lies where persons pass but do not usually start (end)."""
+    """Whether each person's start (end) is a place where people pass but rarely start (end)."""
     person = crowd.row_person()
     result = np.zeros(len(points), dtype=bool)
     for p in np.flatnonzero(~usual):

@@ -1,4 +1,4 @@
-"""The annotation of Grand Central Station: one file per person, and a homography to metres.
+"""Reader of the Grand Central Station annotation: one file per person, and a homography to metres.
 
 A person's file is a list of numbers, three per annotated frame: column and row in the image of
 1920 x 1080 pixels, and the frame of the 25 fps video. Every 20th frame was annotated.
@@ -20,14 +20,14 @@ FPS = 25.0
 STEP = 20
 """Video frames from one annotation to the next."""
 VIDEO_FRAMES = 100_000
-"""Length of the recording; the tracks of some persons run on beyond it."""
+"""Length of the recording in video frames; the tracks of some persons continue after its end."""
 FRAME = 10
-"""Video frames in a frame of the scene: positions between two annotations are interpolated."""
+"""Video frames per frame of the scene; positions between two annotations are interpolated."""
 HOMOGRAPHY = "H.json"
 UNIT_M = 0.8
-"""Metres in a unit of the homography's plane."""
+"""Metres per unit of the homography's plane."""
 
-_HINT = "Take the folder datasets/GC of github.com/crowdbotp/OpenTraj as it is."
+_HINT = "Use the folder datasets/GC of github.com/crowdbotp/OpenTraj without changes."
 
 
 def read_gc(
@@ -39,10 +39,10 @@ def read_gc(
 ) -> Trajectories:
     """Read the folder's files by name: `H.json`, and `Annotation/NUMBER.txt` of each person.
 
-    One file is one person: while nothing is annotated, the person is taken to walk on straight.
-    Positions after the recording's 100,000 frames (or `video_frames`; None: up to the last
-    annotation) are cut off (who has one there is still present at the end); a person who is then
-    left with a single annotation is left out.
+    One file is one person. Missing positions between two annotations are interpolated linearly.
+    Positions after the recording's 100,000 frames are removed, and people who have any are still
+    present at the end; `video_frames` sets another length, and None reads up to the last
+    annotation. People with fewer than two annotations within the length are left out.
 
     Raises:
         RecordingError: a file is missing or broken.
@@ -58,15 +58,15 @@ def read_gc(
         if inside.sum() < 2:
             single += 1
             continue
-        upto = inside.sum() + (not inside.all())  # interpolated up to the end
+        upto = inside.sum() + (not inside.all())  # one more row, to interpolate up to the end
         frame, at = _each_frame(rows[:upto], video_frames)
         pieces.append(np.column_stack([frame, at]))
         persons.append(np.full(len(frame), person))
     if not pieces:
         raise RecordingError(
             where,
-            got=f"{single} files of a single annotation each",
-            expected="at least one person who is annotated twice",
+            got=f"{single} files with a single annotation each",
+            expected="at least one person with two annotations",
             hint=_HINT,
         )
     table = np.concatenate(pieces)
@@ -81,14 +81,14 @@ def read_gc(
         where=where,
     )
     notes = {
-        "files": f"{len(tracks)}, {single} of them of a single annotation and left out",
+        "files": f"{len(tracks)}, {single} of them left out for having a single annotation",
         "cut off": f"{beyond} positions after video frame {video_frames}",
     }
     return replace(crowd, provenance={"notes": notes})
 
 
 def files_in(folder: Path, hint: str = _HINT) -> dict[str, bytes]:
-    """What `read_gc` reads, by name.
+    """The files that `read_gc` reads, by name.
 
     Raises:
         RecordingError: a file cannot be read.
@@ -101,7 +101,7 @@ def annotations(files: Mapping[str, bytes], where: object) -> dict[int, Int[np.n
     """Column, row and video frame of each annotation, by person.
 
     Raises:
-        RecordingError: there is no person's file, or one is broken.
+        RecordingError: there is no file of a person, or one is broken.
     """
     tracks = {
         _person(name, where): _rows(data, f"{where}/{name}")
@@ -110,13 +110,13 @@ def annotations(files: Mapping[str, bytes], where: object) -> dict[int, Int[np.n
     }
     if not tracks:
         raise RecordingError(
-            where, got="no person's file", expected="files Annotation/NUMBER.txt", hint=_HINT
+            where, got="no file of a person", expected="files Annotation/NUMBER.txt", hint=_HINT
         )
     return tracks
 
 
 def _rows(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
-    """Column, row and video frame of each annotation of a person, ascending in time."""
+    """Column, row and video frame of each annotation of a person, in order of time."""
     try:
         numbers = np.array(data.split(), dtype=np.int64)
     except (ValueError, OverflowError) as error:
@@ -128,20 +128,23 @@ def _rows(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
             where,
             got=f"{len(numbers)} numbers",
             expected="three per annotation: column, row, frame",
-            hint=f"The file may be broken off. {_HINT}",
+            hint=f"The file may be truncated. {_HINT}",
         )
     rows = numbers.reshape(-1, 3)
     if (rows[:, 2] % STEP).any() or (rows[:, 2] < 0).any():
         wrong = rows[(rows[:, 2] % STEP != 0) | (rows[:, 2] < 0), 2]
         raise RecordingError(
-            where, got=f"an annotation of frame {wrong[0]}", expected=f"every {STEP}th", hint=_HINT
+            where,
+            got=f"an annotation of frame {wrong[0]}",
+            expected=f"annotations of every {STEP}th frame",
+            hint=_HINT,
         )
     if (np.diff(rows[:, 2]) <= 0).any():
         at = int(np.flatnonzero(np.diff(rows[:, 2]) <= 0)[0])
         raise RecordingError(
             where,
             got=f"frame {rows[at + 1, 2]} after frame {rows[at, 2]}",
-            expected="ascending frames",
+            expected="frames in ascending order",
             hint=_HINT,
         )
     return rows
@@ -150,10 +153,11 @@ def _rows(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
 def _each_frame(
     rows: Int[np.ndarray, "n 3"], stop: int
 ) -> tuple[Int[np.ndarray, " f"], Float[np.ndarray, "f 2"]]:
-    """Pixel positions in each frame of the scene, from the first annotation to `stop`.
+    """Frames of the scene and pixel positions in them, from the first annotation to `stop`.
 
-    Interpolated in pixels, as published: between neighbouring annotations that is as good as in
-    metres, and where a person was lost for minutes one straight line is as good as another.
+    Positions are interpolated in pixels, as in the published data. Between consecutive annotations
+    the result is practically the same as in metres. Where a person was lost for minutes, the true
+    path is unknown in any case.
     """
     video = np.arange(rows[0, 2], min(rows[-1, 2] + 1, stop), FRAME)
     at = np.stack([np.interp(video, rows[:, 2], rows[:, k]) for k in (0, 1)], axis=1)
@@ -163,12 +167,12 @@ def _each_frame(
 def metres(
     pixels: Float[np.ndarray, "n 2"], homography: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "n 2"]:
-    """World positions of (column, row); the homography takes them as (row, column).
+    """World positions in metres of pixels (column, row).
 
-    The other way round people would walk at 0.6 m/s.
+    The homography expects (row, column): with the opposite order people would walk at 0.6 m/s.
     """
     plane = np.column_stack([pixels[:, 1], pixels[:, 0], np.ones(len(pixels))]) @ homography.T
-    with np.errstate(divide="ignore", invalid="ignore"):  # what is not finite is refused later
+    with np.errstate(divide="ignore", invalid="ignore"):  # values not finite are rejected later
         return UNIT_M * plane[:, :2] / plane[:, 2:]
 
 
@@ -199,8 +203,11 @@ def homography_of(data: bytes | None, where: object) -> Float[np.ndarray, "3 3"]
 
 def _person(name: str, where: object) -> int:
     stem = name.removeprefix("Annotation/").removesuffix(".txt")
-    if not (stem.isascii() and stem.isdecimal() and len(stem) == 6):  # else one could be two
+    if not (stem.isascii() and stem.isdecimal() and len(stem) == 6):  # so that numbers are unique
         raise RecordingError(
-            where, got=f"a file {name}", expected="Annotation/NUMBER.txt, of six digits", hint=_HINT
+            where,
+            got=f"a file {name}",
+            expected="Annotation/NUMBER.txt with a number of six digits",
+            hint=_HINT,
         )
     return int(stem)

@@ -1,8 +1,8 @@
-"""Trajectories of JuPedSim and PedPy: its text files, and the SQLite files of its simulations.
+"""The formats of JuPedSim and PedPy: text files, and SQLite files of simulations.
 
-A text file says `# framerate: 16.00`, perhaps a unit (`x/cm`, by default metres), and has a row
-`id frame x y z` per person and frame. A SQLite file has the tables `trajectory_data(frame, id,
-pos_x, pos_y, …)` and `metadata(key, value)`, with the key `fps`.
+A text file states `# framerate: 16.00`, optionally a unit (`x/cm`, by default metres), and has a
+row `id frame x y z` per person and frame. An SQLite file has the tables `trajectory_data(frame,
+id, pos_x, pos_y, …)` and `metadata(key, value)`, with the key `fps`.
 """
 
 import re
@@ -20,32 +20,34 @@ from crowdbench.trajectories.table import Trajectories
 
 _SQLITE = b"SQLite format 3\0"
 _RATE = re.compile(r"framerate\D*(\d+(?:\.\d+)?)")
-_HINT = "PedPy's loaders tell more of what is wrong with a file."
+_HINT = "PedPy's loaders may describe the problem in more detail."
 
 
 def read_jupedsim(
     data: bytes, *, name: str, dt_s: float | None, where: object, gaps: Gaps | None = None
 ) -> Trajectories:
-    """Read the bytes of a text or a SQLite file; `dt_s` is needed where a text states no rate.
+    """Read the bytes of a text or SQLite file; `dt_s` is required if a text file states no rate.
 
-    Frames are the file's, divided by their usual step. `gaps` says how steps of another length are
-    mended (see `mending`); else they are refused.
+    Frame numbers are divided by their usual step. `gaps` says how steps of another length are
+    repaired (see `mending`); if it is None they are rejected.
 
     Raises:
-        RecordingError: the file is broken, empty, states another rate than `dt_s`, or has gaps.
+        RecordingError: the file is broken or empty, states another rate than `dt_s`, or has gaps.
     """
     rate, rows = (_sqlite if data.startswith(_SQLITE) else _text)(data, where)
     if rate is not None and not 0 < rate < np.inf:
-        raise RecordingError(where, got=f"{rate:g} frames a second", expected="a positive rate")
+        raise RecordingError(where, got=f"{rate:g} frames per second", expected="a positive rate")
     if not len(rows):
         raise RecordingError(where, got="no rows", expected="at least one row", hint=_HINT)
     whole = (np.abs(rows[:, :2]) < 2.0**53) & (rows[:, :2] == np.floor(rows[:, :2]))
     if not whole.all():
         raise RecordingError(
-            where, got="an id or a frame that is no whole number", expected="id, frame, x, y"
+            where,
+            got="an id or a frame that is not an integer",
+            expected="integers in the columns id and frame",
         )
     person, frame = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
-    step = usual_step(person, frame)  # some keep the camera's numbers and rate, not all its rows
+    step = usual_step(person, frame)  # some files have the camera's frame numbers but fewer rows
     dt_s = checked_dt_s(where, step / rate if rate is not None else None, dt_s)
     whole_rows = on_frames(
         person, Stamps(frame, "frame", step=float(step)), rows[:, 2:4], gaps=gaps, where=where
@@ -54,10 +56,10 @@ def read_jupedsim(
 
 
 def write_jupedsim(crowd: Trajectories, path: Path) -> None:
-    """Write the crowd as a text file, frames numbered as they are.
+    """Write the crowd as a text file with unchanged frame numbers.
 
     Raises:
-        OutputError: the place cannot be written.
+        OutputError: `path` cannot be written.
     """
     ids = crowd.person_id[crowd.row_person()]
     rows = zip(ids.tolist(), crowd.row_frame().tolist(), plain_positions(crowd), strict=True)
@@ -71,7 +73,7 @@ def write_jupedsim(crowd: Trajectories, path: Path) -> None:
 
 
 def _text(data: bytes, where: object) -> tuple[float | None, Float[np.ndarray, "R 4"]]:
-    """Frames a second, if stated, and the columns id, frame, x and y in metres."""
+    """Frames per second, if stated, and the columns id, frame, x and y in metres."""
     lines = data.decode("utf-8-sig", "replace").splitlines()
     header = " ".join(line for line in lines if line.lstrip().startswith("#")).lower()
     body = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
@@ -88,7 +90,7 @@ def _text(data: bytes, where: object) -> tuple[float | None, Float[np.ndarray, "
 
 
 def _sqlite(data: bytes, where: object) -> tuple[float, Shaped[np.ndarray, "R 4"]]:
-    """Frames a second, and the columns id, frame, x and y in metres."""
+    """Frames per second, and the columns id, frame, x and y in metres."""
     connection = sqlite3.connect(":memory:")
     try:
         connection.deserialize(data)
@@ -99,7 +101,7 @@ def _sqlite(data: bytes, where: object) -> tuple[float, Shaped[np.ndarray, "R 4"
         raise RecordingError(
             where,
             got=str(error),
-            expected="JuPedSim's tables trajectory_data and metadata, with its fps",
+            expected="JuPedSim's tables trajectory_data and metadata, the latter with the key fps",
             hint=_HINT,
         ) from error
     finally:

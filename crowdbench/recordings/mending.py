@@ -1,7 +1,8 @@
-"""Small faults of recordings: rows that are missing within a life, and rows beside the frames.
+"""Repairs small faults of recordings: missing rows within a trip, and rows between two frames.
 
-Nobody knows what happened there, so such recordings are refused, with person and frame, unless
-the user says how to mend them. What was mended stands in the notes of the imported table.
+The true positions are unknown there, so such recordings are rejected unless the user chooses how to
+repair them. The message names the first affected person and frame. All repairs are listed in the
+notes of the imported table.
 """
 
 from collections.abc import Mapping
@@ -16,61 +17,63 @@ from crowdbench.trajectories.table import MAX_FRAMES, Trajectories, from_rows
 
 Gaps = Literal["interpolate", "split"]
 GAPS: tuple[Gaps, ...] = ("interpolate", "split")
-"""What to do where rows are missing: walk on straight, or make two persons of one."""
+"""How missing rows are repaired: by linear interpolation, or by splitting the person into two."""
 
 _MISSING = 1.5
-"""Steps from so many rows on are gaps; shorter ones lead to or from a row beside the frames."""
+"""Intervals of at least this many steps are gaps; shorter ones begin or end at a row between two
+frames."""
 _BESIDE = {"frame": 1e-6, "s": 0.05}
-"""From so much of a step on a row is beside the frames: numbers are exact, times are not."""
+"""A row lies between two frames if it is further than this from a frame, in steps. Frame numbers
+are exact, times are not."""
 _SHOWN = 3
 FEW = (
-    "If they are few, --gaps interpolate puts them on straight lines between their neighbours, and "
-    "--gaps split makes two persons of one where rows are missing."
+    "If only a few rows are affected, use --gaps interpolate to fill them in linearly, or --gaps "
+    "split to split a person into two where rows are missing."
 )
 
 
 @dataclass(frozen=True)
 class Stamps:
-    """When each row was seen, in the file's own numbers."""
+    """The time stamp of each row, as frame number or time."""
 
     values: np.ndarray
-    """(R,), frames of a video or seconds."""
+    """(R,), video frame numbers or seconds, as in the file."""
     unit: Literal["frame", "s"]
     step: float
-    """From one row of a person to the next."""
+    """Interval from one row of a person to the next, in `unit`."""
     origin: float = 0.0
-    """That of the scene's first frame."""
+    """Value at the first frame of the scene, in `unit`."""
 
     def ticks(self) -> Float[np.ndarray, " R"]:
-        """In steps from the first frame on."""
+        """Time of each row in steps since the first frame of the scene."""
         return (self.values - self.origin) / self.step
 
     def of(self, row: int | np.integer) -> str:
-        """In words."""
+        """The time stamp of a row as text, such as `frame 12` or `4.8 s`."""
         value = self.values[row]
         return f"frame {value:.0f}" if self.unit == "frame" else f"{value:.10g} s"
 
     def long(self, steps: float) -> str:
-        """So many steps in words."""
+        """A duration in steps as text, such as `10 frames` or `0.4 s`."""
         length = f"{steps * self.step:.10g}"
         return f"{length} s" if self.unit == "s" else f"{length} frame{'s' * (length != '1')}"
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows on the frames of a scene, one per person and frame, none missing within a life."""
+    """Rows on the frames of a scene, one per person and frame, none missing within a trip."""
 
     person: Int[np.ndarray, " R"]
     frame: Int[np.ndarray, " R"]
     xy: Float[np.ndarray, "R 2"]
     source: Int[np.ndarray, " R"]
-    """Index of a row of the same person in what was given."""
+    """Index of an input row of the same person."""
     cut_before: Bool[np.ndarray, " R"]
-    """Of those who were split off: the person had entered before."""
+    """True if the person was split before these rows, so it entered earlier."""
     cut_after: Bool[np.ndarray, " R"]
-    """Of those whose rest was split off: the person left later."""
+    """True if the person was split after these rows, so it left later."""
     notes: dict[str, str]
-    """What was mended, as text for a table."""
+    """The repairs, as text for a table."""
 
     def crowd(
         self,
@@ -80,9 +83,10 @@ class Rows:
         where: object,
         columns: Mapping[str, np.ndarray] | None = None,
     ) -> Trajectories:
-        """The table of these rows; `columns` of persons are of the rows that were given.
+        """The `Trajectories` of these rows.
 
-        Nobody has entered or left at a gap.
+        `columns` are columns of persons by name, with one value per input row. A person that was
+        split into two has neither left nor entered at the gap.
 
         Raises:
             RecordingError: see `from_rows`.
@@ -121,18 +125,19 @@ def on_frames(
     where: object,
     hint: str = FEW,
 ) -> Rows:
-    """Put rows on the frames of a scene, and mend them as `gaps` says; None refuses what is not.
+    """Assign rows to the frames of a scene, and repair faults as `gaps` says.
 
-    Of rows with frame numbers each person may have a phase of its own (annotators shift it at
-    pauses); frames are rounded down. Times must be multiples of the step.
+    Frame numbers are rounded down, because each person may have a different phase (annotators
+    shift it at pauses). Times must be multiples of the step.
 
-    `interpolate` fills the steps that are missing; `split` ends the person there, and lets another
-    one of a new number go on. With either, rows beside the frames are replaced by the positions
-    on the frames between them, linear in time.
+    With `interpolate`, missing rows are interpolated linearly. With `split`, the person ends at the
+    gap and continues as another person with a new number. With both, rows between two frames are
+    replaced by positions at the frames, interpolated linearly in time. With None, recordings with
+    faults are rejected.
 
     Raises:
-        RecordingError: a person has two rows at a time; rows are missing or beside the frames,
-            and `gaps` is None or they are most of the rows.
+        RecordingError: a person has two rows at the same time; or rows are missing or between two
+            frames, and `gaps` is None or most rows are affected.
     """
     ticks = stamps.ticks()
     if not np.isfinite(ticks).all():
@@ -148,9 +153,9 @@ def on_frames(
         rows = order[1:][steps <= beside]
         raise RecordingError(
             where,
-            got=f"person {person[rows[0]]} twice in {stamps.of(rows[0])} ({len(rows)} such rows)",
+            got=f"person {person[rows[0]]} twice at {stamps.of(rows[0])} ({len(rows)} such rows)",
             expected="one row per person and frame",
-            hint="Remove the duplicates, or give each person an id of its own.",
+            hint="Remove the duplicates, or give each person a separate id.",
         )
     if stamps.unit == "s":
         astray = np.abs(ticks - np.round(ticks)) >= beside
@@ -164,7 +169,7 @@ def on_frames(
     _refuse_most(person, stamps, steps[same], astray, where)
     if gaps is None:
         raise _refused(person, stamps, order, steps, wrong, astray, where, hint)
-    if ticks.max() - ticks.min() > MAX_FRAMES:  # which `from_rows` refuses
+    if ticks.max() - ticks.min() > MAX_FRAMES:  # `from_rows` rejects this
         return _as_they_are(person, stamps, xy)
     faulty = np.isin(person, np.r_[person[order[1:][wrong]], person[astray]])
     return _mended(person, stamps, xy, order[faulty[order]], gaps)
@@ -186,7 +191,7 @@ def _refuse_most(
     astray: Bool[np.ndarray, " R"],
     where: object,
 ) -> None:
-    """Refuse what is no small fault: the same of most rows."""
+    """Raise if most rows have the same fault, because then an option or the file is wrong."""
     if astray.mean() > 0.5:
         row = int(np.flatnonzero(astray)[0])
         late = _usual_phase(stamps.ticks())
@@ -194,16 +199,17 @@ def _refuse_most(
         raise RecordingError(
             where,
             got=f"person {person[row]} at {stamps.of(row)} ({astray.sum()} of {len(astray)} rows "
-            f"beside the frames{by})",
+            f"between two frames{by})",
             expected=f"times in multiples of {stamps.long(1.0)}",
             hint="Correct --dt-s, or resample the trajectories to it."
             if late is None
-            else f"--offset-s {late * stamps.step + stamps.origin:.4g} lets the frames begin then.",
+            else f"Use --offset-s {late * stamps.step + stamps.origin:.4g} to start the frames at "
+            "that time.",
         )
     whole = np.clip(np.round(steps), 0, 10**6).astype(np.int64)
     usual = int(np.bincount(whole, minlength=1).argmax())
     if usual > 1:
-        numbers = "" if stamps.unit == "s" else "the numbers of the frames, or "
+        numbers = "" if stamps.unit == "s" else "the frame numbers, or "
         raise RecordingError(
             where,
             got=f"rows of a person mostly {stamps.long(float(usual))} apart",
@@ -213,7 +219,7 @@ def _refuse_most(
 
 
 def _usual_phase(ticks: Float[np.ndarray, " R"]) -> float | None:
-    """Where between two frames most rows stand, in steps; None where they are all over it."""
+    """The offset from a frame, in steps, that most rows share; None if there is none."""
     usual = _phase(ticks, digits=3)
     apart = ticks - usual
     most = (np.abs(apart - np.round(apart)) < _BESIDE["s"]).mean() > 0.5
@@ -230,23 +236,23 @@ def _refused(
     where: object,
     hint: str,
 ) -> RecordingError:
-    """Names the first that is wrong, and counts the others."""
+    """The error for a recording with faults; it names the first and counts the others."""
     within = int((np.diff(person[order]) == 0).sum())
-    counted = f"{wrong.sum()} of {within} steps not {stamps.long(1.0)} long"
+    counted = f"{wrong.sum()} of {within} intervals differ from {stamps.long(1.0)}"
     if astray.any():
         row = int(np.flatnonzero(astray)[0])
         first = f"person {person[row]} at {stamps.of(row)}, between two frames"
-        counted = f"{astray.sum()} of {len(astray)} rows beside the frames"
+        counted = f"{astray.sum()} of {len(astray)} rows are between two frames"
     else:
         k = int(np.flatnonzero(wrong)[0])
         first = (
-            f"person {person[order[k]]} in {stamps.of(order[k + 1])}, "
-            f"{stamps.long(float(steps[k]))} after its row before"
+            f"person {person[order[k]]} at {stamps.of(order[k + 1])}, "
+            f"{stamps.long(float(steps[k]))} after its previous row"
         )
     return RecordingError(
         where,
         got=f"{first} ({counted})",
-        expected=f"each person every {stamps.long(1.0)}",
+        expected=f"a row of each person every {stamps.long(1.0)}",
         hint=hint,
     )
 
@@ -258,7 +264,7 @@ def _mended(
     faulty: Int[np.ndarray, " F"],
     gaps: Gaps,
 ) -> Rows:
-    """`faulty` are the rows of all persons in need of it, by person and time."""
+    """Repair the rows `faulty`, which are all rows of the affected persons, by person and time."""
     rest = np.setdiff1d(np.arange(len(person)), faulty)
     whole = _as_they_are(person, stamps, xy)
     pieces = [
@@ -290,7 +296,7 @@ def _mended(
             own = number if piece == 0 else free
             if piece:
                 free += 1
-                split.append(f"{words[piece - 1]}, then {own}")
+                split.append(f"{words[piece - 1]}, now person {own}")
             if len(frame) == 0:
                 lost += [f"person {own} at {stamps.of(row)}" for row in rows[part]]
                 continue
@@ -305,10 +311,10 @@ def _mended(
                 )
             )
     told = [
-        _counted(put_in, "row", "put in", filled),
-        _counted(off, "row", "moved onto the frames", moved),
-        _counted(len(split), "gap", "where one person became two", split),
-        _counted(len(lost), "row", "left out between two frames", lost),
+        _counted(put_in, "row", "interpolated", filled),
+        _counted(off, "row", "moved to frames", moved),
+        _counted(len(split), "gap", "where a person was split into two", split),
+        _counted(len(lost), "row", "between two frames left out", lost),
     ]
     notes = {"mended": "; ".join(part for part in told if part)}
     a, b, c, d, e, f = (np.concatenate(column) for column in zip(*pieces, strict=True))
@@ -316,13 +322,13 @@ def _mended(
 
 
 def _phase(ticks: Float[np.ndarray, " n"], digits: int = 6) -> float:
-    """Where between two frames more rows stand than anywhere else, in steps."""
+    """The most frequent offset of rows from a frame, in steps."""
     values, counts = np.unique(np.round(ticks % 1, digits) % 1, return_counts=True)
     return float(values[counts.argmax()])
 
 
 def _counted(number: int, what: str, how: str, cases: list[str]) -> str:
-    """A count, with the first few cases."""
+    """A count as text, with the first few cases; empty if it is 0."""
     if not number:
         return ""
     rest = f", and {len(cases) - _SHOWN} more" if len(cases) > _SHOWN else ""

@@ -18,10 +18,10 @@ from crowdbench.trajectories.table import Trajectories
 
 _COLUMNS = 8
 _STANDING_MPS = 0.2
-_HINT = "Take the file from the address that `crowdbench data list` names."
+_HINT = "Use the file from the address that `crowdbench data list` shows."
 _OTHER_INTERVAL = (
-    "Copies of this recording with another interval exist; their speeds are wrong by that factor. "
-    f"{_HINT}"
+    "Copies of this recording with another interval exist; their speeds are wrong by the same "
+    f"factor. {_HINT}"
 )
 
 
@@ -37,12 +37,13 @@ def read_obsmat(
 ) -> Trajectories:
     """Read the bytes of an `obsmat.txt` annotated every `frame_step` frames of an `fps` video.
 
-    Frames are put on the recording's grid by rounding down: the annotation's phase shifts at
-    some pauses, and rounding to nearest would put a person twice into one frame. `gaps` says how
-    steps of another length are mended (see `mending`); else they are refused, with `hint`.
+    Frames are rounded down to the recording's grid. The phase of the annotation shifts at some
+    pauses, so rounding to the nearest frame would put a person twice into one frame. `gaps` says
+    how steps of another length are repaired (see `mending`); if it is None they are rejected, with
+    `hint` in the message.
 
     Raises:
-        RecordingError: the data are empty, broken off, not finite, or not annotated every
+        RecordingError: the data are empty, truncated, not finite, or not annotated every
             `frame_step` frames.
     """
     table = _parse(data, where)
@@ -57,10 +58,10 @@ def read_obsmat(
 
 
 def step_of(data: bytes, where: object) -> tuple[int, float | None]:
-    """How far apart a person's rows are, in frames of the video, and in seconds.
+    """The interval between rows of a person, in frames of the video and in seconds.
 
-    The seconds are the median of way over speed, by the velocities in the file; None where it
-    has none.
+    The interval in seconds is the median of distance over speed, from the velocities in the file;
+    None if the file has no velocities.
 
     Raises:
         RecordingError: the data are broken.
@@ -87,7 +88,7 @@ def _parse(data: bytes, where: object) -> Float[np.ndarray, "R 8"]:
                 where,
                 got=f"{len(line.split())} columns in row {number}",
                 expected=f"{_COLUMNS} (frame, person, x, z, y, vx, vz, vy)",
-                hint=f"The file may be broken off or in another format. {_HINT}",
+                hint=f"The file may be truncated or in another format. {_HINT}",
             )
     try:
         table = np.loadtxt(lines, ndmin=2, comments=None)
@@ -116,14 +117,13 @@ def _check_interval(
     fps: float,
     where: object,
 ) -> None:
-    """The interval is looked at within persons: between them the recording may pause."""
+    """Raise if the usual interval between rows of the same person is not `frame_step`."""
     usual = usual_step(person, video_frame)
     followed = len(np.unique(person)) < len(person)
     if followed and usual != frame_step:
         raise RecordingError(
             where,
             got=f"positions every {usual} frames",
-            expected=f"each person every {frame_step} frames ({frame_step / fps:g} s at "
-            f"{fps:g} fps)",
+            expected=f"positions every {frame_step} frames ({frame_step / fps:g} s at {fps:g} fps)",
             hint=_OTHER_INTERVAL,
         )

@@ -1,4 +1,4 @@
-"""Recordings of places that nobody here has seen: read from the user's files, kept by name."""
+"""Users' own recordings: read from files in several formats, stored by name."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,21 +19,22 @@ from crowdbench.recordings.obsmat import read_obsmat, step_of
 from crowdbench.recordings.timing import at_scene_frames, checked_dt_s
 from crowdbench.recordings.trajnet import read_trajnet
 from crowdbench.trajectories import storage
+from crowdbench.trajectories.companions import with_companions
 from crowdbench.trajectories.table import Trajectories
 
 FORMATS = {
-    "obsmat": "rows `frame person x z y vx vz vy`, metres, each person in every n-th frame",
-    "gc": "a folder with H.json and Annotation/NUMBER.txt of each person (six digits), in pixels",
+    "obsmat": "rows `frame person x z y vx vz vy`, in metres, each person in every n-th frame",
+    "gc": "a folder with H.json and Annotation/NUMBER.txt for each person (six digits), in pixels",
     "forum": "Matlab code, `TRACK.Rn=[[x y t];…];`, in pixels of a camera of 640 × 480",
-    "csv": "a table (.csv or .parquet): person_id, frame (rows of --dt-s, from 0) or time_s, x, y",
+    "csv": "a table (.csv or .parquet): person_id, frame (from 0, one per --dt-s) or time_s, x, y",
     "trajnet": 'TrajNet++, lines like {"track": {"f": 10, "p": 3, "x": 1.25, "y": 4.5}}',
     "jupedsim": "`# framerate: 16.00` and rows `id frame x y z`, or JuPedSim's SQLite",
 }
-"""What a recording can be read from, and what it looks like."""
+"""The formats of recordings, each with a short description."""
 
 _OPTIONS = ("--dt-s", "--gaps", "--offset-s")
 _SPEEDS_MPS = (0.2, 3.0)
-"""Between these lies the median of people's mean speeds, or numbers are no metres or seconds."""
+"""Plausible range of the median of people's mean speeds; outside it the units are wrong."""
 _LONGEST_M = 300.0
 
 
@@ -46,21 +47,21 @@ def read_recording(
     gaps: Gaps | None = None,
     offset_s: float | None = None,
 ) -> Trajectories:
-    """Read a recording in one of `FORMATS` and put it on a scene's frames.
+    """Read a recording in one of `FORMATS` and convert it to the frames of a scene.
 
-    `dt_s` are the seconds from one row of a person to the next; what the file says of it must
-    agree. `gaps` and `offset_s` mend small faults, see `read_rows`. A table that crowdbench wrote
-    is taken as it is.
+    `dt_s` is the time between consecutive rows of a person in seconds; if the file states it, the
+    two must agree. `gaps` and `offset_s` repair small faults; see `read_rows`. A table that
+    crowdbench wrote is not resampled.
 
     Raises:
-        SettingError: there is no such format, or nothing in it that could be mended so.
-        RecordingError: the file is missing or broken, states another time step, or its people
-            move as no people do.
+        SettingError: the format does not exist, or does not support `gaps` or `offset_s`.
+        RecordingError: the file is missing or broken, states another time step, or contains
+            implausible speeds or distances.
     """
     crowd = read_rows(path, layout, name=name, dt_s=dt_s, gaps=gaps, offset_s=offset_s)
     if not (layout == "csv" and storage.is_own(path)):
-        # Pauses are a habit of annotators; a camera that tracks people by itself makes none, and
-        # loses people mid-scene all the time.
+        # Only human annotators pause. Automatic tracking does not, but it often loses people
+        # mid-scene, which would look like a pause.
         crowd = at_scene_frames(crowd, pauses=layout not in ("gc", "forum"), where=path)
     _check_motion(crowd, path)
     return replace(crowd, scene=name)
@@ -75,16 +76,16 @@ def read_rows(
     gaps: Gaps | None = None,
     offset_s: float | None = None,
 ) -> Trajectories:
-    """Read a crowd in one of `FORMATS` at the rate of its rows; see `read_recording`.
+    """Read a crowd in one of `FORMATS` without resampling; see `read_recording`.
 
-    Where a person lacks rows, or has rows beside the frames, `gaps` says how that is mended (see
-    `mending`); `offset_s` is the time of the first frame where a table has `time_s`. What was
-    mended stands in the provenance's notes.
+    `gaps` says how missing rows, and rows between two frames, are repaired (see `mending`).
+    `offset_s` is the time of the first frame for tables with a column `time_s`. The repairs are
+    listed in the notes of the provenance.
 
     Raises:
-        SettingError: there is no such format, or nothing in it that could be mended so.
-        RecordingError: the file is missing or broken, states another time step, or has gaps or
-            rows beside the frames and `gaps` is None.
+        SettingError: the format does not exist, or does not support `gaps` or `offset_s`.
+        RecordingError: the file is missing or broken, states another time step, or needs repairs
+            while `gaps` is None.
     """
     if layout not in FORMATS:
         return _read_by_others(path, layout, name, dt_s, gaps, offset_s)
@@ -100,13 +101,13 @@ def read_rows(
         asks = any(option in error.hint or option in error.expected for option in _OPTIONS)
         if layout in ("csv", "trajnet", "jupedsim") or asks:
             raise
-        # The readers of published recordings would tell to fetch them anew.
+        # The hint of these readers is to fetch the published recording again.
         raise RecordingError(
             error.where, got=error.got, expected=error.expected, hint=hint
         ) from error
     notes = {**crowd.provenance.get("notes", {}), **_transform(layout)}
     provenance = {"source": path.name, "sha256": hash_of(files), "notes": notes}
-    return replace(crowd, provenance=provenance)
+    return with_companions(replace(crowd, provenance=provenance))
 
 
 def _read_by_others(
@@ -117,7 +118,7 @@ def _read_by_others(
     gaps: Gaps | None,
     offset_s: float | None,
 ) -> Trajectories:
-    """Read a format that another package registered, `read(path, name=, dt_s=)`."""
+    """Read a format that another package registered, by its function `read(path, name=, dt_s=)`."""
     read = part("recordings", layout)
     if read is None:
         known = ", ".join((*FORMATS, *names("recordings", FORMATS)))
@@ -125,8 +126,8 @@ def _read_by_others(
     if gaps is not None or offset_s is not None:
         raise SettingError(
             "--gaps" if gaps is not None else "--offset-s",
-            got=f"the format {layout}, of another package",
-            expected=f"one of crowdbench's: {', '.join(FORMATS)}",
+            got=f"the format {layout} of another package",
+            expected=f"one of crowdbench's formats: {', '.join(FORMATS)}",
         )
     with blaming(f"format {layout}, {path}"):
         crowd = read(path, name=name, dt_s=dt_s)
@@ -137,9 +138,8 @@ def _read_by_others(
         str(file.relative_to(path.parent)): file.read_bytes() for file in files if file.is_file()
     }
     notes = crowd.provenance.get("notes", {})
-    return replace(
-        crowd, provenance={"source": path.name, "sha256": hash_of(hashed), "notes": notes}
-    )
+    provenance = {"source": path.name, "sha256": hash_of(hashed), "notes": notes}
+    return with_companions(replace(crowd, provenance=provenance))
 
 
 def import_own(
@@ -151,12 +151,12 @@ def import_own(
     gaps: Gaps | None = None,
     offset_s: float | None = None,
 ) -> Trajectories:
-    """Read a recording and keep it for later use under a name of the user's choice.
+    """Read a recording and store it for later use under a name that the user chooses.
 
-    The options are those of `read_recording`.
+    The options are those of `read_recording`. Returns the recording.
 
     Raises:
-        SettingError: the name is taken or no name, or there is no such format.
+        SettingError: the name is taken or invalid, or the format does not exist.
         RecordingError: the file cannot be read; see `read_recording`.
         OutputError: the imported table cannot be written.
     """
@@ -167,25 +167,25 @@ def import_own(
 
 
 def check_name(name: str) -> None:
-    """Refuse a name that is not the user's to give.
+    """Check that a name can be used for a user's own recording.
 
     Raises:
-        SettingError: it is a published recording's, or no name.
+        SettingError: it is the name of a published recording, or not a valid name.
     """
     if name in (*SOURCES, "plaza") or not OWN_NAME.fullmatch(name):
         raise SettingError(
             "recording",
             got=f"the name {name!r}",
-            expected="a name of your own: small letters, digits and _, a letter first, and none of "
-            f"{', '.join((*SOURCES, 'plaza'))}",
+            expected="a new name of lower-case letters, digits and _, beginning with a letter and "
+            f"different from {', '.join((*SOURCES, 'plaza'))}",
         )
 
 
 def keep(crowd: Trajectories) -> bool:
-    """Keep a recording by its name; False where that very table is kept already.
+    """Store a recording under its name; returns False if the same table is stored already.
 
     Raises:
-        SettingError: another recording is kept by that name.
+        SettingError: another recording is stored under that name.
         OutputError: the table cannot be written.
     """
     path = cached(crowd.scene)
@@ -198,30 +198,30 @@ def keep(crowd: Trajectories) -> bool:
         return False
     raise SettingError(
         f"recording {crowd.scene}",
-        got="another one that is imported by that name",
-        expected="a name that is free",
-        hint=f"Choose another one; or `crowdbench data remove {crowd.scene}` if you need it no "
-        "more.",
+        got="another imported recording of that name",
+        expected="an unused name",
+        hint=f"Choose another name, or run `crowdbench data remove {crowd.scene}` if the other "
+        "recording is no longer needed.",
     )
 
 
 def _check_mendable(layout: str, gaps: Gaps | None, offset_s: float | None) -> None:
-    """Refuse options that nothing in the format answers to."""
+    """Raise if the format does not support an option that is given."""
     if gaps is not None and layout in ("gc", "forum"):
         raise SettingError(
             "--gaps",
             got=f"{gaps} with the format {layout}",
-            expected="one of the other formats",
-            hint="In this one people walk on straight wherever rows are missing.",
+            expected="another format",
+            hint="In this format missing rows are always interpolated linearly.",
         )
     if offset_s is not None and layout != "csv":
         raise SettingError(
             "--offset-s",
             got=f"the format {layout}, whose frames are numbered",
-            expected="csv with a column time_s",
+            expected="the format csv with a column time_s",
         )
     if offset_s is not None and not np.isfinite(offset_s):
-        raise SettingError("--offset-s", got=f"{offset_s}", expected="seconds")
+        raise SettingError("--offset-s", got=f"{offset_s}", expected="a finite number of seconds")
 
 
 def _rows(
@@ -254,7 +254,9 @@ def _table(
     if storage.is_own(path):
         if offset_s is not None:
             raise SettingError(
-                "--offset-s", got=f"{path.name}, which crowdbench wrote", expected="other tables"
+                "--offset-s",
+                got=f"{path.name}, which crowdbench wrote",
+                expected="a table of another program",
             )
         crowd = storage.read_own(path)
         checked_dt_s(path, crowd.dt_s, dt_s)
@@ -269,7 +271,7 @@ def _table(
         where=path,
     )
     if offset_s:
-        rows.notes["times"] = f"{offset_s:g} s earlier than in the file"
+        rows.notes["times"] = f"reduced by {offset_s:g} s"
         for column in {"spawn_s", "requested_s"} & set(columns):
             columns[column] = columns[column] - offset_s
     return rows.crowd(scene=name, dt_s=dt_s, where=path, columns=columns)
@@ -278,12 +280,14 @@ def _table(
 def _stamps(
     columns: Mapping[str, np.ndarray], path: Path, dt_s: float, offset_s: float | None
 ) -> Stamps:
-    """By `frame` or by `time_s`; where there are both, they must agree."""
+    """Time stamps from `frame` or `time_s`; if both columns exist, they must agree."""
     person, frame = columns["person_id"], columns.get("frame")
     if "time_s" not in columns:
         if offset_s is not None:
             raise SettingError(
-                "--offset-s", got=f"{path.name} without a column time_s", expected="one"
+                "--offset-s",
+                got=f"{path.name} without a column time_s",
+                expected="a table with that column",
             )
         return Stamps(columns["frame"], "frame", step=1.0)
     stamps = Stamps(columns["time_s"], "s", step=dt_s, origin=offset_s or 0.0)
@@ -295,14 +299,14 @@ def _stamps(
         raise RecordingError(
             path,
             got=f"person {person[row]} at {stamps.of(row)}",
-            expected=f"times from {offset_s:g} s on, as asked by --offset-s",
-            hint="It is the time of a frame no later than the first row.",
+            expected=f"times of at least {offset_s:g} s, as set by --offset-s",
+            hint="--offset-s must not be later than the first row.",
         )
     return stamps
 
 
 def _check_agree(person: np.ndarray, frame: np.ndarray, stamps: Stamps, path: Path) -> None:
-    """Refuse a table whose frames and times are not the same."""
+    """Raise if the columns `frame` and `time_s` of a table contradict each other."""
     late = stamps.ticks() - frame
     wrong = ~(np.abs(late) < 0.05)
     if not wrong.any():
@@ -312,12 +316,13 @@ def _check_agree(person: np.ndarray, frame: np.ndarray, stamps: Stamps, path: Pa
     constant = (np.abs(late - usual) < 0.05).mean() > 0.5 and abs(usual) >= 0.05
     raise RecordingError(
         path,
-        got=f"person {person[row]} in frame {frame[row]} at {stamps.of(row)}, and {wrong.sum()} "
-        f"of {len(wrong)} rows whose times are not those of their frames",
-        expected=f"time_s in multiples of {stamps.step:g} s, frame × that",
-        hint=f"--offset-s {usual * stamps.step + stamps.origin:.4g} lets frame 0 begin then."
+        got=f"person {person[row]} in frame {frame[row]} at {stamps.of(row)} ({wrong.sum()} of "
+        f"{len(wrong)} rows whose time does not match their frame)",
+        expected=f"time_s equal to frame × {stamps.step:g} s",
+        hint=f"Use --offset-s {usual * stamps.step + stamps.origin:.4g} to start frame 0 at that "
+        "time."
         if constant
-        else "Remove the column that is wrong; the other one does.",
+        else "Remove the wrong column; the other one is sufficient.",
     )
 
 
@@ -329,36 +334,39 @@ def _obsmat(
     if by_speed_s is not None and not np.isclose(by_speed_s, dt_s, rtol=0.1):
         raise RecordingError(
             path,
-            got=f"rows {by_speed_s:.2f} s apart, by the positions and velocities in them",
-            expected=f"{dt_s:g} s, as asked by --dt-s",
-            hint="Correct --dt-s; or make the velocities zero if it is they that are wrong.",
+            got=f"rows {by_speed_s:.2f} s apart according to their positions and velocities",
+            expected=f"rows {dt_s:g} s apart, as set by --dt-s",
+            hint="Correct --dt-s, or set the velocities to zero if they are wrong.",
         )
-    fps = round(step / dt_s, 9)  # or 6 / (6 / 0.4) would not be 0.4
+    fps = round(step / dt_s, 9)  # rounded, because otherwise 6 / (6 / 0.4) would not be 0.4
     return read_obsmat(data, name=name, fps=fps, frame_step=step, where=path, gaps=gaps, hint=FEW)
 
 
 def _transform(layout: str) -> dict[str, str]:
-    """How pixels became metres, to be looked at by who knows the place."""
+    """How pixels were converted to metres, as a note that the user can check."""
     return {
-        "gc": {"metres": f"by H.json × {gc.UNIT_M} m, as in Grand Central"},
-        "forum": {"metres": f"{1000 * PIXEL_M:.1f} mm per pixel, as in the Edinburgh Forum"},
+        "gc": {"metres": f"by H.json × {gc.UNIT_M} m, as for Grand Central"},
+        "forum": {"metres": f"{1000 * PIXEL_M:.1f} mm per pixel, as for the Edinburgh Forum"},
     }.get(layout, {})
 
 
 def _check_motion(crowd: Trajectories, path: Path) -> None:
     speeds = crowd.mean_speeds()
     size = float(np.ptp(crowd.xy.astype(np.float64), axis=0).max())
-    hint = "Positions must be metres, no pixels or centimetres, and --dt-s the seconds from one "
-    hint += "row of a person to the next."
+    hint = "Positions must be in metres, not in pixels or centimetres, and --dt-s must be the time "
+    hint += "between consecutive rows of a person."
     if np.isnan(speeds).all():
         raise RecordingError(
-            path, got="nobody with more than one row", expected="people who walk", hint=hint
+            path,
+            got="no person with more than one row",
+            expected="people with two rows or more",
+            hint=hint,
         )
     median = float(np.nanmedian(speeds))
     if not _SPEEDS_MPS[0] <= median <= _SPEEDS_MPS[1]:
         raise RecordingError(
             path,
-            got=f"people half of whom are faster than {median:.3g} m/s",
+            got=f"a median walking speed of {median:.3g} m/s",
             expected=f"{_SPEEDS_MPS[0]:g} to {_SPEEDS_MPS[1]:g} m/s",
             hint=hint,
         )
@@ -366,6 +374,6 @@ def _check_motion(crowd: Trajectories, path: Path) -> None:
         raise RecordingError(
             path,
             got=f"positions {size:.0f} m apart",
-            expected=f"a place of {_LONGEST_M:g} m at most",
-            hint=f"{hint} Remove strays, and cut out the part where people come and go.",
+            expected=f"a place of at most {_LONGEST_M:g} m",
+            hint=f"{hint} Remove outliers, or restrict the recording to a part of the place.",
         )

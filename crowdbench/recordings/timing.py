@@ -1,7 +1,8 @@
-"""From rows at any rate to the frames of a scene.
+"""Conversion of a recording from any rate to the frames of a scene.
 
-A scene has frames about 0.4 s apart: closer ones cost time and show how a camera jitters. A
-recording with more rows a second keeps every k-th of them, and of the others when people came.
+The frames of a scene are about 0.4 s apart: shorter intervals increase computing time and the
+effect of camera jitter. Of a recording with a higher rate, every k-th frame is kept, but entry
+times keep the resolution of the recording.
 """
 
 from dataclasses import replace
@@ -16,11 +17,12 @@ from crowdbench.trajectories.table import Trajectories, from_rows
 USUAL_DT_S = 0.4
 LONGEST_DT_S = 1.0
 FINEST_GRID_S = 0.1
-"""On a finer grid of arrivals people who come together would not come at the same time."""
+"""Smallest step of the annotation grid, seconds. On a finer grid, people who enter together would
+have different arrival times."""
 
 
 def usual_step(person: Int[np.ndarray, " R"], frame: Int[np.ndarray, " R"]) -> int:
-    """The most frequent interval between two rows of a person, in the numbers of its frames."""
+    """The most frequent interval between consecutive rows of a person, in frame numbers."""
     order = np.lexsort((frame, person))
     steps = np.diff(frame[order])[np.diff(person[order]) == 0]
     steps = steps[steps > 0]
@@ -28,59 +30,64 @@ def usual_step(person: Int[np.ndarray, " R"], frame: Int[np.ndarray, " R"]) -> i
 
 
 def checked_dt_s(where: object, stated_s: float | None, asked_s: float | None) -> float:
-    """Seconds from row to row: what a file states and what the user says must agree.
+    """Time between consecutive rows of a person, seconds, from the file or from the user.
+
+    `stated_s` is the value that the file states, `asked_s` that of the option `--dt-s`.
 
     Raises:
-        RecordingError: they do not, neither is known, or it is no time that people can be
-            followed with.
+        RecordingError: the two differ, neither is known, or the time is not positive or too long
+            to follow people.
     """
     dt_s = stated_s if stated_s is not None else asked_s
     if dt_s is None:
         raise RecordingError(
             where,
-            got="no word of the time from one row to the next",
+            got="a file that does not state the time between rows",
             expected="--dt-s SECONDS",
-            hint="It is the time from one row of a person to the next.",
+            hint="It is the time between consecutive rows of a person.",
         )
     if stated_s is not None and asked_s is not None and not np.isclose(stated_s, asked_s, 0.05):
         raise RecordingError(
             where,
-            got=f"rows every {stated_s:.4g} s by the file itself",
-            expected=f"every {asked_s:g} s, as asked by --dt-s",
-            hint="Correct --dt-s, or the file if it is what is wrong.",
+            got=f"rows every {stated_s:.4g} s according to the file",
+            expected=f"rows every {asked_s:g} s, as set by --dt-s",
+            hint="Correct --dt-s, or the file if it is wrong.",
         )
     if not 0 < dt_s <= LONGEST_DT_S:
         raise RecordingError(
             where,
             got=f"rows every {dt_s:g} s",
-            expected=f"more than 0 and at most {LONGEST_DT_S:g} s",
-            hint="Between rows that far apart nobody knows how people walked.",
+            expected=f"an interval of more than 0 and at most {LONGEST_DT_S:g} s",
+            hint="If rows are further apart, the paths between them are unknown.",
         )
     return dt_s
 
 
 def plain_positions(crowd: Trajectories) -> list[list[float]]:
-    """Positions with as few digits as tell float32 numbers apart, to be written as text."""
+    """Positions (R rows of x, y) as numbers with the fewest digits that identify each float32."""
     return crowd.xy.astype(str).astype(np.float64).tolist()
 
 
 def at_scene_frames(crowd: Trajectories, *, pauses: bool, where: object) -> Trajectories:
-    """A recording as a scene needs it: frames about 0.4 s apart, pauses told from empty scenes.
+    """Convert a recording to the frames of a scene, which are about 0.4 s apart.
 
-    It begins with its first row and ends with its last. Every k-th frame is kept, k the whole
-    number that comes nearest to 0.4 s; `spawn_s` stays where it was, on a grid of the rows, or
-    of the frames where rows are closer than 0.1 s. Who is there between two frames only is left
-    out. With `pauses`, empty times are told from unobserved ones; see `gaps.observed_intervals`.
+    The result begins with the first row and ends with the last. Every k-th frame is kept, with k
+    such that the interval is as close to 0.4 s as possible. `spawn_s` is unchanged; the annotation
+    grid is that of the rows, or that of the frames if rows are less than 0.1 s apart. People who
+    have no row in a kept frame are left out. With `pauses`, pauses of the annotation become
+    unobserved; see `gaps.observed_intervals`.
 
     Raises:
-        RecordingError: nobody is left.
+        RecordingError: no row is in a kept frame.
     """
     every = max(1, round(USUAL_DT_S / crowd.dt_s))
     begin, person = crowd.first.min(), crowd.row_person()
     frame = crowd.row_frame() - begin
     kept = frame % every == 0
     if not kept.any():
-        raise RecordingError(where, got="no row in any frame", expected="people who stay a while")
+        raise RecordingError(
+            where, got="no row in any frame of the scene", expected="at least one row in a frame"
+        )
     dt_s = crowd.dt_s * every
     grid_s = crowd.grid_s if every == 1 or crowd.grid_s >= FINEST_GRID_S else dt_s
     persons = {
@@ -103,8 +110,8 @@ def at_scene_frames(crowd: Trajectories, *, pauses: bool, where: object) -> Traj
     entered, left = known.entered & thinned.entered, known.left & thinned.left
     notes = dict(crowd.provenance.get("notes", {}))
     if every > 1:
-        notes["rows"] = f"every {crowd.dt_s:.4g} s, of which each {every}th is kept"
+        notes["rows"] = f"every {crowd.dt_s:.4g} s, of which 1 in {every} is kept"
         if lost := len(crowd) - len(known):
-            notes["left out"] = f"{lost} persons who are there between two kept rows only"
+            notes["left out"] = f"{lost} persons who are present only between two kept rows"
     provenance = {**crowd.provenance, "notes": notes}
     return replace(known, entered=entered, left=left, provenance=provenance)

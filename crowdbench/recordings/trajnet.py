@@ -1,8 +1,9 @@
-"""TrajNet++: JSON objects, one a line, of people's positions (`track`) and of scenes.
+"""The TrajNet++ format: one JSON object per line, either a position (`track`) or a scene.
 
-A track has a frame `f`, a person `p`, and `x` and `y` in metres. A scene names a person whose way
-from frame `s` to `e` is to be predicted, and the rows a second (`fps`); crowdbench takes the rate
-from there and no more. Frame numbers are those of a video: rows are several numbers apart.
+A track has a frame `f`, a person `p`, and `x` and `y` in metres. A scene names a person whose path
+from frame `s` to `e` is to be predicted, and the rows per second (`fps`), of which crowdbench uses
+only the latter. Frame numbers are those of a video, so consecutive rows of a person are several
+frame numbers apart.
 """
 
 from collections.abc import Iterator
@@ -40,14 +41,14 @@ class _Line(msgspec.Struct, frozen=True):
 def read_trajnet(
     data: bytes, *, name: str, dt_s: float | None, where: object, gaps: Gaps | None = None
 ) -> Trajectories:
-    """Read the bytes of a file; `dt_s` is needed where no scene states its `fps`.
+    """Read the bytes of a file; `dt_s` is required if no scene states its `fps`.
 
-    Frames are the file's, divided by their usual step. `gaps` says how steps of another length are
-    mended (see `mending`); else they are refused.
+    Frame numbers are divided by their usual step. `gaps` says how steps of another length are
+    repaired (see `mending`); if it is None they are rejected.
 
     Raises:
-        RecordingError: a line is broken, there are no tracks, the rates differ, the tracks are
-            predictions, or have gaps.
+        RecordingError: a line is broken, there are no tracks, the rates differ, or the tracks are
+            predictions or have gaps.
     """
     tracks, rates = [], set()
     for number, line in _lines(data, where):
@@ -59,8 +60,8 @@ def read_trajnet(
             raise RecordingError(
                 f"{where}, line {number}",
                 got="a predicted track",
-                expected="tracks of people who were seen",
-                hint="Name the file that the predictions were made from.",
+                expected="tracks of observed people",
+                hint="Use the file that the predictions were made from.",
             )
         tracks.append(line.track)
     if not tracks:
@@ -68,7 +69,9 @@ def read_trajnet(
     if len(rates) > 1 or not all(0 < rate < np.inf for rate in rates):
         shown = ", ".join(f"{rate:g}" for rate in sorted(rates))
         raise RecordingError(
-            where, got=f"scenes of {shown} rows a second", expected="one positive rate for all"
+            where,
+            got=f"scenes of {shown} rows per second",
+            expected="the same positive rate in all scenes",
         )
     person = np.array([track.p for track in tracks])
     frame = np.array([track.f for track in tracks])
@@ -80,10 +83,10 @@ def read_trajnet(
 
 
 def write_trajnet(crowd: Trajectories, path: Path) -> None:
-    """Write the crowd, frames numbered as they are, with one scene for each person's whole life.
+    """Write the crowd with unchanged frame numbers, and one scene per person for its whole trip.
 
     Raises:
-        OutputError: the place cannot be written.
+        OutputError: `path` cannot be written.
     """
     fps = round(1 / crowd.dt_s, 9)
     encode = msgspec.json.encode

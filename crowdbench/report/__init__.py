@@ -1,1 +1,1 @@
-"""What people look at: plots, the HTML report, and text in plain words."""
+"""Plots, the HTML report, and text shared by generated pages."""

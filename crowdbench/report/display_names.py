@@ -1,8 +1,8 @@
-"""What tables and pictures call spawn models and policies: briefly, and each by another name.
+"""Short, unambiguous names of spawn models and policies for tables and pictures.
 
-A model under a scenario is called by the scenario's stem (`ntpp-gmm+rush_hour`), a policy in a file
-of its own as its card says. What would share a name with something else is called as it was asked
-for. Scorecards always keep what was asked for.
+A model under a scenario is named after the stem of the scenario file (`ntpp-gmm+rush_hour`), a
+policy file after the name on its card. If two short names are equal, both are shown in full, as the
+user gave them. Scorecards always keep the full names.
 """
 
 from collections import Counter
@@ -10,30 +10,29 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from crowdbench.policies.network import read_card
-from crowdbench.registry import policy_file
+from crowdbench.registry import policy_source
 from crowdbench.scene import Scene
-from crowdbench.spawn.scenario import split
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.spawn.scenario import split_scenario
 
 
 @dataclass(frozen=True)
 class Names:
-    """The names of some spawn models and policies, by what was asked for."""
+    """Display names of spawn models and policies, by the name that the user gave."""
 
     spawn: Mapping[str, str]
     policy: Mapping[str, str]
 
     def pair(self, spawn: str, policy: str) -> str:
-        """`spawn × policy`."""
+        """Display name of a pair: `spawn × policy`."""
         return f"{self.spawn[spawn]} × {self.policy[policy]}"
 
 
 def names_of(pairs: Iterable[tuple[str, str]], scene: Scene) -> Names:
-    """The names of all spawn models and policies in some pairs of a scene.
+    """Display names of all spawn models and policies in `pairs` on a scene.
 
     Raises:
-        WeightsError: a policy's file is missing or broken.
-        SettingError: ONNX files cannot be read here.
+        WeightsError: a policy file is missing or invalid.
+        SettingError: onnx or onnxruntime is not installed.
     """
     spawns, policies = zip(*pairs, strict=True)
     return Names(_apart(spawns, _spawn), _apart(policies, lambda asked: _policy(asked, scene)))
@@ -46,12 +45,10 @@ def _apart(asked: Iterable[str], name: Callable[[str], str]) -> dict[str, str]:
 
 
 def _spawn(asked: str) -> str:
-    model, scenario = split(asked)
+    model, scenario = split_scenario(asked)
     return model if scenario is None else f"{model}+{scenario.stem}"
 
 
 def _policy(asked: str, scene: Scene) -> str:
-    """Of a folder, as one of its files says: no protocol needs all of them."""
-    files = [file for part in PARTS if (file := policy_file(asked, scene, part))]
-    there = [file for file in files if file.is_file()] or files
-    return read_card(there[0]).name if there else asked
+    file = policy_source(asked, scene).card_file()
+    return asked if file is None else read_card(file).name

@@ -1,1 +1,1 @@
-"""A spawn model and a policy in the simulation, from the first frame to the last."""
+"""Rollouts: simulated crowds of a spawn model and a policy."""

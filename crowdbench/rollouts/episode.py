@@ -1,4 +1,4 @@
-"""How an episode begins, and what of it is written down: shared by rollouts and environments."""
+"""Start and recording of episodes, shared by rollouts and environments."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,7 +11,6 @@ from crowdbench.errors import ActionError, CapacityError, SettingError
 from crowdbench.policies import Policy, StateView
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
-from crowdbench.simulation.simulation import TIMEOUT_DWELLS
 from crowdbench.simulation.state import EXIT, GOAL, HORIZON, RECORDED, TIMEOUT
 from crowdbench.spawn import SpawnEvents, SpawnModel, Steered
 from crowdbench.spawn.events import check_events
@@ -24,13 +23,13 @@ LEAST_SLOTS = 512
 
 
 def generator(seed: int, world: int, purpose: str) -> Generator:
-    """The random numbers of one world for one purpose: independent of all others."""
+    """Random generator of one world for one of `PURPOSES`, independent of all other generators."""
     key = (world, PURPOSES.index(purpose))
     return default_rng(SeedSequence(seed, spawn_key=key))
 
 
 def warm_up_s(scene: Scene) -> float:
-    """How long a stationary crowd walks before its episode begins."""
+    """Length in seconds of the warm-up of a stationary crowd."""
     return max(WARM_UP_S, scene.recording.dwell_p99_s)
 
 
@@ -46,13 +45,15 @@ def begin(
 ) -> None:
     """Begin an episode of `frames` frames in all worlds of a simulation.
 
-    Each world has arrivals of its own, drawn from its own random numbers. `start` is by default
-    the spawn model's. `stationary`: a warm-up of 60 s or the 99th percentile of dwell times,
-    whichever is longer, is walked by `walker` and discarded. `recorded`: with the recorded initial
-    population (replay only). `empty`: with nobody.
+    Each world has its own arrivals, drawn with its own random generator. `start` defaults to that
+    of the spawn model. `stationary`: a discarded warm-up of 60 s or the 99th percentile of dwell
+    times, whichever is longer, with the policy `walker`. `recorded`: with the recorded initial
+    population (replay only). `empty`: with nobody. If `scripted`, people leave when they left in
+    the recording (replay only).
 
     Raises:
-        SettingError: `recorded` without recorded arrivals, or `stationary` with them.
+        SettingError: `recorded` without recorded arrivals, `stationary` with them, or people start
+            outside the bounds.
     """
     scene = simulation.scene
     start = start or spawn.start
@@ -64,7 +65,7 @@ def begin(
             f"start of {spawn.name}",
             got=start,
             expected="recorded or empty" if recorded else "stationary or empty",
-            hint="Only replayed arrivals know the recorded initial population.",
+            hint="Only replayed arrivals have a recorded initial population.",
         )
     warm_up = 0
     if start == "stationary":
@@ -77,10 +78,10 @@ def begin(
             raise SettingError(
                 f"events of the spawn model {spawn.name}",
                 got=f"{int(outside.sum())} persons who start outside the bounds of {scene.id}",
-                expected="starts in metres, in the scene's frame",
+                expected="starts in metres, in the scene's coordinates",
             )
         if scripted:
-            sample = spawn.scripted(sample)  # type: ignore[attr-defined]  # Replay alone has scripts
+            sample = spawn.scripted(sample)  # type: ignore[attr-defined]  # spawn is a Replay
         if start == "empty":
             sample = sample[sample.entered]
         events.append(sample)
@@ -95,12 +96,12 @@ def begin(
 def arrivals(
     spawn: SpawnModel, scene: Scene, *, seed: int, world: int, warm_up: int, frames: int
 ) -> SpawnEvents:
-    """Who is to enter a world in `warm_up` frames before time 0 and `frames` after it.
+    """Spawn events of a world in the `warm_up` frames before time 0 and the `frames` after it.
 
     Raises:
-        SettingError: the model made what no simulation can let in.
+        SettingError: the spawn model returned invalid events.
     """
-    if isinstance(spawn, Steered):  # its times count from the episode's start
+    if isinstance(spawn, Steered):  # scenarios count time from the start of the episode
         spawn = replace(spawn, warm_up_s=warm_up * scene.dt_s)
     horizon_s = (warm_up + frames) * scene.dt_s
     events = spawn.sample(horizon_s, scene, generator(seed, world, "spawn"))
@@ -110,14 +111,17 @@ def arrivals(
 def actions_of(
     policy: Policy, simulation: Simulation, who: Bool[np.ndarray, "W N"] | None = None
 ) -> Float32[np.ndarray, "W N 2"]:
-    """Let a policy act for everyone present, or for those of them in `who`; zeros elsewhere.
+    """Actions of a policy for everyone present, or for those of them in `who`; zeros elsewhere.
 
-    One that sees the state sees everyone all the same.
+    A policy that sees the state sees everyone in either case.
+
+    Raises:
+        ActionError: the policy does not return one finite action per person.
     """
     there = simulation.slots.alive
     actions = np.zeros(simulation.slots.position.shape, np.float32)
     who = there if who is None else there & who
-    if not who.any():  # nobody to act for: not every policy knows what to do
+    if not who.any():  # some policies cannot handle empty arrays
         return actions
     if policy.sees == "state":
         view = StateView.of(simulation)
@@ -126,7 +130,7 @@ def actions_of(
         if who is not there:
             actions[~who] = 0
     else:
-        at = np.flatnonzero(who)  # one index is looked up faster than a mask
+        at = np.flatnonzero(who)  # indexing by one index array is faster than by a mask
         observation = simulation.observe()
         seen = observation.reshape(-1, observation.shape[-1]).take(at, axis=0)
         actions.reshape(-1, 2)[at] = _checked(policy.act(seen), len(seen), policy)
@@ -134,10 +138,10 @@ def actions_of(
 
 
 def _checked(actions: object, persons: int, policy: Policy) -> np.ndarray:
-    """What a policy gave, if it is one finite pair of numbers per person.
+    """The actions of a policy, clipped to [−1, 1].
 
     Raises:
-        ActionError: it is not.
+        ActionError: they are not one finite pair of numbers per person.
     """
     got = np.asarray(actions)
     if got.shape != (persons, 2) or got.dtype.kind not in "fiu":
@@ -151,14 +155,14 @@ def _checked(actions: object, persons: int, policy: Policy) -> np.ndarray:
             f"policy {policy.name}",
             got=f"{int((~np.isfinite(got)).sum())} values from act that are not finite",
             expected="finite numbers",
-            hint="Look for a division by zero or a diverged network.",
+            hint="Check the policy for a division by zero or a diverged network.",
         )
     return got.clip(-1, 1)
 
 
 @dataclass
 class Recorder:
-    """Writes down where the persons of a one-world simulation are, frame by frame."""
+    """Records the trajectories of a simulation with one world, frame by frame."""
 
     simulation: Simulation
     _frame: list[int] = field(default_factory=list)
@@ -171,7 +175,7 @@ class Recorder:
     _some_ended: bool = False
 
     def write(self) -> None:
-        """Note everyone who is there or has just ended; the frame of the horizon is outside."""
+        """Record everyone present or just ended. The horizon's frame is dropped later."""
         slots, clock = self.simulation.slots, self.simulation.clock
         if not self._frame or self._some_ended or clock.changed[0]:
             self._there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
@@ -181,24 +185,24 @@ class Recorder:
             self._event.append(slots.event[0, self._there])
             self._born.append(slots.born[0, self._there])
             self._ended.append(ended)
-        else:  # the same people as in the frame before
+        else:  # the same people as in the previous frame
             for column in (self._person, self._event, self._born, self._ended):
                 column.append(column[-1])
         self._xy.append(slots.position[0].take(self._there, axis=0))
         self._frame.append(int(clock.frame[0]))
 
     def latest(self, frames: int) -> list[tuple[Int[np.ndarray, " _"], Float32[np.ndarray, "_ 2"]]]:
-        """Ids and positions of those who were there in the frames written last, the last one last.
+        """Ids and positions of the people in each of the last `frames` recorded frames, in order.
 
-        Frames in which nobody was there are not all written.
+        Empty frames may be missing.
         """
         return list(zip(self._person[-frames:], self._xy[-frames:], strict=True))
 
     def trajectories(self, provenance: dict[str, Any]) -> Trajectories:
-        """The table of what was written down so far.
+        """Trajectories of the frames recorded so far.
 
         Raises:
-            RecordingError: nobody was there.
+            RecordingError: nobody has entered.
         """
         scene = self.simulation.scene
         events = self.simulation.events[0]
@@ -211,16 +215,20 @@ class Recorder:
         ended = np.concatenate(self._ended)
         outcome = np.zeros(int(person.max(initial=-1)) + 1, np.int8)
         inside = frame < horizon
-        # Who ends at the horizon's frame, by whatever rule, is seen last in the frame before.
+        # The horizon's frame is not part of the table. Trips that end in it therefore have the
+        # outcome `horizon`, whichever rule ended them.
         final = ended != 0
         outcome[person[final]] = np.where(inside[final], ended[final], HORIZON)
         how = outcome[person]
-        left = np.isin(how, (GOAL, EXIT, TIMEOUT)) | ((how == RECORDED) & ~events.censored[event])
+        left = np.isin(how, (GOAL, EXIT, TIMEOUT, RECORDED)) & ~events.censored[event]
         waited_s = self.simulation.waited(0, event, born) * scene.dt_s
         requested_s = events.time_s[event]
         persons = {
             "spawn_area": events.spawn_area[event],
             "goal_area": events.goal_area[event],
+            "group": events.group[event],
+            "goal_x": events.goal[event, 0],
+            "goal_y": events.goal[event, 1],
             "entered": events.entered[event] & (born > 0),
             "left": left,
             "requested_s": requested_s,
@@ -243,32 +251,31 @@ class Recorder:
 
 
 def slots_for(events: SpawnEvents, scene: Scene) -> int:
-    """Slots that have room for crowds like this one, even if nobody reaches a goal."""
+    """Number of slots that suffices for crowds like this one, even if nobody reaches a goal."""
     return max(LEAST_SLOTS, 3 * _most_at_once(events, scene) // 2)
 
 
 def _most_at_once(events: SpawnEvents, scene: Scene) -> int:
-    """Persons who are there at once if all of them stay until the scene's patience ends."""
-    patience_s = TIMEOUT_DWELLS * scene.recording.dwell_p99_s
-    gone = np.searchsorted(events.time_s, events.time_s + patience_s)
+    """Maximum number of people at the same time if all stay until the scene's timeout."""
+    gone = np.searchsorted(events.time_s, events.time_s + scene.timeout_s)
     return int((gone - np.arange(len(events))).max(initial=0))
 
 
 def check_horizon(horizon_s: float) -> None:
-    """Raise where an episode cannot be so long.
+    """Check the length of an episode.
 
     Raises:
-        SettingError: it is not a positive number of seconds.
+        SettingError: it is not a positive, finite number of seconds.
     """
     if not (np.isfinite(horizon_s) and horizon_s > 0):
         raise SettingError("horizon_s", got=str(horizon_s), expected="a positive number of seconds")
 
 
 def check_capacity(simulation: Simulation) -> None:
-    """Raise where persons were turned away for want of slots or ids.
+    """Check that everyone could enter.
 
     Raises:
-        CapacityError: some were.
+        CapacityError: people could not enter for lack of slots or ids.
     """
     clock, settings = simulation.clock, simulation.settings
     for count, name, size in (
@@ -278,7 +285,7 @@ def check_capacity(simulation: Simulation) -> None:
         if count:
             raise CapacityError(
                 f"{simulation.scene.id}, frame {int(clock.frame[0])}",
-                got=f"{count} persons more than {name} = {size} has room for",
-                expected="room for everyone who enters",
+                got=f"{count} persons more than {name} = {size} allows",
+                expected="enough capacity for everyone who enters",
                 hint=f"Raise {name}.",
             )

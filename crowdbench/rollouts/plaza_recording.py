@@ -1,4 +1,4 @@
-"""The plaza's recording, which is generated: its true arrivals, walked by social forces."""
+"""The generated recording of the plaza: its true arrival process with the social-force policy."""
 
 from dataclasses import replace
 
@@ -6,17 +6,19 @@ from crowdbench.policies import SocialForce
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.spawn.plaza import SCENE, PlazaArrivals
+from crowdbench.trajectories.companions import with_companions
 from crowdbench.trajectories.table import Trajectories
 
 SEED = 0
 
 
 def record(seed: int = SEED, horizon_s: float | None = None) -> Trajectories:
-    """Generate a recording of the plaza: the true arrivals, walked by social forces.
+    """Generate a recording of the plaza from its true arrivals and the social-force policy.
 
-    `horizon_s` is by default that of the scene (30 minutes). The areas of the persons are the
-    true ones, numbered west, east, north, south.
+    `horizon_s` defaults to the length of the scene's recording (30 minutes). The persons have
+    their true areas, numbered west, east, north, south.
     """
     scene = load_scene(SCENE)
     crowd = rollout(scene, PlazaArrivals(scene), SocialForce(), seed=seed, horizon_s=horizon_s)
-    return replace(crowd, scene="plaza", provenance={"source": "generated", "seed": seed})
+    provenance = {"source": "generated", "seed": seed}
+    return with_companions(replace(crowd, scene="plaza", provenance=provenance))

@@ -1,4 +1,4 @@
-"""`rollout`: a crowd from a spawn model and a policy, as `Trajectories`."""
+"""`rollout`: simulate a crowd of a spawn model and a policy."""
 
 from dataclasses import replace
 from typing import Any
@@ -25,27 +25,29 @@ def rollout(
     start: Start | None = None,
     settings: Settings | None = None,
 ) -> Trajectories:
-    """Let `spawn` people the scene and `policy` walk them for `horizon_s` seconds.
+    """Simulate a crowd: `spawn` draws the arrivals and `policy` moves the people.
 
-    The same seed gives the same table. `horizon_s` is by default the recording's length and
-    `start` the spawn model's; a warm-up is walked by `policy` too. With both `replay`, people
-    leave at their recorded last frame; otherwise reaching the goal ends a life. A policy that
-    sees observations may say which, by its attributes `observation`, `rays` and `ray_range_m`.
+    Returns the trajectories of `horizon_s` seconds. The same seed gives the same table. `horizon_s`
+    defaults to the length of the recording and `start` to that of the spawn model. A warm-up uses
+    `policy` too. If spawn model and policy are both `replay`, people leave in their last recorded
+    frame; otherwise they leave when they reach the goal. A policy with `sees = "observation"` may
+    choose its observation by the attributes `observation`, `rays` and `ray_range_m`.
 
     Raises:
-        SettingError: `start` does not fit the spawn model, or the policy `replay` does not.
-        CapacityError: more people than slots.
-        RecordingError: nobody came.
+        SettingError: `start` or the policy `replay` does not fit the spawn model.
+        ActionError: the policy does not return one finite action per person.
+        CapacityError: there are more people than slots.
+        RecordingError: nobody entered.
     """
-    # By what they are, not by what they are called: a network's file says its own name. Subclasses
-    # (`walks.RecordedPaths`) walk recorded paths, but arrive as all others do.
+    # The type is tested, not the name, because the file of a network may have any name. Subclasses
+    # (`walks.RecordedPaths`) follow recorded paths but leave as with all other policies.
     replaying = type(policy) is ReplayPolicy
     if replaying and (not isinstance(spawn, Replay) or start == "empty"):
         raise SettingError(
             "policy replay",
             got=f"spawn model {spawn.name}, start {start or spawn.start}",
             expected="the spawn model replay, start recorded",
-            hint="Only then is each person one of the recording.",
+            hint="The policy replay needs the recorded arrivals.",
         )
     settings = settings or settings_for(policy)
     simulation = Simulation(scene, settings=settings)
@@ -71,7 +73,7 @@ def rollout(
 
 
 def settings_for(policy: Policy) -> Settings:
-    """A simulation that shows a policy what it says it sees, `lidar-2` by default."""
+    """Settings of a simulation with the observation of a policy, by default `lidar-2`."""
     default = Settings(max_alive=MAX_ALIVE)
     if policy.sees == "state":
         return default

@@ -1,4 +1,4 @@
-"""Scenes of one's own: made from a recording that nobody here has seen, and checked."""
+"""Creation of scenes from users' own recordings, and consistency checks of scenes."""
 
 from crowdbench.scene_building.check import Finding, check_scene
 from crowdbench.scene_building.create import Created, create_scene

@@ -1,4 +1,4 @@
-"""A scene's anchors, and the power study that chooses its scored metrics."""
+"""Computes a scene's anchors, and the power study that selects its scored metrics."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from crowdbench.scoring.scorecard import (
 def make_anchors(
     scene: str | Path, folder: Path, *, workers: int | None = None, progress: Progress
 ) -> Anchors:
-    """Roll out the anchors of a scene in both protocols; rollouts are left in `folder`.
+    """Roll out the anchors of a scene in both protocols; the rollouts are stored in `folder`.
 
     Raises:
         RecordingError: the recording has not been imported.
@@ -56,7 +56,9 @@ def make_anchors(
 def power_study(
     scene: str | Path, folder: Path, *, workers: int | None = None, progress: Progress
 ) -> list[Power]:
-    """How well each metric tells the anchors from the recording; see `crowdbench.scoring.power`.
+    """Study how well each metric distinguishes the anchors from the recording.
+
+    See `crowdbench.scoring.power`. The rollouts are stored in `folder`.
 
     Raises:
         RecordingError: the recording has not been imported.
@@ -68,7 +70,7 @@ def power_study(
     rolled = roll_out(jobs, reference, workers, progress)
     draws = draws_of(place, reference, "full")
     found = []
-    for metric in metrics_for(reference.blocks):
+    for metric in (m for m in metrics_for(reference.blocks) if m.scored):
         pair = WALK_ANCHOR if metric.family in WALK else ANCHOR
         crowds = [
             what.of(metric) for job, what in rolled.items() if (job.spawn, job.policy) == pair

@@ -1,4 +1,4 @@
-"""`check_scene`: does everything in a scene's folder belong together?"""
+"""`check_scene`: checks that the files of a scene are complete and consistent."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -19,17 +19,17 @@ from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.scoring.scorecard import read_anchors
 from crowdbench.spawn import Areas, fit_areas
 from crowdbench.spawn.areas import read_areas
-from crowdbench.trajectories.blocks import FOLDS, PARTS
+from crowdbench.trajectories.blocks import FOLDS, SPLITS
 from crowdbench.trajectories.table import Trajectories
 
 T = TypeVar("T")
-_NEEDED = "poisson-gmm"  # the anchor; other models may be left out
-_NOT_LOOKED_AT = "not looked at"
+_NEEDED = "poisson-gmm"  # the anchor's spawn model; other models are optional
+_NOT_LOOKED_AT = "not checked"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found of one part of a scene."""
+    """Result of the check of one part of a scene; `problem` is the error that was found."""
 
     part: str
     state: str
@@ -37,7 +37,9 @@ class Finding:
 
 
 def check_scene(scene: str | Path) -> Iterator[Finding]:
-    """Look at every part of a scene, one after the other; what is wrong is told, not raised.
+    """Check all parts of a scene and yield a `Finding` for each.
+
+    Errors in a part are returned as the `problem` of its finding.
 
     Raises:
         SceneError: there is no such scene, or its `scene.toml` is broken.
@@ -71,7 +73,7 @@ def _look(part: str, at: Callable[[], str]) -> Finding:
 
 
 def _read(part: str, read: Callable[[], T], tell: Callable[[T], str]) -> tuple[T | None, Finding]:
-    """What is there, None where it cannot be read, and what is to be said of it."""
+    """The content of a part, or None if it cannot be read, and the finding."""
     try:
         there = read()
     except CrowdbenchError as error:
@@ -84,11 +86,11 @@ def _areas(scene: Scene, areas: Areas) -> str:
     if most >= LEFT_OUT:
         raise SceneError(
             scene.folder / "areas.json",
-            got=f"{most:.1%} of starts or ends in no area of their own",
+            got=f"{most:.1%} of the starts or ends in no area, or only in the broad one",
             expected=f"less than {LEFT_OUT:.0%}",
-            hint="Raise eps_m in [clustering.default] of scene.toml, and fit the scene again.",
+            hint="Increase eps_m in [clustering.default] of scene.toml, and fit the scene again.",
         )
-    return f"{len(areas.spawn)} to enter, {len(areas.goal)} to leave; {most:.1%} left out at most"
+    return f"{len(areas.spawn)} spawn, {len(areas.goal)} goal; at most {most:.1%} left out"
 
 
 def _blocks(scene: Scene, reference: Reference) -> str:
@@ -97,8 +99,8 @@ def _blocks(scene: Scene, reference: Reference) -> str:
         raise SceneError(
             scene.folder / "scene.toml",
             got=f"{len(blocks)} time blocks",
-            expected=f"{FOLDS} or more, one for each fold",
-            hint="Make protocol.block_s shorter, and fit the scene again.",
+            expected=f"{FOLDS} or more, at least one per fold",
+            hint="Decrease protocol.block_s, and fit the scene again.",
         )
     return f"{len(blocks)} time blocks, {blocks.exposure_s():.0f} s"
 
@@ -107,11 +109,11 @@ def _weights(model: str, scene: Scene, areas: Areas | None) -> str:
     if areas is None:
         return _NOT_LOOKED_AT
     if model != _NEEDED and not any(scene.folder.glob(f"{model}.*")):
-        return "not there"
-    for part in PARTS:
+        return "missing (optional)"
+    for split in SPLITS:
         for fit in range(scene.protocol.fits):
-            FITTED[model].read(scene, areas, part, fit)
-    return f"fitted for {', '.join(PARTS)}"
+            FITTED[model].read(scene, areas, split, fit)
+    return f"fitted for {', '.join(SPLITS)}"
 
 
 def _anchors(scene: Scene) -> str:
@@ -125,15 +127,16 @@ def _scored(scene: Scene, reference: Reference | None) -> str:
         return _NOT_LOOKED_AT
     written = "\nscored = [" in (scene.folder / "scene.toml").read_text(encoding="utf-8")
     if written and not scored:
-        return "none: no metric tells the anchor from the recording"
+        return "none: no metric distinguishes the anchor from the recording"
     unknown = set(scored) - {metric.name for metric in metrics_for(reference.blocks)}
     if unknown or not scored:
         names = ", ".join(sorted(unknown))
         raise SceneError(
             scene.folder / "scene.toml",
             got=f"{names} in protocol.scored" if scored else "no protocol.scored",
-            expected="metrics that these time blocks are long enough for, and at least one",
-            hint=f"Run `crowdbench power {scene.asked} --write` with the recording at hand.",
+            expected="at least one metric, and only metrics that apply to time blocks of this "
+            "length",
+            hint=f"Import the recording, and run `crowdbench power {scene.asked} --write`.",
         )
     return f"{len(scored)} of {len(metrics_for(reference.blocks))}"
 
@@ -141,7 +144,7 @@ def _scored(scene: Scene, reference: Reference | None) -> str:
 def _recording(scene: Scene, areas: Areas | None, reference: Reference | None) -> str:
     name = scene.recording.name
     if not has_recording(scene):
-        return f"{name} is not imported: nothing was held against it"
+        return f"{name} is not imported: nothing was compared with it"
     crowd = recording(name)
     _check_hash(scene, crowd)
     check_against(scene, crowd)
@@ -157,11 +160,11 @@ def _recording(scene: Scene, areas: Areas | None, reference: Reference | None) -
         if not same:
             raise WeightsError(
                 scene.folder / file,
-                got="other numbers than the recording has by the rules of scene.toml",
-                expected="the same",
+                got="values that do not follow from the recording and scene.toml",
+                expected="the same values as a new fit gives",
                 hint=hint,
             )
-    return f"{name}, {len(crowd)} persons; areas and statistics are its own"
+    return f"{name}, {len(crowd)} persons; areas and statistics match"
 
 
 def _check_hash(scene: Scene, crowd: Trajectories) -> None:
@@ -171,9 +174,9 @@ def _check_hash(scene: Scene, crowd: Trajectories) -> None:
     if stated and got != stated:
         raise SceneError(
             f"recording {name}",
-            got=f"imported data of SHA-256 {str(got)[:12]}…",
-            expected=f"{stated[:12]}…, which {scene.id} was made from",
-            hint="Import the recording that the scene was made from.",
+            got=f"imported data with SHA-256 {str(got)[:12]}…",
+            expected=f"data with SHA-256 {stated[:12]}…, from which {scene.id} was created",
+            hint="Import the recording from which the scene was created.",
         )
 
 
@@ -193,7 +196,7 @@ def _same_statistics(a: Reference, b: Reference) -> bool:
 
 
 def _equal(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether histograms are equal up to columns of zeros at their ends."""
+    """Whether histograms are equal, apart from columns of zeros at their ends."""
     width = max(a.shape[1], b.shape[1])
     x, y = (np.pad(c, ((0, 0), (0, width - c.shape[1]))) for c in (a, b))
     return np.array_equal(x, y)

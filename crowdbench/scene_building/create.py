@@ -1,7 +1,7 @@
-"""`create_scene`: from a file with a recording to a folder that `evaluate` takes.
+"""`create_scene`: creates a complete scene from a file with a recording.
 
-Nothing is left of a scene that could not be made whole: it is built beside its place and moved
-there at the end.
+The scene is built in a temporary folder and moved to its place at the end, so that no incomplete
+scene is left after an error.
 """
 
 import re
@@ -22,13 +22,14 @@ from crowdbench.metrics import METRICS, metrics_for
 from crowdbench.recordings import own
 from crowdbench.recordings.catalogue import cached
 from crowdbench.recordings.mending import Gaps
+from crowdbench.recordings.noise import noise_of
 from crowdbench.registry import recording_of
-from crowdbench.scene import Recording, Scene, list_scenes, load_scene, write_scored
+from crowdbench.scene import Gate, Recording, Scene, list_scenes, load_scene
 from crowdbench.scene_building import rules
 from crowdbench.scene_building.anchors import make_anchors, power_study
 from crowdbench.scene_building.fit import ASTRAY, MODELS, dwell_p99_s, fit_scene, has_torch
 from crowdbench.scene_building.pictures import draw_place
-from crowdbench.scene_building.toml import scene_toml
+from crowdbench.scene_building.toml import scene_toml, write_scored
 from crowdbench.scene_building.walls import read_walls
 from crowdbench.scoring.reference import read_reference
 from crowdbench.scoring.scorecard import write_anchors
@@ -37,17 +38,17 @@ from crowdbench.trajectories.table import Trajectories
 _ID = re.compile(r"([a-z][a-z0-9_]*)-v[0-9]+")
 
 Stage = Callable[[str], AbstractContextManager[Progress]]
-"""Is called with the name of what comes next; within it the progress is told."""
+"""Called with the name of the next stage; the context gives a function for its progress."""
 
 
 @dataclass(frozen=True)
 class Created:
-    """A new scene, and what was found on the way."""
+    """A new scene, its recording, and results of its creation."""
 
     scene: Scene
     recording: Trajectories
     facts: dict[str, str]
-    """Of the fits, by name, as text for a table."""
+    """Results of fits and power study by name, as text for a table."""
 
 
 def create_scene(
@@ -66,17 +67,18 @@ def create_scene(
     workers: int | None = None,
     stage: Stage = lambda what: nullcontext(lambda done, total: None),
 ) -> Created:
-    """Make the scene `name` (like `corner-v0`) from a recording in one of `own.FORMATS`.
+    """Create the scene `name` (like `corner-v0`) from a recording in one of `own.FORMATS`.
 
-    The settings follow from the recording by `rules`; models are fitted (`ntpp-gmm` where torch
-    is installed), anchors rolled out, the scored metrics chosen by the power study. Written into
-    the new folder `out`, by default one of the scene's name here. The recording is kept in the
-    user's cache by the name before `-vN`. `dt_s` are the seconds from row to row; `gaps` and
-    `offset_s` mend its small faults, see `own.read_rows`.
+    The settings are determined from the recording by `rules`. Spawn models are fitted (`ntpp-gmm`
+    only if torch is installed), the scored metrics are selected by the power study, and the anchors
+    are rolled out. The scene is written to the new folder `out`, by default one with the scene's
+    name in the working directory. The recording is stored in the user's data under the scene's name
+    without `-vN`. `dt_s` is the time between consecutive rows of a person in seconds. `gaps` and
+    `offset_s` repair small faults; see `own.read_rows`.
 
     Raises:
-        SettingError: the name or a number is none, or the recording's name is taken.
-        OutputError: the folder is there already, or cannot be written.
+        SettingError: the name or a number is invalid, or the recording's name is taken.
+        OutputError: the folder exists already, or cannot be written.
         RecordingError: the recording cannot be read, or is too short.
         SceneError: the walls cannot be read, or people walk through them.
     """
@@ -116,15 +118,24 @@ def create_scene(
 
 
 def _checked(name: str, place: Path, fits: int | None, rollouts_per_fit: int | None) -> str:
-    """The name of the recording, if all that is asked for can be."""
+    """Check the arguments and return the name of the recording.
+
+    Raises:
+        SettingError: the name or a number is invalid.
+        OutputError: the folder exists already.
+    """
     found = _ID.fullmatch(name)
     if found is None:
         raise SettingError(
-            "scene", got=f"the name {name!r}", expected="small letters, digits and _, then -v0"
+            "scene",
+            got=f"the name {name!r}",
+            expected="lower-case letters, digits and _, followed by -v0",
         )
     if name in list_scenes():
         raise SettingError(
-            "scene", got=f"the name {name}, of a scene that comes with crowdbench", expected="yours"
+            "scene",
+            got=f"the name {name} of a scene that comes with crowdbench",
+            expected="a new name",
         )
     own.check_name(found[1])
     if place.exists():
@@ -136,7 +147,7 @@ def _checked(name: str, place: Path, fits: int | None, rollouts_per_fit: int | N
 
 
 def _with(gaps: Gaps | None, offset_s: float | None) -> str:
-    """How whoever imports the recording must have it mended, too."""
+    """The options that repaired the recording, as text; others need them to import it."""
     options = {"--gaps": gaps, "--offset-s": offset_s}
     given = [f"{option} {value}" for option, value in options.items() if value is not None]
     return f" with {' '.join(given)}" if given else ""
@@ -145,9 +156,9 @@ def _with(gaps: Gaps | None, offset_s: float | None) -> str:
 def _there_already(place: Path) -> OutputError:
     return OutputError(
         place,
-        got="something that is there already",
+        got="a path that exists already",
         expected="a new folder",
-        hint="Name another one with --out, or delete it if you need it no more.",
+        hint="Choose another folder with --out, or delete this one if it is no longer needed.",
     )
 
 
@@ -160,7 +171,7 @@ def _scene(
     fits: int | None,
     rollouts_per_fit: int | None,
 ) -> Scene:
-    """The scene by the rules."""
+    """The settings of the scene, as determined by `rules`."""
     bounds = rules.bounds_of(crowd)
     scene = Scene(
         id=name,
@@ -175,6 +186,8 @@ def _scene(
         motion=rules.motion_of(crowd),
         spawning=rules.SPAWNING,
         clustering={"default": rules.clustering_of(crowd, source)},
+        walking=rules.walking_of(crowd),
+        gate=Gate(),
         protocol=rules.protocol_of(crowd, fits=fits, rollouts_per_fit=rollouts_per_fit),
         folder=Path(name),
     )
@@ -184,38 +197,51 @@ def _scene(
 
 
 def _check_walls(scene: Scene, crowd: Trajectories, walls: Path) -> None:
-    """Refuse walls that people walk through."""
+    """Raise if too many recorded positions lie in walls."""
     inside = ~scene.walkable(crowd.xy.astype(np.float64))
     if inside.mean() > ASTRAY:
         at = crowd.xy[np.flatnonzero(inside)[0]].astype(np.float64).round(2).tolist()
         raise SceneError(
             walls,
-            got=f"walls in which {inside.mean():.1%} of the recorded positions lie, one at {at} m",
-            expected=f"{ASTRAY:.0%} at most",
-            hint="Walls must be in metres, in the recording's frame: look at both in one picture.",
+            got=f"walls that contain {inside.mean():.1%} of the recorded positions, one at {at} m",
+            expected=f"at most {ASTRAY:.0%}",
+            hint="Walls must be in metres and in the recording's frame: plot both together.",
         )
 
 
+def _walking(scene: Scene, crowd: Trajectories) -> str:
+    """The noise of the positions, and the time scales on which walking is measured."""
+    walking = scene.walking
+    along, across = (axis.sigma_m for axis in noise_of(crowd, walking.tick_frames))
+    tick_s = walking.tick_frames * scene.dt_s
+    lags = ", ".join(f"{lag * tick_s:.3g}" for lag in walking.lags_ticks)
+    return (
+        f"positions have a noise of {100 * along:.1f} cm along and {100 * across:.1f} cm across "
+        f"paths; speeds over {(walking.window_ticks - 1) * tick_s:.3g} s, accelerations over "
+        f"{lags} s"
+    )
+
+
 def _fill(built: Path, crowd: Trajectories, workers: int, stage: Stage) -> dict[str, str]:
-    """Compute all that stands beside `scene.toml`."""
+    """Compute all files of the scene except `scene.toml`; returns results for a table."""
     scene = load_scene(built)
     models = MODELS if has_torch() else tuple(m for m in MODELS if m != "ntpp-gmm")
     with stage("fits") as progress:
         facts = fit_scene(scene, crowd, models=models, workers=workers, progress=progress)
     if "ntpp-gmm" not in models:
-        facts["ntpp-gmm"] = "left out: no torch to fit it with (extra `fit`)"
+        facts["ntpp-gmm"] = "left out: fitting needs torch (extra `fit`)"
     with temporary_folder("rollouts") as rollouts:
         with stage("power study") as progress:
             studies = power_study(built, rollouts, workers=workers, progress=progress)
-        # Before scene.toml is changed: what both need is rolled out once.
+        scored = [study.metric for study in studies if study.counts]
+        write_scored(scene, scored)  # before the anchors, because their hash depends on it
         with stage("anchors") as progress:
             anchors = make_anchors(built, rollouts, workers=workers, progress=progress)
     write_anchors(anchors, built)
-    scored = [study.metric for study in studies if study.counts]
-    write_scored(scene, scored)
     computed = {metric.name for metric in metrics_for(read_reference(scene).blocks)}
     if lacking := [m.name.replace("_", " ") for m in METRICS if m.name not in computed]:
-        facts["left out"] = f"{', '.join(lacking)}: time blocks are too short for it"
+        facts["left out"] = f"{', '.join(lacking)}: the time blocks are too short"
+    facts["walking"] = _walking(scene, crowd)
     facts["scored metrics"] = ", ".join(name.replace("_", " ") for name in scored) or "none"
     with stage("pictures"):
         draw_place(scene, recording_of(scene), built)

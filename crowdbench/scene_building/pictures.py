@@ -1,4 +1,4 @@
-"""Pictures to check a new scene by: are these the doors, the ways and the pauses of the place?"""
+"""Pictures for checking the areas, paths and time blocks of a new scene."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,9 +18,9 @@ PICTURES = ("place.png", "time.png")
 
 
 def draw_place(scene: Scene, recording: Trajectories, out: Path) -> list[Path]:
-    """Draw `place.png`, recorded paths over walls and areas, and `time.png`, who was there when.
+    """Draw `place.png` (recorded paths, walls and areas) and `time.png` (persons over time).
 
-    `recording` is one whose persons have areas.
+    The persons of `recording` must have areas. Returns the paths of the pictures.
 
     Raises:
         WeightsError: the scene has no areas or reference statistics.
@@ -35,7 +35,7 @@ def draw_place(scene: Scene, recording: Trajectories, out: Path) -> list[Path]:
 
 
 def _over_time(plot: PlotData, recording: Trajectories) -> bytes:
-    """The recorded N(t), and the time blocks between whose edges it is compared."""
+    """A plot of the recorded N(t) and the time blocks, as PNG."""
 
     def draw(axes: "list[Axes]") -> None:
         (axis,) = axes
@@ -45,7 +45,7 @@ def _over_time(plot: PlotData, recording: Trajectories) -> bytes:
         for k, (start, stop) in enumerate((blocks.frames * dt_s).tolist()):
             axis.axvspan(start, stop, color=("0.93", "0.85")[k % 2], linewidth=0)
         axis.set(xlim=(0, recording.duration_s), ylim=(0, 1.05 * present.max()))
-        axis.set(xlabel="time (s); grey: time blocks, white: nobody annotated", ylabel="agents")
+        axis.set(xlabel="time (s); grey: time blocks, white: unobserved", ylabel="agents")
         axis.set_title(f"{plot.scene.title}: agents over time")
 
     return picture(draw, width=9.0, height=2.6, kind="small png")

@@ -1,7 +1,7 @@
-"""The rules by which a new scene's settings follow from its recording.
+"""Rules that determine the settings of a new scene from its recording.
 
-They are those that the shipped scenes follow, or come near to: what a person would look up there.
-All of them can be changed in `scene.toml` afterwards; then fit again.
+The shipped scenes follow these rules exactly or approximately. All settings can be changed in
+`scene.toml` afterwards; then the scene must be fitted again.
 """
 
 import math
@@ -10,23 +10,26 @@ import numpy as np
 from jaxtyping import Float
 
 from crowdbench.errors import RecordingError
-from crowdbench.scene import Bounds, Clustering, Motion, Protocol, Spawning
+from crowdbench.recordings.noise import noise_of
+from crowdbench.scene import Bounds, Clustering, Motion, Protocol, Spawning, Walking
 from crowdbench.trajectories.blocks import FOLDS
 from crowdbench.trajectories.table import Trajectories
 
 MARGIN_M = 0.5
-"""Bounds are this far from the outermost positions, and on multiples of it."""
+"""Bounds are at least this far from all positions, and are multiples of it."""
 EPS_M = (0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0)
+"""Candidates for the radius ε of DBSCAN, in metres."""
 LEFT_OUT = 0.1
-"""The first of `EPS_M` that leaves less than this share of starts, and of ends, in no cluster."""
+"""The first of `EPS_M` is used that leaves less than this share of starts, and of ends, in no
+cluster."""
 PERSONS_ROOT = 6.0
-"""A cluster has √(number of persons) / 6 persons at least, and three."""
+"""A cluster has at least √(number of persons) / 6 persons, and at least three."""
 BLOCKS_S = ((270.0, 20.0), (480.0, 30.0), (1800.0, 60.0), (7200.0, 120.0), (math.inf, 600.0))
-"""Recordings that were observed up to so many seconds have time blocks of so many seconds."""
+"""Pairs of the maximum observed duration and the length of time blocks, both in seconds."""
 LONG_BLOCK_S = 120.0
-"""Blocks so long are resampled in runs of three: crowds drift."""
+"""Blocks of at least this length are resampled in runs of three, because crowds drift."""
 SHORT_BLOCK_S = 30.0
-"""Blocks so short, or shorter, are few: more rollouts are quickly made."""
+"""With blocks of at most this length recordings are short, so more rollouts are affordable."""
 LEAST_BLOCKS = 3 * FOLDS
 LEAST_PERSONS = 30
 FITS = 5
@@ -34,13 +37,22 @@ BUSY_PERSON_S = 100_000.0
 USUAL_SPEED_LIMIT_MPS = 5.0
 RADIUS_M = 0.3
 SPAWNING = Spawning(clearance_m=0.3, patience_s=2.0)
+TICK_S = 0.4
+"""Ticks are at least this long, unless a frame is longer."""
+WINDOW_S = 3.2
+LEAST_WINDOW = 7
+"""Speeds are measured over at least this time and this number of ticks."""
+LONGEST_LAG_S = 4.0
+"""Longest time scale at which the noise of positions is estimated."""
+BUSY_SHIFTS_S = (60.0,)
+"""A single shift is sufficient where very many people meet."""
 
 
 def check_size(crowd: Trajectories, where: object) -> None:
-    """Refuse a recording that is too short or too empty to learn from and to score.
+    """Check that a recording is long enough, and has enough people, for fits and scores.
 
     Raises:
-        RecordingError: it is.
+        RecordingError: it is too short, or has too few people.
     """
     observed_s = _observed_s(crowd)
     block_s = BLOCKS_S[0][1]
@@ -50,7 +62,8 @@ def check_size(crowd: Trajectories, where: object) -> None:
             got=f"{observed_s:.0f} s of observation",
             expected=f"{LEAST_BLOCKS * block_s:.0f} s or more, for {LEAST_BLOCKS} time blocks of "
             f"{block_s:.0f} s",
-            hint="Some are held against what was seen in the others: record for longer.",
+            hint="Models are fitted on some time blocks and scored on others: use a longer "
+            "recording.",
         )
     whole = int((crowd.entered & crowd.left & (crowd.last > crowd.first)).sum())
     if whole < LEAST_PERSONS:
@@ -58,12 +71,12 @@ def check_size(crowd: Trajectories, where: object) -> None:
             where,
             got=f"{whole} persons who were seen to enter and to leave",
             expected=f"{LEAST_PERSONS} or more",
-            hint="Where people enter, whither they go and how long they stay is learned from them.",
+            hint="Areas, goals and dwell times are estimated from these people.",
         )
 
 
 def bounds_of(crowd: Trajectories) -> Bounds:
-    """The recorded extent, a margin wider, rounded outward."""
+    """The recorded extent plus a margin, rounded outwards."""
     xy = crowd.xy.astype(np.float64)
     low = np.floor((xy.min(axis=0) - MARGIN_M) / MARGIN_M) * MARGIN_M
     high = np.ceil((xy.max(axis=0) + MARGIN_M) / MARGIN_M) * MARGIN_M
@@ -73,8 +86,9 @@ def bounds_of(crowd: Trajectories) -> Bounds:
 def motion_of(crowd: Trajectories) -> Motion:
     """Speed limit and radii.
 
-    The limit is 5 m/s, or what one step in a thousand exceeds, if that is more. The goal radius
-    is half of the median step, so that nobody steps over a goal or ends far from it.
+    The speed limit is 5 m/s, or the speed that one step in a thousand exceeds if that is higher.
+    The goal radius is half the median step, so that people neither step over a goal nor stop far
+    from it.
     """
     ways = np.linalg.norm(np.diff(crowd.xy.astype(np.float64), axis=0), axis=1)
     ways = ways[np.diff(crowd.row_person()) == 0]
@@ -88,12 +102,12 @@ def motion_of(crowd: Trajectories) -> Motion:
 
 
 def clustering_of(crowd: Trajectories, where: object) -> Clustering:
-    """Settings of DBSCAN: the smallest ε of a ladder that leaves out less than 10 %.
+    """Settings of DBSCAN: the smallest ε of `EPS_M` that leaves less than 10 % in no cluster.
 
-    A small ε tells doors apart that a large one takes together.
+    A small ε separates doors that a large ε would merge.
 
     Raises:
-        RecordingError: people start or end all over the place.
+        RecordingError: too many starts or ends are in no cluster with any ε.
     """
     sides = crowd.start[crowd.entered], crowd.end[crowd.left]
     least = max(3, round(math.sqrt(len(sides[0])) / PERSONS_ROOT))
@@ -108,11 +122,11 @@ def clustering_of(crowd: Trajectories, where: object) -> Clustering:
             )
     raise RecordingError(
         where,
-        got=f"starts or ends of which {_noise(sides[0].astype(np.float64), EPS_M[-1], least):.0%} "
-        f"and {_noise(sides[1].astype(np.float64), EPS_M[-1], least):.0%} have fewer than {least} "
-        f"others within {EPS_M[-1]:g} m",
-        expected=f"areas where {1 - LEFT_OUT:.0%} of people enter and leave",
-        hint="Tracks may be cut into pieces (join them), or the recording is too short.",
+        got=f"{_noise(sides[0].astype(np.float64), EPS_M[-1], least):.0%} of the starts and "
+        f"{_noise(sides[1].astype(np.float64), EPS_M[-1], least):.0%} of the ends in no cluster of "
+        f"{least} persons within {EPS_M[-1]:g} m",
+        expected=f"areas where at least {1 - LEFT_OUT:.0%} of people enter and leave",
+        hint="Tracks may be fragmented (join them), or the recording is too short.",
     )
 
 
@@ -122,8 +136,29 @@ def _noise(points: Float[np.ndarray, "n 2"], eps_m: float, least: int) -> float:
     return float((DBSCAN(eps=eps_m, min_samples=least).fit_predict(points) < 0).mean())
 
 
+def walking_of(crowd: Trajectories) -> Walking:
+    """Time scales of the walking metrics.
+
+    A tick is a step of the annotation grid, of 0.4 s or more. Speeds are measured over 3.2 s or
+    more. The shortest lag of accelerations is the first at which people accelerate more than the
+    noise of their positions makes them seem to, along and across their path; the others are 1⅓ and
+    2 times as long.
+    """
+    tick = max(1, round(crowd.grid_s / crowd.dt_s), round(TICK_S / crowd.dt_s))
+    tick_s = tick * crowd.dt_s
+    window = 2 * math.ceil(WINDOW_S / tick_s / 2 - 1e-6) + 1
+    lag = max(2, *(of_axis.lag_ticks for of_axis in noise_of(crowd, tick)))
+    busy = len(crowd.xy) * crowd.dt_s > BUSY_PERSON_S
+    return Walking(
+        tick_frames=tick,
+        window_ticks=max(LEAST_WINDOW, window),
+        lags_ticks=(lag, max(lag + 1, round(4 / 3 * lag)), 2 * lag),
+        shifts_s=BUSY_SHIFTS_S if busy else Walking().shifts_s,
+    )
+
+
 def protocol_of(crowd: Trajectories, *, fits: int | None, rollouts_per_fit: int | None) -> Protocol:
-    """Time blocks by the length of the observation, and how many rollouts."""
+    """Length of time blocks by the observed duration, and the number of fits and rollouts."""
     observed_s = _observed_s(crowd)
     block_s = next(block_s for longest_s, block_s in BLOCKS_S if observed_s <= longest_s)
     usual = 10 if block_s <= SHORT_BLOCK_S else 6

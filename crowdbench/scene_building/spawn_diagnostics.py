@@ -1,8 +1,8 @@
-"""How well a scene's fitted spawn models explain its recording, beside how they score.
+"""Statistical checks of how well a scene's fitted spawn models explain its recording.
 
-Likelihood says how probable the recorded arrivals are under a model, time rescaling whether their
-gaps and group sizes look as the model says they should, counts whether its samples let in as many
-people as were recorded, from the first moment on.
+The likelihood is the probability of the recorded arrivals under a model. Time rescaling tests
+whether their gaps and group sizes have the distributions of the model. Counts compare the number of
+people in samples of the model with the recorded number, overall and in the first frames.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,40 +21,42 @@ from crowdbench.spawn.ntpp import networks
 from crowdbench.spawn.plaza import SCENE as PLAZA
 from crowdbench.spawn.plaza import PlazaArrivals
 from crowdbench.spawn.rescaling import KolmogorovSmirnov, kolmogorov_smirnov, rescaled
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.blocks import SPLITS
 
 SAMPLES = 20
-"""Of each fit, to count persons in."""
+"""Number of samples per fit in which persons are counted."""
 FIRST_FRAMES = 25
 OWN_S = 36_000.0
-"""Length of the sample that a model is held against itself with."""
+"""Length of the samples on which a model is tested against itself, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """What was found of one model; means over its fits."""
+    """Results for one model, averaged over its fits."""
 
     model: str
     full: float
-    """Log-likelihood of the recording, fitted to all of it, nats per person."""
+    """Log-likelihood of the whole recording by models fitted to all of it, nats per person."""
     heldout: float
-    """That of the folds, each by models fitted to the others."""
+    """Log-likelihood of the folds, each by models fitted to the other folds, nats per person."""
     fresh: float | None
-    """That of ten fresh hours of the plaza, whose truth is known."""
+    """Log-likelihood of ten new hours of the plaza, whose true process is known; else None."""
     gaps: KolmogorovSmirnov | None
-    """Of the recording, by the first fit."""
+    """Test of the recorded gaps, for the first fit."""
     sizes: KolmogorovSmirnov | None
+    """Test of the recorded group sizes, for the first fit."""
     own_gaps: KolmogorovSmirnov | None
-    """Of its own sample."""
+    """Test of the gaps in a sample of the same fit."""
     own_sizes: KolmogorovSmirnov | None
+    """Test of the group sizes in a sample of the same fit."""
     persons: float | None
-    """Who enter in its samples, per recorded person in the same time."""
+    """Number of people in samples, relative to the recorded number in the same time."""
     first: float | None
-    """Who enter in the first 25 frames of its samples, per person in as many frames on average."""
+    """Arrivals in the first 25 frames of samples, relative to the average over the sample."""
 
 
 def check_models(scene: Scene) -> Iterator[Checked]:
-    """Check each model that the scene has fits of; on the plaza the true process first.
+    """Check each fitted model of a scene; on the plaza, the true process first.
 
     Raises:
         RecordingError: the recording has not been imported.
@@ -63,11 +65,11 @@ def check_models(scene: Scene) -> Iterator[Checked]:
     areas = len(centres)
     blocks = blocks_of(crowd, scene)
     whole = arrivals_of(crowd, blocks, areas)
-    folds = [arrivals_of(crowd, blocks.scored(part), areas) for part in PARTS[1:]]
+    folds = [arrivals_of(crowd, blocks.scored(split), areas) for split in SPLITS[1:]]
     fresh = None
     if scene.id == PLAZA:
         truth = PlazaArrivals(scene)
-        # The truth numbers its areas otherwise than the clusters that were found.
+        # The true process and the fitted clusters number the areas differently.
         gap = np.linalg.norm(centres[:, None] - truth.areas.spawn.mean, axis=2)
         true_area, found_area = gap.argmin(axis=1), gap.argmin(axis=0)
         events = truth.sample(OWN_S, scene, np.random.default_rng(1))
@@ -85,7 +87,7 @@ def check_models(scene: Scene) -> Iterator[Checked]:
     for name in fitted_models(scene):
         models = [spawn_model(name, scene, fit=fit) for fit in fits]
         on_folds = [
-            _pooled([spawn_model(name, scene, part, fit) for part in PARTS[1:]], folds)
+            _pooled([spawn_model(name, scene, split, fit) for split in SPLITS[1:]], folds)
             for fit in fits
         ]
         model, rng = models[0], np.random.default_rng(0)
@@ -109,35 +111,37 @@ def check_models(scene: Scene) -> Iterator[Checked]:
 
 @dataclass(frozen=True, kw_only=True)
 class Networks:
-    """How many areas of `ntpp-gmm` have a trained network; the others have constant rates."""
+    """Number of areas of `ntpp-gmm` with a trained network; the other areas have constant rates."""
 
     areas: int
+    """Number of spawn areas."""
     full: list[int]
-    """Of each fit to the whole recording."""
+    """Number of trained networks in each fit to the whole recording."""
     heldout: list[int]
-    """Of each fit, in all folds together."""
+    """Number of trained networks in all folds together, for each fit."""
     constant: float
-    """Share of the persons who enter an area without one, by the fits to the whole recording."""
+    """Share of the persons who enter areas without a network, for fits to the whole recording."""
 
     def __str__(self) -> str:
-        """One sentence."""
-        folds = len(PARTS) - 1
+        """The numbers as a text for users."""
+        folds = len(SPLITS) - 1
         return (
-            f"ntpp-gmm has a trained network in {_span(self.full)} of {self.areas} areas; in all "
-            f"fits of all folds, in {sum(self.heldout)} of "
-            f"{len(self.heldout) * folds * self.areas}. {self.constant:.0%} of the persons enter "
-            "areas without one, at constant rates of groups as in poisson-groups."
+            f"ntpp-gmm has a trained network in {_span(self.full)} of {self.areas} areas if fitted "
+            f"to the whole recording, and in {sum(self.heldout)} of "
+            f"{len(self.heldout) * folds * self.areas} cases over all fits of all folds. "
+            f"{self.constant:.0%} of the persons enter areas without a network, where groups enter "
+            "at a constant rate as in poisson-groups."
         )
 
 
 def trained_networks(scene: Scene) -> Networks:
-    """Count the networks in the scene's fits of `ntpp-gmm`.
+    """Count the trained networks in the scene's fits of `ntpp-gmm`.
 
     Raises:
-        WeightsError: the scene has none, or they are broken.
+        WeightsError: the fits are missing or broken.
     """
     areas = read_areas(scene)
-    full, heldout = (networks(scene, areas, parts) for parts in (PARTS[:1], PARTS[1:]))
+    full, heldout = (networks(scene, areas, splits) for splits in (SPLITS[:1], SPLITS[1:]))
     rate = PoissonGMM.read(scene, areas).rate
     return Networks(
         areas=len(areas.spawn),
@@ -153,7 +157,7 @@ def _span(counts: Sequence[int]) -> str:
 
 
 def _pooled(models: Sequence[SpawnModel], folds: list[Arrivals]) -> float:
-    """Nats per person of all folds together."""
+    """Log-likelihood of all folds together, nats per person."""
     nats = [m.log_likelihood(a) * len(a.tick) for m, a in zip(models, folds, strict=True)]
     return float(sum(nats) / sum(len(a.tick) for a in folds))
 
@@ -161,7 +165,7 @@ def _pooled(models: Sequence[SpawnModel], folds: list[Arrivals]) -> float:
 def _test(
     model: SpawnModel, arrivals: Arrivals, rng: np.random.Generator, what: Literal["gap", "size"]
 ) -> KolmogorovSmirnov:
-    assert isinstance(model, HasHazards)  # all fitted models do
+    assert isinstance(model, HasHazards)  # true of all fitted models
     return kolmogorov_smirnov(rescaled(model, arrivals, rng, what))
 
 

@@ -1,60 +1,94 @@
-"""`scene.toml` of a new scene, with the rules behind its numbers as comments."""
+"""`scene.toml`: written for a new scene, and edited without losing comments."""
 
-import json
+from collections.abc import Sequence
+from pathlib import Path
 
 import msgspec
+import tomlkit
+from tomlkit.items import Array, Table
 
-from crowdbench.scene import SCHEMA, Scene
+from crowdbench.files import write_text
+from crowdbench.scene import SCHEMA, Protocol, Scene, Wall
 
 _HEAD = """\
-# {title}. Made by `crowdbench scene create` from {source}.
-# Change a number here, then run `crowdbench fit`, `crowdbench power --write` and
-# `crowdbench anchors` on this folder; `crowdbench scene check` tells what does not fit.
-"""
+{title}. Made by `crowdbench scene create` from {source}.
+After a change, run `crowdbench fit`, `crowdbench power --write` and `crowdbench anchors` on this
+folder; `crowdbench scene check` reports what is inconsistent."""
 _WHY = {
-    "bounds": "The recorded extent and half a metre more. Who walks out has left.",
-    "walls": "Of {walls}, as far as they stand within the bounds.",
-    "motion": "A goal is reached within half of a typical step.",
+    "bounds": "The recorded extent plus half a metre. Whoever walks out has left the scene.",
+    "walls": "From {walls}, clipped to the bounds.",
+    "motion": "The goal radius is half a typical step.",
     "spawning": "As in the scenes that come with crowdbench.",
-    "clustering.default": "The smallest radius of a ladder with which DBSCAN leaves out less than "
-    "10 % of\n# starts, and of ends.",
-    "protocol": "Time blocks by the length of the recording; `crowdbench power` finds what is "
-    "scored.",
+    "clustering": "The smallest radius with which DBSCAN leaves out less than 10 % of the starts, "
+    "and of the ends.",
+    "walking": "Time scales on which people move more than the noise of their positions.",
+    "gate": "The score of walking is at most 0 beyond these limits of speed and arrivals.",
+    "protocol": "Time blocks by the recording's length; `crowdbench power` selects what is scored.",
 }
 
 
 def scene_toml(scene: Scene, *, source: str, walls_file: str) -> str:
-    """The text of the file, its tables in the order of the shipped scenes."""
-    whole = {name: getattr(scene, name) for name in ("id", "title", "dt_s", "grid_s")}
-    lines = [
-        _HEAD.format(title=_one_line(scene.title), source=_one_line(source)).rstrip("\n"),
-        *_fields({"schema": SCHEMA, **whole}),
-        *_table("recording", scene.recording),
-        *_table("bounds", scene.bounds),
-        "",
-    ]
+    """The text of a new scene's file: tables in the order of the shipped scenes, with comments."""
+    document = tomlkit.document()
+    head = _HEAD.format(title=_one_line(scene.title), source=_one_line(source))
+    for line in head.splitlines():
+        document.add(tomlkit.comment(line))
+    document["schema"] = SCHEMA
+    for name in ("id", "title", "dt_s", "grid_s"):
+        document[name] = getattr(scene, name)
+    document["recording"] = _table(scene.recording)
+    document["bounds"] = _table(scene.bounds, _WHY["bounds"])
     if scene.walls:
-        lines += ["# " + _WHY["walls"].format(walls=_one_line(walls_file))]
-    for wall in scene.walls:
-        lines += ["[[walls]]", *_fields(msgspec.structs.asdict(wall)), ""]
-    for name in ("motion", "spawning", "clustering.default", "protocol"):
-        table, _, entry = name.partition(".")
-        values = getattr(scene, table)
-        lines += [*_table(name, values[entry] if entry else values)[1:], ""]
-    return "\n".join(lines)
+        walls = tomlkit.aot()
+        for k, wall in enumerate(scene.walls):
+            why = _WHY["walls"].format(walls=_one_line(walls_file)) if k == 0 else ""
+            walls.append(_table(wall, why))
+        document["walls"] = walls
+    document["motion"] = _table(scene.motion, _WHY["motion"])
+    document["spawning"] = _table(scene.spawning, _WHY["spawning"])
+    clustering = tomlkit.table(is_super_table=True)
+    clustering["default"] = _table(scene.clustering["default"], _WHY["clustering"])
+    document["clustering"] = clustering
+    document["walking"] = _table(scene.walking, _WHY["walking"])
+    document["gate"] = _table(scene.gate, _WHY["gate"])
+    document["protocol"] = _table(scene.protocol, _WHY["protocol"])
+    return tomlkit.dumps(document)
+
+
+def write_scored(scene: Scene, scored: Sequence[str]) -> Path:
+    """Set the scored metrics in a scene's `scene.toml`; comments and other values are kept."""
+    path = scene.folder / "scene.toml"
+    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    document["protocol"]["scored"] = _lines(scored)
+    write_text(path, tomlkit.dumps(document))
+    return path
+
+
+def with_default_clustering(text: str, name: str) -> str:
+    """The text of a `scene.toml` whose default clustering has the settings of another one."""
+    document = tomlkit.parse(text)
+    clustering = document["clustering"]
+    for key, value in clustering[name].items():
+        clustering["default"][key] = value
+    return tomlkit.dumps(document)
 
 
 def _one_line(text: str) -> str:
     return " ".join(text.split())
 
 
-def _table(name: str, values: msgspec.Struct) -> list[str]:
-    why = ["# " + _WHY[name]] if name in _WHY else []
-    known = msgspec.structs.asdict(values)
-    known.pop("scored", None)  # the power study writes it at the end
-    return ["", *why, f"[{name}]", *_fields(known)]
+def _table(values: msgspec.Struct, why: str = "") -> Table:
+    table = tomlkit.table()
+    if why:
+        table.add(tomlkit.comment(why))
+    for name, value in msgspec.to_builtins(values).items():
+        if name != "scored":  # the power study adds it
+            table.add(name, value)
+    return table if isinstance(values, Wall | Protocol) else table.add(tomlkit.nl())
 
 
-def _fields(values: dict[str, object]) -> list[str]:
-    # Numbers, truth values, lists and quoted text look the same in JSON and in TOML.
-    return [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in values.items()]
+def _lines(values: Sequence[str]) -> Array:
+    """An array with one value per line."""
+    array = tomlkit.array()
+    array.extend(values)
+    return array.multiline(True)

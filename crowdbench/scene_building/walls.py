@@ -1,4 +1,4 @@
-"""Walls from a file of polygons: GeoJSON or WKT, in metres, in the recording's frame."""
+"""Reads walls from a file of polygons in GeoJSON or WKT, in metres, in the recording's frame."""
 
 import json
 from collections.abc import Iterator
@@ -12,20 +12,20 @@ from crowdbench.scene import Bounds, Wall
 if TYPE_CHECKING:
     import shapely
 
-_GRID_M = 0.001  # walls are written in millimetres
+_GRID_M = 0.001  # coordinates are rounded to millimetres
 _LEAST_M2 = 0.001
-_HINT = "Name a file of polygons, in GeoJSON or WKT, in metres in the recording's frame."
+_HINT = "Use a file of polygons in GeoJSON or WKT, in metres and in the recording's frame."
 
 
 def read_walls(path: Path, bounds: Bounds) -> tuple[Wall, ...]:
-    """The walls in a file, as far as they stand within the bounds.
+    """The walls in a file, clipped to the bounds.
 
-    A wall is named by its feature's property `name`. Holes are kept free: a polygon with holes
-    becomes several walls that touch.
+    The name of a wall is the property `name` of its feature. A polygon with holes is cut into
+    several adjacent walls, so that the holes stay free.
 
     Raises:
-        SceneError: the file is missing or broken, holds what is no polygon, or no wall stands
-            within the bounds.
+        SceneError: the file is missing or broken, contains something other than polygons, or no
+            wall lies within the bounds.
     """
     import shapely
 
@@ -47,7 +47,7 @@ def read_walls(path: Path, bounds: Bounds) -> tuple[Wall, ...]:
         raise SceneError(
             path,
             got=f"walls at {', '.join(_rounded(e) for e in extent[:3])}" if extent else "no wall",
-            expected=f"at least one within the bounds {_rounded(place.bounds)} "
+            expected=f"at least one wall within the bounds {_rounded(place.bounds)} "
             "(x min, y min, x max, y max)",
             hint=_HINT,
         )
@@ -82,8 +82,8 @@ def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.
     except (ShapelyError, KeyError, TypeError, AttributeError, IndexError) as error:
         raise SceneError(
             path,
-            got=f"a {kind or 'thing without a type'} that is broken ({error})",
-            expected="GeoJSON's features with polygons",
+            got=f"an invalid {kind or 'object without a type'} ({error})",
+            expected="GeoJSON features with polygons",
             hint=_HINT,
         ) from error
 
@@ -111,21 +111,21 @@ def _polygons(shape: "shapely.Geometry", where: object) -> "Iterator[shapely.Pol
         raise SceneError(
             where,
             got=f"a {shape.geom_type}",
-            expected="polygons: a wall has an inside",
-            hint="Give a line its thickness first, like shapely's line.buffer(0.1).",
+            expected="polygons, because walls are solid",
+            hint="Convert lines to polygons first, for example with shapely's line.buffer(0.1).",
         )
     if not shape.is_valid:
         raise SceneError(
             where,
-            got=f"a polygon that is none ({shapely.is_valid_reason(shape)})",
+            got=f"an invalid polygon ({shapely.is_valid_reason(shape)})",
             expected="polygons that do not cross themselves",
-            hint="shapely.make_valid mends most of them.",
+            hint="shapely.make_valid repairs most of them.",
         )
     yield shape
 
 
 def _solid(shape: "shapely.Geometry") -> "Iterator[shapely.Polygon]":
-    """The polygons of a shape, cut in two through a hole until none has any."""
+    """The polygons of a shape, cut in two through holes until none of them has a hole."""
     import shapely
 
     for piece in getattr(shape, "geoms", [shape]):

@@ -1,1 +1,1 @@
-"""Scores: the energy score, its noise floor and anchors, power, scorecards."""
+"""Scoring: energy scores, noise floor, anchors, power study and scorecards."""

@@ -1,18 +1,19 @@
-"""The proper score: energy scores, their floor and anchor, intervals, ranks.
+"""Energy scores, their noise floor, and resamples for their uncertainty.
 
 A plain distance rewards a model that varies too little or that has memorised the recording's
 marginals. The energy form of the same distance does not (Gneiting & Raftery 2007, Sec. 5.1, with
-the negative-type distances of `crowdbench.metrics`): for rollouts X of a model and the recording y
+the negative-type distances of `crowdbench.metrics`). For rollouts X of a model and the recording y
 
     ES = mean d(X_k, y) − ½ mean d(X_k, X_l)   over pairs of distinct rollouts,
     F  = ½ mean d(y*, y**)                     over resamples y*, as long as y, of the recording,
     S  = 1 − (ES − F) / (ES_anchor − F)
 
-so that S is 0 for the anchor and, on average, 1 for the process that made the recording. Where
-crowds walk under the recorded arrivals, F is 0 and S is 1 for the recording itself.
+The score S is 0 for the anchor and, on average, 1 for the process that generated the recording.
+F is the noise floor. For the families motion and interaction, which are scored under the recorded
+arrivals, F is 0 and S is 1 for the recording itself.
 
-Uncertainty comes from 1,000 hierarchical resamples: of time blocks (the same for all entries, so
-that entries can be compared on them), of fits, and of rollouts within fits.
+Uncertainty is estimated from 1,000 hierarchical resamples: of time blocks (the same for all
+entries, so that entries can be compared in pairs), of fits, and of rollouts within fits.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,29 +28,30 @@ from crowdbench.trajectories.blocks import TimeBlocks
 
 RESAMPLES = 1000
 FLOOR_DRAWS = 200
-"""Block resamples whose pairs give F."""
+"""Number of block resamples whose pairs give the noise floor."""
 NESTED_DRAWS = 20
-"""Resamples of a resample, whose pairs give F there."""
-_NUMBERS = 4_000_000  # at a time: few large steps keep threads from waiting for each other
+"""Number of resamples of each resample, whose pairs give the noise floor of that resample."""
+_NUMBERS = 4_000_000  # processed at a time; large chunks keep all threads busy
 
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """An energy score, or a floor, with its resamples; `R` of them."""
+    """An energy score, or a noise floor, with its `R` resamples."""
 
     centre: float
     resampled: Float[np.ndarray, " R"]
 
     def deviations(self) -> Float[np.ndarray, " R"]:
-        """The resamples' deviations from their own centre.
+        """Deviations of the resamples from their own mean.
 
-        A resample has fewer distinct blocks than the recording, which moves its mean.
+        Their mean differs from `centre`, because a resample has fewer distinct blocks than the
+        recording.
         """
         return self.resampled - self.resampled.mean()
 
 
 def mean_of(energies: Sequence[Energy]) -> Energy:
-    """The mean over folds."""
+    """The mean of several energy scores, one per fold, resample by resample."""
     return Energy(
         float(np.mean([e.centre for e in energies])),
         np.mean([e.resampled for e in energies], axis=0),
@@ -58,12 +60,12 @@ def mean_of(energies: Sequence[Energy]) -> Energy:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """What each of `R` resamples consists of, for one part of a recording with `B` blocks."""
+    """The `R` resamples of one part of a recording, which has `B` blocks."""
 
     blocks: Int[np.ndarray, "R B"]
-    """How often each block counts."""
+    """How often each block occurs in each resample."""
     units: tuple[tuple[int, int], ...]
-    """Runs [start, stop) of blocks that are drawn together."""
+    """Runs [start, stop) of blocks that are resampled together."""
     seed: tuple[int, ...]
 
     @classmethod
@@ -78,11 +80,11 @@ class Draws:
         return cls(_drawn(rng, np.ones(len(units)), len(units), RESAMPLES, units), units, seed)
 
     def fits(self, fits: int) -> Int[np.ndarray, "R fits"]:
-        """Which fits each resample consists of."""
+        """Indices of the fits in each resample, drawn with replacement."""
         return np.random.default_rng([*self.seed, 2]).integers(fits, size=(RESAMPLES, fits))
 
     def rollouts(self, fits: int, rollouts: int) -> Int[np.ndarray, "R fits rollouts"]:
-        """Which rollouts of each of its fits."""
+        """Indices of the rollouts of each fit in each resample, drawn with replacement."""
         rng = np.random.default_rng([*self.seed, 3])
         return rng.integers(rollouts, size=(RESAMPLES, fits, rollouts))
 
@@ -94,35 +96,38 @@ def _drawn(
     count: int,
     units: tuple[tuple[int, int], ...],
 ) -> Int[np.ndarray, "count B"]:
-    """Draw `times` units with replacement, `count` times; how often each block is among them."""
+    """Draw `times` units with replacement, `count` times; returns how often each block occurs."""
     drawn = rng.multinomial(times, weight / weight.sum(), size=count)
     return np.repeat(drawn, [stop - start for start, stop in units], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class FloorDraws:
-    """What F of a part is computed from: resamples of the whole recording, as long as the part.
+    """Resamples for the noise floor F of a part: of the whole recording, but as long as the part.
 
-    The few blocks of a fold alone would make F too small by a fifth and more: resamples of six
-    blocks vary less than recordings of six blocks do. F tells of the recording, not of a model, so
-    nothing is learned from what is held out.
+    If only the few blocks of a fold were used, F would be too small by a fifth or more, because
+    resamples of six blocks vary less than recordings of six blocks do. F is a property of the
+    recording, not of a model, so no model gains information about held-out blocks.
     """
 
     order: Int[np.ndarray, " B"]
-    """The recording's blocks, fold by fold."""
+    """Indices of the recording's blocks, fold by fold."""
     units: tuple[tuple[int, int], ...]
-    """Runs of them that are drawn together."""
+    """Runs [start, stop) of these blocks that are resampled together."""
     blocks: Int[np.ndarray, "R B"]
-    """How often each counts in each resample."""
+    """How often each block occurs in each resample."""
     times: int
-    """Units of the part."""
+    """Number of units in the part."""
     seed: tuple[int, ...]
 
     @classmethod
     def of(
-        cls, part: Draws, everyone: Sequence[tuple[Int[np.ndarray, " b"], Draws]]
+        cls, part: Draws, everyone: Sequence[tuple[Int[np.ndarray, " _"], Draws]]
     ) -> "FloorDraws":
-        """From the draws of the part, and those of all parts with the blocks they are of."""
+        """Combine the draws of a part with those of all parts.
+
+        `everyone` holds, for each part, the indices of its blocks and its draws.
+        """
         units: list[tuple[int, int]] = []
         for _, draws in everyone:
             first = units[-1][1] if units else 0
@@ -136,12 +141,12 @@ class FloorDraws:
         )
 
     def centre(self) -> Int[np.ndarray, "count B"]:
-        """Resamples of the recording."""
+        """Resamples of the recording, as counts per block."""
         rng = np.random.default_rng([*self.seed, 4])
         return _drawn(rng, np.ones(len(self.units)), self.times, FLOOR_DRAWS, self.units)
 
     def nested(self, resample: int) -> Int[np.ndarray, "count B"]:
-        """Resamples of one resample."""
+        """Resamples of one resample, as counts per block."""
         rng = np.random.default_rng([*self.seed, 1, resample])
         weight = np.array([self.blocks[resample, start] for start, _ in self.units], dtype=float)
         return _drawn(rng, weight, self.times, NESTED_DRAWS, self.units)
@@ -156,9 +161,9 @@ def energy(
 ) -> Energy | None:
     """Energy score of the rollouts of each fit, averaged over the fits.
 
-    `rollouts[i][k]` are the statistics of rollout k of fit i, all fits having as many. A single
-    rollout per fit stands for a model without chance. None where the metric is undefined, since
-    the recording's mean is 0.
+    `rollouts[i][k]` holds the statistics of rollout k of fit i; all fits have the same number of
+    rollouts. A single rollout per fit means that the model is deterministic. Returns None if the
+    metric is undefined because the recording's mean is 0.
     """
     fits, each = len(rollouts), len(rollouts[0])
     crowds = [recorded, *(crowd for fit in rollouts for crowd in fit)]
@@ -180,7 +185,7 @@ def energy(
         near = to_y[r, fit, k].mean(axis=(1, 2))
         one, other = k[:, :, :, None], k[:, :, None, :]
         pairs = between[r[..., None], fit[..., None], one, other]
-        # A rollout drawn twice is no pair of rollouts: its distance of 0 would only be noise.
+        # A rollout that is drawn twice is not a pair: its distance of 0 would bias the mean.
         distinct = (one != other).sum(axis=(-2, -1))
         whole = pair_mean(between)[r[..., 0], fit[..., 0]]
         mean = np.where(distinct > 0, pairs.sum(axis=(-2, -1)) / np.maximum(distinct, 1), whole)
@@ -190,12 +195,12 @@ def energy(
 
 @dataclass(frozen=True, eq=False)
 class FitEnergies:
-    """What each fit alone gets, of the energy score's two terms."""
+    """The two terms of the energy score of each fit."""
 
     to_recorded: Float[np.ndarray, " fits"]
-    """Mean d(X_k, y)."""
+    """Mean d(X_k, y): distance of the rollouts to the recording."""
     spread: Float[np.ndarray, " fits"]
-    """½ mean d(X_k, X_l): how much rollouts differ; that of the true process is F."""
+    """½ mean d(X_k, X_l): variation between rollouts; for the true process it equals F."""
 
 
 def energies_of_fits(
@@ -204,7 +209,7 @@ def energies_of_fits(
     rollouts: Sequence[Sequence[Statistics]],
     blocks: TimeBlocks,
 ) -> FitEnergies | None:
-    """The energy score's terms fit by fit; None where the metric is undefined."""
+    """The two terms of the energy score of each fit; None if the metric is undefined."""
     crowds = [recorded, *(crowd for fit in rollouts for crowd in fit)]
     embedded = Embedded.of(metric, crowds, recorded, blocks)
     if embedded is None:
@@ -223,10 +228,11 @@ def floor(
     blocks: TimeBlocks,
     draws: FloorDraws,
 ) -> Energy | None:
-    """F: half the mean distance of two resamples of the recording.
+    """The noise floor F: half the mean distance between two resamples of the recording.
 
-    `recording` are the statistics of all its blocks, `recorded` those of the part, which `blocks`
-    are and distances are divided by.
+    `recording` holds the statistics of all blocks of the recording. `recorded` holds those of the
+    scored part, whose blocks are `blocks`; distances are normalised by it. Returns None if the
+    metric is undefined.
     """
     everything = {name: values[draws.order] for name, values in recording.items()}
     embedded = Embedded.of(metric, [everything], recorded, blocks)
@@ -246,7 +252,7 @@ def floor(
 
 @dataclass(frozen=True, eq=False)
 class Embedded:
-    """The vectors of several crowds, given how often each block counts."""
+    """The vectors of several crowds, as a function of how often each block is counted."""
 
     metric: Metric
     blocks: TimeBlocks
@@ -263,7 +269,7 @@ class Embedded:
         recorded: Statistics,
         blocks: TimeBlocks,
     ) -> "Embedded | None":
-        """Bring the crowds to one support; None where the metric is undefined."""
+        """Bring the crowds to a common support; None if the metric is undefined."""
         everyone, support = metric.aligned([*crowds, recorded], blocks)
         weight = metric.weights(total(everyone[-1]), support, blocks)
         if not np.isfinite(weight).all():
@@ -275,13 +281,13 @@ class Embedded:
         return cls(metric, blocks, support, stacked, len(crowds), weight)
 
     def chunks(self, resamples: int, rows: int = 1) -> Iterator[slice]:
-        """Runs of resamples, of so many rows each, that fit into memory together."""
+        """Slices of the resamples, of `rows` rows each, that are small enough for memory."""
         numbers = max(values.shape[1] for values in self.stacked.values()) * rows
         step = max(1, _NUMBERS // max(1, numbers))
         return (slice(start, start + step) for start in range(0, resamples, step))
 
     def __call__(self, weights: Int[np.ndarray, "r B"]) -> Float[np.ndarray, "r n F"]:
-        """One vector per resample and crowd, already weighted."""
+        """One weighted vector per resample and crowd."""
         w = weights.astype(np.float64)
         sums = {
             name: (w @ values).reshape(len(w), self.crowds, -1)
@@ -291,7 +297,7 @@ class Embedded:
 
 
 def pair_mean(distances: Float[np.ndarray, "*batch K K"]) -> Float[np.ndarray, "*batch"]:
-    """Mean over ordered pairs k ≠ l; 0 where there is no pair."""
+    """Mean over ordered pairs k ≠ l; 0 if there is no pair."""
     k = distances.shape[-1]
     return distances.sum(axis=(-2, -1)) / max(1, k * (k - 1))
 
@@ -299,7 +305,7 @@ def pair_mean(distances: Float[np.ndarray, "*batch K K"]) -> Float[np.ndarray, "
 def _distances(
     y: Float[np.ndarray, "r F"], x: Float[np.ndarray, "r g K F"]
 ) -> tuple[Float[np.ndarray, "r g K"], Float[np.ndarray, "r g K K"]]:
-    """L1 distances of each x to y, and of all x of a group to each other."""
+    """L1 distances of each x to y, and between all x of a group."""
     from crowdbench.scoring.l1_kernel import l1_distances
 
     return l1_distances(np.ascontiguousarray(y), np.ascontiguousarray(x))

@@ -1,4 +1,4 @@
-"""The one loop of scoring that is worth compiling: a billion absolute differences."""
+"""L1 distances, compiled because scoring computes about a billion absolute differences."""
 
 import numpy as np
 from numba import njit, prange
@@ -8,9 +8,10 @@ LANES = 8
 
 @njit(cache=False, error_model="numpy")
 def _l1(a, b):
-    """Sum of absolute differences, in eight partial sums: in the same order on every run.
+    """Sum of absolute differences, as eight partial sums in a fixed order.
 
-    `fastmath` would choose an order of its own, and another one when machine code comes from disk.
+    `fastmath` may choose a different order of summation when the machine code is loaded from the
+    cache, so results would not be reproducible.
     """
     sums = np.zeros(LANES)
     whole = len(a) - len(a) % LANES
@@ -27,7 +28,10 @@ def _l1(a, b):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def l1_distances(y, x):
-    """L1 distances (r, g, K) of x (r, g, K, F) to y (r, F), and (r, g, K, K) within groups."""
+    """L1 distances of x (r, g, K, F) to y (r, F), shape (r, g, K), and within each group.
+
+    The distances within groups have the shape (r, g, K, K).
+    """
     n, groups, each, _ = x.shape
     to_y = np.zeros((n, groups, each))
     between = np.zeros((n, groups, each, each))

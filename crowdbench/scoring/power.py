@@ -1,8 +1,9 @@
-"""The power study: which metrics can tell a scene's anchor from its recording.
+"""The power study: which metrics can distinguish a scene's anchor from its recording.
 
-Synthetic recordings y′ are block resamples of the recording. A metric counts if in at least 80 % of
-them the anchor's energy score lies beyond the 95th percentile of the true process's: of a crowd
-that differs from y′ as another recording of the same place would.
+Synthetic recordings y′ are block resamples of the recording. A metric is scored if, in at least
+80 % of them, the anchor's energy score exceeds the 95th percentile of the true process's energy
+score. The true process is represented by further block resamples, which differ from y′ as another
+recording of the same place would.
 """
 
 from collections.abc import Sequence
@@ -21,17 +22,17 @@ SYNTHETIC = 500
 
 @dataclass(frozen=True)
 class Power:
-    """What a power study found of a metric."""
+    """Result of the power study for one metric."""
 
     metric: str
     floor: float
     """Mean energy score of the true process."""
     threshold: float
-    """Its 95th percentile."""
+    """95th percentile of the energy score of the true process."""
     anchor: float
     """Mean energy score of the anchor."""
     power: float
-    """Share of synthetic recordings in which the anchor's lies beyond the threshold."""
+    """Share of synthetic recordings in which the anchor's energy score exceeds the threshold."""
 
     @property
     def counts(self) -> bool:
@@ -46,11 +47,11 @@ def power(
     blocks: TimeBlocks,
     draws: Draws,
 ) -> Power | None:
-    """The power of one metric; None where it is undefined.
+    """The power of one metric; None if the metric is undefined.
 
-    `anchor` are rollouts of the anchor: of `poisson-gmm` with straight walkers, or for the
-    families of walking those of straight walkers under the recorded arrivals, which are resampled
-    together with the recording.
+    `anchor` holds the statistics of the anchor's rollouts: `poisson-gmm` with straight walkers,
+    or, for motion and interaction, straight walkers under the recorded arrivals. The latter are
+    resampled together with the recording.
     """
     from scipy.spatial.distance import cdist, pdist
 

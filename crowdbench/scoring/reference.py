@@ -1,7 +1,7 @@
-"""A scene's reference statistics: what its recording is compared by, without the recording.
+"""A scene's reference statistics, which allow comparisons without the recording itself.
 
 They are the metrics' statistics per time block. Distances computed from them equal those computed
-from the recording, and no path, no arrival time and no per-frame series can be read back from them.
+from the recording. Paths, arrival times and per-frame series cannot be reconstructed from them.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from crowdbench.errors import RecordingError, SceneError, WeightsError
-from crowdbench.files import read_struct, write_json
+from crowdbench.files import read_bytes, read_struct, write_json
 from crowdbench.metrics import (
     METRICS,
     Metric,
@@ -35,12 +35,12 @@ SCHEMA = 2
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The recording of a scene, as its metrics see it."""
+    """The statistics of a scene's recording."""
 
     blocks: TimeBlocks
     place: Place
     statistics: dict[str, Statistics]
-    """Per block, by name of metric; those that blocks so long can tell something by."""
+    """Statistics per block by name of metric, for the metrics that apply to these blocks."""
 
     @classmethod
     def of(cls, recording: Trajectories, scene: Scene, areas: Areas) -> "Reference":
@@ -51,11 +51,11 @@ class Reference:
 
     @property
     def metrics(self) -> tuple[Metric, ...]:
-        """Those that there are statistics of, ours first."""
+        """The metrics that have statistics here, crowdbench's own first."""
         return tuple(metric for metric in all_metrics() if metric.name in self.statistics)
 
     def score(self, crowd: Trajectories) -> dict[str, MetricResult]:
-        """All metrics of a crowd against the recording, by name."""
+        """Compare a crowd with the recording; the results by name of metric."""
         seen = summarise(crowd, self.blocks, self.place, self.metrics)
         return {
             m.name: m.compare(self.statistics[m.name], seen[m.name], self.blocks)
@@ -64,7 +64,7 @@ class Reference:
 
 
 def place_of(scene: Scene, areas: Areas) -> Place:
-    """What metrics need to know of a scene."""
+    """The properties of a scene that metrics use."""
     b = scene.bounds
     return Place(
         spawn_areas=len(areas.spawn),
@@ -72,6 +72,7 @@ def place_of(scene: Scene, areas: Areas) -> Place:
         bounds_m=(b.x_min_m, b.x_max_m, b.y_min_m, b.y_max_m),
         radius_m=scene.motion.person_radius_m,
         walls=tuple(wall.corners_m for wall in scene.walls),
+        **msgspec.structs.asdict(scene.walking),
     )
 
 
@@ -81,7 +82,10 @@ def summarise(
     place: Place,
     metrics: Sequence[Metric] | None = None,
 ) -> dict[str, Statistics]:
-    """Statistics of a crowd by name of metric: of `metrics`, or of all of ours."""
+    """Statistics of a crowd by name of metric.
+
+    `metrics` are by default all of crowdbench's own that apply to these blocks.
+    """
     metrics = metrics_for(blocks) if metrics is None else metrics
     found = {}
     for metric in metrics:
@@ -93,15 +97,17 @@ def summarise(
 def score_against(
     reference: Reference, scene: Scene, crowd: Trajectories, against: Trajectories | None = None
 ) -> dict[str, MetricResult]:
-    """What `crowdbench.score` gives, with a reference of the scene.
+    """The result of `crowdbench.score`, given the scene's reference.
+
+    The crowd is compared with the scene's recording, or with the crowd `against`.
 
     Raises:
-        RecordingError: a crowd is another scene's, or its time step or length is not the scene's.
+        RecordingError: a crowd belongs to another scene, or has another time step or length.
     """
     areas = read_areas(scene)
-    _check_fits(crowd, scene)
+    check_fits(crowd, scene)
     if against is not None:
-        _check_fits(against, scene)
+        check_fits(against, scene)
         blocks, place = reference.blocks, reference.place
         there = summarise(areas.assign(against), blocks, place, applicable(blocks))
         reference = replace(reference, statistics=there)
@@ -109,15 +115,15 @@ def score_against(
 
 
 def applicable(blocks: TimeBlocks) -> list[Metric]:
-    """Every metric, ours or not, that blocks of this length can tell something by."""
+    """All metrics, including registered ones, that apply to time blocks of this length."""
     return [metric for metric in all_metrics() if metric.applies(blocks)]
 
 
-def _check_fits(crowd: Trajectories, scene: Scene) -> None:
-    """Raise where a crowd cannot be looked at in the scene's time blocks.
+def check_fits(crowd: Trajectories, scene: Scene) -> None:
+    """Check that a crowd can be compared in the scene's time blocks.
 
     Raises:
-        RecordingError: it is another scene's, or its time step or length is not the scene's.
+        RecordingError: it belongs to another scene, or has another time step or length.
     """
     if not np.isclose(crowd.dt_s, scene.dt_s):
         raise RecordingError(
@@ -136,13 +142,14 @@ def _check_fits(crowd: Trajectories, scene: Scene) -> None:
             f"crowd scored on {scene.id}",
             got=f"{crowd.frames} frames ({crowd.duration_s:.1f} s)",
             expected=f"{needed} frames ({needed * scene.dt_s:.1f} s), as long as the recording",
-            hint="Both sides are looked at in the same time blocks: simulate as long, and "
-            "check the time step.",
+            hint="Both crowds are compared in the same time blocks: simulate for as long as the "
+            "recording, and check the time step.",
         )
 
 
 _Count = Annotated[int, msgspec.Meta(ge=0)]
-_Value = Annotated[int, msgspec.Meta(ge=0, lt=10**6)]  # histograms are as long as their values
+# Sums of products may be negative.
+_Value = Annotated[int, msgspec.Meta(ge=0, lt=10**6)]  # a histogram is as long as its largest value
 
 
 class _ReferenceFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -152,12 +159,12 @@ class _ReferenceFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     dt_s: float
     grid_s: float
     block_s: float
-    """What the scene's file said when the statistics were computed."""
+    """Value of `protocol.block_s` in `scene.toml` when the statistics were computed."""
     blocks: Annotated[list[tuple[_Count, _Count]], msgspec.Meta(min_length=1)]
     opens: list[bool]
     spawn_areas: int
     goal_areas: int
-    statistics: dict[str, dict[str, tuple[int, list[list[tuple[_Value, _Count]]]]]]
+    statistics: dict[str, dict[str, tuple[int, list[list[tuple[_Value, int]]]]]]
     """By metric and statistic: the number of columns, and per block the pairs (column, count)."""
 
 
@@ -188,8 +195,8 @@ def read_reference(scene: Scene) -> Reference:
     """Read the statistics that a scene ships (`reference.json`).
 
     Raises:
-        WeightsError: the file is missing, broken or another scene's.
-        SceneError: the scene is to be scored by a metric that does not exist.
+        WeightsError: the file is missing or broken, or belongs to another scene.
+        SceneError: `protocol.scored` names a metric that does not exist.
     """
     _check_scored(scene)
     path = scene.folder / "reference.json"
@@ -227,15 +234,24 @@ def read_reference(scene: Scene) -> Reference:
         )
     if len(file.opens) != len(file.blocks):
         raise WeightsError(
-            path, got=f"{len(file.opens)} opens", expected=f"{len(file.blocks)} blocks", hint=hint
+            path,
+            got=f"{len(file.opens)} values of opens",
+            expected=f"{len(file.blocks)}, one per block",
+            hint=hint,
         )
     blocks = TimeBlocks(np.array(file.blocks), np.array(file.opens), scene.dt_s, scene.grid_s)
     if (np.diff(blocks.frames.ravel()) < 0).any() or (np.diff(blocks.frames) == 0).any():
         raise WeightsError(
-            path, got="blocks that are empty or overlap", expected="ascending blocks", hint=hint
+            path,
+            got="blocks that are empty or overlap",
+            expected="non-empty blocks in ascending order",
+            hint=hint,
         )
     nobody = summarise(_nobody(scene), blocks, place)
-    for name, expected in {n: set(s) for n, s in nobody.items()}.items():
+    # A metric that is not scored may have no statistics; see `evaluation.references`.
+    known = {name for name in nobody if name in file.statistics or name in scene.protocol.scored}
+    for name in sorted(known):
+        expected = set(nobody[name])
         got = file.statistics.get(name, {})
         rows = {len(rows) for _, rows in got.values()}
         if set(got) != expected or rows != {len(blocks)}:
@@ -248,8 +264,40 @@ def read_reference(scene: Scene) -> Reference:
     statistics = {
         metric: {n: dense(columns, rows) for n, (columns, rows) in file.statistics[metric].items()}
         for metric in nobody
+        if metric in known
     }
     return Reference(blocks, place, statistics)
+
+
+class _RawStatistics(msgspec.Struct, frozen=True):
+    blocks: msgspec.Raw
+    opens: msgspec.Raw
+    statistics: dict[str, msgspec.Raw]
+
+
+def scored_statistics(scene: Scene) -> bytes:
+    """The time blocks and the statistics of the scored metrics, as bytes of `reference.json`.
+
+    Raises:
+        WeightsError: the file is missing or broken, or lacks a scored metric.
+    """
+    path, hint = scene.folder / "reference.json", f"Run `crowdbench fit {scene.asked}`."
+    try:
+        file = msgspec.json.decode(read_bytes(path, WeightsError, hint), type=_RawStatistics)
+    except msgspec.DecodeError as error:
+        raise WeightsError(
+            path, got=str(error), expected="the fields of reference.json", hint=hint
+        ) from error
+    scored = sorted(scene.protocol.scored)
+    if lacking := [name for name in scored if name not in file.statistics]:
+        raise WeightsError(
+            path,
+            got=f"no statistics of {', '.join(lacking)}",
+            expected="statistics of all scored metrics",
+            hint=hint,
+        )
+    of_scored = [part for n in scored for part in (n.encode(), bytes(file.statistics[n]))]
+    return b"\n".join([bytes(file.blocks), bytes(file.opens), *of_scored])
 
 
 def _check_scored(scene: Scene) -> None:
@@ -264,7 +312,7 @@ def _check_scored(scene: Scene) -> None:
 
 
 def _nobody(scene: Scene) -> Trajectories:
-    """One who stands outside for a frame: the statistics of a crowd that hardly is one."""
+    """A crowd of one person for one frame; its statistics show which fields each metric has."""
     return from_rows(
         scene=scene.id,
         dt_s=scene.dt_s,
@@ -282,12 +330,12 @@ Sparse = tuple[int, list[list[tuple[int, int]]]]
 
 
 def sparse(counts: np.ndarray) -> Sparse:
-    """A statistic as files hold it."""
+    """A statistic in the sparse form that files hold."""
     return counts.shape[1], [[(int(v), int(row[v])) for v in np.flatnonzero(row)] for row in counts]
 
 
 def dense(columns: int, rows: list[list[tuple[int, int]]]) -> np.ndarray:
-    """A statistic that a file held."""
+    """A statistic as a dense array, from the sparse form that files hold."""
     size = 1 + max((value for row in rows for value, _ in row), default=0)
     counts = np.zeros((len(rows), max(size, columns)), dtype=np.int64)
     for b, row in enumerate(rows):

@@ -1,4 +1,4 @@
-"""Scores from energy scores, their intervals, means and ranks."""
+"""Scores computed from energy scores: intervals, means and ranks."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ LEVEL = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """A score with its resamples, which lie around it."""
+    """A score with resamples that describe its uncertainty."""
 
     value: float
     resampled: Float[np.ndarray, " R"]
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The central 95 %."""
+        """The central 95 % interval of the resamples."""
         low, high = np.percentile(self.resampled, [100 * LEVEL / 2, 100 * (1 - LEVEL / 2)])
         return float(low), float(high)
 
@@ -32,12 +32,14 @@ class Score:
 
 
 def score_of(es: Energy, floor_: Energy, anchor: Energy) -> Score | None:
-    """S = 1 − (ES − F)/(ES_anchor − F), clipped below at −1, never above.
+    """S = 1 − (ES − F)/(ES_anchor − F), clipped below at −1 and not clipped above.
 
-    The resamples follow that to first order: where anchor and floor lie close together, single
-    resamples of the span between them all but vanish, and the ratio itself would tell nothing.
-    A score that is cut is as certain as it is low.
-    None where the anchor is no worse than the floor: the metric tells nothing here.
+    The resamples are computed from the first-order expansion of this ratio. If anchor and noise
+    floor are close, their difference nearly vanishes in some resamples and the exact ratio would
+    be meaningless there. A score that is clipped has no spread.
+
+    Returns None if the anchor is not worse than the noise floor, because the metric then cannot
+    distinguish the anchor from the recording.
     """
     span = anchor.centre - floor_.centre
     if not span > 0:
@@ -52,7 +54,7 @@ def score_of(es: Energy, floor_: Energy, anchor: Energy) -> Score | None:
 
 
 def combined(scores: Sequence[Score]) -> Score | None:
-    """The mean of some scores, resample by resample; None of none."""
+    """The mean of several scores, resample by resample; None if there are none."""
     if not scores:
         return None
     return Score(
@@ -64,7 +66,7 @@ def combined(scores: Sequence[Score]) -> Score | None:
 def family_scores(
     metrics: Sequence[Metric], scores: Mapping[str, Score | None], scored: Sequence[str]
 ) -> dict[str, Score]:
-    """Mean over the scored metrics of each family; families without one are left out."""
+    """Mean score over the scored metrics of each family; families without any are omitted."""
     families: dict[str, Score] = {}
     for family in FAMILIES:
         each = [scores.get(m.name) for m in metrics if m.family == family and m.name in scored]
@@ -74,24 +76,52 @@ def family_scores(
     return families
 
 
-def overall(families: Mapping[str, Score], *, walk: bool) -> Score | None:
-    """Mean over the four families of crowds, and over those of walking if `walk`."""
-    wanted = [f for f in FAMILIES if walk or f not in WALK]
-    return combined([families[f] for f in wanted if f in families])
+def crowd_score(families: Mapping[str, Score]) -> Score | None:
+    """Mean over the families arrivals, presence, trips and space; None if none has a score."""
+    return combined([score for name, score in families.items() if name not in WALK])
+
+
+def walk_score(families: Mapping[str, Score], *, passes: bool) -> Score | None:
+    """The lesser of motion and interaction, resample by resample; None if neither has a score.
+
+    A mean would allow policies to buy one family with the other: people who ignore each other may
+    move smoothly, and people who wander at random may keep their distances. If the policy does not
+    pass the scene's gate (see `crowdbench.scene.Gate`), the score is at most 0.
+    """
+    each = [families[name] for name in WALK if name in families]
+    if not each:
+        return None
+    value = min(score.value for score in each)
+    resampled = np.min([score.resampled for score in each], axis=0)
+    if passes:
+        return Score(value, resampled)
+    return Score(min(0.0, value), np.minimum(0.0, resampled))
+
+
+def overall_score(crowd: Score | None, walk: Score | None) -> Score | None:
+    """Mean of crowd and walk; None if either is missing."""
+    return None if crowd is None or walk is None else combined([crowd, walk])
+
+
+def total_score(families: Mapping[str, Score], *, passes: bool) -> Score | None:
+    """Mean of crowd and walk, or that of them which has a score; None if neither has."""
+    both = (crowd_score(families), walk_score(families, passes=passes))
+    return combined([score for score in both if score is not None])
 
 
 def ranks(scores: Sequence[Score]) -> list[int]:
-    """1 + the number of entries that are significantly better; equal ranks are a tie group."""
+    """Rank of each score: 1 + the number of scores that are significantly better."""
     worse = [k for _, k in significant_pairs(scores)]
     return [1 + worse.count(k) for k in range(len(scores))]
 
 
 def significant_pairs(scores: Sequence[Score]) -> list[tuple[int, int]]:
-    """The pairs of which the first is significantly better than the second, by index.
+    """Pairs of indices of which the first score is significantly better than the second.
 
-    Paired differences on the shared resamples, two-sided at 5 % over all pairs by Holm's (1979)
-    step-down. The p-values are those of a normal law with the resamples' standard deviation:
-    1,000 resamples cannot resolve the small ones that Holm asks for among many entries.
+    The test uses paired differences on the shared resamples. It is two-sided at 5 % over all
+    pairs, with Holm's (1979) step-down correction. The p-values come from a normal distribution
+    with the standard deviation of the resamples, because 1,000 resamples cannot resolve the small
+    p-values that the correction requires for many entries.
     """
     from scipy.stats import norm
 
@@ -102,10 +132,18 @@ def significant_pairs(scores: Sequence[Score]) -> list[tuple[int, int]]:
         float(2 * norm.sf(abs(d) / s)) if s > 0 else float(d == 0)
         for d, s in zip(differences, spreads, strict=True)
     ]
-    found = []
-    for step, index in enumerate(np.argsort(p, kind="stable")):
-        if p[index] > LEVEL / (len(pairs) - step):
+    return [
+        (i, j) if difference > 0 else (j, i)
+        for (i, j), difference, significant in zip(pairs, differences, holm(p), strict=True)
+        if significant
+    ]
+
+
+def holm(p: Sequence[float], level: float = LEVEL) -> list[bool]:
+    """Which p-values are significant at a family-wise error rate of `level` (Holm 1979)."""
+    found = [False] * len(p)
+    for step, index in enumerate(np.argsort(p, kind="stable").tolist()):
+        if not p[index] <= level / (len(p) - step):
             break
-        i, j = pairs[index]
-        found.append((i, j) if differences[index] > 0 else (j, i))
+        found[index] = True
     return found

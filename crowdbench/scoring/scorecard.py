@@ -1,13 +1,13 @@
-"""Scorecards: what an evaluation found, complete enough to rank entries again later.
+"""Scorecards: the results of an evaluation, complete enough to rank entries again later.
 
-An entry is a spawn model with a policy. It keeps, for each metric, the plain distance and the
-energy score with its resamples (averaged over fits and folds), so that entries of several
-scorecards can be compared on the resamples they share. The anchors that every scorecard is
-measured by come with the scene (`anchors.json`).
+An entry is a spawn model with a policy. For each metric it keeps the plain distance and the energy
+score with its resamples (averaged over fits and folds), so that entries of several scorecards can
+be compared on the same resamples. The anchors that define the scale of the scores are part of the
+scene (`anchors.json`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -17,28 +17,45 @@ import numpy as np
 from crowdbench.errors import CrowdbenchError, RecordingError, WeightsError
 from crowdbench.files import read_struct, sha256, write_json
 from crowdbench.metrics import METRICS, WALK
-from crowdbench.scene import Scene
+from crowdbench.scene import Gate, Scene
 from crowdbench.scoring.energy import RESAMPLES, Energy
-from crowdbench.scoring.score import Score, family_scores, overall, ranks, score_of
-from crowdbench.spawn.scenario import split
+from crowdbench.scoring.reference import scored_statistics
+from crowdbench.scoring.score import (
+    Score,
+    crowd_score,
+    family_scores,
+    overall_score,
+    ranks,
+    score_of,
+    walk_score,
+)
+from crowdbench.spawn.scenario import split_scenario
 
-SCHEMA = 2
+SCHEMA = 3
 
 Protocol = Literal["full", "heldout"]
+Limit = Literal["speed", "arrivals"]
+"""A limit of a scene's gate, see `crowdbench.scene.Gate`."""
 
 ANCHOR = ("poisson-gmm", "straight")
-"""What scores 0 in arrivals, presence, lives and space."""
+"""The spawn model and policy that score 0 in arrivals, presence, trips and space."""
 WALK_ANCHOR = ("replay", "straight")
-"""What scores 0 in motion and interaction."""
+"""The spawn model and policy that score 0 in motion and interaction."""
 ANCHORS = (
     ANCHOR,
     WALK_ANCHOR,
     ("replay", "replay"),
+    ("replay", "recorded-paths"),
     ("replay", "random"),
     ("block-replay", "straight"),
     ("poisson-gmm", "random"),
 )
-"""The pairs that every table shows."""
+"""The unranked baselines that every table shows: pairs of a spawn model and a policy."""
+
+WALKED = ("replay", "recorded-paths")
+"""The spawn model and policy whose speed and arrivals are the standard of the scene's gate."""
+RECORDED_POLICIES = ("replay", "recorded-paths")
+"""Policies that follow recorded paths. They need recorded arrivals and are not ranked."""
 
 
 class EnergyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -46,70 +63,74 @@ class EnergyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     centre: float
     resampled: bytes
-    """Its resamples, float32 in little-endian order (base64 in JSON)."""
+    """The resamples, as float32 in little-endian order (base64 in JSON)."""
 
     @classmethod
     def of(cls, energy: Energy) -> "EnergyCard":
-        """Round the resamples to float32."""
+        """The card of an energy score; its resamples are rounded to float32."""
         return cls(centre=energy.centre, resampled=energy.resampled.astype("<f4").tobytes())
 
     def energy(self) -> Energy:
-        """The numbers."""
+        """The energy score and its resamples as numbers."""
         return Energy(self.centre, np.frombuffer(self.resampled, "<f4").astype(np.float64))
 
 
 class MetricCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One metric of one entry."""
+    """Results of one metric for one entry."""
 
     distance: float | None
-    """Plain distance, averaged over rollouts and folds; 0 is equal, None undefined."""
+    """Plain distance, averaged over rollouts and folds; 0 means equal, None undefined."""
     distances: list[float | None]
-    """Each rollout's (for `heldout` each fold's one after the other), by seed."""
+    """Distance of each rollout, by seed (for `heldout`, fold by fold)."""
     recorded: float | None
-    """Typical value of the recording, in `unit`; averaged over folds."""
+    """Typical value of the recording in `unit`, averaged over folds."""
     simulated: float | None
     unit: str
     n: int
-    """Sample size of all rollouts together."""
+    """Total sample size of all rollouts."""
     energy: EnergyCard | None
-    """None where the entry is not scored in this metric."""
+    """None if the entry has no score in this metric."""
 
 
 class PairResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A spawn model with a policy."""
+    """Results of a spawn model with a policy."""
 
     spawn: str
     policy: str
     seeds: list[int]
-    """Of the rollouts; seed k of a part is of fit k mod `fits`."""
+    """Random seed of each rollout; in each split, rollout k uses fit k mod `fits`."""
     persons: int
-    """In all rollouts together."""
+    """Total number of persons in all rollouts."""
     outcomes: dict[str, int]
-    """How their lives ended."""
+    """Number of persons by outcome."""
+    speed_mps: float | None
+    """Mean speed of people who walk (above 0.3 m/s); None if nobody does."""
+    at_goal: float | None
+    """Share of people at their goals, of those whose trips ended; None if no outcome is known."""
     metrics: dict[str, MetricCard]
 
 
 class Scale(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What scores of one protocol are measured by."""
+    """The reference points of the scores in one protocol."""
 
     floor: dict[str, EnergyCard]
-    """F by metric."""
+    """Noise floor F by metric."""
     anchors: list[PairResult]
-    """Of the pairs in `ANCHORS`."""
+    """Results of the pairs in `ANCHORS`."""
 
 
 class Anchors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What `anchors.json` holds."""
+    """The content of `anchors.json`."""
 
     schema: int
     scene: str
     made_from: str
-    """Hash of the files that the anchors were computed with."""
+    """Hash of the files that the anchors were computed from; see `files_of`."""
     protocols: dict[str, Scale]
 
 
 class Scorecard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What `scorecard.json` holds."""
+    """The content of `scorecard.json`."""
 
     schema: int
     crowdbench: str
@@ -120,40 +141,46 @@ class Scorecard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     blocks: int
     fits: int
     rollouts: int
-    """Rollouts of each entry (in each fold)."""
+    """Number of rollouts per entry (per fold in the protocol `heldout`)."""
     resamples: int
     scored: list[str]
-    """Metrics that count."""
+    """Names of the scored metrics."""
+    gate: Gate
+    """Limits of speed and arrivals beyond which `walk` is at most 0."""
     scale: Scale
     entries: list[PairResult]
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A line of the table."""
+    """A row of the table of scores."""
 
     spawn: str
     policy: str
     kind: Literal["entry", "anchor"]
     entry: PairResult
     families: dict[str, Score]
-    """Of walking, those of the policy under the recorded arrivals."""
+    """Score of each family; motion and interaction are scored under the recorded arrivals."""
     crowd: Score | None
-    """Mean over arrivals, presence, lives and space; with straight walkers the spawn score."""
+    """Mean over arrivals, presence, trips and space; evaluates the spawn model if `policy` is
+    `straight`."""
     walk: Score | None
-    """Mean over motion and interaction; None where the recording is needed and missing."""
+    """The lesser of motion and interaction; None if the recording is needed and not imported."""
     overall: Score | None
+    """Mean of crowd and walk."""
+    fails: tuple[Limit, ...]
+    """Why the policy does not pass the scene's gate, `speed` and `arrivals`; empty if it does."""
     rank: int | None
-    """By `overall` where every entry has one, else by `crowd`."""
+    """Rank by `overall` if every entry has one, otherwise by `crowd`."""
 
 
 def walked(card: Scorecard) -> bool:
-    """Whether policies were walked under the recorded arrivals."""
+    """Whether the policies were also evaluated under the recorded arrivals."""
     return any(entry.spawn == "replay" for entry in card.entries)
 
 
 def scale_of(card: Scorecard) -> dict[str, tuple[Energy, Energy]]:
-    """Floor and anchor of each scored metric."""
+    """Noise floor and energy score of the anchor for each scored metric."""
     by_pair = {(e.spawn, e.policy): e for e in card.scale.anchors}
     found = {}
     for metric in METRICS:
@@ -169,7 +196,7 @@ def scale_of(card: Scorecard) -> dict[str, tuple[Energy, Energy]]:
 
 
 def metric_scores(card: Scorecard, entry: PairResult) -> dict[str, Score | None]:
-    """The score of an entry in each scored metric; None where it has none."""
+    """The score of an entry in each scored metric; None if it has none."""
     scores: dict[str, Score | None] = {}
     for name, (floor, anchor) in scale_of(card).items():
         energy = entry.metrics[name].energy
@@ -180,26 +207,30 @@ def metric_scores(card: Scorecard, entry: PairResult) -> dict[str, Score | None]
 def rows(card: Scorecard) -> list[Row]:
     """The table of a scorecard: its entries in their order, then the anchors.
 
-    Entries that only walk (recorded arrivals) lend their families of walking to all entries of
-    the same policy.
+    The scores of motion and interaction are those of the policy under the recorded arrivals
+    (spawn model `replay`). They apply to all entries with the same policy.
     """
     everyone = [*card.entries, *card.scale.anchors]
     of_entry = {id(e): metric_scores(card, e) for e in everyone}
-    walkers = {e.policy: of_entry[id(e)] for e in reversed(everyone) if e.spawn == "replay"}
+    under_recorded = {e.policy: e for e in reversed(everyone) if e.spawn == "replay"}
+    walkers = {policy: of_entry[id(e)] for policy, e in under_recorded.items()}
     recorded = walked(card)
 
     def row(entry: PairResult, kind: Literal["entry", "anchor"]) -> Row:
         scores = dict(of_entry[id(entry)])
-        # An anchor's walk scores are shipped; an entry's need its own rollouts, hence a recording.
+        # The walk scores of anchors are shipped; those of entries need the imported recording.
         if kind == "anchor" or recorded:
             for metric in METRICS:
                 if metric.family in WALK and metric.name in walkers.get(entry.policy, {}):
                     scores[metric.name] = walkers[entry.policy][metric.name]
         families = family_scores(METRICS, scores, card.scored)
-        crowd = overall({f: s for f, s in families.items() if f not in WALK}, walk=False)
-        walk = overall({f: s for f, s in families.items() if f in WALK}, walk=True)
-        whole = overall(families, walk=True) if crowd is not None and walk is not None else None
-        return Row(entry.spawn, entry.policy, kind, entry, families, crowd, walk, whole, None)
+        walker = under_recorded.get(entry.policy) if kind == "anchor" or recorded else None
+        fails = () if walker is None else failures(card, walker)
+        crowd, walk = crowd_score(families), walk_score(families, passes=not fails)
+        whole = overall_score(crowd, walk)
+        return Row(
+            entry.spawn, entry.policy, kind, entry, families, crowd, walk, whole, fails, None
+        )
 
     pairs = {(e.spawn, e.policy) for e in card.entries}
     entries = [row(e, "entry") for e in card.entries]
@@ -207,23 +238,53 @@ def rows(card: Scorecard) -> list[Row]:
     return [*_ranked(entries), *anchors]
 
 
+def walked_as_recorded(card: Scorecard) -> PairResult:
+    """The result of recorded people walked under the rules of the simulation."""
+    return next(e for e in card.scale.anchors if (e.spawn, e.policy) == WALKED)
+
+
+def failures(card: Scorecard, entry: PairResult) -> tuple[Limit, ...]:
+    """Which limits of the scene's gate a policy exceeds, `speed` or `arrivals`; empty for none.
+
+    `entry` is the policy's result under the recorded arrivals. Its mean walking speed and its share
+    of people at their goals are compared with those of recorded people walked. A share that is
+    unknown, as for rollouts of other simulators, is not compared.
+    """
+    standard = walked_as_recorded(card)
+    found: list[Limit] = []
+    if standard.speed_mps is not None:
+        speed = 0.0 if entry.speed_mps is None else entry.speed_mps
+        if abs(speed / standard.speed_mps - 1) > card.gate.speed:
+            found.append("speed")
+    at_goal = 1.0 if entry.at_goal is None else entry.at_goal
+    if standard.at_goal is not None and at_goal < card.gate.arrivals * standard.at_goal:
+        found.append("arrivals")
+    return tuple(found)
+
+
 def steered(spawn: str) -> bool:
-    """Whether a spawn model is under a scenario."""
-    return split(spawn)[1] is not None
+    """Whether a spawn model's name includes a scenario."""
+    return split_scenario(spawn)[1] is not None
 
 
 def may_rank(spawn: str) -> bool:
-    """Whether a spawn model is to be as the recording by what it learned.
+    """Whether entries with this spawn model are ranked.
 
-    Played recordings are so by heart, and steered models are to be different.
+    Replayed recordings are not ranked, because they memorise the recording. Models under a
+    scenario are not ranked, because they are meant to differ from it.
     """
     return spawn not in ("replay", "block-replay") and not steered(spawn)
 
 
 def _ranked(entries: Sequence[Row]) -> list[Row]:
     competing = [r for r in entries if may_rank(r.spawn)]
-    by_overall = all(r.overall is not None for r in competing)
-    scores = [r.overall if by_overall else r.crowd for r in competing]
+    if all(r.spawn == "replay" for r in entries):  # only policies are compared
+        competing = [r for r in entries if r.policy not in RECORDED_POLICIES]
+        scores = [r.walk for r in competing]
+    elif all(r.overall is not None for r in competing):
+        scores = [r.overall for r in competing]
+    else:
+        scores = [r.crowd for r in competing]
     known = [s for s in scores if s is not None]
     if len(known) < len(competing) or not competing:
         return list(entries)
@@ -232,17 +293,14 @@ def _ranked(entries: Sequence[Row]) -> list[Row]:
 
 
 def files_of(scene: Scene) -> str:
-    """Hash of what the scene's anchors and scores depend on: its rules and shipped files."""
-    names = ("areas.json", "poisson-gmm.json", "reference.json")
-    rules = {
-        f.name: getattr(scene, f.name)
-        for f in fields(scene)
-        if f.name not in ("title", "folder", "clustering")
-    }
-    rules["protocol"] = msgspec.structs.replace(scene.protocol, scored=())
-    parts = [msgspec.json.encode(rules, order="deterministic")]
-    parts += [(scene.folder / name).read_bytes() for name in names]
-    return sha256(b"".join(parts))[:16]
+    """Hash of everything that the scene's anchors and scores depend on.
+
+    This includes the scene's rules, its settings of scores, areas, `poisson-gmm` rates, and the
+    reference statistics of the scored metrics.
+    """
+    settings = msgspec.json.encode([scene.walking, scene.gate])
+    areas, rates = ((scene.folder / n).read_bytes() for n in ("areas.json", "poisson-gmm.json"))
+    return sha256(b"".join([scene.rules, settings, areas, rates, scored_statistics(scene)]))[:16]
 
 
 def write_anchors(anchors: Anchors, folder: Path) -> Path:
@@ -256,7 +314,7 @@ def read_anchors(scene: Scene) -> Anchors:
     """The anchors that a scene ships.
 
     Raises:
-        WeightsError: the file is missing, broken, another scene's, or of other fits.
+        WeightsError: the file is missing or broken, or belongs to another scene or other fits.
     """
     path = scene.folder / "anchors.json"
     hint = f"Run `crowdbench anchors {scene.asked}`."
@@ -266,15 +324,15 @@ def read_anchors(scene: Scene) -> Anchors:
     if got != expected:
         raise WeightsError(
             path,
-            got=f"anchors of {got[0]}, schema {got[1]}, by rules and files of hash {got[2]}",
-            expected=f"{expected[0]}, schema {expected[1]}, hash {expected[2]}",
+            got=f"anchors of {got[0]}, schema {got[1]}, from files with hash {got[2]}",
+            expected=f"anchors of {expected[0]}, schema {expected[1]}, hash {expected[2]}",
             hint=hint,
         )
     if set(anchors.protocols) != {"full", "heldout"}:
         raise WeightsError(
             path,
             got=f"anchors of {', '.join(anchors.protocols) or 'no protocol'}",
-            expected="full and heldout",
+            expected="anchors of full and heldout",
             hint=hint,
         )
     for scale in anchors.protocols.values():
@@ -286,7 +344,7 @@ def read_scorecard(path: Path) -> Scorecard:
     """Read a `scorecard.json`.
 
     Raises:
-        RecordingError: the file is missing or broken, or of another schema version.
+        RecordingError: the file is missing or broken, or has another schema version.
     """
     hint = "Run `crowdbench evaluate` again."
     try:
@@ -314,7 +372,7 @@ def _schema_of(path: Path) -> object:
 
 
 def _check(scale: Scale, path: Path, hint: str, error: type[CrowdbenchError]) -> None:
-    """Raise where anchors are missing or resamples are not as many as they should be."""
+    """Raise `error` if anchors are missing or a number of resamples is wrong."""
     missing = set(ANCHORS) - {(e.spawn, e.policy) for e in scale.anchors}
     lengths = {
         len(m.energy.resampled) for e in scale.anchors for m in e.metrics.values() if m.energy
@@ -322,7 +380,7 @@ def _check(scale: Scale, path: Path, hint: str, error: type[CrowdbenchError]) ->
     if missing or lengths - {4 * RESAMPLES}:
         raise error(
             path,
-            got=f"anchors without {sorted(missing)}" if missing else "resamples cut short",
+            got=f"anchors without {sorted(missing)}" if missing else "a wrong number of resamples",
             expected=f"all anchors, {RESAMPLES} resamples each",
             hint=hint,
         )

@@ -1,4 +1,4 @@
-"""Kernels compiled for one thread and for several."""
+"""Compilation of kernels for one and for several threads."""
 
 import functools
 import importlib
@@ -14,41 +14,41 @@ import numba
 from crowdbench.files import sha256
 
 THREADS = "NUMBA_NUM_THREADS"
-"""Environment variable that asks for several threads; without it, kernels run on one.
+"""Environment variable that enables several threads; without it, kernels run on one thread.
 
-Threads wait for each other at the end of each kernel. On an idle machine two of them gain at most
-a factor of two; on a busy one each wait lasts until the operating system lets the other thread
-run, and steps take ten times as long or more. How threads wait cannot be set from here:
-OpenMP reads `OMP_WAIT_POLICY` when it is loaded, which other packages may have done before.
+Threads wait for each other at the end of each kernel. On an idle machine, two threads gain at most
+a factor of two. On a busy machine, each wait lasts until the operating system runs the other
+thread, and steps take ten times as long or more. The waiting cannot be configured here: OpenMP
+reads `OMP_WAIT_POLICY` when it is loaded, and another package may have loaded it before.
 """
 PARALLEL_FROM = 64
-"""Persons from which on several threads are faster than one on an idle machine."""
+"""Number of people from which several threads are faster than one on an idle machine."""
 
 OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy"}
 
 
 @dataclass
 class Kernel:
-    """A function over many persons in its two compilations.
+    """A function over many persons, compiled for one thread and for several.
 
-    The machine code is called directly: numba's own look-up of the arguments' types takes, for
-    bundles of arrays, as long as stepping ten people. So all calls of one `Kernel` object must
-    have arguments of the same types; `fresh` makes another one.
+    The machine code is called directly, because numba's look-up of the types of array bundles
+    takes as long as a step of ten people. All calls of a `Kernel` object must therefore have
+    arguments of the same types; `fresh` returns an object for other types.
     """
 
     function: Callable[..., None]
     _code: dict[bool, Callable[..., None]] = field(default_factory=dict)
 
     def fresh(self) -> "Kernel":
-        """The same kernel, for arguments of types of its own."""
+        """A new object for the same function, which may be called with other types."""
         return Kernel(self.function)
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Machine code does not travel between processes; the name of the kernel does.
+        # Machine code cannot be pickled, so the kernel is pickled by name.
         return _named, (self.function.__module__, self.function.__name__)
 
     def __call__(self, persons: int, *arguments: object) -> None:
-        """Run on one thread, or on several where they are asked for and worth it."""
+        """Run on several threads if they are enabled and `persons` is large enough, else on one."""
         parallel = persons >= PARALLEL_FROM and several_threads()
         code = self._code.get(parallel)
         if code is None:
@@ -66,7 +66,7 @@ class Kernel:
 
 
 def several_threads() -> bool:
-    """Whether several threads are asked for, by `THREADS`, and this process may have them."""
+    """Whether several threads are enabled by `THREADS` and available to this process."""
     return THREADS in os.environ and numba.get_num_threads() > 1
 
 
@@ -80,9 +80,9 @@ _dispatchers: dict[tuple[Callable[..., None], bool], Any] = {}
 
 def _dispatcher(function: Any, parallel: bool) -> Any:
     if (function, parallel) not in _dispatchers:
-        # numba keeps machine code on disk by name, and looks for changes only in the file that
-        # the kernel itself stands in: so each compilation has a name of its own, and each state
-        # of the sources, and the functions that kernels call are not kept on their own.
+        # numba caches machine code on disk by function name and detects changes only in the file
+        # of the kernel itself, not in the functions that it calls. The name therefore contains the
+        # kind of compilation and a hash of all sources.
         name = f"{function.__name__}_{'parallel' if parallel else 'alone'}_{_sources()}"
         named = types.FunctionType(function.__code__, function.__globals__, name)
         named.__qualname__ = name
@@ -93,11 +93,11 @@ def _dispatcher(function: Any, parallel: bool) -> Any:
 
 @functools.cache
 def _sources() -> str:
-    """Hash of all sources that kernels are compiled from."""
+    """Hash of all source files from which kernels are compiled."""
     files = sorted(Path(__file__).parent.glob("*.py"))
     return sha256(b"".join(file.read_bytes() for file in files))[:8]
 
 
 def kernel(function: Callable[..., None]) -> Kernel:
-    """Make a kernel of a function whose loops over worlds and persons are `prange`."""
+    """Decorator for functions whose loops over worlds and persons are written with `prange`."""
     return Kernel(function)

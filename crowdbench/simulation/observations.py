@@ -1,28 +1,30 @@
-"""The observation kernel: what each person sees of itself, the walls and the others.
+"""The observation kernel.
 
-Three versions, float32, every value in [−1, 1], a head and then R rays. `lidar-1`:
+There are three versions. Each is a float32 vector with values in [−1, 1] and ends with R rays.
+`lidar-1` contains, by index:
 
 - 0, 1: velocity / max_speed
-- 2: min(distance to goal, GOAL_RANGE_M) / GOAL_RANGE_M
+- 2: min(distance to the goal, GOAL_RANGE_M) / GOAL_RANGE_M
 - 3, 4: cosine and sine of the direction to the goal (1, 0 at the goal itself)
-- 5 …: distance along ray k / ray_range, 1 where nothing is nearer. Rays stand at the angles
-  2πk/R of the world frame, k = 0 … R − 1.
+- 5 …: distance along ray k / ray_range; 1 if nothing is in range. Ray k = 0 … R − 1 has the angle
+  2πk/R in the world frame.
 
-`lidar-2` is for places whose walls hide goals, and for people who differ. The goal's distance is
-that of the shortest way around the walls and its direction that of the next corner of that way,
-the goal itself where it is in sight; and
+`lidar-2` takes walls and preferred speeds into account. The goal distance is the length of the
+shortest path around walls, and the goal direction points to the next corner of that path, or to the
+goal if it is in sight. In addition:
 
 - 5: preferred speed / max_speed
-- 6 …: the rays.
+- 6 …: the rays
 
-`lidar-3` sees the bounds too: a life ends beyond them, nothing stands there, and who walks along
-them to a goal leaves by mistake. Between the speed and the rays it has
+`lidar-3` also contains the distances to the bounds of the scene. Trips end there and rays do not
+detect them, so a policy without these distances may leave the scene by mistake when it walks along
+a bound.
 
 - 6 … 9: min(distance to the western, eastern, southern, northern bound, ray_range) / ray_range
-- 10 …: the rays.
+- 10 …: the rays
 
-Rays meet walls and the discs of other persons. Who stands inside another's disc sees distance 0
-in the half plane towards that person's centre.
+Rays end at walls and at the discs of other people. A person inside another person's disc sees
+distance 0 in the half-plane towards the centre of that disc.
 """
 
 import math
@@ -42,42 +44,44 @@ if TYPE_CHECKING:
     from crowdbench.simulation.simulation import Simulation
 
 OBSERVATIONS = {"lidar-1": 5, "lidar-2": 6, "lidar-3": 10}
-"""Versions of the observation, and how many values stand before the rays."""
+"""Built-in versions of the observation, with the number of values before the rays."""
 OBSERVATION = "lidar-2"
-"""The version that everything shows and takes where none is named."""
+"""Default version."""
 GOAL_RANGE_M = 30.0
+"""Goal distances are clipped at this value."""
 GOAL_DISTANCE, GOAL_DIRECTION, PREFERRED_SPEED = slice(2, 3), slice(3, 5), slice(5, 6)
-"""Where these stand in an observation; the last from `lidar-2` on."""
-CHUNK = 10  # persons a thread takes at a time
+"""Slices of an observation. `lidar-1` has no preferred speed."""
+CHUNK = 10  # persons per unit of work of a thread
 
 
 class Observation(ABC):
-    """An observation that another package adds: one of ours, `base`, followed by more numbers."""
+    """Base class of registered observations: a built-in one followed by additional numbers."""
 
     name: ClassVar[str]
     base: ClassVar[str] = OBSERVATION
-    """Which of `OBSERVATIONS` comes first."""
+    """Name of the built-in observation, one of `OBSERVATIONS`."""
     extra: ClassVar[int]
-    """How many numbers are added."""
+    """Number of additional values."""
 
     @abstractmethod
     def observe(self, simulation: "Simulation", out: Float32[np.ndarray, "W N extra"]) -> None:
-        """Write the added numbers, in [−1, 1], for everyone alive or just ended.
+        """Write the additional values, in [−1, 1], for everyone present or just ended to `out`.
 
-        `simulation.slots` holds everybody's state, `simulation.observation` what `base` shows.
+        `simulation.slots` contains the state of everyone, and `simulation.observation` starts with
+        the values of `base`.
         """
 
 
 def known_observations() -> tuple[str, ...]:
-    """Names of ours, and of those that others have registered."""
+    """Names of the built-in and the registered observations."""
     return (*OBSERVATIONS, *names("observations", OBSERVATIONS))
 
 
 def observation_of(name: str) -> Observation | None:
-    """What others have registered under a name; None for one of ours.
+    """Registered observation with the given name; None for a built-in one.
 
     Raises:
-        SettingError: nobody has, or it is no `Observation`.
+        SettingError: the name is unknown, or its object is not a valid `Observation`.
     """
     if name in OBSERVATIONS:
         return None
@@ -89,41 +93,41 @@ def observation_of(name: str) -> Observation | None:
             expected=f"one of {', '.join(known_observations())}",
             hint=""
             if found is None
-            else "Others derive from crowdbench.simulation."
-            "observations.Observation, with a base among ours and extra numbers.",
+            else "Derive it from crowdbench.simulation.observations.Observation and set base to "
+            "a built-in observation and extra to 1 or more.",
         )
     return found
 
 
 def head_of(name: str) -> int:
-    """Numbers before the rays."""
+    """Number of values before the rays."""
     found = observation_of(name)
     return OBSERVATIONS[name if found is None else found.base]
 
 
 def size_of(name: str, rays: int) -> int:
-    """Numbers in an observation."""
+    """Number of values in an observation."""
     found = observation_of(name)
     return head_of(name) + rays + (0 if found is None else found.extra)
 
 
 class Cells(NamedTuple):
-    """Cell lists: persons sorted by place, so that the near ones are found without the others."""
+    """Cell lists: persons sorted by grid cell, for fast neighbour search."""
 
     origin: np.ndarray
-    """(2,) lower left corner, metres."""
+    """(2,) lower left corner of the grid, in metres."""
     size: float
-    """Edge of a cell, metres."""
+    """Edge length of a cell, in metres."""
     columns: int
     rows: int
     start: np.ndarray
-    """(W, C + 2): the persons of cell c are `slot[w, start[c]:start[c + 1]]`."""
+    """(W, C + 2): cell c of world w has the persons `slot[w, start[w, c]:start[w, c + 1]]`."""
     xy: np.ndarray
-    """(W, N, 2) float64 positions, sorted."""
+    """(W, N, 2) float64 positions, sorted by cell, in metres."""
     slot: np.ndarray
-    """(W, N) their slots."""
+    """(W, N) slots of the persons, sorted by cell."""
     person: np.ndarray
-    """(W·N, 2) world and slot of everyone to observe, in one list."""
+    """(W·N, 2) list of the world and slot of everyone to observe."""
 
     @classmethod
     def between(
@@ -148,14 +152,14 @@ def observe(
     slots, target, beyond, head, bounds, cells, walls, max_speed, radius, reach, remaining, nearest,
     out,
 ):  # fmt: skip
-    """Write the observation of everyone alive, or ended in this step, into `out` (W, N, head + R).
+    """Write the observations of everyone present or ended in this step to `out` (W, N, head + R).
 
-    `target` (W, N, 2) is where they are to walk, `beyond` (W, N) how far it is from there, and
-    `bounds` least and greatest x, least and greatest y. The length of the way to the goal goes into
-    `remaining` (W, N), the distance to the nearest person that each sees into `nearest` (W, N),
-    infinite for none; both in metres.
+    `target` (W, N, 2) is the next point on the path to the goal, `beyond` (W, N) the remaining
+    length of the path from there, and `bounds` is x_min, x_max, y_min, y_max. Also writes the
+    length of the path to the goal to `remaining` (W, N), and the distance to the nearest visible
+    person to `nearest` (W, N), infinite if there is none. All lengths are in metres.
     """
-    # Arrays are unpacked once: reaching into a bundle costs as much as a ray.
+    # Arrays are unpacked once, because each access through a bundle costs as much as a ray.
     alive, ended, spawned = slots.alive, slots.ended, slots.spawned
     position, velocity, speed = slots.position, slots.velocity, slots.speed
     start, sorted_xy, sorted_slot, person = cells.start, cells.xy, cells.slot, cells.person
@@ -167,7 +171,7 @@ def observe(
     ray_start, meeting = walls.ray_start, walls.meeting
     for w in prange(alive.shape[0]):
         _sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_slot)
-    # One flat list of persons, so that threads share them evenly however they lie in the slots.
+    # One flat list of persons, so that the work is distributed evenly over the threads.
     total = 0
     for w in range(alive.shape[0]):
         for at in range(start[w, cells.columns * cells.rows]):
@@ -205,7 +209,7 @@ def observe(
 
 @njit(error_model="numpy")
 def _sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_slot):
-    """Counting sort of a world's persons by cell, those who just ended included."""
+    """Counting sort of a world's persons by cell, including those who have just ended."""
     size = start.shape[1]
     for c in range(size):
         start[w, c] = 0
@@ -240,13 +244,13 @@ def _see_itself(w, i, position, velocity, target, beyond, max_speed, out):
 
 @njit(error_model="numpy")
 def _near(distance, reach):
-    """0 at a bound and beyond it, 1 where it is out of reach."""
+    """Scaled distance to a bound: 0 at and beyond the bound, 1 at `reach` or more."""
     return min(max(distance, 0.0), reach) / reach
 
 
 @njit(error_model="numpy")
 def _see_walls(x, y, cos, sin, lines, first, stop, meeting, reach, rays):
-    """Set each ray to the distance of the nearest wall, or to `reach`."""
+    """Set each ray to the distance of the nearest wall, at most `reach`."""
     rays[:] = reach
     ray, across, along = -1, 0.0, 0.0
     for m in range(first, stop):
@@ -261,9 +265,10 @@ def _see_walls(x, y, cos, sin, lines, first, stop, meeting, reach, rays):
 
 @njit(error_model="numpy")
 def _neighbours(w, i, x, y, far, ended, spawned, grid, start, sorted_xy, sorted_slot, near):
-    """Write where those closer than `far` stand, relative to (x, y), and return how many.
+    """Write the relative positions of people closer than `far` to `near` and return their number.
 
-    Who ended sees the crowd of before the entries; who is alive does not see who ended.
+    A person whose trip has just ended sees the crowd without those who entered in this step. A
+    person who is present does not see those whose trips have just ended.
     """
     gone = ended[w, i] != 0
     columns = grid[3]
@@ -277,8 +282,8 @@ def _neighbours(w, i, x, y, far, ended, spawned, grid, start, sorted_xy, sorted_
             dx, dy = sorted_xy[w, at, 0] - x, sorted_xy[w, at, 1] - y
             j = sorted_slot[w, at]
             visible = not spawned[w, j] if gone else ended[w, j] == 0
-            # Written always, counted if it is one: a branch here would be guessed wrong half
-            # of the time, which costs more.
+            # Always written, but counted only if visible. A branch would be mispredicted half of
+            # the time, which is slower.
             near[count, 0] = dx
             near[count, 1] = dy
             count += (dx * dx + dy * dy < far * far) & (j != i) & visible
@@ -287,12 +292,12 @@ def _neighbours(w, i, x, y, far, ended, spawned, grid, start, sorted_xy, sorted_
 
 @njit(error_model="numpy")
 def _see_disc(dx, dy, radius, cos, sin, rays):
-    """Shorten the rays that meet the disc of `radius` at (dx, dy).
+    """Shorten the rays that hit the disc of `radius` at (dx, dy).
 
-    Ray k meets it where the disc's centre is less than the radius beside the ray and not behind.
-    All rays are tried, without a branch and in float32: vector units do eight at once, which is
-    faster than finding the one or two that meet. The distance beside the ray is a difference of
-    products rather than of squares, so that grazing rays lose no digits.
+    A ray hits the disc if the centre is ahead and its perpendicular distance from the ray is at
+    most the radius. All rays are tested without branches and in float32: vector units process
+    eight at a time, which is faster than finding the one or two that hit. The perpendicular
+    distance is a difference of products rather than of squares, to keep precision for grazing rays.
     """
     zero = np.float32(0.0)
     squared = np.float32(radius * radius)

@@ -1,7 +1,8 @@
-"""Ways around walls: for walkers that know the plan of the place, and for observations.
+"""Shortest paths around walls, for walkers with a map of the scene and for observations.
 
-Shortest paths among polygons turn at corners only: a graph joins the corners, moved off the walls
-a little, that see each other (Lozano-Pérez & Wesley, Communications of the ACM 22, 1979).
+Shortest paths among polygons turn only at corners. The visibility graph connects all pairs of
+corners, moved slightly away from the walls, that are in sight of each other (Lozano-Pérez & Wesley,
+Communications of the ACM 22, 1979).
 """
 
 import math
@@ -18,38 +19,41 @@ from crowdbench.simulation.rules import distance_to_segment
 from crowdbench.simulation.walls import CELL_M, cell_of, walls_near
 
 CLEARANCE_M = 0.2
-"""How far ways keep off the corners of walls."""
-_GRAZE_M = 0.05  # corners see each other past walls thicker by this, so that one near a corner does
+"""Distance of paths from the corners of walls."""
+_GRAZE_M = 0.05  # walls are thicker by this between corners, so that people near one see the next
 _ROUNDING_M = 0.1
 MARGIN_M = 1.0
+"""Least distance between the walls and the border of the grid."""
 NEAR_M = 1.0
+"""Distance from a cell up to which walls are listed for it."""
 ROOM_M = 0.25
-"""Lines of sight that are no further apart, and so far from all walls, are free alike."""
-_ROUNDED_M = 1e-6  # far above what lengths are rounded by
+"""Greatest width of the free corridor that is stored around a line of sight."""
+_ROUNDED_M = 1e-6  # tolerance, far above the rounding of lengths
 
 _GRAPHS: dict[tuple[tuple[Wall, ...], Bounds], "tuple[np.ndarray, np.ndarray, Sight]"] = {}
 
 
 class Sight(NamedTuple):
-    """What lines of sight are looked up by: the walls near each cell of a grid; `C` cells."""
+    """Look-up tables for lines of sight: the walls near each of the `C` cells of a grid."""
 
     segments: np.ndarray
     """(S, 4) float64: x0, y0, x1, y1 in metres."""
     origin: np.ndarray
-    """(2,) float64: lower left corner of the grid, `MARGIN_M` or more from all walls."""
+    """(2,) float64: lower left corner of the grid, at least `MARGIN_M` from all walls."""
     columns: int
     rows: int
     start: np.ndarray
-    """(C + 1,) int32: the segments near cell c are `near[start[c]:start[c + 1]]`."""
+    """(C + 1,) int32: cell c has the nearby segments `near[start[c]:start[c + 1]]`."""
     near: np.ndarray
+    """int32: indices of the nearby segments of all cells."""
     free: np.ndarray
-    """(C,) float64: no other segment is nearer than that to any point of the cell, metres."""
+    """(C,) float64: lower bound of the distance from the cell to all other segments, in metres."""
     blockers: np.ndarray
     """(C, corners) int32: the segment that last hid a corner from a point in the cell, or −1."""
 
     @classmethod
     def past(cls, segments: Float[np.ndarray, "S 4"], corners: int) -> "Sight":
-        """The tables for these walls."""
+        """Tables for the given walls and number of corners."""
         ends = segments.reshape(-1, 2)
         lower = ends.min(axis=0, initial=0.0 if len(ends) == 0 else np.inf) - MARGIN_M
         upper = ends.max(axis=0, initial=0.0 if len(ends) == 0 else -np.inf) + MARGIN_M
@@ -60,9 +64,9 @@ class Sight(NamedTuple):
 
 
 class Routes:
-    """Where each person is to walk next so as to take the shortest way to its goal.
+    """Computes the next point on the shortest path of each person to its goal.
 
-    Keeps what it found for a goal as long as the person in a slot is the same.
+    The results for a goal are cached as long as a slot has the same goal.
     """
 
     def __init__(
@@ -75,13 +79,14 @@ class Routes:
         self._corners = corners
         self._between = between
         self._sight = sight or Sight.past(segments, len(corners))
-        self._known = np.empty((0, 0, 3), dtype=np.int64)
+        self._known = np.empty((0, 0, 2), dtype=np.int64)
+        self._goal = np.empty((0, 0, 2))
         self._seen = np.empty((0, 0, 5))
         self._to_goal = np.empty((0, 0, len(corners)))
 
     @classmethod
     def on(cls, scene: Scene) -> "Routes":
-        """Routes in a scene whose graph of corners, once drawn, is kept."""
+        """Routes in a scene. The visibility graph of a scene is computed once and cached."""
         graph = _GRAPHS.get((scene.walls, scene.bounds))
         if graph is None:
             corners = _corners(scene)
@@ -95,14 +100,13 @@ class Routes:
         self,
         world: Int[np.ndarray, " A"],
         slot: Int[np.ndarray, " A"],
-        person: Int[np.ndarray, " A"],
         position: Real[np.ndarray, "A 2"],
         goal: Real[np.ndarray, "A 2"],
     ) -> tuple[Float[np.ndarray, "A 2"], Float[np.ndarray, " A"]]:
-        """Where to walk next, metres, and how much of the way is left from there, metres.
+        """Next point (A, 2) of each path, and remaining path length (A,) from there, in metres.
 
-        That is the goal, or where a wall hides it the next corner of the way there. A goal that
-        cannot be reached is walked at straight.
+        The next point is the goal if it is in sight or cannot be reached, else the next corner of
+        the shortest path.
         """
         target, beyond = goal.astype(np.float64), np.zeros(len(slot))
         if len(self._sight.segments) and len(slot):
@@ -110,11 +114,11 @@ class Routes:
             _next(
                 world,
                 slot,
-                person.astype(np.int64),
                 position.astype(np.float64),
                 target,
                 beyond,
                 self._known,
+                self._goal,
                 self._seen,
                 self._to_goal,
                 self._corners,
@@ -128,20 +132,23 @@ class Routes:
         if worlds <= known[0] and slots <= known[1]:
             return
         shape = (max(worlds, known[0]), max(2 * slots, known[1]))
-        person = np.full((*shape, 3), -1, dtype=np.int64)
-        person[: known[0], : known[1]] = self._known
+        guess = np.full((*shape, 2), -1, dtype=np.int64)
+        guess[: known[0], : known[1]] = self._known
+        goal = np.full((*shape, 2), np.nan)
+        goal[: known[0], : known[1]] = self._goal
         seen = np.full((*shape, 5), np.nan)
         seen[: known[0], : known[1]] = self._seen
         to_goal = np.full((*shape, len(self._corners)), np.inf)
         to_goal[: known[0], : known[1]] = self._to_goal
-        self._known, self._seen, self._to_goal = person, seen, to_goal
+        self._known, self._goal = guess, goal
+        self._seen, self._to_goal = seen, to_goal
 
 
 def _corners(scene: Scene) -> Float[np.ndarray, "C 2"]:
-    """Corners of the walls that ways can turn at, moved off by the clearance."""
+    """Convex corners of the walls, moved away from the walls by the clearance."""
     solid = scene.obstacles
     grown = solid.buffer(CLEARANCE_M, join_style="mitre", mitre_limit=2.0)
-    # Rounding inwards must not bring corners to the walls.
+    # Grown a little further, so that simplification does not move corners closer to the walls.
     grown = grown.buffer(_ROUNDING_M, join_style="mitre").simplify(_ROUNDING_M / 2)
     found: list[tuple[float, float]] = []
     for part in shapely.get_parts(grown):
@@ -153,13 +160,13 @@ def _corners(scene: Scene) -> Float[np.ndarray, "C 2"]:
             along = points - np.roll(points, 1, axis=0)
             onward = np.roll(points, -1, axis=0) - points
             turns = along[:, 0] * onward[:, 1] - along[:, 1] * onward[:, 0]
-            found += [tuple(p) for p in points[turns > 0]]  # the wall is on the left: convex
+            found += [tuple(p) for p in points[turns > 0]]  # left turns: convex corners of the wall
     corners = np.array(found).reshape(-1, 2)
     return corners[scene.walkable(corners)]
 
 
 def _distances(corners: Float[np.ndarray, "C 2"], scene: Scene) -> Float[np.ndarray, "C C"]:
-    """Lengths of the shortest ways between corners; infinite where there is none."""
+    """Lengths of the shortest paths between corners in metres; infinite if there is none."""
     count = len(corners)
     if count == 0:
         return np.zeros((0, 0))
@@ -168,19 +175,18 @@ def _distances(corners: Float[np.ndarray, "C 2"], scene: Scene) -> Float[np.ndar
     a, b = np.triu_indices(count, 1)
     lines = shapely.linestrings(np.stack([corners[a], corners[b]], axis=1))
     free = ~shapely.intersects(solid, lines)
-    edges = np.zeros((count, count))  # of a dense graph, 0 is no edge
+    edges = np.zeros((count, count))  # in scipy's dense graphs, 0 means no edge
     edges[a[free], b[free]] = np.linalg.norm(corners[a[free]] - corners[b[free]], axis=1)
     return np.asarray(dijkstra(edges, directed=False))
 
 
 @njit(cache=True, error_model="numpy")
-def _next(
-    world, slot, person, position, goal, beyond, known, seen, to_goal, corners, between, sight
-):
-    """Replace hidden goals by the next corner, and say how far it is from there.
+def _next(world, slot, position, goal, beyond, known, of, seen, to_goal, corners, between, sight):
+    """Replace hidden goals in `goal` by the next corner; write the path length from it to `beyond`.
 
-    What was found is kept for the next step: in `known` the person, the wall that hides its goal
-    and its next corner, in `to_goal` its ways, and in `seen` its line of sight, see `_blocker`.
+    Results are cached for the next step: `known` contains the wall that hides a person's goal and
+    its next corner, `to_goal` the path lengths from all corners to the goal `of`, and `seen` its
+    line of sight, see `_blocker`.
     """
     count = len(corners)
     corner_x, corner_y = corners[:, 0].copy(), corners[:, 1].copy()
@@ -191,17 +197,17 @@ def _next(
         room = seen[w, i]
         if _still_in_sight(x, y, goal[a, 0], goal[a, 1], room):
             continue
-        wall = _blocker(x, y, goal[a, 0], goal[a, 1], known[w, i, 1], sight, room)
+        wall = _blocker(x, y, goal[a, 0], goal[a, 1], known[w, i, 0], sight, room)
         if wall < 0:
             continue
-        known[w, i, 1] = wall
+        known[w, i, 0] = wall
         own = to_goal[w, i]
-        if known[w, i, 0] != person[a]:
-            known[w, i, 0], known[w, i, 2] = person[a], -1
+        if of[w, i, 0] != goal[a, 0] or of[w, i, 1] != goal[a, 1]:
+            of[w, i, 0], of[w, i, 1], known[w, i, 1] = goal[a, 0], goal[a, 1], -1
             _to_goal(goal[a, 0], goal[a, 1], corners, between, sight, own)
         cell = _cell(x, y, sight)
-        # Most often it is the corner of the step before, or one whose way has become shorter.
-        last, limit = known[w, i, 2], np.inf
+        # Usually the next corner is that of the previous step, or one with a shorter path now.
+        last, limit = known[w, i, 1], np.inf
         if last >= 0:
             to_x, to_y = corners[last, 0], corners[last, 1]
             off = math.hypot(to_x - x, to_y - y)
@@ -220,9 +226,9 @@ def _next(
                 if off > _GRAZE_M:
                     tried[few], ways[few] = c, off + own[c]
                     few += 1
-        # The first corner in sight, in the order of the ways' lengths, is on the shortest: of two
-        # as long, the first.
-        known[w, i, 2] = -1
+        # Corners are tested in the order of path length (ties by index). The first one in sight is
+        # on the shortest path.
+        known[w, i, 1] = -1
         for _ in range(few):
             k = ways[:few].argmin()
             best = tried[k]
@@ -233,7 +239,7 @@ def _next(
             if wall < 0:
                 goal[a, 0], goal[a, 1] = corner_x[best], corner_y[best]
                 beyond[a] = own[best]
-                known[w, i, 2] = best
+                known[w, i, 1] = best
                 break
             blockers[cell, best] = wall
             ways[k] = np.inf
@@ -241,7 +247,7 @@ def _next(
 
 @njit(cache=True, error_model="numpy")
 def _to_goal(x, y, corners, between, sight, result):
-    """Length of the shortest way from each corner to (x, y)."""
+    """Write the length of the shortest path from each corner to (x, y) to `result`."""
     result[:] = np.inf
     cell, blockers, room = _cell(x, y, sight), sight.blockers, np.empty(5)
     for c in range(len(corners)):
@@ -261,7 +267,7 @@ def _cell(x, y, sight):
 
 @njit(error_model="numpy")
 def _still_in_sight(x, y, to_x, to_y, room):
-    """Whether a line from (x, y) keeps within the room around an earlier one to the same place."""
+    """Whether the line from (x, y) stays in the free corridor of an earlier line to that point."""
     if room[2] != to_x or room[3] != to_y:
         return False
     return distance_to_segment(x, y, room[0], room[1], to_x, to_y) < room[4]
@@ -269,11 +275,11 @@ def _still_in_sight(x, y, to_x, to_y, room):
 
 @njit(error_model="numpy")
 def _blocker(x, y, to_x, to_y, guess, sight, room):
-    """An edge of a wall that crosses the line from (x, y) to (to_x, to_y), −1 if there is none.
+    """Index of a wall segment that crosses the line from (x, y) to (to_x, to_y), −1 if none does.
 
-    Looks at `guess` first, then goes along the line, and in each cell that it comes to looks at
-    the edges near that cell: no other is met before the next one. If there is none, the ends of
-    the line and its distance from all walls, `ROOM_M` at most, go into `room`.
+    Tests `guess` first. Then it moves along the line and tests the segments near each visited cell;
+    no other segment can be met before the next visited cell. If none crosses, it writes the ends
+    of the line and its distance from all walls, at most `ROOM_M`, to `room`.
     """
     segments = sight.segments
     if guess >= 0 and _crosses(x, y, to_x, to_y, segments[guess]):
@@ -288,7 +294,7 @@ def _blocker(x, y, to_x, to_y, guess, sight, room):
         px, py = x + along * dx, y + along * dy
         off = max(max(left - px, px - right), max(low - py, py - top))
         if off > 0.0:
-            at += off + MARGIN_M - ROOM_M  # outside the grid, which reaches so far beyond all walls
+            at += off + MARGIN_M - ROOM_M  # outside the grid: no wall is within off + MARGIN_M
             continue
         cell = _cell(px, py, sight)
         for k in range(sight.start[cell], sight.start[cell + 1]):
@@ -304,7 +310,7 @@ def _blocker(x, y, to_x, to_y, guess, sight, room):
 
 @njit(error_model="numpy")
 def _apart(ax, ay, bx, by, cx, cy, dx, dy):
-    """Distance of the segments a–b and c–d that do not cross."""
+    """Distance between the segments a–b and c–d, which must not cross."""
     one = min(distance_to_segment(ax, ay, cx, cy, dx, dy),
               distance_to_segment(bx, by, cx, cy, dx, dy))  # fmt: skip
     other = min(distance_to_segment(cx, cy, ax, ay, bx, by),
@@ -314,12 +320,12 @@ def _apart(ax, ay, bx, by, cx, cy, dx, dy):
 
 @njit(error_model="numpy")
 def _crosses(x, y, to_x, to_y, segment):
-    """Whether an edge of a wall crosses the line from (x, y) to (to_x, to_y)."""
+    """Whether a wall segment crosses the line from (x, y) to (to_x, to_y)."""
     dx, dy = to_x - x, to_y - y
     ax, ay = segment[0] - x, segment[1] - y
     bx, by = segment[2] - x, segment[3] - y
-    # Its ends on different sides of the line, and the line's ends on different sides of it. Who
-    # meets but a corner, or an edge end-on, is stopped by it too.
+    # They cross if the ends of the segment are on different sides of the line and the ends of the
+    # line on different sides of the segment. A line through an end of the segment is blocked too.
     side_a, side_b = dx * ay - dy * ax, dx * by - dy * bx
     if side_a * side_b <= 0.0:
         ex, ey = bx - ax, by - ay

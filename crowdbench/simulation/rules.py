@@ -1,6 +1,6 @@
-"""The rules of one agent, each a plain scalar function: what a step does to a single person.
+"""Scalar functions for the step of a single person.
 
-Written without arrays of agents, so that the same source can be compiled for other devices.
+They use no arrays of agents, so that the same source can be compiled for other devices.
 """
 
 import math
@@ -8,16 +8,14 @@ import math
 import numpy as np
 from numba import njit
 
-CLEARANCE_M = 1e-3  # how far from a wall a stopped person stands: far above float32's rounding
-AHEAD_M = 10 * CLEARANCE_M  # how far beyond the end of a move a wall can still stop it
-JOINT = (
-    1e-9  # by how much of its length a segment reaches over its ends, to leave no slit at joints
-)
+CLEARANCE_M = 1e-3  # distance of a stopped person from the wall, far above float32 rounding
+AHEAD_M = 10 * CLEARANCE_M  # distance beyond the end of a move at which a wall can still stop it
+JOINT = 1e-9  # share of its length by which a segment is extended, to close gaps at joints
 
 
 @njit(error_model="numpy")
 def command(action_x, action_y, max_speed):
-    """Velocity in m/s that an action commands: clipped to [−1, 1]² and then to `max_speed`."""
+    """Velocity in m/s of an action, clipped to [−1, 1]² and then to `max_speed`."""
     x = min(1.0, max(-1.0, action_x))
     y = min(1.0, max(-1.0, action_y))
     length = math.sqrt(x * x + y * y)
@@ -27,7 +25,7 @@ def command(action_x, action_y, max_speed):
 
 @njit(error_model="numpy")
 def distance_to_segment(px, py, ax, ay, bx, by):
-    """Distance from the point p to the segment from a to b, metres."""
+    """Distance from the point p to the segment from a to b, in metres."""
     dx, dy = bx - ax, by - ay
     squared = dx * dx + dy * dy
     t = 0.0
@@ -41,8 +39,8 @@ def distance_to_segment(px, py, ax, ay, bx, by):
 def crossing(px, py, dx, dy, ax, ay, bx, by):
     """Fraction of the move d from p at which it meets the segment a–b; infinite if it does not.
 
-    A move that would end in front of the segment, but less than the clearance away, meets it
-    too, at a fraction above 1: rounded to float32, its end could lie behind.
+    A move that ends in front of the segment but within the clearance also meets it, at a fraction
+    above 1: after rounding to float32, its end could lie behind the segment.
     """
     ex, ey = bx - ax, by - ay
     cross = dx * ey - dy * ex
@@ -62,13 +60,13 @@ def crossing(px, py, dx, dy, ax, ay, bx, by):
 
 @njit(error_model="numpy")
 def walk(px, py, dx, dy, segments, near, start, stop):
-    """Move p by d among walls: stop before the first wall met, slide along it with the rest.
+    """Move p by d: stop before the first wall and slide along it with the rest of the move.
 
-    `near[start:stop]` are the indices of the segments (x0, y0, x1, y1) that may be met. Returns
-    the new position and whether a wall was hit. Never crosses a segment.
+    `near[start:stop]` are the indices of the segments (x0, y0, x1, y1) that may be met. Returns x,
+    y and whether a wall was hit. The move never crosses a segment.
     """
     hit = False
-    for _ in range(3):  # a wall, the next wall of a corner, and no third
+    for _ in range(3):  # at most two slides: along a wall and along the next wall of a corner
         first, wall = np.inf, -1
         for k in range(start, stop):
             s = near[k]
@@ -85,7 +83,7 @@ def walk(px, py, dx, dy, segments, near, start, stop):
         length = math.sqrt(ex * ex + ey * ey)
         ex, ey = ex / length, ey / length
         into_wall = abs(dx * ey - dy * ex)
-        # Back off along the way that came, so that no other wall can be in between.
+        # Step back along the move, so that no other wall can be in between.
         t = max(0.0, first - CLEARANCE_M / into_wall)
         px, py = px + t * dx, py + t * dy
         along = (1.0 - t) * (dx * ex + dy * ey)

@@ -1,4 +1,4 @@
-"""`Simulation`: the object around the kernels."""
+"""`Simulation`: the class that runs the compiled kernels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,22 +22,24 @@ from crowdbench.simulation.step import advance, populate
 from crowdbench.simulation.walls import wall_table
 from crowdbench.spawn.events import SpawnEvents, no_events
 
-TIMEOUT_DWELLS = 2.0
-"""A life is cut off at this many times the 99th percentile of the recorded dwell times."""
+GIVE_UP_S = 30.0
+"""Seconds without progress after which a person no longer walks to its via point."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Sizes of a simulation and of what persons see."""
+    """Capacity of a simulation, and its observation."""
 
     max_alive: int = 256
-    """N: persons there at once, per world."""
+    """Number of slots N: maximum number of people at the same time per world."""
     max_persons: int = 1_000_000
-    """Persons ever, per world and episode."""
+    """Maximum number of people per world and episode."""
     rays: int = 32
+    """Number of rays of an observation."""
     ray_range_m: float = 10.0
+    """Range of the rays in metres."""
     observation: str = OBSERVATION
-    """Version of what they see, `lidar-1` to `lidar-3`; see `simulation.observations`."""
+    """Version of the observation, `lidar-1` to `lidar-3` or a registered one."""
 
     def __post_init__(self) -> None:
         for name in ("max_alive", "max_persons", "rays"):
@@ -48,24 +50,30 @@ class Settings:
             raise SettingError(
                 "ray_range_m", got=str(self.ray_range_m), expected="a positive number of metres"
             )
-        observation_of(self.observation)  # whether there is one
+        observation_of(self.observation)  # raises an error if it does not exist
 
 
 class Simulation:
-    """`W` worlds of one scene, `N` slots each, all stepped together.
+    """`W` worlds of one scene with `N` slots each, all stepped together.
 
-    After `reset` and after each `step` the arrays in `slots` and `observation` say who is
-    there. A step does, in this order:
+    After `reset` and each `step`, the arrays in `slots` hold the state of everyone present;
+    `observe` fills `observation`. A step consists of these parts, in this order:
 
-    1. free the slots of those whose life ended in the step before;
-    2. move everyone by the commanded velocity (clipped to [−1, 1]² and to `max_speed`), stopping
-       at walls and sliding along them; a frame goes by;
-    3. end lives: `goal` where the way walked came within the goal radius, else `exit` outside
-       the bounds, else `timeout`; people cut off in the recording leave at its last frame;
-       at the horizon everyone does;
-    4. let in who is due: a person waits for someone already there and too close, never for
-       people who enter in the same frame; nobody enters at the horizon;
-    5. observe.
+    1. Free the slots of people whose trips ended in the previous step.
+    2. Advance the clock by one frame and move everyone by the commanded velocity (clipped to
+       [−1, 1]² and to `max_speed`). People stop at walls and slide along them.
+    3. End trips: `goal` if the path walked in this step came within the goal radius, else `exit`
+       outside the bounds, else `timeout`. People whose recording is cut off leave in its last
+       frame. At the horizon all trips end.
+
+       The *target* of a person is its via point until it has been visited, then its goal. A visit
+       begins when the path walked in a step comes within 1 m of the via point, or within 3 m of it
+       and ends beyond it, as seen from the start. It lasts for the person's wait; nobody is forced
+       to stand still. If a person has not come closer to the via point (by 0.5 m) for 30 s, it
+       cannot be reached, and the goal is the target. Trips end at the goal only while it is the
+       target, and the timeout is extended by the wait.
+    4. Let people enter who are due. A person waits while someone who was already present is too
+       close, but not for people who enter in the same frame. Nobody enters at the horizon.
     """
 
     def __init__(self, scene: Scene, *, worlds: int = 1, settings: Settings | None = None) -> None:
@@ -85,14 +93,14 @@ class Simulation:
             step_m=step_m,
         )
         self._cells = Cells.between(worlds, s.max_alive, lower, upper, s.ray_range_m / 2)
-        timeout_s = TIMEOUT_DWELLS * scene.recording.dwell_p99_s
         self._limits = Limits(
             dt=scene.dt_s,
             max_speed=motion.max_speed_mps,
             goal_radius=motion.goal_radius_m,
             clearance=scene.spawning.clearance_m,
             patience=scene.frames(scene.spawning.patience_s),
-            timeout=scene.frames(timeout_s),
+            timeout=scene.frames(scene.timeout_s),
+            patience_via=scene.frames(GIVE_UP_S),
             max_persons=s.max_persons,
             x_min=bounds.x_min_m,
             x_max=bounds.x_max_m,
@@ -109,7 +117,7 @@ class Simulation:
         self._seen = self.observation
         if self._more is not None:
             shape = (worlds, s.max_alive, self._head + s.rays)
-            self._seen = np.zeros(shape, np.float32)  # kernels write whole arrays
+            self._seen = np.zeros(shape, np.float32)  # kernels write contiguous arrays
         self.nearest: Float32[np.ndarray, "W N"] = np.full(
             (worlds, s.max_alive), np.inf, np.float32
         )
@@ -127,10 +135,10 @@ class Simulation:
         )
 
     def reset(self, events: Sequence[SpawnEvents], *, horizon: int, first_frame: int = 0) -> None:
-        """Begin an episode with one sequence of events per world.
+        """Begin an episode with the spawn events of each world.
 
-        The clock starts at `first_frame` (negative for a warm-up) and the episode ends at frame
-        `horizon`.
+        The clock starts at frame `first_frame` (negative for a warm-up), and the episode ends at
+        frame `horizon`.
         """
         self.events = list(events)
         self._queue = Queue.of(self.events, self.scene.dt_s)
@@ -139,12 +147,12 @@ class Simulation:
         self._populate(1, self.slots, self._queue, self.clock, self._limits)
 
     def step(self, actions: Float32[np.ndarray, "W N 2"]) -> None:
-        """Advance every world by one frame, without observing.
+        """Advance every world by one frame; call `observe` for new observations.
 
         Raises:
-            ActionError: actions of another shape.
+            ActionError: `actions` have another shape.
         """
-        # The compiled kernel trusts its arguments' types, so they are made sure of here.
+        # The compiled kernel does not check the types of its arguments, so they are ensured here.
         if actions.dtype != np.float32 or not actions.flags.c_contiguous:
             actions = np.ascontiguousarray(actions, dtype=np.float32)
         if actions.shape != self.slots.position.shape:
@@ -155,16 +163,16 @@ class Simulation:
             )
         np.copyto(self.remaining_before, self.remaining)
         arguments = (actions, self.slots, self._queue, self.clock, self._limits, self._walls)
-        # Persons of one world interact at entries: threads share worlds, not persons.
+        # People of one world interact when they enter, so threads run different worlds.
         self._advance(self.slots.alive.size if self.worlds > 1 else 1, *arguments)
 
     def observe(self) -> Float32[np.ndarray, "W N obs"]:
-        """Fill `observation` for everyone alive or just ended, and return it.
+        """Update and return `observation` for everyone present or just ended.
 
-        `nearest` then holds how far it is to the nearest person that each of them sees, and
-        `remaining` how far to the goal, along the way that the observation points to: straight in
-        `lidar-1`, around walls in later versions. `remaining_before` holds what `remaining` was
-        before the last step, if that had been observed. All in metres.
+        Also updates `nearest`, the distance to the nearest visible person, and `remaining`, the
+        length of the path to the target that the observation uses: straight in `lidar-1`, around
+        walls in the other versions. `remaining_before` is the value of `remaining` before the last
+        step, if `observe` was called then. All lengths are in metres.
         """
         arguments = (
             self.slots,
@@ -189,24 +197,36 @@ class Simulation:
         return self.observation
 
     def _towards(self) -> Float32[np.ndarray, "W N 2"]:
-        """Where everyone is to walk; how far it is from there goes into `_beyond`."""
+        """Next point on everyone's path; writes the path length from there to `_beyond`."""
         slots = self.slots
         if self._routes is None:
-            return slots.goal
+            return slots.target
         at = np.flatnonzero(slots.alive | (slots.ended != 0))
         target, beyond = self._routes.next_of(
             *np.divmod(at, slots.alive.shape[1]),
-            slots.person.ravel().take(at),
             slots.position.reshape(-1, 2).take(at, axis=0),
-            slots.goal.reshape(-1, 2).take(at, axis=0),
+            slots.target.reshape(-1, 2).take(at, axis=0),
         )
         self._target.reshape(-1, 2)[at], self._beyond.reshape(-1)[at] = target, beyond
         return self._target
 
-    def number_anew(self) -> None:
-        """Give those present the ids from 0 on: the end of a warm-up.
+    def to_via(
+        self, world: Int[np.ndarray, " n"], slot: Int[np.ndarray, " n"]
+    ) -> Float32[np.ndarray, " n"]:
+        """Straight distance of the persons in these worlds and slots to their via points, metres.
 
-        Who was turned away in the warm-up stays counted: the crowd lacks them from the start.
+        NaN for people without one.
+        """
+        via = self._queue.via[world, self.slots.event[world, slot]]
+        off = via - self.slots.position[world, slot]
+        distance: np.ndarray = np.sqrt((off * off).sum(axis=-1))
+        return distance
+
+    def number_anew(self) -> None:
+        """Renumber the people present from 0; called at the end of a warm-up.
+
+        People who could not enter in the warm-up remain counted, because they are missing from
+        the initial crowd.
         """
         slots, clock = self.slots, self.clock
         for w in range(self.worlds):
@@ -218,18 +238,18 @@ class Simulation:
         slots.ended[:] = 0
 
     def next_due(self, world: int = 0) -> int | None:
-        """Frame of the first event that is still to come, None if there is none."""
+        """Frame of the first pending spawn event of a world, None if there is none."""
         at = int(self.clock.cursor[world])
         if at >= len(self.events[world]):
             return None
         return int(self._queue.due[world, at])
 
     def skip_to(self, frame: int) -> None:
-        """Advance empty worlds to the frame before `frame` at once: nothing happens in them."""
+        """Set the clock to the frame before `frame`; all worlds must be empty until then."""
         np.maximum(self.clock.frame, frame - 1, out=self.clock.frame)
 
     def waited(
         self, world: int, event: Int[np.ndarray, " n"], born: Int[np.ndarray, " n"]
     ) -> Int[np.ndarray, " n"]:
-        """Frames that the persons of these events, born in these frames, waited to enter."""
+        """Number of frames that the persons of `event` waited before they entered in `born`."""
         return born - self._queue.due[world, event]

@@ -1,4 +1,4 @@
-"""The arrays of a simulation, in bundles that the compiled kernels take."""
+"""State of a simulation: named tuples of arrays, which are passed to the compiled kernels."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,41 +9,54 @@ from crowdbench.spawn.events import SpawnEvents
 
 GOAL, EXIT, TIMEOUT, RECORDED, HORIZON = 1, 2, 3, 4, 5  # indices into trajectories.OUTCOMES
 TERMINAL = (GOAL, EXIT, RECORDED)
-"""Outcomes that terminate a life; a timeout and the horizon truncate it."""
-PENDING, ENTERED, DROPPED = 0, 1, 2  # what became of an event
+"""Outcomes that terminate a trip; a timeout and the horizon truncate it."""
+PENDING, ENTERED, DROPPED = 0, 1, 2  # states of a spawn event
+TO_GOAL, TO_VIA, WAITING = 0, 1, 2  # stages of a trip
 
 
 class Slots(NamedTuple):
     """State per slot, each array (W, N) or (W, N, 2)."""
 
     alive: np.ndarray
-    """There after this step."""
+    """Whether the slot is occupied after this step."""
     ended: np.ndarray
-    """How the life ended that ended in this step, 0 for none; the slot is free in the next."""
+    """Outcome of the trip that ended in this step, 0 for none; the next step frees the slot."""
     spawned: np.ndarray
-    """Entered in this step."""
+    """Whether the person entered in this step."""
     hit_wall: np.ndarray
-    """Met a wall in this step."""
+    """Whether the person met a wall in this step."""
     position: np.ndarray
+    """Position in metres."""
     velocity: np.ndarray
-    """Displacement of this step divided by dt."""
+    """Displacement in this step divided by dt, in m/s."""
     goal: np.ndarray
+    """Position of the goal in metres."""
+    target: np.ndarray
+    """Where the person walks to now, in metres: the via point, if it still has one, or the goal."""
+    stage: np.ndarray
+    """TO_GOAL, TO_VIA or WAITING."""
+    until: np.ndarray
+    """Frame in which a waiting person's target becomes the goal."""
+    closest: np.ndarray
+    """Smallest distance to the via point so far, in metres."""
+    nearer: np.ndarray
+    """Frame in which the person last came closer to its via point."""
     speed: np.ndarray
-    """Preferred speed."""
+    """Preferred speed in m/s."""
     person: np.ndarray
-    """Person id, −1 where nobody has been yet."""
+    """Id of the present or last person, −1 if the slot has never been occupied."""
     event: np.ndarray
-    """Index of the person's event."""
+    """Index of the person's spawn event."""
     born: np.ndarray
-    """Frame of entry."""
+    """Frame in which the person entered."""
     leave: np.ndarray
-    """Frame at which the person is taken away, −1 for never."""
+    """Frame in which the person is removed, −1 for never."""
     scripted: np.ndarray
-    """Leaves at that frame and for no other reason."""
+    """Whether the person leaves in the frame `leave` only, regardless of its position."""
 
     @classmethod
     def empty(cls, worlds: int, size: int) -> "Slots":
-        """No one anywhere."""
+        """Slots of `worlds` worlds with `size` slots each, all empty."""
         shape = (worlds, size)
         return cls(
             alive=np.zeros(shape, np.bool_),
@@ -53,6 +66,11 @@ class Slots(NamedTuple):
             position=np.zeros((*shape, 2), np.float32),
             velocity=np.zeros((*shape, 2), np.float32),
             goal=np.zeros((*shape, 2), np.float32),
+            target=np.zeros((*shape, 2), np.float32),
+            stage=np.zeros(shape, np.int8),
+            until=np.zeros(shape, np.int32),
+            closest=np.zeros(shape, np.float32),
+            nearer=np.zeros(shape, np.int32),
             speed=np.zeros(shape, np.float32),
             person=np.full(shape, -1, np.int32),
             event=np.full(shape, -1, np.int32),
@@ -63,28 +81,37 @@ class Slots(NamedTuple):
 
 
 class Queue(NamedTuple):
-    """The events of each world, padded to (W, E), and what became of them."""
+    """Spawn events of each world, padded to (W, E), and their states."""
 
     due: np.ndarray
     """(W, E) first frame at or after the event's time; padding is never due."""
     start: np.ndarray
+    """(W, E, 2) position of entry in metres."""
     goal: np.ndarray
+    """(W, E, 2) position of the goal in metres."""
+    via: np.ndarray
+    """(W, E, 2) position of the via point in metres, NaN for none."""
+    wait: np.ndarray
+    """(W, E) number of frames for which the via point remains the target once it is reached."""
     speed: np.ndarray
+    """(W, E) preferred speed in m/s."""
     velocity: np.ndarray
+    """(W, E, 2) velocity at entry in m/s."""
     waits: np.ndarray
-    """(W, E) whether the event may wait for free space."""
+    """(W, E) whether the person waits for free space."""
     leave: np.ndarray
-    """(W, E) frame at which the person is taken away, −1 for never."""
+    """(W, E) frame in which the person is removed, −1 for never."""
     scripted: np.ndarray
+    """(W, E) whether the person leaves in the frame `leave` only."""
     status: np.ndarray
     """(W, E) PENDING, ENTERED or DROPPED."""
 
     @classmethod
     def of(cls, events: Sequence[SpawnEvents], dt_s: float) -> "Queue":
-        """Pad and stack the events of each world."""
+        """Queue of the given events, padded and stacked."""
         size = max(1, *(len(e) for e in events))
 
-        def stacked(arrays: list[np.ndarray], fill: float, kind: type) -> np.ndarray:
+        def stacked(arrays: list[np.ndarray], fill: int | float, kind: type) -> np.ndarray:
             out = np.full((len(arrays), size, *arrays[0].shape[1:]), fill, dtype=kind)
             for w, array in enumerate(arrays):
                 out[w, : len(array)] = array
@@ -96,6 +123,8 @@ class Queue(NamedTuple):
             due=stacked(due, never, np.int32),
             start=stacked([e.start for e in events], 0, np.float32),
             goal=stacked([e.goal for e in events], 0, np.float32),
+            via=stacked([e.via for e in events], np.nan, np.float32),
+            wait=stacked([np.ceil(e.wait_s / dt_s - 1e-6) for e in events], 0, np.int32),
             speed=stacked([e.speed for e in events], 0, np.float32),
             velocity=stacked([e.velocity for e in events], 0, np.float32),
             waits=stacked([e.entered & ~e.scripted for e in events], 0, np.bool_),
@@ -109,38 +138,42 @@ class Clock(NamedTuple):
     """Counters per world, each (W,)."""
 
     frame: np.ndarray
+    """Current frame."""
     horizon: np.ndarray
-    """Frame at which the episode ends; nobody enters there."""
+    """Frame in which the episode ends; nobody enters in it."""
     cursor: np.ndarray
-    """First event that is still pending."""
+    """Index of the first pending event."""
     changed: np.ndarray
-    """Whether anyone entered, ended or was turned away in this step (0 or 1)."""
+    """Whether anyone entered, ended or was dropped in this step (0 or 1)."""
     ids: np.ndarray
-    """Person ids given out."""
+    """Number of person ids in use."""
     no_slot: np.ndarray
-    """Events dropped because every slot was taken."""
+    """Number of events dropped because all slots were occupied."""
     no_id: np.ndarray
-    """Events dropped because every id was given out."""
+    """Number of events dropped because all ids were in use."""
 
     @classmethod
     def at(cls, worlds: int, frame: int, horizon: int) -> "Clock":
-        """All worlds at `frame`, all counts at zero."""
+        """Clock with all worlds at `frame` and all counters at zero."""
         zeros = [np.zeros(worlds, np.int32) for _ in range(5)]
         first = np.full(worlds, frame, np.int32)
         return cls(first, np.full(worlds, horizon, np.int32), *zeros)
 
 
 class Limits(NamedTuple):
-    """Numbers that hold for the whole simulation."""
+    """Constants of a simulation, in metres, seconds and m/s unless stated otherwise."""
 
     dt: float
     max_speed: float
     goal_radius: float
     clearance: float
+    """A person waits to enter while someone is closer than this."""
     patience: int
-    """Frames."""
+    """Number of frames after which a waiting person enters anyway."""
     timeout: int
-    """Frames."""
+    """Number of frames after which a trip ends, in addition to the wait at its via point."""
+    patience_via: int
+    """Number of frames without progress after which a person gives up its via point."""
     max_persons: int
     x_min: float
     x_max: float

@@ -1,4 +1,4 @@
-"""The kernel of a step: move, end lives, let people in."""
+"""The kernel of a step: move people, end trips, let people enter."""
 
 import math
 
@@ -16,16 +16,26 @@ from crowdbench.simulation.state import (
     PENDING,
     RECORDED,
     TIMEOUT,
+    TO_GOAL,
+    TO_VIA,
+    WAITING,
 )
 from crowdbench.simulation.walls import CELL_M, cell_of
+from crowdbench.spawn.plans import VISIT_M
+
+PASSED_M = 3.0
+"""Distance up to which a via point counts as visited by those who have passed it."""
+CLOSER_M = 0.5
+"""Least decrease of the distance to a via point that counts as coming closer."""
 
 
 @kernel
 def advance(actions, slots, queue, clock, limits, walls):
-    """One step of every world, as `Simulation` describes it; `actions` is (W, N, 2)."""
-    # Arrays are unpacked once: reaching into a bundle for each person costs more than its walk.
+    """Advance every world by one step, as described in `Simulation`; `actions` is (W, N, 2)."""
+    # Arrays are unpacked once, because access through a bundle costs more than moving a person.
     alive, ended, spawned, hit_wall = slots.alive, slots.ended, slots.spawned, slots.hit_wall
     position, velocity, goal = slots.position, slots.velocity, slots.goal
+    stage, event, wait = slots.stage, slots.event, queue.wait
     born, leave, scripted = slots.born, slots.leave, slots.scripted
     segments, near, near_start = walls.segments, walls.step_segment, walls.step_start
     clear = walls.clear
@@ -41,7 +51,7 @@ def advance(actions, slots, queue, clock, limits, walls):
             spawned[w, i] = False
             hit_wall[w, i] = False
             if alive[w, i]:
-                # np.float64, because numba's float() leaves a float32 what it is.
+                # np.float64, because numba's float() does not convert float32.
                 x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
                 vx, vy = command(
                     np.float64(actions[w, i, 0]), np.float64(actions[w, i, 1]), max_speed
@@ -49,18 +59,22 @@ def advance(actions, slots, queue, clock, limits, walls):
                 cell = cell_of(x, y, grid)
                 first, stop = near_start[cell], near_start[cell + 1]
                 if math.sqrt(vx * vx + vy * vy) * dt + 2 * AHEAD_M < clear[cell]:
-                    stop = first  # no wall is so near
+                    stop = first  # no wall is within reach
                 to_x, to_y, hit = walk(x, y, vx * dt, vy * dt, segments, near, first, stop)
                 position[w, i, 0] = to_x
                 position[w, i, 1] = to_y
                 velocity[w, i, 0] = (to_x - x) / dt
                 velocity[w, i, 1] = (to_y - y) / dt
                 hit_wall[w, i] = hit
-                goal_x, goal_y = np.float64(goal[w, i, 0]), np.float64(goal[w, i, 1])
-                to_goal = distance_to_segment(goal_x, goal_y, x, y, to_x, to_y)
+                to_goal, since = np.inf, born[w, i]
+                if stage[w, i] != TO_GOAL:
+                    _visit(w, i, frame, x, y, to_x, to_y, slots, queue, limits)
+                if stage[w, i] == TO_GOAL:
+                    goal_x, goal_y = np.float64(goal[w, i, 0]), np.float64(goal[w, i, 1])
+                    to_goal = distance_to_segment(goal_x, goal_y, x, y, to_x, to_y)
+                since += wait[w, event[w, i]]
                 how = outcome(
-                    to_goal, to_x, to_y, frame, born[w, i], leave[w, i], scripted[w, i], horizon,
-                    limits,
+                    to_goal, to_x, to_y, frame, since, leave[w, i], scripted[w, i], horizon, limits,
                 )  # fmt: skip
                 ended[w, i] = how
                 alive[w, i] = how == 0
@@ -71,30 +85,55 @@ def advance(actions, slots, queue, clock, limits, walls):
 
 @kernel
 def populate(slots, queue, clock, limits):
-    """Let in who is due in the first frame."""
+    """Let people enter who are due in the first frame."""
     for w in prange(slots.alive.shape[0]):
         _spawn_due(w, slots, queue, clock, limits)
 
 
 @njit(error_model="numpy")
-def outcome(to_goal, x, y, frame, born, leave, scripted, horizon, limits):
-    """How a life ends in this frame, 0 if it goes on; the first rule that applies.
+def outcome(to_goal, x, y, frame, since, leave, scripted, horizon, limits):
+    """Outcome of a trip that ends in this frame, by the first rule that applies; 0 if it goes on.
 
-    `to_goal` is the distance of the way walked in this step from the goal: a test of the
-    position alone would let fast walkers step over it.
+    `to_goal` is the distance between the goal and the path walked in this step, infinite before the
+    via point has been visited. Testing only the end of the step would miss goals that fast walkers
+    step over. `since` is the frame of entry plus the frames of waiting.
     """
     if not scripted:
         if to_goal <= limits.goal_radius:
             return GOAL
         if not (limits.x_min < x < limits.x_max and limits.y_min < y < limits.y_max):
             return EXIT
-        if frame - born >= limits.timeout:
+        if frame - since >= limits.timeout:
             return TIMEOUT
     if 0 <= leave <= frame:
         return RECORDED
     if frame >= horizon:
         return HORIZON
     return 0
+
+
+@njit(error_model="numpy")
+def _visit(w, i, frame, x, y, to_x, to_y, slots, queue, limits):
+    """Advance the visit of a person to its via point; see `Simulation` for the rules."""
+    if slots.stage[w, i] == TO_VIA:
+        e = slots.event[w, i]
+        via_x, via_y = np.float64(slots.target[w, i, 0]), np.float64(slots.target[w, i, 1])
+        distance = distance_to_segment(via_x, via_y, x, y, to_x, to_y)
+        if distance < slots.closest[w, i] - CLOSER_M:
+            slots.closest[w, i] = distance
+            slots.nearer[w, i] = frame
+        given_up = frame - slots.nearer[w, i] >= limits.patience_via
+        passed = False
+        if distance <= PASSED_M:
+            way_x, way_y = via_x - queue.start[w, e, 0], via_y - queue.start[w, e, 1]
+            passed = (to_x - via_x) * way_x + (to_y - via_y) * way_y > 0.0
+        if distance <= VISIT_M or passed or given_up:
+            slots.stage[w, i] = WAITING
+            slots.until[w, i] = frame if given_up else frame + queue.wait[w, e]
+    if slots.stage[w, i] == WAITING and frame >= slots.until[w, i]:
+        slots.stage[w, i] = TO_GOAL
+        slots.target[w, i, 0] = slots.goal[w, i, 0]
+        slots.target[w, i, 1] = slots.goal[w, i, 1]
 
 
 @njit(error_model="numpy")
@@ -133,7 +172,7 @@ def _spawn_due(w, slots, queue, clock, limits):
 
 @njit(error_model="numpy")
 def _blocked(w, e, slots, queue, frame, clearance):
-    """Whether someone who was there before this frame stands in the way of event e."""
+    """Whether someone who entered before this frame is too close to the start of event e."""
     for i in range(slots.alive.shape[1]):
         if slots.alive[w, i] and slots.born[w, i] < frame:
             dx = np.float64(slots.position[w, i, 0]) - np.float64(queue.start[w, e, 0])
@@ -154,6 +193,14 @@ def _enter(w, i, e, slots, queue, clock):
         slots.position[w, i, k] = queue.start[w, e, k]
         slots.velocity[w, i, k] = queue.velocity[w, e, k]
         slots.goal[w, i, k] = queue.goal[w, e, k]
+        slots.target[w, i, k] = queue.via[w, e, k]
+    slots.stage[w, i] = TO_VIA
+    if np.isnan(queue.via[w, e, 0]):
+        slots.stage[w, i] = TO_GOAL
+        for k in range(2):
+            slots.target[w, i, k] = queue.goal[w, e, k]
+    slots.closest[w, i] = np.inf
+    slots.nearer[w, i] = clock.frame[w]
     slots.speed[w, i] = queue.speed[w, e]
     slots.person[w, i] = clock.ids[w]
     slots.event[w, i] = e

@@ -1,8 +1,8 @@
-"""Look-up tables of a scene's walls: which a ray can meet, and which a step can.
+"""Look-up tables of the walls that rays and steps can hit.
 
-Ray directions are fixed in the world frame, so for each cell of a grid and each direction the
-few segments that can be the nearest one hit are known beforehand. The distances themselves are
-exact: the table narrows the search, it does not round.
+Ray directions are fixed in the world frame. For each cell of a grid and each ray direction, the
+table therefore lists the few segments that can be hit first. The table only narrows the search;
+distances are exact.
 """
 
 import math
@@ -16,11 +16,11 @@ from numba import njit
 from crowdbench.simulation.rules import distance_to_segment
 
 CELL_M = 0.5
-EDGE_ON = 1e-9  # sine of the angle between a wall and a ray that runs along it
+EDGE_ON = 1e-9  # sine of the angle below which a ray counts as parallel to a wall
 
 
 class WallTable(NamedTuple):
-    """Segments, and candidate lists in compressed rows; `C` cells, `R` rays, `S` segments."""
+    """Wall segments and lists of candidates, for `C` cells, `R` rays and `S` segments."""
 
     segments: np.ndarray
     """(S, 4) float64: x0, y0, x1, y1 in metres."""
@@ -29,20 +29,23 @@ class WallTable(NamedTuple):
     columns: int
     rows: int
     cos: np.ndarray
-    """(R,) float64: direction of each ray, and its sine."""
+    """(R,) float64: cosine of each ray's direction."""
     sin: np.ndarray
+    """(R,) float64: sine of each ray's direction."""
     lines: np.ndarray
-    """(R, S, 4) float64: in the frame of ray r (u along it, v across it) segment s is
-    u = lines[0] + lines[1]·v for lines[2] ≤ v ≤ lines[3]."""
+    """(R, S, 4) float64: with l = lines[r, s], segment s in the frame of ray r (u along the ray,
+    v across it) is u = l[0] + l[1]·v for l[2] ≤ v ≤ l[3]."""
     ray_start: np.ndarray
-    """(C + 1,) int32: the rows of `meeting` that belong to cell c are `start[c]:start[c + 1]`."""
+    """(C + 1,) int32: cell c has the rows `ray_start[c]:ray_start[c + 1]` of `meeting`."""
     meeting: np.ndarray
-    """(M, 2) int32: a ray, and a segment that it can meet first."""
+    """(M, 2) int32: pairs of a ray and a segment that it can hit first."""
     step_start: np.ndarray
-    """(C + 1,) int32: segments that a step from cell c can meet, likewise."""
+    """(C + 1,) int32: cell c has the elements `step_start[c]:step_start[c + 1]` of
+    `step_segment`."""
     step_segment: np.ndarray
+    """int32: the segments that a step from each cell can hit."""
     clear: np.ndarray
-    """(C,) float64: no segment is nearer than that to any point of the cell, metres."""
+    """(C,) float64: lower bound of the distance from the cell to all segments, in metres."""
 
 
 def wall_table(
@@ -54,9 +57,9 @@ def wall_table(
     ray_range_m: float,
     step_m: float,
 ) -> WallTable:
-    """The tables for positions in the rectangle and steps of at most `step_m`; not to be changed.
+    """Tables for positions between `lower` and `upper` and steps of at most `step_m` metres.
 
-    Those asked for last are kept: simulations of one scene share them.
+    Recent tables are cached and shared between simulations, so they must not be changed.
     """
     return _built(segments.tobytes(), lower, upper, rays, ray_range_m, step_m)
 
@@ -85,7 +88,8 @@ def _built(
             slope = (u[:, 1] - u[:, 0]) / across
             offset = u[:, 0] - slope * v[:, 0]
         lines[r] = np.stack([offset, slope, v.min(axis=1), v.max(axis=1)], axis=1)
-        # Edge-on: never hit, its neighbours are. Nearly so, and the slope would round by metres.
+        # Segments parallel to the ray are excluded; the ray hits their neighbours instead. For
+        # nearly parallel segments the slope would cause rounding errors of metres.
         edge_on = np.abs(across) <= EDGE_ON * np.hypot(across, u[:, 1] - u[:, 0])
         lines[r, edge_on] = [0.0, 0.0, np.inf, -np.inf]
     size = columns * rows
@@ -96,7 +100,7 @@ def _built(
     meeting = np.empty((ray_start[-1], 2), dtype=np.int32)
     first = ray_start[:-1].copy()
     _meetings(origin, columns, rows, cos, sin, lines, ray_range_m, first, meeting)
-    # A little further than a step: what it ends in front of can stop it, too.
+    # A little further than a step, because a wall just beyond its end can also stop it.
     step_start, step_segment, _, clear = walls_near(
         segments, origin, columns, rows, step_m + CELL_M / 4
     )
@@ -110,7 +114,7 @@ def _built(
 def cell_of(x, y, grid):
     """Index of a position's cell; `grid` is (x, y of the corner, cell size, columns, rows).
 
-    Positions outside the grid count to its border.
+    A position outside the grid gets the nearest cell of its border.
     """
     column = min(grid[3] - 1, max(0, int((x - grid[0]) / grid[2])))
     row = min(grid[4] - 1, max(0, int((y - grid[1]) / grid[2])))
@@ -119,7 +123,11 @@ def cell_of(x, y, grid):
 
 @njit(cache=True, error_model="numpy")
 def _meetings(origin, columns, rows, cosine, sine, lines, ray_range_m, place, out):
-    """Count the meetings of each cell into `place`, or write them into `out` from there on."""
+    """List which segments each ray can hit first from each cell.
+
+    If `out` is empty, add the number of pairs of each cell to `place`. Otherwise `place` is the
+    first row of each cell in `out`, to which the pairs are written.
+    """
     rays, size = lines.shape[0], lines.shape[1]
     nearest = np.empty(size)
     farthest = np.empty(size)
@@ -133,7 +141,7 @@ def _meetings(origin, columns, rows, cosine, sine, lines, ray_range_m, place, ou
             u1 = x0 * cos + y0 * sin + CELL_M * (max(cos, 0.0) + max(sin, 0.0))
             v0 = y0 * cos - x0 * sin + CELL_M * (min(cos, 0.0) + min(-sin, 0.0))
             v1 = y0 * cos - x0 * sin + CELL_M * (max(cos, 0.0) + max(-sin, 0.0))
-            blocked = np.inf  # beyond this u a wall that spans the whole strip hides the rest
+            blocked = np.inf  # segments beyond this u are hidden by one that spans the whole strip
             for s in range(size):
                 lo, hi = max(v0, lines[r, s, 2]), min(v1, lines[r, s, 3])
                 nearest[s] = np.inf
@@ -157,11 +165,11 @@ def _meetings(origin, columns, rows, cosine, sine, lines, ray_range_m, place, ou
 
 @njit(cache=True, error_model="numpy")
 def walls_near(segments, origin, columns, rows, reach_m):
-    """The segments that come within `reach_m` of each cell, and how far all others keep off.
+    """Segments within `reach_m` of each cell, and lower bounds of the distances to segments.
 
-    Returns `start` (C + 1,) and `segment`: those of cell c are `segment[start[c]:start[c + 1]]`;
-    and `free` (C,) and `clear` (C,): no other segment, and no segment at all, is nearer than that
-    to any point of the cell, in metres.
+    Returns `start` (C + 1,), `segment`, `free` (C,) and `clear` (C,). Cell c has the nearby
+    segments `segment[start[c]:start[c + 1]]`. `free` is a lower bound of the distance from the
+    cell to all other segments, and `clear` to all segments, in metres.
     """
     size = columns * rows
     start = np.zeros(size + 1, np.int32)

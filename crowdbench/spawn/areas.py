@@ -1,7 +1,7 @@
-"""Where people enter and whither they walk: Gaussian areas and the way from one to another.
+"""Where people enter and where they walk to: Gaussian areas and the flows between them.
 
-The areas are the scene's: every spawn model of a scene shares them. Source: the ICRA 2025 paper
-"Whenever, Wherever", Sec. III-A, with its DBSCAN; what is done with noise is ours.
+All spawn models of a scene share its areas. Source: the ICRA 2025 paper "Whenever, Wherever",
+Sec. III-A, including DBSCAN; the treatment of noise points is different.
 """
 
 from dataclasses import dataclass, replace
@@ -16,12 +16,14 @@ from crowdbench.errors import SceneError, WeightsError
 from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Clustering, Scene
 from crowdbench.spawn.events import SpawnEvents, entering
+from crowdbench.spawn.plans import cut_at_goals, plans_of
 from crowdbench.trajectories.table import Trajectories
 
 SCHEMA = 1
-_FLOOR_M = 0.1  # the least standard deviation of an area: people are not points
+_FLOOR_M = 0.1  # minimum standard deviation of an area, because people are not points
 _DRAWS = 1000
 _QUANTILES = 101
+_PERCENT = np.linspace(0, 100, _QUANTILES)
 _COVARIANCES = "symmetric, positive definite matrices"
 
 
@@ -40,7 +42,7 @@ class Gaussians:
     def draw(
         self, area: Int[np.ndarray, " n"], scene: Scene, rng: Generator
     ) -> Float[np.ndarray, "n 2"]:
-        """One walkable point per area index: a draw outside the bounds or in a wall is redrawn.
+        """One random point per area index; points outside the bounds or in a wall are redrawn.
 
         Raises:
             SceneError: an area has (almost) no walkable point.
@@ -59,21 +61,21 @@ class Gaussians:
         k = int(area[open_[0]])
         raise SceneError(
             scene.folder,
-            got=f"an area around {self.mean[k].round(2).tolist()} m of which 1,000 draws in a row "
-            "lie outside the bounds or in a wall",
+            got=f"an area around {self.mean[k].round(2).tolist()} m from which 1,000 consecutive "
+            "draws lie outside the bounds or in a wall",
             expected="areas where people can walk",
             hint="Check the bounds and walls, or fit the scene again.",
         )
 
     def outline(self, area: int) -> Float[np.ndarray, "60 2"]:
-        """The line two standard deviations around an area's centre, metres, closed."""
+        """The closed ellipse two standard deviations around an area's centre, metres."""
         root = np.linalg.cholesky(self.covariance[area])
         angle = np.linspace(0, 2 * np.pi, 60)
         circle = np.array([np.cos(angle), np.sin(angle)])
         return (self.mean[area][:, None] + 2 * root @ circle).T
 
     def likeliest(self, points: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
-        """The area under whose Gaussian each point is the most probable."""
+        """Index of the area whose Gaussian has the highest density at each point."""
         from scipy.stats import multivariate_normal
 
         density = [
@@ -85,7 +87,7 @@ class Gaussians:
 
 @dataclass(frozen=True, eq=False)
 class Areas:
-    """Spawn areas, goal areas, the flows between them, and how fast people like to walk."""
+    """Spawn areas, goal areas, the flows between them, and preferred speeds."""
 
     scene: str
     spawn: Gaussians
@@ -93,16 +95,15 @@ class Areas:
     flow: Float[np.ndarray, "K G"]
     """P(goal area | spawn area); rows sum to 1."""
     speed_quantiles: Float[np.ndarray, " 101"]
-    """Quantiles 0, 1, …, 100 % of the persons' mean speeds, m/s."""
+    """Quantiles 0, 1, …, 100 % of the persons' mean speeds outside their stops, m/s."""
     left_out: tuple[float, float]
-    """Share of those who entered (left) that stands in no area of its own but in none or in
-    the broad one."""
+    """Share of the starts, and of the ends, that belong to no area or only to the broad one."""
 
     def assign(self, crowd: Trajectories) -> Trajectories:
-        """Give the persons of a crowd that knows no areas the likeliest ones.
+        """Assign the most likely areas to persons who have none; returns the new crowd.
 
-        Who entered without a spawn area gets one by its start, who left without a goal area one by
-        its end.
+        People who entered without a spawn area get one from their first position, people who left
+        without a goal area get one from their last position.
         """
         spawn_area, goal_area = crowd.spawn_area.copy(), crowd.goal_area.copy()
         starts = np.flatnonzero(crowd.entered & (spawn_area < 0))
@@ -120,7 +121,7 @@ class Areas:
         scene: Scene,
         rng: Generator,
     ) -> SpawnEvents:
-        """Give each arrival a start, a goal and a preferred speed."""
+        """Draw a start, a goal and a preferred speed for each arrival."""
         cumulative = self.flow.cumsum(axis=1)[spawn_area]
         u = rng.random((len(time_s), 1)) * cumulative[:, -1:]
         goal_area = (u >= cumulative).sum(axis=1)
@@ -139,24 +140,26 @@ class Areas:
 class _Clusters:
     gaussians: Gaussians
     label: Int[np.ndarray, " n"]
-    """Area of each point, −1 where it is left out."""
+    """Area of each point; −1 if it is left out."""
     left_out: float
 
 
 def fit_areas(
     crowd: Trajectories, scene: Scene, settings: Clustering
 ) -> tuple[Areas, Trajectories]:
-    """Find the areas in a recording, and give its persons theirs.
+    """Find the areas of a recording; returns them, and the recording as models and metrics use it.
 
-    Starts of those who entered and ends of those who left are clustered by DBSCAN, each
-    cluster's members give a Gaussian. With `keep_noise` a point in no cluster then joins the
-    cluster of the nearest member if that is within 2 ε; if `min_persons` points or more lie
-    further away they form one broad area, else they join the nearest too. Noise never shapes
-    the Gaussian of a cluster.
+    In the returned recording trips are cut off at their goals (see `cut_at_goals`), and areas are
+    assigned. Starts of people who entered and ends of people who left are clustered by DBSCAN. A
+    Gaussian is fitted to the members of each cluster. With `keep_noise`, a point in no cluster then
+    joins the cluster of the nearest member if that is within 2 ε. If at least `min_persons` points
+    are further away, they form one broad area; otherwise they join the nearest cluster too. Noise
+    points never affect the Gaussian of a cluster.
 
     Raises:
-        SceneError: no cluster is found.
+        SceneError: no cluster is found, or no person was seen to enter and to leave.
     """
+    crowd = cut_at_goals(crowd, scene)
     starts = _cluster(
         crowd.start[crowd.entered],
         settings.spawn_eps_m,
@@ -165,7 +168,7 @@ def fit_areas(
         scene,
     )
     ends = _cluster(
-        crowd.end[crowd.left],
+        crowd.goal[crowd.left],
         settings.goal_eps_m,
         settings.goal_min_persons,
         settings.keep_noise,
@@ -179,15 +182,15 @@ def fit_areas(
 
     flow = np.zeros((len(starts.gaussians), len(ends.gaussians)))
     known = (spawn_area >= 0) & (goal_area >= 0)
-    whole = known & (crowd.last > crowd.first)
+    whole = known & np.isfinite(plans_of(crowd).speed)
     if not whole.any():
         raise SceneError(
             scene.folder,
             got=f"a recording of {len(crowd)} persons none of whom was seen to enter and to leave",
-            expected="whole lives to learn flows and speeds from",
+            expected="complete trips to learn flows and speeds from",
         )
     np.add.at(flow, (spawn_area[known], goal_area[known]), 1.0)
-    # An area all of whose people were cut off by the recording sends them where everyone goes.
+    # If no trip from an area is complete, the goals of all people are used for it.
     everyone = flow.sum(axis=0)
     flow[flow.sum(axis=1) == 0] = everyone
     areas = Areas(
@@ -195,7 +198,7 @@ def fit_areas(
         spawn=starts.gaussians,
         goal=ends.gaussians,
         flow=flow / flow.sum(axis=1, keepdims=True),
-        speed_quantiles=np.percentile(crowd.mean_speeds()[whole], np.linspace(0, 100, _QUANTILES)),
+        speed_quantiles=np.percentile(plans_of(crowd).speed[whole], _PERCENT),
         left_out=(starts.left_out, ends.left_out),
     )
     return areas, crowd
@@ -214,10 +217,10 @@ def _cluster(
     if not (label >= 0).any():
         raise SceneError(
             scene.folder,
-            got=f"no cluster among {len(points)} starts or ends at ε {eps_m} m, {min_persons} "
-            "persons",
-            expected="at least one",
-            hint="Raise eps_m or lower min_persons in [clustering] of scene.toml.",
+            got=f"no cluster among {len(points)} starts or ends with ε = {eps_m} m and at least "
+            f"{min_persons} persons",
+            expected="at least one cluster",
+            hint="Increase eps_m or decrease min_persons in [clustering] of scene.toml.",
         )
     groups = [points[label == k] for k in range(label.max() + 1)]
     noise = np.flatnonzero(label < 0)
@@ -278,7 +281,7 @@ def read_areas(scene: Scene) -> Areas:
     """The areas that a scene ships (`areas.json`).
 
     Raises:
-        WeightsError: the file is missing, broken, contradicts itself or is another scene's.
+        WeightsError: the file is missing, broken or inconsistent, or belongs to another scene.
     """
     path = scene.folder / "areas.json"
     hint = f"Run `crowdbench fit {scene.asked}`."
@@ -306,11 +309,13 @@ def read_areas(scene: Scene) -> Areas:
     for name, holds, expected in (
         ("spawn_covariance_m2", _are_covariances(arrays["spawn_covariance_m2"]), _COVARIANCES),
         ("goal_covariance_m2", _are_covariances(arrays["goal_covariance_m2"]), _COVARIANCES),
-        ("flow", (flow >= 0).all() and np.allclose(flow.sum(axis=1), 1), "probabilities by row"),
+        ("flow", (flow >= 0).all() and np.allclose(flow.sum(axis=1), 1), "rows that sum to 1"),
         ("speed_quantiles_mps", (np.diff(speed, prepend=0) >= 0).all(), "ascending speeds"),
     ):
         if not holds:
-            raise WeightsError(f"{path}, {name}", got="other numbers", expected=expected, hint=hint)
+            raise WeightsError(
+                f"{path}, {name}", got="invalid values", expected=expected, hint=hint
+            )
     return Areas(
         scene=file.scene,
         spawn=Gaussians(arrays["spawn_mean_m"], arrays["spawn_covariance_m2"]),
@@ -330,7 +335,7 @@ def as_array(values: list, shape: tuple[int, ...], where: str, hint: str) -> np.
     """The numbers of a JSON file as a float64 array of a given shape.
 
     Raises:
-        WeightsError: another shape, or numbers that are not finite.
+        WeightsError: the numbers have another shape or are not finite.
     """
     try:
         array = np.array(values, dtype=np.float64)
@@ -338,6 +343,9 @@ def as_array(values: list, shape: tuple[int, ...], where: str, hint: str) -> np.
         array = np.empty((0, 0, 0, 0))
     if array.shape != shape or not np.isfinite(array).all():
         raise WeightsError(
-            where, got=f"shape {array.shape}", expected=f"finite numbers of {shape}", hint=hint
+            where,
+            got=f"values of shape {array.shape}",
+            expected=f"finite numbers of shape {shape}",
+            hint=hint,
         )
     return array

@@ -1,7 +1,7 @@
-"""`block-replay`: time blocks of a recording, drawn at random and played one after another.
+"""`block-replay`: time blocks of a recording, drawn at random and replayed one after another.
 
-What memory alone achieves: within a block the arrivals are the recorded ones, from block to
-block they are independent.
+This is a memorisation baseline: the arrivals within a block are the recorded ones, and different
+blocks are independent.
 """
 
 from dataclasses import dataclass
@@ -16,6 +16,7 @@ from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals, SpawnEvents, entering
 from crowdbench.spawn.model import Start
+from crowdbench.spawn.plans import plans_of
 from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.table import Trajectories
 
@@ -24,11 +25,12 @@ NAME = "block-replay"
 
 @dataclass(frozen=True, eq=False)
 class BlockReplay:
-    """The arrivals of blocks of a recording, drawn with replacement.
+    """The arrivals in blocks of a recording, which are drawn with replacement.
 
-    A person walks to where its record ends, with its mean speed. Who was not seen to leave walks
-    to a goal drawn from the scene's areas given its spawn area, whose record is of one frame
-    only with a drawn speed: no arrival is lost.
+    People have their recorded goals, companions, stops and preferred speeds; see `plans_of`. So
+    that no arrival is discarded, people who were not seen to leave get a goal drawn from the
+    scene's areas given their spawn area, and people with only one recorded frame get a speed drawn
+    from the recorded ones.
     """
 
     recording: Trajectories
@@ -38,7 +40,7 @@ class BlockReplay:
     start: ClassVar[Start] = "stationary"
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
-        """Events in [0, `horizon_s`), on the recording's grid."""
+        """Sample the people who enter in [0, `horizon_s`), seconds; times are on the grid."""
         persons, block, tick = self.blocks.of_arrivals(self.recording)
         grid_s = self.blocks.grid_s
         first, stop = np.ceil(self.blocks.arrival_s / grid_s - 1e-6).astype(np.int64).T
@@ -51,11 +53,13 @@ class BlockReplay:
         at = np.concatenate([np.empty(0, dtype=np.int64), *chosen])
         played = np.repeat(begin - first[drawn], [len(c) for c in chosen]) + tick[at]
         inside = (played >= 0) & (played < horizon)
-        return self._events(persons[at][inside], played[inside] * grid_s, scene, rng)
+        piece = np.repeat(np.arange(len(drawn)), [len(c) for c in chosen])
+        return self._events(persons[at][inside], piece[inside], played[inside] * grid_s, scene, rng)
 
     def _events(
         self,
         persons: Int[np.ndarray, " E"],
+        piece: Int[np.ndarray, " E"],
         time_s: Float[np.ndarray, " E"],
         scene: Scene,
         rng: Generator,
@@ -63,13 +67,19 @@ class BlockReplay:
         crowd = self.recording
         spawn_area = crowd.spawn_area[persons]
         start = scene.nearest_walkable(crowd.start[persons].astype(np.float64))
-        end = scene.nearest_walkable(crowd.end[persons].astype(np.float64))
+        end = scene.nearest_walkable(crowd.goal[persons].astype(np.float64))
         to_centre = np.linalg.norm(start[:, None] - self.areas.spawn.mean, axis=2)
         known = np.where(spawn_area >= 0, spawn_area, to_centre.argmin(axis=1))
-        # Everyone gets a draw, those who need none too, in the order of the persons.
+        # Drawn for everyone, even if not needed, so that the use of random numbers is simple.
         drawn = self.areas.draw(np.arange(len(persons)) * 1.0, known, scene, rng)
         left = crowd.left[persons]
-        speed = crowd.mean_speeds()[persons]
+        plans = plans_of(crowd)
+        speed, via = plans.speed[persons], plans.via[persons]
+        stops = ~np.isnan(via[:, 0])
+        via[stops] = scene.nearest_walkable(via[stops])
+        # A block that is played twice has its groups twice.
+        groups = int(crowd.group.max(initial=-1)) + 1
+        group = np.where(crowd.group[persons] < 0, -1, piece * groups + crowd.group[persons])
         return entering(
             time_s=time_s,
             start=start,
@@ -77,24 +87,29 @@ class BlockReplay:
             spawn_area=spawn_area,
             goal_area=np.where(left, crowd.goal_area[persons], drawn.goal_area),
             speed=np.where(np.isfinite(speed), speed, drawn.speed),
+            group=group,
+            via=via,
+            wait_s=plans.wait_s[persons],
         )
 
     def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Block replay is no distribution of arrivals in continuous stretches.
+        """Not available, because block replay is not a distribution over arrivals.
 
         Raises:
             SettingError: always.
         """
-        raise SettingError(NAME, got="a request for a likelihood", expected="a model that has one")
+        raise SettingError(
+            NAME, got="a request for a likelihood", expected="a model that has a likelihood"
+        )
 
 
 def _draw(
     length: Int[np.ndarray, " B"], horizon: int, rng: Generator
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Blocks, and the grid points at which each begins, that fill [0, `horizon`).
+    """Draw blocks that fill [0, `horizon`); returns them and the grid point where each begins.
 
-    The first is that which stands at a random grid point of all blocks, and is under way; so the
-    expected number of arrivals is the same at every grid point.
+    The first block is the one that contains a random grid point of all blocks, and it begins so
+    that this point is at 0. The expected number of arrivals is then the same at every grid point.
     """
     of_point = np.repeat(np.arange(len(length)), length)
     point = int(rng.integers(len(of_point)))

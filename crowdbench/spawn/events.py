@@ -1,4 +1,4 @@
-"""What a spawn model makes (`SpawnEvents`) and what it is fitted to (`Arrivals`)."""
+"""The output of spawn models (`SpawnEvents`) and the data they are fitted to (`Arrivals`)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -14,28 +14,35 @@ from crowdbench.trajectories.table import Trajectories
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpawnEvents:
-    """`E` persons who are to enter, by ascending time; a simulation lets them in."""
+    """The entries of `E` persons into a simulation, in order of time."""
 
     time_s: Float[np.ndarray, " E"]
-    """When each is to enter; it does at the first frame at or after this time."""
+    """Requested entry time, seconds; the person enters at the first frame at or after it."""
     start: Float32[np.ndarray, "E 2"]
-    """Where each enters, metres."""
+    """Position at entry, metres."""
     goal: Float32[np.ndarray, "E 2"]
-    """Where each walks to, metres."""
+    """Position of the goal, metres."""
     spawn_area: Int[np.ndarray, " E"]
     goal_area: Int[np.ndarray, " E"]
     speed: Float32[np.ndarray, " E"]
-    """The speed each prefers to walk at, m/s; policies may use it."""
+    """Preferred walking speed, m/s; policies may use it."""
     velocity: Float32[np.ndarray, "E 2"]
     """Velocity at entry, m/s."""
     entered: Bool[np.ndarray, " E"]
-    """False for those who are there when observation begins; they never wait for free space."""
+    """False for people who are present when observation begins; they never wait for free space."""
     leave_frame: Int[np.ndarray, " E"]
-    """Frame at whose end the person is taken away wherever it is; −1 for never."""
+    """Frame at whose end the person is removed, wherever it is; −1 for never."""
     scripted: Bool[np.ndarray, " E"]
-    """True for those who leave at `leave_frame` and for no other reason, and never wait."""
+    """True for people who leave only at `leave_frame` and never wait for free space."""
     censored: Bool[np.ndarray, " E"]
-    """True for those whom nobody saw leave: being taken away does not count as leaving."""
+    """True for people who were not seen to leave: whatever ends their trip does not count as
+    leaving."""
+    group: Int[np.ndarray, " E"]
+    """Index of the group that the person walks with; −1 if alone."""
+    via: Float32[np.ndarray, "E 2"]
+    """Point that the person visits before the goal, metres; NaN for none."""
+    wait_s: Float[np.ndarray, " E"]
+    """Time that the person stays at `via`, seconds; 0 without one."""
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -56,11 +63,21 @@ def entering(
     spawn_area: Int[np.ndarray, " E"],
     goal_area: Int[np.ndarray, " E"],
     speed: Float[np.ndarray, " E"],
+    group: Int[np.ndarray, " E"] | None = None,
+    via: Float[np.ndarray, "E 2"] | None = None,
+    wait_s: Float[np.ndarray, " E"] | None = None,
 ) -> SpawnEvents:
-    """Events of people who come walking in from outside towards their goals, sorted by time."""
+    """Events of people who enter while walking towards their targets, sorted by time.
+
+    Without `group` everyone is alone, without `via` and `wait_s` everyone walks directly to the
+    goal.
+    """
     order = np.argsort(time_s, kind="stable")
     size = len(time_s)
-    way = (goal - start)[order]
+    group = np.full(size, -1) if group is None else group
+    via = np.full((size, 2), np.nan) if via is None else via
+    wait_s = np.zeros(size) if wait_s is None else wait_s
+    way = (np.where(np.isnan(via), goal, via) - start)[order]
     length = np.linalg.norm(way, axis=1, keepdims=True)
     heading = np.divide(way, length, out=np.zeros_like(way), where=length > 0)
     return SpawnEvents(
@@ -75,15 +92,18 @@ def entering(
         leave_frame=np.full(size, -1, dtype=np.int64),
         scripted=np.zeros(size, dtype=bool),
         censored=np.zeros(size, dtype=bool),
+        group=group[order].astype(np.int32),
+        via=via[order].astype(np.float32),
+        wait_s=wait_s[order].astype(np.float64),
     )
 
 
 def check_events(events: object, model: str) -> SpawnEvents:
-    """What a spawn model sampled, if a simulation can let it in.
+    """Check the events that a spawn model sampled, and return them.
 
     Raises:
-        SettingError: it is no `SpawnEvents`, its arrays differ in length, hold what is not
-            finite, or its times do not ascend.
+        SettingError: they are not `SpawnEvents`, their arrays differ in length or hold values that
+            are not finite, the times are not ascending, or a wait is negative or has no `via`.
     """
     where = f"events of the spawn model {model}"
     if not isinstance(events, SpawnEvents):
@@ -91,28 +111,50 @@ def check_events(events: object, model: str) -> SpawnEvents:
             where,
             got=type(events).__name__,
             expected="SpawnEvents",
-            hint="Make them with crowdbench.spawn.events.entering.",
+            hint="Create them with crowdbench.spawn.events.entering.",
         )
     for f in fields(events):
         values = np.asarray(getattr(events, f.name))
-        shape = (len(events), 2) if f.name in ("start", "goal", "velocity") else (len(events),)
+        points = ("start", "goal", "velocity", "via")
+        shape = (len(events), 2) if f.name in points else (len(events),)
         if values.shape != shape:
             raise SettingError(
                 where, got=f"{f.name} of shape {values.shape}", expected=f"shape {shape}"
             )
-        if not np.isfinite(values).all():
-            bad = int((~np.isfinite(values)).sum())
+        finite = np.isfinite(values)
+        if f.name == "via":  # people without one have NaN in both coordinates
+            finite |= np.isnan(values).all(axis=1)[:, None]
+        if not finite.all():
             raise SettingError(
-                where, got=f"{bad} values of {f.name} that are not finite", expected="numbers"
+                where,
+                got=f"{int((~finite).sum())} values of {f.name} that are not finite",
+                expected="finite numbers",
             )
+    without = np.isnan(events.via).any(axis=1)
+    if (events.wait_s < 0).any() or (events.wait_s[without] > 0).any():
+        raise SettingError(
+            where,
+            got="a negative wait_s, or one of a person without via",
+            expected="wait_s of 0 or more, and 0 where via is NaN",
+        )
     if (np.diff(events.time_s) < 0).any():
-        raise SettingError(where, got="times in disorder", expected="ascending time_s")
+        raise SettingError(
+            where, got="time_s that is not sorted", expected="time_s in ascending order"
+        )
     return events
 
 
 def joined(parts: Sequence[SpawnEvents]) -> SpawnEvents:
-    """The events of all parts by ascending time, at the same time by spawn area as models do."""
+    """The events of all parts, sorted by time, then by spawn area.
+
+    Groups of different parts remain different groups.
+    """
     parts = [no_events(), *parts]
+    groups = np.cumsum([0, *(int(p.group.max(initial=-1)) + 1 for p in parts[:-1])])
+    parts = [
+        replace(p, group=np.where(p.group < 0, p.group, p.group + np.int32(first)))
+        for p, first in zip(parts, groups.tolist(), strict=True)
+    ]
     columns = {
         f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(parts[0])
     }
@@ -120,7 +162,7 @@ def joined(parts: Sequence[SpawnEvents]) -> SpawnEvents:
 
 
 def no_events() -> SpawnEvents:
-    """Nobody ever enters."""
+    """Events without any person."""
     none, pairs = np.empty(0), np.empty((0, 2))
     return entering(
         time_s=none,
@@ -134,19 +176,20 @@ def no_events() -> SpawnEvents:
 
 @dataclass(frozen=True, eq=False)
 class Arrivals:
-    """Arrivals as a point process: `n` persons, each at an area and a point of a time grid."""
+    """Arrivals as a point process: `n` persons, each with an area and a point of a time grid."""
 
     tick: Int[np.ndarray, " n"]
     """Grid point of each arrival, ascending."""
     area: Int[np.ndarray, " n"]
     windows: Int[np.ndarray, "B 2"]
-    """Stretches [start, stop) of grid points in which every arrival is known, ascending."""
+    """Stretches [start, stop) of grid points in which all arrivals are known, ascending."""
     areas: int
     """K, the number of spawn areas."""
     grid_s: float
+    """Step of the time grid, seconds."""
 
     def counts(self) -> Int[np.ndarray, "T K"]:
-        """Persons per grid point of the windows (in their order) and area."""
+        """Number of persons at each grid point of the windows, in their order, and each area."""
         base = np.concatenate([[0], np.cumsum(np.diff(self.windows, axis=1)[:, 0])])
         window = np.searchsorted(self.windows[:, 0], self.tick, side="right") - 1
         at = base[window] + self.tick - self.windows[window, 0]
@@ -154,12 +197,12 @@ class Arrivals:
         return flat.reshape(-1, self.areas)
 
     def exposure_s(self) -> float:
-        """Seconds in all windows together."""
+        """Total length of the windows, seconds."""
         return float(np.diff(self.windows, axis=1).sum() * self.grid_s)
 
 
 def arrivals_in(events: SpawnEvents, horizon_s: float, grid_s: float, areas: int) -> Arrivals:
-    """What a spawn model sampled in [0, `horizon_s`) as arrivals, each at the grid point before."""
+    """The events in [0, `horizon_s`) as arrivals, with times rounded down to the grid."""
     tick = np.floor(events.time_s / grid_s + 1e-6).astype(np.int64)
     stop = int(np.ceil(horizon_s / grid_s - 1e-6))
     return Arrivals(
@@ -172,7 +215,7 @@ def arrivals_in(events: SpawnEvents, horizon_s: float, grid_s: float, areas: int
 
 
 def blocks_of(recording: Trajectories, scene: Scene) -> TimeBlocks:
-    """The time blocks of a recording by the scene's protocol."""
+    """The time blocks of a recording, as defined by the scene's protocol."""
     return cut(
         recording.observed,
         block_s=scene.protocol.block_s,
@@ -182,9 +225,9 @@ def blocks_of(recording: Trajectories, scene: Scene) -> TimeBlocks:
 
 
 def arrivals_of(crowd: Trajectories, blocks: TimeBlocks, areas: int) -> Arrivals:
-    """The arrivals of those who enter in the blocks; who has no area is left out.
+    """The arrivals of people who enter in the blocks; people without an area are left out.
 
-    Neighbouring blocks are one stretch, so that a window is as long as observation was.
+    Adjacent blocks form one window, so that a window is as long as the observed interval.
     """
     persons, _, tick = blocks.of_arrivals(crowd)
     known = crowd.spawn_area[persons] >= 0

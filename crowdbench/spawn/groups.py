@@ -1,11 +1,11 @@
-"""Arrivals as groups, and what a model expected of each before it came.
+"""Arrivals as groups, and the hazards that models assign to their gaps and sizes.
 
-All who enter an area at one grid point are one *group*: an event with a size. An area's arrivals
-in one observed stretch are a *spell*: a wait from the stretch's start to the first group, gaps
-from group to group, and the rest of the stretch in which nobody came.
+All people who enter an area at the same grid point form one *group*: an event with a size. An
+area's arrivals in one observed stretch form a *spell*: the wait from the start of the stretch to
+the first group, the gaps between groups, and the rest of the stretch, in which nobody enters.
 
-Every model with a likelihood says, of each gap and each size, how probable it was that it would
-be longer (larger); that is enough for its log-likelihood and for rescaling its time.
+For each gap and each size, a model with a likelihood gives the probability of a longer gap or a
+larger size. This is sufficient for its log-likelihood and for time rescaling.
 """
 
 from dataclasses import dataclass
@@ -18,23 +18,23 @@ from crowdbench.errors import SettingError
 from crowdbench.spawn.events import Arrivals
 
 NEVER = 1e-12
-"""Groups per grid step of an area that nobody entered in training, where 0 has no logarithm."""
+"""Groups per grid step for areas without arrivals in training, because log 0 is undefined."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spells:
-    """`n` groups in `S` spells, one spell per area and stretch: area by area, then by time."""
+    """`n` groups in `S` spells, one per area and stretch, sorted by area, then by time."""
 
     area: Int[np.ndarray, " S"]
     offsets: Int[np.ndarray, " S+1"]
-    """The groups of spell s are those from `offsets[s]` to `offsets[s + 1]`."""
+    """The groups of spell s have the indices from `offsets[s]` to `offsets[s + 1]`."""
     gap: Int[np.ndarray, " n"]
-    """Grid steps since the group before; for a spell's first group since the grid point before
-    the stretch, so that it is 1 for a group at the stretch's first grid point."""
+    """Grid steps since the previous group. For the first group of a spell, since the grid point
+    before the stretch: 1 means that it enters at the first grid point of the stretch."""
     size: Int[np.ndarray, " n"]
-    """Persons."""
+    """Number of persons in each group."""
     rest: Int[np.ndarray, " S"]
-    """Grid points of the stretch after its last group."""
+    """Number of grid points of the stretch after its last group."""
 
     @property
     def of_group(self) -> Int[np.ndarray, " n"]:
@@ -48,7 +48,7 @@ class Spells:
 
 
 def spells_of(arrivals: Arrivals) -> Spells:
-    """Put the arrivals of each area and grid point together."""
+    """Combine arrivals at the same area and grid point to groups, and groups to spells."""
     windows = arrivals.windows
     pairs = np.stack([arrivals.area, arrivals.tick], axis=1)
     pairs, size = np.unique(pairs, axis=0, return_counts=True)
@@ -73,30 +73,30 @@ def spells_of(arrivals: Arrivals) -> Spells:
 
 @dataclass(frozen=True, eq=False)
 class Hazards:
-    """Cumulative hazards of `n` groups in `S` spells: −log of the probability of more.
+    """Cumulative hazards of `n` groups in `S` spells.
 
-    With H of a gap or size, P(more than g) = exp(−H(g)).
+    The cumulative hazard H of a gap or size is defined by P(more than g) = exp(−H(g)).
     """
 
     gap: Float[np.ndarray, "n 2"]
-    """Of each gap: one step before its end, and at its end."""
+    """Hazard of each gap, one step before its end and at its end."""
     size: Float[np.ndarray, "n 2"]
-    """Of each size: with one person less, and with all."""
+    """Hazard of each size, for one person fewer and for the full size."""
     rest: Float[np.ndarray, " S"]
-    """Of each spell's last gap, whose end was not seen."""
+    """Hazard of the last gap of each spell, whose end was not observed."""
 
     def log_probability(self) -> float:
-        """Log-probability of the gaps, the sizes and the time without arrivals, nats in all."""
+        """Total log-probability of the gaps, the sizes and the time without arrivals, nats."""
         total = -self.rest.sum()
         for before, until in (self.gap.T, self.size.T):
-            with np.errstate(divide="ignore"):  # impossible is −∞
+            with np.errstate(divide="ignore"):  # −∞ for impossible arrivals
                 total += (np.log(-np.expm1(before - until)) - before).sum()
         return float(total)
 
 
 @runtime_checkable  # tests check annotations at run time
 class HasHazards(Protocol):
-    """A model that says what it expected of each group before it came."""
+    """A model that gives the cumulative hazards of groups."""
 
     def hazards(self, arrivals: Arrivals) -> Hazards:
         """Cumulative hazards of the arrivals' groups, in the order of `spells_of`."""
@@ -104,7 +104,7 @@ class HasHazards(Protocol):
 
 
 def check_grid(arrivals: Arrivals, grid_s: float, model: str) -> None:
-    """Refuse arrivals on another grid than that on which a model's gaps are counted.
+    """Check that arrivals are on the time grid of a model.
 
     Raises:
         SettingError: the grids differ.
@@ -113,14 +113,14 @@ def check_grid(arrivals: Arrivals, grid_s: float, model: str) -> None:
         raise SettingError(
             model,
             got=f"arrivals on a grid of {arrivals.grid_s:g} s",
-            expected=f"a grid of {grid_s:g} s, as the model was fitted on",
+            expected=f"a grid of {grid_s:g} s, on which the model was fitted",
         )
 
 
 def geometric_sizes(
     spells: Spells, next_member: Float[np.ndarray, " K"]
 ) -> Float[np.ndarray, "n 2"]:
-    """Cumulative hazards of the groups' sizes, which are geometric: see `Hazards.size`.
+    """Cumulative hazards of geometric group sizes; see `Hazards.size`.
 
     `next_member` is P(one more member) of each area.
     """
@@ -129,18 +129,19 @@ def geometric_sizes(
 
 
 def per_person(hazards: Hazards, arrivals: Arrivals) -> float:
-    """Log-probability of the arrivals, nats per person."""
+    """Log-probability of the arrivals, in nats per person."""
     return hazards.log_probability() / max(1, len(arrivals.tick))
 
 
 def group_size(arrivals: Arrivals) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, " K"]]:
-    """Geometric group sizes: P(one more member) of each area, and its groups per grid step.
+    """Fit geometric group sizes: P(one more member) of each area, and its groups per grid step.
 
-    Maximum likelihood with one more group, of the scene's mean size, in each area: else an area
-    of three lone walkers could not let in a pair. Groups are then so many that the expected
-    number of persons is exactly the recorded one; where nobody entered, all but none.
+    The sizes are fitted by maximum likelihood, with one additional group of the scene's mean size
+    in each area; without it, an area with three single persons could never have a pair. The rate
+    of groups is such that the expected number of persons equals the recorded one; in areas that
+    nobody entered it is almost zero.
 
-    A parameter more, for the share of groups of one, gained 0.007 nats per held-out person on
+    One more parameter, for the share of groups of size 1, gained 0.007 nats per held-out person on
     ETH and lost 0.004 on the plaza.
     """
     spells = spells_of(arrivals)
@@ -149,6 +150,6 @@ def group_size(arrivals: Arrivals) -> tuple[Float[np.ndarray, " K"], Float[np.nd
     mean = persons.sum() / max(1, groups.sum())
     size = (persons + max(1.0, mean)) / (groups + 1)
     points = np.diff(arrivals.windows, axis=1).sum()
-    # Rounding and the one more group can ask for more groups than there are grid points.
+    # Because of rounding and the additional group, the rate could exceed one group per grid point.
     rate = np.clip(persons / size / points, NEVER, 1 - 1e-6)
     return np.clip(1 - 1 / size, NEVER, None), rate

@@ -1,4 +1,4 @@
-"""The protocol behind which every spawn model stands."""
+"""The interface of spawn models."""
 
 from typing import ClassVar, Literal, Protocol, runtime_checkable
 
@@ -8,30 +8,30 @@ from crowdbench.scene import Scene
 from crowdbench.spawn.events import Arrivals, SpawnEvents
 
 Start = Literal["stationary", "recorded", "empty"]
-"""How an episode begins: with a crowd that walked in during a discarded warm-up, with the
-recorded initial population, or with nobody."""
+"""How an episode begins: with the crowd at the end of a discarded warm-up, with the recorded
+initial population, or with an empty scene."""
 
 
 @runtime_checkable  # tests check annotations at run time
 class SpawnModel(Protocol):
-    """When, where and with which goal people enter.
+    """A model of when, where and with which goal people enter.
 
-    Likelihoods are comparable between models because all mean the same thing: the probability
-    of the *number of persons that each area lets in at each point of the annotation grid*, in
-    nats per person. Several persons at one grid point are thus no special case, and the time
-    without arrivals (the survival term) counts.
+    Likelihoods are comparable between models because they have the same definition: the
+    probability of the *number of persons who enter at each area at each point of the annotation
+    grid*, in nats per person. Several persons at one grid point are therefore not a special case,
+    and time without arrivals (the survival term) is included.
     """
 
     start: ClassVar[Start]
-    """How an episode of this model begins unless told otherwise."""
+    """How an episode with this model begins by default."""
 
     @property
     def name(self) -> str:
-        """Under which tables show it."""
+        """Name of the model in tables."""
         ...
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
-        """Events in [0, `horizon_s`)."""
+        """Sample the people who enter in [0, `horizon_s`), seconds."""
         ...
 
     def log_likelihood(self, arrivals: Arrivals) -> float:

@@ -1,23 +1,23 @@
 """`ntpp-gmm`: neural temporal point processes, one per area, with the scene's Gaussian areas.
 
-After the ICRA 2025 paper "Whenever, Wherever", Sec. III-B: a recurrent network (GRU) reads an
-area's groups, and a small head turns its state into a Weibull distribution of the time to the
-next group. What differs, and why:
+Based on the ICRA 2025 paper "Whenever, Wherever", Sec. III-B: a recurrent network (GRU) reads an
+area's groups, and a small head maps its state to a Weibull distribution of the time to the next
+group. The differences to the paper, and their reasons:
 
-- People who enter an area at one grid point are one event with a size, whose geometric
-  distribution is the head's third output: as one person each they would have gaps of 0, at which
-  a Weibull density is 0 or infinite.
-- Gaps lie on the annotation grid: with S the Weibull survival function in grid steps, a gap
-  lasts g ≥ 1 steps with probability S(g − 1) − S(g).
-- A stretch starts at any time, not at a group: the same head reads the wait to the first group
-  from a learned initial state, which so learns the forward recurrence time. Samples start
-  stationary instead of with a group in every area.
-- After a silence as long as a training window the network starts from its initial state again:
-  what comes after a longer one no window has taught it.
-- An area of few groups, and one where cross-validation keeps no step of training, stays what it
-  is before training: a constant rate of groups, as in `poisson-groups` (`trained`).
-- Training and sampling share one path from a state to the next; nothing is clamped. What the
-  head can say is bounded around the Poisson solution (`ntpp_kernels`).
+- People who enter an area at the same grid point are one event with a size. The size has a
+  geometric distribution, which is the head's third output. If each person were an event, there
+  would be gaps of 0, at which a Weibull density is 0 or infinite.
+- Gaps are on the annotation grid: with S the Weibull survival function in grid steps, a gap lasts
+  g ≥ 1 steps with probability S(g − 1) − S(g).
+- An observed stretch starts at any time, not at a group. The wait to the first group is predicted
+  by the same head from a learned initial state, which thereby learns the forward recurrence time.
+  Samples start stationary instead of with a group in every area.
+- After a silence as long as a training window, the state is reset to the initial state, because no
+  training window contains what follows a longer silence.
+- Areas with few groups, and areas where cross-validation selects no training step, keep the model
+  from before training: a constant rate of groups, as in `poisson-groups` (see `trained`).
+- Training and sampling compute state updates in the same way, without clamping. The outputs of the
+  head are bounded around the Poisson solution (`ntpp_kernels`).
 
 Training needs torch (`crowdbench.spawn.ntpp_training`); sampling and likelihood do not.
 """
@@ -40,8 +40,8 @@ from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals, SpawnEvents
 from crowdbench.spawn.groups import Hazards, check_grid, per_person, spells_of
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.weights import Fits, check_origin, check_part, hint
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.spawn.weights import Fits, check_origin, check_split, hint
+from crowdbench.trajectories.blocks import SPLITS
 
 NAME = "ntpp-gmm"
 SCHEMA = 2
@@ -61,9 +61,10 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "base": (3,),
     "scaling": (4,),
 }
-"""Weights of one area. Gates of the GRU stand in the order reset, update, candidate, as torch has
-them. `base` is what the head adds to: log shape, log scale (grid steps) and log odds of one more
-member. `scaling` has mean and standard deviation of log gap (grid steps) and of log size."""
+"""Shapes of the weights of one area. The gates of the GRU are in the order reset, update,
+candidate, as in torch. `base` is added to the head's outputs: log shape, log scale (grid steps) and
+log odds of one more member. `scaling` holds mean and standard deviation of log gap (grid steps),
+then of log size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,40 +73,41 @@ class NtppGMM:
 
     areas: Areas
     weights: Mapping[str, Float[np.ndarray, "K ..."]]
-    """Arrays named and shaped as in `SHAPES`, with the areas as first axis."""
+    """Arrays with the names and shapes of `SHAPES`, with the areas as first axis."""
     grid_s: float
-    """Seconds of the grid that groups enter on."""
+    """Step of the time grid on which groups enter, seconds."""
     memory: int = NEVER_FORGETS
-    """Grid steps without a group after which the state is the initial one again."""
+    """Number of grid steps without a group after which the state is reset to the initial one."""
     settings: Mapping[str, int | float] = field(default_factory=dict)
-    """How it was trained (`ntpp_training.Settings`); fit k of a file has the seed k."""
+    """Training settings (`ntpp_training.Settings`); fit k of a file has the seed k."""
     name: str = NAME
     start: ClassVar[Start] = "stationary"
 
     def of_area(self, k: int) -> tuple[np.ndarray, ...]:
-        """The weights of one area, as the kernels want them."""
+        """The weights of one area in the form that the kernels expect."""
         return tuple(np.ascontiguousarray(self.weights[n][k], dtype=np.float64) for n in SHAPES)
 
     def trained(self) -> Bool[np.ndarray, " K"]:
-        """Whether each area has a network: one whose output depends on what happened before.
+        """Whether each area has a trained network, whose output depends on past groups.
 
-        An area of few groups, or one where cross-validation kept no step of training, has output
-        weights of 0: groups come at a constant rate, as in `poisson-groups`.
+        In areas with few groups, and where cross-validation selected no training step, the output
+        weights are 0: groups enter at a constant rate, as in `poisson-groups`.
         """
         found: Bool[np.ndarray, " K"] = (self.weights["out_weight"] != 0).any(axis=(1, 2))
         return found
 
     def learned(self) -> int:
-        """How many learned numbers samples depend on.
+        """Number of learned parameters that samples depend on.
 
-        All weights of a trained network; of any other area two, a rate and P(one more member).
+        These are all weights of the trained networks, and two parameters for each other area: a
+        rate and P(one more member).
         """
         each = sum(math.prod(shape) for shape in SHAPES.values())
         trained = int(self.trained().sum())
         return trained * each + (len(self.areas.spawn) - trained) * 2
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
-        """Events in [0, `horizon_s`), on the grid."""
+        """Sample the people who enter in [0, `horizon_s`), seconds; times are on the grid."""
         from crowdbench.spawn.ntpp_kernels import draw
 
         points = int(np.ceil(horizon_s / self.grid_s - 1e-6))
@@ -117,21 +119,21 @@ class NtppGMM:
         return self.areas.draw(np.concatenate(tick) * self.grid_s, np.concatenate(area), scene, rng)
 
     def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Nats per person."""
+        """Log-probability of the arrivals, in nats per person."""
         return per_person(self.hazards(arrivals), arrivals)
 
     def hazards(self, arrivals: Arrivals) -> Hazards:
         """Cumulative hazards of the groups.
 
         Raises:
-            SettingError: the arrivals stand on another grid than the model's.
+            SettingError: the arrivals have another time grid than the model.
         """
         return self._along(arrivals)[0]
 
     def parameters(self, arrivals: Arrivals) -> Float[np.ndarray, "n 3"]:
-        """What the head said before each group.
+        """Output of the head before each group.
 
-        Weibull shape and scale (grid steps), and −log P(one more member).
+        The columns are Weibull shape, Weibull scale (grid steps), and −log P(one more member).
         """
         return self._along(arrivals)[1]
 
@@ -164,16 +166,16 @@ class NtppGMM:
 
     @classmethod
     def write(cls, folder: Path, fits: "Fits[NtppGMM]") -> None:
-        """Write all fits of all parts into a scene's folder."""
+        """Write all fits of all splits into a scene's folder."""
         from safetensors.numpy import save
 
         first = fits["full"][0]
         tensors = {}
-        for part, models in fits.items():
+        for split, models in fits.items():
             for fit, model in enumerate(models):
                 for name in SHAPES:
                     array = model.weights[name].astype(np.float32)
-                    tensors[f"{part}.{fit}.{name}"] = np.ascontiguousarray(array)
+                    tensors[f"{split}.{fit}.{name}"] = np.ascontiguousarray(array)
         header = _Header(
             schema=SCHEMA,
             model=NAME,
@@ -183,20 +185,20 @@ class NtppGMM:
             memory=first.memory,
             settings=dict(first.settings),
         )
-        # One entry: the order of several is not the same in each run.
+        # A single entry, because the order of several entries differs between runs.
         text = msgspec.json.encode(header, order="deterministic").decode()
         with replacing(folder / f"{NAME}.safetensors") as temporary:
             temporary.write_bytes(save(tensors, metadata={"crowdbench": text}))
 
     @classmethod
-    def read(cls, scene: Scene, areas: Areas, part: str = "full", fit: int = 0) -> "NtppGMM":
-        """A fit that a scene ships for a part; `fit` counts on from the first after the last.
+    def read(cls, scene: Scene, areas: Areas, split: str = "full", fit: int = 0) -> "NtppGMM":
+        """A fit that a scene ships for a split; `fit` is taken modulo the number of fits.
 
         Raises:
-            SettingError: there is no such part or fit.
-            WeightsError: the file is missing, broken or another scene's.
+            SettingError: the split or fit does not exist.
+            WeightsError: the file is missing or broken, or belongs to another scene.
         """
-        check_part(part, fit)
+        check_split(split, fit)
         path = scene.folder / f"{NAME}.safetensors"
         how = hint(scene)
         data = read_bytes(path, WeightsError, how)
@@ -206,38 +208,42 @@ class NtppGMM:
         )
         if header.memory < 1:
             raise WeightsError(
-                path, got=f"memory {header.memory}", expected="1 grid step or more", hint=how
+                path,
+                got=f"a memory of {header.memory} grid steps",
+                expected="1 or more",
+                hint=how,
             )
         most = len(tensors) // len(SHAPES)
         if not 1 <= header.fits <= max(1, most) or not np.isclose(header.grid_s, scene.grid_s):
             raise WeightsError(
                 path,
                 got=f"{header.fits} fits on a grid of {header.grid_s:g} s",
-                expected=f"as many fits as it holds, 1 or more, on a grid of {scene.grid_s:g} s",
+                expected=f"the number of fits in the file, at least 1, on a grid of "
+                f"{scene.grid_s:g} s",
                 hint=how,
             )
         k = len(areas.spawn)
         shapes = {name: (k, *shape) for name, shape in SHAPES.items()}
         expected = {
             f"{p}.{f}.{name}": shape
-            for p in PARTS
+            for p in SPLITS
             for f in range(header.fits)
             for name, shape in shapes.items()
         }
         _check(path, tensors, expected, how)
-        prefix = f"{part}.{fit % header.fits}."
+        prefix = f"{split}.{fit % header.fits}."
         weights = {name: tensors[prefix + name] for name in SHAPES}
         return cls(areas, weights, header.grid_s, header.memory, header.settings)
 
 
-def networks(scene: Scene, areas: Areas, parts: Sequence[str]) -> Int[np.ndarray, "F K"]:
-    """Of each fit and area how many networks were trained in these parts (`blocks.PARTS`).
+def networks(scene: Scene, areas: Areas, splits: Sequence[str]) -> Int[np.ndarray, "F K"]:
+    """Number of trained networks for each fit and area, over the given splits.
 
     Raises:
-        WeightsError: the scene's file is missing, broken or another scene's.
+        WeightsError: the scene's file is missing or broken, or belongs to another scene.
     """
     fits = range(scene.protocol.fits)
-    each = [[NtppGMM.read(scene, areas, p, fit).trained() for p in parts] for fit in fits]
+    each = [[NtppGMM.read(scene, areas, p, fit).trained() for p in splits] for fit in fits]
     return np.sum(each, axis=1)
 
 
@@ -258,14 +264,14 @@ def _decode(path: Path, data: bytes, how: str) -> tuple[_Header, dict[str, np.nd
 
     try:
         tensors = load(data)
-        # The format: eight bytes with the length of a JSON header that holds our own.
+        # The file begins with eight bytes that give the length of a JSON header.
         raw = msgspec.json.decode(data[8 : 8 + int.from_bytes(data[:8], "little")])
         text = raw["__metadata__"]["crowdbench"]
         return msgspec.json.decode(text, type=_Header), tensors
     except (SafetensorError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise WeightsError(
             path,
-            got=f"no readable weights ({error})",
+            got=f"unreadable weights ({error})",
             expected="safetensors with crowdbench's header",
             hint=how,
         ) from error
@@ -282,7 +288,7 @@ def _check(
         raise WeightsError(
             path,
             got=f"{len(wrong)} tensors missing or unknown, among them {wrong[0]}",
-            expected="those of each part, fit and weight",
+            expected="one tensor per split, fit and weight",
             hint=how,
         )
     for name, array in tensors.items():
@@ -298,5 +304,8 @@ def _check(
             raise WeightsError(where, got="NaN or infinity", expected="finite numbers", hint=how)
         if name.endswith("scaling") and (array[:, 1::2] <= 0).any():
             raise WeightsError(
-                where, got="a spread of 0 or less", expected="standard deviations > 0", hint=how
+                where,
+                got="a standard deviation of 0 or less",
+                expected="standard deviations > 0",
+                hint=how,
             )

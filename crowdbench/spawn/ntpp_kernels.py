@@ -1,7 +1,7 @@
-"""The network of `ntpp-gmm`, compiled: what it expects of groups, and draws from it.
+"""Compiled kernels of `ntpp-gmm`: cumulative hazards of groups, and sampling.
 
-One area at a time, in float64. `weights` are those of one area in the order of `ntpp.SHAPES`.
-Likelihood and sampling walk with the same `_head` and `_update`.
+They process one area at a time, in float64. `weights` are those of one area in the order of
+`ntpp.SHAPES`. Likelihood and sampling use the same functions `_head` and `_update`.
 """
 
 import math
@@ -10,9 +10,9 @@ import numpy as np
 from numba import njit
 
 LOG_SHAPE_BOUND = 2.0
-"""The Weibull shape stays within a factor of exp(±2) of its base …"""
+"""The Weibull shape stays within a factor of exp(±2) of its base value."""
 BOUND = 4.0
-"""… and the scale and the odds of one more member within exp(±4) of theirs."""
+"""The scale and the odds of one more member stay within a factor of exp(±4) of their base value."""
 
 
 @njit(cache=True)
@@ -27,7 +27,7 @@ def _sigmoid(x):
 
 @njit(cache=True)
 def _head(h, weights):
-    """Shape and scale (grid steps) of the next gap, and −log P(one more member)."""
+    """Weibull shape and scale (grid steps) of the next gap, and −log P(one more member)."""
     hidden_weight, hidden_bias, out_weight, out_bias, base = weights[5:10]
     out = out_weight @ np.tanh(hidden_weight @ h + hidden_bias) + out_bias
     shape = math.exp(base[0] + _bounded(out[0], LOG_SHAPE_BOUND))
@@ -38,7 +38,7 @@ def _head(h, weights):
 
 @njit(cache=True)
 def _update(h, gap, size, weights):
-    """The state after a group of `size` that came `gap` grid steps after the one before."""
+    """The state after a group of `size` that enters `gap` grid steps after the previous group."""
     input_weight, input_bias, state_weight, state_bias = weights[0:4]
     scaling = weights[10]
     x = np.empty(2)
@@ -58,8 +58,10 @@ def _update(h, gap, size, weights):
 
 @njit(cache=True)
 def _forget(h, steps, memory, weights):
-    """The state after `steps` grid steps without a group, how many of them it has seen, and the
-    cumulative hazard of those that it has forgotten.
+    """Reset the state after each `memory` grid steps without a group.
+
+    Returns the state after `steps` grid steps, the steps since the last reset, and the cumulative
+    hazard before it.
     """
     hazard = 0.0
     while memory < steps:
@@ -72,10 +74,10 @@ def _forget(h, steps, memory, weights):
 
 @njit(cache=True)
 def expect(gap, size, offsets, rest, memory, weights, gaps, sizes, rests, parameters):
-    """Walk along the spells of one area.
+    """Run the network along the spells of one area.
 
-    Fills the cumulative hazards `gaps` and `sizes` (n, 2) and `rests` (S,), and what the head
-    said before each group, `parameters` (n, 3).
+    Fills the cumulative hazards `gaps` and `sizes` (n, 2) and `rests` (S,), and the output of the
+    head before each group, `parameters` (n, 3).
     """
     for s in range(len(rest)):
         h = weights[4].copy()
@@ -95,11 +97,11 @@ def expect(gap, size, offsets, rest, memory, weights, gaps, sizes, rests, parame
 
 @njit(cache=True)
 def draw(points, memory, weights, rng):
-    """Grid points in [0, `points`) at which groups enter one area, and the groups' sizes."""
+    """Sample the grid points in [0, `points`) at which groups enter one area, and their sizes."""
     ticks = np.empty(points, np.int64)
     sizes = np.empty(points, np.int64)
     n = 0
-    tick = -1  # of the last group, or of when the network forgot
+    tick = -1  # grid point of the last group or reset
     h = weights[4].copy()
     while True:
         shape, scale, more = _head(h, weights)

@@ -1,4 +1,4 @@
-"""The likelihood of `ntpp-gmm` in torch: sequences packed into one batch, and their networks."""
+"""The likelihood of `ntpp-gmm` in torch, for sequences of several networks in one batch."""
 
 from dataclasses import dataclass
 
@@ -17,27 +17,29 @@ from crowdbench.spawn.ntpp_sequences import (
 
 @dataclass(frozen=True)
 class Batch:
-    """Sequences of `B` networks, packed: first the start of all, then the first group of those
-    that have one, the second of those that have two, and so on, padded to the same number in all
-    networks. Row r stands for a state and for the gap that follows it.
+    """The sequences of `B` networks, packed.
+
+    First come the starts of all sequences, then the first groups of those that have one, then the
+    second groups of those that have two, and so on, padded to the same number in all networks. Row
+    r represents a state and the gap that follows it.
     """
 
     live: list[int]
-    """Sequences with at least j groups."""
+    """Number of sequences with at least j groups."""
     x: Float[Tensor, "B r 2"]
-    """What the network reads, for each row but those of the start."""
+    """Input of the network for each row except the starts."""
     before: Float[Tensor, "B R"]
-    """Grid steps without a group: all but a gap's last, or the rest of the window."""
+    """Grid steps without a group: all but the last step of a gap, or the rest of the window."""
     until: Float[Tensor, "B R"]
-    """The gap, 1 where there is none."""
+    """The gap in grid steps; 1 if no group ends it."""
     size: Float[Tensor, "B R"]
-    """Persons of the group that ends the gap; 0 where none does."""
+    """Number of persons in the group that ends the gap; 0 if none does."""
     persons: Float[Tensor, " B"]
-    """In all sequences of a network, at least 1."""
+    """Number of persons in all sequences of each network, at least 1."""
 
 
 def pack(networks: list[list[Sequence]], scaling: np.ndarray) -> Batch:
-    """Pack the sequences of each network; `scaling` is of the networks' weights."""
+    """Pack the sequences of each network; `scaling` are the weights of that name."""
     networks = [sorted(each, key=lambda s: -len(s.gap)) for each in networks]
     lengths = np.array([[len(s.gap) for s in each] for each in _padded(networks)])
     live = [int((lengths >= j).sum(axis=1).max()) for j in range(lengths.max() + 1)]
@@ -59,16 +61,16 @@ def pack(networks: list[list[Sequence]], scaling: np.ndarray) -> Batch:
 
 
 def _padded(networks: list[list[Sequence]]) -> list[list[Sequence]]:
-    """Networks with the same number of sequences each; the added ones are empty."""
+    """The sequences, with empty ones added so that all networks have the same number."""
     most = max(len(each) for each in networks)
     return [each + [silence(0)] * (most - len(each)) for each in networks]
 
 
 def head(weights: dict[str, Tensor], batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
-    """Shape, log scale (grid steps) and −log P(one more member) at each row, (B, R) each."""
+    """Weibull shape, log scale (grid steps) and −log P(one more member) at each row; (B, R)."""
     state = weights["initial"][:, None].expand(-1, batch.live[0], -1)
     states = [state]
-    # Split at once: derivatives of slices are each as large as the whole.
+    # Split in one call, because the gradient of each slice would be as large as the whole tensor.
     read = _linear(weights, "input", batch.x)
     each = torch.split(read, batch.live[1:], dim=1)
     for n, i in zip(batch.live[1:], each, strict=True):
@@ -98,7 +100,7 @@ def _bounded(x: Tensor, bound: float) -> Tensor:
 def nats(weights: dict[str, Tensor], batch: Batch) -> Tensor:
     """Negative log-probability of each network's sequences, (B,)."""
     shape, log_scale, more = head(weights, batch)
-    # At no steps the hazard is 0, but its derivative by the shape would be 0 · ∞.
+    # For 0 steps the hazard is 0, but its derivative with respect to the shape would be 0 · ∞.
     some = batch.before > 0
     steps = torch.where(some, batch.before, torch.ones_like(batch.before))
     before = some * torch.exp(shape * (torch.log(steps) - log_scale))

@@ -1,4 +1,4 @@
-"""Recordings cut into the sequences of groups that `ntpp-gmm` is trained and judged on."""
+"""Cuts recordings into the sequences of groups that `ntpp-gmm` is trained and validated on."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -15,12 +15,15 @@ class Sequence:
     """The groups of one area in one window."""
 
     gap: Int[np.ndarray, " n"]
+    """Grid steps since the previous group, or since the point before the window."""
     size: Int[np.ndarray, " n"]
+    """Number of persons in each group."""
     rest: int
+    """Grid points of the window after the last group."""
 
 
 def pieces_of(stretches: Int[np.ndarray, "B 2"], length: int) -> Int[np.ndarray, "P 2"]:
-    """Stretches cut into pieces of about `length` grid points."""
+    """Cut stretches into pieces of about `length` grid points."""
     pieces: list[tuple[int, int]] = []
     for start, stop in stretches.tolist():
         count = max(1, round((stop - start) / length))
@@ -30,13 +33,13 @@ def pieces_of(stretches: Int[np.ndarray, "B 2"], length: int) -> Int[np.ndarray,
 
 
 def joined(pieces: Int[np.ndarray, "P 2"]) -> Int[np.ndarray, "B 2"]:
-    """Ascending pieces, those that touch as one."""
+    """Join adjacent pieces; `pieces` must be ascending."""
     begins = np.r_[True, pieces[1:, 0] != pieces[:-1, 1]]
     return np.stack([pieces[begins, 0], pieces[np.r_[begins[1:], True], 1]], axis=1)
 
 
 def within(arrivals: Arrivals, stretches: Int[np.ndarray, "B 2"]) -> Arrivals:
-    """The arrivals in some of the stretches."""
+    """The arrivals within the given stretches."""
     at = np.searchsorted(stretches[:, 0], arrivals.tick, side="right") - 1
     inside = (at >= 0) & (arrivals.tick < stretches[np.maximum(at, 0), 1])
     tick, area = arrivals.tick[inside], arrivals.area[inside]
@@ -44,9 +47,9 @@ def within(arrivals: Arrivals, stretches: Int[np.ndarray, "B 2"]) -> Arrivals:
 
 
 def windows(stretches: Int[np.ndarray, "B 2"], width: int, stride: int) -> Int[np.ndarray, "V 2"]:
-    """Training windows of `width` grid points: every `stride` one, and one at each end.
+    """Training windows of `width` grid points, `stride` apart, plus one at the end of each stretch.
 
-    None leaves its stretch; a stretch that is shorter is one window.
+    Windows lie within their stretch; a stretch that is shorter than `width` is one window.
     """
     found: list[tuple[int, int]] = []
     for start, stop in stretches.tolist():
@@ -61,9 +64,9 @@ def sequences(
     areas: Int[np.ndarray, " k"] | None = None,
     memory: int = NEVER_FORGETS,
 ) -> list[list[Sequence]]:
-    """For each area (by default all), its groups in each window; windows may overlap.
+    """The sequences of each area (by default all areas) in the windows, which may overlap.
 
-    After a silence as long as `memory` a new sequence begins.
+    A new sequence begins after a silence of `memory` grid steps.
     """
     result = []
     for k in range(arrivals.areas) if areas is None else areas.tolist():
@@ -79,7 +82,7 @@ def sequences(
 
 
 def _remembered(whole: Sequence, memory: int) -> list[Sequence]:
-    """A sequence, cut where it is silent for longer than `memory`."""
+    """The sequence, cut where no group enters for longer than `memory`."""
     found, begin, gap = [], 0, whole.gap.copy()
     for i in np.flatnonzero(gap > memory).tolist():
         forgotten = (gap[i] - 1) // memory
@@ -96,5 +99,5 @@ def _remembered(whole: Sequence, memory: int) -> list[Sequence]:
 
 
 def silence(steps: int) -> Sequence:
-    """A window without a group."""
+    """The sequence of a window without groups."""
     return Sequence(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), steps)

@@ -1,53 +1,57 @@
-"""Training of `ntpp-gmm` with torch; nothing else of crowdbench's spawn models imports torch.
+"""Training of `ntpp-gmm` with torch; no other spawn model imports torch.
 
-Areas are independent networks, computed together as one batch. Training windows of 100 frames
-with a stride of 50 lie inside observed stretches and end censored; the loss is the negative
-log-probability of the counts, survival terms included, summed over an area's windows and divided
-by one constant per area (never by a sequence's own length). Adam takes its steps on all windows of
-an area at once; where these hold more than 1,024 groups, on a random half, quarter, ... of them in
-turn, of at least eight windows. Windows that overlap much so make more parts, not dearer steps.
+The areas have independent networks, which are trained together as one batch. Training windows of
+100 frames with a stride of 50 lie within observed stretches, and their last gap is censored. The
+loss is the negative log-probability of the counts, including survival terms, summed over an area's
+windows and divided by one constant per area (not by the length of each sequence). Each Adam step
+uses all windows of an area. If these hold more than 1,024 groups, the windows are divided at random
+into 2, 4, … parts of at least eight windows each, which are used in turn. Strongly overlapping
+windows therefore lead to more parts, not to slower steps.
 
-When to stop is found by cross-validation: the training data's time blocks are dealt into five
-sets at random, five networks per area are trained without one set each, and the step at which
-their held-out likelihood is best is the number of steps for which the network that is kept is
-trained, on everything. Each area has a number of its own. Last, an area's scale is shifted until
-samples have the recorded number of persons.
+The number of training steps is chosen by cross-validation. The time blocks of the training data are
+dealt at random into five sets, and five networks per area are trained, each without one of the
+sets. The step with the best held-out likelihood is the number of steps for which the final network
+is trained on all data; it is chosen separately for each area. Finally, the scale of each area is
+shifted so that samples have the recorded number of persons.
 
-An area whose best step is 0, like one of fewer than 30 groups, has no network: it keeps the
+Areas whose best step is 0, and areas with fewer than 30 groups, have no network: they keep the
 constant rate of groups that training starts from (`NtppGMM.trained`).
 
-Chosen by held-out likelihood, nats per person, on ETH's folds (2 or 3 seeds, ± 0.003) and on ten
-hours of fresh plaza arrivals after half an hour of training (4 recordings, ± 0.006). There
-poisson-gmm has −4.073 and −4.33, renewal-gmm −3.441 and −3.254, and the truth of the plaza
-−3.225; poisson-groups, which knows nothing of *when*, has −3.465 on ETH's folds. The figures were
-noted while the settings were chosen, with the code of those days, and no command makes them again.
-Before the two choices that are named last:
+The settings were chosen by held-out likelihood in nats per person, on ETH's folds (2 or 3 seeds,
+± 0.003) and on ten hours of new plaza arrivals after half an hour of training (4 recordings,
+± 0.006). On these data poisson-gmm has −4.073 and −4.33, renewal-gmm −3.441 and −3.254, and the
+true process of the plaza −3.225; poisson-groups, which does not model times, has −3.465 on ETH's
+folds. The values were recorded with the code at the time of the choice, and no command reproduces
+them. The table has the likelihoods without the initial state's higher learning rate and without
+calibration. The first row is the chosen configuration; each other row changes one setting.
 
     learning rate 5e-3 (the paper's code; in full batches), windows of 100, stride 50,
     an MLP head, a learned initial state                              −3.420   −3.270
     the paper's learning rate, 1e-4                                   −3.424   −3.281
-    a linear head (its code)                                          −3.422   −3.270
-    an initial state of zeros (its code)                              −3.420   −3.270
+    a linear head (the paper's code)                                  −3.422   −3.270
+    an initial state of zeros (the paper's code)                      −3.420   −3.270
     a stride of 100                                                   −3.423   −3.280
     windows of 50, stride 25                                          −3.418   −3.284
     windows of 200, learning rate 2e-3                                −3.419   −3.270
-    areas of fewer than 30 groups trained too                         −3.531   −3.270
+    areas with fewer than 30 groups trained too                       −3.531   −3.270
     started from renewal-gmm, not from Poisson                        −3.438   −3.267
     one network for all areas of a scene                              −3.427   −3.268
 
-The head and the initial state hardly matter to the likelihood. The initial state does to samples:
-with one that learns ten times faster, the plaza's first 25 frames have 1.11 times the mean number
-of persons, not 1.26 times. The calibration costs 0.002 to 0.004 nats and is worth it: without it
-samples have 0.83 to 1.04 times the recorded persons. With both: −3.428 and −3.262. After 5 or 10
-hours of training it is −3.247 and −3.246: half of the distance to the truth is estimation, half
-what a Weibull distribution after a few groups cannot say.
+The head and the initial state hardly affect the likelihood, but the initial state affects samples:
+if it learns ten times faster, the plaza's first 25 frames have 1.11 instead of 1.26 times the mean
+number of persons. The calibration costs 0.002 to 0.004 nats; without it samples have 0.83 to 1.04
+times the recorded number of persons. With both, the values are −3.428 and −3.262. After 5 or 10
+hours of training on the plaza they are −3.247 and −3.246: half of the difference to the true
+process is estimation error, and half is due to the limited model (a Weibull distribution that
+depends on a few groups).
 
-Since then two things have changed for Grand Central's sake, where trains empty themselves into an
-area every ten minutes: after a silence as long as a window the network forgets, and calibration
-finds a root (free samples had up to 1.4 times the persons, and answer a shift fourfold). On the
-first and third fold of Grand Central, where renewal-gmm has −1.997 and −1.854 nats per person,
-windows of 100, 200 and 500 frames then have −1.900, −1.896, −1.896 and −1.789, −1.788, −1.792; on
-ETH's folds windows of 100 and 500 have −3.430 and −3.434.
+Two later changes were made for Grand Central, where trains bring people to an area every ten
+minutes. After a silence as long as a window, the state of the network is reset. And the calibration
+uses root finding, because samples had up to 1.4 times the recorded number of persons, and this
+ratio can change by four times the shift. On the first and third fold of Grand Central, renewal-gmm
+has −1.997 and −1.854 nats per person. With these changes, windows of 100, 200 and 500 frames have
+−1.900, −1.896, −1.896 on the first and −1.789, −1.788, −1.792 on the third fold. On ETH's folds
+windows of 100 and 500 frames have −3.430 and −3.434.
 """
 
 from collections.abc import Callable, Iterator
@@ -76,40 +80,41 @@ from crowdbench.spawn.ntpp_sequences import (
     within,
 )
 
-_FURTHEST = 1.0  # that an area's log scale is shifted
+_FURTHEST = 1.0  # largest shift of an area's log scale
 _JUDGED_EVERY = 8
-"""Steps, at most, from one look at the held-out likelihood to the next. Looked at once all parts
-have had their turn, windows that overlap a hundredfold would end training at its first look."""
+"""Maximum number of steps between evaluations of the held-out likelihood. If it were evaluated only
+after all parts have been used, training on strongly overlapping windows would end at the first
+evaluation."""
 _PART_WINDOWS = 8
-"""Windows of an area, at least, that are looked at in one step: with long ones of many groups it
-would otherwise follow one or two of them at a time, or find a part without any."""
+"""Minimum number of windows of an area per step. Without it, long windows with many groups would be
+used one or two at a time, or a part could be empty."""
 _FIXED = ("base", "scaling")
-_ZERO = ("initial", "out_weight", "out_bias")  # the head starts silent, at the base
+_ZERO = ("initial", "out_weight", "out_bias")  # the output of the head starts at `base`
 _TRAINED = tuple(name for name in SHAPES if name not in _FIXED)
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How a network is trained."""
+    """Settings of training."""
 
     window_frames: int = 100
     stride_frames: int = 50
     learning_rate: float = 5e-3
     initial_rate: float = 10.0
-    """How much faster the initial state learns: in the few epochs before training stops it has to
-    come to mean something else than the states that follow groups."""
+    """Factor of the learning rate of the initial state. Within the few epochs of training it must
+    become different from the states that follow groups."""
     epochs: int = 500
-    """Most steps; steps are epochs where an area's windows are looked at all at once."""
+    """Maximum number of steps; a step is an epoch if all windows of an area are used at once."""
     patience: int = 50
-    """Steps without a better one for any area after which training ends."""
+    """Number of steps without improvement in any area after which training ends."""
     sets: int = 5
-    """Of the cross-validation."""
+    """Number of sets for cross-validation."""
     least_groups: int = 30
-    """An area of fewer groups stays Poisson."""
+    """Minimum number of groups; areas with fewer keep a constant rate of groups."""
     step_groups: int = 1024
-    """About as many groups of an area, at most, are looked at in one step."""
+    """Approximate maximum number of groups of an area per step."""
     calibration_points: int = 400_000
-    """Grid points sampled per area and step of the calibration."""
+    """Number of grid points sampled per area and calibration step."""
 
 
 SETTINGS = Settings()
@@ -125,7 +130,11 @@ def fit(
 
 @contextmanager
 def _deterministic() -> Iterator[None]:
-    """One thread: sums of several are added in no fixed order, and nets this small gain nothing."""
+    """Use deterministic algorithms and one thread.
+
+    With several threads the order of summation is not fixed, and networks of this size are not
+    faster.
+    """
     threads, strict = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)
@@ -156,22 +165,22 @@ def _fit(arrivals: Arrivals, areas: Areas, scene: Scene, seed: int, settings: Se
 
 @dataclass(frozen=True)
 class _Cutting:
-    """How a recording is cut, grid points."""
+    """Lengths into which a recording is cut, in grid points."""
 
     width: int
-    """Of a training window."""
+    """Length of a training window."""
     stride: int
-    """From one training window to the next."""
+    """Distance from one training window to the next."""
     block: int
-    """Of the pieces that are dealt to the sets of the cross-validation."""
+    """Length of the pieces that are dealt to the sets of the cross-validation."""
 
 
 def _batched(
     groups: Int[np.ndarray, " K"], cutting: _Cutting, settings: Settings
 ) -> Iterator[tuple[Int[np.ndarray, " k"], int]]:
-    """Areas that are trained, those of about the same size together, and in how many parts.
+    """Batches of areas that are trained together, and the number of parts of their windows.
 
-    Networks of one batch are padded to the same size.
+    A batch consists of areas of similar size, because their sequences are padded to the same size.
     """
     trained = np.flatnonzero(groups >= settings.least_groups)
     rows = groups[trained] * max(1.0, cutting.width / cutting.stride)
@@ -191,7 +200,7 @@ def _train_chosen(
     cutting: _Cutting,
     settings: Settings,
 ) -> None:
-    """Train the networks of the chosen areas, each for its number of steps, in `weights`."""
+    """Train the networks of the chosen areas, each for its number of steps; updates `weights`."""
     some = {name: array[chosen] for name, array in weights.items()}
     found = windows(arrivals.windows, cutting.width, cutting.stride)
     batches = _Batches.of(sequences(arrivals, found, chosen), some["scaling"], parts, seed)
@@ -214,7 +223,7 @@ def _best_steps(
     cutting: _Cutting,
     settings: Settings,
 ) -> Int[np.ndarray, " k"]:
-    """For each of the chosen areas the step of the best held-out likelihood."""
+    """The step with the best held-out likelihood for each of the chosen areas."""
     pieces = pieces_of(arrivals.windows, cutting.block)
     sets = min(settings.sets, len(pieces))
     if sets < 2:
@@ -225,7 +234,7 @@ def _best_steps(
     held_out: list[list[Sequence]] = []
     for number in range(sets):
         inside = joined(pieces[dealt != number])
-        # What the networks start from must not know the held-out blocks either.
+        # The initial weights must not depend on the held-out blocks either.
         start = start_weights(within(arrivals, inside), seed)
         starts.append({name: array[chosen] for name, array in start.items()})
         found = windows(inside, cutting.width, cutting.stride)
@@ -253,21 +262,21 @@ def _best_steps(
 
 @dataclass(frozen=True, eq=False)
 class _Batches:
-    """The sequences of each network in parts, one of which is looked at in each step."""
+    """The sequences of each network, dealt into parts, of which each step uses one."""
 
     networks: list[list[Sequence]]
     scaling: np.ndarray
     dealt: list[np.ndarray]
-    """The part of each sequence of each network."""
+    """Index of the part of each sequence, for each network."""
     parts: list[int]
-    """Of each network, powers of two: who has fewer sequences takes its turns more often."""
+    """Number of parts for each network, a power of 2; networks with fewer parts repeat them."""
     _packed: dict[int, "Batch"] = field(default_factory=dict)
 
     @classmethod
     def of(
         cls, networks: list[list[Sequence]], scaling: np.ndarray, parts: int, seed: int
     ) -> "_Batches":
-        """Deal the sequences at random into so many parts, or fewer where they are few."""
+        """Deal the sequences of each network at random into `parts` parts, or fewer if needed."""
         enough = [max(1, len(each) // _PART_WINDOWS) for each in networks]
         several = [min(parts, 2 ** (count.bit_length() - 1)) for count in enough]
         rng = np.random.default_rng([seed, 3])
@@ -278,7 +287,7 @@ class _Batches:
         return cls(networks, scaling, dealt, several)
 
     def at(self, step: int) -> "Batch":
-        """What is looked at in a step; packed at its first turn, which most of many never have."""
+        """The packed part for a step; packed when first used, because many parts never are."""
         turn = step % max(self.parts)
         if turn not in self._packed:
             chosen = [
@@ -295,7 +304,7 @@ def _train(
     settings: Settings,
     seen: Callable[[int, dict[str, Tensor]], bool],
 ) -> None:
-    """Take steps until `seen`, which is shown the weights after each from 0 on, says stop."""
+    """Take steps until `seen(step, weights)`, called before the first step too, returns True."""
     now = {name: torch.tensor(array, dtype=torch.float32) for name, array in weights.items()}
     for name in _TRAINED:
         now[name].requires_grad_()
@@ -315,7 +324,7 @@ def _train(
 
 
 def start_weights(arrivals: Arrivals, seed: int) -> dict[str, np.ndarray]:
-    """Random inner weights; the head says what a Poisson process of groups has."""
+    """Initial weights: random, but the head's output is a Poisson process of groups."""
     rng = np.random.default_rng([seed, 0])
     k, bound = arrivals.areas, HIDDEN**-0.5  # as torch starts its GRU
     weights = {
@@ -338,7 +347,7 @@ def start_weights(arrivals: Arrivals, seed: int) -> dict[str, np.ndarray]:
 
 
 def _rounded(weights: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Weights as their file will hold them."""
+    """Weights rounded to float32, as in their file."""
     return {name: array.astype(np.float32) for name, array in weights.items()}
 
 
@@ -349,10 +358,10 @@ def _calibrated(
     seed: int,
     settings: Settings,
 ) -> NtppGMM:
-    """The model with scales shifted so that samples have the recorded number of persons.
+    """The model with log scales shifted so that samples have the recorded number of persons.
 
-    A point process that feeds on its own past need not reproduce the rate that it was trained
-    on, though its compensator does.
+    The samples of a self-exciting process can have another rate than its training data, even
+    though its compensator has the same rate.
     """
     persons = np.bincount(arrivals.area, minlength=arrivals.areas)
     recorded = persons / np.diff(arrivals.windows, axis=1).sum()
@@ -366,12 +375,12 @@ def _calibrated(
 def _shift(
     weights: tuple[np.ndarray, ...], memory: int, recorded: float, seed: int, settings: Settings
 ) -> float:
-    """What the log scale of an area is to be shifted by for `recorded` persons per grid point.
+    """The shift of an area's log scale for which samples have `recorded` persons per grid point.
 
-    Found between -1 and 1 by root finding, as a process that excites itself may answer a shift
-    with four times as much: steps of the ratio's own size would leap over the mark for good.
+    It is found between −1 and 1 by root finding. In a self-exciting process the log rate can change
+    by four times the shift, so a fixed-point iteration would not converge.
     """
-    points = 2_000  # about a recording of ETH, so that the start counts as much as there
+    points = 2_000  # about the length of ETH's recording, so that the start has a similar weight
     samples = max(1, settings.calibration_points // points)
 
     def excess(shift: float) -> float:

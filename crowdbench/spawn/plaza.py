@@ -1,9 +1,9 @@
-"""Arrivals on the plaza, a made-up place whose true process is known, to test models with.
+"""Arrivals on the plaza, a synthetic place with a known true process, for testing models.
 
-Arrivals are bursty and come in groups, independently per area: a hidden two-state Markov chain
-(quiet, busy) runs in steps of a frame, in each frame a group enters with a probability that
-depends on the state, and its size is geometric. That is rich enough for a Poisson model to miss,
-and the likelihood is exact by the forward algorithm.
+Arrivals are bursty and in groups, independently for each area. A hidden Markov chain with two
+states (quiet, busy) changes in steps of a frame. In each frame a group enters with a probability
+that depends on the state, and its size is geometric. A Poisson model cannot represent this process,
+and the exact likelihood is available from the forward algorithm.
 """
 
 from dataclasses import replace
@@ -36,7 +36,7 @@ NEXT_MEMBER = 0.4  # P(a group has one more member)
 
 
 class PlazaArrivals:
-    """The process itself, as a spawn model: what no fitted model can beat on fresh data."""
+    """The true process as a spawn model; no fitted model can do better on new data."""
 
     name = "plaza-truth"
     start: ClassVar[Start] = "stationary"
@@ -50,7 +50,10 @@ class PlazaArrivals:
         self._group = 1 - np.exp(-GROUPS_PER_S * dt_s)
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
-        """Events in [0, `horizon_s`), members of a group at the same time to the same goal area."""
+        """Sample the people who enter in [0, `horizon_s`), seconds.
+
+        Members of a group enter at the same time and have the same goal area.
+        """
         frames = int(np.ceil(horizon_s / scene.grid_s - 1e-6))
         areas = len(self._group)
         changes = rng.random((areas, frames))
@@ -64,7 +67,7 @@ class PlazaArrivals:
         return self._together(events, scene, rng)
 
     def _together(self, events: SpawnEvents, scene: Scene, rng: Generator) -> SpawnEvents:
-        """Give all members of a group the goal area of the first."""
+        """The events with all members of a group given the goal area of the first."""
         key = np.stack([events.time_s, events.spawn_area], axis=1)
         _, first, group = np.unique(key, axis=0, return_index=True, return_inverse=True)
         goal_area = events.goal_area[first][group]
@@ -72,7 +75,10 @@ class PlazaArrivals:
         return replace(events, goal_area=goal_area, goal=goal)
 
     def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Nats per person, by the forward algorithm (Rabiner 1989, eqs. 19 and 20)."""
+        """Exact log-probability of the arrivals, in nats per person.
+
+        Computed by the forward algorithm (Rabiner 1989, eqs. 19 and 20).
+        """
         counts = arrivals.counts()
         stops = np.cumsum(np.diff(arrivals.windows, axis=1)[:, 0])
         total = 0.0
@@ -85,11 +91,11 @@ class PlazaArrivals:
 
 
 def true_areas() -> Areas:
-    """The areas that the plaza's people enter at and walk to."""
+    """The true areas, flows and speeds of the plaza."""
     from scipy.stats import norm
 
     gaussians = Gaussians(CENTRES_M, np.stack([np.diag(sd**2) for sd in SPREAD_M]))
-    levels = np.linspace(0.005, 0.995, 101)  # a normal cut off at 2.6 standard deviations
+    levels = np.linspace(0.005, 0.995, 101)  # a normal truncated at 2.6 standard deviations
     return Areas(
         scene=SCENE,
         spawn=gaussians,

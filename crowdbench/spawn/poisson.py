@@ -1,4 +1,4 @@
-"""`poisson-gmm`: each area lets people in at a constant rate, independently of everything."""
+"""`poisson-gmm`: people enter each area at a constant rate, independently of each other."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +13,7 @@ from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals, SpawnEvents
 from crowdbench.spawn.groups import Hazards, spells_of
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.weights import Fits, check_numbers, check_part, read_part, write_parts
+from crowdbench.spawn.weights import Fits, check_numbers, check_split, read_split, write_splits
 
 NAME = "poisson-gmm"
 
@@ -24,13 +24,13 @@ class PoissonGMM:
 
     areas: Areas
     rate: Float[np.ndarray, " K"]
-    """Persons per second and area."""
+    """Expected persons per second for each area."""
     name: str = NAME
     start: ClassVar[Start] = "stationary"
 
     @classmethod
     def fit(cls, arrivals: Arrivals, areas: Areas) -> "PoissonGMM":
-        """Maximum likelihood: persons per observed second, each person of a group counted.
+        """Maximum-likelihood fit: persons per observed second, counting each member of a group.
 
         Source: Daley & Vere-Jones (2003), An Introduction to the Theory of Point Processes I,
         eq. 2.1.4.
@@ -39,20 +39,20 @@ class PoissonGMM:
         return cls(areas, count / arrivals.exposure_s())
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
-        """Events in [0, `horizon_s`)."""
+        """Sample the people who enter in [0, `horizon_s`), seconds."""
         count = rng.poisson(self.rate * horizon_s)
         area = np.repeat(np.arange(len(self.rate)), count)
         return self.areas.draw(rng.random(len(area)) * horizon_s, area, scene, rng)
 
     def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Nats per person: the counts at each grid point are Poisson of mean rate × grid step."""
+        """Log-probability in nats per person, with Poisson counts at each grid point."""
         from scipy.stats import poisson
 
         total = poisson.logpmf(arrivals.counts(), self.rate * arrivals.grid_s).sum()
         return float(total / max(1, len(arrivals.tick)))
 
     def hazards(self, arrivals: Arrivals) -> Hazards:
-        """Gaps are geometric, the sizes of groups Poisson given that they are not 0."""
+        """Cumulative hazards of the groups: geometric gaps and zero-truncated Poisson sizes."""
         from scipy.stats import poisson
 
         spells = spells_of(arrivals)
@@ -68,20 +68,20 @@ class PoissonGMM:
 
     @classmethod
     def write(cls, folder: Path, fits: "Fits[PoissonGMM]") -> None:
-        """Write the rates of all parts into a scene's folder."""
+        """Write the rates of all splits into a scene's folder."""
         scene = fits["full"][0].areas.scene
-        parts = {part: {"rate_per_s": models[0].rate} for part, models in fits.items()}
-        write_parts(folder / f"{NAME}.json", NAME, scene, parts)
+        splits = {split: {"rate_per_s": models[0].rate} for split, models in fits.items()}
+        write_splits(folder / f"{NAME}.json", NAME, scene, splits)
 
     @classmethod
-    def read(cls, scene: Scene, areas: Areas, part: str = "full", fit: int = 0) -> "PoissonGMM":
-        """The rates that a scene ships for a part; its one fit stands for every `fit`.
+    def read(cls, scene: Scene, areas: Areas, split: str = "full", fit: int = 0) -> "PoissonGMM":
+        """The fit that a scene ships for a split; all values of `fit` give the same fit.
 
         Raises:
-            SettingError: there is no such part or fit.
-            WeightsError: the file is missing, broken or another scene's.
+            SettingError: the split or fit does not exist.
+            WeightsError: the file is missing or broken, or belongs to another scene.
         """
-        check_part(part, fit)
-        rate = read_part(scene, NAME, ["rate_per_s"], len(areas.spawn), part)["rate_per_s"]
+        check_split(split, fit)
+        rate = read_split(scene, NAME, ["rate_per_s"], len(areas.spawn), split)["rate_per_s"]
         check_numbers(scene, NAME, {"rate_per_s": (bool((rate >= 0).all()), "rates ≥ 0")})
         return cls(areas, rate)

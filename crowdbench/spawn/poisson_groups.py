@@ -1,9 +1,9 @@
 """`poisson-groups`: groups enter each area at a constant rate.
 
-At each grid point a group enters an area with the same probability, whatever came before; its size
-is geometric, as in `renewal-gmm`. What it gains over `poisson-gmm` is what groups alone give, and
-what others gain over it is what they know of *when*. An area of `ntpp-gmm` that has no trained
-network is this model.
+At each grid point a group enters an area with a constant probability, independent of the past. Its
+size is geometric, as in `renewal-gmm`. The gain over `poisson-gmm` is the effect of groups alone,
+and the gain of other models over this one is the effect of modelling times. An area of `ntpp-gmm`
+without a trained network uses this model.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from crowdbench.spawn.groups import (
     spells_of,
 )
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.weights import Fits, check_numbers, check_part, read_part, write_parts
+from crowdbench.spawn.weights import Fits, check_numbers, check_split, read_split, write_splits
 
 NAME = "poisson-groups"
 _NUMBERS = ("rate_per_s", "next_member")
@@ -38,27 +38,27 @@ class PoissonGroups:
 
     areas: Areas
     rate_per_s: Float[np.ndarray, " K"]
-    """Expected groups per second and area: at each grid point one enters with the probability
-    rate × step."""
+    """Expected groups per second for each area; at each grid point a group enters with probability
+    rate × grid step."""
     next_member: Float[np.ndarray, " K"]
-    """P(a group has one more member)."""
+    """P(a group has one more member) for each area."""
     grid_s: float
-    """Seconds of the grid that groups enter on."""
+    """Step of the time grid on which groups enter, seconds."""
     name: str = NAME
     start: ClassVar[Start] = "stationary"
 
     @classmethod
     def fit(cls, arrivals: Arrivals, areas: Areas) -> "PoissonGroups":
-        """Maximum likelihood, by `group_size`: as many persons are expected as were recorded."""
+        """Maximum-likelihood fit by `group_size`; the expected number of persons is as recorded."""
         more, groups = group_size(arrivals)
         return cls(areas, groups / arrivals.grid_s, more, arrivals.grid_s)
 
     def mean_rate(self) -> Float[np.ndarray, " K"]:
-        """Expected persons per second and area."""
+        """Expected persons per second for each area."""
         return self.rate_per_s / (1 - self.next_member)
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
-        """Events in [0, `horizon_s`), on the grid."""
+        """Sample the people who enter in [0, `horizon_s`), seconds; times are on the grid."""
         points = int(np.ceil(horizon_s / self.grid_s - 1e-6))
         area, tick = np.nonzero(
             rng.random((len(self.rate_per_s), points)) < self._chance()[:, None]
@@ -72,14 +72,14 @@ class PoissonGroups:
         return self.rate_per_s * self.grid_s
 
     def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Nats per person."""
+        """Log-probability of the arrivals, in nats per person."""
         return per_person(self.hazards(arrivals), arrivals)
 
     def hazards(self, arrivals: Arrivals) -> Hazards:
         """Cumulative hazards of the groups: gaps and sizes are geometric.
 
         Raises:
-            SettingError: the arrivals stand on another grid than the model's.
+            SettingError: the arrivals have another time grid than the model.
         """
         check_grid(arrivals, self.grid_s, NAME)
         spells = spells_of(arrivals)
@@ -93,21 +93,21 @@ class PoissonGroups:
 
     @classmethod
     def write(cls, folder: Path, fits: "Fits[PoissonGroups]") -> None:
-        """Write the fits of all parts into a scene's folder."""
+        """Write the fits of all splits into a scene's folder."""
         scene = fits["full"][0].areas.scene
-        parts = {p: {name: getattr(m[0], name) for name in _NUMBERS} for p, m in fits.items()}
-        write_parts(folder / f"{NAME}.json", NAME, scene, parts)
+        splits = {p: {name: getattr(m[0], name) for name in _NUMBERS} for p, m in fits.items()}
+        write_splits(folder / f"{NAME}.json", NAME, scene, splits)
 
     @classmethod
-    def read(cls, scene: Scene, areas: Areas, part: str = "full", fit: int = 0) -> "PoissonGroups":
-        """The fit that a scene ships for a part; its one fit stands for every `fit`.
+    def read(cls, scene: Scene, areas: Areas, split: str = "full", fit: int = 0) -> "PoissonGroups":
+        """The fit that a scene ships for a split; all values of `fit` give the same fit.
 
         Raises:
-            SettingError: there is no such part or fit.
-            WeightsError: the file is missing, broken or another scene's.
+            SettingError: the split or fit does not exist.
+            WeightsError: the file is missing or broken, or belongs to another scene.
         """
-        check_part(part, fit)
-        numbers = read_part(scene, NAME, _NUMBERS, len(areas.spawn), part)
+        check_split(split, fit)
+        numbers = read_split(scene, NAME, _NUMBERS, len(areas.spawn), split)
         rate, more = (numbers[name] for name in _NUMBERS)
         check_numbers(
             scene,

@@ -1,13 +1,13 @@
-"""`renewal-gmm`: groups enter each area with independent gaps, the simplest thing not Poisson.
+"""`renewal-gmm`: groups enter each area with independent gaps, the simplest non-Poisson model.
 
-Gaps have a Weibull distribution that is looked at on the annotation grid: with S its survival
-function in grid steps, a gap lasts g ≥ 1 steps with probability S(g − 1) − S(g). Sizes of groups
-are geometric. Both are independent of everything before.
+Gaps have a Weibull distribution that is discretised on the annotation grid: with S its survival
+function in grid steps, a gap lasts g ≥ 1 steps with probability S(g − 1) − S(g). Group sizes are
+geometric. Gaps and sizes are independent of the past.
 
 The wait from the start of a stretch, or of a sample, to the first group is the forward recurrence
 time of the stationary process: it lasts w ≥ 1 steps with probability S(w − 1) / μ, where
-μ = Σ S(j) is the mean gap. So the expected number of persons is the same at every grid point from
-the first on. Source: Cox (1962), Renewal Theory, secs. 2.3 and 5.2, in discrete time.
+μ = Σ S(j) is the mean gap. The expected number of persons is therefore the same at every grid
+point. Source: Cox (1962), Renewal Theory, secs. 2.3 and 5.2, in discrete time.
 """
 
 from dataclasses import dataclass
@@ -31,15 +31,15 @@ from crowdbench.spawn.groups import (
     spells_of,
 )
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.weights import Fits, check_numbers, check_part, read_part, write_parts
+from crowdbench.spawn.weights import Fits, check_numbers, check_split, read_split, write_splits
 
 NAME = "renewal-gmm"
 SHAPES = (0.3, 3.0)
-"""Least and greatest shape that is fitted."""
+"""Smallest and largest shape that can be fitted."""
 SPREAD = 0.5
-"""Standard deviation of the normal prior of log shape, around 0, that is Poisson. On ETH's folds
-0.25, 0.5, 1 and 10 have −3.439, −3.441, −3.452 and −3.518 nats per held-out person, on the plaza's
-−3.454 and three times −3.452."""
+"""Standard deviation of the normal prior of the log shape, whose mean 0 is a Poisson process. The
+values 0.25, 0.5, 1 and 10 give −3.439, −3.441, −3.452 and −3.518 nats per held-out person on ETH's
+folds; on the plaza's folds 0.25 gives −3.454, and the others −3.452."""
 _NUMBERS = ("shape", "scale_s", "next_member")
 _EXACT = 512  # terms of Σ S(j) that are summed one by one
 
@@ -50,22 +50,22 @@ class RenewalGMM:
 
     areas: Areas
     shape: Float[np.ndarray, " K"]
-    """Weibull shape of the gaps: 1 is Poisson, less is bursty, more is regular."""
+    """Weibull shape of the gaps: 1 is Poisson, smaller is bursty, larger is regular."""
     scale_s: Float[np.ndarray, " K"]
     """Weibull scale of the gaps, seconds."""
     next_member: Float[np.ndarray, " K"]
-    """P(a group has one more member)."""
+    """P(a group has one more member) for each area."""
     grid_s: float
-    """Seconds of the grid that groups enter on."""
+    """Step of the time grid on which groups enter, seconds."""
     name: str = NAME
     start: ClassVar[Start] = "stationary"
 
     @classmethod
     def fit(cls, arrivals: Arrivals, areas: Areas) -> "RenewalGMM":
-        """The most likely shape per area, given the recorded number of persons.
+        """Fit the most likely shape per area, given the recorded number of persons.
 
-        The scale is such that the expected number of persons is exactly the recorded one. A weak
-        prior holds areas of a few groups at Poisson.
+        The scale is such that the expected number of persons equals the recorded one. A weak prior
+        keeps areas with few groups close to a Poisson process.
         """
         more, groups = group_size(arrivals)
         spells = spells_of(arrivals)
@@ -74,12 +74,12 @@ class RenewalGMM:
         return cls(areas, shape, scale * arrivals.grid_s, more, arrivals.grid_s)
 
     def mean_rate(self) -> Float[np.ndarray, " K"]:
-        """Expected persons per second and area."""
+        """Expected persons per second for each area."""
         gap = np.exp(_log_tail(np.zeros(1), self.shape, self.scale_s / self.grid_s))
         return 1 / (gap * self.grid_s * (1 - self.next_member))
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
-        """Events in [0, `horizon_s`), on the grid."""
+        """Sample the people who enter in [0, `horizon_s`), seconds; times are on the grid."""
         points = int(np.ceil(horizon_s / self.grid_s - 1e-6))
         tick, area = [], []
         for k in range(len(self.shape)):
@@ -98,21 +98,21 @@ class RenewalGMM:
         while ticks[-1][-1] < points:
             size = 16 + int(1.1 * points / mean[0])
             gap = np.ceil(scale * rng.standard_exponential(size) ** (1 / shape))
-            # A gap longer than the horizon is just that, however long.
+            # The exact length of a gap beyond the horizon does not matter.
             gap = np.clip(gap, 1, points).astype(np.int64)
             ticks.append(ticks[-1][-1] + np.cumsum(gap))
         every = np.concatenate(ticks)
         return every[every < points]
 
     def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Nats per person."""
+        """Log-probability of the arrivals, in nats per person."""
         return per_person(self.hazards(arrivals), arrivals)
 
     def hazards(self, arrivals: Arrivals) -> Hazards:
         """Cumulative hazards of the groups.
 
         Raises:
-            SettingError: the arrivals stand on another grid than the model's.
+            SettingError: the arrivals have another time grid than the model.
         """
         check_grid(arrivals, self.grid_s, NAME)
         spells = spells_of(arrivals)
@@ -121,24 +121,24 @@ class RenewalGMM:
 
     @classmethod
     def write(cls, folder: Path, fits: "Fits[RenewalGMM]") -> None:
-        """Write the fits of all parts into a scene's folder."""
+        """Write the fits of all splits into a scene's folder."""
         scene = fits["full"][0].areas.scene
-        parts = {part: models[0]._numbers() for part, models in fits.items()}
-        write_parts(folder / f"{NAME}.json", NAME, scene, parts)
+        splits = {split: models[0]._numbers() for split, models in fits.items()}
+        write_splits(folder / f"{NAME}.json", NAME, scene, splits)
 
     def _numbers(self) -> dict[str, np.ndarray]:
         return {name: getattr(self, name) for name in _NUMBERS}
 
     @classmethod
-    def read(cls, scene: Scene, areas: Areas, part: str = "full", fit: int = 0) -> "RenewalGMM":
-        """The fit that a scene ships for a part; its one fit stands for every `fit`.
+    def read(cls, scene: Scene, areas: Areas, split: str = "full", fit: int = 0) -> "RenewalGMM":
+        """The fit that a scene ships for a split; all values of `fit` give the same fit.
 
         Raises:
-            SettingError: there is no such part or fit.
-            WeightsError: the file is missing, broken or another scene's.
+            SettingError: the split or fit does not exist.
+            WeightsError: the file is missing or broken, or belongs to another scene.
         """
-        check_part(part, fit)
-        numbers = read_part(scene, NAME, _NUMBERS, len(areas.spawn), part)
+        check_split(split, fit)
+        numbers = read_split(scene, NAME, _NUMBERS, len(areas.spawn), split)
         shape, scale, more = (numbers[name] for name in _NUMBERS)
         check_numbers(
             scene,
@@ -153,7 +153,7 @@ class RenewalGMM:
 
 
 def _of_area(spells: Spells, k: int) -> Spells:
-    """The spells of one area, as those of area 0."""
+    """The spells of area k, relabelled as area 0."""
     chosen = np.flatnonzero(spells.area == k)
     groups = slice(spells.offsets[chosen[0]], spells.offsets[chosen[-1] + 1])
     return Spells(
@@ -166,7 +166,7 @@ def _of_area(spells: Spells, k: int) -> Spells:
 
 
 def _most_likely(spells: Spells, mean: float) -> tuple[float, float]:
-    """Shape and scale (grid steps) of one area's gaps, whose mean is `mean` grid steps."""
+    """The most likely shape and scale of one area's gaps, given their mean; in grid steps."""
     from scipy.optimize import minimize_scalar
 
     def loss(log_shape: float) -> float:
@@ -184,7 +184,7 @@ def _most_likely(spells: Spells, mean: float) -> tuple[float, float]:
 
 
 def _scale(shape: float, mean: float) -> float:
-    """The scale for which the mean gap is `mean` grid steps."""
+    """The Weibull scale, in grid steps, for which the mean gap is `mean` grid steps."""
     from scipy.optimize import brentq
 
     aim = np.log(max(mean, 1 + 1e-6))
@@ -198,7 +198,7 @@ def _scale(shape: float, mean: float) -> float:
 def _gap_hazards(
     spells: Spells, shape: Float[np.ndarray, " K"], scale: Float[np.ndarray, " K"]
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " S"]]:
-    """Cumulative hazards of the gaps and of the rests; the scale in grid steps."""
+    """Cumulative hazards of the gaps and of the rests; `scale` is in grid steps."""
     spell = spells.of_group
     at = spells.area[spell]
     steps = np.stack([spells.gap - 1, spells.gap], axis=1)
@@ -224,8 +224,8 @@ def _log_tail(
 ) -> np.ndarray:
     """Log of Σ_{j ≥ steps} S(j), with S the Weibull survival function in grid steps.
 
-    The first terms are summed, the others by the Euler–Maclaurin formula: the integral of S
-    from there on, an incomplete gamma function, plus S/2 − S′/12.
+    The first terms are summed directly. The remaining sum is computed by the Euler–Maclaurin
+    formula: the integral of S, an incomplete gamma function, plus S/2 − S′/12.
     """
     from scipy.special import gammaincc, gammaln, logsumexp
 
@@ -235,7 +235,7 @@ def _log_tail(
         end = steps + _EXACT
         x = (end / scale) ** shape
         a = 1 / shape
-        # Far out the incomplete gamma function underflows, and its asymptote is exact enough.
+        # For large x the incomplete gamma function underflows; its asymptote is accurate there.
         far = (a - 1) * np.log(x) - x + np.log1p((a - 1) / np.maximum(x, 10))
         near = np.log(gammaincc(a, x)) + gammaln(a)
         integral = np.log(scale * a) + np.where(x < 500, near, far)

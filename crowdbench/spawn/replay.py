@@ -1,4 +1,4 @@
-"""`replay`: the recorded people enter when and where they did."""
+"""`replay`: people enter at the recorded times and places."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -11,14 +11,17 @@ from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
 from crowdbench.spawn.events import Arrivals, SpawnEvents
 from crowdbench.spawn.model import Start
+from crowdbench.spawn.plans import plans_of
 from crowdbench.trajectories.table import Trajectories
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """The arrivals of a recording, each person walking to where its record ends.
+    """The arrivals of a recording, with the recorded goals, companions, stops and speeds.
 
-    People whose record was cut off (`left` is False) are taken away at its last frame.
+    `recording` is one of `recording_of`. A person's via point is the place of its longest stop, and
+    its preferred speed does not contain standing; see `plans_of`. People whose record was cut off
+    (`left` is False) are removed at its last frame.
     """
 
     recording: Trajectories
@@ -37,11 +40,17 @@ class Replay:
         first_row = crowd.offsets[:-1]
         second_row = np.minimum(first_row + 1, crowd.offsets[1:] - 1)
         velocity = (crowd.xy[second_row] - crowd.xy[first_row]) / scene.dt_s
-        speed = np.nan_to_num(crowd.mean_speeds(), nan=0.0)
+        plans = plans_of(crowd)
+        walking = plans.speed[np.isfinite(plans.speed)]
+        usual = float(np.median(walking)) if len(walking) else 0.0
+        speed = np.nan_to_num(plans.speed, nan=usual)
+        via = plans.via.copy()
+        stops = ~np.isnan(via[:, 0])
+        via[stops] = scene.nearest_walkable(via[stops])
         events = SpawnEvents(
             time_s=crowd.requested_s,
             start=_walkable(crowd.start, scene),
-            goal=_walkable(crowd.end, scene),
+            goal=_walkable(crowd.goal, scene),
             spawn_area=crowd.spawn_area,
             goal_area=crowd.goal_area,
             speed=speed.astype(np.float32),
@@ -50,11 +59,17 @@ class Replay:
             leave_frame=np.where(crowd.left, -1, crowd.last),
             scripted=np.zeros(len(crowd), dtype=bool),
             censored=~crowd.left,
+            group=crowd.group,
+            via=via.astype(np.float32),
+            wait_s=plans.wait_s,
         )
         return events[events.time_s < horizon_s - 1e-9]
 
     def scripted(self, events: SpawnEvents) -> SpawnEvents:
-        """The events of `sample`, everyone leaving at its recorded last frame and no earlier."""
+        """The events of `sample`, but everyone starts at the recorded place, even in a wall.
+
+        Everyone leaves exactly at the last recorded frame.
+        """
         return replace(
             events,
             start=self.recording.start[: len(events)],
@@ -63,16 +78,16 @@ class Replay:
         )
 
     def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Replay is no distribution.
+        """Not available, because a replayed recording is not a distribution.
 
         Raises:
             SettingError: always.
         """
         raise SettingError(
-            "replay", got="a request for a likelihood", expected="a model that has one"
+            "replay", got="a request for a likelihood", expected="a model that has a likelihood"
         )
 
 
 def _walkable(points: Float32[np.ndarray, "P 2"], scene: Scene) -> Float32[np.ndarray, "P 2"]:
-    """Where someone was recorded in a wall, the nearest place where a policy can walk."""
+    """The points, with those in a wall moved to the nearest place where a policy can walk."""
     return scene.nearest_walkable(points.astype(np.float64)).astype(np.float32)

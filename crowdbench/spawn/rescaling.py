@@ -1,10 +1,10 @@
-"""Time rescaling: how well a model's gaps and group sizes fit arrivals, whatever the model.
+"""Time rescaling: tests how well a model's gaps and group sizes fit arrivals, for any model.
 
-Measured in a model's own cumulative hazard, the gaps between groups are exponential of mean 1 if
-the model is true. Arrivals lie on a grid, so each group is put at a random place within its last
-step; where observation ends before a gap does, the hazard spent on it counts towards the next
-gap, because what is left of an exponential is exponential again. Sources: Brown et al. (2002),
-The time-rescaling theorem, Neural Computation 14; Brockwell (2007), Universal residuals.
+If the model is true, its cumulative hazards over the gaps between groups are exponential with mean
+1. Because arrivals are on a grid, each group is placed at a random time within its last grid step.
+If observation ends before a gap does, the hazard of the incomplete gap is added to the next gap;
+this is valid because the exponential distribution is memoryless. Sources: Brown et al. (2002), The
+time-rescaling theorem, Neural Computation 14; Brockwell (2007), Universal residuals.
 """
 
 from dataclasses import dataclass
@@ -20,12 +20,14 @@ from crowdbench.spawn.groups import HasHazards, spells_of
 
 @dataclass(frozen=True)
 class KolmogorovSmirnov:
-    """A test of residuals against the uniform distribution."""
+    """Result of a Kolmogorov–Smirnov test of residuals against the uniform distribution."""
 
     statistic: float
-    """Greatest distance between the distribution functions."""
+    """Largest difference between the distribution functions."""
     p: float
+    """p-value."""
     n: int
+    """Number of residuals."""
 
 
 def rescaled(
@@ -34,7 +36,7 @@ def rescaled(
     rng: Generator,
     what: Literal["gap", "size"] = "gap",
 ) -> Float[np.ndarray, " n"]:
-    """Residuals, one per group: independent and uniform on [0, 1] if the model is true."""
+    """Residuals of gaps or sizes, one per group: independent and uniform if the model is true."""
     spells = spells_of(arrivals)
     hazards = model.hazards(arrivals)
     before, until = getattr(hazards, what).T
@@ -46,7 +48,7 @@ def rescaled(
 
 
 def kolmogorov_smirnov(residuals: Float[np.ndarray, " n"]) -> KolmogorovSmirnov:
-    """Compare residuals with the uniform distribution on [0, 1]."""
+    """Test residuals against the uniform distribution on [0, 1]."""
     from scipy.stats import kstest
 
     found = kstest(residuals, "uniform")

@@ -1,22 +1,22 @@
-"""What is to be different about a scene's arrivals: a small TOML file, or the same in Python.
+"""Scenarios: changes of a scene's arrivals, as a small TOML file or as Python objects.
 
     schema = 1
     scene = "gc-v0"
     closed_goals = [7]                      # nobody walks to goal area 7
 
-    [[change]]
-    area = 3                                # of spawn area 3 …
-    factor = [[600, 3], [1200, 1]]          # … three times as many from 600 s to 1200 s
-    goals = { 0 = 0.8, 2 = 0.2 }            # … and other goals
+    [[change]]                              # change spawn area 3:
+    area = 3
+    factor = [[600, 3], [1200, 1]]          # three times the rate from 600 s to 1200 s
+    goals = { 0 = 0.8, 2 = 0.2 }            # other goals
 
-    [[add]]                                 # a spawn area more
+    [[add]]                                 # an additional spawn area
     mean_m = [20.0, 30.0]
     sd_m = [0.5, 1.0]
     persons_per_min = 12
     goals = { 0 = 1 }
 
-`crowdbench areas` prints the numbers of a scene's areas. Times count from the episode's start; in
-the warm-up before it holds what holds at its start.
+`crowdbench areas` prints the numbers of a scene's areas. Times are relative to the start of the
+episode; the values at its start also apply during the warm-up before it.
 """
 
 import math
@@ -40,35 +40,36 @@ _HINT = "Compare with the scenarios in docs/steering.md."
 
 Number = float | int
 Profile = Number | tuple[tuple[Number, Number], ...]
-"""A number, or steps: pairs of a time in seconds and the number that holds from then on."""
+"""A constant, or steps: pairs of a time in seconds and the value from that time on."""
 Goals = Mapping[int, Number]
-"""P(goal area); areas that are not named have 0."""
+"""P(goal area); goal areas that are not named have probability 0."""
 
 
 class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What is different about one of the scene's spawn areas."""
+    """A change of one of the scene's spawn areas."""
 
     area: int
     factor: Profile = 1.0
-    """What its rate is multiplied by: 1 before the first step, 0 while it is closed."""
+    """Factor of the area's rate; 1 before the first step, 0 closes the area."""
     shift_s: Number = 0.0
-    """How much later its arrivals come, before `factor` is applied; negative is earlier."""
+    """Delay of the area's arrivals in seconds, applied before `factor`; negative means earlier."""
     goals: dict[int, Number] | None = None
-    """P(goal | this area), which sum to 1; None leaves the scene's."""
+    """P(goal | this area), with sum 1; None keeps the scene's probabilities."""
 
 
 class Addition(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A spawn area that the scene does not have: Poisson groups, speeds as the scene's."""
+    """An additional spawn area, with Poisson arrivals of groups and the scene's speeds."""
 
     mean_m: tuple[Number, Number]
+    """Mean of the starts (x, y), metres."""
     sd_m: tuple[Number, Number]
-    """Standard deviations of the starts in x and in y."""
+    """Standard deviations of the starts in x and y, metres."""
     persons_per_min: Profile
-    """0 before the first step."""
+    """Expected persons per minute; 0 before the first step."""
     group_size: Number = 1.0
-    """Mean of the sizes, which are geometric."""
+    """Mean group size; sizes are geometric."""
     goals: dict[int, Number]
-    """P(goal | this area), which sum to 1."""
+    """P(goal | this area), with sum 1."""
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -81,21 +82,21 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """Changes of a scene's arrivals, by `spawn_model(…, scenario=…)` laid over any of its models.
+    """Changes of a scene's arrivals, applied to a model by `spawn_model(…, scenario=…)`.
 
-    Added areas are numbered on from the scene's last one.
+    Added areas get the numbers after the scene's last spawn area.
     """
 
     name: str
     scene: str
     closed_goals: tuple[int, ...] = ()
-    """Goal areas nobody walks to: their share goes to each spawn area's other goals in proportion.
-    """
+    """Goal areas that nobody walks to. Their probability is distributed proportionally over the
+    other goals of each spawn area."""
     change: tuple[Change, ...] = ()
     add: tuple[Addition, ...] = ()
 
     def flow(self, areas: Areas) -> Float[np.ndarray, "K G"]:
-        """P(goal area | spawn area) of the scene's spawn areas."""
+        """P(goal area | spawn area) for the scene's spawn areas under this scenario."""
         flow = areas.flow.copy()
         for change in self.change:
             if change.goals is not None:
@@ -107,16 +108,17 @@ class Scenario:
 
 
 def row(goals: Goals, number: int) -> Float[np.ndarray, " G"]:
-    """The probabilities of all goal areas, normalised to the last bit."""
+    """The probabilities of all goal areas as an array, normalised to sum 1."""
     found = np.zeros(number)
     found[list(goals)] = list(goals.values())
     return found / found.sum()
 
 
-def split(named: str) -> tuple[str, Path | None]:
-    """A spawn model's name without its scenario, and the scenario's file: MODEL+FILE.toml.
+def split_scenario(named: str) -> tuple[str, Path | None]:
+    """Split MODEL+FILE.toml into the name of the spawn model and the scenario's file.
 
-    A folder that holds a model may have a plus in its name.
+    The file is None if there is no scenario. The name of an existing folder is not split, even if
+    it contains a plus sign.
     """
     if Path(named).is_dir():
         return named, None
@@ -125,10 +127,10 @@ def split(named: str) -> tuple[str, Path | None]:
 
 
 def read_scenario(path: Path, scene: Scene, areas: Areas) -> Scenario:
-    """The scenario that a file holds; its name is the file's.
+    """Read a scenario from a file and check it; its name is that of the file without suffix.
 
     Raises:
-        SettingError: the file is missing or broken, of another schema, or does not fit the scene.
+        SettingError: the file is missing or broken, has another schema, or does not fit the scene.
     """
     file = read_struct(path, _File, SettingError, _HINT)
     if file.schema != SCHEMA:
@@ -142,18 +144,18 @@ def read_scenario(path: Path, scene: Scene, areas: Areas) -> Scenario:
 
 
 def check_scenario(scenario: Scenario, scene: Scene, areas: Areas, where: str) -> None:
-    """Refuse what does not fit a scene or contradicts itself; `where` is where it stands.
+    """Check that a scenario fits a scene and is consistent; `where` names its source in messages.
 
     Raises:
-        SettingError: it names another scene, areas that do not exist or one twice, a factor, rate,
-            size or probability out of range, or leaves people without a goal.
+        SettingError: it names another scene, an area that does not exist, or an area twice; a
+            factor, rate, size or probability is out of range; or it leaves people without a goal.
     """
     if scenario.scene != scene.id:
         raise SettingError(
             f"{where}, scene",
             got=repr(scenario.scene),
             expected=repr(scene.id),
-            hint="Areas have other numbers in each scene.",
+            hint="The numbers of areas differ between scenes.",
         )
     for goal in scenario.closed_goals:
         _check_area(goal, len(areas.goal), "goal", f"{where}, closed_goals", scene)
@@ -163,9 +165,9 @@ def check_scenario(scenario: Scenario, scene: Scene, areas: Areas, where: str) -
         if change.area in [c.area for c in scenario.change[: k - 1]]:
             raise SettingError(
                 f"{at}, area",
-                got=f"spawn area {change.area} again",
-                expected="one [[change]] of each area",
-                hint="Put them together.",
+                got=f"spawn area {change.area} a second time",
+                expected="at most one [[change]] per area",
+                hint="Combine them into one.",
             )
         at = f"{at} (area {change.area})"
         _check_profile(change.factor, MOST_FACTOR, f"{at}, factor")
@@ -202,9 +204,9 @@ def _check_ways_out(scenario: Scenario, areas: Areas, where: str) -> None:
     if stuck:
         raise SettingError(
             f"{where}, closed_goals",
-            got=f"all goals of the people of spawn area {', '.join(map(str, stuck))}",
-            expected="another goal for everyone",
-            hint="Give these areas `goals` of their own in a [[change]].",
+            got=f"all goals of spawn area {', '.join(map(str, stuck))}",
+            expected="at least one open goal for each spawn area",
+            hint="Define `goals` for these areas in a [[change]].",
         )
 
 
@@ -229,7 +231,7 @@ def _check_profile(profile: Profile, most: float, where: str) -> None:
         raise SettingError(
             where,
             got=f"times {times}" if times else "no steps",
-            expected="pairs [time_s, number] with ascending times from 0 s on",
+            expected="pairs [time_s, number] with ascending times ≥ 0 s",
         )
     for _, value in profile:
         _check_range(value, 0.0, most, where)
@@ -249,8 +251,8 @@ def _check_goals(goals: Goals, scenario: Scenario, areas: Areas, where: str, sce
         if share > 0 and goal in scenario.closed_goals:
             raise SettingError(
                 f"{where}, {goal}",
-                got=f"probability {share:g} of a goal in closed_goals",
-                expected="goals that are open",
+                got=f"probability {share:g} for a goal in closed_goals",
+                expected="positive probabilities for open goals only",
             )
     total = math.fsum(goals.values())
     if abs(total - 1) > 1e-6:
@@ -258,5 +260,5 @@ def _check_goals(goals: Goals, scenario: Scenario, areas: Areas, where: str, sce
             where,
             got=f"probabilities that sum to {total:g}",
             expected="a sum of 1",
-            hint="Goals that are not named have probability 0.",
+            hint="Goals that are not listed have probability 0.",
         )

@@ -1,28 +1,29 @@
-"""A fitted spawn model under a scenario: other rates, other goals, areas more, and no retraining.
+"""A fitted spawn model under a scenario: other rates, other goals and more areas, not retrained.
 
-**Rates.** Each area of a fitted model lets people in on a clock of its own, independently of the
-others. A factor f(t) makes that clock run f times as fast: with Λ(t) = ∫₀ᵗ f, who would have come
-at u comes at Λ⁻¹(u). Members of a group still come together, gaps keep their distribution and
-their dependence on the past in the clock's time (on the wall they are divided by f), and since the
-models are stationary, the expected number of persons in a stretch is exactly the model's rate
-times ∫ f. A Poisson process of rate λ becomes the one of rate λ f(t). While f = 0 the clock stands
-still and nobody comes. Source: Daley & Vere-Jones (2003), An Introduction to the Theory of Point
-Processes I, sec. 7.4 (the random time change, backwards).
+**Rates.** In a fitted model each area has an independent arrival process. A factor f(t) speeds up
+its time: with Λ(t) = ∫₀ᵗ f, an arrival at time u moves to Λ⁻¹(u). Members of a group still enter
+together. In the transformed time, gaps keep their distribution and their dependence on the past; in
+real time they are divided by f. The models are stationary, so the expected number of persons in an
+interval is exactly the model's rate times ∫ f. A Poisson process of rate λ becomes one of rate
+λ f(t). While f = 0 nobody enters. Source: Daley & Vere-Jones (2003), An Introduction to the Theory
+of Point Processes I, sec. 7.4 (the random time change, in reverse).
 
-The other ways were thinning groups for f < 1 and putting independent samples on top of each other
-for f > 1. They keep the mean too, but gaps tend to those of a Poisson process, so that a bursty
-area would be the less bursty the more people it lets in.
+The alternatives were thinning for f < 1 and the superposition of independent samples for f > 1.
+They have the same mean, but their gaps approach those of a Poisson process, so a bursty area would
+become less bursty the more people enter there.
 
-**Chance.** The unsteered sample is drawn first, with the very random numbers it would get anyway,
-and all else from others. So the arrivals of an area that the scenario does not name are bit for bit
-those of the model with the same seed, and those of one that it names are until its factor changes
-first. A clock that reads more than the sample is long goes on with another, independent sample of
-the model; there, once per length of the sample, an area's memory is lost, but no mean changes.
+**Random numbers.** The unsteered sample is drawn first, with the same random numbers as without a
+scenario; everything else uses separate random numbers. Therefore arrivals at an area that the
+scenario does not name are identical to those of the model with the same seed. Arrivals at an area
+that it names are identical until its factor first changes. If Λ exceeds the length of the sample,
+further independent samples of the model are appended. At each of these joints the memory of an area
+is lost, but no mean changes.
 
-**Goals.** From P to Q as few persons as can be change their goal: who walks to g keeps it with
-probability min(1, Q(g)/P(g)), the others draw from what Q has more than P. Starts, speeds and times
-stay. For a closed goal that moves just those who would have walked there. P is the scene's (or the
-model's own `areas`): a model must draw its goals by it, person by person, as fitted ones do.
+**Goals.** When the goal distribution of an area changes from P to Q, as few persons as possible get
+another goal: a person with goal g keeps it with probability min(1, Q(g)/P(g)), and the others draw
+a goal from the positive part of Q − P. Starts, speeds and times do not change. If a goal is closed,
+only people who would have walked there are affected. P is that of the scene (or of the model's own
+`areas`). The model must draw goals from it independently for each person, as fitted models do.
 """
 
 from collections.abc import Sequence
@@ -45,22 +46,23 @@ _PURPOSES = ("more", "earlier", "goals", "add")
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Λ(t) of a factor that is constant on stretches, and its inverse; 0 at t = 0.
+    """Λ(t), the integral of a piecewise constant factor, and its inverse; Λ(0) = 0.
 
-    The arrays hold of each stretch in which the clock runs its start, Λ there and its factor.
+    The arrays hold, for each interval with a positive factor, its start, Λ there, and the factor.
     """
 
     start_s: Float[np.ndarray, " n"]
     reading_s: Float[np.ndarray, " n"]
     factor: Float[np.ndarray, " n"]
     end_s: float
-    """What it reads at the horizon."""
+    """Λ at the horizon."""
 
     @classmethod
     def of(cls, profile: Profile, *, before: float, warm_up_s: float, horizon_s: float) -> "Clock":
-        """The clock from the start of a sample, `warm_up_s` before the profile's time 0.
+        """The clock of a sample that begins `warm_up_s` before time 0 of the profile.
 
-        `before` is the factor before the first step; in the warm-up holds what holds at time 0.
+        `before` is the factor before the first step. During the warm-up the factor is that at time
+        0.
         """
         steps = ((0.0, profile),) if isinstance(profile, Number) else profile
         start = np.array([0.0, *(warm_up_s + t for t, _ in steps)])
@@ -75,53 +77,53 @@ class Clock:
         return cls(start[runs], reading[runs], factor[runs], float(grown[-1]))
 
     def when(self, reading_s: Float[np.ndarray, " E"]) -> Float[np.ndarray, " E"]:
-        """The times at which it reads these numbers, each from 0 to below `end_s`."""
+        """Λ⁻¹ of these values, each in [0, `end_s`)."""
         at = np.searchsorted(self.reading_s, reading_s, side="right") - 1
-        # So that before the first change it is, to the last bit, what the clock reads.
+        # Computed so that times before the first change are exactly unchanged.
         late = self.start_s[at] - self.reading_s[at] / self.factor[at]
         return reading_s / self.factor[at] + late
 
 
 @dataclass(frozen=True, eq=False)
 class Steered:
-    """A spawn model under a scenario; `registry.spawn_model` makes one and checks that it fits."""
+    """A spawn model under a scenario; created and checked by `registry.spawn_model`."""
 
     model: SpawnModel
     scenario: Scenario
     areas: Areas
-    """Those that the model draws from."""
+    """The areas that the model draws from."""
     warm_up_s: float = 0.0
-    """Seconds of a sample before the episode: the scenario's times count from there."""
+    """Length of the warm-up in seconds; the scenario's times are relative to its end."""
     start: ClassVar[Start] = "stationary"
 
     def __post_init__(self) -> None:
-        """Refuse models that cannot be asked for more of the same.
+        """Check that the model can be steered.
 
         Raises:
-            SettingError: its episodes do not begin stationary, or it is steered already.
+            SettingError: the model is not stationary, or it is steered already.
         """
         if isinstance(self.model, Steered):
             raise SettingError(
                 self.name,
                 got="a second scenario",
-                expected="one scenario over a model",
-                hint="Put both into one.",
+                expected="one scenario per model",
+                hint="Combine both scenarios into one.",
             )
         if self.model.start != "stationary":
             raise SettingError(
                 self.name,
-                got=f"the spawn model {self.model.name}, which starts {self.model.start}",
-                expected="a stationary one: there is nothing more to draw from replayed people",
-                hint="Steer a fitted model, or block-replay.",
+                got=f"the spawn model {self.model.name} with start {self.model.start!r}",
+                expected="a model with start 'stationary', of which more people can be sampled",
+                hint="Use a fitted model or block-replay.",
             )
 
     @property
     def name(self) -> str:
-        """Under which tables show it."""
+        """Name of the model in tables: MODEL+SCENARIO."""
         return f"{self.model.name}+{self.scenario.name}"
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
-        """Events in [0, `horizon_s`)."""
+        """Sample the people who enter in [0, `horizon_s`), seconds."""
         usual = self.model.sample(horizon_s, scene, rng)
         chance = _Chance(self.model, horizon_s, scene, usual, int(rng.integers(2**63)))
         retimed = [c for c in self.scenario.change if c.factor != 1 or c.shift_s != 0]
@@ -136,20 +138,20 @@ class Steered:
         return joined([events, *added])
 
     def log_likelihood(self, arrivals: Arrivals) -> float:
-        """A recording says nothing about what was changed on purpose.
+        """Not available, because a steered model intentionally differs from the recording.
 
         Raises:
             SettingError: always.
         """
         raise SettingError(
-            self.name, got="a request for a likelihood", expected="a model that is not steered"
+            self.name, got="a request for a likelihood", expected="a model without a scenario"
         )
 
     def _clock(self, profile: Profile, before: float, horizon_s: float) -> Clock:
         return Clock.of(profile, before=before, warm_up_s=self.warm_up_s, horizon_s=horizon_s)
 
     def _redirected(self, events: SpawnEvents, scene: Scene, chance: "_Chance") -> SpawnEvents:
-        """The same people, some of them with other goals."""
+        """The same events, with some goals changed as the scenario requires."""
         flow, wanted = self.areas.flow, self.scenario.flow(self.areas)
         goal_area, goal = events.goal_area.copy(), events.goal.copy()
         for k in np.flatnonzero(~np.isclose(flow, wanted).all(axis=1)).tolist():
@@ -162,7 +164,8 @@ class Steered:
             if len(moved):
                 goal_area[moved] = rng.choice(len(more), len(moved), p=more / more.sum())
                 goal[moved] = self.areas.goal.draw(goal_area[moved], scene, rng)
-        moved = goal_area != events.goal_area
+        # Whoever has a via point goes there first, whatever the goal.
+        moved = (goal_area != events.goal_area) & np.isnan(events.via[:, 0])
         headed = entering(
             time_s=events.time_s,
             start=events.start.astype(np.float64),
@@ -175,7 +178,7 @@ class Steered:
         return replace(events, goal=goal, goal_area=goal_area, velocity=velocity)
 
     def _added(self, k: int, addition: Addition, scene: Scene, chance: "_Chance") -> SpawnEvents:
-        """The people of an added area: groups that are a Poisson process, with geometric sizes."""
+        """The people of an added area: a Poisson process of groups with geometric sizes."""
         rng = chance.generator("add", k)
         clock = self._clock(addition.persons_per_min, 0.0, chance.horizon_s)
         groups = rng.poisson(clock.end_s / 60 / addition.group_size)
@@ -193,7 +196,7 @@ class Steered:
 
 @dataclass(frozen=True, eq=False)
 class _Chance:
-    """The unsteered sample of a model, further ones, and random numbers for all else."""
+    """The unsteered sample of a model, further samples, and random numbers for everything else."""
 
     model: SpawnModel
     horizon_s: float
@@ -202,11 +205,11 @@ class _Chance:
     root: int
 
     def generator(self, purpose: str, k: int) -> Generator:
-        """Random numbers that depend on neither the scenario nor each other."""
+        """A separate random generator for each purpose and index, independent of the scenario."""
         return default_rng([self.root, _PURPOSES.index(purpose), k])
 
     def stretch(self, j: int) -> SpawnEvents:
-        """What happens in [j, j + 1) horizons of an endless sample; stretch 0 is the usual one."""
+        """The events in [j, j + 1) horizons of an endless sample; j = 0 is the unsteered sample."""
         if j == 0:
             return self.usual
         rng = self.generator("more", j) if j > 0 else self.generator("earlier", -j)
@@ -214,11 +217,11 @@ class _Chance:
 
 
 def _retimed(area: int, clock: Clock, shift_s: Number, chance: _Chance) -> SpawnEvents:
-    """An area's people, each when its clock reads when they would have come, and `shift_s`."""
+    """The events of an area, shifted by `shift_s` and then transformed by its clock."""
     first = int(np.floor(-shift_s / chance.horizon_s))
     last = int(np.ceil((clock.end_s - shift_s) / chance.horizon_s))
     stretches: Sequence[SpawnEvents] = [chance.stretch(j) for j in range(first, last)]
     mine = joined([s[s.spawn_area == area] for s in stretches]).shifted(shift_s)
     mine = mine[(mine.time_s >= 0) & (mine.time_s < clock.end_s)]
     events = replace(mine, time_s=clock.when(mine.time_s))
-    return events[events.time_s < chance.horizon_s]  # what rounding has put there
+    return events[events.time_s < chance.horizon_s]  # rounding may move events to the horizon

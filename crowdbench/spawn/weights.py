@@ -1,6 +1,6 @@
-"""Files with a model's fits: per part (the whole recording, and each fold), in a scene's folder.
+"""Files with the fits of a model for each split, in a scene's folder.
 
-Models with few numbers per area keep them as JSON, one fit per part.
+Models with few parameters per area store them as JSON, with one fit per split.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,13 +14,13 @@ from crowdbench.errors import SettingError, WeightsError
 from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import as_array
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.blocks import SPLITS
 
 SCHEMA = 2
 
 M = TypeVar("M")
 Fits = Mapping[str, Sequence[M]]
-"""The fits of a model: for each of `PARTS` one, or several that differ in their seed."""
+"""The fits of a model: one for each of `SPLITS`, or several that differ in their random seed."""
 
 
 class _AnySchema(msgspec.Struct, frozen=True):
@@ -31,24 +31,24 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     schema: int
     model: str
     scene: str
-    parts: dict[str, dict[str, list[float]]]
+    splits: dict[str, dict[str, list[float]]]
 
 
 def hint(scene: Scene) -> str:
-    """How to mend weights that are missing or broken, in a scene's folder or in another."""
+    """The hint of errors about missing or broken weights: how to fit them again."""
     if (scene.folder / "scene.toml").is_file():
         return f"Run `crowdbench fit {scene.asked}`."
-    return f"Make them with `crowdbench fit {scene.id} --out FOLDER`."
+    return f"Create them with `crowdbench fit {scene.id} --out FOLDER`."
 
 
-def check_part(part: str, fit: int) -> None:
-    """Refuse a part or a fit that no model has.
+def check_split(split: str, fit: int) -> None:
+    """Check the name of a split and the number of a fit.
 
     Raises:
-        SettingError: `part` is none of `PARTS`, or `fit` is negative.
+        SettingError: `split` is not one of `SPLITS`, or `fit` is negative.
     """
-    if part not in PARTS:
-        raise SettingError("part", got=repr(part), expected=f"one of {', '.join(PARTS)}")
+    if split not in SPLITS:
+        raise SettingError("split", got=repr(split), expected=f"one of {', '.join(SPLITS)}")
     if fit < 0:
         raise SettingError("fit", got=str(fit), expected="0 or more")
 
@@ -56,10 +56,10 @@ def check_part(part: str, fit: int) -> None:
 def check_origin(
     path: Path, got: tuple[str, str, int], expected: tuple[str, str, int], hint: str
 ) -> None:
-    """Compare model, scene and schema of a file.
+    """Check the model, scene and schema that a file states.
 
     Raises:
-        WeightsError: they differ.
+        WeightsError: they differ from the expected ones.
     """
     if got != expected:
         raise WeightsError(
@@ -70,21 +70,22 @@ def check_origin(
         )
 
 
-def write_parts(
-    path: Path, model: str, scene: str, parts: Mapping[str, Mapping[str, np.ndarray]]
+def write_splits(
+    path: Path, model: str, scene: str, splits: Mapping[str, Mapping[str, np.ndarray]]
 ) -> None:
-    """Write one fit per part: for each name one number per area."""
-    plain = {p: {name: x.tolist() for name, x in fit.items()} for p, fit in parts.items()}
-    write_json(path, _File(schema=SCHEMA, model=model, scene=scene, parts=plain))
+    """Write one fit per split; a fit has, for each name, one number per area."""
+    plain = {p: {name: x.tolist() for name, x in fit.items()} for p, fit in splits.items()}
+    write_json(path, _File(schema=SCHEMA, model=model, scene=scene, splits=plain))
 
 
-def read_part(
-    scene: Scene, model: str, names: Sequence[str], areas: int, part: str
+def read_split(
+    scene: Scene, model: str, names: Sequence[str], areas: int, split: str
 ) -> dict[str, np.ndarray]:
-    """The numbers of one part, an array of shape (areas,) for each of `names`.
+    """The fit for one split: an array of shape (areas,) for each of `names`.
 
     Raises:
-        WeightsError: the file is missing or broken, of an earlier schema, or another scene's.
+        WeightsError: the file is missing or broken, has another schema, or belongs to another
+            scene.
     """
     path = scene.folder / f"{model}.json"
     how = hint(scene)
@@ -96,8 +97,8 @@ def read_part(
     file = read_struct(path, _File, WeightsError, how)
     check_origin(path, (file.model, file.scene, schema), (model, scene.id, SCHEMA), how)
     for got, expected, where in (
-        (set(file.parts), set(PARTS), "parts"),
-        *((set(fit), set(names), f"parts.{p}") for p, fit in file.parts.items()),
+        (set(file.splits), set(SPLITS), "splits"),
+        *((set(fit), set(names), f"splits.{p}") for p, fit in file.splits.items()),
     ):
         if got != expected:
             raise WeightsError(
@@ -107,23 +108,25 @@ def read_part(
                 hint=how,
             )
     arrays = {}
-    for p, fit in file.parts.items():
+    for p, fit in file.splits.items():
         for name, values in fit.items():
-            array = as_array(values, (areas,), f"{path}, parts.{p}.{name}", how)
-            if p == part:
+            array = as_array(values, (areas,), f"{path}, splits.{p}.{name}", how)
+            if p == split:
                 arrays[name] = array
     return arrays
 
 
 def check_numbers(scene: Scene, model: str, numbers: Mapping[str, tuple[bool, str]]) -> None:
-    """Refuse numbers of the right shape that mean nothing.
+    """Check conditions on the values of a fit.
+
+    `numbers` holds, for each parameter, whether its condition is met, and the condition as text.
 
     Raises:
-        WeightsError: one of `numbers` (whether it holds, and what is expected) does not hold.
+        WeightsError: a condition is not met.
     """
     for name, (holds, expected) in numbers.items():
         if not holds:
             path = scene.folder / f"{model}.json"
             raise WeightsError(
-                f"{path}, {name}", got="other numbers", expected=expected, hint=hint(scene)
+                f"{path}, {name}", got="invalid values", expected=expected, hint=hint(scene)
             )

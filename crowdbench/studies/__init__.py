@@ -1,1 +1,1 @@
-"""Studies behind the pages of results: comparisons, ablations, pictures, speeds."""
+"""Studies that write the documentation's pages of results, figures and measurements."""

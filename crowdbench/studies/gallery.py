@@ -1,7 +1,7 @@
-"""The figures of scenes: pictures of what spawn models and policies make of a place.
+"""Figures of scenes: pictures of the crowds of spawn models and policies.
 
-`write_figures` draws them from rollouts and writes, beside each picture, the numbers that it was
-drawn from. No recorded path and no recorded arrival is among the numbers.
+`write_figures` draws them from rollouts, and writes the numbers behind each picture as JSON. The
+numbers contain no recorded path and no recorded arrival.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,8 @@ import numpy as np
 
 from crowdbench import __version__
 from crowdbench.errors import RecordingError, SettingError
-from crowdbench.evaluation.rollout_jobs import Job, Progress, alone_in, make, plan
+from crowdbench.evaluation.lock import alone_in
+from crowdbench.evaluation.rollout_jobs import Job, Progress, make, plan
 from crowdbench.files import replacing, unwritable, write_json
 from crowdbench.registry import has_recording, recording_of, trained_policies
 from crowdbench.registry import policy as find_policy
@@ -30,12 +31,12 @@ from crowdbench.trajectories.storage import read_own
 from crowdbench.trajectories.table import Trajectories
 
 FIGURES = ("policies", "flows", "situations", "sheet")
-"""The last one shows all scenes together."""
+"""Names of the figures; `sheet` shows all scenes, the others one scene."""
 OF_RECORDING = ("policies", "situations")
-"""Those that cannot be without the recording."""
+"""Figures that require the recording."""
 SPAWN = "ntpp-gmm"
 BASELINE = "poisson-gmm"
-"""What the spawn model is held against."""
+"""The spawn model with which `SPAWN` is compared."""
 ROLLOUTS = 5
 WALKERS = ("straight", "social-force")
 _BEST = ("gail", "bc")
@@ -53,17 +54,17 @@ def write_figures(
     workers: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> list[Path]:
-    """Draw `figures` of scenes into `out`; the pictures, each with its numbers beside it.
+    """Draw `figures` of scenes into `out` and return the paths of the pictures.
 
-    They are `<scene>/<figure>.png` and `.json`, and `sheet`, which shows all scenes. Crowds are
-    `seeds` rollouts of `spawn`, and of poisson-gmm, walked by `policy`: by default by gail or bc,
-    if the scene ships them, else by social-force. Rollouts are left in `figures-<scene>` of
-    `work`, where another call takes up what is there; `workers` and `progress` are those of
-    `evaluate`. The same rollouts give the same bytes.
+    The files are `<scene>/<figure>.png` and `.json`, and `sheet.png` and `.json` for all scenes.
+    Crowds are `seeds` rollouts of `spawn`, and of poisson-gmm, with `policy`; it defaults to gail
+    or bc, if the scene ships one of them, else to social-force. Rollouts are kept in
+    `figures-<scene>` of `work`, where a later call reuses them; `workers` and `progress` are those
+    of `evaluate`. The same rollouts give the same bytes.
 
     Raises:
         RecordingError: a figure needs a recording that has not been imported.
-        SceneError, WeightsError, SettingError: what was asked for does not exist.
+        SceneError, WeightsError, SettingError: a scene, model, policy or figure does not exist.
         OutputError: `out` or `work` cannot be written.
     """
     places = [load_scene(scene) for scene in dict.fromkeys(scenes)]
@@ -90,12 +91,12 @@ def write_figures(
 
 
 def _check(places: Sequence[Scene], figures: Sequence[str], spawn: str) -> None:
-    """Refuse what cannot be drawn, before anything is rolled out."""
+    """Reject figures that cannot be drawn, before any rollout is made."""
     if not places:
-        raise SettingError("figures", got="no scene", expected="one or more")
+        raise SettingError("figures", got="no scene", expected="one or more scenes")
     if spawn == "replay":
-        raise SettingError("spawn", got="replay, the recording itself",
-                           expected="a model that makes crowds of its own")  # fmt: skip
+        raise SettingError("spawn", got="replay, which repeats the recording",
+                           expected="a spawn model that generates new crowds")  # fmt: skip
     for figure in figures:
         if figure not in FIGURES:
             raise SettingError("figures", got=repr(figure), expected=f"one of {', '.join(FIGURES)}")
@@ -107,20 +108,20 @@ def _check(places: Sequence[Scene], figures: Sequence[str], spawn: str) -> None:
                 place.id,
                 got="no recording",
                 expected=f"its recording, for {' and '.join(wanted)}",
-                hint=f"Run `crowdbench data fetch {place.recording.name}`, or ask for "
-                f"--figure {' '.join(others)} alone.",
+                hint=f"Run `crowdbench data fetch {place.recording.name}`, or draw only "
+                f"--figure {' '.join(others)}.",
             )
 
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """A scene, and the rollouts to draw."""
+    """A scene, and the rollouts of its figures."""
 
     scene: Scene
     spawn: str
     policy: str
     walkers: tuple[str, ...]
-    """Who walk the recorded people."""
+    """Policies of the figure `policies`, run under the recorded arrivals."""
     jobs: list[Job]
 
     @classmethod
@@ -156,7 +157,7 @@ class _Shown:
 
     @property
     def plot(self) -> PlotData:
-        """Both spawn models against the recording's statistics."""
+        """Plot data of both spawn models and the recording's statistics."""
         name = self._named(self.policy)
         crowds = {
             (model, name, k): crowd
@@ -166,7 +167,7 @@ class _Shown:
         return PlotData.of(self.scene, read_reference(self.scene), crowds, "full")
 
     def write(self, figure: str, folder: Path) -> Path:
-        """Draw a figure of this scene into a folder."""
+        """Draw a figure of this scene into a folder and return its path."""
         picture, numbers = self._draw(figure)
         about: Numbers = {"figure": figure, "scene": self.scene.id}
         if figure != "policies":
@@ -195,7 +196,7 @@ class _Shown:
 
 
 def with_areas(crowd: Trajectories, areas: Areas) -> Trajectories:
-    """The crowd, where a spawn model of one's own named areas that there are not the likeliest."""
+    """A copy of the crowd, with the most likely areas where the scene does not have its areas."""
     known = replace(
         crowd,
         spawn_area=np.where(crowd.spawn_area < len(areas.spawn), crowd.spawn_area, -1),

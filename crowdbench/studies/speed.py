@@ -1,7 +1,7 @@
-"""How fast crowdbench is on this machine.
+"""Measures the speed of crowdbench on this machine.
 
-Other programs only ever slow a measurement down, so each figure is the best of many short
-chunks; compare figures of one run with each other rather than across machines.
+Other programs can only slow a measurement down, so most figures are the best of many short
+measurements. Figures are comparable within one run, not between machines.
 """
 
 import subprocess
@@ -40,12 +40,12 @@ from crowdbench.trajectories.table import Trajectories
 
 PERSONS_PER_M2 = 0.07
 M2_PER_BOX = 300.0
-MARGIN_M = 1.5  # nobody is to leave the scene while it is measured
+MARGIN_M = 1.5  # so that nobody leaves the scene during a measurement
 CHUNK_S = 0.05
 MEASURE_S = 2.0
 ENTRIES = 10
 LARGE_S: float | None = None
-"""Length of the rollouts of Grand Central, seconds; None: the whole recording's."""
+"""Length of the rollouts of Grand Central, seconds; None for that of the recording."""
 
 
 @dataclass(frozen=True)
@@ -57,18 +57,18 @@ class Figure:
     unit: str
 
     def text(self) -> str:
-        """The number as people read it."""
+        """The value with its unit; from 10,000 on in millions (`M`)."""
         if self.value >= 1e4:
             return f"{self.value / 1e6:.3f} M {self.unit}"
         return f"{self.value:.3g} {self.unit}"
 
 
 def measure() -> Iterator[Figure]:
-    """All figures, each as soon as it is measured."""
+    """Yield each figure as soon as it is measured."""
     for worlds, persons in ((1, 20), (1, 100), (1, 300), (64, 50)):
         name = f"core with observations, {worlds} × {persons}"
         yield Figure(name, _core(worlds, persons), "agent-steps/s")
-    yield Figure("PettingZoo view, 20 agents", _pettingzoo(20), "agent-steps/s")
+    yield Figure("PettingZoo environment, 20 agents", _pettingzoo(20), "agent-steps/s")
     yield from _torchrl(64, 50)
     scene = load_scene("eth-v0")
     for name in FITTED:
@@ -97,7 +97,7 @@ def measure() -> Iterator[Figure]:
 
 
 def _large() -> Iterator[Figure]:
-    """Grand Central, whole: 10,000 frames with 12,700 persons; each once."""
+    """Figures of Grand Central at full length, 10,000 frames with 12,700 persons; measured once."""
     scene = load_scene("gc-v0")
     for name in ("poisson-gmm", "ntpp-gmm"):
         spawn = spawn_model(name, scene)
@@ -121,7 +121,7 @@ def _large() -> Iterator[Figure]:
 
 
 def _viewing(scene: Scene, crowd: Trajectories) -> Iterator[Figure]:
-    """A file for the viewer; nothing where rerun or the recording is missing."""
+    """Figures of writing a viewer file; none without rerun or the recording."""
     if find_spec("rerun") is None or not has_recording(scene):
         return
     from crowdbench.viewer import save
@@ -130,12 +130,12 @@ def _viewing(scene: Scene, crowd: Trajectories) -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "crowd.rrd"
         took_s = _once_s(partial(save, crowd, scene, path, against=recording))
-        yield Figure("viewer file of GC beside its recording", took_s, "s")
-        yield Figure("size of that file", path.stat().st_size / 1e6, "MB")
+        yield Figure("viewer file of GC with its recording", took_s, "s")
+        yield Figure("size of that viewer file", path.stat().st_size / 1e6, "MB")
 
 
 def open_square(persons: int) -> Scene:
-    """A square with 0.07 persons/m² and a box of 2 m every 300 m², where no life ends."""
+    """A square scene with 0.07 persons/m² and a box of 2 m per 300 m², in which no trip ends."""
     eth = load_scene("eth-v0")
     side_m = (persons / PERSONS_PER_M2) ** 0.5
     rng = np.random.default_rng(persons)
@@ -153,7 +153,7 @@ def open_square(persons: int) -> Scene:
 
 
 def crowd_at_once(scene: Scene, persons: int, seed: int) -> SpawnEvents:
-    """So many persons at walkable places in the first frame, with goals far away."""
+    """Events of `persons` people who enter in the first frame, with goals far away."""
     rng = np.random.default_rng(seed)
     b = scene.bounds
     lower = np.array([b.x_min_m, b.y_min_m]) + MARGIN_M
@@ -174,7 +174,7 @@ def crowd_at_once(scene: Scene, persons: int, seed: int) -> SpawnEvents:
 
 
 class _AtOnce:
-    """A spawn model that lets everyone in at the beginning."""
+    """A spawn model in which everyone enters in the first frame."""
 
     name = "at-once"
     start: ClassVar[Start] = "empty"
@@ -192,7 +192,7 @@ class _AtOnce:
 
 
 def _to_and_fro(shape: tuple[int, ...]) -> list[np.ndarray]:
-    """Actions that lead away and back, so that the crowd stays as dense as it is."""
+    """Random actions, each followed by its opposite, so that the density stays constant."""
     rng = np.random.default_rng(0)
     there = [(rng.standard_normal(shape) * 0.1).astype(np.float32) for _ in range(20)]
     return [action for a in there for action in (a, -a)]
@@ -240,7 +240,7 @@ def _pettingzoo(persons: int) -> float:
 
 
 def _torchrl(worlds: int, persons: int) -> Iterator[Figure]:
-    """TorchRL's collector with a random policy and with a small network; none without TorchRL."""
+    """Figures of TorchRL's collector, with a random policy and a network; none without TorchRL."""
     if find_spec("torchrl") is None:
         return
     from tensordict.nn import TensorDictModule
@@ -289,7 +289,7 @@ def _sampling(spawn: SpawnModel, scene: Scene) -> Callable[[], object]:
 
 
 def _fitting() -> Iterator[Figure]:
-    """One fit of ntpp-gmm to each recording at hand; none where torch is not installed."""
+    """Figures of one ntpp-gmm fit to each imported recording; none without torch."""
     if find_spec("torch") is None:
         return
     from crowdbench.spawn import ntpp_training
@@ -310,7 +310,7 @@ def _scoring(reference: Reference, crowds: list[Trajectories]) -> Callable[[], o
 def _ranking(
     scene: Scene, reference: Reference, crowds: list[Trajectories], *, entries: int
 ) -> Callable[[], object]:
-    """Energy scores with all their resamples, scores and ranks, as of so many entries."""
+    """A function that computes energy scores with resamples, scores and ranks of `entries`."""
     fits, each = scene.protocol.fits, scene.protocol.rollouts_per_fit
     statistics = [summarise(c, reference.blocks, reference.place) for c in crowds]
     draws = draws_of(scene, reference, "full")
@@ -338,7 +338,7 @@ def _once_s(work: Callable[[], object]) -> float:
 
 
 def _best_rate(chunk: Callable[[], int]) -> float:
-    """Greatest number of steps a second over chunks of work, after one that compiles."""
+    """Highest number of steps per second over chunks of work, after a first one that compiles."""
     chunk()
     best, until = 0.0, time.perf_counter() + MEASURE_S
     while time.perf_counter() < until:

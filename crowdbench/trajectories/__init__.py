@@ -1,4 +1,4 @@
-"""Trajectories of people, recorded or simulated: the table, its files and its time blocks."""
+"""Recorded or simulated trajectories: the table, its file formats, and time blocks."""
 
 from crowdbench.trajectories.table import OUTCOMES, Trajectories
 

@@ -1,7 +1,7 @@
-"""Time blocks: the mask through which both sides of a comparison are looked at.
+"""Time blocks: the parts of a recording's duration in which crowds are compared.
 
-Observed intervals are cut into blocks of about the same length. Statistics are kept per block,
-so that blocks can be folded (fit on some, score others) and resampled.
+Observed intervals are cut into blocks of about the same length. Statistics are kept per block, so
+that blocks can be dealt into folds (fit on some, score others) and resampled.
 """
 
 from dataclasses import dataclass
@@ -13,66 +13,69 @@ from jaxtyping import Bool, Float, Int
 from crowdbench.trajectories.table import Trajectories
 
 FOLDS = 3
-PARTS = ("full", *(f"fold{k}" for k in range(FOLDS)))
-"""What models are fitted for: the whole recording (protocol `full`), and each fold of `heldout`,
-for which a model is fitted on the blocks outside the fold and scored on those in it."""
+SPLITS = ("full", *(f"fold{k}" for k in range(FOLDS)))
+"""The splits that models are fitted for. `full` is the whole recording (protocol `full`). For each
+fold of the protocol `heldout`, a model is fitted on the blocks outside the fold and scored on those
+in it."""
 
-_TOLERANCE = 1e-6  # of a grid step: times are sums of floats
+_TOLERANCE = 1e-6  # in grid steps, for rounding errors in times
 
 
 @dataclass(frozen=True, eq=False)
 class TimeBlocks:
-    """`B` disjoint blocks of frames, ascending."""
+    """`B` disjoint blocks of frames, in ascending order."""
 
     frames: Int[np.ndarray, "B 2"]
     """[start, stop) of each block."""
     opens: Bool[np.ndarray, " B"]
-    """True where observation begins with the block: who stands in its first frame was there
-    before, so that arrivals count from the second frame on."""
+    """True if observation begins with the block. People in its first frame were there before, so
+    arrivals are counted from its second frame on."""
     dt_s: float
+    """Seconds from one frame to the next."""
     grid_s: float
+    """Step of the annotation grid, seconds."""
 
     def __len__(self) -> int:
         return len(self.frames)
 
-    def in_part(self, part: str) -> Bool[np.ndarray, " B"]:
-        """Which blocks models fitted for `part` (one of `PARTS`) are scored on.
+    def in_split(self, split: str) -> Bool[np.ndarray, " B"]:
+        """Whether each block is scored for models fitted for `split` (one of `SPLITS`).
 
         Folds are interleaved.
         """
-        if part == "full":
+        if split == "full":
             return np.ones(len(self), dtype=bool)
-        return np.arange(len(self)) % FOLDS == PARTS.index(part) - 1
+        return np.arange(len(self)) % FOLDS == SPLITS.index(split) - 1
 
-    def scored(self, part: str) -> "TimeBlocks":
-        """The blocks that models fitted for `part` are scored on."""
-        return self.take(self.in_part(part))
+    def scored(self, split: str) -> "TimeBlocks":
+        """The blocks that models fitted for `split` are scored on."""
+        return self.take(self.in_split(split))
 
-    def training(self, part: str) -> "TimeBlocks":
-        """The blocks that models for `part` are fitted on."""
-        return self if part == "full" else self.take(~self.in_part(part))
+    def training(self, split: str) -> "TimeBlocks":
+        """The blocks that models are fitted on for `split`."""
+        return self if split == "full" else self.take(~self.in_split(split))
 
     def take(self, chosen: Bool[np.ndarray, " B"] | Int[np.ndarray, " b"]) -> "TimeBlocks":
-        """Some of the blocks, by mask or by ascending index."""
+        """A subset of the blocks, by mask or by ascending indices."""
         return TimeBlocks(self.frames[chosen], self.opens[chosen], self.dt_s, self.grid_s)
 
     @property
     def arrival_s(self) -> Float[np.ndarray, "B 2"]:
-        """Interval [from, to) of each block in which arrivals count, seconds."""
+        """Interval [from, to) of each block in which arrivals are counted, seconds."""
         start = self.frames[:, 0] + self.opens
         return np.stack([start, self.frames[:, 1]], axis=1) * self.dt_s
 
     def exposure_s(self) -> float:
-        """Seconds in which arrivals were observed."""
+        """Total time in which arrivals are counted, seconds."""
         return float(np.diff(self.arrival_s, axis=1).sum())
 
     def of_arrivals(
         self, trajectories: Trajectories
     ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-        """Those who enter in a block: person index, block, and arrival on the annotation grid.
+        """People who enter in a block: person index, block, and arrival time in grid steps.
 
-        The arrival is the grid point at or after `spawn_s`, in grid steps: an annotator sees a
-        person at the first grid point after the entry, and a simulated one enters likewise.
+        The arrival time is the first grid point at or after `spawn_s`, because an annotator sees a
+        person at the first grid point after the entry. Simulated arrivals are treated the same way.
         """
         persons = np.flatnonzero(trajectories.entered)
         tick = np.ceil(trajectories.spawn_s[persons] / self.grid_s - _TOLERANCE).astype(np.int64)
@@ -86,9 +89,9 @@ class TimeBlocks:
 def cut(
     observed: Int[np.ndarray, "I 2"], *, block_s: float, dt_s: float, grid_s: float
 ) -> TimeBlocks:
-    """Cut each observed interval into equal blocks whose length is as near `block_s` as can be.
+    """Cut each observed interval into equal blocks, as close to `block_s` in length as possible.
 
-    No observed frame is lost: an interval shorter than `block_s` is one block.
+    Every observed frame belongs to a block: an interval shorter than `block_s` is one block.
     """
     frames: list[tuple[int, int]] = []
     opens: list[bool] = []

@@ -1,7 +1,7 @@
-"""`Trajectories` as Parquet and CSV files.
+"""Reading and writing `Trajectories` as Parquet and CSV files.
 
-A file holds one flat table, a row per person and frame, the persons' columns repeated in each of
-their rows: any tool reads it without a join, and Parquet's run lengths make the repetition free.
+A file holds one flat table with a row per person and frame. The columns of a person are repeated
+in each row, so that any tool can read the file without a join; Parquet compresses the repetition.
 """
 
 from pathlib import Path
@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 SCHEMA = 1
 _KEY = b"crowdbench"
 _COLUMNS = ("person_id", "frame", "time_s", "x", "y", *PERSON_COLUMNS)
-_HINT = "Name a file written by crowdbench, or a table with person_id, frame (or time_s), x, y."
+_HINT = (
+    "Use a file written by crowdbench, or a table with the columns person_id, frame (or time_s), "
+    "x, y."
+)
 
 
 class _Metadata(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -34,10 +37,10 @@ class _Metadata(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 def write_parquet(trajectories: Trajectories, path: str | Path) -> None:
-    """Write the table to `path`, whole or not at all; equal tables give equal bytes.
+    """Write the table to `path` atomically; equal tables give equal bytes.
 
     Raises:
-        OutputError: the place cannot be written.
+        OutputError: `path` cannot be written.
     """
     from pyarrow import parquet
 
@@ -59,10 +62,10 @@ def write_parquet(trajectories: Trajectories, path: str | Path) -> None:
 
 
 def write_csv(trajectories: Trajectories, path: str | Path) -> None:
-    """Write the table to `path` for other programs; who reads it must know its time step.
+    """Write the table to `path` for other programs; the file does not state its time step.
 
     Raises:
-        OutputError: the place cannot be written.
+        OutputError: `path` cannot be written.
     """
     from pyarrow import csv
 
@@ -86,15 +89,15 @@ def _flat(t: Trajectories) -> "pyarrow.Table":
 
 
 def read(path: str | Path, *, scene: str, dt_s: float, frames: int | None = None) -> Trajectories:
-    """Read a Parquet or CSV table of trajectories, crowdbench's own or another simulator's.
+    """Read a Parquet or CSV table of trajectories from crowdbench or another simulator.
 
-    Needs the columns `person_id`, `x`, `y` (metres) and `frame` or `time_s` (seconds, on the
-    frames of the scene); takes those of `PERSON_COLUMNS` where they are there. A file that
-    crowdbench wrote brings its own scene and `dt_s`, which must be those asked for, and its own
-    length; of another's file `frames` is the length, by default up to the last row.
+    Required columns are `person_id`, `x`, `y` (metres) and `frame` or `time_s` (seconds, on the
+    frames of the scene); columns of `PERSON_COLUMNS` are optional. A file that crowdbench wrote
+    states its scene, `dt_s` and length; scene and `dt_s` must equal the arguments. For other files
+    `frames` is the length, by default up to the last row.
 
     Raises:
-        RecordingError: the file is missing, is no table, lacks a column, holds values that
+        RecordingError: the file is missing, is not a table, lacks a column, holds values that
             are not finite, or belongs to another scene or time step.
     """
     path = Path(path)
@@ -104,7 +107,7 @@ def read(path: str | Path, *, scene: str, dt_s: float, frames: int | None = None
 def of_table(
     table: "pyarrow.Table", path: Path, *, scene: str, dt_s: float, frames: int | None = None
 ) -> Trajectories:
-    """What `read` makes of the table that it reads from `path`."""
+    """Convert a table that was read from `path` to `Trajectories`; see `read`."""
     metadata = _own_metadata(path, table)
     columns = _columns(path, table)
     frame = _frames(path, columns, dt_s)
@@ -133,13 +136,13 @@ def of_table(
 
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:
-    """The columns that `read` knows of another program's table, by name, a value per row.
+    """The columns of a table that `read` understands, by name, with one value per row.
 
-    Those of `person_id` and `frame` are whole numbers.
+    `person_id` and `frame` are integers.
 
     Raises:
-        RecordingError: the file is missing, is no table, lacks a column, or holds what is no
-            number.
+        RecordingError: the file is missing, is not a table, lacks a column, or holds values that
+            are not numbers.
     """
     return _columns(path, _read_table(path))
 
@@ -151,6 +154,8 @@ def _columns(path: Path, table: "pyarrow.Table") -> dict[str, np.ndarray]:
             raise _missing(path, name, table)
     if "frame" not in named and "time_s" not in named:
         raise _missing(path, "frame (or time_s)", table)
+    if ("goal_x" in named) != ("goal_y" in named):
+        raise _missing(path, "goal_y" if "goal_x" in named else "goal_x", table)
     if len(table) == 0:
         raise RecordingError(path, got="no rows", expected="at least one row", hint=_HINT)
     columns = {name: _numbers(path, table, name) for name in _COLUMNS if name in named}
@@ -159,13 +164,15 @@ def _columns(path: Path, table: "pyarrow.Table") -> dict[str, np.ndarray]:
     outcome = columns.get("outcome", np.zeros(1))
     if not ((outcome >= 0) & (outcome < len(OUTCOMES))).all():
         raise RecordingError(
-            path, got=f"outcomes {np.unique(outcome)[:5]}", expected=f"0 to {len(OUTCOMES) - 1}"
+            path,
+            got=f"outcomes {np.unique(outcome)[:5]}",
+            expected=f"outcomes from 0 to {len(OUTCOMES) - 1}",
         )
     return columns
 
 
 def _frames(path: Path, columns: dict[str, np.ndarray], dt_s: float) -> np.ndarray:
-    """The frame of each row, by `frame`, by `time_s`, or by both if they agree."""
+    """The frame of each row from `frame` or `time_s`; if both columns exist, they must agree."""
     frame = columns.get("frame")
     if "time_s" in columns:
         ticks = columns["time_s"] / dt_s
@@ -175,10 +182,10 @@ def _frames(path: Path, columns: dict[str, np.ndarray], dt_s: float) -> np.ndarr
             row = int(np.flatnonzero(wrong)[0])
             raise RecordingError(
                 path,
-                got=f"person {columns['person_id'][row]} at {columns['time_s'][row]:.10g} s, "
-                f"{wrong.sum()} of {len(wrong)} times that do not stand on the scene's frames",
+                got=f"person {columns['person_id'][row]} at {columns['time_s'][row]:.10g} s "
+                f"({wrong.sum()} of {len(wrong)} times are not on the scene's frames)",
                 expected=f"time_s in multiples of {dt_s:g} s"
-                + ("" if frame is None else ", frame × that"),
+                + ("" if frame is None else f", equal to frame × {dt_s:g} s"),
                 hint="Resample the trajectories to the scene's time step.",
             )
         frame = expected.astype(np.int64)
@@ -190,7 +197,7 @@ def read_own(path: str | Path) -> Trajectories:
     """Read a Parquet file that crowdbench wrote, whatever its scene.
 
     Raises:
-        RecordingError: the file is missing, broken, or was written by something else.
+        RecordingError: the file is missing, broken, or was not written by crowdbench.
     """
     path = Path(path)
     metadata = _own_metadata(path, _read_table(path))
@@ -198,9 +205,10 @@ def read_own(path: str | Path) -> Trajectories:
         raise RecordingError(
             path,
             got="a table without crowdbench's metadata",
-            expected="a file of crowdbench's",
-            hint="Another program's table does not say its scene; name it, as in `crowdbench view "
-            '--scene eth-v0`, `crowdbench score eth-v0`, or `crowdbench.read(path, "eth-v0")`.',
+            expected="a file that crowdbench wrote",
+            hint="Tables of other programs do not state their scene; name it, as in `crowdbench "
+            "view --scene eth-v0`, `crowdbench score eth-v0`, or "
+            '`crowdbench.read(path, "eth-v0")`.',
         )
     return read(path, scene=metadata.scene, dt_s=metadata.dt_s)
 
@@ -209,7 +217,7 @@ def is_own(path: Path) -> bool:
     """Whether crowdbench wrote the table.
 
     Raises:
-        RecordingError: it cannot be read, or its metadata are broken.
+        RecordingError: the file cannot be read, or its metadata are invalid.
     """
     return _own_metadata(path, _read_table(path)) is not None
 
@@ -223,7 +231,10 @@ def _read_table(path: Path) -> "pyarrow.Table":
     suffix = path.suffix.lower()
     if suffix not in readers:
         raise RecordingError(
-            path, got=f"a {path.suffix or 'nameless'} file", expected=".parquet or .csv", hint=_HINT
+            path,
+            got=f"a {path.suffix} file" if path.suffix else "a file without a suffix",
+            expected=".parquet or .csv",
+            hint=_HINT,
         )
     try:
         table = readers[suffix](data)
@@ -243,14 +254,14 @@ def _own_metadata(path: Path, table: "pyarrow.Table") -> _Metadata | None:
         metadata = msgspec.json.decode(raw, type=_Metadata)
     except (msgspec.DecodeError, RecursionError) as error:
         raise RecordingError(
-            path, got=f"metadata that do not fit: {error}", expected="crowdbench's metadata"
+            path, got=f"invalid metadata ({error})", expected="crowdbench's metadata"
         ) from error
     edges = np.array(metadata.observed).ravel()
     if len(edges) == 0 or (np.diff(edges) < 0).any() or edges[0] < 0 or edges[-1] > metadata.frames:
         raise RecordingError(
             path,
             got=f"observed intervals {metadata.observed[:3]} of {metadata.frames} frames",
-            expected="disjoint intervals within the frames, ascending",
+            expected="disjoint intervals within the frames, in ascending order",
         )
     if metadata.schema != SCHEMA:
         raise RecordingError(
@@ -265,7 +276,7 @@ def _own_metadata(path: Path, table: "pyarrow.Table") -> _Metadata | None:
 def _numbers(path: Path, table: "pyarrow.Table", name: str) -> np.ndarray:
     if table.column_names.count(name) > 1:
         raise RecordingError(
-            path, got=f"more than one column {name}", expected="one of that name", hint=_HINT
+            path, got=f"more than one column {name}", expected="only one", hint=_HINT
         )
     values = table.column(name)
     if values.null_count:
@@ -273,7 +284,7 @@ def _numbers(path: Path, table: "pyarrow.Table", name: str) -> np.ndarray:
             path,
             got=f"{values.null_count} empty values in column {name}",
             expected="a value in each row",
-            hint="Remove these rows or repair them at the source.",
+            hint="Remove these rows or correct them in the source.",
         )
     column: np.ndarray = values.to_numpy()
     if column.dtype.kind not in "biuf":
@@ -299,7 +310,7 @@ def _integers(path: Path, name: str, values: np.ndarray, kind: type = np.int64) 
         raise RecordingError(
             path,
             got=f"{name} {bad}",
-            expected=f"whole numbers of {np.iinfo(kind).bits} bits in column {name}",
+            expected=f"integers of {np.iinfo(kind).bits} bits in column {name}",
             hint=_HINT,
         )
     return values.astype(kind)

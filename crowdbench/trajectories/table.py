@@ -1,7 +1,7 @@
-"""`Trajectories`: the one table that recordings, rollouts and other simulators' crowds share.
+"""`Trajectories`: the common table of recordings, rollouts and the output of other simulators.
 
-Metrics, figures, leaderboard and viewer see only this. Positions stand on the frames of the
-scene (one every `dt_s`); within a person the frames have no gap.
+Metrics, figures, leaderboard and viewer use only this table. Each position belongs to a frame of
+the scene (one every `dt_s` seconds); the frames of a person have no gaps.
 """
 
 from collections.abc import Mapping
@@ -14,11 +14,14 @@ from jaxtyping import Bool, Float, Float32, Int
 from crowdbench.errors import RecordingError
 
 OUTCOMES = ("unknown", "goal", "exit", "timeout", "recorded", "horizon")
-"""How a life ended; a person's `outcome` is an index into this tuple."""
+"""How a trip ended; a person's `outcome` is an index into this tuple."""
 
 PERSON_COLUMNS = {
     "spawn_area": np.int32,
     "goal_area": np.int32,
+    "group": np.int32,
+    "goal_x": np.float32,
+    "goal_y": np.float32,
     "entered": np.bool_,
     "left": np.bool_,
     "requested_s": np.float64,
@@ -28,14 +31,15 @@ PERSON_COLUMNS = {
 
 
 MAX_FRAMES = 10_000_000
-"""Six weeks of 0.4 s frames: a longer table is a mistake, and would not fit into memory."""
+"""Maximum length, about six weeks of 0.4 s frames; longer tables are errors and exceed memory."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Trajectories:
     """A crowd over time: `P` persons, `R` rows (one per person and frame), `I` observed intervals.
 
-    Persons are sorted by first frame, then requested entry, then id; rows by person, then frame.
+    Persons are sorted by first frame, then requested entry time, then id; rows by person, then
+    frame.
     """
 
     scene: str
@@ -43,34 +47,41 @@ class Trajectories:
     dt_s: float
     """Seconds from one frame to the next."""
     grid_s: float
-    """Seconds of the grid on which arrivals were annotated."""
+    """Step of the grid on which arrivals were annotated, seconds."""
     frames: int
-    """Length in frames; frames count from 0."""
+    """Length in frames; frames are numbered from 0."""
     observed: Int[np.ndarray, "I 2"]
-    """Observed intervals [start, stop) in frames. Outside them nothing is known."""
+    """Observed intervals [start, stop) in frames; the crowd is unknown outside them."""
     person_id: Int[np.ndarray, " P"]
     first: Int[np.ndarray, " P"]
     """Frame of each person's first row."""
     offsets: Int[np.ndarray, " P+1"]
-    """Rows of person p are `xy[offsets[p]:offsets[p + 1]]`, one a frame from `first[p]` on."""
+    """Rows of person p are `xy[offsets[p]:offsets[p + 1]]`, one per frame from `first[p]` on."""
     xy: Float32[np.ndarray, "R 2"]
     """Positions in metres."""
     spawn_area: Int[np.ndarray, " P"]
-    """Index of the area where the person entered, −1 unknown."""
+    """Index of the area where the person entered; −1 if unknown."""
     goal_area: Int[np.ndarray, " P"]
-    """Index of the area that the person walks to, −1 unknown."""
+    """Index of the area that the person walks to; −1 if unknown."""
+    group: Int[np.ndarray, " P"]
+    """Index of the group that the person walks with; −1 if alone or unknown. For recordings, see
+    `crowdbench.trajectories.companions`."""
+    goal_x: Float32[np.ndarray, " P"]
+    """x coordinate of the goal, metres; the last position if the goal is unknown."""
+    goal_y: Float32[np.ndarray, " P"]
+    """y coordinate of the goal, metres."""
     entered: Bool[np.ndarray, " P"]
-    """False for those who were there when observation began."""
+    """False for people who were already present when observation began."""
     left: Bool[np.ndarray, " P"]
-    """False for those who were still there when observation ended (right-censored)."""
+    """False for people who were still present when observation ended (right-censored)."""
     requested_s: Float[np.ndarray, " P"]
-    """When the spawn model let the person in, seconds from frame 0."""
+    """Entry time that the spawn model requested, seconds from frame 0."""
     spawn_s: Float[np.ndarray, " P"]
-    """When the person did enter: `requested_s` plus the time spent waiting for free space."""
+    """Actual entry time: `requested_s` plus the time spent waiting for free space, seconds."""
     outcome: Int[np.ndarray, " P"]
     """Index into `OUTCOMES`."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    """Where the table comes from: source and hash, or scene, models and seed."""
+    """Origin of the table: source and hash, or scene, models and seed."""
 
     def __len__(self) -> int:
         return len(self.person_id)
@@ -101,8 +112,13 @@ class Trajectories:
         """Each person's last position, metres."""
         return self.xy[self.offsets[1:] - 1]
 
+    @property
+    def goal(self) -> Float32[np.ndarray, "P 2"]:
+        """Where each person walks to, metres."""
+        return np.stack([self.goal_x, self.goal_y], axis=1)
+
     def path(self, person: int) -> Float32[np.ndarray, "n 2"]:
-        """Positions of the person at index `person`, one a frame from `first[person]` on."""
+        """Positions of the person at index `person`, one per frame from `first[person]` on."""
         return self.xy[self.offsets[person] : self.offsets[person + 1]]
 
     def row_person(self) -> Int[np.ndarray, " R"]:
@@ -115,14 +131,14 @@ class Trajectories:
         return np.repeat(self.first, np.diff(self.offsets)) + within
 
     def present(self) -> Int[np.ndarray, " frames"]:
-        """N(t): the number of persons in each frame, zeros included."""
+        """N(t): the number of persons in each frame, including empty frames."""
         return np.bincount(self.row_frame(), minlength=self.frames)
 
     def observed_in(self, observed: Int[np.ndarray, "I 2"]) -> "Trajectories":
-        """The same crowd, known in these intervals only.
+        """The same crowd with other observed intervals; `entered` and `left` are set accordingly.
 
-        Who is there in the first frame of one has not `entered`, who is there in its last frame
-        has not `left`.
+        People whose first row is in the first frame of an interval have not `entered`; people
+        whose last row is in its last frame have not `left`.
         """
         return replace(
             self,
@@ -132,15 +148,15 @@ class Trajectories:
         )
 
     def path_lengths(self) -> Float[np.ndarray, " P"]:
-        """Metres that each person walks."""
+        """Path length of each person, metres."""
         steps = np.linalg.norm(np.diff(self.xy.astype(np.float64), axis=0), axis=1)
         person = self.row_person()
         same = np.diff(person) == 0
         lengths = np.bincount(person[1:][same], steps[same], minlength=len(self))
-        return lengths.astype(np.float64)  # of no step at all numpy makes integers
+        return lengths.astype(np.float64)  # without any step, bincount returns integers
 
     def mean_speeds(self) -> Float[np.ndarray, " P"]:
-        """Path length over life, m/s; NaN for a life of a single row."""
+        """Mean speed of each person, m/s: path length over duration; NaN for a single row."""
         with np.errstate(invalid="ignore"):
             return self.path_lengths() / ((self.last - self.first) * self.dt_s)
 
@@ -161,13 +177,14 @@ def from_rows(
 ) -> Trajectories:
     """Build the table from one row per person and frame, in any order.
 
-    Frames missing within a person are filled by linear interpolation. Who is there in the first
-    frame of an observed interval has not `entered`; who is there in its last has not `left`,
-    unless `persons` (columns by name, each of one value per row) says otherwise.
+    Frames missing within a person are filled by linear interpolation. `persons` holds further
+    columns by name, each with one value per row. Without the columns `entered` and `left`, people
+    in the first frame of an observed interval have not `entered`, and people in its last frame
+    have not `left`.
 
     Raises:
         RecordingError: no rows, values that are not finite, frames outside [0, `frames`), or a
-            person twice in one frame. `where` names the place in the message.
+            person twice in one frame. `where` names the source in the message.
     """
     if len(frame) == 0:
         raise RecordingError(where, got="no rows", expected="at least one row")
@@ -176,25 +193,25 @@ def from_rows(
         row = int(np.flatnonzero(~finite)[0])
         raise RecordingError(
             where,
-            got=f"{int((~finite).sum())} rows whose position is not finite, the first at person "
-            f"{person_id[row]}, frame {frame[row]}",
+            got=f"{int((~finite).sum())} rows whose position is not finite, the first for person "
+            f"{person_id[row]} in frame {frame[row]}",
             expected="finite x and y in metres",
-            hint="Remove these rows or repair them at the source.",
+            hint="Remove these rows or correct them in the source.",
         )
     length = int(frame.max()) + 1 if frames is None else frames
     if length > MAX_FRAMES:
         raise RecordingError(
             where,
             got=f"{length} frames",
-            expected=f"{MAX_FRAMES} at most",
-            hint="Count frames of the scene from 0 on, not milliseconds or video frames.",
+            expected=f"at most {MAX_FRAMES}",
+            hint="Number the frames of the scene from 0, not milliseconds or video frames.",
         )
     if frame.min() < 0 or frame.max() >= length:
         raise RecordingError(
             where,
             got=f"frames {frame.min()} to {frame.max()}",
             expected=f"frames from 0 to {length - 1}",
-            hint="Count frames from the first one, and cut what runs past the end.",
+            hint="Number frames from 0, and remove rows after the end.",
         )
 
     order = np.lexsort((frame, person_id))
@@ -206,12 +223,12 @@ def from_rows(
             where,
             got=f"person {ids[row]} twice in frame {frame[row]} ({int(twice.sum())} such rows)",
             expected="one position per person and frame",
-            hint="Remove the duplicates, or give each person an id of its own.",
+            hint="Remove the duplicates, or give each person a separate id.",
         )
 
     begins = np.flatnonzero(np.r_[True, np.diff(ids) != 0])
     requested_s = frame[begins] * dt_s
-    for name in ("spawn_s", "requested_s"):  # who did not wait asked when it entered
+    for name in ("spawn_s", "requested_s"):  # people who did not wait entered when requested
         if persons and name in persons:
             requested_s = np.asarray(persons[name])[order[begins]]
     by_entry = np.lexsort((ids[begins], requested_s, frame[begins]))
@@ -231,9 +248,13 @@ def from_rows(
     if observed is None:
         observed = np.array([[0, length]])
     grid = dt_s if grid_s is None else grid_s
+    ends = np.array([piece[-1] for piece in pieces])
     columns: dict[str, np.ndarray] = {
         "spawn_area": np.full(len(first), -1),
         "goal_area": np.full(len(first), -1),
+        "group": np.full(len(first), -1),
+        "goal_x": ends[:, 0],
+        "goal_y": ends[:, 1],
         "entered": ~np.isin(first, observed[:, 0]),
         "left": ~np.isin(last, observed[:, 1] - 1),
         "spawn_s": first * dt_s,

@@ -1,7 +1,6 @@
-"""Crowds in the rerun viewer: people, trails, rays and areas, plots and a log, on one clock.
+"""Crowds in the rerun viewer: people, trails, rays, areas, plots and a log, on a common time line.
 
-Nobody imports it but the command line and an environment that is asked to render, and they only
-when they need it.
+Imported only when needed, by the command line and by environments with a render mode.
 """
 
 from crowdbench.viewer.access import check_screen

@@ -1,4 +1,4 @@
-"""Whether there is a rerun to log to, and a stream of it."""
+"""Checks that rerun is available, and recording streams to it."""
 
 import os
 import socket
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from rerun.blueprint import Blueprint
 
 PORT = 9876
-"""Where viewers listen."""
+"""Port on which rerun viewers listen."""
 
 
 def new_stream(scene: Scene, title: str) -> "RecordingStream":
-    """A stream for one recording of the viewer, which has a layout for each scene."""
+    """A stream for one recording in the viewer; the viewer keeps a layout per scene."""
     import rerun as rr
 
     stream = rr.RecordingStream(f"crowdbench {scene.id}")
@@ -27,10 +27,10 @@ def new_stream(scene: Scene, title: str) -> "RecordingStream":
 
 
 def open_stream(scene: Scene, title: str, first_look: "Blueprint") -> "RecordingStream":
-    """A stream to a viewer: the one that is open, or a new window.
+    """A stream to the viewer that is open, or to a new window.
 
     Raises:
-        SettingError: there can be none, see `check_screen`, or the window did not open.
+        SettingError: as `check_screen`, or the window did not open.
     """
     check_screen()
     stream = new_stream(scene, title)
@@ -43,26 +43,25 @@ def open_stream(scene: Scene, title: str, first_look: "Blueprint") -> "Recording
 
 
 def check_rerun() -> None:
-    """Raise where rerun is not installed.
+    """Raise an error if rerun is not installed.
 
     Raises:
-        SettingError: it is not.
+        SettingError: rerun is not installed.
     """
     if find_spec("rerun") is None:
         raise SettingError(
             "the viewer",
             got="no rerun",
-            expected="rerun, which draws",
+            expected="the package rerun",
             hint='Install it, in the clone: pip install -e ".[viewer]".',
         )
 
 
 def check_screen() -> None:
-    """Raise where the viewer cannot open.
+    """Raise an error if the viewer cannot open.
 
     Raises:
-        SettingError: rerun is not installed, or there is neither a screen nor a viewer that
-            listens already.
+        SettingError: rerun is not installed, or there is neither a screen nor a running viewer.
     """
     check_rerun()
     screen = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
@@ -74,15 +73,15 @@ def _no_screen(got: str) -> SettingError:
     return SettingError(
         "the viewer",
         got=got,
-        expected="a screen with room for its window",
+        expected="a screen on which its window can open",
         hint="Write a file with `crowdbench view … --save crowd.rrd` and open it with `rerun "
-        "crowd.rrd` where there is a screen, or start `rerun --serve-web` here first and look at "
+        "crowd.rrd` on a machine with a screen, or start `rerun --serve-web` here first and open "
         "it in a browser.",
     )
 
 
 def _listens() -> bool:
-    """Whether a viewer is open already, be it at the other end of a tunnel."""
+    """Whether a viewer is running, on this machine or at the other end of a tunnel."""
     with socket.socket() as probe:
         probe.settimeout(0.2)
         return probe.connect_ex(("127.0.0.1", PORT)) == 0

@@ -1,4 +1,4 @@
-"""One chosen person: what it sees by its rays, and the way it walks."""
+"""The rays and the path of one chosen person."""
 
 from typing import TYPE_CHECKING
 
@@ -22,10 +22,10 @@ _WHITE = (255, 255, 255)
 
 
 def index_of(person_id: int, crowd: Trajectories) -> int:
-    """Index of the person in the table.
+    """Index of a person in the table.
 
     Raises:
-        SettingError: nobody has that id.
+        SettingError: no person has this id.
     """
     found = np.flatnonzero(crowd.person_id == person_id)
     if not len(found):
@@ -33,7 +33,7 @@ def index_of(person_id: int, crowd: Trajectories) -> int:
             "person",
             got=str(person_id),
             expected=f"an id from the table, {crowd.person_id.min()} to {crowd.person_id.max()}",
-            hint="The viewer's log and what it shows under the cursor tell ids.",
+            hint="The viewer shows ids in its log and next to the cursor.",
         )
     return int(found[0])
 
@@ -41,10 +41,10 @@ def index_of(person_id: int, crowd: Trajectories) -> int:
 def log_chosen(
     stream: "RecordingStream", side: str, crowd: Trajectories, scene: Scene, person_id: int
 ) -> None:
-    """Log a person's rays, frame by frame, and its whole way while it is there.
+    """Log a person's rays in each frame, and the complete path, while the person is present.
 
     Raises:
-        SettingError: nobody has that id.
+        SettingError: no person has this id.
     """
     import rerun as rr
 
@@ -57,7 +57,7 @@ def log_chosen(
     ends = path[:, None] + length[..., None] * way
     strips = np.stack([np.broadcast_to(path[:, None], ends.shape), ends], axis=2)
     met = (length < settings.ray_range_m).ravel()
-    # One frame more, without any: rays go when the person does.
+    # An additional frame without rays, so that they disappear with the person.
     count = np.append(np.full(len(path), settings.rays), 0)
     times = time_columns(crowd.first[chosen] + np.arange(len(path) + 1), crowd.dt_s)
     where = f"{WORLD}/{side}/chosen"
@@ -83,7 +83,7 @@ def _log_way(stream: "RecordingStream", where: str, crowd: Trajectories, chosen:
     path = crowd.path(chosen)
     ends = time_columns(
         crowd.first[chosen] + np.array([0, len(path)]), crowd.dt_s
-    )  # comes and goes with the person
+    )  # shown while the person is present
     there = np.array([1, 0])
     way = rr.LineStrips2D.columns(strips=path[None])
     stream.send_columns(f"{where}/way", ends, way.partition(there))
@@ -105,10 +105,10 @@ def _log_way(stream: "RecordingStream", where: str, crowd: Trajectories, chosen:
 def ray_lengths(
     crowd: Trajectories, chosen: int, scene: Scene, settings: Settings
 ) -> Float32[np.ndarray, "n R"]:
-    """How far the person at index `chosen` sees along each ray, in each frame of its life, metres.
+    """Lengths of the rays of the person at index `chosen`, in each frame of the trip, metres.
 
-    The environment's own kernel looks at the crowd of the table. As there, nobody sees who has
-    just ended, and who has just ended sees the crowd of before the entries.
+    They are computed by the kernel of the environment. As in the environment, people whose trip has
+    just ended are not seen by others, and themselves do not see people who enter in that frame.
     """
     simulation = Simulation(scene, settings=settings)
     slots, head = simulation.slots, head_of(settings.observation)

@@ -1,4 +1,4 @@
-"""A crowd over time, sent as columns: people, their trails, how many there are, how lives end."""
+"""Logs a crowd over time as columns: people, trails, counts and outcomes."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -16,23 +16,23 @@ if TYPE_CHECKING:
 
 TRAIL_S = 2.0
 WINDOW = 10
-"""Frames in which spawns are counted together, as in the metric of that name."""
-_BATCH = 500  # frames sent at once: a viewer shows the first while it loads the others
+"""Number of frames per count of spawns, as in the metric `spawns_per_10_frames`."""
+_BATCH = 500  # frames per message; the viewer shows the first ones while it loads the others
 _DISC_ORDER, _TRAIL_ORDER = 2.0, 1.0
 _ENDS = {
-    "unknown": "was seen last after",
-    "goal": "reached its goal after",
-    "exit": "walked out of the scene after",
-    "timeout": "was taken away, still not at its goal, after",
-    "recorded": "left where its record ends, after",
-    "horizon": "was still there at the end, after",
+    "unknown": "was last seen after",
+    "goal": "reached the goal after",
+    "exit": "left the scene after",
+    "timeout": "was removed without reaching the goal, after",
+    "recorded": "left at the end of the recorded path, after",
+    "horizon": "was still present at the end, after",
 }
 
 
 def log_crowd(stream: "RecordingStream", side: str, crowd: Trajectories, scene: Scene) -> None:
-    """Log a crowd's people and their trails below `world/<side>`, one row a frame.
+    """Log a crowd's people and trails below `world/<side>`, one row per frame.
 
-    In frames that nobody observed, nobody is drawn, and it is said.
+    In frames that were not observed, no people are drawn, and a label says so.
     """
     import rerun as rr
 
@@ -50,7 +50,9 @@ def log_crowd(stream: "RecordingStream", side: str, crowd: Trajectories, scene: 
         times = time_columns(np.arange(start, stop), crowd.dt_s)
         goal = class_of(crowd.goal_area[here])
         people = rr.Points2D.columns(positions=crowd.xy[rows[now]], class_ids=goal)
-        who = rr.AnyValues.columns(person_id=ids(crowd.person_id[here]))
+        who = rr.AnyValues.columns(
+            person_id=ids(crowd.person_id[here]), group=ids(crowd.group[here])
+        )
         stream.send_columns(
             f"{where}/people", times, [*people.partition(length), *who.partition(length)]
         )
@@ -62,7 +64,7 @@ def log_crowd(stream: "RecordingStream", side: str, crowd: Trajectories, scene: 
 
 
 def log_looks(stream: "RecordingStream", side: str, scene: Scene) -> None:
-    """Log how a side's people and trails are drawn, whoever they are."""
+    """Log the style of a side's people and trails."""
     import rerun as rr
 
     radius_m = scene.motion.person_radius_m
@@ -75,7 +77,7 @@ def log_looks(stream: "RecordingStream", side: str, scene: Scene) -> None:
 
 
 def log_counts(stream: "RecordingStream", side: str, crowd: Trajectories) -> None:
-    """Log agents over time and spawns per ten frames, with gaps where nobody observed."""
+    """Log agents over time and spawns per ten frames, with gaps in unobserved frames."""
     known = observed_frames(crowd)
     frame = np.arange(crowd.frames)
     _log_scalars(stream, f"agents/{side}", frame, crowd.present(), known, crowd.dt_s)
@@ -86,7 +88,7 @@ def log_counts(stream: "RecordingStream", side: str, crowd: Trajectories) -> Non
 
 
 def log_series(stream: "RecordingStream", side: str, colour: tuple[int, int, int]) -> None:
-    """Log how a side's lines in the plots are drawn."""
+    """Log the style of a side's lines in the plots."""
     import rerun as rr
 
     modes = {
@@ -99,59 +101,59 @@ def log_series(stream: "RecordingStream", side: str, colour: tuple[int, int, int
 
 
 def log_outcomes(stream: "RecordingStream", crowd: Trajectories) -> None:
-    """Log how each life ended, as a line of text at its last frame."""
+    """Log the outcome of each trip, as a line of text in its last frame."""
     import rerun as rr
 
     order = np.argsort(crowd.last, kind="stable")
-    lives = zip(
+    trips = zip(
         crowd.person_id[order].tolist(),
         crowd.outcome[order].tolist(),
         (crowd.first[order] * crowd.dt_s).tolist(),
         (crowd.last[order] * crowd.dt_s).tolist(),
         strict=True,
     )
-    texts, levels = zip(*(ending(*life) for life in lives), strict=True)
+    texts, levels = zip(*(ending(*life) for life in trips), strict=True)
     log = rr.TextLog.columns(text=texts, level=levels)
     stream.send_columns("outcomes", time_columns(crowd.last[order], crowd.dt_s), log)
 
 
 def ending(person_id: int, outcome: int, from_s: float, to_s: float) -> tuple[str, str]:
-    """How a life ended, in words, and the level of the log: who never arrived is worth a look."""
+    """Log line for the end of a trip, and its level: a warning if it ended by a timeout."""
     how = OUTCOMES[outcome]
     text = f"{to_s:.1f} s: person {person_id} {_ENDS[how]} {to_s - from_s:.1f} s"
     return text, "WARN" if how == "timeout" else "INFO"
 
 
 def class_of(goal_area: Int[np.ndarray, " n"]) -> UInt16[np.ndarray, " n"]:
-    """Class of people who walk to these goal areas: it gives them colour and label."""
+    """Class of people with these goal areas, which determines their colour and label."""
     return np.where(goal_area < 0, UNKNOWN, goal_area).astype(np.uint16)
 
 
 def ids(person_id: Int[np.ndarray, " n"]) -> "pa.Array":
-    """Persons' numbers for `rerun.AnyValues`, which knows no type for none of them by itself."""
+    """Ids for `rerun.AnyValues`; typed, because no type can be inferred from no ids."""
     import pyarrow as pa
 
     return pa.array(person_id, pa.int64())
 
 
 def trail_steps(dt_s: float) -> int:
-    """Steps that a trail is long."""
+    """Length of a trail in steps."""
     return max(1, round(TRAIL_S / dt_s))
 
 
 def trails(
     crowd: Trajectories, rows: Int[np.ndarray, " n"], first_row: Int[np.ndarray, " n"]
 ) -> Float32[np.ndarray, "n k 2"]:
-    """The positions of the last `TRAIL_S` up to each row.
+    """Positions in the last `TRAIL_S` seconds up to each row, metres.
 
-    Before the first row of the same person stands that row's position.
+    Times before a person's first row have the position of the first row.
     """
     back = np.arange(trail_steps(crowd.dt_s), -1, -1)
     return crowd.xy[np.maximum(rows[:, None] - back, first_row[:, None])]
 
 
 def observed_frames(crowd: Trajectories) -> Bool[np.ndarray, " frames"]:
-    """Which frames are known."""
+    """Whether each frame was observed."""
     known = np.zeros(crowd.frames, dtype=bool)
     for start, stop in crowd.observed.tolist():
         known[start:stop] = True
@@ -159,7 +161,7 @@ def observed_frames(crowd: Trajectories) -> Bool[np.ndarray, " frames"]:
 
 
 def time_columns(frame: Int[np.ndarray, " n"], dt_s: float) -> "list[TimeColumn]":
-    """The two clocks of these frames: seconds and frames."""
+    """The two time lines of these frames: `time` in seconds, and `frame`."""
     import rerun as rr
 
     return [
@@ -183,7 +185,7 @@ def _log_scalars(
 ) -> None:
     import rerun as rr
 
-    # A row without a value breaks the line.
+    # A row without a value interrupts the line.
     column = rr.Scalars.columns(scalars=value[known].astype(np.float64))
     stream.send_columns(where, time_columns(frame, dt_s), column.partition(known.astype(np.int64)))
 
@@ -191,7 +193,7 @@ def _log_scalars(
 def _log_unobserved(
     stream: "RecordingStream", where: str, known: Bool[np.ndarray, " n"], scene: Scene, dt_s: float
 ) -> None:
-    """Say in the middle of the place when nobody observed it."""
+    """Log a label in the middle of the scene for frames that were not observed."""
     import rerun as rr
 
     turns = np.flatnonzero(np.diff(known, prepend=not known[0]))

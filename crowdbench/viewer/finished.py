@@ -1,4 +1,4 @@
-"""A finished crowd in the viewer, or in a file for it."""
+"""Shows a finished crowd in the viewer, or writes a file for it."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rerun.blueprint import Blueprint
 
 SERIES = ((230, 159, 0), (150, 150, 150))
-"""Colours of the simulation's lines, and of those of what it is held against."""
+"""Colours of the lines of the simulation, and of the crowd that it is compared with."""
 
 
 def save(
@@ -32,17 +32,17 @@ def save(
     against: Trajectories | None = None,
     person: int | None = None,
 ) -> None:
-    """Write a file that `rerun FILE.rrd` opens, whole or not at all.
+    """Write a file that `rerun FILE.rrd` opens. An incomplete file is never left behind.
 
     Args:
-        crowd: what to show.
-        scene: where it walks: an id from `list_scenes()`, a folder with a `scene.toml`, or a scene.
-        path: the file, by custom `.rrd`.
-        against: another crowd, by custom the recording, shown beside it on the same clock.
-        person: id of a person in `crowd`, whose rays and whole way are shown too.
+        crowd: the trajectories to show.
+        scene: their scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
+        path: the file, usually with the suffix `.rrd`.
+        against: another crowd, usually the recording, shown beside it on the same time line.
+        person: id of a person in `crowd` whose rays and complete path are also shown.
 
     Raises:
-        SettingError: rerun is not installed, or there is no such person.
+        SettingError: rerun is not installed, or no person has this id.
         SceneError: there is no such scene.
         OutputError: the file cannot be written.
     """
@@ -54,7 +54,7 @@ def save(
         index_of(person, crowd)
     sides = _sides(crowd, place, against)
     stream = new_stream(place, title_of(crowd))
-    # Kept in memory first: on a full disk rerun's own writer waits for ever.
+    # Kept in memory first, because on a full disk rerun's own writer never returns.
     kept = rr.binary_stream(stream)
     stream.send_blueprint(_layout(place, sides), make_active=False)
     _log(stream, place, sides, person)
@@ -70,10 +70,10 @@ def show(
     against: Trajectories | None = None,
     person: int | None = None,
 ) -> None:
-    """Open the viewer, or add to the one that is open; the arguments are those of `save`.
+    """Show a crowd in the viewer that is open, or in a new window; arguments as for `save`.
 
     Raises:
-        SettingError: rerun is not installed, there is no screen, or there is no such person.
+        SettingError: rerun is not installed, there is no screen, or no person has this id.
         SceneError: there is no such scene.
     """
     place = load_scene(scene)
@@ -83,13 +83,13 @@ def show(
     check_rerun()
     stream = open_stream(place, title_of(crowd), _layout(place, sides))
     _log(stream, place, sides, person)
-    with suppress(RuntimeError):  # who closed the window wants to see no more
+    with suppress(RuntimeError):  # the window was closed
         stream.flush()
     stream.disconnect()
 
 
 def title_of(crowd: Trajectories) -> str:
-    """What a crowd is called: by its models and seed, or by its file."""
+    """Title of a crowd: its models and seed, or its file or scene."""
     told = crowd.provenance
     if {"spawn", "policy", "seed"} <= told.keys():
         return f"{told['spawn']} × {told['policy']}, seed {told['seed']}"

@@ -1,4 +1,4 @@
-"""Where the viewer puts what: the place once for each side, below them plots and a log."""
+"""The layout of the viewer: a view of the scene per side, and below them plots and a log."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -17,15 +17,14 @@ _SPEED = 2.0  # seconds of the crowd in a second of playing
 def layout(
     scene: Scene, sides: Mapping[str, str], *, length_s: float | None, most: Mapping[str, float]
 ) -> "Blueprint":
-    """The first look.
+    """The default layout.
 
     Args:
-        scene: the place.
-        sides: a view for each, its title by its name.
-        length_s: how much time the plots show, seconds; None for what comes in live, which the
-            viewer then follows, and else it plays from the start.
-        most: the greatest values of the plots `agents` and `spawns`, for room above them; those
-            that are not known yet are left out.
+        scene: the scene.
+        sides: titles of the views, by the name of the side.
+        length_s: time range of the plots, seconds; the viewer plays from the start. With None, data
+            arrive live, and the viewer follows them.
+        most: maxima of the plots `agents` and `spawns`, for their axes; unknown ones are left out.
     """
     import rerun as rr
     import rerun.blueprint as rrb
@@ -45,7 +44,7 @@ def layout(
     log = rrb.TextLogView(
         origin="outcomes",
         name="outcomes",
-        # The text tells the time: the column of it is too narrow to be read.
+        # The text contains the time; the time column would be too narrow to read.
         columns=rrb.TextLogColumns(
             timeline_columns=[rrb.encodings.TimelineColumn("time", visible=False)],
             text_log_columns=["body"],
@@ -76,7 +75,7 @@ def _place(scene: Scene, side: str, title: str) -> "Spatial2DView":
 
     b = scene.bounds
     margin = _MARGIN * extent_m(scene)
-    # In the view's own frame, which is above the flip of `place`: y downwards.
+    # In the coordinates of the view, above the flip in `place`, y points downwards.
     bounds = rrb.VisualBounds2D(
         x_range=(b.x_min_m - margin, b.x_max_m + margin),
         y_range=(-b.y_max_m - margin, -b.y_min_m + margin),

@@ -1,4 +1,4 @@
-"""An environment in the viewer, frame by frame as it is stepped."""
+"""Shows an environment in the viewer, frame by frame, while it is stepped."""
 
 from contextlib import suppress
 
@@ -16,21 +16,21 @@ _SIDE = "simulation"
 
 
 class Live:
-    """Logs to the user's recording stream where there is one, else to a viewer that it opens.
+    """Logs to the user's recording stream if there is one, else to a viewer that it opens.
 
-    Episodes follow each other on one clock.
+    Episodes follow each other on one time line.
     """
 
     def __init__(self, scene: Scene, title: str) -> None:
-        """Open the viewer and log the place.
+        """Open the viewer and log the scene.
 
         Raises:
-            SettingError: there is no stream, and the viewer cannot open.
+            SettingError: there is no recording stream, and the viewer cannot open.
         """
         import rerun as rr
 
         self._scene = scene
-        self._begun = 0  # frame of the clock at which the episode began
+        self._begun = 0  # frame of the time line in which the episode began
         self._until = 0
         self._window, self._spawned = 0, 0
         given = rr.get_data_recording()
@@ -47,12 +47,12 @@ class Live:
         log_series(self._stream, _SIDE, SERIES[0])
 
     def begin(self) -> None:
-        """An episode begins, after what was logged before."""
+        """Begin an episode, after the frames that were logged before."""
         self._log_spawns(self._until)
         self._begun = self._until
 
     def log(self, now: Now, skipped: int = 0) -> None:
-        """Log a frame; `skipped` frames before it nobody was there."""
+        """Log a frame; in the `skipped` frames before it, nobody was present."""
         import rerun as rr
 
         frame = self._begun + now.frame
@@ -60,7 +60,7 @@ class Live:
             self._at(frame - skipped + 1)
             self._log_people(None)
         self._log_spawns(frame)
-        if now.frame > 0:  # who is there from the start has not come
+        if now.frame > 0:  # the initial population does not count as spawns
             self._spawned += int(now.spawned.sum())
         self._until = frame + 1
         self._at(frame)
@@ -71,8 +71,8 @@ class Live:
             self._stream.log("outcomes", rr.TextLog(text, level=level))
 
     def close(self) -> None:
-        """Send what is left; the viewer stays open."""
-        with suppress(RuntimeError):  # who closed the window wants to see no more
+        """Send all remaining data; the viewer stays open."""
+        with suppress(RuntimeError):  # the window was closed
             self._stream.flush()
 
     def _log_people(self, now: Now | None) -> None:
@@ -86,17 +86,17 @@ class Live:
                 stream.log(f"{where}/{name}", rr.Clear(recursive=False))
             return
         goal = class_of(now.goal_area)
-        # Fields one by one: what is not named here stays as it was logged for all times.
+        # Only the given fields are updated; others keep their static values.
         stream.log(
             f"{where}/people",
             rr.Points2D.from_fields(positions=now.xy, class_ids=goal),
-            rr.AnyValues(person_id=ids(now.person_id)),
+            rr.AnyValues(person_id=ids(now.person_id), group=ids(now.group)),
         )
         stream.log(f"{where}/trails", rr.LineStrips2D.from_fields(strips=now.trail, class_ids=goal))
-        stream.log(f"{where}/goals", rr.Points2D.from_fields(positions=now.goal, class_ids=goal))
+        stream.log(f"{where}/goals", rr.Points2D.from_fields(positions=now.target, class_ids=goal))
 
     def _log_spawns(self, frame: int) -> None:
-        """Log the windows that have gone by."""
+        """Log the spawns of all windows that end before `frame`."""
         import rerun as rr
 
         while (self._window + 1) * WINDOW <= frame:

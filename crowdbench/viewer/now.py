@@ -1,4 +1,4 @@
-"""What an environment shows at this moment: who is there, on which trail, who just ended."""
+"""The present state of an environment, as it is drawn: people, trails and ended trips."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,33 +9,35 @@ from jaxtyping import Bool, Float32, Int
 from crowdbench.simulation import Simulation
 
 Past = Sequence[tuple[Int[np.ndarray, " _"], Float32[np.ndarray, "_ 2"]]]
-"""Ids and positions of those who were there, frame by frame, the present one last."""
+"""Ids and positions of the people present, frame by frame; the present frame is the last."""
 
 
 @dataclass(frozen=True, eq=False)
 class Now:
-    """`n` persons of a one-world simulation, those who have just ended included."""
+    """`n` persons of a simulation with one world, including those whose trips have just ended."""
 
     frame: int
     person_id: Int[np.ndarray, " n"]
     goal_area: Int[np.ndarray, " n"]
+    group: Int[np.ndarray, " n"]
+    """Group of each person, −1 for people who are alone."""
     xy: Float32[np.ndarray, "n 2"]
     """Positions, metres."""
-    goal: Float32[np.ndarray, "n 2"]
-    """Where each walks to, metres."""
+    target: Float32[np.ndarray, "n 2"]
+    """Where each person walks to now, its via point or its goal, metres."""
     trail: Float32[np.ndarray, "n k 2"]
-    """The positions of the last frames, the present one last; before its first frame a person's
-    first position."""
+    """Positions in the last frames, metres; the present frame is the last. Frames before a
+    person's first one have the person's first position."""
     born: Int[np.ndarray, " n"]
-    """Frame of entry."""
+    """Frame in which each person entered."""
     spawned: Bool[np.ndarray, " n"]
-    """Who entered in this frame."""
+    """Whether each person entered in this frame."""
     ended: Int[np.ndarray, " n"]
-    """How the life ended that ended in this frame (an index into `OUTCOMES`), 0 for none."""
+    """Outcome of trips that ended in this frame, as an index into `OUTCOMES`; 0 for others."""
 
     @classmethod
     def of(cls, simulation: Simulation, past: Past) -> "Now":
-        """Look at a simulation; nothing in it changes."""
+        """Read the present state of a simulation, without changing it."""
         slots = simulation.slots
         there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
         person, xy = slots.person[0, there], slots.position[0, there]
@@ -43,8 +45,9 @@ class Now:
             frame=int(simulation.clock.frame[0]),
             person_id=person,
             goal_area=simulation.events[0].goal_area[slots.event[0, there]],
+            group=simulation.events[0].group[slots.event[0, there]],
             xy=xy,
-            goal=slots.goal[0, there],
+            target=slots.target[0, there],
             trail=_trails(person, xy, past),
             born=slots.born[0, there],
             spawned=slots.spawned[0, there],
@@ -57,7 +60,7 @@ def _trails(
 ) -> Float32[np.ndarray, "n k 2"]:
     trail = np.repeat(xy[:, None], max(1, len(past)), axis=1)
     earlier = xy
-    for k in range(len(past) - 2, -1, -1):  # backwards: who was not there stays where it began
+    for k in range(len(past) - 2, -1, -1):  # backwards, to repeat first positions
         where = {int(p): i for i, p in enumerate(past[k][0])}
         at = np.array([where.get(p, -1) for p in person.tolist()], dtype=np.int64)
         known = np.where((at < 0)[:, None], earlier, past[k][1][at] if len(where) else earlier)

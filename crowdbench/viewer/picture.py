@@ -1,4 +1,4 @@
-"""An environment as pictures: one array of pixels per frame, drawn fast enough for a video."""
+"""An environment as pictures: one array of pixels per frame, fast enough for a video."""
 
 from typing import TYPE_CHECKING
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
 LONGEST_PX = 640
-_FINER = 2  # drawn so many times larger and then reduced: PIL does not smooth edges
+_FINER = 2  # drawn larger by this factor and then reduced, as PIL does not smooth edges
 _MARGIN_PX = 12
 _WALL, _BOUNDS, _SPAWN, _INK = "#BBBBBB", "#888888", "#666666", "#222222"
 
 
 class Pictures:
-    """Draws a scene's people from above, x to the right and y up, on white as the figures are."""
+    """Draws a scene's people from above on white, with x to the right and y up."""
 
     def __init__(self, scene: Scene) -> None:
         from PIL import Image, ImageDraw, ImageFont
@@ -32,21 +32,25 @@ class Pictures:
         self._scene = scene
         self._font = ImageFont.load_default(13 * _FINER)
         size = extent * self._per_m / _FINER + 2 * _MARGIN_PX
-        even = 2 * np.round(size / 2).astype(np.int64) * _FINER  # as video formats want it
+        even = 2 * np.round(size / 2).astype(np.int64) * _FINER  # even, as video formats require
         self._empty = Image.new("RGB", tuple(even.tolist()), "white")
         self._draw_place(ImageDraw.Draw(self._empty))
 
     def draw(self, now: Now) -> UInt8[np.ndarray, "h w 3"]:
-        """The picture of a frame, red, green and blue from 0 to 255."""
+        """The picture of a frame: height × width × (red, green, blue), from 0 to 255."""
         from PIL import ImageDraw
 
         image = self._empty.copy()
         ink = ImageDraw.Draw(image)
         colours = [GREY if k < 0 else goal_colour(k) for k in now.goal_area.tolist()]
         radius = max(self._scene.motion.person_radius_m * self._per_m, 2.0 * _FINER)
-        for trail, goal, colour in zip(now.trail, now.goal, colours, strict=True):
+        for trail, goal, colour in zip(now.trail, now.target, colours, strict=True):
             ink.line(self._pixels(trail), fill=colour, width=max(_FINER, round(radius / 3)))
             self._disc(ink, goal, 1.5 * _FINER, colour)
+        for k in range(len(now.xy)):  # companions are linked
+            for other in np.flatnonzero((now.group == now.group[k]) & (now.group >= 0)).tolist():
+                if other > k:
+                    ink.line(self._pixels(now.xy[[k, other]]), fill=_INK, width=_FINER)
         for xy, colour in zip(now.xy, colours, strict=True):
             self._disc(ink, xy, radius, colour)
         seconds = now.frame * self._scene.dt_s
@@ -72,7 +76,7 @@ class Pictures:
             ink.line(line, fill=goal_colour(k), width=2 * _FINER)
 
     def _pixels(self, xy: np.ndarray) -> list[tuple[float, float]]:
-        """Places in metres as PIL takes them, its y downwards."""
+        """Positions in metres converted to pixels, with y pointing downwards."""
         at = (xy - self._corner) * [self._per_m, -self._per_m] + _MARGIN_PX * _FINER
         return [(x, y) for x, y in at.tolist()]
 

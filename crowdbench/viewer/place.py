@@ -1,4 +1,4 @@
-"""What does not move: walls, bounds, and the areas where people enter and whither they walk."""
+"""The static parts of a scene: walls, bounds, spawn areas and goal areas."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
     from rerun import RecordingStream
 
 WORLD = "world"
-"""The entity below which everything stands in metres, x to the right and y up."""
+"""The entity below which all coordinates are in metres, with x to the right and y up."""
 UNKNOWN = 2**16 - 1
-"""Class of people whose goal area is not known."""
+"""Class of people with an unknown goal area."""
 GREY = "#9A9A9A"
 _DIM = "#5A5A5A"
-_HATCHES, _DASHES = 50, 80  # so many beside each other across a place
+_HATCHES, _DASHES = 50, 80  # number across a scene
 _LEAST_DASHES = 8
-_DRAW_ORDER = -1.0  # below everyone
+_DRAW_ORDER = -1.0  # below people
 
 
 def areas_of(scene: Scene) -> Areas | None:
-    """The scene's areas, None for a place that nobody has fitted yet."""
+    """The scene's areas; None if they have not been fitted."""
     try:
         return read_areas(scene)
     except WeightsError:
@@ -34,11 +34,11 @@ def areas_of(scene: Scene) -> Areas | None:
 
 
 def log_place(stream: "RecordingStream", scene: Scene) -> None:
-    """Log the scene's walls, bounds and areas, and what the colours of people mean."""
+    """Log the scene's walls, bounds and areas, and the colours and labels of goal areas."""
     import rerun as rr
 
-    # Screens count y downwards and rerun's 2D views cannot be told otherwise. The flip stands here
-    # once, above all else, so that what is logged and what is read under the cursor are metres.
+    # rerun's 2D views always have y pointing downwards. A single flip at the root keeps all logged
+    # coordinates, and those shown at the cursor, in metres.
     stream.log(WORLD, rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
     areas = areas_of(scene)
     spawns = dashed_areas(scene, areas) if areas else []
@@ -50,7 +50,7 @@ def log_place(stream: "RecordingStream", scene: Scene) -> None:
     def lines(name: str, strips: Sequence[np.ndarray], width: float, *colours: str) -> None:
         drawn = rr.LineStrips2D(
             list(strips),
-            # In points of the screen: a place of 50 m has no thicker lines than one of 20 m.
+            # In screen points, so that line widths do not depend on the size of the scene.
             radii=rr.Radius.ui_points(width / 2),
             colors=[rgb(c) for c in colours],
             draw_order=_DRAW_ORDER,
@@ -65,7 +65,7 @@ def log_place(stream: "RecordingStream", scene: Scene) -> None:
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Red, green and blue of `#RRGGBB`."""
+    """Red, green and blue (0 to 255) of a colour `#RRGGBB`."""
     red, green, blue = bytes.fromhex(colour[1:])
     return red, green, blue
 
@@ -82,7 +82,7 @@ def corners(scene: Scene) -> list[tuple[float, float]]:
 
 
 def hatching(scene: Scene) -> list[Float[np.ndarray, "2 2"]]:
-    """Strokes at 45° within the walls: rerun draws outlines only, and plans hatch what is solid."""
+    """Strokes at 45° that hatch the walls, because rerun draws only outlines; metres."""
     import shapely
 
     b = scene.bounds
@@ -97,13 +97,13 @@ def hatching(scene: Scene) -> list[Float[np.ndarray, "2 2"]]:
 
 
 def dashed_areas(scene: Scene, areas: Areas) -> list[Float[np.ndarray, "2 2"]]:
-    """The outlines of the spawn areas, dashed: goal areas lie over them."""
+    """Outlines of the spawn areas as dashes, metres."""
     lines = [areas.spawn.outline(k) for k in range(len(areas.spawn))]
     return [dash for line in lines for dash in dashes(line, extent_m(scene) / _DASHES)]
 
 
 def dashes(line: Float[np.ndarray, "n 2"], length_m: float) -> list[Float[np.ndarray, "2 2"]]:
-    """A line as dashes of one length, about `length_m`, with as much between them."""
+    """A line as dashes of equal length, about `length_m`, with gaps of the same length."""
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     pairs = max(_LEAST_DASHES, round(along[-1] / (2 * length_m)))
     at = np.linspace(0, along[-1], 2 * pairs + 1)

@@ -1,4 +1,4 @@
-"""What an environment's `render_mode` stands for."""
+"""Rendering of an environment, according to its `render_mode`."""
 
 from typing import Literal
 
@@ -17,13 +17,13 @@ RenderMode = Literal["human", "rgb_array"]
 
 
 class Renderer:
-    """Shows an environment as it goes on; it reads what the environment wrote down, no more."""
+    """Shows an environment while it is stepped; it only reads the environment's recorder."""
 
     def __init__(self, scene: Scene, mode: RenderMode, title: str) -> None:
-        """Open nothing yet.
+        """Prepare rendering; the viewer opens with the first episode.
 
         Raises:
-            SettingError: mode `human`, and rerun is not installed.
+            SettingError: the mode is `human` and rerun is not installed.
         """
         if mode == "human":
             check_rerun()
@@ -44,12 +44,12 @@ class Renderer:
             self._live.log(self._now(recorder))
 
     def go_on(self, recorder: Recorder, skipped: int = 0) -> None:
-        """Show the next frame, if the mode is `human`; in `skipped` before it nobody was there."""
+        """Show the next frame, if the mode is `human`; `skipped` frames before it were empty."""
         if self._live is not None:
             self._live.log(self._now(recorder), skipped)
 
     def picture(self, recorder: Recorder) -> UInt8[np.ndarray, "h w 3"] | None:
-        """The present frame as pixels, if the mode is `rgb_array`."""
+        """The present frame as pixels, if the mode is `rgb_array`; else None."""
         if self._mode != "rgb_array":
             return None
         if self._pictures is None:
@@ -57,7 +57,7 @@ class Renderer:
         return self._pictures.draw(self._now(recorder))
 
     def close(self) -> None:
-        """Send the viewer what is left; it stays open."""
+        """Send all remaining data to the viewer, which stays open."""
         if self._live is not None:
             self._live.close()
 

@@ -5,8 +5,9 @@
 DIR is a folder in OpenTraj's layout. A cell of 0.2 m that fewer than three of the 12,684 persons
 crossed between two neighbouring annotations is closed, but for specks: closed ones narrower than
 0.2 m, and open ones narrower than 0.4 m between closed ones. Closed regions of 0.4 m2 and more,
-without open pockets, their outlines simplified to 0.1 m, are the walls. What lies around the
-hall is cut into four parts, since a wall is a polygon without holes.
+without open pockets, their outlines simplified to 0.1 m, are the walls. Where people stood in one,
+they are cut back around that place: a few people stood for minutes where nobody else went. What
+lies around the hall is cut into four parts, since a wall is a polygon without holes.
 """
 
 import sys
@@ -18,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from crowdbench.recordings.gc import HOMOGRAPHY, STEP, annotations, homography_of, metres, read_gc
 from crowdbench.scene import load_scene
+from crowdbench.trajectories.stops import standing
 from crowdbench.trajectories.table import Trajectories
 
 CELL_M = 0.2
@@ -31,6 +33,10 @@ OPEN = (15.0, 52.6, 40.2, 53.4)
 """West, south, east, north of the picture's upper edge, beyond which people walk on, metres."""
 POCKET_M2 = 2.0
 TOLERANCE_M = 0.1
+STOOD_S = 4.0
+"""Cells in which people stood for this long in total lie outside the walls."""
+BODY_M = 0.3
+"""Radius of the place that a person who stands in a wall gets, before the outline is simplified."""
 
 
 def closed_cells(
@@ -64,6 +70,16 @@ def doors_of(crowd: Trajectories) -> shapely.Geometry:
     return shapely.union_all([*around, shapely.box(*OPEN)])
 
 
+def without_people(closed: shapely.Geometry, crowd: Trajectories) -> shapely.Geometry:
+    """The walls, cut back around places where people stand and between these and the hall."""
+    cell = np.floor(crowd.xy[standing(crowd)] / CELL_M).astype(np.int64)
+    often, frames = np.unique(cell, axis=0, return_counts=True)
+    at = shapely.points((often[frames * crowd.dt_s >= STOOD_S] + 0.5) * CELL_M)
+    ways = shapely.shortest_line(at[shapely.intersects(closed, at)], closed.boundary)
+    places = shapely.union_all(shapely.buffer(ways, BODY_M, quad_segs=2))
+    return closed.difference(places).simplify(TOLERANCE_M)
+
+
 def main() -> None:
     """Print the walls as TOML."""
     if len(sys.argv) != 2:
@@ -84,7 +100,7 @@ def main() -> None:
     closed = closed.simplify(TOLERANCE_M).intersection(shapely.box(*frame))
     doors, edge = doors_of(crowd), shapely.box(*frame).exterior
     parts = [p.difference(doors) if p.intersects(edge) else p for p in shapely.get_parts(closed)]
-    closed = shapely.union_all(parts).simplify(TOLERANCE_M)
+    closed = without_people(shapely.union_all(parts).simplify(TOLERANCE_M), crowd)
     walls = []
     x, y = (b.x_min_m + b.x_max_m) / 2, (b.y_min_m + b.y_max_m) / 2
     quarters = [

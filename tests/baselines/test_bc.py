@@ -70,7 +70,7 @@ def test_batches_show_everything_once_in_another_order_each_time() -> None:
     assert all((b["acts"] - b["obs"] == 100).all() for b in batches)
 
 
-def lives(persons: int = 60, steps: int = 20) -> Demonstrations:
+def trips(persons: int = 60, steps: int = 20) -> Demonstrations:
     """People who turn towards their goal a little in each step."""
     rng = np.random.default_rng(0)
     rows = persons * (steps + 1)
@@ -91,13 +91,13 @@ def lives(persons: int = 60, steps: int = 20) -> Demonstrations:
 def test_cloning_learns_what_was_shown_and_the_same_from_the_same_seed() -> None:
     brief = bc.Settings(learning_rate=5e-3, batch_size=64, epochs=1)
     longer = bc.Settings(learning_rate=5e-3, batch_size=64, epochs=30)
-    (_, little, _), (policy, much, epochs) = (bc.clone([lives()], s) for s in (brief, longer))
+    (_, little, _), (policy, much, epochs) = (bc.clone([trips()], s) for s in (brief, longer))
     assert much > little + 1.0
     assert 1 < epochs <= 30
-    again, _, _ = bc.clone([lives()], longer)
+    again, _, _ = bc.clone([trips()], longer)
     for name, values in policy.state_dict().items():
         assert torch.equal(values, again.state_dict()[name])
-    seen, _ = lives().pairs()
+    seen, _ = trips().pairs()
     mode = policy.get_distribution(torch.from_numpy(seen)).mode().detach().numpy()
     expected = (0.8 * seen[:, :2] + 0.2 * seen[:, 3:5]).clip(-1, 1)
     assert np.abs(mode - expected).mean() < 0.06
@@ -105,7 +105,7 @@ def test_cloning_learns_what_was_shown_and_the_same_from_the_same_seed() -> None
 
 def test_training_stops_when_nothing_gets_better() -> None:
     hasty = bc.Settings(learning_rate=0.3, batch_size=64, epochs=1000, patience=2)
-    _, _, epochs = bc.clone([lives()], hasty)
+    _, _, epochs = bc.clone([trips()], hasty)
     assert epochs < 200
 
 
@@ -152,7 +152,7 @@ def test_a_narrower_policy_does_the_same_more_steadily() -> None:
 
 
 def test_what_is_done_near_goals_can_be_shown_more_often() -> None:
-    near = lives()
+    near = trips()
     near.observations[:, 2] = np.tile(np.repeat([0.01, 0.5], 21), 30)[: len(near.observations)]
     brief = bc.Settings(learning_rate=5e-3, batch_size=64, epochs=3)
     (_, once, _), (_, often, _) = (
@@ -168,7 +168,7 @@ def test_unknown_scenes_are_said(capsys, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    ["--width 0", "--homing 0", "--hidden 0", "--batch-size 0", "--copies 0", "--parts fold9"],
+    ["--width 0", "--homing 0", "--hidden 0", "--batch-size 0", "--copies 0", "--splits fold9"],
 )
 def test_what_cannot_be_trained_is_said(wrong: str, capsys, tmp_path: Path) -> None:
     asked = ["--scene", "plaza-v0", "--out", str(tmp_path), *wrong.split()]

@@ -61,13 +61,13 @@ def test_impossible_numbers_are_said(changed: Numbers, expected: str) -> None:
 
 def test_scenes_parts_and_folders_are_looked_at_first(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    for scene, parts, out in (
+    for scene, splits, out in (
         ("moon-v0", ["full"], None),
         ("plaza-v0", ["full", "fold9"], tmp_path),
         ("plaza-v0", ["full"], tmp_path / "file" / "folder"),
     ):
         with pytest.raises(CrowdbenchError):
-            Command.of("bc", scene, parts, out, [])
+            Command.of("bc", scene, splits, out, [])
     assert [f.name for f in tmp_path.iterdir()] == ["file"]
 
 
@@ -79,7 +79,9 @@ def test_by_default_the_folder_is_named_after_both(
     assert (tmp_path / "results/bc-plaza-v0").is_dir()
 
 
-@pytest.mark.parametrize("wrong", ["--frames 0", "--batch-frames 0", "--worlds 0", "--parts fold9"])
+@pytest.mark.parametrize(
+    "wrong", ["--frames 0", "--batch-frames 0", "--worlds 0", "--splits fold9"]
+)
 def test_ppo_refuses_what_cannot_be_trained(wrong: str, tmp_path: Path, capsys) -> None:
     asked = ["--scene", "plaza-v0", "--out", str(tmp_path), *wrong.split()]
     assert ppo.main(asked) == 2
@@ -98,7 +100,7 @@ def test_without_its_packages_a_baseline_says_what_to_install(name: str, extra: 
     done = subprocess.run(run, capture_output=True, text=True, cwd=Path(__file__).parents[2])
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(
-        f"baselines: packages: got no torch; expected those of the extra {extra}."
+        f"baselines: packages: got no torch; expected the packages of the extra {extra}."
     )
     assert f'-e ".[{extra},onnx]"' in done.stderr
     assert len(done.stderr.splitlines()) == 1

@@ -43,10 +43,10 @@ def test_experts_are_the_recorded_transitions() -> None:
     # Where the action leads: the velocity that the next observation begins with, walls excepted.
     led = (batch["next_obs"][:, :2] - batch["acts"]).abs().max(dim=1).values
     assert (led < 1e-3).float().mean() > 0.95
-    lives = sum(1 for _ in shown.person)
+    trips = sum(1 for _ in shown.person)
     everything = gail.experts(shown, len(shown.pairs()[1]), np.random.default_rng(0))
     (whole,) = list(everything)
-    assert int(whole["dones"].sum()) == lives
+    assert int(whole["dones"].sum()) == trips
 
 
 def test_the_reward_is_the_discriminators_log_odds() -> None:
@@ -117,7 +117,7 @@ def test_who_is_reminded_is_made_steadier_in_the_end(
     asked = "--scene plaza-v0 --steps 512 --persons 8 --cloning-epochs 0 --cloning-width 0.5"
     written = []
     monkeypatch.setattr(
-        Command, "write", lambda _, part, sampler, **__: written.append(sampler) or tmp_path
+        Command, "write", lambda _, split, sampler, **__: written.append(sampler) or tmp_path
     )
     monkeypatch.setattr(Command, "walk", lambda *_: None)  # there is no file to walk
     monkeypatch.setattr(gail, "_write", lambda *_: None)
@@ -158,7 +158,7 @@ def test_unknown_scenes_are_said(capsys, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    ["--steps 0", "--persons 0", "--spawn nobody", "--cloning-width 0", "--parts fold9"],
+    ["--steps 0", "--persons 0", "--spawn nobody", "--cloning-width 0", "--splits fold9"],
 )
 def test_what_cannot_be_trained_is_said(wrong: str, capsys, tmp_path: Path) -> None:
     asked = ["--scene", "plaza-v0", "--out", str(tmp_path), *wrong.split()]

@@ -45,7 +45,7 @@ def test_a_table_is_scored(table: Path, capsys: Printed) -> None:
     out = capsys.readouterr().out
     assert "mine.csv on eth-v0: 97 persons" in out
     assert "nan" not in out
-    assert "0 is equal" in out
+    assert "0: equal" in out
     for name, result in score("eth-v0", read(table, scene="eth-v0", dt_s=0.4)).items():
         cells = f"{name.replace('_', ' ')} .*{result.distance:.3f} .*{result.n}"
         assert re.search(cells, out), name
@@ -65,7 +65,7 @@ def test_a_replay_is_the_recording(opentraj: Path, tmp_path: Path, capsys: Print
     out = capsys.readouterr().out
     assert re.search(r"identical +360 paths", out)
     assert re.search(r"replay × replay .* 1\.00 +1\.00", out)  # motion and interaction
-    assert "what the arrival rule would change" in out
+    assert "effect of the arrival rule" in out
     (entry,) = json.loads((tmp_path / "out" / "scorecard.json").read_text())["entries"]
     assert {tuple(m["distances"]) for m in entry["metrics"].values()} == {(0.0,)}
 
@@ -101,7 +101,7 @@ def test_the_list_tells_what_is_imported(opentraj: Path, capsys: Printed) -> Non
         ["zara01", "zara1-v0", "not imported", SOURCES["zara01"].path],
         ["gc", "gc-v0", "not imported", SOURCES["gc"].path],
         ["forum", "forum-v0", "not imported", SOURCES["forum"].path],
-        ["plaza", "plaza-v0", "always there", "generated"],
+        ["plaza", "plaza-v0", "always available", "generated"],
     ]
     root = printed.split("OpenTraj, ")[1].split()[0]
     assert SOURCES["gc"].address == f"{root}/{SOURCES['gc'].path}"
@@ -134,7 +134,7 @@ BAD = {
     "an unknown recording": (["data", "describe", "moon"], "one of eth, hotel, zara01"),
     "an empty folder": (
         ["data", "import", "eth", "--source", "{tmp}"],
-        "Run `crowdbench data fetch eth`, or bring https://",
+        "Run `crowdbench data fetch eth`, or copy https://",
     ),
     "no folder": (["data", "import", "eth"], "CROWDBENCH_DATA"),
     "unknown policy": (["evaluate", "eth-v0", "--policy", "crawl"], "one of straight"),
@@ -144,10 +144,10 @@ BAD = {
     "replayed strangers": (["evaluate", "eth-v0", "--policy", "replay"], "spawn model replay"),
     "nothing to fit to": (["fit", "eth-v0"], "crowdbench data import eth"),
     "a page of an unknown scene": (["results", "moon-v0"], "moon-v0"),
-    "no place for a page": (["results", "eth-v0", "--out", "{mine}/x"], "Name another folder"),
+    "no place for a page": (["results", "eth-v0", "--out", "{mine}/x"], "Choose another folder"),
     "no place to evaluate to": (
         ["evaluate", "eth-v0", "--policy", "straight", "--seeds", "1", "--out", "{mine}/x"],
-        "Name another folder",
+        "Choose another folder",
     ),
 }
 

@@ -12,7 +12,6 @@ import pytest
 from servers import serving
 
 from crowdbench.cli import main
-from crowdbench.evaluation import evaluate as evaluation
 from crowdbench.recordings import catalogue
 from crowdbench.recordings.catalogue import SOURCES
 from crowdbench.scene import load_scene
@@ -47,7 +46,6 @@ def test_a_scene_of_another_day_is_made_by_the_commands_of_the_page(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(power, "SYNTHETIC", 10)
-    monkeypatch.setattr(evaluation, "write_report", lambda *_: None)  # tested elsewhere
     zipped = io.BytesIO()
     with zipfile.ZipFile(zipped, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("tracks", another_day((opentraj / SOURCES["forum"].path).read_text()))

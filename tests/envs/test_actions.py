@@ -19,10 +19,10 @@ PAIR = (Person(), Person(start=(0.0, 5.0), goal=(8.0, 5.0)))
 PAIR_NAMES = ("person_0", "person_1")
 
 BAD: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
-    "unknown agent": (lambda a: a | {"person_7": np.zeros(2)}, r"actions for \['person_7'\]"),
-    "missing agent": (lambda a: {"person_0": a["person_0"]}, r"no action for \['person_1'\]"),
+    "unknown agent": (lambda a: a | {"person_7": np.zeros(2)}, r"unknown agents \['person_7'\]"),
+    "missing agent": (lambda a: {"person_0": a["person_0"]}, r"missing actions for \['person_1'\]"),
     "one for another": (lambda a: {"person_0": 0, "person_7": 0}, r"\['person_1'\].*person_7"),
-    "no agents": (lambda a: {}, "no action for"),
+    "no agents": (lambda a: {}, "missing actions for"),
     "one too short": (lambda a: a | {"person_1": np.zeros(1)}, "pairs of numbers"),
     "all too long": (lambda a: dict.fromkeys(a, np.zeros(3)), r"shape \(3,\)"),
     "scalars": (lambda a: dict.fromkeys(a, 0.5), r"shape \(\).*shape \(2,\)"),

@@ -40,7 +40,7 @@ def test_everything_has_the_same_default_and_it_shows_the_preferred_speed() -> N
     assert settings_for(Unspecific()).observation == OBSERVATION
     env = crowdbench.parallel_env("plaza-v0", horizon_s=10.0)
     assert env.observation_space("person_0").shape == (SIZE,)
-    card = PolicyCard(name="x", observation=OBSERVATION, scene="plaza-v0", part="full")
+    card = PolicyCard(name="x", observation=OBSERVATION, scene="plaza-v0", split="full")
     assert card.inputs == SIZE
 
 
@@ -53,6 +53,6 @@ def test_so_has_the_stable_baselines_view() -> None:
     from conftest import need_imitation
 
     need_imitation()
-    from crowdbench.envs.vec_env import LivesVecEnv
+    from crowdbench.envs.vec_env import CrowdVecEnv
 
-    assert default_of(LivesVecEnv.__init__) == OBSERVATION
+    assert default_of(CrowdVecEnv.__init__) == OBSERVATION

@@ -8,7 +8,7 @@ import crowdbench
 from crowdbench import Demonstrations, demonstrations, load_scene, recording
 from crowdbench.envs.perturbation import HOMING_S, PathPerturbation
 from crowdbench.errors import SettingError
-from crowdbench.registry import import_recording
+from crowdbench.registry import import_recording, recording_of
 from crowdbench.spawn.events import blocks_of
 from crowdbench.trajectories.table import from_rows
 
@@ -132,25 +132,25 @@ def test_nobody_comes_back_at_once() -> None:
 @pytest.mark.long
 def test_a_fold_shows_nothing_of_its_scored_blocks(recorded) -> None:
     blocks = blocks_of(recorded, PLAZA)
-    parts = [demonstrations("plaza-v0", part=f"fold{k}", rays=1) for k in range(3)]
+    splits = [demonstrations("plaza-v0", split=f"fold{k}", rays=1) for k in range(3)]
     whole = demonstrations("plaza-v0", rays=1)
-    for k, part in enumerate(parts):
+    for k, split in enumerate(splits):
         inside = np.zeros(recorded.frames, dtype=bool)
         for start, stop in blocks.training(f"fold{k}").frames.tolist():
             inside[start:stop] = True
-        length = np.diff(part.offsets)
-        frames = np.arange(length.sum()) + np.repeat(part.first - part.offsets[:-1], length)
+        length = np.diff(split.offsets)
+        frames = np.arange(length.sum()) + np.repeat(split.first - split.offsets[:-1], length)
         assert inside[frames].all()
-        persons = np.repeat(part.person, length)
+        persons = np.repeat(split.person, length)
         # What it shows is what the whole shows.
         at = {int(p): i for i, p in enumerate(whole.person)}
         piece = np.array([at[int(p)] for p in persons])
         row = whole.offsets[piece] + frames - whole.first[piece]
-        assert (part.observations == whole.observations[row]).all()
+        assert (split.observations == whole.observations[row]).all()
     # Each frame trains two of three folds; pairs are lost only where a life is cut.
-    pairs = sum(len(part.pairs()[0]) for part in parts)
+    pairs = sum(len(split.pairs()[0]) for split in splits)
     assert 1.9 < pairs / len(whole.pairs()[0]) <= 2.0
-    assert not all(part.complete.all() for part in parts)
+    assert not all(split.complete.all() for split in splits)
 
 
 def test_nobody_is_in_both_lots(shown) -> None:
@@ -169,9 +169,9 @@ def test_imitation_takes_them(shown) -> None:
     need_imitation()
     from imitation.data import rollout
 
-    lives = shown.to_imitation()
-    assert len(lives) == len(shown)
-    flat = rollout.flatten_trajectories(lives)
+    trips = shown.to_imitation()
+    assert len(trips) == len(shown)
+    flat = rollout.flatten_trajectories(trips)
     seen, acts = shown.pairs()
     assert (flat.obs == seen).all()
     assert (flat.acts == acts).all()
@@ -180,16 +180,16 @@ def test_imitation_takes_them(shown) -> None:
 
 def test_every_step_of_eth_is_there(opentraj) -> None:
     import_recording("eth", opentraj)
-    shown, recorded = demonstrations("eth-v0"), recording("eth")
+    shown, recorded = demonstrations("eth-v0"), recording_of("eth-v0")
     assert len(shown) == 360
     assert len(shown.pairs()[0]) == len(recorded.xy) - 360
     assert shown.complete.sum() == recorded.left.sum()
 
 
-@pytest.mark.parametrize("part", ["fold3", "", "half"])
-def test_an_unknown_part_is_refused(part: str) -> None:
+@pytest.mark.parametrize("split", ["fold3", "", "half"])
+def test_an_unknown_part_is_refused(split: str) -> None:
     with pytest.raises(SettingError, match="fold0"):
-        demonstrations("plaza-v0", part=part)
+        demonstrations("plaza-v0", split=split)
 
 
 def test_who_stands_is_not_displaced() -> None:

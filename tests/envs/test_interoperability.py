@@ -101,22 +101,22 @@ def test_supersuit_hands_everyone_through_from_birth_to_end(supersuit: Any, wrap
     rng = np.random.default_rng(0)
     entries: tuple = bare.reset(seed=5)
     assert_same(entries, env.reset(seed=5))
-    lives, gaps = len(entries[0]), 0
+    trips, gaps = len(entries[0]), 0
     while bare.agents:
         assert set(env.agents) == set(bare.agents)
         actions = towards_goals({name: entries[0][name] for name in bare.agents}, rng)
         entries = bare.step(actions)
         assert_same(entries, env.step(actions))
-        lives += len(set(entries[0]) - set(actions))
+        trips += len(set(entries[0]) - set(actions))
         gaps += any(info["frames_skipped"] for info in entries[-1].values())
     assert not env.agents
-    assert lives > 20
+    assert trips > 20
     assert gaps > 2
 
 
 def test_the_page_lists_the_wrappers_of_supersuit_that_work() -> None:
-    listed = PAGE.split("hand everyone's entries through")[1].split("These do not work")[0]
-    assert {name.strip("`,.:\n") for name in listed.split() if "_v" in name} == set(SAME)
+    listed = PAGE.split("These wrappers work")[1].split("These wrappers do not work")[0]
+    assert {name.strip("`,.:;\n") for name in listed.split() if "_v" in name} == set(SAME)
 
 
 def test_the_pages_example_of_supersuit_stacks_what_each_saw(supersuit: Any) -> None:
@@ -168,7 +168,7 @@ def test_frame_skip_acts_for_those_who_have_left(supersuit: Any) -> None:
     with pytest.raises(AttributeError, match="np_random"):
         play(env, seed=1)
     bare.np_random = np.random.default_rng(0)
-    with pytest.raises(ActionError, match="who are not there"):
+    with pytest.raises(ActionError, match="unknown agents"):
         play(env, seed=1)
 
 
@@ -185,8 +185,8 @@ def datasets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture(scope="module")
 def shown() -> Demonstrations:
-    """What a fold is fitted on: lives that are cut, too."""
-    return demonstrations("plaza-v0", part="fold1", rays=8, seed=7)
+    """What a fold is fitted on: trips that are cut, too."""
+    return demonstrations("plaza-v0", split="fold1", rays=8, seed=7)
 
 
 def test_minari_gives_back_the_pieces_bit_for_bit(shown: Demonstrations, datasets: Path) -> None:
@@ -229,7 +229,7 @@ def test_a_dataset_tells_how_it_was_made(shown: Demonstrations, datasets: Path) 
         "cite": "",
         "dt_s": 0.4,
         "max_speed_mps": 3.0,
-        "part": "fold1",
+        "split": "fold1",
         "observation": "lidar-2",
         "rays": 8,
         "ray_range_m": 10.0,
@@ -246,13 +246,13 @@ def test_a_dataset_of_a_recording_says_whom_to_cite(opentraj: Path, datasets: Pa
     made = dataset.storage.metadata
     assert made["crowdbench"]["cite"].startswith("Pellegrini et al.")
     assert len(made["crowdbench"]["sha256"]) == 64
-    assert "for your own use; cite Pellegrini et al." in made["description"]
+    assert "Cite: Pellegrini et al." in made["description"]
 
 
 def test_a_dataset_is_never_written_over(shown: Demonstrations, datasets: Path) -> None:
     shown.take([0]).to_minari("crowdbench/one-v0")
     before = (datasets / "crowdbench/one-v0/data/main_data.hdf5").read_bytes()
-    with pytest.raises(OutputError, match=r"there already.*minari delete crowdbench/one-v0"):
+    with pytest.raises(OutputError, match=r"already exists.*minari delete crowdbench/one-v0"):
         shown.take([1]).to_minari("crowdbench/one-v0")
     assert (datasets / "crowdbench/one-v0/data/main_data.hdf5").read_bytes() == before
 
@@ -313,14 +313,14 @@ def rllib() -> Iterator[dict[str, Any]]:
 AGAIN = pytest.mark.filterwarnings("ignore:.*Overriding environment rllib-multi-agent-env-v0")
 
 
-class Lives:
+class Trips:
     """An environment that writes down everyone's life."""
 
     def __init__(self, env: CrowdParallelEnv) -> None:
         self.possible_agents = env.possible_agents
         self.observation_space, self.action_space = env.observation_space, env.action_space
         self.env = env
-        self.lives: list[dict[str, dict[str, Any]]] = []
+        self.trips: list[dict[str, dict[str, Any]]] = []
 
     @property
     def agents(self) -> list[str]:
@@ -328,18 +328,18 @@ class Lives:
 
     def _born(self, observations: dict[str, np.ndarray]) -> None:
         for name, seen in observations.items():
-            self.lives[-1][name] = {"seen": [seen], "rewards": [], "end": None}
+            self.trips[-1][name] = {"seen": [seen], "rewards": [], "end": None}
 
     def reset(self, **given: Any) -> tuple:
         observations, infos = self.env.reset(**given)
-        self.lives.append({})
+        self.trips.append({})
         self._born(observations)
         return observations, infos
 
     def step(self, actions: dict[str, np.ndarray]) -> tuple:
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         for name in actions:
-            life = self.lives[-1][name]
+            life = self.trips[-1][name]
             life["seen"].append(observations[name])
             life["rewards"].append(rewards[name])
             if terminated[name] or truncated[name]:
@@ -349,23 +349,23 @@ class Lives:
 
 
 def sampled(names: dict[str, Any], scene: str, horizon_s: float, episodes: int) -> tuple:
-    """RLlib's episodes of a scene, and the lives that the environment led meanwhile."""
+    """RLlib's episodes of a scene, and the trips that the environment led meanwhile."""
     made: Callable[..., Any] = names["Crowd"]
 
     class Watched(made):  # type: ignore[misc, valid-type]
         def __init__(self, config: dict[str, Any]) -> None:
             super().__init__(config)
-            self.crowd = Lives(self.crowd)
+            self.crowd = Trips(self.crowd)
 
     config = names["config"].copy(copy_frozen=False)
     config.environment(Watched, env_config={"scene": scene, "horizon_s": horizon_s})
     algorithm = config.build_algo()
     runner = algorithm.env_runner
     watched = runner.env.envs[0].unwrapped.crowd
-    watched.lives.clear()  # RLlib has tried a step
+    watched.trips.clear()  # RLlib has tried a step
     found = runner.sample(num_episodes=episodes, explore=True)
     algorithm.stop()
-    return found, watched.lives
+    return found, watched.trips
 
 
 @pytest.mark.slow
@@ -388,7 +388,7 @@ def test_ppo_of_rllib_trains_one_policy_for_everyone(rllib: dict[str, Any]) -> N
 def test_rllib_gets_every_life_as_it_was(
     rllib: dict[str, Any], scene: str, horizon_s: float, episodes: int
 ) -> None:
-    found, lives = sampled(rllib, scene, horizon_s, episodes)
+    found, trips = sampled(rllib, scene, horizon_s, episodes)
     assert len(found) == episodes
     at, compared = 0, set()
     ends = set()
@@ -396,14 +396,14 @@ def test_rllib_gets_every_life_as_it_was(
         if any((at, name) in compared for name in episode.agent_episodes):
             at += 1  # names begin anew
         for name, got in episode.agent_episodes.items():
-            life = lives[at][name]
+            life = trips[at][name]
             compared.add((at, name))
             assert np.array_equal(got.get_observations(), life["seen"])
             assert np.allclose(got.get_rewards(), life["rewards"], rtol=1e-6)
             assert got.is_done
             assert got.is_terminated == (life["end"] == "terminated")
             ends.add(life["end"])
-    done = {(k, name) for k, of in enumerate(lives) for name, life in of.items() if life["end"]}
+    done = {(k, name) for k, of in enumerate(trips) for name, life in of.items() if life["end"]}
     assert compared == done
     assert ends == {"terminated", "truncated"}
 

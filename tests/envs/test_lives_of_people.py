@@ -1,4 +1,4 @@
-"""Lives that come and go in the PettingZoo view, one rule at a time."""
+"""Trips that come and go in the PettingZoo view, one rule at a time."""
 
 from collections.abc import Callable
 

@@ -211,8 +211,8 @@ def test_the_viewer_is_told_outcomes_and_spawns(streamed: Callable[[], Path]) ->
     path = streamed()
     said = rows(path, "/outcomes", "TextLog:text")
     assert {f: v.tolist() for f, v in said.items()} == {
-        1: ["0.4 s: person 0 reached its goal after 0.4 s"],
-        51: ["20.4 s: person 1 reached its goal after 0.4 s"],
+        1: ["0.4 s: person 0 reached the goal after 0.4 s"],
+        51: ["20.4 s: person 1 reached the goal after 0.4 s"],
     }
     spawns = rows(path, "/spawns/simulation", "Scalars:scalars")
     # Who is there from the start has not come; windows of ten frames, the last one that is over.

@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import VecMonitor  # noqa: E402
 from worlds import Person, square  # noqa: E402
 
 import crowdbench  # noqa: E402
-from crowdbench.envs.vec_env import LivesVecEnv  # noqa: E402
+from crowdbench.envs.vec_env import CrowdVecEnv  # noqa: E402
 from crowdbench.errors import ActionError, CapacityError, SettingError  # noqa: E402
 from crowdbench.policies import Random  # noqa: E402
 from crowdbench.simulation.observations import GOAL_RANGE_M  # noqa: E402
@@ -22,18 +22,18 @@ EAST = [1.0, 0.0]
 
 def test_it_is_the_crowd_of_the_pettingzoo_view() -> None:
     asked = {"horizon_s": 40.0, "rays": 8, "observation": "lidar-2"}
-    lives = LivesVecEnv("plaza-v0", 80, worlds=1, seed=7, **asked)
+    trips = CrowdVecEnv("plaza-v0", 80, worlds=1, seed=7, **asked)
     env = crowdbench.parallel_env("plaza-v0", **asked)
-    seen, (observations, _) = lives.reset(), env.reset(seed=7)
+    seen, (observations, _) = trips.reset(), env.reset(seed=7)
     rng = np.random.default_rng(0)
     for _ in range(99):  # in the hundredth the episode ends, and the next begins
-        who = lives.person_id
+        who = trips.person_id
         there = np.flatnonzero(who >= 0)
         assert {f"person_{p}" for p in who[there]} == set(env.agents)
         for k in there:
             assert (seen[k] == observations[f"person_{who[k]}"]).all()
         actions = rng.uniform(-1, 1, (80, 2)).astype(np.float32)
-        seen, rewards, dones, infos = lives.step(actions)
+        seen, rewards, dones, infos = trips.step(actions)
         observations, of_agents, terminated, truncated, _ = env.step(
             {f"person_{who[k]}": actions[k] for k in there}
         )
@@ -45,12 +45,12 @@ def test_it_is_the_crowd_of_the_pettingzoo_view() -> None:
             if dones[k]:
                 assert infos[k]["TimeLimit.truncated"] == truncated[name]
                 assert (infos[k]["terminal_observation"] == observations[name]).all()
-    assert lives.waited > 0
+    assert trips.waited > 0
 
 
-def lives_of(*people: Person, num_envs: int = 1, **changes: object) -> LivesVecEnv:
+def lives_of(*people: Person, num_envs: int = 1, **changes: object) -> CrowdVecEnv:
     asked = {"worlds": 1, "rays": 4, "horizon_s": 8.0, "max_alive": 4, "seed": 0, **changes}
-    return LivesVecEnv(square(), num_envs, spawn=Given(*people), **asked)
+    return CrowdVecEnv(square(), num_envs, spawn=Given(*people), **asked)
 
 
 def test_after_a_life_comes_another_person() -> None:
@@ -127,15 +127,15 @@ def test_the_horizon_truncates_all_and_begins_anew() -> None:
 
 
 def test_the_seed_decides() -> None:
-    first = LivesVecEnv("plaza-v0", 4, worlds=2, horizon_s=20.0, seed=3).reset()
-    env = LivesVecEnv("plaza-v0", 4, worlds=2, horizon_s=20.0)
+    first = CrowdVecEnv("plaza-v0", 4, worlds=2, horizon_s=20.0, seed=3).reset()
+    env = CrowdVecEnv("plaza-v0", 4, worlds=2, horizon_s=20.0)
     env.seed(3)
     assert (env.reset() == first).all()
     assert (env.reset() != first).any()
 
 
 def test_persons_are_enough_where_nothing_is_said_of_worlds() -> None:
-    env = LivesVecEnv("plaza-v0", 32, horizon_s=80.0, seed=0)
+    env = CrowdVecEnv("plaza-v0", 32, horizon_s=80.0, seed=0)
     env.reset()
     for _ in range(150):
         env.step(np.zeros((32, 2)))
@@ -145,7 +145,7 @@ def test_persons_are_enough_where_nothing_is_said_of_worlds() -> None:
 def test_what_does_not_fit_is_said() -> None:
     for asked in ({"num_envs": 0}, {"worlds": 0}, {"horizon_s": -1.0}):
         with pytest.raises(SettingError, match=next(iter(asked))):
-            LivesVecEnv("plaza-v0", **asked)
+            CrowdVecEnv("plaza-v0", **asked)
     env = lives_of(Person())
     env.reset()
     with pytest.raises(ActionError, match=r"\(1, 2\)"):
@@ -154,12 +154,12 @@ def test_what_does_not_fit_is_said() -> None:
         env.step(np.full((1, 2), np.nan))
     with pytest.raises(CapacityError, match="max_alive"):
         lives_of(Person(), Person(), max_alive=1).reset()
-    with pytest.raises(SettingError, match="persons of the same worlds"):
+    with pytest.raises(SettingError, match="persons in shared worlds"):
         env.env_method("step")
 
 
 def test_stable_baselines_trains_in_it() -> None:
-    env = VecMonitor(LivesVecEnv("plaza-v0", 16, horizon_s=120.0, rays=8, seed=0))
+    env = VecMonitor(CrowdVecEnv("plaza-v0", 16, horizon_s=120.0, rays=8, seed=0))
     model = PPO("MlpPolicy", env, n_steps=128, batch_size=512, n_epochs=4, learning_rate=1e-3,
                 gamma=0.95, seed=0, device="cpu")  # fmt: skip
     model.learn(2048)
@@ -170,4 +170,4 @@ def test_stable_baselines_trains_in_it() -> None:
 
 
 def test_the_crowd_is_by_default_as_ntpp_gmm_spawns() -> None:
-    assert LivesVecEnv("plaza-v0", 4, horizon_s=20.0).spawn.name == "ntpp-gmm"
+    assert CrowdVecEnv("plaza-v0", 4, horizon_s=20.0).spawn.name == "ntpp-gmm"

@@ -2,7 +2,6 @@
 
 import io
 import json
-import os
 import re
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -13,9 +12,9 @@ import numpy as np
 import pytest
 
 from crowdbench.cli import main
-from crowdbench.crowds import score
+from crowdbench.crowds import evaluate, score
 from crowdbench.errors import OutputError, RecordingError, SceneError, SettingError
-from crowdbench.evaluation.evaluate import evaluate
+from crowdbench.evaluation.lock import alone_in
 from crowdbench.evaluation.replay_check import arrival_rule_changes, compare_replay
 from crowdbench.files import write_json
 from crowdbench.recordings.catalogue import SOURCES, read_published
@@ -215,7 +214,7 @@ def test_what_the_arrival_rule_changes_is_told(opentraj: Path) -> None:
 
 def test_a_place_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="Name another folder"):
+    with pytest.raises(OutputError, match="Choose another folder"):
         evaluate("eth-v0", policy=["straight"], seeds=1, workers=1, out=tmp_path / "file" / "out")
 
 
@@ -233,8 +232,8 @@ def test_a_rollout_that_cannot_take_its_name_leaves_nothing_behind(tmp_path: Pat
         ({"spawn": ["poisson"]}, SettingError, "spawn model"),
         ({"policy": ["crawl"]}, SettingError, "policy"),
         ({"policy": ["straight", "given:Incomplete"]}, SettingError, "without sees"),
-        ({"policy": ["replay"]}, SettingError, "needs the spawn model replay"),
-        ({"spawn": []}, SettingError, "a pair that can walk"),
+        ({"policy": ["replay"]}, SettingError, "need the spawn model replay"),
+        ({"spawn": []}, SettingError, "a valid pair"),
         ({"spawn": ["replay"]}, RecordingError, "crowdbench data import eth"),
         ({"seeds": 0}, SettingError, "seeds: got 0"),
         ({"seeds": 12}, SettingError, "a multiple of 5"),
@@ -262,8 +261,8 @@ def made_of(out: Path) -> dict[str, bytes]:
 def test_what_is_there_is_kept_and_what_is_missing_is_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for drawn in ("draw_figures", "write_report"):  # which take longer than the rollouts
-        monkeypatch.setattr(f"crowdbench.evaluation.evaluate.{drawn}", lambda *of: None)
+    # The report takes longer than the rollouts.
+    monkeypatch.setattr("crowdbench.report.html.publish", lambda *of: None)
 
     def run() -> dict[str, bytes]:
         evaluate(
@@ -293,7 +292,7 @@ def test_folds_are_rolled_out_with_their_own_fits_and_random_numbers(tmp_path: P
         workers=1, out=tmp_path,
     )  # fmt: skip
     crowds = [read_own(p) for p in sorted((tmp_path / "rollouts").iterdir())]
-    assert [c.provenance["part"] for c in crowds] == ["fold0", "fold1", "fold2"]
+    assert [c.provenance["split"] for c in crowds] == ["fold0", "fold1", "fold2"]
     assert len({c.spawn_s[:5].tobytes() for c in crowds}) == 3
     assert len(card.entries[0].metrics["dwell"].distances) == 3
     assert card.entries[0].metrics["dwell"].energy is None  # one rollout tells nothing of chance
@@ -331,10 +330,9 @@ def test_without_the_recording_walking_has_no_score(tmp_path: Path) -> None:
 
 
 def test_a_folder_in_which_another_evaluation_is_at_work_is_refused(tmp_path: Path) -> None:
-    (tmp_path / ".lock").write_text(str(os.getppid()))
-    with pytest.raises(OutputError, match="in which process"):
+    with alone_in(tmp_path), pytest.raises(OutputError, match="another evaluation"):
         evaluate("eth-v0", spawn=["poisson-gmm"], policy=["straight"], seeds=1, out=tmp_path)
-    assert (tmp_path / ".lock").exists()
+    assert not (tmp_path / ".lock").exists()
 
 
 def test_a_lock_that_nobody_holds_is_no_hindrance(tmp_path: Path) -> None:

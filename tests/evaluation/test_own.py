@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crowdbench.crowds import score
+from crowdbench.crowds import evaluate, score
 from crowdbench.envs.parallel_env import parallel_env
 from crowdbench.errors import ActionError, RecordingError, SettingError, WeightsError
-from crowdbench.evaluation.evaluate import evaluate
 from crowdbench.registry import policy, spawn_model
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene
@@ -94,7 +93,10 @@ def with_speeds(count: int) -> SpawnEvents:
 
 BAD_EVENTS = {
     "a list": (lambda: [1, 2], "got list; expected SpawnEvents"),
-    "disorder": (lambda: replace(three(), time_s=np.array([2.0, 1.0, 3.0])), "ascending time_s"),
+    "disorder": (
+        lambda: replace(three(), time_s=np.array([2.0, 1.0, 3.0])),
+        "time_s in ascending order",
+    ),
     "nan time": (lambda: replace(three(), time_s=np.full(3, np.nan)), "time_s that are not"),
     "nan start": (
         lambda: replace(three(), start=np.full((3, 2), np.nan, np.float32)),
@@ -164,7 +166,7 @@ def table(folder: Path, text: str) -> Path:
 
 def test_frame_and_time_must_agree(tmp_path: Path) -> None:
     path = table(tmp_path, "person_id, frame, time_s, x, y\n1,0,0.0,1,1\n1,1,0.1,1,1\n")
-    with pytest.raises(RecordingError, match=r"multiples of 0.4 s, frame × that"):
+    with pytest.raises(RecordingError, match=r"multiples of 0.4 s, equal to frame × 0.4 s"):
         read(path, scene="plaza-v0", dt_s=0.4)
 
 

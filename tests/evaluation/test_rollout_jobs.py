@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from crowdbench.evaluation import rollout_jobs
-from crowdbench.evaluation.rollout_jobs import fingerprint
+from crowdbench.evaluation import resolved
+from crowdbench.evaluation.resolved import fingerprint
 from crowdbench.scene import load_scene
 
-PACKAGE = Path(rollout_jobs.__file__).parents[1]
+PACKAGE = Path(resolved.__file__).parents[1]
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ PACKAGE = Path(rollout_jobs.__file__).parents[1]
         ("spawn/renewal.py", False),
         ("policies/social_force.py", False),
         ("trajectories/table.py", False),
-        ("registry.py", False),
+        ("registry/policies.py", False),
     ],
 )
 def test_a_change_of_the_code_that_makes_rollouts_makes_them_stale(
@@ -31,7 +31,7 @@ def test_a_change_of_the_code_that_makes_rollouts_makes_them_stale(
 ) -> None:
     copy = tmp_path / "crowdbench"
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(rollout_jobs, "__file__", str(copy / "evaluation" / "rollout_jobs.py"))
+    monkeypatch.setattr(resolved, "__file__", str(copy / "evaluation" / "resolved.py"))
     scene = load_scene("plaza-v0")
     before = fingerprint(scene, "a rollout")
     (copy / file).write_text((copy / file).read_text() + "# another word\n")

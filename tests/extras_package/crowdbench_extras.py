@@ -13,7 +13,7 @@ from crowdbench.trajectories.table import from_rows
 class PathLength(RelativeWasserstein):
     """Path length of those who enter, in steps of 0.1 m."""
 
-    name, family, unit = "path_length", "lives", "m"
+    name, family, unit = "path_length", "trips", "m"
 
     def summarise(self, crowd, blocks, place):
         persons, block, _ = blocks.of_arrivals(crowd)
@@ -29,8 +29,8 @@ class Clockwork:
 
     name, start = "clockwork", "stationary"
 
-    def __init__(self, scene, part="full"):
-        self.model = PoissonGMM.read(scene, read_areas(scene), part, 0)
+    def __init__(self, scene, split="full"):
+        self.model = PoissonGMM.read(scene, read_areas(scene), split, 0)
         self.areas = self.model.areas
 
     def sample(self, horizon_s, scene, rng):

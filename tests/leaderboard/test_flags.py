@@ -7,7 +7,7 @@ import pytest
 from copier import JitteredBlocks
 from numpy.random import default_rng
 
-from crowdbench.leaderboard.verification.copying import ArrivalCopies, LifeCopies, independent_limit
+from crowdbench.leaderboard.verification.copying import ArrivalCopies, TripCopies, independent_limit
 from crowdbench.leaderboard.verification.entry import Copy
 from crowdbench.leaderboard.verification.flags import MARGIN, evenness, flags_of
 from crowdbench.registry import recording_of, spawn_model
@@ -19,7 +19,7 @@ from crowdbench.spawn.plaza import PlazaArrivals
 from crowdbench.trajectories.table import Trajectories
 
 PLAZA = load_scene("plaza-v0")
-CLEAN = Copy(arrivals=0.4, arrivals_limit=0.45, lives=0.0)
+CLEAN = Copy(arrivals=0.4, arrivals_limit=0.45, trips=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -81,26 +81,26 @@ def test_evenness_is_the_mean_over_metrics_of_spread_over_floor() -> None:
 
 def test_arrivals_are_flagged_from_a_margin_above_what_cannot_copy() -> None:
     limit = 0.45 + MARGIN
-    near = Copy(arrivals=limit - 0.01, arrivals_limit=0.45, lives=None)
+    near = Copy(arrivals=limit - 0.01, arrivals_limit=0.45, trips=None)
     assert raised(copy=near) == []
-    far = Copy(arrivals=limit + 0.01, arrivals_limit=0.45, lives=None)
+    far = Copy(arrivals=limit + 0.01, arrivals_limit=0.45, trips=None)
     assert raised(copy=far) == [("copied arrivals", limit + 0.01, limit)]
-    by_rule = Copy(arrivals=None, arrivals_limit=None, lives=None)
+    by_rule = Copy(arrivals=None, arrivals_limit=None, trips=None)
     assert raised(copy=by_rule) == []
 
 
 def test_one_life_in_twenty_may_be_like_a_recorded_one() -> None:
-    assert raised(copy=Copy(arrivals=None, arrivals_limit=None, lives=0.05)) == []
-    copied = Copy(arrivals=None, arrivals_limit=None, lives=0.06)
-    assert raised(copy=copied) == [("copied lives", 0.06, 0.05)]
+    assert raised(copy=Copy(arrivals=None, arrivals_limit=None, trips=0.05)) == []
+    copied = Copy(arrivals=None, arrivals_limit=None, trips=0.06)
+    assert raised(copy=copied) == [("copied trips", 0.06, 0.05)]
 
 
 def test_each_flag_is_a_sentence_with_its_numbers() -> None:
-    copy = Copy(arrivals=0.9, arrivals_limit=0.4, lives=0.5)
+    copy = Copy(arrivals=0.9, arrivals_limit=0.4, trips=0.5)
     texts = [flag.text for flag in flags_of("plaza-v0", score(2.0, 0.1), 0.1, copy)]
     assert len(texts) == 4
     for text, number in zip(texts, ("2.00", "0.10", "0.90", "50 %"), strict=True):
-        assert text.startswith("On plaza-v0 ")
+        assert text.startswith("On plaza-v0, ")
         assert text.endswith(".")
         assert number in text
 
@@ -149,25 +149,25 @@ def test_areas_that_the_place_does_not_have_are_no_error(copies: ArrivalCopies) 
 
 def test_every_recorded_life_is_found_at_another_time(recording: Trajectories) -> None:
     later = replace(recording, first=recording.first + 1000, frames=recording.frames + 1000)
-    assert LifeCopies(recording, PLAZA).share(later) == 1
+    assert TripCopies(recording, PLAZA).share(later) == 1
 
 
 def test_lives_within_ten_centimetres_are_copies_and_others_are_not(
     recording: Trajectories,
 ) -> None:
-    lives = LifeCopies(recording, PLAZA)
+    trips = TripCopies(recording, PLAZA)
 
     def moved(by_m: float) -> Trajectories:
         return replace(recording, xy=recording.xy + np.float32(by_m))
 
-    assert lives.share(moved(0.06)) == 1
-    assert lives.share(moved(0.5)) < 0.05
+    assert trips.share(moved(0.06)) == 1
+    assert trips.share(moved(0.5)) < 0.05
 
 
 def test_who_leaves_the_recorded_path_halfway_is_no_copy(recording: Trajectories) -> None:
     frame = recording.row_frame() - recording.first[recording.row_person()]
     strayed = recording.xy + np.where(frame > 20, 1.0, 0.0)[:, None].astype(np.float32)
     long = recording.last - recording.first > 20
-    share = LifeCopies(recording, PLAZA).share(replace(recording, xy=strayed))
+    share = TripCopies(recording, PLAZA).share(replace(recording, xy=strayed))
     assert share is not None
     assert share < 1.1 * (1 - long.mean()) + 0.02

@@ -46,16 +46,16 @@ def test_a_result_comes_back_with_what_it_took_and_progress_is_told() -> None:
     [
         ("hang", {"wall_s": 1.0}, "mine.zip: got no end after 1 s"),
         ("spin", {"cpu_s": 1}, "more than 1 s of CPU time"),
-        ("crash", {}, r"a crash \(SIGABRT\); it said last: about to fall\[31m"),
-        ("leave", {}, "an end with code 3"),
-        ("fail", {}, "an end with code 1; it said last: ValueError: no such thing"),
+        ("crash", {}, r"a crash \(SIGABRT\), last output: about to fall\[31m"),
+        ("leave", {}, "exit code 3"),
+        ("fail", {}, "exit code 1, last output: ValueError: no such thing"),
         ("eat", {}, "more than 0.5 GiB of memory|out of memory"),
         ("eat_together", {}, "more than 0.5 GiB of memory"),
         ("multiply", {}, "more than 16 processes"),
-        ("pipe_for_answer", {}, "an answer that cannot be read .*no plain file"),
+        ("pipe_for_answer", {}, "an answer that cannot be read .*not a regular file"),
         ("pipe_for_progress", {"wall_s": 1.0}, "no end after 1 s"),
         ("endless_progress", {"wall_s": 1.0}, "no end after 1 s"),
-        ("pipe_for_what_it_says", {}, "an end with code 3"),
+        ("pipe_for_what_it_says", {}, "exit code 3"),
         ("nested_answer", {}, "an answer that cannot be read"),
     ],
 )
@@ -186,3 +186,13 @@ def test_what_lies_where_one_stands_is_not_imported(
 def test_an_answer_of_another_kind_is_refused() -> None:
     with pytest.raises(SandboxError, match="an answer that cannot be read"):
         tried("surroundings", int)
+
+
+def test_a_platform_without_posix_is_rejected_before_anything_runs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from crowdbench.leaderboard.sandbox import parent
+
+    monkeypatch.setattr(parent.os, "name", "nt")
+    with pytest.raises(SandboxError, match=r"expected Linux or macOS.*Windows Subsystem"):
+        call(f"{__name__}:no_function", {}, int, where="a submission", limits=Limits())

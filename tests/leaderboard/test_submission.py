@@ -32,7 +32,7 @@ from crowdbench.leaderboard.submission.parse import _EXPECTED
 from crowdbench.leaderboard.submission.schema import Declared, Trained
 from crowdbench.leaderboard.submission.submission import open_submission, slug
 from crowdbench.registry import WEIGHTS, policy, spawn_model
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.storage import write_parquet
 
 
@@ -47,10 +47,10 @@ def test_networks_are_ranked_and_found_by_the_registry(walker: Path) -> None:
         assert submission.protocol == "heldout"
         assert submission.spawn_of("plaza-v0") == "replay"
         assert submission.trajectories_of("plaza-v0") == []
-        for part in FOLDS:
-            assert policy(submission.policy_of("plaza-v0"), PLAZA, part).name == "tiny"
+        for split in FOLDS:
+            assert policy(submission.policy_of("plaza-v0"), PLAZA, split).name == "tiny"
         assert sorted(submission.artefacts) == [
-            *(f"plaza-v0/policy/{part}.onnx" for part in FOLDS),
+            *(f"plaza-v0/policy/{split}.onnx" for split in FOLDS),
             "submission.toml",
         ]
 
@@ -60,8 +60,8 @@ def test_fits_are_ranked_and_found_by_the_registry(file: str, tmp_path: Path) ->
     with open_submission(spawn_submission(tmp_path / "rates", file)) as submission:
         assert submission.status == "ranked"
         assert submission.policy_of("plaza-v0") == "straight"
-        for part in PARTS:
-            spawn_model(submission.spawn_of("plaza-v0"), PLAZA, part, fit=3)
+        for split in SPLITS:
+            spawn_model(submission.spawn_of("plaza-v0"), PLAZA, split, fit=3)
 
 
 def test_trajectories_are_listed(tmp_path: Path) -> None:
@@ -146,15 +146,15 @@ def test_no_other_names_stand_for_policies(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["os:system", "poisson-gmm+../x.toml", "/etc", "renewal"])
 def test_no_other_names_stand_for_spawn_models(name: str, tmp_path: Path) -> None:
     told = refusal(declare(tmp_path / "evil", "spawn", more=f'shipped_spawn = "{name}"\n'))
-    assert "enters with its code, by pull request" in told
+    assert "with its code, in a pull request" in told
 
 
 def test_a_track_names_only_what_it_has(tmp_path: Path) -> None:
     more = 'shipped_policy = "straight"\nshipped_spawn = "replay"\n'
     told = problem(declare(tmp_path / "walk", "walk", more=more))
-    assert "shipped_spawn: got 'replay'; expected no such line" in told
+    assert "shipped_spawn: got 'replay'; expected no such field" in told
     told = problem(declare(tmp_path / "spawn", "spawn", more=more))
-    assert "shipped_policy: got 'straight'; expected no such line" in told
+    assert "shipped_policy: got 'straight'; expected no such field" in told
 
 
 def test_everything_wrong_is_told_at_once(walker: Path) -> None:
@@ -166,16 +166,16 @@ def test_everything_wrong_is_told_at_once(walker: Path) -> None:
     (walker / "notes.txt").write_text("mine")
     told = refusal(walker)
     assert "walker: 7 problems.\n" in told
-    for part in (
+    for split in (
         "submission.toml, licence: got 'FILL IN: one'",
         "submission.toml, link: got 'http://example.org/walker'",
         "submission.toml, kind: got 'best'; expected learned, model-based or privileged",
-        "submission.toml, colour: got a field that does not exist",
+        "submission.toml, colour: got an unknown field",
         "plaza-v0/policy: got no fold0.onnx",
         "plaza-v0/policy/fold1.onnx: got ",
-        "notes.txt: got a file that has no place here",
+        "notes.txt: got an unexpected file",
     ):
-        assert part in told
+        assert split in told
 
 
 BIDI = "\u202etxt.exe"
@@ -214,7 +214,7 @@ BIDI = "\u202etxt.exe"
         ("parameters = 28", "parameters = -1", "training.parameters"),
         ("parameters = 28", "parameters = 1e999", "training.parameters"),
         ("parameters = 28", f"parameters = 0x{'f' * 9000}", "training.parameters"),
-        ('"A walker"', f"0x{'f' * 9000}", "name: got what is too long to be written"),
+        ('"A walker"', f"0x{'f' * 9000}", "name: got a value that is too long to print"),
         ("parameters = 28", 'parameters = 28\nsecret = "x"', "training.secret"),
         ('data = "the plaza"', f'data = "{"x" * 1001}"', "training.data"),
     ],
@@ -274,13 +274,13 @@ def test_a_folder_without_a_declaration_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_folder_in_the_folder_is_told_by_its_name(walker: Path, tmp_path: Path) -> None:
-    assert "got none but walker/submission.toml; expected it at the top" in problem(tmp_path)
+    assert "got only walker/submission.toml; expected the file at the top" in problem(tmp_path)
     outside = shutil.make_archive(str(tmp_path / "outside"), "zip", tmp_path, walker.name)
-    assert "got none but walker/submission.toml" in problem(Path(outside))
+    assert "got only walker/submission.toml" in problem(Path(outside))
 
 
 @pytest.mark.parametrize(
-    ("part", "scene", "expected"),
+    ("split", "scene", "expected"),
     [
         ("fold1", "plaza-v0", "one trained on fold0 of plaza-v0"),
         ("full", "plaza-v0", "one trained on fold0 of plaza-v0"),
@@ -288,24 +288,24 @@ def test_a_folder_in_the_folder_is_told_by_its_name(walker: Path, tmp_path: Path
     ],
 )
 def test_a_network_that_was_not_trained_as_its_place_says_is_refused(
-    part: str, scene: str, expected: str, walker: Path
+    split: str, scene: str, expected: str, walker: Path
 ) -> None:
-    write_network(walker / "plaza-v0" / "policy" / "fold0.onnx", part, scene)
+    write_network(walker / "plaza-v0" / "policy" / "fold0.onnx", split, scene)
     told = problem(walker)
-    assert f"a network trained on {part} of {scene}; expected {expected}" in told
+    assert f"a network trained on {split} of {scene}; expected {expected}" in told
 
 
 def test_a_network_of_one_scene_in_anothers_folder_is_refused(walker: Path) -> None:
     edit(walker, '["plaza-v0"]', '["plaza-v0", "eth-v0"]')
-    for part in FOLDS:
-        scene = "plaza-v0" if part == "fold0" else "eth-v0"
-        write_network(walker / "eth-v0" / "policy" / f"{part}.onnx", part, scene)
+    for split in FOLDS:
+        scene = "plaza-v0" if split == "fold0" else "eth-v0"
+        write_network(walker / "eth-v0" / "policy" / f"{split}.onnx", split, scene)
     assert "eth-v0/policy/fold0.onnx: got a network trained on fold0 of plaza-v0" in problem(walker)
 
 
 def test_who_says_that_it_knows_no_recording_must_not_know_one(walker: Path) -> None:
     told = refusal(edit(walker, '"heldout"', '"none"'))
-    assert told.count("knows no recording of a scene it is submitted for") == 3
+    assert told.count("trained on no recording of the submission's scenes") == 3
     (walker / "plaza-v0").rename(walker.parent / "aside")
     write_network(walker / "policy.onnx", "fold0")
     assert "policy.onnx: got a network trained on fold0 of plaza-v0" in problem(walker)
@@ -314,20 +314,20 @@ def test_who_says_that_it_knows_no_recording_must_not_know_one(walker: Path) -> 
 def test_files_of_another_kind_are_surplus(walker: Path) -> None:
     (walker / "plaza-v0" / "spawn").mkdir()
     (walker / "plaza-v0" / "spawn" / "poisson-gmm.json").write_text("{}")
-    assert "spawn/poisson-gmm.json: got a file that has no place here" in problem(walker)
+    assert "spawn/poisson-gmm.json: got an unexpected file" in problem(walker)
     (walker / "plaza-v0" / "spawn" / "poisson-gmm.json").unlink()
     write_network(walker / "plaza-v0" / "policy" / "full.onnx", "full")
-    assert "policy/full.onnx: got a file that has no place here" in problem(walker)
+    assert "policy/full.onnx: got an unexpected file" in problem(walker)
     (walker / "plaza-v0" / "policy" / "full.onnx").unlink()
     write_network(walker / "policy.onnx", "full", scene="eth-v0")
     told = refusal(walker)
-    assert told.count("expected policy.onnx in place of networks for each scene.") == 1
+    assert told.count("expected policy.onnx instead of networks for each scene.") == 1
 
 
 def test_what_is_surplus_is_told_once(walker: Path) -> None:
     edit(walker, "[training]", 'shipped_policy = "straight"\n[training]')
-    files = ", ".join(f"plaza-v0/policy/{part}.onnx" for part in FOLDS)
-    assert f"{files}: got files that have no place here" in problem(walker)
+    files = ", ".join(f"plaza-v0/policy/{split}.onnx" for split in FOLDS)
+    assert f"{files}: got unexpected files" in problem(walker)
 
 
 def test_trajectories_of_another_name_are_not_taken_for_models(tmp_path: Path) -> None:
@@ -337,7 +337,7 @@ def test_trajectories_of_another_name_are_not_taken_for_models(tmp_path: Path) -
         (place / name).rename(place / f"run{k}.{name[2:]}")
     told = refusal(folder)
     assert "plaza-v0/trajectories: got no files; expected 2 to 30 rollouts" in told
-    assert "run2.csv: got files that have no place here; expected in a folder" in told
+    assert "run2.csv: got unexpected files; expected in the folder of each scene" in told
     assert "policy" not in told
 
 
@@ -348,7 +348,7 @@ def test_models_and_trajectories_do_not_mix(tmp_path: Path) -> None:
 
 
 def test_files_do_not_see_the_state(walker: Path) -> None:
-    assert "files see observations" in problem(edit(walker, '"learned"', '"privileged"'))
+    assert "files receive observations" in problem(edit(walker, '"learned"', '"privileged"'))
 
 
 def test_broken_fits_are_told_by_their_own_reader(tmp_path: Path) -> None:
@@ -405,7 +405,7 @@ def test_links_and_hidden_files_are_refused(walker: Path) -> None:
     (walker / ".hidden").write_text("x")
     told = refusal(walker)
     assert told.count("got a link or a device") == 2
-    assert "'.hidden': got a path that is no plain text, or hidden" in told
+    assert "'.hidden': got a hidden path or invalid characters" in told
 
 
 def test_too_many_files_are_refused(walker: Path) -> None:
@@ -424,7 +424,7 @@ def test_files_that_cannot_be_read_are_told(walker: Path, monkeypatch: pytest.Mo
         raise PermissionError(13, "Permission denied", "secret")
 
     monkeypatch.setattr(os, "scandir", fail)
-    assert "got secret: Permission denied; expected files that can be read" in problem(walker)
+    assert "got secret: Permission denied; expected readable files" in problem(walker)
 
 
 def test_notes_are_neither_read_nor_packed(walker: Path) -> None:

@@ -29,8 +29,8 @@ def submit(*arguments: object) -> int:
 
 
 def networks(folder: Path, scene: str = "plaza-v0") -> Path:
-    for part in ("full", *FOLDS):
-        write_network(folder / f"{part}.onnx", part, scene)
+    for split in ("full", *FOLDS):
+        write_network(folder / f"{split}.onnx", split, scene)
     return folder
 
 
@@ -49,7 +49,7 @@ def test_from_a_trained_network_to_a_packed_submission(tmp_path: Path, capsys: P
     out = capsys.readouterr().out
     assert "walk, learned, trained: heldout" in out
     assert "networks: 3" in out
-    assert "ranked: crowdbench rolls it out, held out" in out
+    assert "ranked: crowdbench runs the rollouts and scores them on held-out data" in out
     assert submit("pack", folder) == 0
     packed = tmp_path / "my-walker.zip"
     assert f"written to {packed}" in capsys.readouterr().out
@@ -85,8 +85,8 @@ def test_files_are_put_into_the_empty_places(file: str, tmp_path: Path) -> None:
     assert submit("init", folder, "--track", "crowd", "--scene", "plaza-v0") == 0
     notes = (folder / "README.md").read_text()
     fill_in(folder)
-    for part in FOLDS:
-        write_network(folder / "plaza-v0" / "policy" / f"{part}.onnx", part)
+    for split in FOLDS:
+        write_network(folder / "plaza-v0" / "policy" / f"{split}.onnx", split)
     (folder / "plaza-v0" / "spawn" / file).write_bytes((PLAZA.folder / file).read_bytes())
     with open_submission(folder) as submission:
         assert submission.status == "ranked"
@@ -133,9 +133,9 @@ def test_what_exists_is_not_overwritten(tmp_path: Path, capsys: Printed) -> None
     (tmp_path / "file").write_text("mine")
     for there in (tmp_path, tmp_path / "link", tmp_path / "file"):
         assert submit("init", there, "--track", "walk") == 2
-        assert "expected a new one" in capsys.readouterr().err
+        assert "expected a new folder" in capsys.readouterr().err
     assert submit("init", tmp_path / "file" / "new", "--track", "walk") == 2
-    assert "a file where a folder should be" in capsys.readouterr().err
+    assert "a file in place of a folder" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "link"]
 
 
@@ -146,14 +146,14 @@ def test_policies_that_do_not_fit_are_refused_and_nothing_is_left(
     file = trained / "full.onnx"
     folder = tmp_path / "new"
     for arguments, told in (
-        (["--track", "spawn", "--policy", trained], "track spawn has straight walkers"),
-        (["--track", "walk", "--policy", trained, again], "one folder for each scene"),
+        (["--track", "spawn", "--policy", trained], "track spawn uses straight walkers"),
+        (["--track", "walk", "--policy", trained, again], "one folder per scene"),
         (["--track", "walk", "--policy", trained, file], "a file among 2 policies"),
         (["--track", "walk", "--policy", tmp_path / "x.onnx"], "x.onnx"),
         (["--track", "walk", "--policy", tmp_path], "got no fold0.onnx, fold1.onnx, fold2.onnx"),
         (
             ["--track", "walk", "--policy", file, "--scene", "plaza-v0"],
-            "got a network trained on full of plaza-v0; expected a folder with one for each fold",
+            "got a network trained on full of plaza-v0; expected a folder with one network per",
         ),
         (["--track", "walk", "--scene", "moon-v0"], "'moon-v0'"),
         (["--track", "walk", "--name", "a\x1b"], "got 'a\\x1b'; expected printable"),

@@ -77,7 +77,7 @@ def test_another_length_is_refused(tmp_path: Path) -> None:
 
 
 def test_crowds_that_are_observed_in_part_are_refused() -> None:
-    assert "all of it observed" in rules(crowd(observed=np.array([[0, 4400]])))
+    assert "all observed" in rules(crowd(observed=np.array([[0, 4400]])))
 
 
 @pytest.mark.parametrize("gap", [2, 3000])
@@ -124,7 +124,7 @@ def test_leaps_are_refused() -> None:
 def test_rollouts_that_are_the_same_are_refused(tmp_path: Path) -> None:
     renamed = crowd(0, person_id=np.repeat(np.arange(100, 120), 55))
     told = problem(submitted(tmp_path, renamed))
-    assert "1.parquet: got the crowd of plaza-v0/trajectories/0.parquet again" in told
+    assert "1.parquet: got the same crowd as in plaza-v0/trajectories/0.parquet" in told
 
 
 def ending(at_frame: int, outcome: str, left: bool = True) -> Trajectories:
@@ -165,7 +165,7 @@ def test_who_vanishes_without_a_word_is_dropped(
 ) -> None:
     made = ending(30, outcome, left)
     assert undeclared_drops(made, track, PLAZA, AREAS).sum() == drops
-    assert ("25.00% of lives that end where nobody leaves" in rules(made, track)) == (drops > 0)
+    assert ("25.00% of trips ending away from the edge" in rules(made, track)) == (drops > 0)
     assert drops / 20 > DROPPED or drops == 0
 
 
@@ -191,7 +191,7 @@ def test_who_walks_out_or_is_there_at_the_end_is_not_dropped() -> None:
 def test_columns_of_persons_agree_with_their_rows(column: str, value: float) -> None:
     values = getattr(crowd(), column).copy()
     values[7] = value
-    assert f"got {column} {values[7]} of person 7 (1 such persons)" in rules(
+    assert f"got {column} {values[7]} of person 7 (1 in all)" in rules(
         replace(crowd(), **{column: values})
     )
 
@@ -215,7 +215,7 @@ def test_parquet_that_says_less_is_refused_while_it_is_read(
 ) -> None:
     path = made_of(tmp_path / "0.parquet", 100_000)
     monkeypatch.setattr(untrusted, "LARGEST_DECODED", 200_000)
-    with pytest.raises(RecordingError, match="becomes larger in memory"):
+    with pytest.raises(RecordingError, match="takes more memory"):
         read_table(path)
 
 
@@ -229,10 +229,10 @@ def test_text_where_numbers_belong_is_refused_before_it_is_read(tmp_path: Path) 
 def test_columns_of_one_name_are_refused(tmp_path: Path) -> None:
     twice = pa.table([[1], [2]], names=["x", "x"])
     parquet.write_table(twice, tmp_path / "0.parquet")
-    with pytest.raises(RecordingError, match="two columns of one name"):
+    with pytest.raises(RecordingError, match="two columns of the same name"):
         read_table(tmp_path / "0.parquet")
     (tmp_path / "0.csv").write_text("x, x\n1,2\n")
-    with pytest.raises(RecordingError, match="two columns of one name"):
+    with pytest.raises(RecordingError, match="two columns of the same name"):
         read_table(tmp_path / "0.csv")
 
 
@@ -256,7 +256,7 @@ def test_too_many_columns_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=f"at most {MOST_COLUMNS}"):
         read_table(tmp_path / "0.csv")
     (tmp_path / "0.csv").write_text("x" * 10_001)
-    with pytest.raises(RecordingError, match="a first line without end"):
+    with pytest.raises(RecordingError, match="a first line over 10 kB"):
         read_table(tmp_path / "0.csv")
 
 
@@ -285,4 +285,4 @@ def test_rollouts_are_numbered_from_0_on(tmp_path: Path) -> None:
     (place / "5.parquet").rename(place / "2.parquet")
     assert "got files 0, 2, 2" in refusal(folder)
     (place / "2.parquet").rename(place / "01.parquet")
-    assert "01.parquet: got a file that has no place here" in refusal(folder)
+    assert "01.parquet: got an unexpected file" in refusal(folder)

@@ -13,12 +13,12 @@ from copier import JitteredBlocks
 from submissions import edit
 
 from crowdbench.cli import main
-from crowdbench.errors import OutputError, RecordingError
+from crowdbench.errors import CrowdbenchError, RecordingError
 from crowdbench.files import write_json
 from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage, SandboxError
 from crowdbench.leaderboard.submission.errors import SubmissionError
 from crowdbench.leaderboard.submission.submission import Submission
-from crowdbench.leaderboard.verification.entry import Entry, read_entry
+from crowdbench.leaderboard.verification.entry import SCORER, Entry, read_entry
 from crowdbench.leaderboard.verification.judge import make_entry
 from crowdbench.leaderboard.verification.verify import verify
 from crowdbench.policies import Straight
@@ -95,19 +95,22 @@ def test_an_entry_has_what_the_track_is_scored_by(walked: tuple[Path, Entry]) ->
     assert (scene.protocol, scene.fits, scene.rollouts) == ("heldout", 1, 1)
     speed = scene.metrics["speed"]
     assert speed.scored
-    assert set(speed.parts) == {"fold0", "fold1", "fold2"}
+    assert set(speed.splits) == {"fold0", "fold1", "fold2"}
     low, high = speed.interval or (0, 0)
     assert low < (speed.score or 0) < high
     assert "inter_spawn" not in scene.metrics
     assert scene.copy.arrivals is None
-    assert set(scene.curves) == {"Speed", "Closest approach of strangers"}
+    assert set(scene.curves) == {"Speed", "Deviation from the straight way"}
+    assert scene.recorded_speed_mps == pytest.approx(1.3, abs=0.2)
+    assert scene.recorded_at_goal is not None
+    assert scene.recorded_at_goal > 0.99
 
 
 def test_parts_are_around_the_score_whose_terms_they_are(walked: tuple[Path, Entry]) -> None:
-    closest = walked[1].scenes["plaza-v0"].metrics["closest_approach"]
-    parts = [value for part in closest.parts.values() for value in part if value is not None]
-    assert min(parts) > LOWEST  # where one is cut off, their mean is another
-    assert np.mean(parts) == pytest.approx(closest.score)
+    closest = walked[1].scenes["plaza-v0"].metrics["avoidance"]
+    splits = [value for split in closest.splits.values() for value in split if value is not None]
+    assert min(splits) > LOWEST  # where one is cut off, their mean is another
+    assert np.mean(splits) == pytest.approx(closest.score)
 
 
 def test_curves_are_short_and_distributions_rise_to_one(walked: tuple[Path, Entry]) -> None:
@@ -132,10 +135,10 @@ def test_the_command_line_goes_on_after_a_refusal_and_writes_the_same_bytes(
     printed = capsys.readouterr()
     assert f"crowdbench: {bad}: 1 problem.\n  submission.toml, shipped_policy: got " in printed.err
     assert "'nobody'" in printed.err
-    assert "1 of 2 refused" in printed.err
+    assert "1 of 2 rejected" in printed.err
     assert "Traceback" not in printed.err
     (head,) = [line for line in printed.out.splitlines() if "mine-v2 (ranked)" in line]
-    assert head.split("  ")[-1].strip() == "copied lives"
+    assert head.split("  ")[-1].strip() == "copied trips"
     before = walked[0] / "out" / "mine-v2.json"
     assert (tmp_path / "mine-v2.json").read_bytes() == before.read_bytes()
 
@@ -231,7 +234,7 @@ def test_blocks_of_the_recording_with_a_frame_of_jitter_are_flagged_as_trajector
     assert "copied arrivals" in [flag.what for flag in entry.flags]
     scene = entry.scenes["plaza-v0"]
     assert (scene.protocol, scene.fits, scene.rollouts) == ("full", 1, 2)
-    assert set(scene.families) == {"arrivals", "presence", "lives", "space"}
+    assert set(scene.families) == {"arrivals", "presence", "trips", "space"}
     assert scene.metrics["speed"].distance is not None
     assert scene.metrics["speed"].score is None  # not under the recorded arrivals
 
@@ -278,7 +281,7 @@ def test_an_answer_that_would_be_written_elsewhere_is_refused(
     monkeypatch.setattr(
         "crowdbench.leaderboard.verification.verify.call", lambda *a, **k: (forged, None)
     )
-    with pytest.raises(SandboxError, match="an answer with an id or a scene of other letters"):
+    with pytest.raises(SandboxError, match="an entry with an invalid id or scene name"):
         verify(walked[0] / "mine", tmp_path / "out")
     assert not (tmp_path / "elsewhere.json").exists()
 
@@ -291,9 +294,11 @@ def test_an_answer_of_anothers_id_is_refused(
     monkeypatch.setattr(
         "crowdbench.leaderboard.verification.verify.call", lambda *a, **k: (forged, ran)
     )
-    with pytest.raises(SandboxError, match="expected its own, mine-v2"):
-        verify(walked[0] / "mine", tmp_path / "out")
-    assert not (tmp_path / "out").exists()
+    others = Path(__file__).parents[2] / "leaderboard" / "entries" / "orca.json"
+    shutil.copy(others, tmp_path)
+    with pytest.raises(CrowdbenchError, match="the id orca of another submission by crowdbench"):
+        verify(walked[0] / "mine", tmp_path)
+    assert (tmp_path / "orca.json").read_bytes() == others.read_bytes()
 
 
 def test_two_submissions_of_one_id_are_not_both_verified(
@@ -304,7 +309,7 @@ def test_two_submissions_of_one_id_are_not_both_verified(
     shutil.copytree(walked[0] / "out" / "work", tmp_path / "work")
     asked = ["leaderboard", "verify", str(walked[0] / "mine"), str(twin), "--out", str(tmp_path)]
     assert main([*asked, "--workers", "1"]) == 2
-    assert "got the id mine-v2, which another submission has" in capsys.readouterr().err
+    assert "got the id mine-v2 of another submission; expected" in capsys.readouterr().err
     assert read_entry(tmp_path / "mine-v2.json") == walked[1]
 
 
@@ -312,7 +317,7 @@ def test_an_entry_by_others_is_not_overwritten(walked: tuple[Path, Entry], tmp_p
     before = (walked[0] / "out" / "mine-v2.json").read_bytes()
     other = submitted(tmp_path / "other", "walk", shipped_policy="straight")
     edit(other, "A. Person", "B. Person")
-    with pytest.raises(OutputError, match=r"another submission, of A\. Person, has"):
+    with pytest.raises(CrowdbenchError, match=r"another submission by A\. Person"):
         verify(other, walked[0] / "out", workers=1)
     assert (walked[0] / "out" / "mine-v2.json").read_bytes() == before
 
@@ -349,11 +354,11 @@ def test_a_newer_scorer_keeps_the_earlier_result_with_the_reason(
     write_json(path, old)
     assert rescored(root, "mine-v2") == 0
     new = read_entry(path)
-    assert new.scorer == 1
+    assert new.scorer == SCORER
     (earlier,) = new.history
     assert (earlier.scorer, earlier.reason) == (0, "Turning is measured anew.")
     families = old.scenes["plaza-v0"].families.values()
-    assert earlier.scenes == {"plaza-v0": pytest.approx(np.mean([f.value for f in families]))}
+    assert earlier.scenes == {"plaza-v0": pytest.approx(min(f.value for f in families))}
     assert earlier.overall is None  # it is not for all of the three scenes
     assert msgspec.structs.replace(new, history=[]) == walked[1]
 
@@ -362,7 +367,7 @@ def test_a_newer_scorer_keeps_the_earlier_result_with_the_reason(
     ("named", "reason", "message"),
     [
         (["nobody"], "Why not.", r"got 'nobody'; expected one of .*entries \(mine-v2\)"),
-        ([], " ", "a line that says why"),
+        ([], " ", "one line that says why"),
     ],
 )
 def test_what_cannot_be_scored_anew_is_said(

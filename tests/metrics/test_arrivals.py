@@ -269,9 +269,9 @@ def test_the_fano_factor_of_60_s_applies_from_blocks_of_two_minutes_on():
 def test_areas_are_compared_with_themselves_in_whatever_order_a_file_has_them():
     rng = np.random.default_rng(0)
     place = Place(spawn_areas=12, goal_areas=1, bounds_m=(-1.0, 1.0, -1.0, 1.0))
-    lives = [(int(t), int(t)) for t in np.sort(rng.integers(1, 400, 200))]
+    trips = [(int(t), int(t)) for t in np.sort(rng.integers(1, 400, 200))]
     crowd = crowd_of(
-        lives, frames=400, persons={"spawn_area": (rng.integers(0, 12, 200) ** 2 // 12).tolist()}
+        trips, frames=400, persons={"spawn_area": (rng.integers(0, 12, 200) ** 2 // 12).tolist()}
     )
     blocks = cut(crowd.observed, block_s=100.0, dt_s=1.0, grid_s=1.0)
     metric = InterSpawnPerArea()
@@ -287,9 +287,9 @@ def test_areas_with_a_handful_of_gaps_do_not_count_beside_busy_ones():
 
     def crowd(*few: int) -> Trajectories:
         busy = list(range(2, 60, 4))
-        lives = [(t, t) for t in sorted([*busy, *few])]
-        area = [int(first in few) for first, _ in lives]
-        return crowd_of(lives, frames=100, persons={"spawn_area": area})
+        trips = [(t, t) for t in sorted([*busy, *few])]
+        area = [int(first in few) for first, _ in trips]
+        return crowd_of(trips, frames=100, persons={"spawn_area": area})
 
     metric = InterSpawnPerArea()
     here, there = (metric.summarise(crowd(*few), blocks, place) for few in ((3, 5), (3, 95)))

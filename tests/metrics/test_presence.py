@@ -22,9 +22,9 @@ def n_of(crowd: Trajectories) -> list[int]:
 
 
 def series(values: list[int], dt_s: float = 1.0) -> Trajectories:
-    """A crowd with this N(t), of lives of one frame."""
-    lives = [(t, t) for t, n in enumerate(values) for _ in range(n)]
-    return crowd_of(lives, frames=len(values), dt_s=dt_s)
+    """A crowd with this N(t), of trips of one frame."""
+    trips = [(t, t) for t, n in enumerate(values) for _ in range(n)]
+    return crowd_of(trips, frames=len(values), dt_s=dt_s)
 
 
 @given(crowds())

@@ -5,8 +5,8 @@ from hypothesis import given
 from strategies import crowd_of, later
 
 from crowdbench.metrics import NearestNeighbour, Occupancy, Place
-from crowdbench.metrics.rows import nearest_neighbour_m, pairs_within
 from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.neighbours import nearest_neighbour_m
 from crowdbench.trajectories.table import Trajectories
 
 THREE = whole(3)
@@ -114,8 +114,6 @@ def test_neighbours_are_those_that_a_search_through_all_finds(crowd):
     # Frames far from 0 test that the search in space and time keeps its precision.
     late, gap = later(crowd, 40_000), gaps(crowd)
     np.testing.assert_allclose(nearest_neighbour_m(late), gap.min(axis=1), rtol=1e-12)
-    found = {tuple(sorted(pair)) for pair in pairs_within(late, 2.0).tolist()}
-    assert found == {tuple(pair) for pair in np.argwhere(np.triu(gap <= 2.0)).tolist()}
 
 
 @given(any_crowds)

@@ -20,7 +20,7 @@ from crowdbench.policies.export import export_policy
 from crowdbench.scene import load_scene
 
 PLAZA = load_scene("plaza-v0")
-CARD = PolicyCard(name="test", observation="lidar-2", rays=8, scene="plaza-v0", part="full")
+CARD = PolicyCard(name="test", observation="lidar-2", rays=8, scene="plaza-v0", split="full")
 
 
 class Net(nn.Module):
@@ -125,9 +125,9 @@ def test_evaluate_takes_a_file_and_a_folder_of_them(plain: Path, tmp_path: Path)
         )
     folder = tmp_path / "mine"
     folder.mkdir()
-    for part in ("full", "fold0", "fold1", "fold2"):
-        of_part = msgspec.structs.replace(CARD, part=part)
-        export_policy(Net(), folder / f"{part}.onnx", of_part)
+    for split in ("full", "fold0", "fold1", "fold2"):
+        of_split = msgspec.structs.replace(CARD, split=split)
+        export_policy(Net(), folder / f"{split}.onnx", of_split)
     held_out = crowdbench.evaluate(
         "plaza-v0",
         spawn=["poisson-gmm"],
@@ -185,10 +185,10 @@ def test_what_a_network_takes_is_told_before_it_is_traced(tmp_path: Path) -> Non
     with pytest.raises(WeightsError) as raised:
         export_policy(Net(inputs=37), tmp_path / "no.onnx", card)
     told = str(raised.value)
-    assert "the network takes 37 numbers" in told
+    assert "a network that takes 37 numbers" in told
     assert "lidar-2 has 38 numbers with 32 rays" in told
-    assert "These are lidar-1" in told
-    with pytest.raises(WeightsError, match="the network takes 36 numbers"):
+    assert "This is the size of lidar-1" in told
+    with pytest.raises(WeightsError, match="a network that takes 36 numbers"):
         export_policy(Net(inputs=36), tmp_path / "no.onnx", card)
     assert not list(tmp_path.iterdir())
 
@@ -227,7 +227,7 @@ def test_a_network_that_ends_the_process_is_one_sentence(
     killing = tmp_path / "trial.py"
     killing.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGABRT)\n")
     monkeypatch.setattr(export, "TRIAL", killing)
-    with pytest.raises(WeightsError, match="ends onnxruntime's process by signal 6"):
+    with pytest.raises(WeightsError, match="crashes onnxruntime with signal 6"):
         export_policy(Net(), tmp_path / "no.onnx", CARD)
     assert not (tmp_path / "no.onnx").exists()
 
@@ -377,7 +377,7 @@ def of_the_future(model: onnx.ModelProto) -> None:
         (carded(rays=9), "15 numbers"),
         (carded(rays=100_000), "rays"),
         (carded(ray_range_m=-1.0), "ray_range_m"),
-        (carded(part="half"), "part"),
+        (carded(split="half"), "split"),
         (carded(scene="../eth"), "scene"),
         (carded(command="\x1b[31m"), "command"),
         (external, "another file"),
@@ -396,8 +396,8 @@ def of_the_future(model: onnx.ModelProto) -> None:
         (drawing, "the operator RandomUniformLike, which draws"),
         (drawing_within, "the operator RandomNormal, which draws"),
         (dropping, "the operator Dropout, which draws"),
-        (unknown_operator, "onnxruntime refuses"),
-        (of_the_future, "onnxruntime refuses"),
+        (unknown_operator, "onnxruntime cannot run"),
+        (of_the_future, "onnxruntime cannot run"),
     ],
 )
 def test_a_broken_or_hostile_file_is_refused(
@@ -497,7 +497,7 @@ def test_the_command_line_writes_and_shows_them(
         assert main(["policy", "export", named, "no.onnx", *asked]) == 2
         assert capsys.readouterr().err.startswith("crowdbench: network: got")
     assert main(["policy", "export", "slow_walkers:net", "no.onnx", *asked, "--rays", "0"]) == 2
-    assert main(["policy", "export", "slow_walkers:net", "no.onnx", *asked, "--part", "all"]) == 2
+    assert main(["policy", "export", "slow_walkers:net", "no.onnx", *asked, "--split", "all"]) == 2
     assert not Path("no.onnx").exists()
 
 

@@ -5,7 +5,7 @@ import pytest
 from crowdbench import list_scenes, load_scene, rollout, spawn_model
 from crowdbench.policies import OnnxPolicy
 from crowdbench.registry import policy, trained_policies
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.table import OUTCOMES
 
 SHIPPED = [(scene, name) for scene in list_scenes() for name in trained_policies(load_scene(scene))]
@@ -20,13 +20,13 @@ def test_there_are_some() -> None:
 @pytest.mark.parametrize(("scene", "name"), SHIPPED)
 def test_there_is_one_for_each_part_made_by_one_command(scene: str, name: str) -> None:
     folder = load_scene(scene).folder / "policies" / name
-    assert sorted(f.name for f in folder.iterdir()) == sorted(f"{part}.onnx" for part in PARTS)
-    cards = [OnnxPolicy(folder / f"{part}.onnx").card for part in PARTS]
-    assert [card.part for card in cards] == list(PARTS)
+    assert sorted(f.name for f in folder.iterdir()) == sorted(f"{split}.onnx" for split in SPLITS)
+    cards = [OnnxPolicy(folder / f"{split}.onnx").card for split in SPLITS]
+    assert [card.split for card in cards] == list(SPLITS)
     assert {(card.scene, card.name) for card in cards} == {(scene, name)}
     (command,) = {card.command for card in cards}
     assert command.startswith(f"python -m baselines.{name} --scene {scene} ")
-    assert f"--parts {' '.join(PARTS)}" in command
+    assert f"--splits {' '.join(SPLITS)}" in command
     assert all(card.revision and not card.revision.endswith("-dirty") for card in cards)
 
 

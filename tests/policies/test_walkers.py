@@ -54,7 +54,7 @@ def test_straight_walkers_at_their_goal_stand_still() -> None:
 def crowd_of(size: int) -> StateView:
     index, place = np.arange(size), np.zeros((size, 2), np.float32)
     frame, speed = np.zeros(size, np.int64), np.ones(size, np.float32)
-    return StateView(np.zeros(size, np.int64), index, index, index, frame, place, place, place,
+    return StateView(np.zeros(size, np.int64), index, index, index, frame, *[place] * 4,
                      speed)  # fmt: skip
 
 

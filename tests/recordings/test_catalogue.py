@@ -85,10 +85,10 @@ def corridor(*further: tuple[int, float, float]) -> Trajectories:
     `further` people: first frame, x at the start, x at the end; one metre a frame.
     """
     walks = [(5 * k, 0.0, 10.0) for k in range(20)] + list(further)
-    lives = [(first, first + int(abs(end - start))) for first, start, end in walks]
+    trips = [(first, first + int(abs(end - start))) for first, start, end in walks]
     paths = [np.linspace(start, end, int(abs(end - start)) + 1) for _, start, end in walks]
     x = np.concatenate(paths)
-    return crowd_of(lives, xy=np.stack([x, np.zeros_like(x)], axis=1))
+    return crowd_of(trips, xy=np.stack([x, np.zeros_like(x)], axis=1))
 
 
 def test_a_pause_between_usual_ends_and_starts_is_an_empty_scene():
@@ -188,8 +188,8 @@ def test_the_description_tells_that_people_stand_there_at_the_start_of_each_inte
 
 
 def test_the_description_takes_dwell_times_of_whole_lives_only():
-    lives = [(0, 8), (1, 4), (3, 9)]
-    assert "p50 1.50" in describe(crowd_of(lives, frames=10, dt_s=0.5))["dwell time"]
+    trips = [(0, 8), (1, 4), (3, 9)]
+    assert "p50 1.50" in describe(crowd_of(trips, frames=10, dt_s=0.5))["dwell time"]
 
 
 def test_the_description_of_a_crowd_without_whole_lives_says_none():

@@ -88,7 +88,7 @@ def test_a_recording_is_fetched_and_imported(server: Published, home: Path, caps
     printed = capsys.readouterr()
     assert f"fetched from {server.address}/obsmat.txt" in printed.out
     assert re.search(r"persons +300\n", printed.out)
-    assert "It stays under its owners' terms. Cite: Pellegrini" in printed.out
+    assert "The recording remains subject to its owners' terms. Cite: Pellegrini" in printed.out
     assert printed.err == ""
     assert default_folder() == home / "OpenTraj"
     assert (default_folder() / SOURCES["eth"].path).read_bytes() == CROWD
@@ -126,7 +126,7 @@ def test_a_wrong_hash_is_refused_and_nothing_is_left(
     server.files["/obsmat.txt"] = CROWD.replace(b"0.5", b"0.6", 1)
     assert main(["data", "fetch", "eth", "--out", str(tmp_path)]) == 2
     error = capsys.readouterr().err
-    assert error.startswith(f"crowdbench: {server.address}/obsmat.txt: got data of SHA-256 ")
+    assert error.startswith(f"crowdbench: {server.address}/obsmat.txt: got data with SHA-256 ")
     assert sha256(CROWD) in error
     assert sha256(server.files["/obsmat.txt"]) in error
     assert "Run the command again" in error
@@ -162,7 +162,7 @@ def test_what_came_before_the_line_broke_for_good_is_kept_for_the_next_time(
     server.breaks = [49_152, 8_192, 0]
     assert main(["data", "fetch", "eth", "--out", str(tmp_path)]) == 2
     error = capsys.readouterr().err
-    assert "broke off 3 times, 57344 bytes so far" in error
+    assert "interrupted 3 times, after 57344 bytes" in error
     assert "Run the command again" in error
     assert not eth.exists()
     assert part_of(eth).read_bytes() == CROWD[:57_344]
@@ -275,10 +275,10 @@ def test_an_interrupt_keeps_what_came(server: Published, tmp_path: Path, eth: Pa
 
 
 ANSWERS = {
-    "moved": ({"status": 404}, "got the answer 404 Not Found", "It may have moved"),
-    "out of order": ({"status": 503}, "got the answer 503 Service Unavailable", "out of order"),
-    "forbidden": ({"status": 403}, "got the answer 403 Forbidden", "in a browser"),
-    "a log-in page": ({"kind": "text/html; charset=utf-8"}, "got an HTML page", "asks to log in"),
+    "moved": ({"status": 404}, "got the response 404 Not Found", "The file may have moved"),
+    "out of order": ({"status": 503}, "got the response 503 Service Unavailable", "unavailable"),
+    "forbidden": ({"status": 403}, "got the response 403 Forbidden", "in a browser"),
+    "a log-in page": ({"kind": "text/html; charset=utf-8"}, "got an HTML page", "require a login"),
 }
 
 
@@ -321,7 +321,7 @@ def test_more_bytes_than_any_recording_has_are_refused_and_dropped(
 
 def test_a_folder_that_cannot_be_written_is_refused(server: Published, tmp_path: Path):
     (tmp_path / "datasets").write_text("a file")
-    with pytest.raises(OutputError, match="a file where a folder should be"):
+    with pytest.raises(OutputError, match="a file in place of a folder"):
         fetch.fetch("eth", tmp_path)
 
 
@@ -338,7 +338,7 @@ def test_a_day_of_the_forum_is_unpacked_and_its_hash_noted(
     server.files["/Jul.14.zip"] = zipped(**{"../../tracks.Jul14": TRACKS, "readme": b"Tracks"})
     assert main(["data", "fetch", "forum-14jul", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
-    assert f"SHA-256 {sha256(TRACKS)} noted at first use; the publisher states none." in out
+    assert f"SHA-256 {sha256(TRACKS)} stored at first use; the publisher states none." in out
     assert "Majecka" in out
     assert files_in(tmp_path) == [FORUM]
     assert forum.read_bytes() == TRACKS
@@ -359,11 +359,11 @@ def test_an_import_notes_the_hash_too(forum: Path, tmp_path: Path, capsys: Print
     forum.parent.mkdir(parents=True)
     forum.write_bytes(TRACKS)
     assert main(["data", "import", "forum-14jul", "--source", str(tmp_path)]) == 0
-    assert "noted at first use" in capsys.readouterr().out
+    assert "stored at first use" in capsys.readouterr().out
     forum.write_bytes(OTHER_TRACKS)
     assert main(["data", "import", "forum-14jul", "--source", str(tmp_path)]) == 2
     error = capsys.readouterr().err
-    assert f"expected SHA-256 {sha256(TRACKS)[:12]}…, as noted at first use" in error
+    assert f"expected data with SHA-256 {sha256(TRACKS)[:12]}…, as stored at first use" in error
     assert f"delete {note_of('forum-14jul')}" in error
     assert main(["data", "describe", "forum-14jul"]) == 0
 
@@ -379,8 +379,8 @@ def test_a_day_that_changed_since_its_first_use_is_refused(
     capsys.readouterr()
     assert main(arguments) == 2
     error = capsys.readouterr().err
-    assert f"got data of SHA-256 {sha256(OTHER_TRACKS)}" in error
-    assert f"expected SHA-256 {sha256(TRACKS)}, as noted at first use" in error
+    assert f"got data with SHA-256 {sha256(OTHER_TRACKS)}" in error
+    assert f"expected data with SHA-256 {sha256(TRACKS)}, as stored at first use" in error
     assert str(note_of("forum-14jul")) in error
     assert files_in(elsewhere) == []
     note_of("forum-14jul").unlink()  # as the message says
@@ -489,7 +489,7 @@ def test_of_gc_the_commands_are_told_that_check_it_out(
     folder = tmp_path / "my recordings"
     assert main(["data", "fetch", "gc", "--out", str(folder)]) == 2
     error = capsys.readouterr().err
-    assert "nothing was fetched" in error
+    assert "nothing was downloaded" in error
     *commands, bring = [line.strip() for line in error.splitlines() if line.startswith("  ")]
     assert bring == f"crowdbench data import gc --source '{folder}'"
 
@@ -525,7 +525,7 @@ def test_gc_is_checked_out_beside_what_was_fetched_before(
 
 def test_git_is_not_let_loose_on_a_repository_that_is_there(tmp_path: Path):
     (tmp_path / ".git").mkdir()
-    with pytest.raises(FetchError, match="Name another folder with --out") as caught:
+    with pytest.raises(FetchError, match="Choose another folder with --out") as caught:
         fetch.fetch("gc", tmp_path)
     assert "sparse-checkout" not in str(caught.value)
 

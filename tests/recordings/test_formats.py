@@ -58,10 +58,14 @@ def test_a_missing_row_is_a_straight_way() -> None:
 @pytest.mark.parametrize(
     ("lines", "dt_s", "message"),
     [
-        (tracks(), None, "no word of the time .*--dt-s SECONDS"),
-        ([scene(2.5), *tracks()], 0.1, "every 0.4 s by the file itself; expected every 0.1 s"),
-        ([scene(2.5), scene(10), *tracks()], None, "scenes of 2.5, 10 rows a second"),
-        ([scene(0.0), *tracks()], None, "scenes of 0 rows a second"),
+        (tracks(), None, "does not state the time .*--dt-s SECONDS"),
+        (
+            [scene(2.5), *tracks()],
+            0.1,
+            "every 0.4 s according to the file; expected rows every 0.1 s",
+        ),
+        ([scene(2.5), scene(10), *tracks()], None, "scenes of 2.5, 10 rows per second"),
+        ([scene(0.0), *tracks()], None, "scenes of 0 rows per second"),
         ([scene(2.5)], None, "got no track"),
         ([{"track": {"f": 1, "p": 2, "x": "here"}}], 0.4, "line 1: got .*float.*Lines look like"),
         (
@@ -106,14 +110,14 @@ def test_frames_far_apart_at_the_rate_of_the_camera_are_rows() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("1 0 0 0 0\n", "no word of the time"),
+        ("1 0 0 0 0\n", "does not state the time"),
         ("# framerate: 2.5\n", "got no rows"),
         ("# framerate: 2.5\n1 0\n", "expected rows of numbers: id frame x y z"),
         ("# framerate: 2.5\n1 0 here 2 0\n", "expected rows of numbers"),
-        ("# framerate: 0\n1 0 1 2 0\n", "got 0 frames a second"),
-        ("# framerate: 2.5\n1 0.5 1 2 0\n", "no whole number"),
+        ("# framerate: 0\n1 0 1 2 0\n", "got 0 frames per second"),
+        ("# framerate: 2.5\n1 0.5 1 2 0\n", "not an integer"),
         ("# framerate: 2.5\n1 0 nan 2 0\n", "not finite"),
-        ("# framerate: 2.5\n1 0 1 2 0\n1 0 1 2 0\n", "person 1 twice in frame 0"),
+        ("# framerate: 2.5\n1 0 1 2 0\n1 0 1 2 0\n", "person 1 twice at frame 0"),
     ],
 )
 def test_broken_texts_are_refused(text: str, message: str) -> None:
@@ -147,7 +151,7 @@ def test_a_database_is_read_like_a_text(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("fps", [None, "often"])
 def test_a_database_without_a_rate_is_refused(tmp_path: Path, fps: str | None) -> None:
-    with pytest.raises(RecordingError, match="tables trajectory_data and metadata, with its fps"):
+    with pytest.raises(RecordingError, match="tables trajectory_data and metadata, the latter"):
         jupedsim(database(tmp_path / "jps.sqlite", fps=fps))
 
 
@@ -180,10 +184,10 @@ def test_converting_goes_round(tmp_path: Path, capsys: pytest.CaptureFixture[str
     here = tmp_path / "crowd.txt"
     asked = ["convert", str(source), "--format", "jupedsim", "--to", "jupedsim", "--out", str(here)]
     assert main(asked) == 2
-    assert "got person 4 in frame 40, 20 frames after its row before" in capsys.readouterr().err
+    assert "got person 4 at frame 40, 20 frames after its previous row" in capsys.readouterr().err
     assert main([*asked, "--gaps", "interpolate"]) == 0
     out = capsys.readouterr().out
-    assert "mended: 1 row put in (person 4 after frame 20)" in out
+    assert "mended: 1 row interpolated (person 4 after frame 20)" in out
     assert "2 persons, 5 frames of 0.4 s" in out
     assert here.read_text().splitlines()[0] == "# framerate: 2.5"
     assert here.read_text().splitlines()[2] == "3\t1\t1.25\t4.5\t0.0"

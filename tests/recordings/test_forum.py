@@ -163,7 +163,7 @@ def test_of_several_detections_at_one_time_the_mean_is_taken():
 def test_who_is_there_between_two_frames_only_is_left_out_and_counted():
     crowd = read(matlab({1: [(0, 0, 1), (0, 0, 3)], 2: [(9, 9, 3), (9, 9, 4)]}))
     assert crowd.person_id.tolist() == [2]
-    assert "1 that fall between two frames" in crowd.provenance["notes"]["tracks"]
+    assert "1 between two frames" in crowd.provenance["notes"]["tracks"]
 
 
 def line(number: int, begin: int, length: int) -> Rows:

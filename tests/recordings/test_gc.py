@@ -112,7 +112,7 @@ def test_one_file_is_one_person_wherever_annotations_pause(files: Files, crowd: 
 
 def test_the_description_says_what_was_left_out(crowd: Trajectories):
     assert crowd.provenance["notes"] == {
-        "files": "12684, 13 of them of a single annotation and left out",
+        "files": "12684, 13 of them left out for having a single annotation",
         "cut off": "5751 positions after video frame 100000",
     }
 
@@ -210,7 +210,7 @@ def homography(data: bytes) -> Files:
 BROKEN = {
     "an empty folder": ({}, "no H.json"),
     "no homography": ({"Annotation/000001.txt": WELL}, "no H.json"),
-    "no persons": ({"H.json": DECIMETRES}, "no person's file"),
+    "no persons": ({"H.json": DECIMETRES}, "no file of a person"),
     "another shape": (homography(b'{"homog":[[1,2],[3,4]]}'), "shape (2, 2)"),
     "not finite": (homography(b'{"homog":[[1,2,3],[4,5,6],[7,8,1e999]]}'), "finite"),
     "words": (homography(b'{"homog":"none"}'), "could not convert"),
@@ -229,7 +229,7 @@ BROKEN = {
     "a negative frame": (person(text([(1, 2, -20), (1, 2, 0)])), "an annotation of frame -20"),
     "descending": (person(text([(1, 2, 20), (1, 2, 0)])), "frame 0 after frame 20"),
     "a frame twice": (person(text([(1, 2, 20), (1, 3, 20)])), "frame 20 after frame 20"),
-    "nobody twice": (person(text([(1, 2, 0)])), "1 files of a single annotation"),
+    "nobody twice": (person(text([(1, 2, 0)])), "1 files with a single annotation"),
     "no number": ({**person(WELL), "Annotation/one.txt": WELL}, "Annotation/one.txt"),
     "a number another way": ({**person(WELL), "Annotation/1.txt": WELL}, "Annotation/1.txt"),
 }

@@ -44,9 +44,9 @@ def test_a_step_off_the_grid_is_refused_by_person_and_frame(campus: Path, late: 
     with pytest.raises(RecordingError) as told:
         read_recording(campus / "campus.txt", "obsmat", name="campus", dt_s=0.4)
     person, frame, _ = late
-    assert told.value.got.startswith(f"person {person} in frame {frame}, 13 frames after its row")
+    assert told.value.got.startswith(f"person {person} at frame {frame}, 13 frames after its prev")
     assert "(2 of " in told.value.got
-    assert told.value.expected == "each person every 10 frames"
+    assert told.value.expected == "a row of each person every 10 frames"
     assert "--gaps interpolate" in told.value.hint
     assert "--gaps split" in told.value.hint
 
@@ -55,7 +55,7 @@ def test_a_step_off_the_grid_is_refused_by_person_and_frame(campus: Path, late: 
 def test_a_row_off_the_grid_is_moved_onto_it(campus: Path, late: list[str], gaps: Gaps) -> None:
     crowd = read_recording(campus / "campus.txt", "obsmat", name="c", dt_s=0.4, gaps=gaps)
     person, frame, _ = late
-    words = f"1 row moved onto the frames (person {person} at frame {frame})"
+    words = f"1 row moved to frames (person {person} at frame {frame})"
     assert crowd.provenance["notes"]["mended"] == words
     (p,) = np.flatnonzero(crowd.person_id == int(person)).tolist()
     right = made_up.record(120.0)
@@ -73,7 +73,7 @@ def test_a_constant_offset_is_told_with_the_option_that_mends_it(
     campus: Path, late: list[str]
 ) -> None:
     table = campus / "campus.csv"
-    with pytest.raises(RecordingError, match=r"person 0 at 0.04 s .* --offset-s 0\.04 lets"):
+    with pytest.raises(RecordingError, match=r"person 0 at 0.04 s .* --offset-s 0\.04 to"):
         read_recording(table, "csv", name="campus", dt_s=0.4, gaps="interpolate")
     with pytest.raises(RecordingError, match=f"person {late[0]} at {late[2]} s, between two fr"):
         read_recording(table, "csv", name="campus", dt_s=0.4, offset_s=0.04)
@@ -82,7 +82,7 @@ def test_a_constant_offset_is_told_with_the_option_that_mends_it(
     np.testing.assert_allclose(crowd.xy, other.xy, atol=1e-4)
     assert crowd.first.tolist() == other.first.tolist()
     assert crowd.spawn_s.tolist() == pytest.approx(other.spawn_s.tolist())
-    assert crowd.provenance["notes"]["times"] == "0.04 s earlier than in the file"
+    assert crowd.provenance["notes"]["times"] == "reduced by 0.04 s"
 
 
 def test_the_command_tells_what_it_mended_and_so_does_describe(
@@ -95,8 +95,8 @@ def test_the_command_tells_what_it_mended_and_so_does_describe(
     imported = capsys.readouterr().out
     assert main(["data", "describe", "campus"]) == 0
     for out in (imported, capsys.readouterr().out):
-        assert "1 row moved onto the frames (person " in out
-        assert "0.04 s earlier than in the file" in out
+        assert "1 row moved to frames (person " in out
+        assert "reduced by 0.04 s" in out
 
 
 def table_of(folder: Path, times: list[float], name: str = "walk.csv") -> Path:
@@ -116,12 +116,12 @@ def read(path: Path, **asked: object) -> Trajectories:
 
 
 def test_missing_rows_are_filled_by_a_straight_way(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"person 7 in 2.8 s, 1.6 s after its row before"):
+    with pytest.raises(RecordingError, match=r"person 7 at 2.8 s, 1.6 s after its previous row"):
         read(table_of(tmp_path, GAP))
     crowd = read(table_of(tmp_path, GAP), gaps="interpolate")
     assert crowd.person_id.tolist() == [1, 7]
     np.testing.assert_allclose(crowd.path(1)[:, 0], np.arange(1, 9) * 0.4, atol=1e-6)
-    assert crowd.provenance["notes"]["mended"] == "3 rows put in (person 7 after 1.2 s)"
+    assert crowd.provenance["notes"]["mended"] == "3 rows interpolated (person 7 after 1.2 s)"
 
 
 def test_who_is_split_has_neither_left_nor_entered_at_the_gap(tmp_path: Path) -> None:
@@ -131,7 +131,7 @@ def test_who_is_split_has_neither_left_nor_entered_at_the_gap(tmp_path: Path) ->
     assert crowd.last.tolist() == [19, 3, 8]
     assert crowd.entered.tolist() == [False, True, False]
     assert crowd.left.tolist() == [False, False, True]
-    words = "1 gap where one person became two (person 7 after 1.2 s, then 8)"
+    words = "1 gap where a person was split into two (person 7 after 1.2 s, now person 8)"
     assert crowd.provenance["notes"]["mended"] == words
 
 
@@ -149,7 +149,7 @@ def test_nothing_to_mend_is_told_and_changes_nothing(tmp_path: Path, capsys: Pri
     assert read(path, gaps="split").provenance == read(path).provenance
     asked = ["data", "import", "walk", "--source", str(path), *OPTIONS, "--gaps", "split"]
     assert main(asked) == 0
-    assert "nothing, all is whole" in capsys.readouterr().out
+    assert "nothing; no faults found" in capsys.readouterr().out
 
 
 def test_the_same_file_mended_otherwise_is_another_recording(
@@ -167,7 +167,11 @@ def test_the_same_file_mended_otherwise_is_another_recording(
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("walk", "none imported by that name"), ("../up", "the name '../up'"), ("eth", "none imp")],
+    [
+        ("walk", "no imported recording of that name"),
+        ("../up", "the name '../up'"),
+        ("eth", "no imported recording"),
+    ],
 )
 def test_what_is_not_imported_cannot_be_removed(name: str, message: str, capsys: Printed) -> None:
     assert main(["data", "remove", name]) == 2
@@ -178,7 +182,7 @@ def test_times_that_are_not_those_of_their_frames_name_the_row(tmp_path: Path) -
     path = tmp_path / "walk.csv"
     rows = [f"3,{k},{0.4 * k + 0.1:.1f},{0.4 * k:.1f},0" for k in range(9)]
     path.write_text("\n".join(["person_id,frame,time_s,x,y", *rows]))
-    with pytest.raises(RecordingError, match=r"person 3 in frame 0 at 0.1 s.*--offset-s 0.1 lets"):
+    with pytest.raises(RecordingError, match=r"person 3 in frame 0 at 0.1 s.*--offset-s 0.1 to"):
         read(path)
     assert read(path, offset_s=0.1).frames == 9
 
@@ -187,15 +191,15 @@ def test_frames_of_a_video_are_no_gaps(tmp_path: Path) -> None:
     path = tmp_path / "walk.csv"
     rows = [f"3,{10 * k},{0.4 * k:.1f},0" for k in range(9)]
     path.write_text("\n".join(["person_id,frame,x,y", *rows]))
-    with pytest.raises(RecordingError, match=r"mostly 10 frames apart.*Correct the numbers"):
+    with pytest.raises(RecordingError, match=r"mostly 10 frames apart.*Correct the frame numbers"):
         read(path, gaps="interpolate")
 
 
 @pytest.mark.parametrize(
     ("layout", "asked", "message"),
     [
-        ("obsmat", {"offset_s": 0.04}, "frames are numbered; expected csv"),
-        ("forum", {"gaps": "split"}, "walk on straight wherever rows are missing"),
+        ("obsmat", {"offset_s": 0.04}, "frames are numbered; expected the format csv"),
+        ("forum", {"gaps": "split"}, "missing rows are always interpolated"),
     ],
 )
 def test_options_that_nothing_answers_to_are_refused(
@@ -222,13 +226,13 @@ LIFE = st.tuples(
 )
 
 
-@given(lives=st.lists(LIFE, min_size=1, max_size=5), gaps=st.sampled_from(GAPS))
+@given(trips=st.lists(LIFE, min_size=1, max_size=5), gaps=st.sampled_from(GAPS))
 def test_what_is_mended_stands_on_the_ways_that_were_seen(
-    lives: list[tuple[int, list[str]]], gaps: Gaps
+    trips: list[tuple[int, list[str]]], gaps: Gaps
 ) -> None:
     """People who walk at constant speed do so after it; nobody is seen earlier, later or twice."""
     rows = [(9, k, 0.0) for k in range(200)]
-    for person, (start, states) in enumerate(lives):
+    for person, (start, states) in enumerate(trips):
         for k, state in enumerate(["there", *states, "there"]):
             if state != "missing":
                 rows.append((person, start + k, 0.3 * (state == "late")))
@@ -240,7 +244,7 @@ def test_what_is_mended_stands_on_the_ways_that_were_seen(
     np.testing.assert_allclose(found.xy[:, 0], found.frame * (1 + mine), atol=1e-9)
     crowd = found.crowd(scene="here", dt_s=0.4, where="here")
     assert len(crowd.xy) == len(found.xy)  # nobody is there twice, and nothing more is filled
-    for p in range(len(lives)):
+    for p in range(len(trips)):
         seen, known = np.sort(found.frame[mine == p]), np.sort(frame[person == p])
         assert seen[0] == known[0]
         assert seen[-1] == known[-1]
@@ -248,5 +252,5 @@ def test_what_is_mended_stands_on_the_ways_that_were_seen(
         assert (seen.tolist() == whole) or gaps == "split"
         missing = set(whole) - set(seen.tolist())
         assert missing <= set(whole) - set(known[by[person == p] == 0].tolist())
-    faults = (by > 0).any() or any("missing" in states for _, states in lives)
+    faults = (by > 0).any() or any("missing" in states for _, states in trips)
     assert ("mended" in found.notes) == faults

@@ -64,14 +64,18 @@ BROKEN = {
     "text": (line(0, 1) + line(6, 1, "left"), "left", "numbers in each row"),
     "header": ("frame id x z y vx vz vy\n" + line(0, 1), "frame", "numbers in each row"),
     "comment": (line(0, 1) + "# 1 2 3 4 5 6 7\n", "#", "numbers in each row"),
-    "nan": (line(0, 1) + line(6, 1, "nan"), "not finite, the first at person 1", "finite x and y"),
-    "inf": (line(0, 1, 1, "-inf"), "not finite, the first at person 1", "finite x and y"),
+    "nan": (line(0, 1) + line(6, 1, "nan"), "not finite, the first for person 1", "finite x and y"),
+    "inf": (line(0, 1, 1, "-inf"), "not finite, the first for person 1", "finite x and y"),
     "nan frame": (line(0, 1) + line("nan", 1), "frame nan in row 2", "a whole number"),
     "half frame": (line(0, 1) + line(6.5, 1), "frame 6.5 in row 2", "a whole number"),
     "huge frame": (line("1e300", 1), "frame 1e+300 in row 1", "a whole number"),
     "half person": (line(0, 1.5), "person 1.5 in row 1", "a whole number"),
-    "duplicate": (line(0, 1) + line(6, 1) * 2, "person 1 twice in frame 6", "one row per person"),
-    "hole": (line(0, 1) + line(6, 1) + line(18, 1), "1 of 2 steps", "each person every 6 frames"),
+    "duplicate": (line(0, 1) + line(6, 1) * 2, "person 1 twice at frame 6", "one row per person"),
+    "hole": (
+        line(0, 1) + line(6, 1) + line(18, 1),
+        "1 of 2 intervals",
+        "a row of each person every 6",
+    ),
 }
 
 

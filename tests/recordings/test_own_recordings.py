@@ -71,13 +71,13 @@ def test_a_time_step_that_contradicts_the_file_is_refused(
 def test_a_wrong_time_step_of_a_table_shows_in_the_speeds(
     yard: Trajectories, tmp_path: Path
 ) -> None:
-    with pytest.raises(RecordingError, match=r"faster than .* m/s; expected 0.2 to 3 m/s"):
+    with pytest.raises(RecordingError, match=r"walking speed of .* m/s; expected 0.2 to 3 m/s"):
         read(yard, "csv", tmp_path, dt_s=0.04)
 
 
 def test_centimetres_show_in_the_speeds(yard: Trajectories, tmp_path: Path) -> None:
     large = replace(yard, xy=(yard.xy * 100).astype(np.float32))
-    with pytest.raises(RecordingError, match="Positions must be metres"):
+    with pytest.raises(RecordingError, match="Positions must be in metres"):
         read(large, "csv", tmp_path)
 
 
@@ -92,7 +92,7 @@ def test_rows_every_twentieth_of_a_second_are_thinned_out() -> None:
     assert thin.first.tolist() == [0, 1]
     assert thin.spawn_s.tolist() == pytest.approx([0.0, 0.3])
     assert thin.entered.tolist() == [False, True]
-    assert "every 0.05 s, of which each 8th is kept" in thin.provenance["notes"]["rows"]
+    assert "every 0.05 s, of which 1 in 8 is kept" in thin.provenance["notes"]["rows"]
     assert thin.provenance["notes"]["left out"].startswith("1 persons")
 
 
@@ -122,7 +122,7 @@ def test_a_table_that_crowdbench_wrote_is_taken_as_it_is(
 
 def test_an_own_recording_is_found_by_its_name(yard: Trajectories, tmp_path: Path) -> None:
     path = made_up.write(yard, "csv", tmp_path)
-    with pytest.raises(SettingError, match=r"or your own.*data import NAME"):
+    with pytest.raises(SettingError, match=r"name of an imported recording.*data import NAME"):
         recording("yard")
     crowd = import_own("yard", path, "csv", 0.4)
     np.testing.assert_array_equal(recording("yard").xy, crowd.xy)
@@ -132,14 +132,14 @@ def test_an_own_recording_is_found_by_its_name(yard: Trajectories, tmp_path: Pat
 def test_another_recording_of_that_name_is_refused(yard: Trajectories, tmp_path: Path) -> None:
     import_own("yard", made_up.write(yard, "csv", tmp_path), "csv", 0.4)
     other = replace(yard, xy=yard.xy + np.float32(1))
-    with pytest.raises(SettingError, match="another one that is imported by that name"):
+    with pytest.raises(SettingError, match="another imported recording of that name"):
         import_own("yard", made_up.write(other, "csv", tmp_path), "csv", 0.4)
     assert recording("yard").xy.max() == yard.xy.max()
 
 
 @pytest.mark.parametrize("name", ["eth", "plaza", "forum-14jul", "../up", "Yard", ""])
 def test_names_that_are_not_the_users_to_give(name: str, tmp_path: Path) -> None:
-    with pytest.raises(SettingError, match="a name of your own"):
+    with pytest.raises(SettingError, match="a new name of lower-case letters"):
         import_own(name, tmp_path / "nothing.csv", "csv", 0.4)
 
 

@@ -58,6 +58,7 @@ def card_of(*entries: PairResult, protocol: str = "full", rollouts: int = 30) ->
         rollouts=rollouts,
         resamples=RESAMPLES,
         scored=list(ETH.protocol.scored),
+        gate=ETH.gate,
         scale=read_anchors(ETH).protocols[protocol],
         entries=list(entries),
     )
@@ -190,13 +191,13 @@ def test_each_metric_has_its_definition_its_distances_and_its_scores(scored: str
                 (line, *_) = [r for r in found if r.startswith(metric.name.replace("_", " "))]
                 assert f"d {entry.metrics[metric.name].distance:.3f}" in line
     (gaps,) = [r for r in found if r.startswith("inter spawnscored")]
-    assert "Gaps between consecutive arrivals of the whole scene." in gaps
+    assert "Gaps between consecutive arrivals in the whole scene." in gaps
 
 
 def test_burstiness_and_memory_are_shown_of_the_crowds_that_were_drawn(scored: str) -> None:
     (line,) = [r for r in parsed(scored).rows if r.startswith("burstiness")]
     # recorded, the two pairs that have rollouts, and the one that has none
-    assert re.fullmatch(r".*show\.0\.\d\d(−?0\.\d\d){2}–\s*", line)
+    assert re.fullmatch(r".*pictures\.0\.\d\d(−?0\.\d\d){2}–\s*", line)
 
 
 def test_crowds_that_cannot_be_told_apart_are_marked(crowds: Crowds, tmp_path: Path) -> None:
@@ -204,7 +205,8 @@ def test_crowds_that_cannot_be_told_apart_are_marked(crowds: Crowds, tmp_path: P
     html = page(card_of(same, msgspec.structs.replace(same, spawn="twin")), crowds, tmp_path)
     for name in ("poisson-gmm × straight", "twin × straight"):
         assert row_of(html, name).startswith("1\u202f=")
-    assert "not to be told apart" in html
+    assert "Rank 1: <b>poisson-gmm × straight</b>" in html
+    assert "; <b>twin × straight</b>" in html
 
 
 def test_without_a_recording_walking_reads_needs_recording(crowds: Crowds, tmp_path: Path) -> None:
@@ -226,7 +228,7 @@ def test_a_single_crowd_without_scores(crowds: Crowds, tmp_path: Path) -> None:
 
 def test_a_scene_without_scored_metrics(crowds: Crowds, tmp_path: Path) -> None:
     card = msgspec.structs.replace(card_of(anchor("poisson-gmm", "straight")), scored=[])
-    assert "No metric of this scene counts yet" in page(card, crowds, tmp_path)
+    assert "No metric of this scene is scored yet" in page(card, crowds, tmp_path)
 
 
 def test_only_recorded_arrivals(crowds: Crowds, tmp_path: Path) -> None:

@@ -122,7 +122,7 @@ def test_situations_are_what_they_are_called() -> None:
 def test_little_that_was_observed_has_no_situations() -> None:
     for observed in ([[0, 149]], [[0, 40], [60, 100]]):
         short = replace(crowd([(3, 0, 1)]), observed=np.array(observed))
-        with pytest.raises(RecordingError, match="windows over 60 s or more"):
+        with pytest.raises(RecordingError, match="windows from 60 s or more"):
             draw_situations(load_scene("eth-v0"), AREAS, short, {"any": [short]}, "anyone")
 
 

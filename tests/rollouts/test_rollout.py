@@ -178,7 +178,7 @@ def test_a_replayed_recording_keeps_its_persons(
 
 EXCEPTIONS = {
     # A record of one frame (a life has two), and a path through a tree.
-    "hotel-v0": {"leave in another frame (a life has two frames at least)": 1, "meet a wall": 1},
+    "hotel-v0": {"leave in another frame (a trip has at least two frames)": 1, "meet a wall": 1},
     "forum-v0": {},
     "zara1-v0": {},
 }

@@ -27,9 +27,9 @@ from crowdbench.errors import (
     WeightsError,
 )
 from crowdbench.registry import recording
-from crowdbench.scene import Scene, load_scene, write_scored
+from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building import check_scene, create, create_scene, rules
-from crowdbench.scene_building.toml import scene_toml
+from crowdbench.scene_building.toml import scene_toml, write_scored
 from crowdbench.scoring.reference import read_reference
 from crowdbench.trajectories.table import Trajectories
 
@@ -111,8 +111,8 @@ def test_a_scene_without_the_default_spawn_model_says_what_else_it_has(made: Mad
         crowdbench.parallel_env(made.scene.folder)
     assert caught.value.expected == "the scene's fits of ntpp-gmm"
     assert "needs torch" in caught.value.hint
-    assert caught.value.hint.endswith("it has: poisson-gmm, poisson-groups, renewal-gmm.")
-    assert 'on this scene say spawn="renewal-gmm"' in made.out
+    assert caught.value.hint.endswith("spawn model: poisson-gmm, poisson-groups, renewal-gmm.")
+    assert 'pass spawn="renewal-gmm"' in made.out
     assert crowdbench.parallel_env(made.scene.folder, spawn="renewal-gmm").reset(seed=0)
 
 
@@ -148,8 +148,8 @@ def test_what_is_written_of_a_scene_is_read_again(tmp_path: Path) -> None:
 def test_it_tells_times_and_what_was_left_out(made: Made) -> None:
     for step in ("read", "fits", "power study", "anchors", "pictures"):
         assert any(line.startswith(step) and line.endswith(" s") for line in made.out.splitlines())
-    assert "left out: no torch" in made.out
-    assert "fano 60 s: time blocks are too short for it" in made.out
+    assert "left out: fitting needs torch" in made.out
+    assert "fano 60 s: the time blocks are too short" in made.out
     assert "crowdbench evaluate yard-v0 --spawn renewal-gmm" in made.out
 
 
@@ -181,14 +181,14 @@ def test_a_folder_here_is_found_by_its_name(
     monkeypatch.chdir(made.scene.folder.parent)
     assert load_scene("yard-v0").title == "A yard"
     assert main(["scene", "check", "yard-v0"]) == 0
-    assert "yard is not imported: nothing was held against it" in capsys.readouterr().out
+    assert "yard is not imported: nothing was compared with it" in capsys.readouterr().out
 
 
 def test_nothing_is_wrong_with_it(at_home: Made) -> None:
     findings = {finding.part: finding for finding in check_scene(at_home.scene.folder)}
     assert all(finding.problem is None for finding in findings.values())
-    assert findings["ntpp-gmm"].state == "not there"
-    assert findings["recording"].state.endswith("areas and statistics are its own")
+    assert findings["ntpp-gmm"].state == "missing (optional)"
+    assert findings["recording"].state.endswith("areas and statistics match")
 
 
 @pytest.mark.parametrize("name", ["eth-v0", "zara1-v0"])
@@ -223,12 +223,12 @@ def test_each_missing_file_is_told_once(copied: Path) -> None:
 
 def test_areas_of_another_clustering_are_told(copied: Path, at_home: Made) -> None:
     rewrite(copied / "scene.toml", "spawn_eps_m = 0.", "spawn_eps_m = 1.")
-    assert "areas.json: got other numbers" in problems(copied)["recording"]
+    assert "areas.json: got values that do not follow" in problems(copied)["recording"]
 
 
 def test_walls_where_people_walk_are_told(copied: Path, at_home: Made) -> None:
     wall = '[[walls]]\nname = "new"\ncorners_m = [[1.0, 1.0], [13.0, 1.0], [13.0, 4.0], [1.0, 4.0]]'
-    rewrite(copied / "scene.toml", "# A goal is", f"{wall}\n\n# A goal is")
+    rewrite(copied / "scene.toml", "[motion]", f"{wall}\n\n[motion]")
     assert (
         "of the recorded positions outside the bounds or in a wall"
         in (problems(copied)["recording"])
@@ -237,16 +237,16 @@ def test_walls_where_people_walk_are_told(copied: Path, at_home: Made) -> None:
 
 def test_another_recording_under_its_name_is_told(copied: Path, at_home: Made) -> None:
     rewrite(copied / "scene.toml", 'sha256 = "', 'sha256 = "0')
-    assert "Import the recording that the scene was made from" in problems(copied)["recording"]
+    assert "Import the recording from which the scene was created" in problems(copied)["recording"]
 
 
 def test_a_power_study_that_found_no_metric_is_no_problem(copied: Path) -> None:
     write_scored(load_scene(copied), [])
     told = {f.part: f for f in check_scene(copied)}["scored metrics"]
     assert told.problem is None
-    assert told.state == "none: no metric tells the anchor from the recording"
+    assert told.state == "none: no metric distinguishes the anchor from the recording"
     text = (copied / "scene.toml").read_text()
-    (copied / "scene.toml").write_text(text.replace("scored = [\n]\n", ""))
+    (copied / "scene.toml").write_text(text.replace("scored = []\n", ""))
     assert "no protocol.scored" in problems(copied)["scored metrics"]
 
 
@@ -275,9 +275,9 @@ def remains(folder: Path) -> list[str]:
 @pytest.mark.parametrize(
     ("asked", "error", "message"),
     [
-        ({"name": "Yard"}, SettingError, "small letters, digits and _, then -v0"),
+        ({"name": "Yard"}, SettingError, "lower-case letters, digits and _, followed by -v0"),
         ({"name": "eth-v0"}, SettingError, "a scene that comes with crowdbench"),
-        ({"name": "plaza-v1"}, SettingError, "a name of your own"),
+        ({"name": "plaza-v1"}, SettingError, "a new name of lower-case letters"),
         ({"fits": 0}, SettingError, "--fits: got 0; expected 1 or more"),
         ({"rollouts_per_fit": 1}, SettingError, "expected 2 or more"),
         ({"dt_s": None}, RecordingError, "--dt-s SECONDS"),
@@ -312,7 +312,7 @@ def test_what_breaks_on_the_way_leaves_nothing(
 def test_a_folder_that_is_there_is_not_touched(yard: Trajectories, tmp_path: Path) -> None:
     (tmp_path / "new-v0").mkdir()
     (tmp_path / "new-v0" / "mine.txt").write_text("mine")
-    with pytest.raises(OutputError, match="something that is there already"):
+    with pytest.raises(OutputError, match="a path that exists already"):
         attempt(tmp_path, yard)
     assert [path.name for path in (tmp_path / "new-v0").iterdir()] == ["mine.txt"]
 
@@ -320,7 +320,7 @@ def test_a_folder_that_is_there_is_not_touched(yard: Trajectories, tmp_path: Pat
 def test_walls_that_people_walk_through_are_refused(yard: Trajectories, tmp_path: Path) -> None:
     walls = tmp_path / "walls.wkt"
     walls.write_text("POLYGON ((1 1, 13 1, 13 4, 1 4, 1 1))")
-    with pytest.raises(SceneError, match=r"walls\.wkt: got walls in which \d+.\d%"):
+    with pytest.raises(SceneError, match=r"walls\.wkt: got walls that contain \d+.\d%"):
         attempt(tmp_path, yard, walls=walls)
 
 
@@ -360,7 +360,7 @@ def test_people_who_start_all_over_the_place_are_no_areas() -> None:
     rng = np.random.default_rng(0)
     xy = rng.uniform(0, 200, (80, 2))
     crowd = crowd_of([(2 * k + 1, 2 * k + 2) for k in range(40)], frames=200, dt_s=0.4, xy=xy)
-    with pytest.raises(RecordingError, match="Tracks may be cut into pieces"):
+    with pytest.raises(RecordingError, match="Tracks may be fragmented"):
         rules.clustering_of(crowd, "here")
 
 

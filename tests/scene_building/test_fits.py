@@ -11,14 +11,15 @@ from msgspec import structs
 from crowdbench import registry
 from crowdbench.errors import SettingError
 from crowdbench.recordings.catalogue import SOURCES, read_published
-from crowdbench.registry import FITTED, blocks_of, recording, spawn_model
+from crowdbench.registry import FITTED, recording, spawn_model
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building.fit import fit_scene
 from crowdbench.spawn import Arrivals, NtppGMM, arrivals_of, fit_areas, ntpp_training
 from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.ntpp import SHAPES
 from crowdbench.spawn.ntpp_training import Settings
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.table import Trajectories
 
 PLAZA, ETH = load_scene("plaza-v0"), load_scene("eth-v0")
@@ -27,7 +28,7 @@ FRAMES = 25
 
 
 class Case:
-    """A scene with its recording, and the arrivals that each part was fitted to."""
+    """A scene with its recording, and the arrivals that each split was fitted to."""
 
     def __init__(self, scene: Scene, crowd: Trajectories) -> None:
         self.scene = scene
@@ -35,8 +36,8 @@ class Case:
         self.blocks = blocks_of(self.crowd, scene)
         self.areas = len(read_areas(scene).spawn)
 
-    def arrivals(self, part: str, scored: bool = False) -> Arrivals:
-        blocks = self.blocks.scored(part) if scored else self.blocks.training(part)
+    def arrivals(self, split: str, scored: bool = False) -> Arrivals:
+        blocks = self.blocks.scored(split) if scored else self.blocks.training(split)
         return arrivals_of(self.crowd, blocks, self.areas)
 
 
@@ -56,15 +57,15 @@ def case(request: pytest.FixtureRequest) -> Case:
     return found
 
 
-@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("split", SPLITS)
 @pytest.mark.parametrize("name", FITTED)
 def test_samples_have_the_recorded_persons_per_minute_and_area_from_the_first_frames_on(
-    case: Case, name: str, part: str
+    case: Case, name: str, split: str
 ) -> None:
-    arrivals, scene = case.arrivals(part), case.scene
+    arrivals, scene = case.arrivals(split), case.scene
     count, early, samples = np.zeros(case.areas), 0, 0
     for fit in range(FITS):
-        model = spawn_model(name, scene, part, fit)
+        model = spawn_model(name, scene, split, fit)
         for seed in range(20):
             events = model.sample(scene.horizon_s, scene, np.random.default_rng([fit, seed]))
             count += np.bincount(events.spawn_area, minlength=case.areas)
@@ -85,21 +86,21 @@ def test_samples_have_the_recorded_persons_per_minute_and_area_from_the_first_fr
 
 @pytest.mark.parametrize("name", ["poisson-groups", "renewal-gmm", "ntpp-gmm"])
 def test_fits_explain_what_they_have_not_seen_better_than_poisson(case: Case, name: str) -> None:
-    for part in PARTS[1:]:
-        held_out = case.arrivals(part, scored=True)
-        poisson = spawn_model("poisson-gmm", case.scene, part).log_likelihood(held_out)
+    for split in SPLITS[1:]:
+        held_out = case.arrivals(split, scored=True)
+        poisson = spawn_model("poisson-gmm", case.scene, split).log_likelihood(held_out)
         for fit in range(FITS):
-            found = spawn_model(name, case.scene, part, fit).log_likelihood(held_out)
+            found = spawn_model(name, case.scene, split, fit).log_likelihood(held_out)
             assert found > poisson + 0.4
 
 
-@pytest.mark.parametrize(("part", "seed"), [("full", 0), ("fold1", 3)])
-def test_another_training_gives_the_shipped_likelihood(case: Case, part: str, seed: int) -> None:
+@pytest.mark.parametrize(("split", "seed"), [("full", 0), ("fold1", 3)])
+def test_another_training_gives_the_shipped_likelihood(case: Case, split: str, seed: int) -> None:
     # Torch's last bits differ between machines, and training amplifies them a little.
-    arrivals = case.arrivals(part)
+    arrivals = case.arrivals(split)
     areas = read_areas(case.scene)
     again = ntpp_training.fit(arrivals, areas, case.scene, seed=seed)
-    shipped = spawn_model("ntpp-gmm", case.scene, part, seed)
+    shipped = spawn_model("ntpp-gmm", case.scene, split, seed)
     assert again.log_likelihood(arrivals) == pytest.approx(
         shipped.log_likelihood(arrivals), abs=0.005
     )
@@ -113,11 +114,11 @@ def test_the_fits_of_a_part_differ() -> None:
 
 
 def test_a_fold_is_fitted_without_its_scored_blocks(plaza: Case) -> None:
-    # The rate of each part is that of its own training blocks.
-    for part in PARTS:
-        arrivals = plaza.arrivals(part)
+    # The rate of each split is that of its own training blocks.
+    for split in SPLITS:
+        arrivals = plaza.arrivals(split)
         count = np.bincount(arrivals.area, minlength=plaza.areas)
-        model = registry.spawn_model("poisson-gmm", PLAZA, part)
+        model = registry.spawn_model("poisson-gmm", PLAZA, split)
         np.testing.assert_allclose(model.rate, count / arrivals.exposure_s())  # type: ignore[union-attr]
 
 
@@ -144,8 +145,8 @@ def test_neural_fits_are_made_for_every_part_and_told_of(
     assert told == [(k, 8) for k in range(9)]
     assert "nats per person" in found["ntpp-gmm"]
     place, areas = replace(PLAZA, folder=tmp_path), read_areas(PLAZA)
-    for part in PARTS:
-        one, two, round_again = (NtppGMM.read(place, areas, part, k) for k in range(3))
+    for split in SPLITS:
+        one, two, round_again = (NtppGMM.read(place, areas, split, k) for k in range(3))
         assert not np.array_equal(one.weights["base"], two.weights["base"])
         assert all(np.array_equal(one.weights[n], round_again.weights[n]) for n in SHAPES)
 
@@ -179,6 +180,6 @@ def test_without_torch_nothing_is_done_and_the_way_out_is_said(
 
 def test_models_that_nobody_fits_are_refused(plaza: Case, tmp_path: Path) -> None:
     with pytest.raises(
-        SettingError, match="some of poisson-gmm, poisson-groups, renewal-gmm, ntpp-gmm"
+        SettingError, match="one or more of poisson-gmm, poisson-groups, renewal-gmm, ntpp-gmm"
     ):
         fit_scene(PLAZA, plaza.crowd, out=tmp_path, models=["replay"])

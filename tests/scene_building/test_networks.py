@@ -12,7 +12,7 @@ from crowdbench.scene_building.spawn_diagnostics import Networks, trained_networ
 from crowdbench.spawn import NtppGMM
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.ntpp import SHAPES
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.blocks import SPLITS
 
 ROOT = Path(__file__).parents[2]
 SCENES = list_scenes()
@@ -26,7 +26,7 @@ def found() -> dict[str, Networks]:
 
 
 def heldout(networks: Networks) -> str:
-    fits_and_folds = len(networks.heldout) * (len(PARTS) - 1)
+    fits_and_folds = len(networks.heldout) * (len(SPLITS) - 1)
     return f"{sum(networks.heldout)} of {fits_and_folds * networks.areas}"
 
 
@@ -48,7 +48,7 @@ def test_the_page_of_results_has_those_of_eth(found: dict[str, Networks]) -> Non
     eth, page = found["eth-v0"], " ".join((ROOT / "docs" / "results.md").read_text().split())
     (trained,) = set(eth.full)
     assert f"a trained network in only {trained} of {eth.areas} areas" in page
-    assert f"where {eth.constant:.0%}".replace("%", " % of the persons enter") in page
+    assert f"where {eth.constant:.0%}".replace("%", " % of the people enter") in page
 
 
 @pytest.mark.parametrize("name", WITH_NTPP)
@@ -69,10 +69,10 @@ def test_entries_count_what_was_learned(name: str) -> None:
     for scene in declared.scenes:
         place = load_scene(scene)
         areas, network = read_areas(place), place.folder / "policies" / declared.shipped_policy
-        for part in PARTS[1:]:
-            fits = [NtppGMM.read(place, areas, part, k) for k in range(place.protocol.fits)]
+        for split in SPLITS[1:]:
+            fits = [NtppGMM.read(place, areas, split, k) for k in range(place.protocol.fits)]
             fits = fits if declared.shipped_spawn else []
-            walker = network / f"{part}.onnx"
+            walker = network / f"{split}.onnx"
             own = _parameters(walker) if walker.is_file() else 0
             counts.append(own + sum(fit.learned() for fit in fits))
     assert declared.training.parameters == max(counts)

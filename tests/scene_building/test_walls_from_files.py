@@ -84,10 +84,10 @@ def test_holes_stay_free(tmp_path: Path) -> None:
         ("POLYGON EMPTY", "got no wall"),
         ("a wall", "expected GeoJSON or WKT"),
         ("{", "expected valid GeoJSON"),
-        ({"type": "FeatureCollection"}, "a FeatureCollection that is broken"),
-        ({"type": "Feature", "geometry": None}, "broken"),
-        ({"type": "Polygon", "coordinates": [[1, 2]]}, "a Polygon that is broken"),
-        ({"walls": []}, "a thing without a type that is broken"),
+        ({"type": "FeatureCollection"}, "an invalid FeatureCollection"),
+        ({"type": "Feature", "geometry": None}, "an invalid object"),
+        ({"type": "Polygon", "coordinates": [[1, 2]]}, "an invalid Polygon"),
+        ({"walls": []}, "an invalid object without a type"),
     ],
 )
 def test_what_is_no_wall_is_refused(tmp_path: Path, content: object, message: str) -> None:
@@ -96,5 +96,5 @@ def test_what_is_no_wall_is_refused(tmp_path: Path, content: object, message: st
 
 
 def test_a_file_that_is_missing_is_told(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"no such file.*Name a file of polygons"):
+    with pytest.raises(SceneError, match=r"no such file.*Use a file of polygons"):
         read_walls(tmp_path / "nowhere.geojson", BOUNDS)

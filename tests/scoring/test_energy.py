@@ -13,7 +13,17 @@ from scipy.spatial.distance import cdist
 from crowdbench.metrics import METRICS, AgentsOverTime, Autocorrelation, FanoFactor10, Statistics
 from crowdbench.scoring.energy import RESAMPLES, Draws, Energy, FloorDraws, energy, floor
 from crowdbench.scoring.l1_kernel import l1_distances
-from crowdbench.scoring.score import Score, combined, family_scores, overall, ranks, score_of
+from crowdbench.scoring.score import (
+    Score,
+    combined,
+    crowd_score,
+    family_scores,
+    overall_score,
+    ranks,
+    score_of,
+    total_score,
+    walk_score,
+)
 from crowdbench.trajectories.blocks import TimeBlocks, cut
 
 N = AgentsOverTime()
@@ -286,14 +296,42 @@ def test_families_are_means_of_their_scored_metrics():
     assert {f: s.value for f, s in families.items()} == {"arrivals": pytest.approx(0.4)}
 
 
-def test_the_overall_score_is_the_mean_of_families_not_of_metrics():
+def test_the_overall_score_is_the_mean_of_crowd_and_walk():
     families = {"arrivals": flat_score(0.0), "space": flat_score(1.0), "motion": flat_score(0.8)}
-    crowd, whole = overall(families, walk=False), overall(families, walk=True)
+    crowd, walk = crowd_score(families), walk_score(families, passes=True)
+    whole = overall_score(crowd, walk)
     assert crowd is not None
     assert whole is not None
     assert crowd.value == pytest.approx(0.5)
-    assert whole.value == pytest.approx(0.6)
+    assert whole.value == pytest.approx(0.65)
+    assert overall_score(crowd, None) is None
     assert combined([]) is None
+
+
+def test_walk_is_the_lesser_of_its_families_in_each_resample():
+    families = {"motion": flat_score(0.8, 0.5, 1), "interaction": flat_score(0.6, 0.5, 2)}
+    walk = walk_score(families, passes=True)
+    assert walk is not None
+    assert walk.value == 0.6
+    both = np.stack([score.resampled for score in families.values()])
+    np.testing.assert_array_equal(walk.resampled, both.min(axis=0))
+    assert walk_score({"space": flat_score(0.5)}, passes=True) is None
+
+
+@pytest.mark.parametrize(("value", "gated"), [(0.7, 0.0), (-0.4, -0.4)])
+def test_beyond_the_gate_walk_is_at_most_0(value: float, gated: float):
+    families = {"motion": flat_score(0.9), "interaction": flat_score(value, 0.5)}
+    walk = walk_score(families, passes=False)
+    assert walk is not None
+    assert walk.value == gated
+    assert walk.resampled.max() <= 0
+
+
+def test_a_total_is_of_what_there_is():
+    crowd = {"arrivals": flat_score(0.2), "space": flat_score(0.6)}
+    walk = {"motion": flat_score(0.9), "interaction": flat_score(0.7)}
+    totals = [total_score(f, passes=True) for f in (crowd, walk, crowd | walk, {})]
+    assert [t and round(t.value, 6) for t in totals] == [0.4, 0.7, 0.55, None]
 
 
 def flat_score(value: float, spread: float = 0.0, seed: int = 0) -> Score:

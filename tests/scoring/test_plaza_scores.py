@@ -14,7 +14,7 @@ from crowdbench.scoring.scorecard import Row, rows
 from crowdbench.spawn import PoissonGMM, arrivals_of
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.plaza import PlazaArrivals
-from crowdbench.trajectories.blocks import PARTS, TimeBlocks, cut
+from crowdbench.trajectories.blocks import SPLITS, TimeBlocks, cut
 from crowdbench.trajectories.table import Trajectories, from_rows
 
 pytestmark = pytest.mark.long
@@ -39,7 +39,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Row]:
     return {row.spawn: row for row in rows(card) if row.kind == "entry"}
 
 
-@pytest.mark.parametrize("family", ["arrivals", "presence", "lives", "space"])
+@pytest.mark.parametrize("family", ["arrivals", "presence", "trips", "space"])
 def test_the_true_process_scores_one_within_its_interval(table: dict[str, Row], family: str):
     score = table[TRUTH].families[family]
     low, high = score.interval
@@ -114,12 +114,12 @@ def held_out() -> dict[str, dict[str, float]]:
         for seed in range(12):
             y = crowd(*of_truth(np.random.default_rng([seed, 0])))
             blocks = cut(np.array([[0, FRAMES]]), block_s=60.0, dt_s=0.4, grid_s=0.4)
-            for part in PARTS[1:]:
-                made = (of_truth, permuted(y, blocks.training(part)), poisson(y, blocks))
+            for split in SPLITS[1:]:
+                made = (of_truth, permuted(y, blocks.training(split)), poisson(y, blocks))
                 for model, arrive in zip(models, made, strict=True):
                     rng = np.random.default_rng([seed, 1])
                     crowds = [crowd(*arrive(rng)) for _ in range(ROLLOUTS)]
-                    scored = blocks.scored(part)
+                    scored = blocks.scored(split)
                     for metric in ARRIVALS:
                         es = centre(metric, y, crowds, scored)
                         scores[model].setdefault(metric.name, []).append(es)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from msgspec import structs
@@ -21,6 +22,7 @@ from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building.fit import fit_scene
 from crowdbench.scoring.reference import Reference, place_of, read_reference, write_reference
+from crowdbench.scoring.scorecard import files_of, read_anchors
 from crowdbench.spawn import fit_areas
 from crowdbench.spawn.areas import read_areas
 from crowdbench.trajectories.table import Trajectories
@@ -159,7 +161,9 @@ def test_an_unknown_clustering_is_refused(tmp_path: Path, plaza: Trajectories) -
 def test_places_that_the_paper_did_not_use_have_no_settings_of_its(
     name: str, tmp_path: Path, plaza: Trajectories
 ) -> None:
-    with pytest.raises(SettingError, match=r"got 'paper'.*known for eth-v0, gc-v0 and forum-v0"):
+    with pytest.raises(
+        SettingError, match=r"got 'paper'.*settings exist for eth-v0, gc-v0 and forum-v0"
+    ):
         fit_scene(load_scene(name), plaza, clustering="paper", out=tmp_path)
 
 
@@ -176,7 +180,7 @@ def test_bounds_that_cut_the_recording_are_refused(tmp_path: Path, plaza: Trajec
 
 def test_a_fit_that_cannot_be_written_says_so(tmp_path: Path, plaza: Trajectories) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="a place that can be written"):
+    with pytest.raises(OutputError, match="a writable location"):
         fit_scene(PLAZA, plaza, out=tmp_path / "file" / "out")
 
 
@@ -195,20 +199,21 @@ BROKEN: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "another schema": (lambda f: f.update(schema=1), "schema 1"),
     "a field too many": (lambda f: f.update(note="mine"), "note"),
     "a field too few": (lambda f: f.pop("opens"), "opens"),
-    "without a metric": (lambda f: f["statistics"].pop("dwell"), "dwell with nothing"),
+    "without a scored metric": (
+        lambda f: f["statistics"].pop("inter_spawn"), "inter_spawn with nothing"
+    ),
     "without a histogram": (lambda f: f["statistics"]["dwell"].pop("ended"), "dwell with cens"),
-    "without a block": (lambda f: f["blocks"].pop(), "expected 16 blocks"),
+    "without a block": (lambda f: f["blocks"].pop(), "expected 16, one per block"),
     "without any block": (lambda f: f.update(blocks=[], opens=[]), "length"),
     "with a block less": (
         lambda f: gaps_of(f).pop(), r"\[16, 17\] blocks"
     ),
     "with a negative value": (lambda f: first_gaps(f).append([-3, 5]), ">= 0"),
-    "with a negative count": (lambda f: first_gaps(f).append([3, -5]), ">= 0"),
     "with a value out of all proportion": (lambda f: first_gaps(f).append([10**12, 1]), "int"),
     "with half a count": (lambda f: first_gaps(f).append([3, 0.5]), "int"),
-    "with blocks in disorder": (lambda f: f["blocks"].reverse(), "ascending blocks"),
+    "with blocks in disorder": (lambda f: f["blocks"].reverse(), "in ascending order"),
     "of other areas": (lambda f: f.update(spawn_areas=3), "3 spawn and 5 goal areas"),
-    "with an empty block": (lambda f: f["blocks"].__setitem__(0, [0, 0]), "ascending blocks"),
+    "with an empty block": (lambda f: f["blocks"].__setitem__(0, [0, 0]), "in ascending order"),
 }  # fmt: skip
 
 
@@ -221,6 +226,35 @@ def test_broken_statistics_are_refused(what: str, tmp_path: Path) -> None:
     shutil.copy(ETH.folder / "areas.json", tmp_path)
     with pytest.raises(WeightsError, match=rf"{message}.*Run `crowdbench fit "):
         read_reference(replace(ETH, folder=tmp_path))
+
+
+def test_a_metric_that_is_newer_than_the_statistics_is_left_out(tmp_path: Path) -> None:
+    assert "dwell" not in ETH.protocol.scored
+    file = json.loads((ETH.folder / "reference.json").read_text())
+    del file["statistics"]["dwell"]
+    (tmp_path / "reference.json").write_text(json.dumps(file))
+    shutil.copy(ETH.folder / "areas.json", tmp_path)
+    reference = read_reference(replace(ETH, folder=tmp_path))
+    assert set(reference.statistics) == set(read_reference(ETH).statistics) - {"dwell"}
+
+
+@pytest.mark.parametrize(("metric", "counts"), [("dwell", False), ("inter_spawn", True)])
+def test_anchors_and_entries_depend_on_scored_statistics_alone(
+    metric: str, counts: bool, tmp_path: Path
+) -> None:
+    folder = tmp_path / "eth-v0"
+    shutil.copytree(ETH.folder, folder, ignore=shutil.ignore_patterns("policies"))
+    file = json.loads((folder / "reference.json").read_text())
+    columns, rows = next(iter(file["statistics"][metric].values()))
+    rows[0].append([columns + 3, 1])
+    (folder / "reference.json").write_bytes(msgspec.json.encode(file))
+    changed = load_scene(folder)
+    assert (files_of(changed) != files_of(ETH)) == counts
+    if counts:
+        with pytest.raises(WeightsError, match="crowdbench anchors"):
+            read_anchors(changed)
+    else:
+        assert read_anchors(changed).made_from == read_anchors(ETH).made_from
 
 
 def test_missing_statistics_say_how_to_make_them(tmp_path: Path) -> None:

@@ -210,9 +210,7 @@ def test_what_is_kept_of_ways_and_sights_changes_nothing(
     for stop, jumps in stops[1:]:
         for step in range(8):
             at = np.array(stop) if jumps else at + 0.06 * (np.array(stop) - at) + 1e-3 * step
-            target, beyond = routes.next_of(
-                nobody, nobody, nobody, at[None], np.array([goal], np.float64)
-            )
+            target, beyond = routes.next_of(nobody, nobody, at[None], np.array([goal], np.float64))
             found = [*target[0].tolist(), float(beyond[0])]
             assert found == next_by_hand(routes, segments, at, np.array(goal))
 

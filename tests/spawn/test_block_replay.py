@@ -114,7 +114,7 @@ def test_the_same_seed_plays_the_same_blocks(crowd: Trajectories) -> None:
 
 def test_it_has_no_likelihood(crowd: Trajectories) -> None:
     arrivals = Arrivals(np.array([1]), np.array([0]), np.array([[0, 4]]), 2, 0.4)
-    with pytest.raises(SettingError, match="a model that has one"):
+    with pytest.raises(SettingError, match="a model that has a likelihood"):
         model_of(crowd).log_likelihood(arrivals)
 
 

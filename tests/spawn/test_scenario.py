@@ -71,7 +71,7 @@ def test_a_file_is_the_same_as_python(tmp_path: Path) -> None:
         ("schema = 1", "", "missing required field `scene`"),
         (HEAD + "[[change]]\narea = 7", "change 1, area", "spawn area 7"),
         (HEAD + "[[change]]\narea = -1", "change 1, area", "spawn area -1"),
-        (CHANGE + "[[change]]\narea = 1", "change 2, area", "spawn area 1 again"),
+        (CHANGE + "[[change]]\narea = 1", "change 2, area", "spawn area 1 a second time"),
         (CHANGE + "factor = -0.5", "change 1 (area 1), factor", "-0.5"),
         (CHANGE + "factor = 101", "change 1 (area 1), factor", "101"),
         (CHANGE + "factor = nan", "change 1 (area 1), factor", "nan"),
@@ -125,7 +125,7 @@ def test_replayed_people_cannot_be_steered(tmp_path: Path) -> None:
     from given import Given
 
     nothing = Scenario(name="mine", scene="eth-v0")
-    with pytest.raises(SettingError, match="the spawn model given, which starts empty"):
+    with pytest.raises(SettingError, match="the spawn model given with start 'empty'"):
         spawn_model(Given(), ETH, scenario=nothing)
 
 

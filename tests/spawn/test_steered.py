@@ -42,7 +42,7 @@ def sample(model: SpawnModel, seed: int, horizon_s: float = HORIZON_S) -> SpawnE
 def same(one: SpawnEvents, other: SpawnEvents, *but: str) -> bool:
     """Whether they are equal to the last bit, these columns excepted."""
     names = [f.name for f in fields(SpawnEvents) if f.name not in but]
-    return all(np.array_equal(getattr(one, n), getattr(other, n)) for n in names)
+    return all(np.array_equal(getattr(one, n), getattr(other, n), equal_nan=True) for n in names)
 
 
 def of(events: SpawnEvents, area: int) -> SpawnEvents:

@@ -1,4 +1,4 @@
-"""Files with fits per part: read back as written, refused when broken, whatever the model."""
+"""Files with fits per split: read back as written, refused when broken, whatever the model."""
 
 import json
 from dataclasses import replace
@@ -14,7 +14,7 @@ from crowdbench.errors import SettingError, WeightsError
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import NtppGMM, PoissonGMM, PoissonGroups, RenewalGMM
 from crowdbench.spawn.ntpp import SHAPES
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.blocks import SPLITS
 
 ETH = load_scene("eth-v0")
 TRAINED = {"window_frames": 100, "learning_rate": 0.005}
@@ -23,37 +23,39 @@ FILES = ("poisson-gmm.json", "poisson-groups.json", "renewal-gmm.json", "ntpp-gm
 
 @pytest.fixture
 def place(tmp_path: Path) -> Scene:
-    """A scene with all files, each part and fit with numbers of its own."""
+    """A scene with all files, each split and fit with numbers of its own."""
     (tmp_path / "scene.toml").write_bytes((ETH.folder / "scene.toml").read_bytes())
     write_all(tmp_path)
     return load_scene(tmp_path)
 
 
 def write_all(folder: Path) -> None:
-    rates = {part: PoissonGMM(AREAS, np.array([0.5, 0.01 * k])) for k, part in enumerate(PARTS)}
-    PoissonGMM.write(folder, {part: [model] for part, model in rates.items()})
-    sizes = {part: groups(0.1 + 0.1 * k) for k, part in enumerate(PARTS)}
-    PoissonGroups.write(folder, {part: [model] for part, model in sizes.items()})
-    members = {part: renewal(0.1 + 0.1 * k) for k, part in enumerate(PARTS)}
-    RenewalGMM.write(folder, {part: [model] for part, model in members.items()})
+    rates = {split: PoissonGMM(AREAS, np.array([0.5, 0.01 * k])) for k, split in enumerate(SPLITS)}
+    PoissonGMM.write(folder, {split: [model] for split, model in rates.items()})
+    sizes = {split: groups(0.1 + 0.1 * k) for k, split in enumerate(SPLITS)}
+    PoissonGroups.write(folder, {split: [model] for split, model in sizes.items()})
+    members = {split: renewal(0.1 + 0.1 * k) for k, split in enumerate(SPLITS)}
+    RenewalGMM.write(folder, {split: [model] for split, model in members.items()})
     fits = {
-        part: [replace(random_ntpp(seed=10 * k + f), memory=77, settings=TRAINED) for f in range(2)]
-        for k, part in enumerate(PARTS)
+        split: [
+            replace(random_ntpp(seed=10 * k + f), memory=77, settings=TRAINED) for f in range(2)
+        ]
+        for k, split in enumerate(SPLITS)
     }
     NtppGMM.write(folder, fits)
 
 
-@pytest.mark.parametrize(("k", "part"), list(enumerate(PARTS)))
-def test_each_part_comes_back_as_it_was(place: Scene, k: int, part: str) -> None:
-    assert PoissonGMM.read(place, AREAS, part).rate.tolist() == [0.5, 0.01 * k]
-    back, written = RenewalGMM.read(place, AREAS, part), renewal(0.1 + 0.1 * k)
+@pytest.mark.parametrize(("k", "split"), list(enumerate(SPLITS)))
+def test_each_part_comes_back_as_it_was(place: Scene, k: int, split: str) -> None:
+    assert PoissonGMM.read(place, AREAS, split).rate.tolist() == [0.5, 0.01 * k]
+    back, written = RenewalGMM.read(place, AREAS, split), renewal(0.1 + 0.1 * k)
     for name in ("shape", "scale_s", "next_member"):
         assert np.array_equal(getattr(back, name), getattr(written, name))
-    sizes, written_sizes = PoissonGroups.read(place, AREAS, part), groups(0.1 + 0.1 * k)
+    sizes, written_sizes = PoissonGroups.read(place, AREAS, split), groups(0.1 + 0.1 * k)
     for name in ("rate_per_s", "next_member"):
         assert np.array_equal(getattr(sizes, name), getattr(written_sizes, name))
     for fit in range(2):
-        one, other = NtppGMM.read(place, AREAS, part, fit), random_ntpp(seed=10 * k + fit)
+        one, other = NtppGMM.read(place, AREAS, split, fit), random_ntpp(seed=10 * k + fit)
         assert all(np.array_equal(one.weights[name], other.weights[name]) for name in SHAPES)
         assert (one.memory, one.settings) == (77, TRAINED)
 
@@ -72,12 +74,12 @@ def test_the_same_fits_make_the_same_bytes(place: Scene, name: str) -> None:
 
 
 @pytest.mark.parametrize("model", [PoissonGMM, PoissonGroups, RenewalGMM, NtppGMM])
-@pytest.mark.parametrize(("part", "fit"), [("fold3", 0), ("full", -1)])
+@pytest.mark.parametrize(("split", "fit"), [("fold3", 0), ("full", -1)])
 def test_parts_and_fits_that_no_model_has_are_refused(
-    place: Scene, model: Any, part: str, fit: int
+    place: Scene, model: Any, split: str, fit: int
 ) -> None:
     with pytest.raises(SettingError):
-        model.read(place, AREAS, part, fit)
+        model.read(place, AREAS, split, fit)
 
 
 @pytest.mark.parametrize("model", [PoissonGMM, PoissonGroups, RenewalGMM, NtppGMM])
@@ -108,12 +110,12 @@ BROKEN = {
     "model": ("model", "other", "other of eth-v0"),
     "schema 1": ("schema", 1, "schema 1"),
     "unknown field": ("colour", "red", "colour"),
-    "a fold missing": ("parts.fold1", None, "fold0, fold2, full"),
-    "another part": ("parts.fold9", {}, "fold9"),
-    "a number too many": ("parts.full.next_moon", [1.0, 1.0], "next_moon"),
-    "not one per area": ("parts.fold2.{name}", [0.1, 0.1, 0.1], "shape (3,)"),
-    "text": ("parts.full.{name}", "fast", "parts"),
-    "negative": ("parts.full.{name}", [0.1, -0.1], "other numbers"),
+    "a fold missing": ("splits.fold1", None, "fold0, fold2, full"),
+    "another split": ("splits.fold9", {}, "fold9"),
+    "a number too many": ("splits.full.next_moon", [1.0, 1.0], "next_moon"),
+    "not one per area": ("splits.fold2.{name}", [0.1, 0.1, 0.1], "shape (3,)"),
+    "text": ("splits.full.{name}", "fast", "splits"),
+    "negative": ("splits.full.{name}", [0.1, -0.1], "invalid values"),
 }
 
 
@@ -142,7 +144,7 @@ def test_broken_json_is_refused(
 
 def test_probabilities_beyond_one_are_refused(place: Scene) -> None:
     for name, model in (("renewal-gmm", RenewalGMM), ("poisson-groups", PoissonGroups)):
-        change(place, name, "parts.full.next_member", [0.2, 1.0])
+        change(place, name, "splits.full.next_member", [0.2, 1.0])
         with pytest.raises(WeightsError, match=r"probabilities in \(0, 1\)"):
             model.read(place, AREAS)
 
@@ -186,7 +188,7 @@ TENSORS = {
     "areas": ("full.0.initial", np.ones((3, 32), np.float32), "float32 of shape (3, 32)"),
     "kind": ("full.0.initial", np.ones((2, 32), np.float64), "float64 of shape (2, 32)"),
     "nan": ("fold0.1.out_bias", nan_in((2, 3)), "NaN or infinity"),
-    "spread": ("full.1.scaling", np.zeros((2, 4), np.float32), "a spread of 0 or less"),
+    "spread": ("full.1.scaling", np.zeros((2, 4), np.float32), "a standard deviation of 0 or less"),
 }
 
 
@@ -207,7 +209,7 @@ HEADERS = {
     "schema": ({"schema": 9}, "schema 9"),
     "grid": ({"grid_s": 0.1}, "a grid of 0.1 s"),
     "no fits": ({"fits": 0}, "0 fits"),
-    "no memory": ({"memory": 0}, "memory 0"),
+    "no memory": ({"memory": 0}, "a memory of 0 grid steps"),
     "half a step": ({"memory": 7.5}, "memory"),
     "unknown field": ({"colour": "red"}, "colour"),
 }
@@ -233,7 +235,7 @@ def test_tensors_that_do_not_say_when_the_network_forgets_are_refused(place: Sce
 def test_truncated_tensors_are_refused(place: Scene, keep: int) -> None:
     path = place.folder / "ntpp-gmm.safetensors"
     path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(WeightsError, match="no readable weights"):
+    with pytest.raises(WeightsError, match="unreadable weights"):
         NtppGMM.read(place, AREAS)
 
 

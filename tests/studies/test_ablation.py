@@ -31,7 +31,6 @@ pytestmark = pytest.mark.long
 
 TINY = Settings(epochs=3, patience=1, calibration_points=2000)
 POISSON = Configuration("poisson-gmm")
-RECORDED = Presence(counts=[0, 0, 5, 5], pairs=[0] * 6)
 
 
 class Study:
@@ -82,7 +81,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Study:
 
 
 def rows(text: str) -> list[list[str]]:
-    """The table's cells, without its head."""
+    """The cells of the table of numbers, without its head."""
+    text = text.split("## Numbers")[-1]
     lines = [line for line in text.splitlines() if line.startswith("| ")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
 
@@ -263,33 +263,39 @@ HOLDS = {
 
 
 def test_a_finding_that_holds_is_said_to_hold() -> None:
-    verdict, why = finding(numbers(HOLDS), RECORDED)
-    assert verdict == "holds"
-    assert "they cannot be told apart from Poisson" in why
-    assert "0.200 ± 0.0079 with stride 5 (better)" in why
+    verdict, why = finding(numbers(HOLDS))
+    assert verdict.startswith("holds. ")
+    assert "degenerate to Poisson: yes. All longer windows are better: yes." in verdict
+    assert why.count("no significant difference") == 4
+    assert (
+        "| ntpp-gmm 500/5 | ntpp-gmm 100/5 | distance | 0.200 ± 0.0079 | 0.500 ± 0.0079 | "
+        "significantly lower |"
+    ) in why
 
 
 def test_short_windows_that_vary_more_than_poisson_do_not_degenerate() -> None:
-    verdict, why = finding(numbers(HOLDS | {ntpp(100, 50): (2.8, 0.5)}), RECORDED)
-    assert verdict.startswith("holds in part: longer windows are better")
-    assert "with stride 5 they cannot be told apart from Poisson" in why
-    assert "with stride 50 they differ from Poisson in standard deviation." in why
+    verdict, why = finding(numbers(HOLDS | {ntpp(100, 50): (2.8, 0.5)}))
+    assert verdict.startswith("holds in part. ")
+    assert "degenerate to Poisson: no. All longer windows are better: yes." in verdict
+    assert re.findall(r"ntpp-gmm 100/(\d+) \| poisson-gmm \| (.*?) \|.*higher", why) == [
+        ("50", "sd of N")
+    ]
 
 
 def test_longer_windows_that_are_no_nearer_are_not_better() -> None:
-    verdict, why = finding(numbers(HOLDS | {ntpp(500, 5): (3.0, 0.5)}), RECORDED)
-    assert verdict.startswith("holds in part: short windows degenerate")
-    assert "with stride 5 (not told apart)" in why
-    assert "with stride 50 (better)" in why
+    verdict, why = finding(numbers(HOLDS | {ntpp(500, 5): (3.0, 0.5)}))
+    assert verdict.startswith("holds in part. ")
+    assert "degenerate to Poisson: yes. All longer windows are better: no." in verdict
+    assert re.findall(r"ntpp-gmm 500/(\d+) .*lower", why) == ["50"]
 
 
 def test_longer_windows_that_are_farther_are_worse() -> None:
     away = {c: (2.8, 0.2) if c.window_frames == 100 else (3.0, 0.5) for c in HOLDS if c != POISSON}
-    verdict, why = finding(numbers(HOLDS | away), RECORDED)
+    verdict, why = finding(numbers(HOLDS | away))
     assert verdict.startswith("does not hold")
-    assert why.count("(worse)") == 2
+    assert len(re.findall(r"ntpp-gmm 500/.*significantly higher", why)) == 2
 
 
 def test_a_difference_within_the_spread_over_samples_says_nothing() -> None:
-    verdict, _ = finding(numbers(HOLDS, spread=10.0), RECORDED)
-    assert verdict.startswith("holds in part: short windows degenerate")
+    verdict, _ = finding(numbers(HOLDS, spread=10.0))
+    assert verdict.startswith("holds in part. ")

@@ -194,16 +194,16 @@ def test_what_cannot_be_drawn_is_said_before_anything_is_rolled_out(
     for scenes, figures, error, said in (
         ([], FIGURES, SettingError, "no scene"),
         (["plaza-v0"], ["portraits"], SettingError, "policies, flows, situations, sheet"),
-        (["plaza-v0", "eth-v0"], FIGURES, RecordingError, "--figure flows sheet alone"),
+        (["plaza-v0", "eth-v0"], FIGURES, RecordingError, "draw only --figure flows sheet"),
     ):
         with pytest.raises(error, match=said):
             write_figures(scenes, figures=figures)
-    with pytest.raises(SettingError, match="crowds of its own"):
+    with pytest.raises(SettingError, match="generates new crowds"):
         write_figures(["plaza-v0"], spawn="replay")
     with pytest.raises(CrowdbenchError, match="no-policy"):
         write_figures(["plaza-v0"], figures=["flows"], policy="no-policy")
     (tmp_path / "file").touch()
-    with pytest.raises(CrowdbenchError, match="a file where a folder should be"):
+    with pytest.raises(CrowdbenchError, match="a file in place of a folder"):
         write_figures(["plaza-v0"], figures=["flows"], out=tmp_path / "file" / "docs")
     assert cli.main(["figures", "eth-v0", "--figure", "situations"]) == 2
     assert (

@@ -1,9 +1,7 @@
 """The benchmark of speed measures what it says it measures."""
 
-import io
 import json
-from contextlib import redirect_stdout
-from typing import Any
+from pathlib import Path
 
 import pytest
 
@@ -17,7 +15,7 @@ NAMES = [
     "core with observations, 1 × 100",
     "core with observations, 1 × 300",
     "core with observations, 64 × 50",
-    "PettingZoo view, 20 agents",
+    "PettingZoo environment, 20 agents",
     "TorchRL collector, 64 × 50, random",
     "TorchRL collector, 64 × 50, MLP 32-32",
     "poisson-gmm, sampling 10,000 frames of ETH",
@@ -39,38 +37,19 @@ NAMES = [
 ]
 
 
-@pytest.fixture(scope="module")
-def printed(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, dict[str, Any]]]:
-    """What `crowdbench bench` prints and writes when it measures for a moment."""
-    path = tmp_path_factory.mktemp("bench") / "figures.json"
-    text = io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(text):
-        patch.setattr(bench, "MEASURE_S", 0.01)
-        patch.setattr(bench, "CHUNK_S", 0.001)
-        patch.setattr(bench, "ENTRIES", 1)
-        patch.setattr(bench, "LARGE_S", 20.0)
-        assert main(["bench", "--json", str(path)]) == 0
-    return text.getvalue(), json.loads(path.read_text())
-
-
-@pytest.fixture(scope="module")
-def figures(printed: tuple[str, dict[str, dict[str, Any]]]) -> dict[str, dict[str, Any]]:
-    return printed[1]
-
-
-def test_each_figure_is_printed(printed: tuple[str, dict[str, dict[str, Any]]]) -> None:
-    assert [line.split("  ")[0] for line in printed[0].splitlines()] == NAMES
-
-
-def test_each_figure_is_written(figures: dict[str, dict[str, Any]]) -> None:
+def test_each_figure_is_printed_and_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench, "MEASURE_S", 0.01)
+    monkeypatch.setattr(bench, "CHUNK_S", 0.001)
+    monkeypatch.setattr(bench, "ENTRIES", 1)
+    monkeypatch.setattr(bench, "LARGE_S", 20.0)
+    assert main(["bench", "--json", str(tmp_path / "figures.json")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split("  ")[0] for line in lines] == NAMES
+    figures = json.loads((tmp_path / "figures.json").read_text())
     assert sorted(figures) == sorted(NAMES)
-
-
-def test_each_figure_is_positive(figures: dict[str, dict[str, Any]]) -> None:
     assert [n for n, figure in figures.items() if not 0 < figure["value"] < float("inf")] == []
-
-
-def test_each_figure_has_a_unit(figures: dict[str, dict[str, Any]]) -> None:
     units = {name: figure["unit"] for name, figure in figures.items()}
     assert units == dict.fromkeys(NAMES[:7], "agent-steps/s") | dict.fromkeys(NAMES[7:], "s")
 

@@ -84,7 +84,7 @@ def test_the_command_prints_and_draws_what_changed(
     asked = ["steer", "plaza-v0", str(busy), "--seeds", "1", "--out", str(tmp_path)]
     assert main(asked) == 0
     printed = capsys.readouterr().out
-    assert "ntpp-gmm+busy on plaza-v0: persons per episode of 1800 s, means of 1" in printed
+    assert "ntpp-gmm+busy on plaza-v0: persons per episode of 1800 s, mean of 1 episode" in printed
     lines = [line.split() for line in printed.splitlines() if re.match(r" \d", line)]
     assert [line[0] for line in lines] == [*"01234", *"0123"]
     assert lines[1][-3] == "all"
@@ -132,13 +132,13 @@ def test_an_evaluation_under_a_scenario_has_distances_and_no_ranks(
     assert main(asked) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert "renewal-gmm+quiet × straight" in printed
-    assert "is to be different from the recording" in printed
+    assert "is meant to differ from the recording" in printed
     (entry,) = read_scorecard(Path("out/scorecard.json")).entries
     assert (entry.spawn, entry.policy) == ("renewal-gmm+quiet.toml", "straight")
     assert (entry.metrics["spawns_per_10_frames"].distance or 0) > 0.5
     assert 0 < entry.persons < 250  # without the busier of the two doors
     report = Path("out/report.html").read_text()
-    assert "is to be different" in report
+    assert "is meant to differ from the recording" in report
     assert "--spawn renewal-gmm+quiet.toml" in report
 
 

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import crowd_of, intervals
 
-from crowdbench.trajectories.blocks import PARTS, TimeBlocks, cut
+from crowdbench.trajectories.blocks import SPLITS, TimeBlocks, cut
 
 observations = st.integers(1, 400).flatmap(lambda frames: intervals(frames))
 
@@ -95,16 +95,16 @@ def test_exposure_leaves_out_the_opening_frames():
 
 def test_folds_are_interleaved_and_each_block_is_scored_in_one():
     blocks = blocks_of([(0, 50), (60, 80)], 10.0)
-    scored = [blocks.scored(part).frames.tolist() for part in PARTS]
+    scored = [blocks.scored(split).frames.tolist() for split in SPLITS]
     assert scored[0] == blocks.frames.tolist()
     assert scored[1] == [[0, 10], [30, 40], [70, 80]]
     assert scored[2] == [[10, 20], [40, 50]]
     assert scored[3] == [[20, 30], [60, 70]]
 
 
-@given(observations, st.floats(3, 200), st.sampled_from(PARTS[1:]))
-def test_no_block_is_both_trained_on_and_scored(observed, block_s, part):
+@given(observations, st.floats(3, 200), st.sampled_from(SPLITS[1:]))
+def test_no_block_is_both_trained_on_and_scored(observed, block_s, split):
     blocks = blocks_of(observed, block_s)
-    both = blocks.scored(part).frames.tolist() + blocks.training(part).frames.tolist()
+    both = blocks.scored(split).frames.tolist() + blocks.training(split).frames.tolist()
     assert sorted(both) == blocks.frames.tolist()
     assert blocks.training("full").frames.tolist() == blocks.frames.tolist()

@@ -145,7 +145,7 @@ def test_the_order_of_persons_does_not_change_who_is_present(crowd: Trajectories
     ("person_id", "frame", "xy", "frames", "got", "expected"),
     [
         ([], [], [], None, "no rows", "at least one row"),
-        ([7, 8], [0, 3], [[0, 0], [np.nan, 0]], None, "person 8, frame 3", "finite"),
+        ([7, 8], [0, 3], [[0, 0], [np.nan, 0]], None, "person 8 in frame 3", "finite"),
         ([7], [0], [[0, np.inf]], None, "1 rows whose position is not finite", "finite"),
         ([7], [-2], [[0, 0]], None, "frames -2 to -2", "frames from 0"),
         ([7], [10], [[0, 0]], 10, "frames 10 to 10", "frames from 0 to 9"),

@@ -199,8 +199,8 @@ def test_the_log_tells_how_each_life_ended(saved: Path, crowd: Trajectories) -> 
     assert OUTCOMES[crowd.outcome[chosen]] == "goal"
     dwell_s = (crowd.last[chosen] - crowd.first[chosen]) * crowd.dt_s
     to_s = crowd.last[chosen] * crowd.dt_s
-    assert f"{to_s:.1f} s: person 12 reached its goal after {dwell_s:.1f} s" in said
-    assert any("was still there at the end" in text for text in said)
+    assert f"{to_s:.1f} s: person 12 reached the goal after {dwell_s:.1f} s" in said
+    assert any("was still present at the end" in text for text in said)
 
 
 def test_rays_are_those_that_the_environment_saw() -> None:
@@ -356,7 +356,7 @@ def test_nobody_of_that_id(crowd: Trajectories, tmp_path: Path) -> None:
 
 def test_where_it_cannot_be_written(crowd: Trajectories, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="Name another folder"):
+    with pytest.raises(OutputError, match="Choose another folder"):
         save(crowd, PLAZA, tmp_path / "file" / "x.rrd")
 
 

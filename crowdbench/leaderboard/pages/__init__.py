@@ -1,9 +1,9 @@
 """The leaderboard's pages: `README.md`, `index.html` and a page per entry, from the entries alone.
 
-The table in the README of a repository that has the leaderboard in it is made too.
+The table in the README of the repository is written too.
 
-The same entries give the same bytes. Nothing is computed here but means over families and scenes,
-and ranks on the resamples that entries share.
+The same entries give the same bytes. Only means over families and scenes are computed here, and
+ranks on the resamples that entries share.
 """
 
 from pathlib import Path
@@ -20,26 +20,26 @@ RULES = "RULES.md"
 
 
 def build(root: Path) -> list[Path]:
-    """Write the pages of `root/entries/*.json` into `root`; pages of entries that left are removed.
+    """Write the pages of `root/entries/*.json` into `root`; pages of removed entries are deleted.
 
-    A folder without `RULES.md` is no leaderboard of its own, but a preview: its entries are shown
-    among those that come with crowdbench, whose rules are put into `pages/`.
+    A folder without `RULES.md` becomes a preview: its entries are shown among those that come with
+    crowdbench, and the rules are copied into `pages/`. Otherwise the table in the README of the
+    parent folder is updated too, if that README contains `excerpt.BEGIN`.
 
     Returns:
-        What was written: `README.md`, `index.html`, then `pages/ID.html` by track. The table in the
-        README of the folder above is written where `excerpt.BEGIN` stands in it.
+        Paths of the written pages: `README.md`, `index.html`, then `pages/ID.html` by track.
 
     Raises:
-        SettingError: `root` is no folder of a leaderboard.
+        SettingError: `root` is not the folder of a leaderboard.
         WeightsError: an entry is broken, or cannot be compared with the others.
         OutputError: a file cannot be written.
     """
-    # README.md and index.html are names that other folders have, too.
+    # Other folders have a README.md or an index.html too, which must not be overwritten.
     preview = not (root / RULES).is_file()
     if preview and not (root / "entries").is_dir():
         raise SettingError(
             root,
-            got="neither entries/ nor RULES.md in it",
+            got="a folder without entries/ and RULES.md",
             expected="the folder of a leaderboard",
             hint="Name it with --root.",
         )
@@ -54,7 +54,7 @@ def build(root: Path) -> list[Path]:
     for path, text in pages.items():
         write_text(path, text)
     if preview:
-        rules = read_bytes(shipped / RULES, SettingError, "Install crowdbench anew.")
+        rules = read_bytes(shipped / RULES, SettingError, "Reinstall crowdbench.")
         write_text(root / "pages" / RULES, rules.decode())
     above = root.absolute().parent / "README.md"
     if not preview and above.is_file():
@@ -70,7 +70,7 @@ def build(root: Path) -> list[Path]:
 def shipped_leaderboard() -> Path:
     """The folder of the leaderboard that comes with crowdbench."""
     package = Path(__file__).parents[2]
-    installed = package / "_leaderboard"  # where the wheel puts it
+    installed = package / "_leaderboard"  # in an installed wheel
     return installed if installed.is_dir() else package.parent / "leaderboard"
 
 

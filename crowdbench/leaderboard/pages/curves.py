@@ -1,12 +1,13 @@
-"""Curves: a crowd beside its recording, as SVG inside the page."""
+"""Plots of a crowd and its recording, as SVG inside the page."""
 
 from collections.abc import Sequence
 from math import ceil, floor, log10
 
 import numpy as np
 from jaxtyping import Float
+from markupsafe import Markup
 
-from crowdbench.leaderboard.pages.text import escaped, in_html
+from crowdbench.leaderboard.pages.render import html
 from crowdbench.leaderboard.verification.entry import Curve
 from crowdbench.report.text.words import digits
 
@@ -17,8 +18,8 @@ _PIECE = 30.0
 _Corner = tuple[float, float]
 
 
-def figure(title: str, curve: Curve) -> str:
-    """Both lines with their names, axes with their units."""
+def figure(title: str, curve: Curve) -> Markup:
+    """A plot as HTML: the recorded and the simulated curve with labels, on axes with units."""
     alt = (
         f"{title}: recorded and simulated {curve.y_label} over {curve.x_label}, from "
         f"{digits(curve.x[0])} to {digits(curve.x[-1])}; highest recorded "
@@ -26,33 +27,48 @@ def figure(title: str, curve: Curve) -> str:
     )
     x = _Axis(curve.x, _LEFT, _WIDTH - _RIGHT)
     y = _Axis([0.0, *curve.recorded, *curve.simulated], _HEIGHT - _BOTTOM, _TOP)
-    middle = (_LEFT + _WIDTH - _RIGHT) / 2
-    return (
-        f"<figure><figcaption><b>{in_html(title, 80)}</b></figcaption>"
-        f'<svg class="curve" viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" role="img" '
-        f'aria-label="{escaped(alt)}">{_grid(x, y)}'
-        f'<path class="recorded" d="{_line(x, y, curve.x, curve.recorded)}"/>'
-        f'<path class="simulated" d="{_line(x, y, curve.x, curve.simulated)}"/>'
-        f"{_names(x, y, curve)}"
-        f'<text x="{middle:g}" y="{_HEIGHT - 4:g}" text-anchor="middle">'
-        f"{escaped(curve.x_label, 50)}</text>"
-        f'<text x="2" y="9">{escaped(curve.y_label, 50)}</text></svg></figure>\n'
+    bottom, right = _HEIGHT - _BOTTOM, _WIDTH - _RIGHT
+    lines = {
+        name: np.array([[x(a), y(b)] for a, b in zip(curve.x, values, strict=True)])
+        for name, values in (("recorded", curve.recorded), ("simulated", curve.simulated))
+    }
+    places, legend = _labels(lines["recorded"], lines["simulated"])
+    return html(
+        "curve.html.j2",
+        title=title,
+        alt=alt,
+        curve=curve,
+        width=f"{_WIDTH:g}",
+        height=f"{_HEIGHT:g}",
+        middle=f"{(_LEFT + right) / 2:g}",
+        bottom=f"{_HEIGHT - 4:g}",
+        rules="".join(f"M{_LEFT:g} {y(tick):.1f}H{right:g}" for tick in y.ticks),
+        marks="".join(f"M{x(tick):.1f} {bottom:g}v4" for tick in x.ticks),
+        ticks=[
+            *((f"{_LEFT - 5:g}", f"{y(v) + 3.5:.1f}", "end", _number(v)) for v in y.ticks),
+            *((f"{x(v):.1f}", f"{bottom + 15:g}", "middle", _number(v)) for v in x.ticks),
+        ],
+        lines=[*((name, _path(line)) for name, line in lines.items()), *legend],
+        names=[
+            (name, f"{left + _LABEL[0] / 2:.1f}", f"{top + 10.5:.1f}")
+            for name, (left, top) in places.items()
+        ],
     )
 
 
 class _Axis:
-    """From values to pixels, over round numbers."""
+    """Maps values to pixels; its ticks are round numbers."""
 
     def __init__(self, values: Sequence[float], first: float, last: float) -> None:
-        """An axis from pixel `first` to pixel `last`."""
+        """Map the range of `values` to the pixels from `first` to `last`."""
         low, high = min(values), max(values)
-        # Entries have four decimals; what differs by less cannot be drawn.
+        # Entries have four decimals, so smaller ranges are constant curves.
         high = high if high - low > 1e-6 else low + 1.0
         rough = (high - low) / 4
         size = 10.0 ** floor(log10(rough))
         step = next(size * k for k in (1, 2, 5, 10) if size * k >= rough * 0.999)
         nearest = round(high / step) * step
-        if 0 < nearest - high < 0.05 * step:  # shares that end at 0.998 have a 1
+        if 0 < nearest - high < 0.05 * step:  # shares that end at 0.998 get a tick at 1
             high = nearest
         steps = range(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1)
         self.ticks = [k * step for k in steps]
@@ -62,56 +78,38 @@ class _Axis:
         return self._first + (value - self._low) * self._per_unit
 
 
-def _grid(x: _Axis, y: _Axis) -> str:
-    bottom, right = _HEIGHT - _BOTTOM, _WIDTH - _RIGHT
-    rules = "".join(f"M{_LEFT:g} {y(tick):.1f}H{right:g}" for tick in y.ticks)
-    marks = "".join(f"M{x(tick):.1f} {bottom:g}v4" for tick in x.ticks)
-    numbers = "".join(
-        f'<text x="{_LEFT - 5:g}" y="{y(tick) + 3.5:.1f}" text-anchor="end">{_number(tick)}</text>'
-        for tick in y.ticks
-    ) + "".join(
-        f'<text x="{x(tick):.1f}" y="{bottom + 15:g}" text-anchor="middle">{_number(tick)}</text>'
-        for tick in x.ticks
-    )
-    return f'<path class="rule" d="{rules}"/><path class="tick" d="{marks}"/>{numbers}'
-
-
 def _number(value: float) -> str:
     return f"{value:.6g}".replace("-", "−")
 
 
-def _line(x: _Axis, y: _Axis, xs: Sequence[float], ys: Sequence[float]) -> str:
-    return "M" + "L".join(f"{x(a):.1f} {y(b):.1f}" for a, b in zip(xs, ys, strict=True))
+def _path(line: Float[np.ndarray, "n 2"]) -> str:
+    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in line.tolist())
 
 
-def _names(x: _Axis, y: _Axis, curve: Curve) -> str:
-    """The lines' names, each beside its own line and clear of both."""
-    lines = {
-        name: np.array([[x(a), y(b)] for a, b in zip(curve.x, values, strict=True)])
-        for name, values in (("recorded", curve.recorded), ("simulated", curve.simulated))
-    }
-    first = _place(lines["recorded"], lines["simulated"], None)
-    second = _place(lines["simulated"], lines["recorded"], first)
-    if first is None or second is None:  # as a key, with a piece of each line
-        left, top = _corner(list(lines.values()))
-        first, second = (left + _PIECE, top), (left + _PIECE, top + _LABEL[1])
-        pieces = "".join(
-            f'<path class="{name}" d="M{left:g} {top + 6.5:g}h{_PIECE - 6:g}"/>'
-            for name, (_, top) in (("recorded", first), ("simulated", second))
-        )
-    else:
-        pieces = ""
-    return pieces + "".join(
-        f'<text class="{name}" x="{left + _LABEL[0] / 2:.1f}" y="{top + 10.5:.1f}" '
-        f'text-anchor="middle">{name}</text>'
-        for name, (left, top) in (("recorded", first), ("simulated", second))
-    )
+def _labels(
+    recorded: Float[np.ndarray, "n 2"], simulated: Float[np.ndarray, "n 2"]
+) -> tuple[dict[str, _Corner], list[tuple[str, str]]]:
+    """Upper left corners of the labels, each next to its own line and overlapping neither.
+
+    If there is no free place, the labels form a legend, with a piece of each line.
+    """
+    first = _place(recorded, simulated, None)
+    second = _place(simulated, recorded, first)
+    if first is not None and second is not None:
+        return {"recorded": first, "simulated": second}, []
+    left, top = _corner([recorded, simulated])
+    places = {"recorded": (left + _PIECE, top), "simulated": (left + _PIECE, top + _LABEL[1])}
+    pieces = [(name, f"M{left:g} {at + 6.5:g}h{_PIECE - 6:g}") for name, (_, at) in places.items()]
+    return places, pieces
 
 
 def _place(
     own: Float[np.ndarray, "n 2"], other: Float[np.ndarray, "n 2"], taken: _Corner | None
 ) -> _Corner | None:
-    """Upper left corner of a name: beside its line, and farther from the other one, if possible."""
+    """Upper left corner of a label: next to its own line and far from the other one.
+
+    None if there is no free place.
+    """
     width, height = _LABEL
     left, right = _LEFT + 2, _WIDTH - _RIGHT - width
     best: tuple[float, _Corner | None] = (0.0, None)
@@ -133,7 +131,7 @@ def _place(
 
 
 def _corner(lines: Sequence[Float[np.ndarray, "n 2"]]) -> _Corner:
-    """Where a key of both names has room: a corner that no line goes through, if there is one."""
+    """Upper left corner of the legend: in a corner without lines, if there is one."""
     size = (_PIECE + _LABEL[0], 2 * _LABEL[1])
     right, bottom = _WIDTH - _RIGHT - size[0], _HEIGHT - _BOTTOM - size[1] - 4
     corners = [(right, _TOP + 4), (right, bottom), (_LEFT + 6, _TOP + 4), (_LEFT + 6, bottom)]
@@ -144,7 +142,7 @@ def _corner(lines: Sequence[Float[np.ndarray, "n 2"]]) -> _Corner:
 def _crosses(
     line: Float[np.ndarray, "n 2"], at: _Corner, size: tuple[float, float] = _LABEL
 ) -> bool:
-    """Whether the line goes through a name there."""
+    """Whether a line crosses a box of the given size with its upper left corner at `at`."""
     low = np.minimum(line[:-1], line[1:])
     high = np.maximum(line[:-1], line[1:])
     corner = np.array(at)
@@ -152,6 +150,6 @@ def _crosses(
 
 
 def _distance(line: Float[np.ndarray, "n 2"], at: _Corner) -> float:
-    """From a name there to the nearest value."""
+    """Distance (pixels) from a label at `at` to the nearest point of a line."""
     half = np.array(_LABEL) / 2
     return float(np.hypot(*np.maximum(np.abs(line - at - half) - half, 0).T).min())

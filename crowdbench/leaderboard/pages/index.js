@@ -1,4 +1,4 @@
-// Sorting and filtering. All numbers and ranks are in the page; this chooses which are shown.
+// Sorting and filtering. The page contains all numbers and ranks; this script chooses what is shown.
 "use strict";
 
 for (const track of document.querySelectorAll(".track")) {
@@ -33,7 +33,7 @@ function sort(table, head, direction) {
   const sign = direction === "ascending" ? 1 : -1;
   const body = table.tBodies[0];
   const rows = [...body.rows].map((row) => [valueOf(row.cells[column]), row]);
-  // What has no value comes last in both directions.
+  // Rows without a value are last in both directions.
   rows.sort(([a], [b]) => (a === "") - (b === "") || sign * compare(a, b));
   body.append(...rows.map(([, row]) => row));
   rule(table, head.classList.contains("rank"));
@@ -49,7 +49,7 @@ function compare(a, b) {
   return typeof a === "number" ? a - b : a.localeCompare(b);
 }
 
-// By rank, a rule stands between tie groups; in any other order, between all rows.
+// Sorted by rank, lines separate tie groups; in any other order, they separate all rows.
 function rule(table, byRank) {
   let last = null;
   for (const row of table.tBodies[0].rows) {
@@ -71,7 +71,7 @@ function show(filters, tables) {
         (part.dataset.family ?? family) !== family || (part.dataset.scene ?? scene) !== scene;
     }
     for (const cell of table.querySelectorAll("[data-column]")) {
-      cell.hidden = cell.dataset.column === scene;  // it is what the first column shows
+      cell.hidden = cell.dataset.column === scene;  // the first column shows it already
     }
     for (const row of table.tBodies[0].rows) {
       row.hidden =

@@ -10,7 +10,8 @@ from crowdbench.leaderboard.submission.schema import SCENES, Track
 from crowdbench.leaderboard.verification.entry import Entry, SceneEntry, read_entry
 from crowdbench.leaderboard.verification.soundness import FAMILY_OF, check_entry
 from crowdbench.metrics import FAMILIES, WALK
-from crowdbench.scoring.score import Score, combined, ranks
+from crowdbench.scoring.score import Score, combined, ranks, total_score
+from crowdbench.scoring.scorecard import Limit
 
 TRACKS: tuple[Track, ...] = ("walk", "spawn", "crowd")
 FAMILIES_OF: dict[Track, tuple[str, ...]] = {
@@ -21,10 +22,23 @@ FAMILIES_OF: dict[Track, tuple[str, ...]] = {
 
 
 class View(NamedTuple):
-    """What of an entry is looked at: one family or all, one scene or those of the overall score."""
+    """The part of an entry that is ranked: a family and a scene.
+
+    Empty strings stand for all families, and for the scenes of the overall score.
+    """
 
     family: str = ""
     scene: str = ""
+
+
+class Gate(NamedTuple):
+    """How fast people walk and whether they arrive."""
+
+    speed: float | None
+    """Mean speed over that of recorded people walked."""
+    at_goal: float | None
+    fails: set[Limit]
+    """The limits that are exceeded on any of the scenes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +47,11 @@ class Line:
 
     entry: Entry
     scores: dict[View, Score]
-    """Of the views in which it has one."""
+    """The score in each view in which it has one."""
 
     @property
     def kind(self) -> str:
-        """`reference`, or the kind that it declares; with what it is listed for."""
+        """`reference`, or the declared kind; for listed entries with the reason for listing."""
         if self.entry.status == "reference":
             return "reference"
         kind = self.entry.declared.kind
@@ -46,42 +60,57 @@ class Line:
         return f"{kind}, {'trajectories' if _are_trajectories(self.entry) else 'full'}"
 
     def worth(self, view: View) -> tuple[float, str]:
-        """Sorts the best first, and who has no score last."""
+        """Sort key: the best score comes first, and entries without a score last."""
         score = self.scores.get(view)
         return (float("inf") if score is None else -score.value), self.entry.id
 
+    def gate(self, scene: str = "") -> "Gate":
+        """Speed and arrivals: on one scene, or the means of all scenes."""
+        scenes = [each for name, each in self.entry.scenes.items() if scene in ("", name)]
+        ratios = [
+            each.speed_mps / each.recorded_speed_mps
+            for each in scenes
+            if each.speed_mps is not None and each.recorded_speed_mps
+        ]
+        shares = [each.at_goal for each in scenes if each.at_goal is not None]
+        return Gate(
+            sum(ratios) / len(ratios) if ratios else None,
+            sum(shares) / len(shares) if shares else None,
+            {limit for each in scenes for limit in each.fails},
+        )
+
     def copied(self, scene: str = "") -> tuple[float | None, float | None]:
-        """Correlation of arrivals and share of lives: the scene's, or the highest of all scenes."""
+        """The copy index of arrivals and of trips: on one scene, or the highest of all scenes."""
         scenes = self.entry.scenes
         copies = [each.copy for name, each in scenes.items() if scene in ("", name)]
         arrivals = [copy.arrivals for copy in copies if copy.arrivals is not None]
-        lives = [copy.lives for copy in copies if copy.lives is not None]
-        return max(arrivals, default=None), max(lives, default=None)
+        trips = [copy.trips for copy in copies if copy.trips is not None]
+        return max(arrivals, default=None), max(trips, default=None)
 
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """One track."""
+    """The entries of one track, with their ranks."""
 
     track: Track
     scenes: tuple[str, ...]
-    """Those of the overall score first."""
+    """All scenes of the track; those of the overall score come first."""
     families: tuple[str, ...]
     lines: list[Line]
-    """Who is ranked, and references."""
+    """Ranked entries and references."""
     listed: list[Line]
     ranks: dict[View, dict[str, int]]
-    """Rank by the entry's id; who competes with nobody has none."""
+    """Rank by the entry's id; an entry without competitors has none."""
     yours: frozenset[str] | None = None
-    """In a preview, ids of the entries that it is made for; the others come with crowdbench."""
+    """In a preview, ids of the user's own entries; the others come with crowdbench."""
 
     @property
     def views(self) -> list[View]:
-        """All of them."""
+        """All views of the track."""
         return [View(f, s) for f in ("", *self.families) for s in ("", *self.scenes)]
 
     def ordered(self, view: View) -> list[Line]:
-        """By rank, then by score; references stand below all who score as much as they do."""
+        """Entries by rank, then by score; a reference follows all entries of at least its score."""
         rank = self.ranks[view]
         best = sorted(self.lines, key=lambda line: line.worth(view))
         found = [line for line in best if line.entry.id in rank]
@@ -92,7 +121,7 @@ class Standing:
         return found
 
     def rank(self, line: Line, view: View) -> str:
-        """`2`, or `2 =` where others have the same; empty for who has none."""
+        """The rank as text: `2`, or `2 =` if it is shared; empty if the entry has none."""
         rank = self.ranks[view].get(line.entry.id)
         if rank is None:
             return ""
@@ -103,7 +132,7 @@ class Standing:
 def standing(
     track: Track, entries: Sequence[Entry], yours: frozenset[str] | None = None
 ) -> Standing:
-    """The standing of a track among all entries; see `Standing` for `yours`."""
+    """Compute the standing of one track from all entries; see `Standing` for `yours`."""
     own = sorted((e for e in entries if e.declared.track == track), key=lambda entry: entry.id)
     lines = [Line(e, scores(e)) for e in own if e.status != "listed"]
     listed = [Line(e, scores(e)) for e in own if e.status == "listed"]
@@ -118,12 +147,13 @@ def standing(
 
 
 def scores(entry: Entry) -> dict[View, Score]:
-    """The scores of an entry in the views in which it has one.
+    """The scores of an entry, by the views in which it has one.
 
-    A scene's is the mean of its families, if none is missing that counts there; the overall score
-    is the mean of the scenes in `SCENES`, if none is missing, and so is that of each family. Crowds
-    that came as trajectories did not enter as recorded, and are judged without motion and
-    interaction.
+    A scene's score combines its families (see `total_score`), if no scored family is missing. The
+    overall score, in total and of each family, is the mean of the scenes in `SCENES`, if none is
+    missing. Crowds
+    submitted as trajectories do not have the recorded arrivals, so they are scored without motion
+    and interaction.
     """
     families = FAMILIES_OF[entry.declared.track]
     if entry.declared.track == "crowd" and _are_trajectories(entry):
@@ -132,7 +162,9 @@ def scores(entry: Entry) -> dict[View, Score]:
     for name, scene in entry.scenes.items():
         each = {f: scene.families[f].score() for f in families if f in scene.families}
         found |= {View(family, name): score for family, score in each.items()}
-        whole = combined(list(each.values()))
+        whole = total_score(each, passes=not scene.fails)
+        if entry.scorer == 1:  # it took the mean of all families, and had no gate
+            whole = combined(list(each.values()))
         if whole is not None and _counted(scene) & set(families) <= set(each):
             found[View(scene=name)] = whole
     if all(View(scene=name) in found for name in SCENES):
@@ -153,14 +185,18 @@ def _counted(scene: SceneEntry) -> set[str]:
 
 
 def read_entries(folder: Path, beside: Path | None = None) -> list[Entry]:
-    """All entries of a folder, and those of the folder `beside` that have other ids.
+    """All entries of a folder, and those of the folder `beside` with other ids.
+
+    Entries in `beside` that another scorer has scored cannot be compared, and are left out.
 
     Raises:
-        WeightsError: one is broken, or cannot be compared with the others.
+        WeightsError: an entry is broken, or cannot be compared with the others.
     """
     paths = {path.name: path for path in (*entry_paths(beside), *entry_paths(folder))}
     entries = [(path, read_entry(path)) for path in paths.values()]
     scorer = max((entry.scorer for _, entry in entries), default=0)
+    own = set(entry_paths(folder))
+    entries = [(p, entry) for p, entry in entries if p in own or entry.scorer == scorer]
     made_from: dict[str, str] = {}
     for path, entry in entries:
         check_entry(entry, path)
@@ -168,21 +204,21 @@ def read_entries(folder: Path, beside: Path | None = None) -> list[Entry]:
             raise WeightsError(
                 path,
                 got=f"scores of scorer {entry.scorer}",
-                expected=f"scorer {scorer}, as other entries have",
+                expected=f"scorer {scorer}, as in other entries",
                 hint="Run `crowdbench leaderboard rescore`.",
             )
         for name, scene in entry.scenes.items():
             if made_from.setdefault(name, scene.made_from) != scene.made_from:
                 raise WeightsError(
                     path,
-                    got=f"{name} of the hash {scene.made_from}",
-                    expected=f"{made_from[name]}, as other entries have",
+                    got=f"scene {name} with the hash {scene.made_from}",
+                    expected=f"the hash {made_from[name]}, as in other entries",
                     hint="Run `crowdbench leaderboard rescore`.",
                 )
     return [entry for _, entry in entries]
 
 
 def entry_paths(folder: Path | None) -> list[Path]:
-    """Of the entries in a folder; verification writes ID.run.json, which is none, beside them."""
+    """Paths of the entries in a folder, without the `ID.run.json` that verification writes."""
     found = [] if folder is None else folder.glob("*.json")
     return sorted(path for path in found if not path.name.endswith(".run.json"))

@@ -1,7 +1,11 @@
-"""Text that a submitter wrote, on its way into a page: it stays text."""
+"""Text of the pages: a submitter's text, which remains plain text, and numbers."""
 
 import html
 import re
+
+from markupsafe import Markup
+
+from crowdbench.report.text.words import NOTHING, plainly
 
 _SHORT = 80
 _LINK = re.compile(
@@ -12,34 +16,42 @@ _LINK = re.compile(
 
 
 def plain(text: str, most: int | None = None) -> str:
-    """On one line, at most so long, without letters nobody sees, which can turn others round."""
+    """The text on one line, cut to `most` characters, without unprintable characters.
+
+    Some of these would change the direction of the text around them.
+    """
     seen = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(text.split()))
     return seen if most is None or len(seen) <= most else f"{seen[: most - 1].rstrip()}…"
 
 
-def escaped(text: str, most: int | None = None) -> str:
-    """For attributes and pictures."""
-    return html.escape(plain(text, most))
-
-
-def in_html(text: str, most: int | None = None) -> str:
-    """Escaped, and set apart from the direction in which the text around it runs."""
-    return f"<bdi>{escaped(text, most)}</bdi>"
+def in_html(text: str, most: int | None = None) -> Markup:
+    """The text escaped for HTML, with its direction isolated from the text around it."""
+    return Markup(f"<bdi>{html.escape(plain(text, most))}</bdi>")
 
 
 def in_markdown(text: str, most: int | None = _SHORT) -> str:
-    """All that could mean something in Markdown, in a table or in HTML as character references."""
+    """The text for Markdown; special characters become character references."""
     return re.sub(r"[!-+./:-@\[-`{-~]", lambda found: f"&#{ord(found[0])};", plain(text, most))
 
 
-def short(text: str) -> str:
-    """As HTML, cut to what a cell of a table holds."""
+def short(text: str) -> Markup:
+    """The text escaped for HTML, cut to fit into a table's cell."""
     return in_html(text, _SHORT)
 
 
-def link(address: str) -> str:
-    """An `<a>` if the address is a plain https one of at most 200 letters, else text."""
+def link(address: str) -> Markup:
+    """A link if the address is a plain https URL of at most 200 characters, else text."""
     if len(address) > 200 or not _LINK.fullmatch(address):
         return in_html(address)
-    shown = escaped(address)
-    return f'<a href="{shown}" rel="nofollow noopener">{shown}</a>'
+    shown = html.escape(plain(address))
+    return Markup(f'<a href="{shown}" rel="nofollow noopener">{shown}</a>')
+
+
+def decimals(value: float | None) -> str:
+    """A number with two decimals, or a dash."""
+    return NOTHING if value is None else plainly(value)
+
+
+def share(value: float | None) -> str:
+    """A share in per cent, or a dash."""
+    return NOTHING if value is None else f"{100 * value:.1f}\u00a0%"

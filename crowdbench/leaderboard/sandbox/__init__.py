@@ -1,1 +1,1 @@
-"""A process of its own for what participants send, with limits on time and memory."""
+"""A sandbox for submissions: a child process with limits on time, memory and files."""

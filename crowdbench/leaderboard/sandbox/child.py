@@ -1,7 +1,7 @@
-"""The child of a sandbox: `python -m crowdbench.leaderboard.sandbox.child DESK`.
+"""The child process of a sandbox: `python -m crowdbench.leaderboard.sandbox.child DESK`.
 
-It leaves the network and limits itself before anything heavy is imported: a process may enter a
-user namespace as long as it has one thread only.
+It leaves the network and sets its limits before any heavy import: a process may enter a user
+namespace only while it has a single thread.
 """
 
 import ctypes
@@ -24,11 +24,11 @@ _CLONE_NEWUSER, _CLONE_NEWNET = 0x10000000, 0x40000000
 
 
 def main(arguments: Sequence[str]) -> None:
-    """What the child does: limit itself, call, answer."""
+    """Set the limits, call the function and write the answer."""
     desk = Path(arguments[0])
     asked = json.loads((desk / "asked.json").read_text())
     network = _leave_network()
-    end_with(int(asked["parent"]))  # after the namespace: whose credentials change is forgotten
+    end_with(int(asked["parent"]))  # after the namespace: new credentials reset this setting
     leftovers.share(asked["sweeper"])
     _limit(Limits(**asked["limits"]))
     answer: dict[str, object] = {"network": network}
@@ -54,9 +54,9 @@ def _called(target: str, arguments: dict[str, object], desk: Path) -> object:
 
 
 def _leave_network() -> str:
-    """Move into an empty network of its own; `none`, or why that was not possible.
+    """Enter a new, empty network namespace; return `none`, or why that was not possible.
 
-    An ordinary user may do that inside a user namespace of its own, where the system allows one.
+    An ordinary user may do this inside a new user namespace, if the system allows one.
     """
     if not sys.platform.startswith("linux"):
         return f"not cut off: {sys.platform} has no network namespaces"
@@ -64,7 +64,7 @@ def _leave_network() -> str:
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.unshare(_CLONE_NEWUSER | _CLONE_NEWNET) != 0:
         return f"not cut off: {os.strerror(ctypes.get_errno())}"
-    # Files it writes are to be the user's.
+    # Ids are mapped to themselves, so that written files belong to the user.
     with suppress(OSError):
         Path("/proc/self/setgroups").write_text("deny")
         Path("/proc/self/uid_map").write_text(f"{user} {user} 1")
@@ -85,7 +85,7 @@ def _limit(limits: Limits) -> None:
         hard = resource.getrlimit(what)[1]
         if hard != resource.RLIM_INFINITY:
             most = min(most, hard)
-        # Who does not end at the first signal of spent time ends at the second.
+        # A process can ignore the signal at the soft CPU limit, but not the one at the hard limit.
         last = most + 5 if what == resource.RLIMIT_CPU and hard == resource.RLIM_INFINITY else most
         resource.setrlimit(what, (most, last))
 

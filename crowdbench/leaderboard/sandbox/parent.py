@@ -1,9 +1,9 @@
-"""A function in a child process that cannot harm: limits on memory, time and files, no network.
+"""Call a function in a child process with limits on memory, time and files, and without network.
 
-The child is a fresh interpreter in a session of its own. It cuts itself off from the network and
-limits itself first (`crowdbench.leaderboard.sandbox.child`); the parent watches the memory and the
-number of all its processes, and ends them together. What comes back is JSON: nothing that a child
-says is run. What it leaves in its folder is read only if it is a plain file, and never whole.
+The child is a new interpreter in its own session. First it leaves the network and sets its limits
+(`crowdbench.leaderboard.sandbox.child`). The parent watches the memory and the number of all its
+processes, and kills them together. The answer is JSON, so nothing from a child is executed. Files
+of a child are read only if they are regular files, and only up to a fixed size.
 """
 
 import errno
@@ -28,7 +28,7 @@ from crowdbench.leaderboard.sandbox.process_tree import Process, end, family
 
 Result = TypeVar("Result")
 LARGEST_ANSWER = 2**26
-_LONGEST_NEWS = 100  # bytes of a file that tells of progress
+_LONGEST_NEWS = 100  # bytes of the progress file
 _KEPT = (
     "PATH", "HOME", "USER", "LANG", "LC_ALL", "TMPDIR", "TZ", "VIRTUAL_ENV", "LD_LIBRARY_PATH",
 )  # fmt: skip
@@ -37,36 +37,36 @@ _WATCH_S = 0.1
 
 
 class SandboxError(CrowdbenchError):
-    """What was tried did not end well: it crashed, or met a limit."""
+    """A child process crashed, exceeded a limit or gave an invalid answer."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a child may use."""
+    """Limits of a child process."""
 
     memory_bytes: int = 12 * 2**30
-    """Address space of each process, and resident memory of all together."""
+    """Address space of each process, and resident memory of all processes together."""
     wall_s: float = 24 * 3600.0
     cpu_s: int = 48 * 3600
-    """Of each process."""
+    """CPU time of each process."""
     file_bytes: int = 2**27
-    """Of each file it writes: a rollout takes a tenth of that, and there may be hundreds."""
+    """Size of each file that it writes. A rollout takes a tenth of that; there may be hundreds."""
     open_files: int = 1024
     processes: int = 256
-    """Processes (of all of them together, not counting threads)."""
+    """Number of processes, not counting threads."""
 
 
 @dataclass(frozen=True)
 class ResourceUsage:
-    """How a child ran, in numbers that depend on the machine."""
+    """Resources that a child used; the values depend on the machine."""
 
     wall_s: float
     cpu_s: float
-    """Of the processes that were there at once, as far as was seen."""
+    """Largest observed CPU time of the processes that ran at the same time."""
     peak_bytes: int
-    """Largest resident memory of all its processes together that was seen."""
+    """Largest observed resident memory of all its processes together."""
     network: str
-    """`none`, or why it could not be cut off."""
+    """`none`, or why the network could not be cut off."""
 
 
 class ErrorPayload(msgspec.Struct, forbid_unknown_fields=True):
@@ -79,11 +79,11 @@ class ErrorPayload(msgspec.Struct, forbid_unknown_fields=True):
 
     @classmethod
     def of(cls, error: CrowdbenchError) -> "ErrorPayload":
-        """Those of an error."""
+        """The parts of an error."""
         return cls(error.where, error.got, error.expected, error.hint)
 
     def error(self) -> CrowdbenchError:
-        """The error again."""
+        """The error with these parts."""
         return CrowdbenchError(self.where, got=self.got, expected=self.expected, hint=self.hint)
 
 
@@ -92,7 +92,7 @@ class Failure(msgspec.Struct, forbid_unknown_fields=True):
 
     told: ErrorPayload
     problems: list[ErrorPayload] = []
-    """All that is wrong with a submission that is refused."""
+    """All problems of a rejected submission."""
 
 
 class Answer(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -112,19 +112,29 @@ def call(
     limits: Limits,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[Result, ResourceUsage]:
-    """Call `module:function(progress, **arguments)` in a child; its result, read as `kind`.
+    """Call `module:function(progress, **arguments)` in a child process.
 
-    `arguments` and the result travel as JSON. `progress(done, total)` says here what the function
-    says there. `where` names the cause in messages.
+    Arguments and result are passed as JSON. The child's calls of its `progress` are repeated here
+    as `progress(done, total)`. `where` names the source in messages.
+
+    Returns:
+        The function's result, decoded as `kind`, and the resources that the child used.
 
     Raises:
-        SandboxError: it crashed, met a limit, or its answer is not of this kind.
-        CrowdbenchError: the function raised one: one with its message, a `SubmissionError` where
-            it was one.
+        SandboxError: the child crashed or exceeded a limit, or its answer is not of type `kind`.
+        CrowdbenchError: the function raised one. It has the same message, and a `SubmissionError`
+            remains one.
     """
-    # Not above: the child leaves the network before it imports what this does.
+    # Imported late: the child imports this module while it must have a single thread.
     from crowdbench.leaderboard.submission.errors import plain
 
+    if os.name != "posix":
+        raise SandboxError(
+            where,
+            got=f"the platform {sys.platform}",
+            expected="Linux or macOS: the sandbox uses process groups and resource limits of POSIX",
+            hint="On Windows, use the Windows Subsystem for Linux (WSL).",
+        )
     with leftovers.temporary_folder("sandbox") as desk:
         asked = {
             "target": target,
@@ -149,7 +159,7 @@ def call(
 
 
 def _raised(failure: Failure, where: object) -> CrowdbenchError:
-    """The child's error; its text may hold what a submission says."""
+    """The error that the child raised; its text may quote the submission."""
     from crowdbench.leaderboard.submission.errors import SubmissionError, tidy
 
     if failure.problems:
@@ -160,7 +170,7 @@ def _raised(failure: Failure, where: object) -> CrowdbenchError:
 def _run(
     desk: Path, where: object, limits: Limits, progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
-    """Start the child, watch it until it ends, and end what it leaves behind."""
+    """Start the child, watch it until it ends, and kill its remaining processes."""
     with (desk / "said.txt").open("w+b") as said:
         child = subprocess.Popen(
             [sys.executable, "-m", "crowdbench.leaderboard.sandbox.child", str(desk)],
@@ -176,9 +186,9 @@ def _run(
             last = _last_line(said.fileno())
             raise SandboxError(
                 where,
-                got=f"{broken}{f'; it said last: {last}' if last else ''}",
-                expected="one that ends by itself within the limits",
-                hint="If it is sound and the limits are narrow, raise them.",
+                got=f"{broken}{f', last output: {last}' if last else ''}",
+                expected="a run that ends within the limits",
+                hint="If the submission is correct and needs more, raise the limits.",
             )
     return ran
 
@@ -189,7 +199,7 @@ def _watched(
     limits: Limits,
     progress: Callable[[int, int], None],
 ) -> tuple[str, dict[str, Any]]:
-    """Wait until the child ends, or end it; what it broke, in words, and how it ran."""
+    """Wait until the child ends or must be killed; return how it failed and what it used."""
     began, peak, cpu, broken = time.monotonic(), 0, 0.0, ""
     ever: dict[int, Process] = {}
     try:
@@ -213,19 +223,19 @@ def _watched(
 
 
 def _environment() -> dict[str, str]:
-    """What the child knows of its surroundings: no keys, no tokens."""
+    """Environment variables for the child, without keys and tokens."""
     kept = {
         name: value
         for name, value in os.environ.items()
         if name in _KEPT or name.startswith(_KEPT_STARTS)
     }
-    # Threads that nobody asked for would each reserve memory. What lies in the folder where one
-    # stands, which may be a submission's, is nothing to be imported.
+    # Each thread of OpenBLAS would reserve memory. With PYTHONSAFEPATH, nothing is imported from
+    # the current folder, which may be a submission's.
     return {"OPENBLAS_NUM_THREADS": "1", **kept, "PYTHONSAFEPATH": "1"}
 
 
 def _broken(limits: Limits, processes: int, peak: int, wall_s: float) -> str:
-    """Which limit the child has broken, in words; empty for none."""
+    """The limit that the child has exceeded, in words; empty if none."""
     if wall_s > limits.wall_s:
         return f"no end after {limits.wall_s:g} s"
     if peak > limits.memory_bytes:
@@ -236,12 +246,12 @@ def _broken(limits: Limits, processes: int, peak: int, wall_s: float) -> str:
 
 
 def _died(code: int, limits: Limits) -> str:
-    """How it ended if not well, in words."""
+    """How the child failed, in words; empty if it ended normally."""
     if code == -signal.SIGXCPU:
         return f"more than {limits.cpu_s} s of CPU time"
     if code < 0:
         return f"a crash ({signal.Signals(-code).name})"
-    return "" if code == 0 else f"an end with code {code}"
+    return "" if code == 0 else f"exit code {code}"
 
 
 def _tell(path: Path, progress: Callable[[int, int], None]) -> None:
@@ -251,10 +261,10 @@ def _tell(path: Path, progress: Callable[[int, int], None]) -> None:
 
 
 def _beginning(path: Path, most: int) -> bytes:
-    """The first bytes of a plain file. Links could lead anywhere, pipes would hold us up.
+    """The first bytes of a regular file. Links could lead anywhere, and reading pipes could block.
 
     Raises:
-        OSError: it is no plain file, or there is none.
+        OSError: the path is missing or no regular file.
     """
 
     def opener(name: str, flags: int) -> int:
@@ -262,12 +272,12 @@ def _beginning(path: Path, most: int) -> bytes:
 
     with open(path, "rb", opener=opener) as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(errno.EINVAL, "no plain file")
+            raise OSError(errno.EINVAL, "not a regular file")
         return file.read(most)
 
 
 def _last_line(said: int) -> str:
-    """The end of what a child printed into the open file `said`, as one line of plain text."""
+    """The last line that a child printed to the open file `said`, as plain text."""
     end = os.pread(said, 2000, max(0, os.fstat(said).st_size - 2000))
     plain = ["".join(c for c in line if c.isprintable()).strip()
              for line in end.decode(errors="replace").split("\n")]  # fmt: skip

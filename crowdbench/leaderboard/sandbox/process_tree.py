@@ -1,4 +1,4 @@
-"""The processes of a sandbox: who they are, what they use, and how all of them are ended."""
+"""The processes of a sandbox: find them, measure them and kill them."""
 
 import os
 import signal
@@ -9,23 +9,23 @@ from typing import NamedTuple
 
 
 class Process(NamedTuple):
-    """What the system tells of a process."""
+    """What the system reports about a process."""
 
     parent: int
     session: int
     began: int
-    """In ticks since the machine started: with its id this is a process and no later one."""
+    """Start time in ticks since boot. With its id it identifies a process; ids alone are reused."""
     memory_bytes: int
     cpu_s: float
 
 
 def _processes() -> dict[int, Process]:
-    """All processes by id; empty where the system does not tell."""
+    """All processes by id; empty if the system has no `/proc`."""
     found = {}
     page, tick = os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_CLK_TCK")
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError, ValueError, IndexError):
-            # The name in brackets may hold anything.
+            # The process name in brackets may contain anything, so only the rest is parsed.
             fields = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()
             parent, session, user, system, began, pages = (
                 int(fields[k]) for k in (1, 3, 11, 12, 19, 21)
@@ -37,7 +37,10 @@ def _processes() -> dict[int, Process]:
 
 
 def family(root: int) -> dict[int, Process]:
-    """A process, its session, and all that these started and that did not lose their parents."""
+    """A process, its session and all their descendants, by id.
+
+    Processes that left the session and whose parents have ended are not found.
+    """
     everyone = _processes()
     found = {root} | {pid for pid, process in everyone.items() if process.session == root}
     before = 0
@@ -48,7 +51,7 @@ def family(root: int) -> dict[int, Process]:
 
 
 def end(child: "subprocess.Popen[bytes]", seen: dict[int, Process]) -> None:
-    """Kill the child, its session, and those who left that but were seen before."""
+    """Kill the child, its session, and the processes in `seen` that have left the session."""
     seen = seen | family(child.pid)
     with suppress(ProcessLookupError):
         os.killpg(child.pid, signal.SIGKILL)

@@ -1,1 +1,1 @@
-"""What participants send: `submission.toml`, models, trajectories, and their limits."""
+"""Submissions: `submission.toml`, models, trajectories, and their size limits."""

@@ -1,7 +1,7 @@
-"""Submissions as zip files: packed so that equal folders give equal bytes, and unpacked with care.
+"""Submissions as zip files: packed reproducibly, and unpacked safely.
 
-Names, kinds and sizes are looked at before anything is written, and sizes again while it is: what
-an archive says of itself need not be true.
+Names, file types and sizes are checked before anything is written. Sizes are checked again while
+writing, since those stated in an archive may be false.
 """
 
 import re
@@ -17,11 +17,11 @@ from crowdbench.files import replacing
 from crowdbench.leaderboard.submission.errors import RefusedError, SubmissionError
 from crowdbench.leaderboard.submission.limits import LARGEST_SUBMISSION, LONGEST_PATH, MOST_FILES
 
-_HINT = "Make it with `crowdbench submit pack`."
+_HINT = "Create it with `crowdbench submit pack`."
 _CHUNK = 2**20
 _END = struct.Struct("<4s4H2LH")  # end of central directory
 _ZIP64 = b"PK\x06\x07"
-_LONGEST_ENTRY = 500  # bytes of a member in the directory
+_LONGEST_ENTRY = 500  # bytes of a member in the central directory
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*(/[A-Za-z0-9_+-][A-Za-z0-9._+-]*)*/?")
 _ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".zst", ".7z", ".rar", ".jar", ".whl")
@@ -36,11 +36,11 @@ _BROKEN = (
     RuntimeError,
     ValueError,
 )
-"""What Python's reader of zip files raises on broken ones."""
+"""Exceptions that Python's zip reader raises for broken files."""
 
 
 def pack(folder: Path, names: Iterable[str], out: Path) -> None:
-    """Write the files `names` of a folder to a zip: the same files give the same bytes.
+    """Write the files `names` of a folder to a zip. The same files give the same bytes.
 
     Raises:
         OutputError: `out` cannot be written.
@@ -48,18 +48,18 @@ def pack(folder: Path, names: Iterable[str], out: Path) -> None:
     with replacing(out) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name in sorted(names):
             member = zipfile.ZipInfo(name, _EPOCH)
-            member.create_system = 3  # Unix, wherever it is made
+            member.create_system = 3  # Unix, on every platform
             member.external_attr = (stat.S_IFREG | 0o644) << 16
-            # Stored as they are: what compression makes of them depends on the library.
+            # Stored uncompressed: compressed bytes would depend on the library.
             archive.writestr(member, (folder / name).read_bytes())
 
 
 def unpack(path: Path, into: Path) -> None:
-    """Write the files of a zip that is not trusted into the empty folder `into`.
+    """Extract an untrusted zip into the empty folder `into`.
 
     Raises:
-        SubmissionError: it is broken or too large, or holds names, links, devices, encrypted or
-            repeated members, or archives, that no submission has.
+        SubmissionError: the zip is broken or too large, or contains invalid names, links, devices,
+            encrypted or repeated members, or other archives.
     """
     try:
         _check_end(path)
@@ -75,7 +75,7 @@ def unpack(path: Path, into: Path) -> None:
     except _BROKEN as error:
         told = str(error) or type(error).__name__
         broken = RefusedError(
-            path.name, got=f"no readable zip ({told})", expected="one", hint=_HINT
+            path.name, got=f"an unreadable zip ({told})", expected="a valid zip", hint=_HINT
         )
         raise SubmissionError(path, [broken]) from error
     except RefusedError as refusal:
@@ -83,7 +83,7 @@ def unpack(path: Path, into: Path) -> None:
 
 
 def _check_end(path: Path) -> None:
-    """Refuse a directory that is too long, before it is read."""
+    """Reject a central directory that is too long, before it is read."""
     size = path.stat().st_size
     if size > LARGEST_SUBMISSION:
         raise _too_large(path.name, f"{size / 1e6:.1f} MB")
@@ -93,7 +93,7 @@ def _check_end(path: Path) -> None:
     if len(tail) < _END.size or tail[-_END.size : -_END.size + 4] != b"PK\x05\x06":
         raise RefusedError(
             path.name,
-            got="a file that does not end as a zip does",
+            got="a file without the end record of a zip",
             expected="a zip without a comment",
             hint=_HINT,
         )
@@ -101,7 +101,7 @@ def _check_end(path: Path) -> None:
     if tail.startswith(_ZIP64) or members > MOST_FILES or length > MOST_FILES * _LONGEST_ENTRY:
         raise RefusedError(
             path.name,
-            got=f"a directory of {members} files and {length} bytes",
+            got=f"a central directory of {members} files and {length} bytes",
             expected=f"at most {MOST_FILES} files",
             hint=_HINT,
         )
@@ -114,22 +114,22 @@ def _too_large(name: str, got: str) -> RefusedError:
 
 
 def wrong_name(name: str) -> RefusedError | None:
-    """Why no file of a submission may have this path, None if one may."""
+    """The problem with a file's path in a submission; None if it is valid."""
     problems = (
         (name.startswith("/"), "an absolute path"),
         ("\\" in name, "a backslash in a path"),
         (re.match(r"[A-Za-z]:", name), "a drive letter in a path"),
         (".." in name.split("/"), "a path that leads out of the folder"),
         (len(name) > LONGEST_PATH, f"a path of {len(name)} characters"),
-        (not _NAME.fullmatch(name), "a path that is no plain text, or hidden"),
+        (not _NAME.fullmatch(name), "a hidden path or invalid characters"),
     )
     for wrong, got in problems:
         if wrong:
             return RefusedError(
                 ascii(name[:LONGEST_PATH]),
                 got=got,
-                expected=f"up to {LONGEST_PATH} letters, digits, and ._+-, folders divided by /",
-                hint="Leave the file out, or rename it.",
+                expected=f"up to {LONGEST_PATH} letters, digits and ._+-, with / between folders",
+                hint="Remove or rename the file.",
             )
     return None
 
@@ -139,12 +139,12 @@ def _wrong_names(members: list[zipfile.ZipInfo]) -> Iterator[RefusedError]:
     for member in members:
         if refused := wrong_name(member.orig_filename):
             yield refused
-        # To where it is written: less, up to a null byte, or what an extra field says (0x7075),
-        # which newer Pythons believe.
+        # Python writes to `filename`. It can differ from the name in the archive: it ends at a null
+        # byte, and newer versions of Python take it from the extra field 0x7075.
         elif member.filename != member.orig_filename:
             yield RefusedError(
                 ascii(member.orig_filename),
-                got=f"another name besides, {member.filename[:LONGEST_PATH]!a}",
+                got=f"a second name, {member.filename[:LONGEST_PATH]!a}",
                 expected="one name",
                 hint=_HINT,
             )
@@ -155,8 +155,8 @@ def _wrong_names(members: list[zipfile.ZipInfo]) -> Iterator[RefusedError]:
         if times > 1 or name in folders:
             yield RefusedError(
                 ascii(name[:LONGEST_PATH]),
-                got="a name twice",
-                expected="each once, in capitals or not",
+                got="a repeated name",
+                expected="names that differ in more than upper and lower case",
                 hint=_HINT,
             )
 
@@ -176,7 +176,7 @@ def _wrong_kinds(members: list[zipfile.ZipInfo]) -> Iterator[RefusedError]:
             (member.filename.lower().endswith(_ARCHIVES), "an archive in an archive"),
         ):
             if wrong:
-                yield RefusedError(name, got=got, expected="files, stored or deflated", hint=_HINT)
+                yield RefusedError(name, got=got, expected="stored or deflated files", hint=_HINT)
 
 
 def _wrong_sizes(members: list[zipfile.ZipInfo]) -> Iterator[RefusedError]:
@@ -186,13 +186,13 @@ def _wrong_sizes(members: list[zipfile.ZipInfo]) -> Iterator[RefusedError]:
 
 
 def _write(archive: zipfile.ZipFile, member: zipfile.ZipInfo, out: Path, left: int) -> int:
-    """Write a member, and return its size, which is at most `left`."""
+    """Extract a member, and return its size in bytes, which must be at most `left`."""
     out.parent.mkdir(parents=True, exist_ok=True)
     size = 0
     with archive.open(member) as packed, out.open("xb") as file:
         while chunk := packed.read(_CHUNK):
             size += len(chunk)
             if size > left:
-                raise _too_large(member.filename, "more than the archive says")
+                raise _too_large(member.filename, "more bytes than the archive states")
             file.write(chunk)
     return size

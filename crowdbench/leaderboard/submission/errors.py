@@ -1,4 +1,4 @@
-"""What is wrong with a submission: everything at once, each with where, got, expected and hint."""
+"""Errors of submissions: all problems at once, each with where, got, expected and hint."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -7,15 +7,15 @@ from pathlib import Path
 from crowdbench.errors import CrowdbenchError
 from crowdbench.leaderboard.submission.limits import MOST_SHOWN
 
-_LONGEST = 400  # characters of a part of a message
+_LONGEST = 400  # characters in each part of a message
 
 
 class RefusedError(CrowdbenchError):
-    """One thing for which a submission is refused."""
+    """One problem for which a submission is rejected."""
 
 
 class SubmissionError(CrowdbenchError):
-    """A submission that is refused, with all that is wrong with it."""
+    """The rejection of a submission, with all its problems."""
 
     problems: tuple[CrowdbenchError, ...]
 
@@ -35,21 +35,24 @@ class SubmissionError(CrowdbenchError):
 
 
 def tidy(problem: CrowdbenchError) -> CrowdbenchError:
-    """The same on one line that a terminal only shows: what was got may be a submitter's text."""
+    """Return the same error with printable characters only, since it may quote a submitter's text.
+
+    Each part is cut to `_LONGEST` characters.
+    """
     parts = (problem.where, problem.got, problem.expected, problem.hint)
     where, got, expected, hint = (plain(part) for part in parts)
     return type(problem)(where, got=got, expected=expected, hint=hint)
 
 
 def plain(text: str, longest: int = _LONGEST) -> str:
-    """The text, what cannot be printed replaced by �, and cut where it is too long."""
+    """Return the text, cut to `longest` characters, with unprintable characters replaced by �."""
     cut = text if len(text) <= longest else text[: longest - 1] + "…"
     return "".join(c if c.isprintable() else "�" for c in cut)
 
 
 @contextmanager
 def collecting(problems: list[CrowdbenchError], folder: Path) -> Iterator[None]:
-    """Note an error that readers of files raise; its place is told as one in the folder."""
+    """Append a `CrowdbenchError` raised in the block to `problems`, with paths inside `folder`."""
     try:
         yield
     except CrowdbenchError as error:

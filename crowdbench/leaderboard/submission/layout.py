@@ -1,4 +1,4 @@
-"""Which files a submission must hold, by what it declares, and which it must not."""
+"""Which files a submission must and may contain, given what it declares."""
 
 import os
 import re
@@ -12,28 +12,28 @@ from crowdbench.leaderboard.submission.errors import RefusedError
 from crowdbench.leaderboard.submission.limits import LARGEST_SUBMISSION, MOST_FILES, MOST_ROLLOUTS
 from crowdbench.leaderboard.submission.schema import FILE, Declared
 from crowdbench.registry import WEIGHTS
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.blocks import SPLITS
 
 NOTES = "README.md"
-"""May lie in a submission's folder, and is neither read nor packed."""
+"""Allowed in a submission's folder, but neither read nor packed."""
 NETWORK = "policy.onnx"
-"""A network that knows none of the scenes."""
+"""One network for all scenes, trained on none of their recordings."""
 _CROWD = re.compile(r"([^/]+)/trajectories/(0|[1-9][0-9]?)\.(parquet|csv)")
 
 
 @dataclass
 class Layout:
-    """A submission's files by what they are, paths from its folder on."""
+    """A submission's files by role; paths are relative to its folder."""
 
     networks: list[str] = field(default_factory=list)
     weights: dict[str, str] = field(default_factory=dict)
-    """By scene."""
+    """The spawn model's file, by scene."""
     crowds: dict[str, list[str]] = field(default_factory=dict)
-    """By scene, in the order of their numbers."""
+    """The trajectory files in the order of their numbers, by scene."""
 
 
 def files_in(folder: Path, problems: list[CrowdbenchError]) -> list[str]:
-    """Paths of the regular files in a submission's folder; what else is there is a problem."""
+    """Relative paths of a folder's regular files; anything else is added to `problems`."""
     found: list[str] = []
     seen = size = 0
     folders = [folder]
@@ -54,7 +54,10 @@ def files_in(folder: Path, problems: list[CrowdbenchError]) -> list[str]:
                 elif not stat.S_ISREG(status.st_mode):
                     problems.append(
                         RefusedError(
-                            name, got="a link or a device", expected="files", hint="Remove it."
+                            name,
+                            got="a link or a device",
+                            expected="a regular file",
+                            hint="Remove it.",
                         )
                     )
                 elif name != NOTES:
@@ -66,13 +69,13 @@ def _too_much(folder: Path) -> RefusedError:
     return RefusedError(
         folder.name,
         got=f"more than {MOST_FILES} files and folders, or {LARGEST_SUBMISSION / 1e6:.0f} MB",
-        expected="less",
-        hint="Is this the folder of the submission alone?",
+        expected="fewer or smaller files",
+        hint="Does the folder contain only the submission?",
     )
 
 
 def lay_out(declared: Declared, names: list[str], problems: list[CrowdbenchError]) -> Layout:
-    """Give each file its role; those that are missing or have none are added to `problems`."""
+    """Assign each file its role; missing and unexpected files are added to `problems`."""
     layout = Layout()
     found = set(names) - {FILE}
     needs_policy = declared.track != "spawn" and not declared.shipped_policy
@@ -89,37 +92,35 @@ def lay_out(declared: Declared, names: list[str], problems: list[CrowdbenchError
         problems.append(
             RefusedError(
                 ", ".join(surplus),
-                got="a file that has no place here"
-                if len(surplus) == 1
-                else "files that have no place here",
+                got="an unexpected file" if len(surplus) == 1 else "unexpected files",
                 expected=_places(declared, layout, needs_policy, needs_spawn),
-                hint=f"Remove or rename what is surplus, or correct {FILE}.",
+                hint=f"Remove or rename unexpected files, or correct {FILE}.",
             )
         )
     return layout
 
 
 def _places(declared: Declared, layout: Layout, policy: bool, spawn: bool) -> str:
-    """Where files may lie, in words."""
+    """The files that a submission may contain, in words."""
     of_scene, alone = [], ""
     if layout.crowds:
         of_scene = ["trajectories/0.parquet or .csv, …"]
     else:
         if policy and layout.networks == [NETWORK]:
-            alone = f"{NETWORK} in place of networks for each scene; "
+            alone = f"{NETWORK} instead of networks for each scene; "
         elif policy:
-            of_scene.append("policy/" + ", ".join(f"{part}.onnx" for part in parts_of(declared)))
+            of_scene.append("policy/" + ", ".join(f"{split}.onnx" for split in splits_of(declared)))
         if spawn:
-            of_scene.append(f"one of spawn/{', '.join(WEIGHTS)}")
+            of_scene.append(f"one of {', '.join(WEIGHTS)} in spawn/")
     if of_scene:
         folders = ", ".join(declared.scenes)
-        return f"{alone}in a folder for each of {folders}: {'; '.join(of_scene)}"
-    return alone.rstrip("; ") or f"{FILE} alone, since it names what comes with crowdbench"
+        return f"{alone}in the folder of each scene ({folders}): {'; '.join(of_scene)}"
+    return alone.rstrip("; ") or f"only {FILE}, since its models come with crowdbench"
 
 
-def parts_of(declared: Declared) -> tuple[str, ...]:
-    """The parts of a recording for which a submission holds a network each."""
-    return PARTS[:1] if declared.training.protocol == "full" else PARTS[1:]
+def splits_of(declared: Declared) -> tuple[str, ...]:
+    """The splits of a recording for which a submission contains one network each."""
+    return SPLITS[:1] if declared.training.protocol == "full" else SPLITS[1:]
 
 
 def _networks(declared: Declared, found: set[str], problems: list[CrowdbenchError]) -> list[str]:
@@ -127,16 +128,16 @@ def _networks(declared: Declared, found: set[str], problems: list[CrowdbenchErro
         return [NETWORK]
     names: list[str] = []
     for scene in declared.scenes:
-        of_scene = {f"{scene}/policy/{part}.onnx" for part in parts_of(declared)}
+        of_scene = {f"{scene}/policy/{split}.onnx" for split in splits_of(declared)}
         if lacking := sorted(of_scene - found):
             problems.append(
                 RefusedError(
                     f"{scene}/policy",
                     got=f"no {', '.join(Path(name).name for name in lacking)}",
-                    expected=f"{', '.join(f'{part}.onnx' for part in parts_of(declared))}, as "
-                    f"training.protocol {declared.training.protocol} has it",
-                    hint="Write it with `crowdbench policy export`, or name a policy that comes "
-                    "with crowdbench as shipped_policy.",
+                    expected=f"{', '.join(f'{split}.onnx' for split in splits_of(declared))} for "
+                    f"training.protocol {declared.training.protocol}",
+                    hint="Create the file with `crowdbench policy export`, or set shipped_policy "
+                    "to a policy that comes with crowdbench.",
                 )
             )
         names += sorted(of_scene & found)
@@ -168,8 +169,8 @@ def _weights(
                     f"{scene}/spawn",
                     got="no fits",
                     expected=f"one of {', '.join(WEIGHTS)}",
-                    hint=f"Write it with `crowdbench fit {scene} --out FOLDER`, or name a spawn "
-                    "model that comes with crowdbench as shipped_spawn.",
+                    hint=f"Create the file with `crowdbench fit {scene} --out FOLDER`, or set "
+                    "shipped_spawn to a spawn model that comes with crowdbench.",
                 )
             )
     return weights
@@ -178,7 +179,7 @@ def _weights(
 def _crowds(
     declared: Declared, found: set[str], problems: list[CrowdbenchError]
 ) -> dict[str, list[str]]:
-    """The rollouts of each scene, numbered from 0; on track walk one may be enough."""
+    """The trajectory files of each scene, numbered from 0; track walk needs only one."""
     least = 1 if declared.track == "walk" else 2
     crowds: dict[str, list[str]] = {}
     for scene in declared.scenes:
@@ -190,8 +191,8 @@ def _crowds(
                 RefusedError(
                     f"{scene}/trajectories",
                     got="files " + ", ".join(map(str, numbers)) if numbers else "no files",
-                    expected=f"{least} to {MOST_ROLLOUTS} rollouts, a file each, numbered 0, 1, …",
-                    hint="A score needs several rollouts." if len(numbers) < least else "",
+                    expected=f"{least} to {MOST_ROLLOUTS} rollouts, one per file, numbered 0, 1, …",
+                    hint="A score needs at least two rollouts." if len(numbers) < least else "",
                 )
             )
     for name in ("shipped_policy", "shipped_spawn"):
@@ -199,9 +200,9 @@ def _crowds(
             problems.append(
                 RefusedError(
                     f"{FILE}, {name}",
-                    got="trajectories besides",
+                    got="a model together with trajectories",
                     expected="either trajectories or models",
-                    hint="Remove the one or the other.",
+                    hint="Remove one of them.",
                 )
             )
     return crowds

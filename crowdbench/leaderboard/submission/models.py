@@ -1,4 +1,4 @@
-"""Checking the models of a submission: networks, fits of spawn models, names of shipped ones."""
+"""Check the models of a submission: networks, fits of spawn models, names of shipped models."""
 
 import re
 from collections.abc import Iterator
@@ -7,14 +7,14 @@ from pathlib import Path
 
 from crowdbench.errors import CrowdbenchError, WeightsError
 from crowdbench.leaderboard.submission.errors import RefusedError, collecting
-from crowdbench.leaderboard.submission.layout import NETWORK, Layout, parts_of
+from crowdbench.leaderboard.submission.layout import NETWORK, Layout, splits_of
 from crowdbench.leaderboard.submission.limits import LARGEST_FITS
 from crowdbench.leaderboard.submission.schema import FILE, Declared
 from crowdbench.policies import OnnxPolicy, PolicyCard
-from crowdbench.registry import FITTED, POLICIES, WEIGHTS, policy, policy_file, trained_policies
+from crowdbench.registry import FITTED, POLICIES, WEIGHTS, policy, policy_source, trained_policies
 from crowdbench.scene import load_scene
 from crowdbench.spawn.areas import read_areas
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.blocks import SPLITS
 
 _BASELINE = re.compile(r"baselines\.[a-z_]+:[A-Z][A-Za-z]*")
 
@@ -22,7 +22,7 @@ _BASELINE = re.compile(r"baselines\.[a-z_]+:[A-Z][A-Za-z]*")
 def check_models(
     folder: Path, declared: Declared, layout: Layout, problems: list[CrowdbenchError]
 ) -> None:
-    """Read every model with its own reader; what is wrong is added to `problems`."""
+    """Read every model with its own reader; problems are added to `problems`."""
     problems += _wrong_names(declared)
     for name in layout.networks:
         with collecting(problems, folder):
@@ -38,20 +38,20 @@ def check_models(
             RefusedError(
                 f"{FILE}, kind",
                 got="'privileged'",
-                expected="learned or model-based: files see observations, not the state",
-                hint="Say which of the two it is.",
+                expected="learned or model-based, since files receive observations, not the state",
+                hint="Choose one of the two.",
             )
         )
 
 
 def shipped_files(declared: Declared) -> dict[str, Path]:
-    """The files of the shipped models that a submission names, by their path in crowdbench."""
+    """Files of the shipped models that a submission names, by their path in crowdbench."""
     found: dict[str, Path] = {}
     for scene in declared.scenes:
         folder = load_scene(scene).folder
         if declared.shipped_policy in trained_policies(load_scene(scene)):
             networks = folder / "policies" / declared.shipped_policy
-            files = [networks / f"{part}.onnx" for part in parts_of(declared)]
+            files = [networks / f"{split}.onnx" for split in splits_of(declared)]
         else:
             files = []
         files += [folder / f for f, model in WEIGHTS.items() if model == declared.shipped_spawn]
@@ -67,29 +67,36 @@ def _read_weights(path: Path, scene: str) -> None:
         )
     place = load_scene(scene)
     areas = read_areas(place)
-    for part in PARTS:
-        FITTED[WEIGHTS[path.name]].read(replace(place, folder=path.parent), areas, part)
+    for split in SPLITS:
+        FITTED[WEIGHTS[path.name]].read(replace(place, folder=path.parent), areas, split)
 
 
 def _seen_too_much(name: str, card: PolicyCard, declared: Declared) -> Iterator[RefusedError]:
-    """Whether a network has been trained on something else than its place says."""
+    """Yield a problem if a network was trained on other data than its path and protocol say."""
     scene, _, file = name.partition("/")
-    part = file.removeprefix("policy/").removesuffix(".onnx")
-    of_part = declared.training.protocol != "none" and name != NETWORK
-    if (card.scene, card.part) == (scene, part) if of_part else card.scene not in declared.scenes:
+    split = file.removeprefix("policy/").removesuffix(".onnx")
+    of_split = declared.training.protocol != "none" and name != NETWORK
+    if (
+        (card.scene, card.split) == (scene, split)
+        if of_split
+        else card.scene not in declared.scenes
+    ):
         return
-    if of_part:
-        expected = f"one trained on {part} of {scene}"
-        hint = 'Train one for it; what has seen no scene of these has training.protocol "none".'
+    if of_split:
+        expected = f"one trained on {split} of {scene}"
+        hint = (
+            "Train a network for this split. If it was trained on none of the submission's scenes, "
+            'use training.protocol "none".'
+        )
     else:
-        expected = "one that knows no recording of a scene it is submitted for"
-        hint = 'Train one on other scenes; or one for each fold, with training.protocol "heldout".'
-    got = f"a network trained on {card.part} of {card.scene}"
+        expected = "one trained on no recording of the submission's scenes"
+        hint = 'Train one on other scenes, or one for each fold with training.protocol "heldout".'
+    got = f"a network trained on {card.split} of {card.scene}"
     yield RefusedError(name, got=got, expected=expected, hint=hint)
 
 
 def _wrong_names(declared: Declared) -> Iterator[CrowdbenchError]:
-    """Shipped models that are named where the track has none, or that do not exist."""
+    """Yield a problem for each shipped model that does not exist or does not fit the track."""
     for name, track, other in (
         ("shipped_policy", "spawn", "straight walkers"),
         ("shipped_spawn", "walk", "the recorded arrivals"),
@@ -98,7 +105,7 @@ def _wrong_names(declared: Declared) -> Iterator[CrowdbenchError]:
             yield RefusedError(
                 f"{FILE}, {name}",
                 got=repr(getattr(declared, name)),
-                expected=f"no such line: track {track} has {other}",
+                expected=f"no such field, since track {track} uses {other}",
                 hint="Remove it, or choose the track crowd.",
             )
             return
@@ -114,16 +121,16 @@ def _wrong_names(declared: Declared) -> Iterator[CrowdbenchError]:
     for scene in declared.scenes:
         place = load_scene(scene)
         file = named in trained_policies(place)
-        if not file or not all(_is_file(named, scene, part) for part in parts_of(declared)):
+        if not file or not all(_is_file(named, scene, split) for split in splits_of(declared)):
             known = (*POLICIES, *trained_policies(place), "baselines.MODULE:Class")
             yield RefusedError(
                 f"{FILE}, shipped_policy",
                 got=repr(named),
                 expected=f"a policy that comes with {scene}: {', '.join(known)}",
-                hint="Submit ONNX files for what does not come with crowdbench.",
+                hint="Submit ONNX files for other policies.",
             )
 
 
-def _is_file(named: str, scene: str, part: str) -> bool:
-    file = policy_file(named, load_scene(scene), part)
+def _is_file(named: str, scene: str, split: str) -> bool:
+    file = policy_source(named, load_scene(scene)).network(split)
     return file is not None and file.is_file()

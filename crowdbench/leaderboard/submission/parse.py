@@ -1,4 +1,4 @@
-"""Reading `submission.toml`, and telling all that is wrong with it at once."""
+"""Read `submission.toml`, and report all its problems at once."""
 
 import re
 import tomllib
@@ -18,53 +18,53 @@ from crowdbench.registry import SPAWN_MODELS
 from crowdbench.scene import list_scenes
 
 PLACEHOLDER = "FILL IN"
-"""What stands in the template for what its author must say."""
+"""Begins each value of the template that the author must replace."""
 _LINE = "1 to 200 printable characters on one line"
 _EXPECTED = {
     "schema": "1",
     "name": _LINE,
     "authors": f'a list of 1 to 50 names such as ["Ada Lovelace"], each {_LINE}',
-    "contact": f"an e-mail address, or where issues are opened: {_LINE}",
-    "link": "an address that begins with https://, in plain letters and without blanks",
+    "contact": f"an e-mail address or an issue tracker, as {_LINE}",
+    "link": "a URL that begins with https://, in ASCII characters and without spaces",
     "licence": "an SPDX identifier such as Apache-2.0 or CC-BY-4.0",
     "track": "walk, spawn or crowd",
     "kind": "learned, model-based or privileged",
-    "scenes": "a list of scenes, each once, of {scenes}",
+    "scenes": "a list of different scenes, from {scenes}",
     "training": "a table [training] with data, protocol and parameters",
     "training.data": "1 to 1000 printable characters on one line",
     "training.protocol": "heldout, none or full",
-    "training.parameters": "a whole number from 0 to 10^12, without quotes",
-    "shipped_policy": "the name of a policy that comes with crowdbench, or no such line",
-    "shipped_spawn": f"one of {', '.join(SPAWN_MODELS)}, or no such line",
+    "training.parameters": "an integer from 0 to 10^12, without quotes",
+    "shipped_policy": "the name of a policy that comes with crowdbench, or no such field",
+    "shipped_spawn": f"one of {', '.join(SPAWN_MODELS)}, or no such field",
 }
 _FORMS = {
     "link": (
         re.compile(r"https://[A-Za-z0-9-]+(\.[A-Za-z0-9-]+)+(:[0-9]{1,5})?([/?#][!#-;=?-_a-z~]*)?"),
-        "Write it in full.",
+        "Write the complete URL.",
     ),
     "licence": (
         re.compile(r"\(*[A-Za-z0-9.+-]+\)*( (AND|OR|WITH) \(*[A-Za-z0-9.+-]+\)*)*"),
-        "https://spdx.org/licenses lists them.",
+        "See the list at https://spdx.org/licenses.",
     ),
 }
-"""Form of a field, and how to mend what has another."""
+"""Pattern of a field's value, and the hint for values that do not match."""
 _UNSEEN = re.compile(
     "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0"
     "\U000e0100-\U000e01ef]"
 )
-"""What is printable, and yet nothing to be seen: fillers, blanks and selectors."""
+"""Printable but invisible characters: fillers, blanks and variation selectors."""
 _MOST_MARKS = 4
-"""That stand on one letter; more of them reach into the lines above."""
-# Where nothing but what is shown is wrong, artefacts are looked at all the same.
+"""Combining marks on one letter; more of them would overlap the lines above."""
+# They replace invalid fields that are only displayed, so that the artefacts are checked as well.
 _STAND_INS = {"name": "?", "authors": ["?"], "contact": "?", "link": "?", "licence": "?"}
 _STAND_INS_OF_TRAINING = {"data": "?", "parameters": 0}
 
 
 def read_declared(path: Path, problems: list[CrowdbenchError]) -> Declared | None:
-    """What a submission declares; what is wrong with it is added to `problems`.
+    """Return what a submission declares, and append all problems with it to `problems`.
 
-    Where a field is wrong that artefacts do not depend on, another value stands in for it; where
-    they do, None is returned.
+    An invalid field that is only displayed gets a stand-in value. If a field that the checks of the
+    artefacts depend on is invalid, None is returned.
     """
     raw = _raw(path, problems)
     if raw is None:
@@ -98,9 +98,9 @@ def _raw(path: Path, problems: list[CrowdbenchError]) -> dict[str, Any] | None:
             return tomllib.loads(text)
     except OSError as error:
         got, expected = error.strerror or "no file", "a readable file"
-    except (ValueError, RecursionError) as error:  # no UTF-8, no TOML, numbers of 5000 digits
+    except (ValueError, RecursionError) as error:  # not UTF-8 or TOML, or numbers of 5000 digits
         got, expected = str(error), "valid TOML in UTF-8"
-    hint = "Compare it with what `crowdbench submit init` writes; texts stand in quotes."
+    hint = "Compare it with the file that `crowdbench submit init` writes; strings need quotes."
     problems.append(RefusedError(FILE, got=got, expected=expected, hint=hint))
     return None
 
@@ -113,8 +113,8 @@ def _wrong_fields(
         if name not in fields:
             yield RefusedError(
                 f"{FILE}, {prefix}{ascii(name)[1:-1][:60]}",
-                got="a field that does not exist",
-                expected=", ".join(fields),
+                got="an unknown field",
+                expected=f"only {', '.join(fields)}",
                 hint="Remove or rename it.",
             )
     for name, field in fields.items():
@@ -131,34 +131,34 @@ def _wrong_fields(
 
 
 def _hint(name: str, value: Any, kind: Any) -> str | None:
-    """How to mend a value (no word where that is plain), None if it is right."""
+    """The hint for an invalid value (empty where `expected` says enough); None if it is valid."""
     texts = [v for v in (value if isinstance(value, list) else [value]) if isinstance(v, str)]
     if any(text.startswith(PLACEHOLDER) for text in texts):
         return "Replace the template's placeholder."
     if name == "training":
-        return None if isinstance(value, dict) else "Write its fields below [training]."
+        return None if isinstance(value, dict) else "Write its fields below a line [training]."
     try:
         msgspec.convert(value, kind, strict=True)
-    except ValueError:  # of msgspec, or of Python for numbers of 5000 digits
-        return ""  # what is expected says all
+    except ValueError:  # from msgspec, or from Python for numbers of 5000 digits
+        return ""  # `expected` says enough
     for text in texts:
         if not text.isprintable():
-            return "Leave out control characters and marks that turn the direction of text."
+            return "Remove control characters and characters that change the text direction."
         if _UNSEEN.search(text) or _most_marks(text) > _MOST_MARKS:
-            return "Leave out letters that nobody sees, and marks that pile up."
+            return "Remove invisible characters and stacked combining marks."
         if not text.strip() and not name.startswith("shipped_"):
-            return "Say something."
+            return "Enter a text that is not blank."
     if name in _FORMS and not _FORMS[name][0].fullmatch(value):
         return _FORMS[name][1]
     if name == "scenes" and (set(value) - set(list_scenes()) or len(set(value)) < len(value)):
-        return "`crowdbench scenes` lists them."
+        return "`crowdbench scenes` lists all scenes."
     if name == "shipped_spawn" and value not in ("", *SPAWN_MODELS):
-        return "A new family of spawn models enters with its code, by pull request."
+        return "Contribute a new family of spawn models with its code, in a pull request."
     return None
 
 
 def _most_marks(text: str) -> int:
-    """The most marks that follow on one letter."""
+    """The largest number of combining marks on one letter."""
     marks = [unicodedata.category(c) in ("Mn", "Me") for c in text]
     return max((len(list(run)) for of_marks, run in groupby(marks) if of_marks), default=0)
 
@@ -166,6 +166,6 @@ def _most_marks(text: str) -> int:
 def _brief(value: Any) -> str:
     try:
         text = repr(value)
-    except (ValueError, RecursionError):  # a number of more than 4300 digits, from hexadecimals
-        return "what is too long to be written"
+    except (ValueError, RecursionError):  # a hexadecimal number of more than 4300 decimal digits
+        return "a value that is too long to print"
     return text if len(text) <= 80 else f"{text[:60]}… ({len(text)} characters)"

@@ -1,17 +1,17 @@
-"""`submission.toml`: what a submitter says of a submission.
+"""`submission.toml`: what a submitter declares about a submission.
 
-A submission's folder holds it beside its artefacts, whose places are fixed, one folder per scene:
+It is at the top level of a submission's folder. The artefacts have fixed paths:
 
     submission.toml
-    eth-v0/policy/fold0.onnx, fold1.onnx, fold2.onnx     tracks walk and crowd; full.onnx alone
-                                                         where training.protocol is full
-    eth-v0/spawn/ntpp-gmm.safetensors                    tracks spawn and crowd: a file as scenes
-                                                         ship it, of any family they ship
-    eth-v0/trajectories/0.parquet, 1.csv, …              instead of both: listed, never ranked
-    policy.onnx                                          instead of policies per scene: one that
-                                                         has seen none of the recordings
+    eth-v0/policy/fold0.onnx, fold1.onnx, fold2.onnx     tracks walk and crowd; only full.onnx if
+                                                         training.protocol is full
+    eth-v0/spawn/ntpp-gmm.safetensors                    tracks spawn and crowd: fits of a shipped
+                                                         family, in the format that scenes ship
+    eth-v0/trajectories/0.parquet, 1.csv, …              instead of models: listed, never ranked
+    policy.onnx                                          instead of policies per scene: one network
+                                                         trained on none of the recordings
 
-What comes with crowdbench needs no files: it is named (`shipped_policy`, `shipped_spawn`).
+Models that come with crowdbench need no files: `shipped_policy` and `shipped_spawn` name them.
 """
 
 from typing import Annotated, Literal
@@ -22,7 +22,7 @@ from msgspec import Meta
 SCHEMA = 1
 FILE = "submission.toml"
 SCENES = ("eth-v0", "gc-v0", "forum-v0")
-"""The scenes that the overall score is the mean of; an entry without one has none."""
+"""Scenes whose mean is the overall score; an entry that lacks one has no overall score."""
 
 Track = Literal["walk", "spawn", "crowd"]
 Kind = Literal["learned", "model-based", "privileged"]
@@ -35,35 +35,35 @@ class Trained(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """What a submission was trained on."""
 
     data: Annotated[str, Meta(min_length=1, max_length=1000)]
-    """In the submitter's words."""
+    """The training data, in the submitter's words."""
     protocol: Training
-    """`heldout`: the artefact of each fold has seen that fold's training blocks only; `none`: no
-    recording of a scene it is submitted for; `full`: whole recordings, which cannot be ranked."""
+    """`heldout`: the artefact of each fold was trained on that fold's training blocks only; `none`:
+    on no recording of the scenes it is submitted for; `full`: on whole recordings (not ranked)."""
     parameters: Annotated[int, Meta(ge=0, le=10**12)]
-    """Numbers that were learned, all artefacts of one scene and fold together."""
+    """Number of learned parameters, all artefacts of one scene and fold together."""
 
 
 class Declared(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What `submission.toml` holds."""
+    """The contents of `submission.toml`."""
 
     schema: Literal[1]
     name: Line
     authors: Annotated[list[Line], Meta(min_length=1, max_length=50)]
     contact: Line
-    """An e-mail address, or where issues are opened."""
+    """An e-mail address or an issue tracker."""
     link: Line
-    """https://…, to a paper or to code."""
+    """URL of a paper or of code, beginning with https://."""
     licence: Line
     """SPDX identifier of the artefacts' licence."""
     track: Track
     """`walk`: a policy under the recorded arrivals; `spawn`: a spawn model with straight walkers;
     `crowd`: both."""
     kind: Kind
-    """`privileged`: it sees the simulation's state, not observations."""
+    """`privileged`: it uses the simulation's state instead of observations."""
     scenes: Annotated[list[Line], Meta(min_length=1, max_length=50)]
     """Ids of the scenes it is submitted for."""
     training: Trained
     shipped_policy: str = ""
-    """A policy that comes with crowdbench, in place of files."""
+    """Name of a policy that comes with crowdbench, instead of files."""
     shipped_spawn: str = ""
-    """A spawn model that comes with crowdbench, in place of files."""
+    """Name of a spawn model that comes with crowdbench, instead of files."""

@@ -1,4 +1,4 @@
-"""`open_submission`: a folder or zip that is not trusted, checked and ready to be verified."""
+"""`open_submission`: check an untrusted folder or zip, so that it can be verified."""
 
 import re
 import unicodedata
@@ -27,38 +27,38 @@ _LINES_OF_POLICY = ("replay", "random")
 
 @dataclass(frozen=True)
 class Submission:
-    """A submission in which nothing is wrong; paths hold while it is open."""
+    """A valid submission. Its paths exist only while it is open."""
 
     folder: Path
     declared: Declared
     layout: Layout
     artefacts: dict[str, str]
-    """SHA-256 by path in the submission, `submission.toml` included."""
+    """SHA-256 of each file, by its path in the submission; includes `submission.toml`."""
     shipped: dict[str, str]
-    """SHA-256 by path in crowdbench of what the shipped models that it names are read from."""
+    """SHA-256 of each file of the shipped models that it names, by its path in crowdbench."""
 
     @property
     def id(self) -> str:
-        """From its name: a-z, 0-9 and single hyphens, at most 60."""
+        """Id made from its name: a-z, 0-9 and single hyphens, at most 60 characters."""
         return slug(self.declared.name)
 
     @property
     def status(self) -> Status:
-        """Whether it is ranked, listed, or a line that others are seen against."""
+        """Whether it is ranked, listed, or an unranked reference."""
         return self._judged()[0]
 
     @property
     def why(self) -> str:
-        """Why it has that status, in half a sentence."""
+        """The reason for its status, as a clause."""
         return self._judged()[1]
 
     @property
     def protocol(self) -> Literal["full", "heldout"]:
-        """What it is held against: recordings that it may have seen, or what was held out."""
+        """How it is scored: on the whole recording if listed, else on held-out time blocks."""
         return "full" if self.status == "listed" else "heldout"
 
     def policy_of(self, scene: str) -> str:
-        """The policy on a scene, as `registry.policy` takes it."""
+        """The policy on a scene, as an argument of `registry.policy`."""
         if self.declared.track == "spawn":
             return "straight"
         if self.declared.shipped_policy:
@@ -67,21 +67,21 @@ class Submission:
         return str(self.folder / NETWORK if one else self.folder / scene / "policy")
 
     def spawn_of(self, scene: str) -> str:
-        """The spawn model on a scene, as `registry.spawn_model` takes it."""
+        """The spawn model on a scene, as an argument of `registry.spawn_model`."""
         if self.declared.track == "walk":
             return "replay"
         return self.declared.shipped_spawn or str(self.folder / scene / "spawn")
 
     def trajectories_of(self, scene: str) -> list[Path]:
-        """The rollouts on a scene that were submitted in place of models; none where there are."""
+        """Paths of the rollouts submitted for a scene; empty if models were submitted."""
         return [self.folder / name for name in self.layout.crowds.get(scene, [])]
 
     def _judged(self) -> tuple[Status, str]:
         declared = self.declared
         if self.layout.crowds:
-            return "listed", "trajectories may come from the recording, which is public"
+            return "listed", "trajectories may be copied from the public recording"
         if declared.training.protocol == "full":
-            return "listed", "it has seen the recordings that it is held against"
+            return "listed", "it was trained on the recordings that it is scored on"
         spawn, policy = declared.shipped_spawn, declared.shipped_policy
         if {
             "walk": policy == "straight" or policy in _LINES_OF_POLICY,
@@ -90,19 +90,19 @@ class Submission:
             or spawn in _LINES_OF_SPAWN
             or policy in _LINES_OF_POLICY,
         }[declared.track]:
-            return "reference", "it is a line that others are seen against"
-        return "ranked", "crowdbench rolls it out, held out"
+            return "reference", "it is an unranked reference for comparison"
+        return "ranked", "crowdbench runs the rollouts and scores them on held-out data"
 
 
 @contextmanager
 def open_submission(path: Path) -> Iterator[Submission]:
-    """A submission from its folder or zip; a zip's files are there until the block ends.
+    """Open and check a submission's folder or zip; a zip is unpacked until the block ends.
 
-    Networks are run for a few persons, so who does not trust them opens submissions in a process
-    with limits.
+    This runs the networks on some observations. Open untrusted submissions in a sandbox, as
+    `verification.check.check` does.
 
     Raises:
-        SubmissionError: something is wrong with it; the error tells everything.
+        SubmissionError: the submission is invalid; the error lists all its problems.
     """
     if path.is_dir():
         yield _read(path, path)
@@ -118,10 +118,10 @@ def open_submission(path: Path) -> Iterator[Submission]:
 
 
 def pack_submission(folder: Path, out: Path | None = None) -> Path:
-    """Check a submission's folder and pack it, by default beside it.
+    """Check a submission's folder, pack it as a zip, by default next to it, and return its path.
 
     Raises:
-        SubmissionError: something is wrong with it.
+        SubmissionError: the submission is invalid.
         OutputError: the zip cannot be written.
     """
     if not folder.is_dir():
@@ -138,7 +138,7 @@ def _read(folder: Path, named: Path) -> Submission:
         return _checked(folder, named)
     except OSError as error:
         got = f"{error.filename}: {error.strerror}"
-        unreadable = RefusedError(named, got=got, expected="files that can be read")
+        unreadable = RefusedError(named, got=got, expected="readable files")
         raise SubmissionError(named, [unreadable]) from error
 
 
@@ -164,16 +164,16 @@ def _no_declaration(names: list[str]) -> RefusedError:
     inside = [name for name in names if name.endswith(f"/{FILE}")]
     return RefusedError(
         FILE,
-        got=f"none but {inside[0]}" if inside else "no such file",
-        expected="it at the top, beside the folders of scenes",
-        hint="Take what is in that folder; `crowdbench submit pack` makes the zip."
+        got=f"only {inside[0]}" if inside else "no such file",
+        expected="the file at the top level, next to the scene folders",
+        hint="Submit the contents of that folder; `crowdbench submit pack` makes the zip."
         if inside
-        else "Begin with `crowdbench submit init`.",
+        else "Create it with `crowdbench submit init`.",
     )
 
 
 def slug(name: str) -> str:
-    """A name for files and addresses: a-z, 0-9 and single hyphens, at most 60."""
+    """The id for a name, for files and URLs: a-z, 0-9 and single hyphens, at most 60 characters."""
     letters = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode().lower()
     plain = re.sub(r"[^a-z0-9]+", "-", letters)[:_LONGEST_ID].strip("-")
     return plain or f"submission-{sha256(name.encode())[:8]}"

@@ -1,4 +1,4 @@
-"""`crowdbench submit init`: the folder that a submission begins with."""
+"""`crowdbench submit init`: create the folder of a new submission."""
 
 import json
 import shutil
@@ -13,29 +13,29 @@ from crowdbench.leaderboard.submission.parse import PLACEHOLDER
 from crowdbench.leaderboard.submission.schema import FILE, SCENES, SCHEMA, Track
 from crowdbench.policies import OnnxPolicy
 from crowdbench.scene import load_scene
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.blocks import SPLITS
 
 _TOML = """\
-# What this submission says of itself. `crowdbench submit check` tells what is missing.
+# Description of the submission. `crowdbench submit check` lists what is missing.
 schema = {schema}
-name = {name}  # under which the leaderboard shows it
+name = {name}  # as shown on the leaderboard
 authors = ["{fill}: your name"]
-contact = "{fill}: an e-mail address, or where issues are opened"
+contact = "{fill}: an e-mail address or an issue tracker"
 link = "{fill}: https://… of the paper or the code"
-licence = "{fill}: of the files here, an SPDX identifier such as Apache-2.0"
+licence = "{fill}: the SPDX identifier of these files' licence, such as Apache-2.0"
 
 track = "{track}"  # {meaning}
-kind = "learned"  # or "model-based"; "privileged" sees the simulation's state, as no file does
-scenes = {scenes}  # eth-v0, gc-v0 and forum-v0 make the overall score
+kind = "learned"  # or "model-based"; "privileged" for policies in Python that use the state
+scenes = {scenes}  # the overall score needs eth-v0, gc-v0 and forum-v0
 
-# In place of files, what comes with crowdbench (take the # away):
+# To use a model that comes with crowdbench instead of files, uncomment this:
 {shipped}
 [training]
 data = {data}  # in your words
-# "heldout": each fold's file has seen that fold's training blocks only; "none": no recording of
-# these scenes; "full": whole recordings, which is listed, not ranked.
+# "heldout": each fold's file was trained on that fold's training blocks only; "none": on no
+# recording of these scenes; "full": on whole recordings (listed, not ranked).
 protocol = "{protocol}"
-parameters = {parameters}  # learned numbers, all files of one scene and fold together
+parameters = {parameters}  # number of learned parameters, all files of one scene and fold together
 """
 _SHIPPED = {
     "policy": '# shipped_policy = "social-force"\n',
@@ -47,26 +47,26 @@ _MEANING = {
     "crowd": "a spawn model and a policy",
 }
 _README = """\
-# What goes where
+# Files of this submission
 
-| file | what it is |
+| file | content |
 |---|---|
 {rows}
-Then `crowdbench submit check FOLDER` and `crowdbench submit pack FOLDER`. This file is for you: it
-is not packed.
+Then run `crowdbench submit check FOLDER` and `crowdbench submit pack FOLDER`. This README is not
+packed.
 """
 _ROWS = {
-    "policy": "| `SCENE/policy/fold0.onnx`, `fold1.onnx`, `fold2.onnx` | networks trained on what "
-    "each fold trains on, by `crowdbench policy export` |\n| or `policy.onnx` | one network for "
-    "all scenes that has seen none of their recordings; protocol `none` |\n| or "
-    "`SCENE/policy/full.onnx` | one that has seen a whole recording: listed, never ranked; "
-    "protocol `full` |\n",
+    "policy": "| `SCENE/policy/fold0.onnx`, `fold1.onnx`, `fold2.onnx` | one network per fold, "
+    "trained on that fold's training blocks and written by `crowdbench policy export` |\n| or "
+    "`policy.onnx` | one network for all scenes, trained on none of their recordings; protocol "
+    "`none` |\n| or `SCENE/policy/full.onnx` | one network per scene, trained on the whole "
+    "recording; protocol `full` (listed, never ranked) |\n",
     "spawn": "| `SCENE/spawn/ntpp-gmm.safetensors`, or `poisson-gmm.json`, `poisson-groups.json`, "
     "`renewal-gmm.json` | "
     "fits of a spawn model, as `crowdbench fit SCENE --out FOLDER` writes them |\n",
-    "trajectories": "| or `SCENE/trajectories/0.parquet`, `1.parquet`, … | rollouts in place of "
-    "models, or `.csv`, with the columns `person_id`, `frame`, `x` and `y`: listed, never "
-    "ranked |\n",
+    "trajectories": "| or `SCENE/trajectories/0.parquet`, `1.parquet`, … | rollouts instead of "
+    "models, as Parquet or CSV with the columns `person_id`, `frame`, `x` and `y` (listed, never "
+    "ranked) |\n",
 }
 
 
@@ -78,25 +78,25 @@ def start_submission(
     scenes: Sequence[str] = (),
     policies: Sequence[Path] = (),
 ) -> list[str]:
-    """Write a submission's folder, and return its scenes.
+    """Create the folder of a new submission, and return the ids of its scenes.
 
     Args:
-        folder: the new folder.
-        track: one of `declared.Track`.
-        name: under which the leaderboard is to show it, by default that of the folder.
-        scenes: by default those that the networks know, or those of the overall score.
-        policies: folders that hold `fold0.onnx` and so on, one for each scene; or one file, of a
-            network that has seen none of the scenes.
+        folder: path of the new folder.
+        track: one of `schema.Track`.
+        name: name on the leaderboard, by default that of the folder.
+        scenes: by default those that the networks were trained on, else those of the overall score.
+        policies: one folder per scene, with `fold0.onnx`, `fold1.onnx` and `fold2.onnx`; or one
+            file of a network that was trained on none of the scenes.
 
     Raises:
         OutputError: the folder exists, or cannot be written.
-        SettingError: the policies do not fit the track, or each other; or the name is no text.
+        SettingError: the policies do not fit the track or each other, or the name is not printable.
         WeightsError: a policy's file is missing or broken.
-        SceneError: there is no such scene.
+        SceneError: a scene does not exist.
     """
     if folder.exists() or folder.is_symlink():
         raise OutputError(
-            folder, got="a folder that exists", expected="a new one", hint="Name another."
+            folder, got="an existing path", expected="a new folder", hint="Choose another path."
         )
     if not name.isprintable():
         raise SettingError("--name", got=ascii(name), expected="printable characters")
@@ -107,10 +107,10 @@ def start_submission(
     if one and one.scene in chosen:
         raise SettingError(
             "--policy",
-            got=f"a network trained on {one.part} of {one.scene}",
-            expected=f"a folder with one for each fold, or a file that has seen none of "
+            got=f"a network trained on {one.split} of {one.scene}",
+            expected=f"a folder with one network per fold, or a file trained on none of "
             f"{', '.join(chosen)}",
-            hint="Other scenes are chosen by --scene.",
+            hint="Use --scene to choose other scenes.",
         )
     places = ["policy"] * (track != "spawn") + ["spawn"] * (track != "walk")
     fill = f"{PLACEHOLDER}: "
@@ -148,44 +148,48 @@ def start_submission(
 
 
 def _networks(policies: Sequence[Path], track: Track) -> tuple[dict[str, Path], list[OnnxPolicy]]:
-    """Each network's file by its place in the submission, and what was read of them."""
+    """Each network's file by its path in the submission, and the networks that were read."""
     if policies and track == "spawn":
-        raise SettingError("--policy", got="one", expected="none: track spawn has straight walkers")
+        raise SettingError(
+            "--policy",
+            got="a policy",
+            expected="none, since track spawn uses straight walkers",
+        )
     if any(path.is_file() for path in policies):
         if len(policies) > 1:
             raise SettingError(
                 "--policy",
                 got=f"a file among {len(policies)} policies",
-                expected="one file, or a folder for each scene",
+                expected="one file, or one folder per scene",
             )
         return {NETWORK: policies[0]}, [OnnxPolicy(policies[0])]
     files: dict[str, Path] = {}
     read = []
     for path in policies:
-        lacking = [f"{p}.onnx" for p in PARTS[1:] if not (path / f"{p}.onnx").is_file()]
+        lacking = [f"{p}.onnx" for p in SPLITS[1:] if not (path / f"{p}.onnx").is_file()]
         if lacking:
             raise WeightsError(
                 path,
                 got=f"no {', '.join(lacking)}" if path.is_dir() else "no such file or folder",
-                expected="a folder with a network for each fold, or one file",
-                hint="What has seen a whole recording is listed, not ranked: put it into the "
-                "submission's folder later, as SCENE/policy/full.onnx."
+                expected="a folder with one network per fold, or one file",
+                hint="A network trained on a whole recording is listed, not ranked: copy it to "
+                "SCENE/policy/full.onnx in the submission's folder later."
                 if path.is_dir()
                 else "",
             )
-        for part in PARTS[1:]:
-            network = OnnxPolicy(path / f"{part}.onnx")
-            files[f"{network.card.scene}/policy/{part}.onnx"] = network.path
+        for split in SPLITS[1:]:
+            network = OnnxPolicy(path / f"{split}.onnx")
+            files[f"{network.card.scene}/policy/{split}.onnx"] = network.path
             read.append(network)
     if len(files) < len(read):
         raise SettingError(
-            "--policy", got="folders of networks of one scene", expected="one folder for each scene"
+            "--policy", got="several folders for the same scene", expected="one folder per scene"
         )
     return files, read
 
 
 def _parameters(path: Path) -> int:
-    """How many weights a network's file holds; numbers without a dimension are constants."""
+    """Number of weights in a network's file; scalars are constants and not counted."""
     import onnx
 
     graph = onnx.load(path).graph
@@ -201,5 +205,5 @@ def _size(shape: Iterable[int]) -> int:
 
 
 def _quoted(text: str) -> str:
-    # Text looks the same in JSON and in TOML.
+    # A JSON string is a valid TOML string.
     return json.dumps(text, ensure_ascii=False)

@@ -1,8 +1,8 @@
-"""Checking the trajectories of a submission: may they be listed?
+"""Check submitted trajectories against the rules for listing.
 
-Listed crowds are judged by what they show alone, so what they show must be possible: the scene's
-time step and length, whole lives of one person each, few positions in walls, few leaps, lives that
-end where people leave, and rollouts that differ.
+Only the trajectories themselves are known, so they must be plausible: the scene's time step and
+length, one person per trip and no gaps in it, few positions in walls, few jumps, trips that end
+where people leave, and rollouts that differ.
 """
 
 from collections.abc import Iterator
@@ -27,29 +27,29 @@ if TYPE_CHECKING:
     import pyarrow
 
 IN_WALLS = 0.01
-"""Share of positions that may lie in walls, by more than `WALL_M`."""
+"""Largest share of positions that may be more than `WALL_M` inside walls."""
 WALL_M = 0.1
 OUTSIDE_M = 10.0
-"""How far from the scene's bounds positions may lie, which is more than any step leads."""
+"""Largest distance (m) of positions outside the scene's bounds; no single step is that long."""
 TOO_FAST = 0.01
-"""Share of speeds over 0.8 s that may exceed the scene's greatest."""
+"""Largest share of speeds over 0.8 s that may exceed the scene's maximum."""
 SPEED_S = 0.8
 DROPPED = 0.02
-"""Share of lives that may end where nobody leaves; 0.8 % of shipped crowds' do at most."""
+"""Largest share of trips that may end where nobody leaves; at most 0.8 % in shipped crowds."""
 EDGE_M = 1.0
-"""So close to the bounds a life may end,"""
+"""A trip may end within this distance (m) of the bounds,"""
 GOAL_SD = 4.0
-"""or within so many standard deviations of a goal area."""
+"""or within this many standard deviations of a goal area's centre."""
 LAST = 0.9
-"""The last row must lie beyond this share of the scene's length."""
+"""The last row must be later than this share of the scene's duration."""
 
 
 def check_crowds(
     folder: Path, track: Track, crowds: dict[str, list[str]], problems: list[CrowdbenchError]
 ) -> None:
-    """Read all trajectories and hold them against the rules of listing.
+    """Read all trajectories and check them against the rules for listing.
 
-    What is wrong is added to `problems`.
+    Problems are added to `problems`.
     """
     for scene, names in crowds.items():
         place = load_scene(scene)
@@ -64,9 +64,9 @@ def check_crowds(
                     problems.append(
                         RefusedError(
                             name,
-                            got=f"the crowd of {same} again",
+                            got=f"the same crowd as in {same}",
                             expected="rollouts that differ",
-                            hint="Give each a seed of its own.",
+                            hint="Use a different seed for each rollout.",
                         )
                     )
 
@@ -83,14 +83,15 @@ def _read(path: Path, scene: Scene) -> Trajectories:
 
 
 def _check_lives(path: Path, table: "pyarrow.Table") -> None:
-    """Refuse ids that are used again, before rows are filled in where frames are missing.
+    """Reject reused ids, before the reader fills in rows for missing frames.
 
     Raises:
-        RecordingError: a person has frames without a row between its first and its last.
+        RecordingError: there are too many persons, or a person lacks a row in a frame between its
+            first and its last.
     """
     time = "frame" if "frame" in table.column_names else "time_s"
     if not {"person_id", time} <= set(table.column_names) or len(table) == 0:
-        return  # which the reader of tables tells
+        return  # the reader of tables reports this
     columns = [table.column("person_id"), table.column(time)]
     if any(column.null_count for column in columns):
         return
@@ -106,10 +107,10 @@ def _check_lives(path: Path, table: "pyarrow.Table") -> None:
             path,
             got=f"{persons} persons",
             expected=f"at most {MOST_PERSONS}",
-            hint="Give each person one id for its whole life.",
+            hint="Give each person one id for the whole trip.",
         )
     steps = np.diff(when)[same]
-    # Twice in a frame is told by the reader; the usual step is the shortest that is one.
+    # The reader reports repeated frames. The time step is the shortest positive difference.
     step = 1.0 if time == "frame" else float(steps[steps > 0].min(initial=np.inf))
     gap = same.nonzero()[0][steps > 1.5 * step]
     if len(gap):
@@ -117,15 +118,15 @@ def _check_lives(path: Path, table: "pyarrow.Table") -> None:
             path,
             got=f"person {ids[gap[0]]} without rows between {time} {when[gap[0]]:g} and "
             f"{when[gap[0] + 1]:g} ({len(gap)} such gaps)",
-            expected="a row in each frame of a life, and an id of its own for each person",
-            hint="An id that has left must not be used again.",
+            expected="a row in each frame of a trip, and a different id for each person",
+            hint="Do not reuse the id of a person who has left.",
         )
 
 
 def broken_rules(
     name: str, crowd: Trajectories, track: Track, scene: Scene, areas: Areas
 ) -> Iterator[RefusedError]:
-    """The rules of listing that a crowd breaks; `name` says which crowd in their messages."""
+    """Yield the rules for listing that a crowd breaks; `name` identifies the crowd in messages."""
     frames = scene.recording.frames
     yield from _columns(name, crowd, track, areas)
     last = int(crowd.last.max())
@@ -133,7 +134,7 @@ def broken_rules(
         yield RefusedError(
             name,
             got=f"{crowd.frames} frames, the last person in frame {last}",
-            expected=f"{frames} frames, people until the last {1 - LAST:.0%}, all of it observed",
+            expected=f"{frames} frames, all observed, with people in the last {1 - LAST:.0%}",
             hint=f"Simulate {scene.horizon_s:g} s in steps of {scene.dt_s:.4g} s.",
         )
     xy = crowd.xy.astype(np.float64)
@@ -141,9 +142,9 @@ def broken_rules(
     if outside_m > OUTSIDE_M:
         yield RefusedError(
             name,
-            got=f"somebody {outside_m:.3g} m outside the scene's bounds",
+            got=f"a position {outside_m:.3g} m outside the scene's bounds",
             expected=f"at most {OUTSIDE_M:g} m",
-            hint="Who walks out of the bounds has left. Are x and y in the scene's metres?",
+            hint="People outside the bounds have left. Are x and y in the scene's coordinates (m)?",
         )
     for share, most, got, hint in (
         (
@@ -156,13 +157,13 @@ def broken_rules(
             _too_fast(crowd, xy, scene),
             TOO_FAST,
             f"speeds over {SPEED_S:g} s above {scene.motion.max_speed_mps:g} m/s",
-            "Are frames the scene's, and ids those of one person each?",
+            "Do the frames have the scene's time step, and does each id belong to one person?",
         ),
         (
             float(undeclared_drops(crowd, track, scene, areas).mean()),
             DROPPED,
-            "lives that end where nobody leaves",
-            f"Persons taken out of the scene must have the outcome {OUTCOMES.index('timeout')} "
+            "trips ending away from the edge and the goal areas",
+            f"Persons removed from the scene must have the outcome {OUTCOMES.index('timeout')} "
             "(timeout).",
         ),
     ):
@@ -173,9 +174,9 @@ def broken_rules(
 
 
 def _columns(name: str, crowd: Trajectories, track: Track, areas: Areas) -> Iterator[RefusedError]:
-    """What the columns of persons must agree with, since metrics believe them."""
+    """Yield columns of persons that contradict the positions; metrics rely on these columns."""
     start_s = crowd.first * crowd.dt_s
-    slack_s = 1.01 * crowd.dt_s  # events lie between frames
+    slack_s = 1.01 * crowd.dt_s  # events happen between frames
     late = crowd.entered & (np.abs(crowd.spawn_s - start_s) > slack_s)
     unborn = ~crowd.entered & (crowd.first > 0)
     for wrong, got, expected in (
@@ -191,7 +192,7 @@ def _columns(name: str, crowd: Trajectories, track: Track, areas: Areas) -> Iter
         ),
         (late, "spawn_s", "the time of the first row"),
         (crowd.requested_s > crowd.spawn_s + slack_s, "requested_s", "spawn_s or earlier"),
-        (unborn & (track != "walk"), "entered", "true for who comes after the first frame"),
+        (unborn & (track != "walk"), "entered", "true for people after the first frame"),
     ):
         if wrong.any():
             first = int(np.flatnonzero(wrong)[0])
@@ -199,14 +200,14 @@ def _columns(name: str, crowd: Trajectories, track: Track, areas: Areas) -> Iter
             yield RefusedError(
                 name,
                 got=f"{got} {column[first]} of person {crowd.person_id[first]} "
-                f"({int(wrong.sum())} such persons)",
+                f"({int(wrong.sum())} in all)",
                 expected=expected,
-                hint="Columns that other programs do not know can be left out.",
+                hint="Columns that your program does not know can be left out.",
             )
 
 
 def _depth_m(xy: Float[np.ndarray, "n 2"], scene: Scene) -> Float[np.ndarray, " n"]:
-    """How far inside the bounds positions lie; negative outside."""
+    """Distance (m) of each position from the bounds; negative outside."""
     b = scene.bounds
     sides = (xy[:, 0] - b.x_min_m, b.x_max_m - xy[:, 0], xy[:, 1] - b.y_min_m, b.y_max_m - xy[:, 1])
     return np.min(sides, axis=0)
@@ -233,15 +234,15 @@ def _too_fast(crowd: Trajectories, xy: Float[np.ndarray, "n 2"], scene: Scene) -
 def undeclared_drops(
     crowd: Trajectories, track: Track, scene: Scene, areas: Areas
 ) -> Bool[np.ndarray, " P"]:
-    """Who vanishes from the middle of the scene without a word.
+    """Which persons vanish inside the scene without a declared reason.
 
-    A life ends in one of four ways: with the crowd's last frame; at the scene's edge (within
-    `EDGE_M` of the bounds, or outside them); in a goal area (within `GOAL_SD` standard deviations
-    of its centre); or because somebody takes the person out, which the outcome `timeout` declares,
-    and on track walk `recorded`, for those whom the recording loses sight of. Other outcomes
-    declare nothing: who is said to have reached a goal must stand where goals are. Who has not
-    `left` before the last frame vanishes too, since that would take a life out of the statistics;
-    but for track walk, where annotation cuts do so.
+    A trip can end in four ways: with the crowd's last frame; at the scene's edge (within `EDGE_M`
+    of the bounds, or outside them); in a goal area (within `GOAL_SD` standard deviations of its
+    centre); or by removal. Removal must be declared by the outcome `timeout`, or on track walk by
+    `recorded`, for people whom the recording loses. Other outcomes are not believed: a person who
+    is said to have reached a goal must be in a goal area. A person who disappears early without
+    having `left` counts as vanished, since the trip would be missing from the statistics. Track
+    walk is exempt from this, since the recording's annotation may cut trips.
     """
     end = crowd.end.astype(np.float64)
     early = crowd.last < crowd.frames - 1

@@ -1,4 +1,4 @@
-"""Reading tables that may have been made to eat memory: their size is told before they are read."""
+"""Read untrusted tables; their size is checked before they are decoded."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,25 +18,25 @@ if TYPE_CHECKING:
 
 _COLUMNS = ("person_id", "frame", "time_s", "x", "y", *PERSON_COLUMNS)
 _BATCH = 2**16
-_HINT = "Write one row per person and frame, with person_id, frame, x and y, and no more than that."
+_HINT = "Write one row per person and frame, with only the columns person_id, frame, x and y."
 _LONGEST_HEADER = 10_000  # bytes of the first line of a CSV file
 
 
 def read_table(path: Path) -> "pyarrow.Table":
-    """The columns of trajectories of a Parquet or CSV file.
+    """Return the trajectory columns of a Parquet or CSV file.
 
-    Parquet is refused by what it says of itself before anything is read, and again if it becomes
-    more than that while it is.
+    The limits of a Parquet file are checked on its metadata before it is decoded, and again on the
+    decoded data, since the metadata may be false.
 
     Raises:
-        RecordingError: it is missing, broken or too large.
+        RecordingError: the file is missing, broken or too large.
     """
     import pyarrow as pa
 
     size = path.stat().st_size
     if size > LARGEST_TABLE:
         most = f"at most {LARGEST_TABLE / 1e6:.0f} MB"
-        hint = "Parquet takes a tenth of CSV."
+        hint = "A Parquet file has a tenth of the size of a CSV file."
         raise RecordingError(path, got=f"{size / 1e6:.1f} MB", expected=most, hint=hint)
     read = _parquet if path.suffix == ".parquet" else _csv
     try:
@@ -59,7 +59,7 @@ def _csv(path: Path) -> "pyarrow.Table":
 
     data = read_bytes(path, RecordingError, "")
     header = data[: _LONGEST_HEADER + 1].partition(b"\n")[0]
-    _refuse(path, len(header) > _LONGEST_HEADER, "a first line without end", "10 kB of names")
+    _refuse(path, len(header) > _LONGEST_HEADER, "a first line over 10 kB", "10 kB of names")
     _check_columns(path, header.count(b",") + 1)
     table = csv.read_csv(BufferReader(data), csv.ReadOptions(use_threads=False))
     _check_rows(path, len(table))
@@ -70,7 +70,7 @@ def _parquet(path: Path) -> "pyarrow.Table":
     import pyarrow as pa
     from pyarrow import parquet
 
-    # From memory: a file that is mapped could change while it is read.
+    # The file is read into memory first: a mapped file could change while it is decoded.
     data = pa.BufferReader(read_bytes(path, RecordingError, ""))
     file = parquet.ParquetFile(data)
     told = file.metadata
@@ -101,7 +101,7 @@ def _parquet(path: Path) -> "pyarrow.Table":
 
 
 def _check_names(path: Path, names: list[str]) -> None:
-    _refuse(path, len(set(names)) < len(names), "two columns of one name", "one")
+    _refuse(path, len(set(names)) < len(names), "two columns of the same name", "one")
 
 
 def _check_columns(path: Path, columns: int) -> None:
@@ -116,6 +116,6 @@ def _check_bytes(path: Path, size: int) -> None:
     _refuse(
         path,
         size > LARGEST_DECODED,
-        "a table that becomes larger in memory",
+        "a table that takes more memory",
         f"{LARGEST_DECODED / 1e6:.0f} MB",
     )

@@ -1,1 +1,1 @@
-"""Submissions rolled out and scored anew, and the entries that come of it."""
+"""Roll out and score submissions, and write their entries."""

@@ -1,12 +1,13 @@
-"""How much of a crowd is a copy of the recording: its arrivals, and its lives.
+"""The copy index: how much of a crowd's arrivals and trips is copied from the recording.
 
-All recordings are public: who plays pieces of one gets good scores without a model.
+All recordings are public, so a crowd that replays parts of one gets good scores without a model.
 
-Arrivals are counted per spawn area on the scene's frames (Grand Central's on its annotation grid of
-0.8 s) and blurred by (1, 2, 1)/4, so that a copy stays one if each arrival is moved by a frame. A
-window of them is held against every stretch of the recording; its best correlation tells whether it
-was seen before. Medians over windows of six rollouts, the highest of models that do not copy and
-the lowest of block-replay, as it is and with each arrival moved by up to a frame:
+Arrivals are counted per spawn area and frame (in Grand Central, per 0.8 s of its annotation grid)
+and blurred with (1, 2, 1)/4, so that a copy is still found if each arrival is moved by a frame.
+Each time window is compared with every window of the recording; the highest correlation shows
+whether it was copied. The table shows medians over the windows of six rollouts: the highest of
+models that do not copy, and the lowest of block-replay, unchanged and with each arrival moved by
+up to a frame.
 
     scene      window   poisson-gmm  renewal-gmm  ntpp-gmm   block-replay  ± a frame
     eth-v0       60 s   0.33         0.39         0.40       0.68          0.60
@@ -16,9 +17,10 @@ the lowest of block-replay, as it is and with each arrival moved by up to a fram
     forum-v0    310 s   0.30         0.32         0.32       0.84          0.68
     plaza-v0     60 s   0.32         0.47         0.48       0.63          0.57
 
-Means over rollouts lie further apart (ETH: 0.38 at most, 0.64 at least). Windows straddle the
-blocks that are played, hence no 1. In 60 s of the Forum two people come, who come so somewhere in
-ten hours (0.63 for models that do not copy): windows there are as long as ten people take to come.
+Means over rollouts differ more clearly (ETH: at most 0.38 without, at least 0.64 with copying).
+Block-replay is below 1 because windows overlap the ends of replayed blocks. In the Forum only two
+people arrive in 60 s, and similar pairs of arrivals occur somewhere in ten hours (0.63 for models
+that do not copy). So windows there are as long as ten people take to arrive on average.
 """
 
 import numpy as np
@@ -29,29 +31,29 @@ from crowdbench.scene import Scene
 from crowdbench.trajectories.table import Trajectories
 
 WINDOW_S = 60.0
-"""Shortest window. Where few people come it is longer, so that it holds `ARRIVALS` on average."""
+"""Shortest window. Where few people arrive it is longer, for `ARRIVALS` arrivals on average."""
 ARRIVALS = 10
 FEWEST = 5
-"""Arrivals that a window must have to be looked at."""
+"""Windows with fewer arrivals are skipped."""
 BLUR = np.array([0.25, 0.5, 0.25])
 INDEPENDENT = ("poisson-gmm", "renewal-gmm")
-"""Models that cannot copy: they know rates and gaps, not when anyone came."""
+"""Models that cannot copy: they know rates and gaps, but not when anyone arrived."""
 DRAWS = 50
-"""Crowds of each of them."""
+"""Number of crowds drawn from each of them."""
 NEAR_M = 0.1
 SHORTEST_S = 4.0
-"""Lives that are compared: shorter ones are alike by chance."""
+"""Shorter trips are not compared, since they are similar by chance."""
 
 
 class ArrivalCopies:
-    """Finds pieces of a recording among arrivals."""
+    """Finds parts of a recording among the arrivals of a crowd."""
 
     def __init__(self, recorded: Trajectories, scene: Scene) -> None:
-        """Prepare the recording's rates."""
+        """Compute the recording's blurred arrival counts."""
         persons = np.flatnonzero(recorded.entered)
         self._bin_s = max(scene.dt_s, scene.grid_s)
         self._bins = int(np.ceil(scene.horizon_s / self._bin_s - 1e-6))
-        self._areas = int(recorded.spawn_area.max()) + 2  # the last one for those of none
+        self._areas = int(recorded.spawn_area.max()) + 2  # the last: no area
         window_s = max(WINDOW_S, ARRIVALS * scene.horizon_s / max(1, len(persons)))
         self._length = min(self._bins, round(window_s / self._bin_s))
         at, area = self._placed(recorded.spawn_s[persons], recorded.spawn_area[persons])
@@ -64,10 +66,10 @@ class ArrivalCopies:
     def index(
         self, spawn_s: Float[np.ndarray, " n"], spawn_area: Int[np.ndarray, " n"]
     ) -> float | None:
-        """Median over windows of the best correlation of their arrivals with the recording's.
+        """Median over windows of the highest correlation of their arrivals with the recording's.
 
-        The windows stand side by side, a minute long where people are many. None where none of
-        them has enough arrivals.
+        Windows follow each other without overlap, and are 60 s long where many people arrive. None
+        if no window has enough arrivals.
         """
         at, area = self._placed(spawn_s, spawn_area)
         rates = _blurred(self._counts(at, area))
@@ -85,15 +87,15 @@ class ArrivalCopies:
         at: Int[np.ndarray, " n"],
         area: Int[np.ndarray, " n"],
     ) -> float:
-        """The largest of the window's correlations with all stretches of the recording."""
+        """The highest correlation of a window with any window of the recording."""
         mean = window.mean(axis=1, keepdims=True)
         norm = float(np.linalg.norm(window - mean))
-        # Σ blurred · blurred = Σ over arrivals of the twice blurred: few terms, where a
-        # convolution would have many.
+        # Σ blurred · blurred equals the sum of twice-blurred counts at the arrivals, which has far
+        # fewer terms than a convolution.
         shifts = np.arange(len(self._norm))
         products = self._twice[area[:, None], at[:, None] + shifts].sum(axis=0)
         products -= (mean * self._sums).sum(axis=0)
-        # A stretch of next to nobody correlates with anything.
+        # A window with almost no arrivals correlates with anything.
         enough = self._norm > norm / 2
         correlations = products[enough] / (self._norm[enough] * norm)
         return min(1.0, float(correlations.max(initial=0.0)))
@@ -118,13 +120,13 @@ def _blurred(counts: Float[np.ndarray, "K T"]) -> Float[np.ndarray, "K T"]:
 
 
 def _running(values: Float[np.ndarray, "K T"], length: int) -> Float[np.ndarray, "K S"]:
-    """Sums over every stretch of so many columns."""
+    """Sums over every window of `length` columns."""
     sums = np.pad(values.cumsum(axis=1), ((0, 0), (1, 0)))
     return sums[:, length:] - sums[:, :-length]
 
 
 def independent_limit(copies: ArrivalCopies, scene: Scene) -> float | None:
-    """99th percentile of the index of crowds that cannot copy."""
+    """99th percentile of the index for crowds of models that cannot copy; None if undefined."""
     found = []
     for model in INDEPENDENT:
         fitted = spawn_model(model, scene)
@@ -135,11 +137,11 @@ def independent_limit(copies: ArrivalCopies, scene: Scene) -> float | None:
     return float(np.percentile(found, 99)) if found else None
 
 
-class LifeCopies:
-    """Finds lives of a recording among those of a crowd."""
+class TripCopies:
+    """Finds the trips of a crowd that are copied from a recording."""
 
     def __init__(self, recorded: Trajectories, scene: Scene) -> None:
-        """Index the recording's lives by where they begin and where they are 4 s later."""
+        """Index the recording's trips by their first position and the position 4 s later."""
         from scipy.spatial import KDTree
 
         self._recorded = recorded
@@ -148,16 +150,16 @@ class LifeCopies:
         self._tree = KDTree(self._ends(recorded, self._known))
 
     def share(self, crowd: Trajectories) -> float | None:
-        """Share of lives of 4 s and more that stay within 0.1 m of a recorded one.
+        """Share of trips of at least 4 s that stay within 0.1 m of a recorded trip.
 
-        Both begin in their first frames, whenever those are; the recorded one may be longer, or
-        shorter by a tenth. None where there is no such life.
+        Trips are aligned at their first frames. The recorded trip may be longer, or shorter by up
+        to a tenth. None if there are no such trips.
         """
-        lives = _long(crowd, self._frames)
-        if len(lives) == 0 or len(self._known) == 0:
+        trips = _long(crowd, self._frames)
+        if len(trips) == 0 or len(self._known) == 0:
             return None
-        near = self._tree.query_ball_point(self._ends(crowd, lives), NEAR_M, p=np.inf)
-        copied = [self._copied(crowd, int(p), near[k]) for k, p in enumerate(lives)]
+        near = self._tree.query_ball_point(self._ends(crowd, trips), NEAR_M, p=np.inf)
+        copied = [self._copied(crowd, int(p), near[k]) for k, p in enumerate(trips)]
         return float(np.mean(copied))
 
     def _copied(self, crowd: Trajectories, person: int, candidates: list[int]) -> bool:
@@ -179,5 +181,5 @@ class LifeCopies:
 
 
 def _long(crowd: Trajectories, frames: int) -> Int[np.ndarray, " n"]:
-    """Those who enter and are there for more than so many frames."""
+    """Indices of the persons who entered and whose trip spans at least `frames` frames."""
     return np.flatnonzero(crowd.entered & (crowd.last - crowd.first >= frames))

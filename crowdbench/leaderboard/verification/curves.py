@@ -1,4 +1,4 @@
-"""Curves: the few numbers that an entry's small pictures are drawn from."""
+"""Curves: the values that the plots on an entry's page are drawn from."""
 
 from collections.abc import Iterable, Sequence
 
@@ -16,19 +16,21 @@ DISTRIBUTIONS = {
     "inter_spawn": ("Time between arrivals", "time to the next arrival (s)"),
     "dwell": ("Dwell time", "dwell time (s)"),
     "speed": ("Speed", "speed (m/s)"),
-    "closest_approach": ("Closest approach of strangers", "smallest distance (m)"),
+    "deviation": ("Deviation from the straight way", "deviation (m)"),
 }
 AGENTS = "Agents over time"
-TITLES = {AGENTS, *(title for title, _ in DISTRIBUTIONS.values())}
+RETIRED = "Closest approach of strangers"
+"""A curve of scorer 1, which later scorers do not have."""
+TITLES = {AGENTS, RETIRED, *(title for title, _ in DISTRIBUTIONS.values())}
 _SHOWN = 0.996
-"""Share of the values that a distribution is shown up to."""
+"""A distribution is shown up to the value that this share does not exceed."""
 
 
-def agents_over_time(reference: Reference, parts: Iterable[MetricSlice]) -> Curve:
-    """Mean number of agents in each time block, by those rollouts that are scored on it."""
+def agents_over_time(reference: Reference, splits: Iterable[MetricSlice]) -> Curve:
+    """Mean number of agents in each time block, over the rollouts that are scored on it."""
     recorded, simulated = np.zeros((2, len(reference.blocks)))
-    for seen in parts:
-        inside = reference.blocks.in_part(seen.part)
+    for seen in splits:
+        inside = reference.blocks.in_split(seen.split)
         recorded[inside] = _block_means(seen.recorded)
         simulated[inside] = np.mean([_block_means(crowd) for crowd in seen.crowds], axis=0)
     middle = reference.blocks.frames.mean(axis=1) * reference.blocks.dt_s
@@ -42,11 +44,11 @@ def agents_over_time(reference: Reference, parts: Iterable[MetricSlice]) -> Curv
     )
 
 
-def distribution(name: str, reference: Reference, parts: Iterable[MetricSlice]) -> Curve:
-    """Distribution functions of a metric's values, all rollouts and parts together."""
+def distribution(name: str, reference: Reference, splits: Iterable[MetricSlice]) -> Curve:
+    """Distribution functions of a metric's values, pooled over all rollouts and splits."""
     metric = next(m for m in METRICS if m.name == name)
     assert isinstance(metric, RelativeWasserstein)
-    each = list(parts)
+    each = list(splits)
     recorded = _pooled(metric, [seen.recorded for seen in each])
     simulated = _pooled(metric, [crowd for seen in each for crowd in seen.crowds])
     size = max(len(v) for sums in (recorded, simulated) for v in sums.values())
@@ -77,7 +79,7 @@ def _block_means(statistics: Statistics) -> Float[np.ndarray, " B"]:
 
 
 def _pooled(metric: Metric, crowds: Sequence[Statistics]) -> Sums:
-    """Histograms of all crowds together."""
+    """The sum of the histograms of all crowds."""
     pooled: Sums = {}
     for sums in map(total, crowds):
         for name, values in sums.items():
@@ -90,7 +92,7 @@ def _pooled(metric: Metric, crowds: Sequence[Statistics]) -> Sums:
 
 
 def _spread_out(size: int) -> np.ndarray:
-    """At most `POINTS` indices from the first to the last."""
+    """At most `POINTS` evenly spaced indices, from 0 to `size` − 1."""
     return np.unique(np.linspace(0, size - 1, min(size, POINTS)).round().astype(np.int64))
 
 

@@ -1,8 +1,8 @@
-"""Entries: what verification found, complete enough to make every page and to rank again.
+"""Entries: the results of verification, sufficient to build every page and to compute the ranks.
 
-An entry keeps each family's score with its resamples: scores over families and scenes are means of
-these, and entries are compared on the resamples they share. Nothing in it depends on the machine
-or the time (that goes to `run.json`): the same submission gives the same bytes.
+An entry contains each family's score with its resamples. Scores over families and scenes are means
+of these, and entries are compared on the resamples that they share. Nothing in an entry depends on
+the machine or the time (`ID.run.json` has those): the same submission gives the same bytes.
 """
 
 from collections.abc import Iterator
@@ -17,19 +17,20 @@ from crowdbench.files import read_struct
 from crowdbench.leaderboard.submission.schema import Declared
 from crowdbench.scoring.energy import RESAMPLES
 from crowdbench.scoring.score import Score
+from crowdbench.scoring.scorecard import Limit
 
 SCHEMA = 1
-SCORER = 1
-"""Version of how rollouts become scores. It goes up with any change by which an entry's scores
-would be others; `crowdbench leaderboard rescore` then makes entries anew."""
+SCORER = 2
+"""Version of the scoring. Any change that alters the scores of an entry increases it; then
+`crowdbench leaderboard rescore` scores the entries again."""
 
-_HINT = "Make it with `crowdbench leaderboard verify`."
+_HINT = "Create it with `crowdbench leaderboard verify`."
 LARGEST = 1e12
-"""No number of an entry is larger; learned parameters come nearest."""
+"""Limit of all numbers in an entry; the number of learned parameters comes closest to it."""
 Status = Literal["ranked", "listed", "reference"]
-"""`ranked`: weights that crowdbench rolled out, held out; `listed`: trajectories, or weights that
-have seen what they are held against; `reference`: a line that others are seen against (what
-scores 0 by definition, the recording itself, memory alone, chance)."""
+"""`ranked`: models that crowdbench rolled out and scored on held-out data; `listed`: trajectories,
+or models trained on the recordings that they are scored on; `reference`: shown for comparison (the
+anchor, the recording itself, a memorisation baseline, random walkers)."""
 
 
 class ScoreCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -37,64 +38,64 @@ class ScoreCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     value: float
     resampled: bytes
-    """Float32 in little-endian order (base64 in JSON), `scoring.RESAMPLES` of them."""
+    """`scoring.energy.RESAMPLES` float32 values in little-endian order (base64 in JSON)."""
 
     @classmethod
     def of(cls, score: Score) -> "ScoreCard":
-        """Round the resamples to float32."""
+        """The card of a score, with its resamples rounded to float32."""
         return cls(value=score.value, resampled=score.resampled.astype("<f4").tobytes())
 
     def score(self) -> Score:
-        """The numbers."""
+        """The score with its resamples."""
         return Score(self.value, np.frombuffer(self.resampled, "<f4").astype(np.float64))
 
 
 class MetricEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One metric on one scene."""
+    """The results of one metric on one scene."""
 
     distance: float | None
-    """Plain distance, averaged over rollouts and folds; None where it is undefined."""
+    """Distance to the recording, averaged over rollouts and folds; None if it is undefined."""
     recorded: float | None
-    """Typical value of the recording, in `unit`."""
+    """Typical value in the recording, in `unit`."""
     simulated: float | None
     unit: str
     scored: bool
-    """Whether the scene counts it."""
+    """Whether the metric is scored on this scene."""
     score: float | None
     interval: tuple[float, float] | None
     """The central 95 % of the score's resamples."""
-    parts: dict[str, list[float | None]]
-    """Score of each fit (in its order) in each part: `fold0`, … or `full`."""
+    splits: dict[str, list[float | None]]
+    """The scores of the fits in order, by split: `fold0`, … or `full`."""
 
 
 class Copy(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How much of a crowd is a copy of the recording."""
+    """The copy index: how much of a crowd is copied from the recording."""
 
     arrivals: float | None
-    """Median over 60 s windows of the best correlation of their arrivals with the recording's at
-    any time; None where arrivals are the recorded ones by rule (track walk)."""
+    """Median over time windows (60 s or longer) of the correlation of their arrivals with the most
+    similar window of the recording; None on track walk, where arrivals are the recorded ones."""
     arrivals_limit: float | None
-    """99th percentile of the same of crowds that cannot copy."""
-    lives: float | None
-    """Share of lives that stay within 0.1 m of a recorded one."""
+    """99th percentile of `arrivals` for models that cannot copy."""
+    trips: float | None
+    """Share of trips that stay within 0.1 m of a recorded trip."""
 
 
 class Flag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Something that a reader should know before believing an entry."""
+    """A warning about an entry's result on one scene."""
 
-    what: Literal["too good", "too even", "copied arrivals", "copied lives"]
+    what: Literal["too good", "too even", "copied arrivals", "copied trips"]
     scene: str
     value: float
     limit: float
     text: str
-    """One sentence that says what was found and what it is compared with."""
+    """What was found and what it is compared with, in plain words."""
 
 
 class Curve(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One picture of the crowd beside the recording: two lines over a common axis."""
+    """One plot: a recorded and a simulated curve over a common axis."""
 
     x_label: str
-    """With its unit, as in `dwell time (s)`."""
+    """Label with its unit, as in `dwell time (s)`."""
     y_label: str
     x: list[float]
     """At most 100 values, ascending."""
@@ -103,48 +104,57 @@ class Curve(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One scene's result."""
+    """The result on one scene."""
 
     made_from: str
-    """Hash of the scene's rules and files that scores depend on (`cards.files_of`)."""
+    """Hash of the scene's rules and files that the scores depend on (`cards.files_of`)."""
     protocol: Literal["full", "heldout"]
     fits: int
     rollouts: int
-    """Of each part, all fits together."""
+    """Number of rollouts per split, over all fits."""
     persons: int
     outcomes: dict[str, int]
+    speed_mps: float | None = None
+    """Mean speed of people who walk, under the recorded arrivals if the track scores policies."""
+    at_goal: float | None = None
+    """Share of people at their goals, of those whose trips ended; None if it is unknown."""
+    recorded_speed_mps: float | None = None
+    """The same of recorded people walked under the rules of the simulation."""
+    recorded_at_goal: float | None = None
+    fails: list[Limit] = []
+    """The limits of the scene's gate that the policy exceeds; its walk score is at most 0 then."""
     families: dict[str, ScoreCard]
     metrics: dict[str, MetricEntry]
     copy: Copy
     curves: dict[str, Curve]
-    """By title, what pages draw."""
+    """The curves that pages show, by title."""
 
 
 class Earlier(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What an earlier scorer found."""
+    """The scores by an earlier scorer."""
 
     scorer: int
     crowdbench: str
     overall: float | None
     scenes: dict[str, float | None]
     reason: str
-    """Why it was scored anew."""
+    """Why the entry was scored again."""
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What `entries/ID.json` holds."""
+    """The contents of `entries/ID.json`."""
 
     schema: int
     id: str
-    """Name of the file and of the page: a-z, 0-9 and single hyphens, at most 60."""
+    """Name of the file and the page: a-z, 0-9 and single hyphens, at most 60 characters."""
     status: Status
     declared: Declared
     scorer: int
     crowdbench: str
-    """Version."""
+    """Version of crowdbench."""
     artefacts: dict[str, str]
-    """SHA-256 by path in the submission, `submission.toml` included, and by path in crowdbench of
-    the files of shipped models."""
+    """SHA-256 of each file of the submission, including `submission.toml`, by its path there; and
+    of each file of shipped models, by its path in crowdbench."""
     scenes: dict[str, SceneEntry]
     flags: list[Flag]
     history: list[Earlier]
@@ -154,12 +164,12 @@ def read_entry(path: Path) -> Entry:
     """Read an entry.
 
     Raises:
-        WeightsError: it is missing or broken, or of another schema.
+        WeightsError: the entry is missing or broken, or has another schema.
     """
     entry = read_struct(path, Entry, WeightsError, _HINT)
     for got, holds, expected in (
         (f"schema {entry.schema}", entry.schema == SCHEMA, f"schema {SCHEMA}"),
-        (f"the entry {entry.id}", entry.id == path.stem, "the entry that its name says"),
+        (f"the id {entry.id}", entry.id == path.stem, "the id of the file's name"),
     ):
         if not holds:
             raise WeightsError(path, got=got, expected=expected, hint=_HINT)
@@ -168,15 +178,18 @@ def read_entry(path: Path) -> Entry:
 
 
 def check_numbers(entry: Entry, where: object) -> None:
-    """Refuse what cannot be drawn or compared.
+    """Check that an entry's numbers can be compared and drawn.
 
     Raises:
-        WeightsError: resamples are cut short, or a number is too large or none.
+        WeightsError: a score lacks resamples, or a number is too large or not finite.
     """
     cards = [card for scene in entry.scenes.values() for card in scene.families.values()]
     if any(len(card.resampled) != 4 * RESAMPLES for card in cards):
         raise WeightsError(
-            where, got="resamples cut short", expected=f"{RESAMPLES} of each", hint=_HINT
+            where,
+            got="a score with another number of resamples",
+            expected=f"{RESAMPLES} resamples",
+            hint=_HINT,
         )
     numbers = _numbers(msgspec.to_builtins(entry))
     sound = all(abs(x) <= LARGEST for x in numbers) and all(
@@ -185,14 +198,14 @@ def check_numbers(entry: Entry, where: object) -> None:
     if not sound:
         raise WeightsError(
             where,
-            got="numbers that no verification gives",
+            got="numbers that are too large or not finite",
             expected=f"numbers up to {LARGEST:.0e}",
             hint=_HINT,
         )
 
 
 def _numbers(value: object) -> Iterator[float]:
-    """All that are in lists and dictionaries, however deep."""
+    """All numbers in nested lists and dictionaries."""
     if isinstance(value, dict):
         value = list(value.values())
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Flags: what a reader should know before believing an entry. They change no score."""
+"""Flags: warnings that readers of an entry should know. They change no score."""
 
 from collections.abc import Mapping
 
@@ -9,15 +9,16 @@ from crowdbench.scoring.energy import FitEnergies
 from crowdbench.scoring.score import Score
 
 SPREAD = 0.5
-"""Rollouts that differ by less than this share of what the true process's would."""
+"""Smallest unflagged spread of rollouts, as a share of the true process's spread."""
 MARGIN = 0.05
-"""By which copied arrivals exceed what cannot copy: a good model, which knows of groups and of busy
-times, comes up to 0.02 nearer to the recording than models without a memory do."""
-COPIED_LIVES = 0.05
+"""Tolerated excess of the copy index over models that cannot copy. Good models, which know groups
+and busy times, come up to 0.02 closer to the recording without copying."""
+COPIED_TRIPS = 0.05
+"""Largest unflagged share of trips that are copied from the recording."""
 
 
 def flags_of(scene: str, score: Score | None, even: float | None, copy: Copy) -> list[Flag]:
-    """The flags of an entry on one scene; `even` is what `evenness` found."""
+    """The flags of an entry on one scene; `even` is the result of `evenness`."""
     checks = (
         _too_good(scene, score),
         _too_even(scene, even),
@@ -34,8 +35,8 @@ def _too_good(scene: str, score: Score | None) -> Flag | None:
     if score.value <= limit:
         return None
     text = (
-        f"On {scene} it scores {score.value:.2f}, more than two standard errors above 1 "
-        f"({limit:.2f}), which the process that made the recording would get on average."
+        f"On {scene}, the score is {score.value:.2f}. This exceeds {limit:.2f}, which is two "
+        f"standard errors above 1, the expected score of a perfect model."
     )
     return Flag(what="too good", scene=scene, value=score.value, limit=limit, text=text)
 
@@ -44,9 +45,8 @@ def _too_even(scene: str, even: float | None) -> Flag | None:
     if even is None or even >= SPREAD:
         return None
     text = (
-        f"On {scene} its rollouts differ from each other {even:.2f} times as much as those of the "
-        f"true process would, in when people enter and how many are there; less than {SPREAD:g} is "
-        f"too even."
+        f"On {scene}, the rollouts vary {even:.2f} times as much as expected of a perfect model "
+        f"(arrivals and the number of people present). Values below {SPREAD:g} are flagged."
     )
     return Flag(what="too even", scene=scene, value=even, limit=SPREAD, text=text)
 
@@ -58,34 +58,35 @@ def _copied_arrivals(scene: str, copy: Copy) -> Flag | None:
     if copy.arrivals <= limit:
         return None
     text = (
-        f"On {scene} stretches of its arrivals correlate at {copy.arrivals:.2f} (median) with some "
-        f"stretch of the recording; of crowds that cannot copy 99 % stay below "
-        f"{copy.arrivals_limit:.2f}."
+        f"On {scene}, time windows of the arrivals correlate at {copy.arrivals:.2f} (median) with "
+        f"the most similar window of the recording. For models that cannot copy, 99 % of crowds "
+        f"are below {copy.arrivals_limit:.2f}."
     )
     return Flag(what="copied arrivals", scene=scene, value=copy.arrivals, limit=limit, text=text)
 
 
 def _copied_lives(scene: str, copy: Copy) -> Flag | None:
-    if copy.lives is None or copy.lives <= COPIED_LIVES:
+    if copy.trips is None or copy.trips <= COPIED_TRIPS:
         return None
     text = (
-        f"On {scene} {100 * copy.lives:.0f} % of its lives stay within 0.1 m of a recorded one "
-        f"from beginning to end; more than {100 * COPIED_LIVES:g} % are too many."
+        f"On {scene}, {100 * copy.trips:.0f} % of the trips stay within 0.1 m of a recorded trip "
+        f"from beginning to end. Values above {100 * COPIED_TRIPS:g} % are flagged."
     )
-    return Flag(what="copied lives", scene=scene, value=copy.lives, limit=COPIED_LIVES, text=text)
+    return Flag(what="copied trips", scene=scene, value=copy.trips, limit=COPIED_TRIPS, text=text)
 
 
 def evenness(
     energies: Mapping[str, Mapping[str, FitEnergies]], floors: Mapping[str, float]
 ) -> float | None:
-    """How much rollouts of a fit differ, relative to what the true process's would.
+    """Spread of the rollouts of a fit, relative to the spread expected of the true process.
 
-    ½ mean d(X_k, X_l) of two rollouts over F of the same metric (see `crowdbench.scoring.energy`),
-    the mean over parts, fits and then metrics. `energies` are by metric and part.
+    This is ½ mean d(X_k, X_l) over pairs of rollouts, divided by the metric's noise floor (see
+    `crowdbench.scoring.energy`), and averaged over splits, fits and then metrics. `energies` are by
+    metric and split, `floors` by metric. None if no metric has a positive noise floor.
     """
     ratios = [
-        float(np.mean([e.spread.mean() for e in parts.values()])) / floors[name]
-        for name, parts in energies.items()
-        if floors.get(name, 0.0) > 0 and parts
+        float(np.mean([e.spread.mean() for e in splits.values()])) / floors[name]
+        for name, splits in energies.items()
+        if floors.get(name, 0.0) > 0 and splits
     ]
     return float(np.mean(ratios)) if ratios else None

@@ -1,21 +1,24 @@
-"""From an opened submission to its entry: rollouts and their scores.
+"""From an opened submission to its entry: run and score the rollouts.
 
-This runs inside the sandbox. What is rolled out is left in the folder of work, so that a
-verification that was stopped goes on where it was.
+This runs inside the sandbox. Rollouts stay in the working folder, so that an interrupted
+verification can be continued.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from crowdbench import __version__
 from crowdbench.errors import RecordingError
-from crowdbench.evaluation.judge import judge
-from crowdbench.evaluation.rollout_jobs import Job, Pair, RolloutSummary, alone_in, plan, roll_out
+from crowdbench.evaluation.judge import TRAJECTORIES, judge
+from crowdbench.evaluation.lock import alone_in
+from crowdbench.evaluation.rollout_jobs import Job, Pair, RolloutSummary, plan, roll_out
 from crowdbench.leaderboard.submission.submission import Submission, open_submission
+from crowdbench.leaderboard.verification.check import check_unused
 from crowdbench.leaderboard.verification.entry import SCHEMA, SCORER, Entry, Flag, SceneEntry
 from crowdbench.leaderboard.verification.scene_entry import Rollouts, scene_entry
 from crowdbench.registry import has_recording, recording_of
@@ -26,21 +29,20 @@ from crowdbench.spawn.areas import read_areas
 from crowdbench.trajectories.storage import read, read_own
 from crowdbench.trajectories.table import Trajectories
 
-TRAJECTORIES = "trajectories"
-"""What stands for the models of a crowd that comes as tables."""
+"""Name in place of a spawn model or a policy for crowds submitted as tables."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """A scene that a submission is for, before anything is rolled out."""
+    """One scene of a submission and its planned rollouts."""
 
     place: Scene
     reference: Reference
     protocol: Protocol
     crowd: Pair | None
-    """What the families of crowds are of; None on track walk."""
+    """Models scored on arrivals, presence, trips and space; None on track walk."""
     walk: Pair | None
-    """What motion and interaction are of; None on track spawn."""
+    """Models scored on motion and interaction; None on track spawn."""
     jobs: list[Job]
     seeds: int
 
@@ -51,19 +53,23 @@ def make_entry(
     work: str,
     workers: int | None,
     rollouts: int | None = None,
+    owners: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> Entry:
-    """Roll out what a submission brings and score it.
+    """Roll out a submission, score it and return its entry.
 
-    `progress(done, total)` counts rollouts. `rollouts` of each part are by default the protocol's.
+    `progress(done, total)` counts rollouts. `rollouts` is the number per split, by default that of
+    the scene's protocol. `owners` are the authors of other entries by id, see `check_unused`.
 
     Raises:
-        CrowdbenchError: the submission, or what it brings, is not as it should be.
-        RecordingError: a scene's recording is not at hand.
+        OutputError: the id belongs to an entry of other authors.
+        CrowdbenchError: the submission or one of its models is invalid.
+        RecordingError: a scene's recording is missing.
     """
     with open_submission(Path(submission)) as given:
+        check_unused(submission, given.id, given.declared.authors, owners)
         folder = Path(work).resolve() / given.id
-        # By names that do not tell where it lies (a zip is unpacked elsewhere each time) rollouts
-        # are found again.
+        # A zip is unpacked to another folder each time. Relative paths stay the same, so that
+        # existing rollouts are found again.
         before = Path.cwd()
         os.chdir(given.folder)
         try:
@@ -125,7 +131,7 @@ def _task(given: Submission, name: str, folder: Path, rollouts: int | None) -> _
     if tables:
         pair = ("replay" if track == "walk" else TRAJECTORIES, TRAJECTORIES)
         jobs = [
-            Job(name, *pair, part="full", fit=0, seed=k, path=path, fingerprint="")
+            Job(name, *pair, split="full", fit=0, seed=k, path=path, fingerprint="")
             for k, path in enumerate(tables)
         ]
         crowd, walk = (None if track == "walk" else pair), (None if track == "spawn" else pair)
@@ -142,7 +148,7 @@ def _task(given: Submission, name: str, folder: Path, rollouts: int | None) -> _
 
 
 def _local(name: str, folder: Path) -> str:
-    """A path into the submission as seen from there; other names as they are."""
+    """A path in the submission, relative to `folder`; other names are returned unchanged."""
     return os.path.relpath(name, folder) if Path(name).is_absolute() else name
 
 
@@ -159,7 +165,7 @@ def _rolled(
 
 
 def _crowd_of(job: Job) -> Trajectories:
-    """A rollout's table; of another program's the areas are those of where people were."""
+    """Read a rollout's table; areas of submitted trajectories are derived from the positions."""
     if job.policy != TRAJECTORIES:
         return read_own(job.path)
     place = load_scene(job.scene)
@@ -172,13 +178,12 @@ def _crowd_of(job: Job) -> Trajectories:
 
 
 def _recording(place: Scene) -> Trajectories:
-    """The scene's recording, without which walkers are not scored and copies not found."""
+    """The scene's recording, which is needed to score policies and to find copies."""
     if not has_recording(place):
         raise RecordingError(
             place.id,
             got="no recording",
-            expected="its recording, under whose arrivals people walk and in which copies are "
-            "looked for",
+            expected="the scene's recording, which is needed to score policies and to find copies",
             hint=f"Run `crowdbench data fetch {place.recording.name}`.",
         )
     return recording_of(place)

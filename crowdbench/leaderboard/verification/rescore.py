@@ -1,4 +1,4 @@
-"""Scoring entries anew: what an earlier scorer found is kept, with the reason."""
+"""Score entries again; the earlier scores are kept, with the reason."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +17,7 @@ from crowdbench.leaderboard.verification.verify import DEFAULT, entry_of, write_
 def entry_ids(root: Path) -> list[str]:
     """Ids of the entries of a leaderboard."""
     stems = {path.stem for path in (root / "entries").glob("*.json")}
-    return sorted(stem for stem in stems if "." not in stem)  # ID.run.json may lie beside
+    return sorted(stem for stem in stems if "." not in stem)  # not ID.run.json
 
 
 def rescore(
@@ -30,19 +30,19 @@ def rescore(
     limits: Limits = DEFAULT,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Entry:
-    """Verify the submission of an entry anew; what it had before goes to the entry's `history`.
+    """Verify the submission of an entry again, and move its earlier scores to its `history`.
 
-    `root` holds `entries/ID.json`, which is replaced, and `submissions/ID/`. Rollouts and
-    `ID.run.json` go to `out`.
+    `root` contains `entries/ID.json`, which is replaced, and `submissions/ID/`. Rollouts and
+    `ID.run.json` are written to `out`.
 
     Raises:
-        SettingError: there is no such entry or no reason, the submission bears another name, or
-            neither scorer nor artefacts have changed.
-        CrowdbenchError: as `verify` does.
+        SettingError: the entry or the reason is missing, the submission has another id, or neither
+            scorer nor artefacts have changed.
+        CrowdbenchError: any error of `verify`.
     """
     if not reason.strip() or not reason.isprintable():
         raise SettingError(
-            "reason", got=repr(reason), expected="a line that says why it is scored anew"
+            "reason", got=repr(reason), expected="one line that says why it is scored again"
         )
     if entry_id not in entry_ids(root):
         known = ", ".join(entry_ids(root)) or "none yet"
@@ -54,7 +54,7 @@ def rescore(
     new, ran = entry_of(submission, out / "work", workers, limits, progress)
     if new.id != entry_id:
         raise SettingError(
-            submission, got=f"a submission whose id is {new.id}", expected=f"the entry {entry_id}"
+            submission, got=f"a submission with the id {new.id}", expected=f"the id {entry_id}"
         )
     values = {view: score.value for view, score in scores(old).items()}
     earlier = Earlier(
@@ -76,7 +76,7 @@ def _check_changed(old: Entry, submission: Path) -> None:
     if check(submission).artefacts == old.artefacts:
         raise SettingError(
             f"entry {old.id}",
-            got=f"the scorer {SCORER} and the files that it was scored with",
-            expected="a newer scorer, or a submission that changed",
+            got=f"scorer {SCORER} and files that it has already scored",
+            expected="a newer scorer or a changed submission",
             hint="The scores would be the same.",
         )

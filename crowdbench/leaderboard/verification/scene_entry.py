@@ -1,4 +1,4 @@
-"""One scene of an entry: scores, metrics, copies, flags and curves of what was rolled out."""
+"""One scene of an entry: scores, metrics, copy index, flags and curves of its rollouts."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 
 from crowdbench.evaluation.judge import MetricSlice, seen_in
 from crowdbench.evaluation.rollout_jobs import Job, Pair, RolloutSummary
-from crowdbench.leaderboard.verification.copying import ArrivalCopies, LifeCopies, independent_limit
+from crowdbench.leaderboard.verification.copying import ArrivalCopies, TripCopies, independent_limit
 from crowdbench.leaderboard.verification.curves import (
     AGENTS,
     DISTRIBUTIONS,
@@ -28,89 +28,104 @@ from crowdbench.metrics import METRICS, WALK, Metric, metrics_for
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import Energy, FitEnergies, energies_of_fits
 from crowdbench.scoring.reference import Reference
-from crowdbench.scoring.score import LOWEST, Score, combined
+from crowdbench.scoring.score import LOWEST, Score, total_score
 from crowdbench.scoring.scorecard import PairResult as PairEntry
-from crowdbench.scoring.scorecard import Scorecard, metric_scores, rows, scale_of
+from crowdbench.scoring.scorecard import (
+    Scorecard,
+    failures,
+    metric_scores,
+    rows,
+    scale_of,
+    walked_as_recorded,
+)
 from crowdbench.trajectories.table import Trajectories
 
 
 @dataclass(frozen=True, eq=False)
 class Rollouts:
-    """What was rolled out on a scene, and its scorecard."""
+    """The rollouts of one scene, and their scorecard."""
 
     place: Scene
     reference: Reference
     card: Scorecard
     rolled: dict[Job, RolloutSummary]
     crowd: Pair | None
-    """The pair that the families of crowds are of; None on track walk."""
+    """Models scored on arrivals, presence, trips and space; None on track walk."""
     walk: Pair | None
-    """The pair that motion and interaction are of; None on track spawn."""
+    """Models scored on motion and interaction; None on track spawn."""
 
     @property
     def main(self) -> Pair:
-        """What persons and rollouts are counted of."""
+        """The pair of models whose persons and rollouts are counted."""
         pair = self.crowd or self.walk
         assert pair is not None
         return pair
 
     def of(self, pair: Pair) -> dict[Job, RolloutSummary]:
-        """Those of a pair."""
+        """The rollouts of a pair of models."""
         return {j: what for j, what in self.rolled.items() if (j.spawn, j.policy) == pair}
 
     def entry(self, pair: Pair) -> PairEntry:
-        """What the scorecard holds of a pair."""
+        """The scorecard's result for a pair of models."""
         return next(e for e in self.card.entries if (e.spawn, e.policy) == pair)
 
     def pair_of(self, metric: Metric) -> Pair | None:
-        """The pair that a metric is of, None where the track does not have it."""
+        """The pair of models that a metric is computed for; None if the track does not use it."""
         return self.walk if metric.family in WALK else self.crowd
 
     def seen(self, metric: Metric) -> Iterator[MetricSlice]:
-        """What the metric sees of its pair."""
+        """The metric's data for its pair of models, one slice per split."""
         pair = self.pair_of(metric)
         assert pair is not None
         return seen_in(self.reference, metric, self.of(pair), self.card.protocol)
 
     @cached_property
     def energies(self) -> dict[str, dict[str, FitEnergies]]:
-        """Of each scored metric and part, fit by fit; for metrics that have a score."""
+        """Energies of each fit, by metric and split; only for scored metrics that have a score."""
         found: dict[str, dict[str, FitEnergies]] = {}
         for metric in metrics_for(self.reference.blocks):
             pair = self.pair_of(metric)
             if pair is None or self.entry(pair).metrics[metric.name].energy is None:
                 continue
             if metric.name in self.card.scored:
-                parts = {
-                    s.part: energies_of_fits(metric, s.recorded, s.fits, s.blocks)
+                splits = {
+                    s.split: energies_of_fits(metric, s.recorded, s.fits, s.blocks)
                     for s in self.seen(metric)
                 }
-                found[metric.name] = {p: e for p, e in parts.items() if e is not None}
+                found[metric.name] = {p: e for p, e in splits.items() if e is not None}
         return found
 
 
 def scene_entry(
     rollouts: Rollouts, recording: Trajectories, crowd_of: Callable[[Job], Trajectories]
 ) -> tuple[SceneEntry, list[Flag]]:
-    """The scene's result and its flags. `crowd_of` reads a rollout's table."""
+    """Return the scene's result and its flags. `crowd_of` reads a rollout's table."""
     place, card = rollouts.place, rollouts.card
     jobs = list(rollouts.of(rollouts.main))
     entry = rollouts.entry(rollouts.main)
     families = _families(rollouts)
+    standard = walked_as_recorded(card)
+    walker = rollouts.entry(rollouts.walk or rollouts.main)
+    fails = () if rollouts.walk is None else failures(card, walker)
     copy = _copy(rollouts, recording, map(crowd_of, jobs))
     of_scene = SceneEntry(
         made_from=card.made_from,
         protocol=card.protocol,
         fits=len({job.fit for job in jobs}),
-        rollouts=sum(job.part == jobs[0].part for job in jobs),
+        rollouts=sum(job.split == jobs[0].split for job in jobs),
         persons=entry.persons,
         outcomes=entry.outcomes,
+        speed_mps=walker.speed_mps,
+        at_goal=walker.at_goal,
+        recorded_speed_mps=standard.speed_mps,
+        recorded_at_goal=standard.at_goal,
+        fails=list(fails),
         families={name: ScoreCard.of(score) for name, score in families.items()},
         metrics=_metrics(rollouts),
         copy=copy,
         curves=_curves(rollouts),
     )
-    score = combined(list(families.values()))
+    score = total_score(families, passes=not fails)
     return of_scene, flags_of(place.id, score, _evenness(rollouts), copy)
 
 
@@ -147,13 +162,13 @@ def _metrics(rollouts: Rollouts) -> dict[str, MetricEntry]:
             scored=metric.name in rollouts.card.scored,
             score=None if score is None else score.value,
             interval=None if score is None else score.interval,
-            parts={p: _of_fits(e, *scale[metric.name]) for p, e in energies.items()},
+            splits={p: _of_fits(e, *scale[metric.name]) for p, e in energies.items()},
         )
     return found
 
 
 def _of_fits(energies: FitEnergies, floor: Energy, anchor: Energy) -> list[float | None]:
-    """The score of each fit, by the floor and anchor of all parts together."""
+    """The score of each fit, relative to the noise floor and the anchor of all splits together."""
     span = anchor.centre - floor.centre
     if not span > 0:
         return [None] * len(energies.spread)
@@ -162,22 +177,22 @@ def _of_fits(energies: FitEnergies, floor: Energy, anchor: Energy) -> list[float
 
 
 def _evenness(rollouts: Rollouts) -> float | None:
-    """How much rollouts differ; None where they have no score, and on track walk."""
+    """Relative spread of the rollouts; None on track walk, or without scores."""
     if rollouts.crowd is None:
         return None
     even = {m.name for m in METRICS if m.family in ("arrivals", "presence")}
-    energies = {name: parts for name, parts in rollouts.energies.items() if name in even}
+    energies = {name: splits for name, splits in rollouts.energies.items() if name in even}
     floors = {name: floor.energy().centre for name, floor in rollouts.card.scale.floor.items()}
     return evenness(energies, floors)
 
 
 def _copy(rollouts: Rollouts, recording: Trajectories, crowds: Iterable[Trajectories]) -> Copy:
-    """How much is copied, the mean over the rollouts; track walk has the recorded arrivals."""
-    lives = LifeCopies(recording, rollouts.place)
+    """The copy index, averaged over the rollouts; on track walk of trips only."""
+    trips = TripCopies(recording, rollouts.place)
     arrivals = None if rollouts.crowd is None else ArrivalCopies(recording, rollouts.place)
     shares, indices = [], []
     for crowd in crowds:  # one at a time: many of them would not fit into memory
-        shares.append(lives.share(crowd))
+        shares.append(trips.share(crowd))
         if arrivals is not None:
             persons = np.flatnonzero(crowd.entered)
             area = crowd.spawn_area[persons].astype(np.int64)
@@ -185,12 +200,12 @@ def _copy(rollouts: Rollouts, recording: Trajectories, crowds: Iterable[Trajecto
     return Copy(
         arrivals=_mean(indices),
         arrivals_limit=None if arrivals is None else independent_limit(arrivals, rollouts.place),
-        lives=_mean(shares),
+        trips=_mean(shares),
     )
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
-    """The mean of those that are known."""
+    """The mean of the values that are not None; None if there are none."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None
 

@@ -1,22 +1,22 @@
-"""Verification: from a submission, which is not trusted, to a signed-off entry.
+"""Verification: from an untrusted submission to an entry.
 
-The work is done in a child process with limits; what it answers is read strictly.
+The work is done in a child process with limits, and its answer is validated.
 """
 
 import platform
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from crowdbench import __version__
-from crowdbench.errors import OutputError, WeightsError
+from crowdbench.errors import WeightsError
 from crowdbench.files import write_json
 from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage, SandboxError, call
-from crowdbench.leaderboard.submission.errors import plain
-from crowdbench.leaderboard.verification.check import Checked, check
+from crowdbench.leaderboard.verification.check import check_unused
 from crowdbench.leaderboard.verification.entry import Entry, read_entry
 from crowdbench.leaderboard.verification.soundness import check_entry
 from crowdbench.leftovers import swept
@@ -35,45 +35,38 @@ def verify(
 ) -> tuple[Entry, ResourceUsage]:
     """Roll out and score a submission; write `ID.json` and `ID.run.json` into `out`.
 
-    The same submission gives the same bytes in `ID.json`; time, memory and machine stand in the
-    other. Rollouts stay in `out/work/ID`, where a verification that was stopped goes on. `taken`
-    are ids that it must not have, since other submissions have them.
+    The same submission gives the same bytes in `ID.json`; time, memory and machine are in
+    `ID.run.json`. Rollouts stay in `out/work/ID`, so that an interrupted verification can be
+    continued. `taken` are the ids of other submissions.
+
+    Returns:
+        The entry, and the resources that the child process used.
 
     Raises:
-        SubmissionError: something is wrong with it; the error tells everything.
-        OutputError: its id is taken, or `out` holds an entry of that id by other authors, or
-            cannot be written.
-        SandboxError: it hung, crashed or used more than the limits allow.
-        CrowdbenchError: what it needs is not at hand.
+        SubmissionError: the submission is invalid; the error lists all its problems.
+        OutputError: `out` cannot be written.
+        SandboxError: the child process crashed or exceeded a limit.
+        CrowdbenchError: the id is taken, `out` contains an entry with that id by other authors, or
+            something it needs, such as a recording, is missing.
     """
     with swept():
-        known = check(submission)
-        _check_free(submission, known, out, taken)
-        entry, ran = entry_of(submission, out / "work", workers, limits, progress)
-        if entry.id != known.id:
-            raise SandboxError(
-                submission, got=f"an answer of the id {entry.id}", expected=f"its own, {known.id}"
-            )
+        owners = _owners(out) | {name: [] for name in taken}
+        entry, ran = entry_of(submission, out / "work", workers, limits, progress, owners)
+        # The child has checked this before the first rollout, but its answer is not trusted.
+        check_unused(submission, entry.id, entry.declared.authors, owners)
         write_json(out / f"{entry.id}.json", entry)
         write_run(out / f"{entry.id}.run.json", ran)
     return entry, ran
 
 
-def _check_free(submission: Path, known: Checked, out: Path, taken: Collection[str]) -> None:
-    """Raise before hours of rollouts where an entry of another submission would be overwritten."""
-    old = out / f"{known.id}.json"
-    authors = known.declared.authors
-    with suppress(WeightsError):  # what is no entry is nobody's
-        if old.exists():
-            authors = read_entry(old).declared.authors
-    if known.id in taken or authors != known.declared.authors:
-        by = f", of {plain(', '.join(authors))}," * (authors != known.declared.authors)
-        raise OutputError(
-            submission,
-            got=f"the id {known.id}, which another submission{by} has",
-            expected="an id of its own",
-            hint="Ids are made of names: choose another name, or verify it into another folder.",
-        )
+def _owners(out: Path) -> dict[str, list[str]]:
+    """Authors of the entries in a folder, by id; a broken entry has none and may be overwritten."""
+    found = {}
+    for path in sorted(out.glob("*.json")):
+        with suppress(WeightsError):
+            entry = read_entry(path)
+            found[entry.id] = list(entry.declared.authors)
+    return found
 
 
 def entry_of(
@@ -82,12 +75,17 @@ def entry_of(
     workers: int | None,
     limits: Limits,
     progress: Callable[[int, int], None],
+    owners: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> tuple[Entry, ResourceUsage]:
-    """What verification finds, and how the child ran."""
+    """Verify a submission in a child process; return its entry and the resources used.
+
+    `owners` are the authors of other entries by id, see `check_unused`.
+    """
     asked: dict[str, object] = {
         "submission": str(submission.resolve()),
         "work": str(work.resolve()),
         "workers": workers,
+        "owners": dict(owners),
     }
     entry, ran = call(
         "crowdbench.leaderboard.verification.judge:make_entry",
@@ -98,16 +96,16 @@ def entry_of(
         progress=progress,
     )
     try:
-        check_entry(entry, submission)  # its id becomes the name of a file
+        check_entry(entry, submission)  # before its id becomes the name of a file
     except WeightsError as error:
         raise SandboxError(
-            submission, got=f"an answer with {error.got}", expected=error.expected
+            submission, got=f"an entry with {error.got}", expected=error.expected
         ) from error
     return entry, ran
 
 
 def write_run(path: Path, ran: ResourceUsage) -> None:
-    """Write what depends on the machine and the day."""
+    """Write `ID.run.json`: what depends on the machine and the date."""
     versions = {
         "crowdbench": __version__,
         "python": platform.python_version(),

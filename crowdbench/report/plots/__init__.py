@@ -1,4 +1,4 @@
-"""The pictures of an evaluation: what people can see of it, as files and in the report."""
+"""The pictures of an evaluation, as files and in the report."""
 
 from collections.abc import Callable
 from functools import partial
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def draw_figures(plot: PlotData, out: Path) -> list[Path]:
-    """Draw all of `FIGURES` into `out`.
+    """Draw all pictures of `FIGURES` into the folder `out` and return their paths.
 
     Raises:
         OutputError: a picture cannot be written.
@@ -25,7 +25,7 @@ def draw_figures(plot: PlotData, out: Path) -> list[Path]:
 
 
 def draw_figure(name: str, plot: PlotData, out: Path, *, named: str = "") -> Path:
-    """Draw one of `FIGURES` into `out`, under its own name or as the file `named`.
+    """Draw one of `FIGURES` into the folder `out`, as file `name` or `named`; return its path.
 
     Raises:
         OutputError: the picture cannot be written.
@@ -37,7 +37,7 @@ def draw_figure(name: str, plot: PlotData, out: Path, *, named: str = "") -> Pat
 
 
 def _agents_over_time(plot: PlotData) -> bytes:
-    """Draw a panel per crowd: its rollouts' N(t) over the recording's N in each time block."""
+    """Picture with a panel per crowd: N(t) of its rollouts and of the recording's time blocks."""
 
     def draw(axes: "list[Axes]") -> None:
         for axis, group in zip(axes, plot.groups, strict=True):
@@ -46,7 +46,7 @@ def _agents_over_time(plot: PlotData) -> bytes:
                       label=f"{group.label}, {len(group.crowds)} rollouts")  # fmt: skip
             axis.set(xlabel="", ylim=(0, 1.2 * panels.most_agents(plot)))
             axis.legend(loc="upper right", ncols=3)
-            if axis is not axes[0]:  # the recording is explained once
+            if axis is not axes[0]:  # only the first legend explains the recording
                 axis.legend(handles=axis.get_lines()[-1:], loc="upper right")
         axes[-1].set_xlabel(
             "time (s); where only rollouts are drawn, the recording is not compared"
@@ -76,7 +76,7 @@ def _autocorrelation(plot: PlotData) -> bytes:
     def draw(axes: "list[Axes]") -> None:
         (axis,) = axes
         panels.autocorrelation(axis, plot)
-        # Below the picture: where the number of people changes slowly, curves go everywhere in it.
+        # The legend is below the picture, because the curves may cover all of it.
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3)
         axis.set_title(f"{plot.scene.title}: autocorrelation of agents over time")
 
@@ -84,11 +84,11 @@ def _autocorrelation(plot: PlotData) -> bytes:
 
 
 _TALL = 1.3
-"""Places taller than this, over their width, stand four in a row, not two."""
+"""Scenes with a larger ratio of height to width are drawn four in a row instead of two."""
 
 
 def _paths(plot: PlotData) -> bytes:
-    """Draw the paths of each crowd's first rollout over the scene's walls and areas."""
+    """Picture of the paths in each crowd's first rollout, with the scene's walls and areas."""
     from matplotlib.lines import Line2D
 
     shown = [(f"{group.label}, seed 0", group.crowds[0]) for group in plot.groups]
@@ -121,7 +121,7 @@ _DRAWN: dict[str, Callable[[PlotData], bytes]] = {
     "paths.png": _paths,
 }
 FIGURES = tuple(_DRAWN)
-"""What `draw_figures` writes."""
+"""File names of the pictures that `draw_figures` writes."""
 
 __all__ = [
     "FIGURES",

@@ -1,6 +1,6 @@
-"""From a drawing function to the bytes of a picture, the same bytes for the same drawing.
+"""Pictures as bytes; the same drawing gives the same bytes.
 
-What a user's own matplotlibrc says, the time and random ids would all show in the bytes.
+The user's matplotlibrc, the time and random ids would otherwise change the bytes.
 """
 
 from collections.abc import Callable
@@ -36,11 +36,12 @@ def picture(
     kind: Literal["png", "small png", "svg"] = "svg",
     shared: bool = True,
 ) -> bytes:
-    """Let `draw` fill rows × columns axes of a figure (inches), which share their scales or not.
+    """Bytes of a picture whose axes (rows × columns) are filled by `draw`; sizes are in inches.
 
-    A `small png` keeps 64 colours: a fraction of the size where lines lie thick over each other.
+    With `shared`, all axes have the same scales. A `small png` has 64 colours, which makes pictures
+    with many overlapping lines much smaller.
     """
-    # A figure of its own canvas: no window system and no global state of pyplot's is touched.
+    # The figure has its own canvas, so that no window system and no state of pyplot is used.
     import matplotlib.style
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -66,7 +67,7 @@ def _with_few_colours(png: BytesIO) -> bytes:
 
     small = BytesIO()
     with Image.open(png) as image:
-        # The median cut would give the colours of small things to large ones.
+        # Median cut would drop the colours of small objects.
         few = image.convert("RGB").quantize(_PALETTE, method=Image.Quantize.FASTOCTREE)
         few.save(small, format="png", optimize=True)
     return small.getvalue()

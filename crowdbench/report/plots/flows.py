@@ -1,6 +1,6 @@
-"""Figure `flows`: where people of each spawn area walk, as density and as mean ways to their goals.
+"""Figure `flows`: density and mean paths to the goals of the people from each spawn area.
 
-People are put together by the spawn and goal areas that the simulation gave them.
+People are grouped by the spawn and goal areas that the simulation assigned to them.
 """
 
 from collections.abc import Sequence
@@ -23,31 +23,31 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_AREAS = 6
-"""Spawn areas that get a map, the busiest."""
+"""Maximum number of maps: those of the busiest spawn areas are drawn."""
 LEAST_SHARE = 0.03
-"""Of an area's people who walk a way that is drawn."""
+"""Minimum share of a spawn area's people for a route to be drawn."""
 DENSITY_PARTS = 100_000
-"""In which the numbers count the density."""
+"""Factor by which densities are multiplied in the JSON file, to be rounded to integers."""
 _THINNEST, _WIDEST = 1.1, 5.0
 _LABEL = (0.1, 0.045)
-"""Width and height of a label, in widths of a map."""
+"""Width and height of a label, as fractions of the width of a map."""
 _WALLS = "#e6ddcf"
-"""Unlike the greys of the density."""
+"""Colour of walls, distinct from the greys of the density."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outflow:
-    """Where the people of one spawn area walk."""
+    """The flows of the people from one spawn area."""
 
     area: int
     people: Int[np.ndarray, " G"]
-    """Who enter, by goal area."""
+    """Number of people who enter, by goal area."""
     density: Float[np.ndarray, "Y X"]
-    """Share of their time in each cell of `CELL_M`, the first one at the lowest x and y."""
+    """Share of their time in each cell of `CELL_M`; the first cell is at the lowest x and y."""
     ways: dict[int, MeanWay]
-    """Of those who arrive, by goal area: where they are ten or more."""
+    """Mean path of those who arrive, by goal area, if they are ten or more."""
     recorded: dict[int, MeanWay]
-    """Likewise of the recording."""
+    """The same for the recording."""
 
     @classmethod
     def of(
@@ -58,7 +58,7 @@ class Outflow:
         goals: int,
         recording: Trajectories | None,
     ) -> "Outflow":
-        """Look at all rollouts together."""
+        """Compute the flows of one spawn area from all rollouts together."""
         people = np.zeros(goals, dtype=np.int64)
         for crowd in crowds:
             known = crowd.entered & (crowd.spawn_area == area) & (crowd.goal_area >= 0)
@@ -75,11 +75,11 @@ class Outflow:
 
     @property
     def drawn(self) -> list[int]:
-        """Goal areas to which ways are drawn."""
+        """Goal areas whose mean paths are drawn."""
         return [g for g in self.ways if self.share[g] >= LEAST_SHARE]
 
     def numbers(self) -> Numbers:
-        """As JSON holds it."""
+        """The flows for JSON."""
         cells = (DENSITY_PARTS * self.density).round().astype(np.int64)
         return {
             "spawn_area": self.area,
@@ -102,9 +102,9 @@ def draw_flows(
     recording: Trajectories | None,
     title: str,
 ) -> tuple[bytes, Numbers]:
-    """The picture and its numbers, of some rollouts together, which `title` names.
+    """The picture and its numbers, of all rollouts together; `title` names them.
 
-    A recording, where it is at hand, gives its mean ways to compare.
+    With a recording, its mean paths are shown for comparison.
     """
     spawns, goals = len(areas.spawn), len(areas.goal)
     entered = np.sum([np.bincount(c.spawn_area[c.entered], minlength=spawns) for c in crowds], 0)
@@ -140,7 +140,7 @@ def draw_flows(
 
 
 def density(crowds: Sequence[Trajectories], area: int, scene: Scene) -> Float[np.ndarray, "Y X"]:
-    """Share of the time of those who enter at an area in each cell of `CELL_M`; it sums to 1."""
+    """Share of time that people from `area` spend in each cell of `CELL_M`; sums to 1."""
     theirs = [(c.entered & (c.spawn_area == area))[c.row_person()] for c in crowds]
     xy = np.concatenate([crowd.xy[rows] for crowd, rows in zip(crowds, theirs, strict=True)])
     found = in_cells(xy, scene)
@@ -186,7 +186,7 @@ def _map(axis: "Axes", scene: Scene, areas: Areas, flow: Outflow) -> None:
 def _free(
     way: Float[np.ndarray, "n 2"], labels: Sequence[np.ndarray], scene: Scene
 ) -> Float[np.ndarray, " 2"]:
-    """A place on a way, as near its end as can be, where no label stands yet."""
+    """The point of a path closest to its end that overlaps no other label."""
     room = np.array([_LABEL[0], _LABEL[1]]) * (scene.bounds.x_max_m - scene.bounds.x_min_m)
     for place in way[::-1]:
         if all((np.abs(place - label) > room).any() for label in labels):

@@ -1,4 +1,4 @@
-"""Maps of one scene side by side, on one scale, and how many people are in each of its cells."""
+"""Maps of a scene side by side on the same scale, and numbers of positions in grid cells."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 CELL_M = 0.5
 Map = tuple[str, Callable[["Axes"], None]]
-"""A title, and what draws the place and more onto the axes."""
+"""A title, and a function that draws the scene and its content onto axes."""
 
 _TITLE_IN = 0.2
 _GAP_IN = 0.2
@@ -23,7 +23,7 @@ _MARGIN_IN = 0.4
 
 
 def in_cells(xy: Float32[np.ndarray, "n 2"], scene: Scene) -> Float[np.ndarray, "Y X"]:
-    """How many positions lie in each cell of `CELL_M`, the first one at the lowest x and y."""
+    """Number of positions in each cell of `CELL_M`; the first cell is at the lowest x and y."""
     b = scene.bounds
     edges = [
         low + CELL_M * np.arange(int(np.ceil((high - low) / CELL_M)) + 1)
@@ -34,7 +34,7 @@ def in_cells(xy: Float32[np.ndarray, "n 2"], scene: Scene) -> Float[np.ndarray, 
 
 
 def draw_cells(axis: "Axes", values: Float[np.ndarray, "Y X"], scene: Scene, **style: Any) -> Any:
-    """Draw a value of each cell; the image, for a colour bar."""
+    """Draw a value per cell and return the image, for a colour bar."""
     b, (rows, columns) = scene.bounds, values.shape
     x, y = b.x_min_m, b.y_min_m
     extent = (x, x + CELL_M * columns, y, y + CELL_M * rows)
@@ -50,9 +50,9 @@ def maps(
     handles: Sequence[Any] = (),
     legend_columns: int = 2,
 ) -> bytes:
-    """Draw maps of the scene, each `width` inches wide, as a small png.
+    """Bytes of a small png with maps of the scene, each `width` inches wide.
 
-    `handles` are explained below all maps: in them, an area may lie in any corner.
+    The legend of `handles` is below the maps, because areas may lie in any corner of a map.
     """
     b = scene.bounds
     columns = min(columns, len(shown))
@@ -70,7 +70,7 @@ def maps(
             axis.set_ylabel("y (m)" if k % columns == 0 else "")
             below = k + columns < len(shown)
             axis.set_xlabel("" if below else "x (m)")
-            axis.tick_params(labelbottom=not below)  # also above an empty place
+            axis.tick_params(labelbottom=not below)  # also above unused axes
         if handles:
             axes[0].figure.legend(
                 handles=list(handles), loc="outside lower center", ncols=legend_columns

@@ -1,4 +1,4 @@
-"""What is drawn onto a pair of axes: time series, survival curves, maps."""
+"""Functions that draw onto axes: time series, survival curves, maps."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -7,7 +7,6 @@ import numpy as np
 from crowdbench.colours import goal_colour
 from crowdbench.report.plots.plot_data import Curves, Group, PlotData
 from crowdbench.scene import Scene
-from crowdbench.simulation.simulation import TIMEOUT_DWELLS
 from crowdbench.spawn.areas import Gaussians
 from crowdbench.trajectories.table import Trajectories
 
@@ -18,26 +17,26 @@ if TYPE_CHECKING:
 BAND = "0.82"
 MOST_FRAMES = 20_000
 MOST_PATHS = 150
-"""More lie over each other and show nothing."""
+"""Maximum number of paths on a map; more would hide each other."""
 LEAST_SHARE = 0.01
-"""Of the people who walk a way that a map shows."""
+"""Minimum share of people for a flow to be drawn on a map."""
 LEAST_LABELLED = 0.1
 _BEND = 0.18
 
 
 def linestyle(group: Group) -> Any:
-    """A group's dashes as matplotlib wants them."""
+    """A group's dashes as a matplotlib line style."""
     return (0, group.dashes) if group.dashes else "-"
 
 
 def agents_over_time(axis: "Axes", plot: PlotData, group: Group) -> None:
-    """The rollouts' N(t), the first one drawn out, over the recording's N in each time block."""
+    """Draw N(t) of the rollouts, the first one highlighted, over the recording's time blocks."""
     recorded_bands(axis, plot)
     rollouts_over_time(axis, plot, group)
 
 
 def rollouts_over_time(axis: "Axes", plot: PlotData, group: Group) -> None:
-    """The rollouts' N(t), the first one drawn out."""
+    """Draw N(t) of the rollouts, the first one highlighted."""
     frames = plot.scene.recording.frames
     for k, crowd in enumerate(group.crowds):
         drawn_out: dict[str, Any] = {"linewidth": 0.9, "zorder": 3}
@@ -48,22 +47,22 @@ def rollouts_over_time(axis: "Axes", plot: PlotData, group: Group) -> None:
 
 
 def in_blocks(plot: PlotData) -> bool:
-    """Whether N(t) is shown by its means over time blocks.
+    """Whether N(t) is drawn as its means over time blocks.
 
-    A recording of many hours has more frames than a picture can show: all that would be seen of
-    them is their extremes.
+    A recording of many hours has more frames than a picture can show; only their extremes would
+    be visible.
     """
     return plot.scene.recording.frames > MOST_FRAMES
 
 
 def _agents(plot: PlotData, crowd: Trajectories) -> tuple[np.ndarray, np.ndarray]:
-    """Times in seconds and the number of agents there, or steps of its means over blocks."""
+    """Times in seconds and numbers of agents, or a step curve of their means over blocks."""
     present = crowd.present()[: plot.scene.recording.frames]
     if not in_blocks(plot):
         return np.arange(len(present)) * plot.scene.dt_s, present
     frames = plot.reference.blocks.frames
     means = block_means(plot, crowd)
-    # NaN breaks the line where blocks do not touch.
+    # NaN interrupts the line between blocks that are not adjacent.
     edges = np.pad(frames, ((0, 0), (0, 1)), constant_values=frames.max()) * plot.scene.dt_s
     steps = np.stack([means, means, np.full(len(means), np.nan)], axis=1)
     touching = np.r_[frames[1:, 0] == frames[:-1, 1], False]
@@ -73,20 +72,20 @@ def _agents(plot: PlotData, crowd: Trajectories) -> tuple[np.ndarray, np.ndarray
 
 
 def block_means(plot: PlotData, crowd: Trajectories) -> np.ndarray:
-    """Mean number of agents in each time block."""
+    """Mean number of agents in each time block of a crowd."""
     present = crowd.present()
     return np.array([present[a:b].mean() for a, b in plot.reference.blocks.frames.tolist()])
 
 
 def recorded_means(plot: PlotData) -> np.ndarray:
-    """Those of the recording."""
+    """Mean number of agents in each time block of the recording."""
     counts = plot.reference.statistics["agents_over_time"]["counts"]
     means: np.ndarray = counts @ np.arange(counts.shape[1]) / counts.sum(axis=1)
     return means
 
 
 def most_agents(plot: PlotData) -> float:
-    """The top of a scale on which all rollouts and the recording have room."""
+    """Upper limit of a scale that shows all rollouts and the recording."""
     crowds = [crowd for group in plot.groups for crowd in group.crowds]
     simulated = max(float(np.nanmax(_agents(plot, crowd)[1], initial=0)) for crowd in crowds)
     if in_blocks(plot):
@@ -98,9 +97,9 @@ def most_agents(plot: PlotData) -> float:
 
 
 def recorded_bands(axis: "Axes", plot: PlotData) -> None:
-    """In each time block the recording's mean N, and what N lies between for 90 % of the time.
+    """Draw the recording's mean of N and its 5–95 % range in each time block.
 
-    The latter is left out where rollouts are shown by their means too.
+    The range is left out if the rollouts are drawn as means over blocks.
     """
     counts = plot.reference.statistics["agents_over_time"]["counts"]
     blocks, means = plot.reference.blocks, recorded_means(plot)
@@ -119,7 +118,7 @@ def recorded_bands(axis: "Axes", plot: PlotData) -> None:
 
 
 def recorded_range(counts: np.ndarray) -> tuple[int, int]:
-    """What a number lies between for 90 % of the time, by how often it has each value."""
+    """5th and 95th percentile of a number; `counts[n]` is how often it has the value n."""
     cumulative = counts.cumsum() / counts.sum()
     low, high = (int(np.searchsorted(cumulative, q)) for q in (0.05, 0.95))
     return low, high
@@ -128,9 +127,9 @@ def recorded_range(counts: np.ndarray) -> tuple[int, int]:
 def survival(
     axis: "Axes", plot: PlotData, curves: Curves, *, unit: float, what: str, area: int = 0
 ) -> None:
-    """P(X > x) of the recording and of each group, all rollouts of a group together.
+    """Draw P(X > x) of the recording and of each group, with its rollouts pooled.
 
-    Survival curves need no bins, and show the tail that a histogram hides.
+    Unlike histograms, survival curves need no bins and show the tail.
     """
     x = curves.support * unit
     low, high = curves.band[0][area], curves.band[1][area]
@@ -144,25 +143,20 @@ def survival(
     axis.set(xlabel=what, ylabel="share above it")
 
 
-def patience_s(plot: PlotData) -> float:
-    """After so long a simulated life ends, wherever it is."""
-    return TIMEOUT_DWELLS * plot.scene.recording.dwell_p99_s
-
-
 def patience(axis: "Axes", plot: PlotData) -> None:
-    """Where simulated lives are cut off, if that is in sight."""
-    if patience_s(plot) < axis.get_xlim()[1]:
+    """Draw the time limit of simulated trips, if it is within the axes."""
+    if plot.scene.timeout_s < axis.get_xlim()[1]:
         axis.axvline(
-            patience_s(plot),
+            plot.scene.timeout_s,
             color="0.45",
             linewidth=0.9,
             linestyle=":",
-            label="simulated lives are cut off",
+            label="simulated trips are cut off",
         )
 
 
 def place(axis: "Axes", scene: Scene, *, fill: str = "0.75") -> None:
-    """The scene's bounds and walls, in metres."""
+    """Draw the scene's walls, and limit the axes to its bounds, in metres."""
     b = scene.bounds
     for wall in scene.walls:
         axis.fill(*np.array(wall.corners_m).T, color=fill, linewidth=0)
@@ -171,9 +165,9 @@ def place(axis: "Axes", scene: Scene, *, fill: str = "0.75") -> None:
 
 
 def autocorrelation(axis: "Axes", plot: PlotData) -> None:
-    """The autocorrelation of N(t) by lag: the recording's, and the mean of each group's rollouts.
+    """Draw the autocorrelation of N(t) of the recording, and the mean over each group's rollouts.
 
-    A dot with whiskers is a lag that the metric compares, known without the recording.
+    Dots with whiskers mark the lags that the metric compares, for which no recording is needed.
     """
     recorded = plot.recorded_autocorrelation()
     if recorded is not None:
@@ -183,7 +177,7 @@ def autocorrelation(axis: "Axes", plot: PlotData) -> None:
         style = {"color": group.colour, "linestyle": linestyle(group), "linewidth": 1.4}
         axis.plot(plot.lags_s, values, label=group.label, **style)
     at = plot.compared_autocorrelation()
-    # A quantile of few blocks may lie on the wrong side of the value itself.
+    # With few blocks, the value may lie outside its interval.
     whiskers = np.maximum(0, [at.value - at.low, at.high - at.value])
     axis.errorbar(at.lag_s, at.value, whiskers, fmt="o", color="black", markersize=5, capsize=3,
                   zorder=4, label="recorded, at the lags compared")  # fmt: skip
@@ -193,7 +187,7 @@ def autocorrelation(axis: "Axes", plot: PlotData) -> None:
 
 
 def paths(axis: "Axes", plot: PlotData, crowd: Trajectories) -> None:
-    """The ways of a crowd's first people, each in its goal area's colour."""
+    """Draw the paths of a crowd's first people, in the colours of their goal areas."""
     place(axis, plot.scene)
     for p in range(min(len(crowd), MOST_PATHS)):
         colour = goal_colour(int(crowd.goal_area[p]))
@@ -204,18 +198,18 @@ def paths(axis: "Axes", plot: PlotData, crowd: Trajectories) -> None:
 
 
 def goal_ellipses(axis: "Axes", plot: PlotData) -> None:
-    """Each goal area in its colour."""
+    """Draw each goal area in its colour."""
     for k in range(len(plot.areas.goal)):
         ellipse(axis, plot.areas.goal, k, color=goal_colour(k), linewidth=1.8)
 
 
 def ellipse(axis: "Axes", gaussians: Gaussians, k: int, **style: Any) -> None:
-    """Two standard deviations around an area's centre."""
+    """Draw the outline of an area: two standard deviations around its centre."""
     axis.plot(*gaussians.outline(k).T, **style)
 
 
 def flows(axis: "Axes", plot: PlotData, share: np.ndarray) -> None:
-    """Arrows from spawn to goal areas, as wide as the share of people who walk there."""
+    """Draw arrows from spawn areas to goal areas; their widths are proportional to the shares."""
     from matplotlib.patches import FancyArrowPatch
     from matplotlib.patheffects import withStroke
 
@@ -229,7 +223,7 @@ def flows(axis: "Axes", plot: PlotData, share: np.ndarray) -> None:
         width = 26 * float(share[cell])
         if share[cell] < LEAST_SHARE:
             continue
-        if np.linalg.norm(end - start) < 1.5:  # back to where they came from
+        if np.linalg.norm(end - start) < 1.5:  # the goal area is at the spawn area
             ring: dict[str, Any] = {
                 "markersize": 10,
                 "markerfacecolor": "none",
@@ -252,7 +246,7 @@ def flows(axis: "Axes", plot: PlotData, share: np.ndarray) -> None:
             )
         )
         if share[cell] >= LEAST_LABELLED:
-            (dx, dy), middle = end - start, (start + end) / 2  # the arc's, half a bend to its right
+            (dx, dy), middle = end - start, (start + end) / 2  # the arc passes to its right
             x, y = middle + _BEND / 2 * np.array([dy, -dx])
             axis.text(
                 x, y, f"{100 * share[cell]:.0f} %",
@@ -265,7 +259,7 @@ def flows(axis: "Axes", plot: PlotData, share: np.ndarray) -> None:
 
 
 def occupancy(axis: "Axes", plot: PlotData, share: np.ndarray, top: float) -> "AxesImage":
-    """Share of people's time in each cell of 1 m, percent, on a scale that ends at `top`."""
+    """Draw the share of people's time in each cell of 1 m, in percent; the scale ends at `top`."""
     x0, x1, y0, y1 = plot.reference.place.bounds_m
     low = np.floor([x0, y0]).astype(np.int64) - 1
     high = np.ceil([x1, y1]).astype(np.int64)

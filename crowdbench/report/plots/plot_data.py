@@ -1,4 +1,4 @@
-"""What pictures show: the crowds of an evaluation beside the recording, in the same time blocks."""
+"""Data of the pictures: an evaluation's crowds and the recording, in the same time blocks."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.score import LEVEL
 from crowdbench.scoring.scorecard import ANCHORS
 from crowdbench.spawn.areas import Areas, read_areas
-from crowdbench.trajectories.blocks import PARTS
+from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.table import Trajectories
 
 Crowds = Mapping[tuple[str, str, int], Trajectories]
@@ -33,7 +33,7 @@ _TAILS = (100 * LEVEL / 2, 100 * (1 - LEVEL / 2))
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Rollouts of one pair, and how they are drawn: a colour per spawn model, dashes per policy."""
+    """Rollouts of a pair, with its colour (by spawn model) and dashes (by policy)."""
 
     spawn: str
     policy: str
@@ -41,23 +41,23 @@ class Group:
     dashes: tuple[float, ...]
     crowds: list[Trajectories]
     label: str
-    """What the pair is called."""
+    """Display name of the pair."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """Distribution functions of one metric on a common support (V values)."""
+    """Distribution functions of one metric on a common support of V values."""
 
     support: Support
     recorded: Float[np.ndarray, "K V"]
-    """Of one sample, or of each of K areas."""
+    """The recording's, of one sample (K = 1) or of each of K areas."""
     band: tuple[Float[np.ndarray, "K V"], Float[np.ndarray, "K V"]]
-    """What 95 % of the resamples of the recording's time blocks lie between."""
+    """Lower and upper limit of 95 % of the resamples of the recording's time blocks."""
     groups: Float[np.ndarray, "G K V"]
-    """Of all rollouts of each group together."""
+    """Those of each of G groups, with all rollouts of a group pooled."""
 
     def longest(self, k: int = 0, *, beyond: float = 0.004) -> int:
-        """The value that next to nobody exceeds."""
+        """Smallest value that at most a share `beyond` of each sample exceeds."""
         each = [self.recorded[k], *self.groups[:, k]]
         at = max(int(np.searchsorted(f, 1 - beyond)) for f in each)
         return int(self.support[min(at, len(self.support) - 1)])
@@ -65,7 +65,7 @@ class Curves:
 
 @dataclass(frozen=True, eq=False)
 class Correlations:
-    """The recording's autocorrelation of N(t) at L lags, with its band by resampling blocks."""
+    """The recording's autocorrelation of N(t) at L lags, with 95 % limits from resampled blocks."""
 
     lag_s: Float[np.ndarray, " L"]
     value: Float[np.ndarray, " L"]
@@ -75,16 +75,16 @@ class Correlations:
 
 @dataclass(frozen=True, eq=False)
 class PlotData:
-    """A recording and the crowds to compare with it."""
+    """A recording and the crowds that pictures compare with it."""
 
     scene: Scene
     reference: Reference
-    """In the blocks that `part` is scored on."""
-    part: str
+    """Reference statistics in the time blocks on which `split` is scored."""
+    split: str
     groups: list[Group]
     recording: Trajectories | None = None
-    """Where it is at hand, pictures show of it what the reference does not know: paths, and the
-    autocorrelation at every lag."""
+    """The recording, if available: for its paths and its autocorrelation at all lags, which the
+    reference statistics do not contain."""
 
     @classmethod
     def of(
@@ -95,14 +95,14 @@ class PlotData:
         protocol: str,
         recording: Trajectories | None = None,
     ) -> "PlotData":
-        """Look at the first part of a protocol.
+        """Collect the plot data of a protocol's first split.
 
         Crowds under the recorded arrivals are left out, unless there are no others.
         """
-        part = PARTS[0] if protocol == "full" else PARTS[1]
-        inside = reference.blocks.in_part(part)
+        split = SPLITS[0] if protocol == "full" else SPLITS[1]
+        inside = reference.blocks.in_split(split)
         seen = Reference(
-            reference.blocks.scored(part),
+            reference.blocks.scored(split),
             reference.place,
             {
                 metric: {name: values[inside] for name, values in statistics.items()}
@@ -110,7 +110,7 @@ class PlotData:
             },
         )
         pairs = list(dict.fromkeys((spawn, policy) for spawn, policy, _ in crowds))
-        names = names_of([*pairs, *ANCHORS], scene)  # tables show the anchors beside them
+        names = names_of([*pairs, *ANCHORS], scene)  # the tables show the baselines too
         pairs = [pair for pair in pairs if pair[0] != "replay"] or pairs
         colours = spawn_colours([spawn for spawn, _ in pairs])
         policies = list(dict.fromkeys(policy for _, policy in pairs))
@@ -125,12 +125,12 @@ class PlotData:
             )
             for spawn, policy in pairs
         ]
-        return cls(scene, seen, part, groups, recording)
+        return cls(scene, seen, split, groups, recording)
 
     def narrowed(self, *, policy: str | None = None, rollouts: int | None = None) -> "PlotData":
-        """The groups of one policy, or of every one; of each the first so many rollouts, or all.
+        """A copy with only the groups of `policy` and the first `rollouts` of each; None keeps all.
 
-        Those of one policy are drawn without dashes, which would tell nothing.
+        The groups of a single policy are drawn without dashes.
         """
         groups = [
             replace(
@@ -145,7 +145,7 @@ class PlotData:
 
     @cached_property
     def areas(self) -> Areas:
-        """Where people enter and whither they walk."""
+        """The scene's spawn and goal areas."""
         return read_areas(self.scene)
 
     @cached_property
@@ -154,16 +154,16 @@ class PlotData:
             self.reference.blocks,
             resample_s=self.scene.protocol.resample_s,
             block_s=self.scene.protocol.block_s,
-            seed=(PARTS.index(self.part),),
+            seed=(SPLITS.index(self.split),),
         )
 
     def pooled(self, name: str) -> tuple[list[Sums], Support]:
-        """Sums of a metric over all blocks: the recording's, then each group's; and the support."""
+        """A metric's sums over all blocks (the recording's, then each group's), and its support."""
         recorded, groups, support = self._aligned(name)
         return [total(recorded), *groups], support
 
     def cells(self, name: str) -> list[np.ndarray]:
-        """Shares of a metric over its cells: the recording's, then each group's."""
+        """Shares in the cells of a metric that has cells: the recording's, then each group's."""
         each = [
             self.reference.statistics[name]["counts"].sum(axis=0),
             *(sum(s["counts"].sum(axis=0) for s in group) for group in self._statistics(name)),
@@ -171,7 +171,7 @@ class PlotData:
         return [counts / max(1, counts.sum()) for counts in each]
 
     def curves(self, name: str, samples: int = 1) -> Curves:
-        """Distribution functions of a metric that compares them, of `samples` samples each."""
+        """Distribution functions of a metric that compares distributions, for `samples` areas."""
         metric = _metric(name)
         recorded, groups, support = self._aligned(name)
         times = self._draws.blocks[:_RESAMPLES]
@@ -191,12 +191,12 @@ class PlotData:
 
     @property
     def lags_s(self) -> Float[np.ndarray, " L"]:
-        """Lags at which pictures show the autocorrelation: those at which blocks have enough."""
+        """Lags of the autocorrelation in pictures, s: those for which blocks are long enough."""
         steps = np.arange(0.0, _LONGEST_LAG_S + _LAG_STEP_S / 2, _LAG_STEP_S)
         return np.array(counted(steps.tolist(), self.reference.blocks))
 
     def autocorrelations(self, lags_s: Sequence[float]) -> Float[np.ndarray, "G L"]:
-        """Of each group, the mean over its rollouts."""
+        """Mean autocorrelation of N(t) over the rollouts of each group, at the given lags."""
         blocks = self.reference.blocks
         each = [
             [correlation(lagged(crowd, blocks, lags_s).sum(axis=1)) for crowd in group.crowds]
@@ -206,14 +206,14 @@ class PlotData:
         return np.array(means).reshape(len(self.groups), len(lags_s))
 
     def compared_autocorrelation(self) -> Correlations:
-        """The recording's at the lags that the metric compares."""
+        """The recording's autocorrelation at the lags that the metric compares."""
         lags_s = counted(LAGS_S, self.reference.blocks)
         known = self.reference.statistics["autocorrelation"] if lags_s else {}
         sums = np.array([known[lag_key(lag_s)] for lag_s in lags_s])
         return self._correlations(lags_s, sums.reshape(len(lags_s), len(self.reference.blocks), 6))
 
     def recorded_autocorrelation(self) -> Correlations | None:
-        """The recording's at `lags_s`, where it is at hand."""
+        """The recording's autocorrelation at `lags_s`; None without the recording."""
         if self.recording is None:
             return None
         lags_s = self.lags_s.tolist()
@@ -226,7 +226,7 @@ class PlotData:
         return Correlations(np.array(lags_s), np.asarray(correlation(sums.sum(axis=1))), low, high)
 
     def _aligned(self, name: str) -> tuple[Statistics, list[Sums], Support]:
-        """The recording's statistics, each group's sums, and the support of both."""
+        """The recording's statistics, each group's sums, and their common support."""
         statistics = self._statistics(name)
         everyone = [self.reference.statistics[name], *(s for group in statistics for s in group)]
         (recorded, *crowds), support = _metric(name).aligned(everyone, self.reference.blocks)
@@ -251,7 +251,7 @@ class PlotData:
 
     @cached_property
     def _known(self) -> dict[str, list[list[Statistics]]]:
-        """Statistics of each crowd of each group, by metric."""
+        """Statistics of each crowd of each group, by metric; filled on demand."""
         return {}
 
 

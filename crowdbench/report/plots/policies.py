@@ -1,4 +1,4 @@
-"""Figure `policies`: the ways of recorded people, and how policies walk the same people."""
+"""Figure `policies`: recorded paths, and the paths of the same people under policies."""
 
 from collections.abc import Mapping
 
@@ -27,8 +27,8 @@ def draw_policies(
 ) -> tuple[bytes, Numbers]:
     """The picture and its numbers; `walked` are crowds under the recorded arrivals, by policy.
 
-    A policy is *off* by the distance between where a person is and where the same one was recorded
-    at the same fraction of the way: the mean over ways, then over people who arrive.
+    A policy's `off_m` is the distance between a person's simulated and recorded positions at equal
+    fractions of the path lengths, averaged over the path and over all people who arrive.
     """
     recorded = _taken(recording)
     found = {policy: _against(recorded, _taken(crowd)) for policy, crowd in walked.items()}
@@ -45,7 +45,7 @@ def draw_policies(
 
 
 def _taken(crowd: Trajectories) -> _Taken:
-    """The paths of those who walk all of a way, by their entries, at fractions of their length."""
+    """The complete paths at fractions of their lengths, by the entry of the person."""
     known = entries(crowd)
     return {known[p]: by_fraction(crowd.path(p)) for p in np.flatnonzero(whole(crowd)).tolist()}
 
@@ -60,7 +60,7 @@ def _against(recorded: _Taken, walked: _Taken) -> Numbers:
 
 
 def _way(k: int, g: int, recording: Trajectories, walked: Mapping[str, Trajectories]) -> Numbers:
-    """A way's people and mean paths: of the recording where they are too many to be told apart."""
+    """A route's people and mean paths; the recorded mean only if people are not identifiable."""
     who = walking(recording, k, g)
     found: Numbers = {"spawn_area": k, "goal_area": g, "people": len(who)}
     if len(who) >= LEAST_PEOPLE:

@@ -1,4 +1,4 @@
-"""Figure `sheet`: who is there, who comes and how long people stay, all scenes on one sheet."""
+"""Figure `sheet`: agents over time, arrivals and dwell times of all scenes."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 _CURVES = ("inter_spawn", "spawns_per_10_frames", "dwell")
 _MOST_POINTS = 200
-"""Of a curve in the numbers; the picture draws all."""
+"""Maximum number of points per curve in the JSON file; the picture shows all."""
 
 
 def draw_sheet(sights: Sequence[PlotData]) -> tuple[bytes, Numbers]:
-    """The picture and its numbers: a row per scene, whose crowds are all walked by one policy."""
+    """The picture and its numbers, with a row per scene; all crowds of a scene have one policy."""
     columns = 1 + len(_CURVES)
 
     def draw(axes: "list[Axes]") -> None:
@@ -72,7 +72,7 @@ def _key(plot: PlotData) -> list[Any]:
         Patch(color=panels.BAND, label="over time: 90 % of a block; else 95 % of resampled blocks"),
         *(Line2D([], [], color=g.colour, linewidth=1.4, label=g.spawn) for g in plot.groups),
         Line2D([], [], color="0.45", linewidth=0.9, linestyle=":",
-               label="simulated lives are cut off"),
+               label="simulated trips are cut off"),
     ]  # fmt: skip
 
 
@@ -86,7 +86,7 @@ def _numbers(plot: PlotData) -> Numbers:
 
 
 def _over_time(plot: PlotData) -> Numbers:
-    """By time block: the recording's mean and range, and means of the rollouts that are drawn."""
+    """Per time block: the recording's mean and range, and the means of the drawn rollouts."""
     blocks = plot.reference.blocks
     counts = plot.reference.statistics["agents_over_time"]["counts"]
     return {
@@ -101,7 +101,7 @@ def _over_time(plot: PlotData) -> Numbers:
 
 
 def _curves(plot: PlotData, curves: Curves, unit: float) -> Numbers:
-    """Shares of values above x."""
+    """Shares of values above x: of the recording, its band, and each spawn model."""
     length = int(np.searchsorted(curves.support, curves.longest(), side="right"))
     every = slice(0, length, max(1, -(-length // _MOST_POINTS)))
 

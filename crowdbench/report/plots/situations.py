@@ -1,4 +1,4 @@
-"""Figure `situations`: windows of the recording, and those of rollouts that are most alike."""
+"""Figure `situations`: windows of the recording and the most similar windows of rollouts."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,13 +15,14 @@ from crowdbench.report.plots.ways import Numbers
 from crowdbench.report.plots.windows import GROUP_S, WINDOW_S, Windows, situations
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
+from crowdbench.trajectories.companions import groups_of
 from crowdbench.trajectories.table import Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SHOWN = 2
-"""Windows of the first spawn model; of each other one is enough."""
+"""Number of windows shown of the first spawn model; of others, one is shown."""
 _WIDTH_IN = 2.3
 _OTHERS = "0.55"
 _BEFORE = "0.82"
@@ -29,33 +30,33 @@ _BEFORE = "0.82"
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """A window of a rollout."""
+    """A window of a rollout and its distance from a recorded window."""
 
     rollout: int
     window: int
     apart: np.ndarray
-    """By ways, by groups and by presence, in people."""
+    """Distances by routes, groups and presence, in people."""
 
     @property
     def distance(self) -> float:
-        """Their sum."""
+        """Sum of the three distances, in people."""
         return float(self.apart.sum())
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What was found of one situation in the rollouts of one spawn model."""
+    """Windows of one spawn model's rollouts that are similar to one recorded window."""
 
     best: list[Match]
-    """The most alike first; none overlaps another."""
+    """The most similar windows, sorted by distance; none overlap."""
     median: float
-    """Distance of all windows."""
+    """Median distance of all windows."""
     each: list[float]
-    """Least distance in each rollout, which is as long as the recording."""
+    """Smallest distance in each rollout; a rollout is as long as the recording."""
 
 
 def search(rollouts: Sequence[Windows], recorded: Windows, k: int, wanted: int) -> Search:
-    """Look for what is most alike window `k` of the recording."""
+    """Find the `wanted` windows of `rollouts` that are most similar to recorded window `k`."""
     apart = [windows.apart(recorded, k) for windows in rollouts]
     distance = [a.sum(axis=1) for a in apart]
     best: list[Match] = []
@@ -80,18 +81,18 @@ def draw_situations(
     rollouts: Mapping[str, Sequence[Trajectories]],
     policy: str,
 ) -> tuple[bytes, Numbers]:
-    """The picture and its numbers; `rollouts` are those of spawn models, all walked by `policy`.
+    """The picture and its numbers; `rollouts` are by spawn model, all with policy `policy`.
 
     Raises:
-        RecordingError: too little was observed to compare windows.
+        RecordingError: the observed time is too short to compare windows.
     """
     recorded = Windows.of(recording, areas)
-    if not len(recorded) or np.ptp(recorded.start) < 2 * recorded.frames:  # none beside some
+    if not len(recorded) or np.ptp(recorded.start) < 2 * recorded.frames:  # some have no other
         raise RecordingError(
             f"situations of {scene.id}",
-            got=f"{len(recorded)} windows of {WINDOW_S:g} s that were observed",
-            expected=f"windows over {3 * WINDOW_S:g} s or more",
-            hint="Ask for other figures.",
+            got=f"{len(recorded)} observed windows of {WINDOW_S:g} s",
+            expected=f"windows from {3 * WINDOW_S:g} s or more of observed time",
+            hint="Request other figures with --figure.",
         )
     windows = {model: [Windows.of(c, areas) for c in crowds] for model, crowds in rollouts.items()}
     wanted = {model: SHOWN if n == 0 else 1 for n, model in enumerate(rollouts)}
@@ -134,7 +135,7 @@ def _title(model: str, match: Match) -> str:
 
 
 def _colours(recorded: Windows, k: int, areas: Areas) -> dict[tuple[int, int], str]:
-    """A colour for each of the commonest ways of a window, by spawn and goal area."""
+    """A colour for each of the most common routes of a window, by spawn and goal area."""
     goals = len(areas.goal) + 1
     order = np.argsort(-recorded.ways[k], kind="stable")[: len(COLOURS)]
     common = [divmod(int(way), goals) for way in order if recorded.ways[k, way]]
@@ -149,9 +150,11 @@ def _map(
     frames: int,
     colours: Mapping[tuple[int, int], str],
 ) -> None:
-    """What is walked in a window, in colour by those who enter in it."""
+    """Draw the paths within a window; people who enter in it are coloured by route."""
     panels.place(axis, scene)
     stop = start + frames
+    starts: dict[int, list[np.ndarray]] = {}
+    group = groups_of(crowd)  # by the same rule in recordings and rollouts
     for p in np.flatnonzero((crowd.first < stop) & (crowd.last >= start)).tolist():
         first = int(crowd.first[p])
         path = crowd.path(p)[max(0, start - first) : stop - first]
@@ -162,6 +165,10 @@ def _map(
         colour = colours.get(way, _OTHERS)
         axis.plot(*path.T, color=colour, linewidth=0.9, zorder=2 + (way in colours))
         axis.plot(*path[0], "o", color=colour, markersize=3.5, markeredgewidth=0, zorder=4)
+        if group[p] >= 0:
+            starts.setdefault(int(group[p]), []).append(path[0])
+    for members in starts.values():
+        axis.plot(*np.array(members).T, color="black", linewidth=0.7, zorder=3.5)
 
 
 def _key(policy: str) -> list[Any]:
@@ -172,6 +179,7 @@ def _key(policy: str) -> list[Any]:
         Line2D([], [], color=COLOURS[0], **way, label="enters (dot); colour: spawn and goal area"),
         Line2D([], [], color=_OTHERS, **way, label="enters, by none of its row's six ways"),
         Line2D([], [], color=_BEFORE, linewidth=0.9, label="was there before"),
+        Line2D([], [], color="black", linewidth=0.7, label="companions, at their entries"),
         Line2D([], [], linestyle="", label=f"simulated people are walked by {policy}"),
     ]
 
@@ -179,7 +187,7 @@ def _key(policy: str) -> list[Any]:
 def _of_recording(
     kind: str, k: int, people: int, recorded: Windows, own: np.ndarray, scene: Scene
 ) -> Numbers:
-    """What is told of a recorded window: no more than how many."""
+    """Numbers of a recorded window: counts only, to publish no recorded path or arrival."""
     return {
         "situation": kind,
         "start_s": round(float(recorded.start[k] * scene.dt_s), 1),
@@ -212,7 +220,7 @@ def _of_model(found: Search, windows: Sequence[Windows], own: np.ndarray, scene:
 
 
 def _groups_by_size(windows: Windows, k: int) -> dict[str, int]:
-    """How many groups of each size enter."""
+    """Number of groups of each size that enter in a window."""
     members = windows.members[k].astype(np.int64)
     exactly = members - np.r_[members[1:], 0]
     return {str(size + 1): int(n) for size, n in enumerate(exactly) if n}

@@ -1,6 +1,6 @@
-"""Ways: who walks from which spawn area to which goal area, and how they walk there in the mean.
+"""Routes (`ways`): the people from one spawn area to one goal area, and their mean path.
 
-A way is a pair of areas that people carry as labels, so that no trajectory has to be clustered.
+People carry the labels of their areas, so that no trajectories have to be clustered.
 """
 
 from collections.abc import Sequence
@@ -21,41 +21,41 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PER_WAY = 12
-"""People drawn of each way: more would hide each other."""
+"""Maximum number of people drawn per route; more would hide each other."""
 LEAST_PEOPLE = 10
-"""In a mean: that of fewer says more of them than of the way."""
+"""Minimum number of people in a mean path; fewer would be identifiable."""
 FRACTIONS = np.linspace(0, 1, 21)
-"""Where, along their ways, people are compared."""
+"""Fractions of the path length at which positions are compared."""
 _ASTRAY = [OUTCOMES.index(how) for how in ("exit", "timeout")]
 
 
 Numbers = dict[str, Any]
-"""What a figure was drawn from, as JSON holds it."""
+"""The numbers behind a figure, as written to JSON."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeanWay:
-    """The mean of some people's paths, each taken at `FRACTIONS` of its length."""
+    """The mean of several paths, each evaluated at `FRACTIONS` of its length."""
 
     people: int
     mean: Float[np.ndarray, "21 2"]
-    """Metres."""
+    """Positions, metres."""
     across_m: Float[np.ndarray, " 21"]
-    """Standard deviation of the people to the sides of their mean."""
+    """Standard deviation perpendicular to the mean path, metres."""
 
     def numbers(self) -> Numbers:
-        """As JSON holds it, to the centimetre."""
+        """The mean path for JSON, rounded to centimetres."""
         return {"mean_m": self.mean.round(2).tolist(), "across_m": self.across_m.round(2).tolist()}
 
 
 def whole(crowd: Trajectories) -> Bool[np.ndarray, " P"]:
-    """Who was seen to enter at a known area and to get to one, by the labels they carry."""
+    """Whether each person entered at a known spawn area and reached a known goal area."""
     known = (crowd.spawn_area >= 0) & (crowd.goal_area >= 0)
     return crowd.entered & crowd.left & known & ~np.isin(crowd.outcome, _ASTRAY)
 
 
 def common_ways(crowd: Trajectories, ways: int) -> Int[np.ndarray, "w 2"]:
-    """The commonest pairs of spawn and goal area among those who entered and left."""
+    """The `ways` most common pairs of spawn and goal area among complete trips."""
     known = whole(crowd)
     both = np.stack([crowd.spawn_area[known], crowd.goal_area[known]], axis=1)
     pairs, count = np.unique(both, axis=0, return_counts=True)
@@ -63,20 +63,20 @@ def common_ways(crowd: Trajectories, ways: int) -> Int[np.ndarray, "w 2"]:
 
 
 def walking(crowd: Trajectories, spawn: int, goal: int) -> Int[np.ndarray, " n"]:
-    """Indices of those who were seen to walk all of a way."""
+    """Indices of the people with a complete trip from area `spawn` to area `goal`."""
     return np.flatnonzero(whole(crowd) & (crowd.spawn_area == spawn) & (crowd.goal_area == goal))
 
 
 def entries(crowd: Trajectories) -> list[tuple[float, ...]]:
-    """When and where each person was to enter, by which it is known in every crowd.
+    """Requested time and place of each person's entry, which identify the person in every crowd.
 
-    Their order differs: who waits for free space comes later.
+    Indices differ between crowds: a person who has to wait for free space enters later.
     """
     return list(zip(crowd.requested_s.tolist(), *crowd.start.T.tolist(), strict=True))
 
 
 def examples(crowd: Trajectories, ways: Int[np.ndarray, "w 2"]) -> list[list[int]]:
-    """Some people of each way, spread over the crowd's time."""
+    """Indices of up to `PER_WAY` people of each route, spread over time."""
     found = []
     for spawn, goal in ways.tolist():
         who = walking(crowd, spawn, goal)
@@ -86,16 +86,17 @@ def examples(crowd: Trajectories, ways: Int[np.ndarray, "w 2"]) -> list[list[int
 
 
 def by_fraction(path: Float32[np.ndarray, "n 2"]) -> Float[np.ndarray, "21 2"]:
-    """Where a path is at `FRACTIONS` of its length, metres."""
+    """Positions of a path at `FRACTIONS` of its length, metres."""
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     along = np.r_[0.0, steps.cumsum(dtype=np.float64)]
     return np.stack([np.interp(FRACTIONS * along[-1], along, path[:, k]) for k in (0, 1)], axis=1)
 
 
 def mean_way(paths: Sequence[Float32[np.ndarray, "_ 2"]]) -> MeanWay:
-    """The mean of one path or more.
+    """The mean of one or more paths.
 
-    It need not be walkable: of people who pass an obstacle on both sides it leads through it.
+    It may be impossible to walk: if people pass an obstacle on both sides, it leads through the
+    obstacle.
     """
     each = np.stack([by_fraction(path) for path in paths])
     mean = each.mean(axis=0)
@@ -103,7 +104,7 @@ def mean_way(paths: Sequence[Float32[np.ndarray, "_ 2"]]) -> MeanWay:
 
 
 def sides(way: Float[np.ndarray, "21 2"]) -> Float[np.ndarray, "21 2"]:
-    """Unit vectors to the left of a way; zeros where it stands still."""
+    """Unit vectors to the left of a path; zero where it does not move."""
     ahead = np.gradient(way, axis=0)
     length = np.linalg.norm(ahead, axis=1, keepdims=True)
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
@@ -113,7 +114,7 @@ def sides(way: Float[np.ndarray, "21 2"]) -> Float[np.ndarray, "21 2"]:
 def draw_ways(
     scene: Scene, recording: Trajectories, walked: Sequence[tuple[str, Trajectories]]
 ) -> bytes:
-    """The same people of the commonest ways, as recorded and as they were walked, by title."""
+    """Bytes of maps with the same people's recorded paths and the paths in `walked`, by title."""
     from matplotlib.lines import Line2D
 
     ways = common_ways(recording, len(COLOURS))

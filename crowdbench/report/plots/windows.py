@@ -1,6 +1,6 @@
-"""Windows of a crowd: what happens in 20 s, and how far two such windows are from each other.
+"""Windows of 20 s of a crowd, and distances between two such windows.
 
-All is counted in people, so that one number compares them.
+All parts of the distance are counted in people, so that they can be added.
 """
 
 from dataclasses import dataclass
@@ -14,30 +14,30 @@ from crowdbench.trajectories.table import Trajectories
 
 WINDOW_S = 20.0
 STARTS = 10
-"""Windows that begin within the length of one."""
+"""Number of windows that begin within the length of one window."""
 GROUP_S = 0.8
-"""Who enters an area in the same so many seconds is in one group: the coarsest grid on which
-arrivals of a scene are annotated, so that a group means the same in all of them."""
+"""People who enter at the same area within one step of this many seconds form a group. It is the
+coarsest annotation grid of all scenes, so that groups are defined equally in all of them."""
 _LARGEST = 40
-"""Members of a group that are told apart; the last ones count together."""
+"""Maximum group size that is counted exactly; further members are added to the last count."""
 
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """`n` windows of `T` frames, overlapping ones among them, all of it observed."""
+    """`n` windows of `T` frames, which may overlap; every frame is observed."""
 
     start: Int[np.ndarray, " n"]
-    """First frame."""
+    """First frame of each window."""
     ways: Int[np.ndarray, "n C"]
-    """People who enter, by spawn area and goal area (the last one of each: unknown)."""
+    """Number of people who enter, by spawn and goal area; the last area is the unknown one."""
     members: Int[np.ndarray, "n 40"]
-    """People who enter as the first, the second, … of a group (see `GROUP_S`)."""
+    """Number of people who enter as the first, second, … member of a group (see `GROUP_S`)."""
     present: Int[np.ndarray, "n T"]
-    """People who are there, frame by frame."""
+    """Number of people present in each frame."""
 
     @classmethod
     def of(cls, crowd: Trajectories, areas: Areas) -> "Windows":
-        """Look at a crowd whose people carry the areas."""
+        """All windows of a crowd whose people are labelled with areas."""
         frames = round(WINDOW_S / crowd.dt_s)
         step = max(1, round(frames / STARTS))
         start = np.concatenate([np.arange(a, b - frames + 1, step) for a, b in crowd.observed])
@@ -65,30 +65,30 @@ class Windows:
 
     @property
     def frames(self) -> int:
-        """Frames of a window."""
+        """Number of frames per window."""
         return self.present.shape[1]
 
     @property
     def entered(self) -> Int[np.ndarray, " n"]:
-        """People who enter."""
+        """Number of people who enter in each window."""
         return self.members.sum(axis=1)
 
     @property
     def largest(self) -> Int[np.ndarray, " n"]:
-        """People in the largest group; 0 where nobody enters."""
+        """Size of the largest group in each window; 0 if nobody enters."""
         return (self.members > 0).sum(axis=1)
 
     @property
     def alone(self) -> Int[np.ndarray, " n"]:
-        """People who enter alone."""
+        """Number of people who enter alone in each window."""
         return self.members[:, 0] - self.members[:, 1]
 
     def apart(self, other: "Windows", k: int) -> Float[np.ndarray, "n 3"]:
-        """How far each window is from window `k` of `other`: by ways, by groups and by presence.
+        """Distances of each window from window `k` of `other`: by routes, groups and presence.
 
-        Ways: the sum over spawn and goal areas of differences in people who enter. Groups: the sum
-        over first, second, … members of groups of differences in people who enter as such.
-        Presence: the mean over time of the difference in people there. The distance is their sum.
+        Routes: sum over pairs of spawn and goal area of the absolute differences in the numbers of
+        people who enter. Groups: the same sum over first, second, … members of groups. Presence:
+        mean over time of the absolute difference in people present. The distance is their sum.
         """
         return np.stack(
             [
@@ -100,17 +100,17 @@ class Windows:
         )
 
     def away_from(self, k: int) -> np.ndarray:
-        """Which windows share no frame with window `k`."""
+        """Whether each window shares no frame with window `k`."""
         return np.abs(self.start - self.start[k]) >= self.frames
 
 
 def situations(windows: Windows, areas: Areas) -> dict[str, tuple[int, int]]:
-    """Windows that show something, and how many people show it, by kind; none overlaps another.
+    """Index of one window of each kind, and the number of people who show it; none overlap.
 
-    large group: the largest group of all. small group: groups of two or more, the largest of them
-    as small as can be. single walkers: the most people who enter alone. strong flow: the most
-    people from one spawn area to one goal area. Among equals the window that the fewest people
-    enter, then the one in which most are there.
+    large group: the window with the largest group. small group: the window whose largest group is
+    smallest, but has at least two people. single walkers: the most people who enter alone. strong
+    flow: the most people from one spawn area to one goal area. Ties are resolved by the fewest
+    people who enter, then by the most people present.
     """
     shape = (len(windows), len(areas.spawn) + 1, len(areas.goal) + 1)
     strongest = windows.ways.reshape(shape)[:, :-1, :-1].max(axis=(1, 2))
@@ -133,7 +133,7 @@ def situations(windows: Windows, areas: Areas) -> dict[str, tuple[int, int]]:
 
 
 def _whole(steps: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """Whole steps; times are sums of floats."""
+    """Number of whole steps, tolerating rounding errors of times."""
     return np.floor(steps + 1e-6).astype(np.int64)
 
 

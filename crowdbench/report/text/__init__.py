@@ -1,1 +1,1 @@
-"""Text that pages share: numbers in words, Markdown."""
+"""Text shared by the report and the generated pages: number formats and Markdown."""

@@ -1,4 +1,4 @@
-"""Markdown for pages that are kept: tables, and paragraphs of even width."""
+"""Markdown for generated pages: tables, and paragraphs wrapped at 100 characters."""
 
 import re
 import textwrap
@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 
 def table(head: Sequence[str], lines: Sequence[Sequence[str]], *, text: int = 1) -> str:
-    """A table whose first `text` columns are text, the others numbers."""
+    """A Markdown table; the first `text` columns are left-aligned, the others right-aligned."""
     rule = ["---" if k < text else "---:" for k in range(len(head))]
     return "\n".join(f"| {' | '.join(line)} |" for line in (head, rule, *lines))
 
 
 def flowed(text: str) -> str:
-    """Paragraphs and list items in lines of at most 100 letters; all else as it is."""
+    """Wrap paragraphs and list items at 100 characters; leave all other blocks unchanged."""
     found = []
     for block in text.split("\n\n"):
         if block.startswith("- "):
@@ -26,7 +26,7 @@ def flowed(text: str) -> str:
 
 
 def _filled(text: str, indent: str = "") -> str:
-    # Intervals and names of crowds stay whole.
+    # Intervals and names of crowds are not broken across lines.
     kept = re.sub(r" ×\s|\S+ \[\S+, \S+\]", lambda found: found[0].replace(" ", "\0"), text)
     lines = textwrap.fill(
         kept, 100, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False

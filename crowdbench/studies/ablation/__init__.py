@@ -1,9 +1,9 @@
-"""The founding paper's study of windows and strides, with crowdbench's own neural model.
+"""The founding paper's study of training windows and strides, with crowdbench's neural model.
 
 `write_ablation` trains `ntpp-gmm` with each window and stride of the paper (ICRA 2025, "Whenever,
-Wherever"), rolls crowds out and writes a page in Markdown with a picture, meant to be kept under
-version control: how many people are there, beside the recording and Poisson, and whether the
-paper's finding holds. All of it comes from the samples: the same ones give the same bytes.
+Wherever") and makes rollouts. It writes a Markdown page with a picture, meant to be kept under
+version control, which compares the number of people present with the recording and with Poisson
+arrivals, and tests the paper's finding. The same samples give the same bytes.
 """
 
 from collections.abc import Iterator
@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from crowdbench.evaluation.lock import alone_in
 from crowdbench.evaluation.parallel import checked_workers
-from crowdbench.evaluation.rollout_jobs import Progress, alone_in
+from crowdbench.evaluation.rollout_jobs import Progress
 from crowdbench.files import replacing, write_text
 from crowdbench.registry import recording_of
 from crowdbench.scene import load_scene
@@ -38,14 +39,14 @@ def write_ablation(
 ) -> Path:
     """Make the study of a scene and write `<scene>.md` and `<scene>/agents.png` into `out`.
 
-    Samples are left in `ablation-<scene>` of `work`, where another call takes up those that all
-    they depend on would make again. `progress(done, total)` is called before the first and after
-    each. `workers` processes (by default one per core) share the work.
+    Returns the path of the page. Samples are kept in `ablation-<scene>` of `work`; a later call
+    reuses those whose dependencies have not changed. `progress(done, total)` is called before the
+    first sample and after each. `workers` is the number of processes (by default one per core).
 
     Raises:
         SceneError, WeightsError: there is no such scene, or it lacks areas, statistics or anchors.
         RecordingError: the recording has not been imported.
-        SettingError: torch is not installed, or `workers` is no number of processes.
+        SettingError: torch is not installed, or `workers` is less than 1.
         OutputError: `out` or `work` cannot be written.
     """
     place = load_scene(scene)
@@ -57,7 +58,7 @@ def write_ablation(
     arrivals = arrivals_of(recording, reference.blocks.training("full"), len(areas.spawn))
     folder = work / f"ablation-{place.id}"
     path = out / f"{place.id}.md"
-    # That both places can be written is found out first.
+    # Fails early if the folder or the page cannot be written.
     with alone_in(folder), _without_halves(folder, path), replacing(path) as temporary:
         jobs = plan(place, folder)
         samples = make(jobs, place, recording, arrivals, areas, reference, workers, progress)
@@ -71,7 +72,7 @@ def write_ablation(
 
 @contextmanager
 def _without_halves(folder: Path, path: Path) -> Iterator[None]:
-    """Remove what a call that was killed was about to rename."""
+    """Remove the temporary files of an earlier call that was killed."""
     for half in (*folder.glob(".*-*.json"), *path.parent.glob(f".{path.stem}-*.md")):
         half.unlink(missing_ok=True)
     yield

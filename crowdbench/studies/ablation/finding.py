@@ -1,137 +1,94 @@
-"""Whether the paper's finding holds, in words: nothing is said that no number carries.
+"""Whether the paper's finding holds, with the comparisons on which the verdict is based.
 
-The finding is that short windows degenerate to Poisson, and that longer ones are better.
+The finding is that short windows degenerate to Poisson, and that longer windows are better.
 """
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import digits
-from crowdbench.scoring.score import LEVEL
+from crowdbench.scoring.score import holm
 from crowdbench.studies.ablation.measures import Numbers, spread
-from crowdbench.studies.ablation.presence import Presence
 from crowdbench.studies.ablation.study import Configuration
 
 POISSON = Configuration("poisson-gmm")
-_VERDICTS = {
-    (True, True): "holds",
-    (True, False): "holds in part: short windows degenerate to Poisson, but not all longer ones "
-    "are better",
-    (False, True): "holds in part: longer windows are better, but short ones do not degenerate to "
-    "Poisson",
-    (False, False): "does not hold: short windows do not degenerate to Poisson, and not all longer "
-    "ones are better",
-}
-"""Whether short windows degenerate, and whether all longer ones are better."""
+_QUANTITIES = {"sd": "sd of N", "distance": "distance"}
+"""The compared quantities (attributes of `Numbers`), and their names in the table."""
+_RESULTS = {-1: "significantly lower", 0: "no significant difference", 1: "significantly higher"}
+_Comparison = tuple[Configuration, Configuration, str]
+"""A configuration, the one that it is compared with, and the quantity."""
 
 
-def finding(numbers: Mapping[Configuration, Numbers], recorded: Presence) -> tuple[str, str]:
-    """Whether the finding holds in the samples of one scheme: the verdict, and why."""
+def finding(numbers: Mapping[Configuration, Numbers]) -> tuple[str, str]:
+    """Whether the finding holds in the samples of one scheme, and a table of the comparisons.
+
+    Short windows degenerate if they do not differ significantly from Poisson. Longer windows are
+    better if their distances are significantly smaller than those of short windows.
+    """
     windows = sorted({c.window_frames for c in numbers if c.window_frames})
     short = [c for c in numbers if c.window_frames == windows[0]]
     longer = [c for c in numbers if c.window_frames > windows[0]]
-    poisson = numbers[POISSON]
-    both = [(c, what) for c in short for what in ("sd", "distance")]
-    differs = _told_apart([(getattr(numbers[c], w), getattr(poisson, w)) for c, w in both])
-    apart = {c: [w for (k, w), d in zip(both, differs, strict=True) if d and k == c] for c in short}
-    partner = {c: _same_stride(short, c) for c in longer}
-    changed = _told_apart([(numbers[c].distance, numbers[partner[c]].distance) for c in longer])
-    better = {
-        c: (_sign(numbers[partner[c]].distance, numbers[c].distance) if d else 0)
-        for c, d in zip(longer, changed, strict=True)
-    }
-    degenerate = not any(apart.values())
-    return _VERDICTS[degenerate, all(sign > 0 for sign in better.values())], " ".join(
+    with_poisson = [(c, POISSON, quantity) for quantity in _QUANTITIES for c in short]
+    with_short = [(c, _same_stride(short, c), "distance") for c in longer]
+    differences = _differences(numbers, with_poisson)
+    changes = _differences(numbers, with_short)
+    degenerate = not any(differences)
+    better = all(change < 0 for change in changes)
+    verdict = (
+        f"{('does not hold', 'holds in part', 'holds')[degenerate + better]}. Windows of "
+        f"{windows[0]} frames degenerate to Poisson: {_yes(degenerate)}. All longer windows are "
+        f"better: {_yes(better)}."
+    )
+    head = ["configuration", "compared with", "quantity", "value", "other value", "result"]
+    lines = [
         [
-            _of_short(numbers, recorded, short, apart),
-            *(_of_window(numbers, w, windows[0], better) for w in windows[1:]),
+            one.label,
+            other.label,
+            _QUANTITIES[quantity],
+            _pm(getattr(numbers[one], quantity)),
+            _pm(getattr(numbers[other], quantity)),
+            _RESULTS[sign],
         ]
-    )
-
-
-def _of_short(
-    numbers: Mapping[Configuration, Numbers],
-    recorded: Presence,
-    short: Sequence[Configuration],
-    apart: Mapping[Configuration, Sequence[str]],
-) -> str:
-    """The shortest windows against Poisson."""
-    poisson = numbers[POISSON]
-    sds = " and ".join(f"{_pm(numbers[c].sd)} (stride {c.stride_frames})" for c in short)
-    distances = " and ".join(_pm(numbers[c].distance) for c in short)
-    verdicts = [f"with stride {c.stride_frames} they {_against(apart[c])}" for c in short]
-    if len({tuple(apart[c]) for c in short}) == 1:
-        verdicts = [f"they {_against(apart[short[0]])}"]
-    return (
-        f"With windows of {short[0].window_frames} frames the standard deviation of N(t) is {sds}, "
-        f"poisson-gmm’s {_pm(poisson.sd)}, the recording’s {digits(recorded.sd)}; the distance to "
-        f"the recording is {distances}, poisson-gmm’s {_pm(poisson.distance)}: "
-        f"{', '.join(verdicts)}."
-    )
-
-
-def _against(apart: Sequence[str]) -> str:
-    names = {"sd": "standard deviation", "distance": "distance"}
-    if not apart:
-        return "cannot be told apart from Poisson"
-    return f"differ from Poisson in {' and '.join(names[what] for what in apart)}"
-
-
-def _of_window(
-    numbers: Mapping[Configuration, Numbers],
-    window: int,
-    shortest: int,
-    better: Mapping[Configuration, int],
-) -> str:
-    """Longer windows against the shortest, stride by stride."""
-    words = {1: "better", 0: "not told apart", -1: "worse"}
-    each = [
-        f"{_pm(numbers[c].distance)} with stride {c.stride_frames} ({words[sign]})"
-        for c, sign in better.items()
-        if c.window_frames == window
+        for (one, other, quantity), sign in zip(
+            [*with_poisson, *with_short], [*differences, *changes], strict=True
+        )
     ]
-    return (
-        f"Windows of {window} frames have a distance of {' and '.join(each)}, each held against "
-        f"{shortest} frames with the same stride."
-    )
+    return verdict, table(head, lines, text=3)
+
+
+def _yes(answer: bool) -> str:
+    return "yes" if answer else "no"
 
 
 def _same_stride(short: Sequence[Configuration], one: Configuration) -> Configuration:
     return next(c for c in short if c.stride_frames == one.stride_frames)
 
 
-def _sign(a: Sequence[float], b: Sequence[float]) -> int:
-    return int(np.sign(np.mean(a) - np.mean(b)))
-
-
 def _pm(values: Sequence[float]) -> str:
     return f"{digits(float(np.mean(values)))} ± {spread(values):.2g}"
 
 
-def _told_apart(pairs: Sequence[tuple[Sequence[float], Sequence[float]]]) -> list[bool]:
-    """Which means differ by more than the spread over samples explains.
+def _differences(
+    numbers: Mapping[Configuration, Numbers], comparisons: Sequence[_Comparison]
+) -> list[int]:
+    """Sign of each difference of means; 0 if it is not significant.
 
-    Welch's (1947) t-test of each pair, two-sided at 5 % over all of them by Holm (1979).
+    Welch's (1947) t-tests over the samples, two-sided at 5 % over all comparisons by Holm (1979).
     """
-    p = [_welch(a, b) for a, b in pairs]
-    found = [False] * len(p)
-    for step, index in enumerate(np.argsort(p, kind="stable").tolist()):
-        if not p[index] <= LEVEL / (len(p) - step):
-            break
-        found[index] = True
-    return found
+    pairs = [(getattr(numbers[a], q), getattr(numbers[b], q)) for a, b, q in comparisons]
+    significant = holm([_welch(a, b) for a, b in pairs])
+    signs = [int(np.sign(np.mean(a) - np.mean(b))) for a, b in pairs]
+    return [sign if differs else 0 for sign, differs in zip(signs, significant, strict=True)]
 
 
 def _welch(a: Sequence[float], b: Sequence[float]) -> float:
-    """How likely means so different are by chance; 1 where a single sample has no spread."""
-    from scipy.stats import t
+    """p-value of Welch's t-test; 1 for a single sample, which has no spread."""
+    from scipy.stats import ttest_ind
 
     if min(len(a), len(b)) < 2:
         return 1.0
-    va, vb = np.var(a, ddof=1) / len(a), np.var(b, ddof=1) / len(b)
-    difference = float(np.mean(a) - np.mean(b))
-    if va + vb == 0:
-        return float(difference == 0)
-    freedom = (va + vb) ** 2 / (va**2 / (len(a) - 1) + vb**2 / (len(b) - 1))
-    return float(2 * t.sf(abs(difference) / np.sqrt(va + vb), freedom))
+    if np.ptp(a) == np.ptp(b) == 0:
+        return float(a[0] == b[0])
+    return float(ttest_ind(a, b, equal_var=False).pvalue)

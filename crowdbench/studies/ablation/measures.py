@@ -1,4 +1,4 @@
-"""What the samples of each configuration are like: numbers of people, and scores."""
+"""Numbers of people present, and scores, of the samples of each configuration."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from crowdbench.metrics import METRICS, WALK, metrics_for
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import energy
 from crowdbench.scoring.reference import Reference
-from crowdbench.scoring.score import Score, family_scores, overall, score_of
+from crowdbench.scoring.score import Score, crowd_score, family_scores, score_of
 from crowdbench.scoring.scorecard import ANCHOR, Scale
 from crowdbench.studies.ablation.presence import Presence
 from crowdbench.studies.ablation.study import Configuration, Sample
@@ -18,20 +18,20 @@ from crowdbench.studies.ablation.study import Configuration, Sample
 
 @dataclass(frozen=True)
 class Numbers:
-    """The number of people present in each sample of a configuration, by one scheme."""
+    """Statistics of N(t) for each sample of a configuration, for one of `study.SCHEMES`."""
 
     mean: list[float]
-    """Persons."""
+    """Mean number of persons."""
     sd: list[float]
-    """Over time, persons."""
+    """Standard deviation over time, persons."""
     correlation: list[float | None]
-    """At 60 s; None where no stretch is so long."""
+    """Autocorrelation at 60 s; None if no stretch of observed time is that long."""
     distance: list[float]
-    """Wasserstein-1 to the recording, over its mean."""
+    """Wasserstein-1 distance to the recording, divided by the recording's mean."""
 
     @classmethod
     def of(cls, samples: Sequence[Presence], recorded: Presence) -> "Numbers":
-        """Of each sample."""
+        """Compute the statistics of each sample."""
         return cls(
             [s.mean for s in samples],
             [s.sd for s in samples],
@@ -42,7 +42,7 @@ class Numbers:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """The scores of a configuration, its samples taken for rollouts of one model."""
+    """The scores of a configuration, whose samples are treated as rollouts of one model."""
 
     metrics: dict[str, Score]
     families: dict[str, Score]
@@ -55,7 +55,7 @@ def scores_of(
     scale: Scale,
     samples: Mapping[Configuration, Sequence[Sample]],
 ) -> dict[Configuration, Scores]:
-    """Scores of each configuration in protocol `full`; with one sample each there are none."""
+    """Scores of each configuration in protocol `full`; they need at least two samples."""
     anchor = next(e for e in scale.anchors if (e.spawn, e.policy) == ANCHOR)
     draws = draws_of(scene, reference, "full")
     found = {}
@@ -75,10 +75,10 @@ def scores_of(
             if score is not None:
                 metrics[metric.name] = score
         families = family_scores(METRICS, metrics, scene.protocol.scored)
-        found[configuration] = Scores(metrics, families, overall(families, walk=False))
+        found[configuration] = Scores(metrics, families, crowd_score(families))
     return found
 
 
 def spread(values: Sequence[float]) -> float:
-    """Standard deviation over samples; 0 of a single one."""
+    """Standard deviation over samples; 0 for a single sample."""
     return float(np.std(values, ddof=1)) if len(values) > 1 else 0.0

@@ -1,4 +1,4 @@
-"""The page of the study in Markdown."""
+"""The Markdown text of the study's page."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -40,30 +40,30 @@ def page(
     scores: Mapping[Configuration, Scores],
     longest_s: float,
 ) -> str:
-    """The page; the same samples and scores give the same bytes.
+    """The page in Markdown; the same samples and scores give the same bytes.
 
-    `recorded` is the recording's N(t) for each of `SCHEMES`, `longest_s` the length of the longest
-    stretch in which it is observed. The picture is linked in the folder
-    `<scene>` beside the page.
+    `recorded` is the recording's N(t) for each of `SCHEMES`, `longest_s` the length of its longest
+    observed stretch. The picture is linked in the folder `<scene>` beside the page.
     """
     numbers = [
         {c: Numbers.of([s.present[k] for s in each], recorded[k]) for c, each in samples.items()}
         for k in range(len(SCHEMES))
     ]
-    said = [finding(of, presence) for of, presence in zip(numbers, recorded, strict=True)]
+    found = [finding(of_scheme) for of_scheme in numbers]
     whole, tenth = (f"{-(-scene.recording.frames // scheme):,} frames" for scheme in SCHEMES)
     windows = sorted({c.window_frames for c in samples if c.window_frames})
     strides = sorted({c.stride_frames for c in samples if c.window_frames})
     times = len(next(iter(samples.values())))
+    grid, long = _on_grid(scene, strides), _too_long(scene, windows, longest_s)
     return flowed(f"""# {scene.title}: windows and strides of ntpp-gmm on {scene.id}
 
 {of_recording(scene)}
 
 The founding paper (*Whenever, Wherever*, ICRA 2025) trains its neural spawn model on windows of
-{_listed(windows)} frames, {_listed(strides)} frames apart (its text calls that an
-overlap, its code uses it as a stride), and finds that short windows degenerate to Poisson while
-{_listed(windows[1:])} frames do better. Here crowdbench’s own model is trained so, on the whole
-recording, and compared with that recording. This page is made with crowdbench {__version__} by
+{_listed(windows)} frames with a stride of {_listed(strides)} frames (its text calls the stride an
+overlap). It finds that short windows degenerate to Poisson, and that windows of
+{_listed(windows[1:])} frames are better. Here, crowdbench’s own model is trained in this way on the
+whole recording and compared with it. Generated with crowdbench {__version__} by
 
 ```sh
 {shlex.join(["crowdbench", "ablation", named(scene)])}
@@ -71,53 +71,54 @@ recording, and compared with that recording. This page is made with crowdbench {
 
 ## Does the finding hold?
 
-{_said(SCHEMES[0], whole, *said[0])}
+{_finding(SCHEMES[0], whole, *found[0])}
 
-{_said(SCHEMES[1], tenth, *said[1])}
+{_finding(SCHEMES[1], tenth, *found[1])}
 
-Degenerate means here that neither the standard deviation of N(t), the number of people present, nor
-its distance to the recording can be told from poisson-gmm’s; better means a smaller distance. Means
-differ where they do by more than the spread over the {times} samples explains (Welch’s t-test at
-5 %, by Holm’s procedure over the comparisons with Poisson, and over those of windows). ± is the
-standard deviation over samples.
+N(t) is the number of people present, and sd its standard deviation over time. Windows *degenerate
+to Poisson* if neither the sd nor the distance to the recording differs significantly from those of
+poisson-gmm. They are *better* if their distance is significantly smaller than with the shortest
+windows and the same stride. Significance is tested by Welch’s t-test over the {times} samples at
+5 %, with Holm’s procedure over the comparisons with Poisson, and over those between windows. ± is
+the standard deviation over samples.
 
 ## Numbers
 
 {_table(scene, numbers, recorded, samples, scores)}
 
-*ntpp-gmm w/o* is trained on windows of w frames, o frames apart{_on_grid(scene, strides)}.
-{_too_long(scene, windows, longest_s)} Each has
-{times} samples, which are fits of different seeds; poisson-gmm and renewal-gmm have one fit and
-{times} seeds of rollouts. Walkers are straight. A sample is {SCHEMES[0]} rollout as long as the
-recording ({whole}) and, apart from it, {SCHEMES[1]} of a tenth ({tenth}), which count together; the
-recording is cut the same way, and pauses of its annotation are left out of the rollouts too. ± is
-the standard deviation over samples.
+*ntpp-gmm w/o* is trained on windows of w frames with a stride of o frames{grid}. {long}It has
+{times} samples, which are fits with different seeds; poisson-gmm and renewal-gmm have one fit and
+{times} rollout seeds. Walkers are straight. A sample is {SCHEMES[0]} rollout as long as the
+recording ({whole}) and, separately, {SCHEMES[1]} rollouts of a tenth of it ({tenth}), which are
+pooled. The recording is divided in the same way, and times without annotation are left out of the
+rollouts too. ± is the standard deviation over samples.
 
-*sd of N* is the standard deviation over time. The autocorrelation is that of N(t) within
-stretches of observed time, over all frames 60 s apart; the metric of that name counts only those
-within one time block ({scene.protocol.block_s:g} s), so that pages of results have another
-number. *distance* is the Wasserstein-1 distance of the distributions of N(t) to that of the
-recording, divided by the recording’s mean; 0 is equal. Scores (S) are those of protocol `full`
-for the rollouts as long as the recording: 0 is the anchor, poisson-gmm × straight, 1 what the
-true process gets on average. A score needs several rollouts of a model; here the samples of a
-configuration are taken for rollouts of one model, though each is of a fit of its own, so that the
-spread over fits counts as the model’s own chance. *S crowd* is the mean over arrivals, presence,
-lives and space, with its 95 % interval. {_without_scores(scene)} The likelihood is that of the
-very arrivals that were trained on; it does not test anything new. Training times are those of one
-core of the machine that made this page.
+The autocorrelation is that of N(t) over all pairs of frames 60 s apart in a stretch of observed
+time. The metric of that name uses only pairs in the same time block ({scene.protocol.block_s:g} s),
+so results pages show other values. *distance* is the Wasserstein-1 distance between the
+distributions of N(t) of crowd and recording, divided by the recording’s mean; 0 means no
+difference. Scores (S) are those of protocol `full` for the rollouts as long as the recording: 0 is
+the score of the *anchor*, poisson-gmm × straight, 1 the average score of the true process. A score
+needs several rollouts of a model. Here, the samples of a configuration are treated as rollouts of
+one model, although each is from a separate fit, so the variation between fits counts as variation
+of the model. *S crowd* is the mean over arrivals, presence, trips and space, with its 95 %
+interval.
+{NOTHING} marks metrics that are not scored. *nats per person* is the log-likelihood of the training
+arrivals, which does not measure prediction. Training times are those of one core of the machine
+that generated this page.
 
 ## Number of agents
 
 ![Number of agents]({scene.id}/{NAME})
 
-Distribution of the number of people present, all samples together. Dots are medians, thick bars
-hold half of the frames, thin ones 90 %; the grey band is the recording’s middle half. Colours are
-spawn models.
+Distribution of the number of people present, all samples pooled. Dots are medians, thick bars
+contain 50 % of the frames, thin bars 90 %. The grey band contains the central 50 % of the
+recording. Colours mark spawn models.
 """)
 
 
-def _said(scheme: int, length: str, verdict: str, why: str) -> str:
-    return f"**In samples of {scheme} × {length} the paper’s finding {verdict}.** {why}"
+def _finding(scheme: int, length: str, verdict: str, comparisons: str) -> str:
+    return f"In samples of {scheme} × {length}, the paper’s finding {verdict}\n\n{comparisons}"
 
 
 def _listed(values: Sequence[int]) -> str:
@@ -126,7 +127,7 @@ def _listed(values: Sequence[int]) -> str:
 
 
 def _on_grid(scene: Scene, strides: Sequence[int]) -> str:
-    """What is trained where the annotation grid cannot tell frames apart."""
+    """A note on strides that are rounded to the annotation grid; empty if none are."""
     steps = scene.grid_s / scene.dt_s
     rounded = {o: round(max(1, round(o / steps)) * steps, 6) for o in strides}
     changed = [f"{o} frames become {r:g}" for o, r in rounded.items() if r != o]
@@ -136,22 +137,16 @@ def _on_grid(scene: Scene, strides: Sequence[int]) -> str:
 
 
 def _too_long(scene: Scene, windows: Sequence[int], longest_s: float) -> str:
-    """What windows that nothing is as long as come to."""
+    """A note on windows longer than all observed stretches; empty if there are none."""
     longest = round(longest_s / scene.dt_s)
     cut = [window for window in windows if window >= longest]
     if not cut:
         return ""
     return (
-        f"No stretch of observed time is longer than {longest:,} frames: windows of {_listed(cut)} "
-        "frames are whole stretches there, whatever their stride, and differ only in how long a "
-        "silence has to be for the network to forget."
+        f"The longest stretch of observed time has {longest:,} frames. Windows of {_listed(cut)} "
+        "frames are therefore whole stretches, whatever their stride; they differ only in the "
+        "length of the silence after which the network restarts from its initial state. "
     )
-
-
-def _without_scores(scene: Scene) -> str:
-    if scene.protocol.scored:
-        return f"{NOTHING} stands where a metric does not count on this scene."
-    return "No metric of this scene counts yet, so that there are no scores."
 
 
 def _table(
@@ -195,6 +190,6 @@ def _more(scores: Scores, samples: Sequence[Sample]) -> list[str]:
 
 
 def _pm(values: Sequence[float], decimals: int) -> str:
-    """Mean ± standard deviation, a single value alone."""
+    """Mean ± standard deviation; for a single value, only that value."""
     mean = f"{np.mean(values):.{decimals}f}".replace("-", "−")
     return f"{mean} ± {spread(values):.{decimals}f}" if len(values) > 1 else mean

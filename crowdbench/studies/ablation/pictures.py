@@ -1,4 +1,4 @@
-"""The study's picture, after the paper's: how the number of agents is distributed."""
+"""The picture of the study, as in the paper: distributions of the number of agents."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -53,7 +53,7 @@ def draw_agents(
 
 
 def _panel(axis: "Axes", rows: Sequence[tuple[str, str, Float[np.ndarray, " _"]]]) -> None:
-    """A violin per row, the first on top, with the 5–95 and 25–75 % ranges and the median."""
+    """Draw a violin per row, the first on top, with 5–95 % and 25–75 % ranges and the median."""
     _, first, _, third, _ = np.searchsorted(np.cumsum(rows[0][2]), _QUANTILES)
     axis.axvspan(first, third, color="0.9", linewidth=0)
     most = max(len(shares) for _, _, shares in rows)
@@ -70,7 +70,7 @@ def _panel(axis: "Axes", rows: Sequence[tuple[str, str, Float[np.ndarray, " _"]]
 
 
 def _shares(samples: Sequence[Presence]) -> Float[np.ndarray, " V"]:
-    """Share of the frames with each number of persons, all samples together."""
+    """Share of the frames with each number of persons, all samples pooled."""
     total = np.zeros(max(len(sample.counts) for sample in samples))
     for sample in samples:
         total[: len(sample.counts)] += sample.counts
@@ -80,7 +80,7 @@ def _shares(samples: Sequence[Presence]) -> Float[np.ndarray, " V"]:
 def _smooth(
     shares: Float[np.ndarray, " V"], width: float
 ) -> tuple[Float[np.ndarray, " X"], Float[np.ndarray, " X"]]:
-    """A Gaussian kernel's density, 0.4 at its highest; of whole persons half of one is wide."""
+    """Kernel density with maximum 0.4; the Gaussian kernel is at least half a person wide."""
     width = max(0.5, width)
     n = np.linspace(0, len(shares) - 1 + 2 * width, 400)
     kernel = np.exp(-0.5 * ((n[:, None] - np.arange(len(shares))) / width) ** 2)

@@ -1,4 +1,4 @@
-"""How many people were there: what the study keeps of a recording or a rollout."""
+"""The number of people present: the data that the study keeps of a recording or rollout."""
 
 from itertools import pairwise
 
@@ -9,20 +9,20 @@ from jaxtyping import Int
 from crowdbench.metrics.lattice import correlation, lagged_sums, moments
 
 LAG_S = 60.0
-"""At which the autocorrelation is looked at."""
+"""Lag of the autocorrelation, seconds."""
 
 
 class Presence(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The number N(t) of people present, over some stretches of frames."""
+    """Counts of the number N(t) of people present, over one or more stretches of frames."""
 
     counts: list[int]
-    """`counts[n]`: frames with n persons."""
+    """`counts[n]`: number of frames with n persons."""
     pairs: list[int]
-    """n, Σx, Σx′, Σxx′, Σx², Σx′² of N(t) and N(t + 60 s), both in the same stretch."""
+    """n, Σx, Σx′, Σxx′, Σx², Σx′² over pairs x = N(t), x′ = N(t + 60 s) in the same stretch."""
 
     @classmethod
     def of(cls, stretches: list[Int[np.ndarray, " _"]], dt_s: float) -> "Presence":
-        """Of N(t) frame by frame in each stretch, frames of `dt_s` seconds."""
+        """Count N(t), which `stretches` contain frame by frame; a frame is `dt_s` seconds."""
         everything = np.concatenate(stretches)
         pairs = np.zeros(6, dtype=np.int64)
         lag = round(LAG_S / dt_s)
@@ -44,11 +44,11 @@ class Presence(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
     @property
     def correlation(self) -> float | None:
-        """Correlation of N(t) and N(t + 60 s); None where no stretch is so long."""
+        """Correlation of N(t) and N(t + 60 s); None if no stretch is that long."""
         return float(correlation(np.array(self.pairs))) if self.pairs[0] else None
 
     def distance(self, recorded: "Presence") -> float:
-        """Wasserstein-1 of the two distributions of N, divided by the recording's mean N."""
+        """Wasserstein-1 distance between both distributions of N, divided by the recorded mean."""
         size = max(len(self.counts), len(recorded.counts))
         mine, theirs = (
             np.pad(np.cumsum(counts) / np.sum(counts), (0, size - len(counts)), constant_values=1.0)
@@ -60,9 +60,9 @@ class Presence(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 def stretches(
     observed: Int[np.ndarray, "I 2"], frames: int, parts: int
 ) -> list[tuple[int, int, int]]:
-    """The observed frames of each of so many equal parts of a recording of `frames` frames.
+    """Observed stretches of each of `parts` equal parts of a recording of `frames` frames.
 
-    Each is the part and, counted from the part's first frame, [start, stop).
+    Each is (part, start, stop), with frames [start, stop) counted from the first frame of the part.
     """
     edges = parts_at(frames, parts)
     found: list[tuple[int, int, int]] = []
@@ -75,5 +75,5 @@ def stretches(
 
 
 def parts_at(frames: int, parts: int) -> list[int]:
-    """The first frame of each of so many equal parts, and the end of the last."""
+    """The first frame of each of `parts` equal parts, and the end of the last part."""
     return [-(-frames * part // parts) for part in range(parts + 1)]

@@ -1,7 +1,7 @@
-"""The study's jobs: a fit, its rollouts, and what is kept of them.
+"""The samples of the study: a fit, its rollouts, and the statistics that are kept.
 
-Each fit is a job with a file of its own, which holds a fingerprint of all that it depends on: a
-study that was killed goes on where it stopped, and nothing stale is taken for new.
+Each sample is a separate job. Its file contains a fingerprint of everything that it depends on, so
+that an interrupted study can continue and outdated samples are never reused.
 """
 
 import time
@@ -17,7 +17,8 @@ from jaxtyping import Int
 
 from crowdbench.errors import RecordingError
 from crowdbench.evaluation.parallel import call_each
-from crowdbench.evaluation.rollout_jobs import Progress, fingerprint
+from crowdbench.evaluation.resolved import fingerprint
+from crowdbench.evaluation.rollout_jobs import Progress
 from crowdbench.files import read_struct, write_json
 from crowdbench.metrics import WALK, Statistics, metrics_for
 from crowdbench.policies import Straight
@@ -31,11 +32,11 @@ from crowdbench.trajectories.table import Trajectories
 
 WINDOWS_FRAMES = (100, 500, 1000)
 STRIDES_FRAMES = (5, 50)
-"""The paper's windows and, as its text calls them, overlaps; in its code they are strides."""
+"""The paper's windows and strides; its text calls the strides overlaps."""
 SAMPLES = 5
-"""Of each configuration: fits of seeds 0, 1, …, as the fit's seed matters more than a sample's."""
+"""Samples of each configuration: fits with seeds 0, 1, …, which matter more than rollout seeds."""
 SCHEMES = (1, 10)
-"""So many rollouts of a sample share the length of the recording."""
+"""Numbers of rollouts into which the length of the recording is divided."""
 _SCHEMA = 1
 
 
@@ -46,29 +47,29 @@ class Configuration:
     spawn: str
     window_frames: int = 0
     stride_frames: int = 0
-    """Of `ntpp-gmm`; the others have no windows."""
+    """Only `ntpp-gmm` has windows and strides; 0 for other models."""
 
     @property
     def label(self) -> str:
-        """The model's name, with window and stride where it has them."""
+        """Name of the model, with window and stride if it has them: `ntpp-gmm 100/5`."""
         windows = f" {self.window_frames}/{self.stride_frames}" if self.window_frames else ""
         return self.spawn + windows
 
 
 class Sample(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A fit and what its rollouts were like."""
+    """A fit, and statistics of its rollouts."""
 
     schema: int
     made_from: str
-    """Hash of all that it depends on."""
+    """Hash of everything that the sample depends on."""
     nats: float
-    """Log-likelihood of the arrivals that it was trained on, nats per person."""
+    """Log-likelihood of the training arrivals, nats per person."""
     training_s: float
-    """Of one core, whatever else the machine was busy with."""
+    """CPU time of the training, seconds."""
     present: list[Presence]
-    """For each of `SCHEMES`, of all its rollouts together."""
+    """The number of people present for each of `SCHEMES`, all rollouts pooled."""
     statistics: dict[str, dict[str, Sparse]]
-    """Of the rollout as long as the recording, by metric and name; walking apart."""
+    """Statistics of the full-length rollout by metric and name, except motion and interaction."""
 
     def of(self, metric: str) -> Statistics:
         """The statistics of a metric."""
@@ -77,18 +78,18 @@ class Sample(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 @dataclass(frozen=True)
 class Job:
-    """One sample to make."""
+    """A sample that is needed."""
 
     configuration: Configuration
     seed: int
     settings: Any
-    """`ntpp_training.Settings`; None of a model without any."""
+    """`ntpp_training.Settings`; None for other models."""
     path: Path
     fingerprint: str
 
 
 def configurations() -> list[Configuration]:
-    """All that are compared, in the order of the page."""
+    """All configurations of the study, in the order of the page."""
     windows = [
         Configuration("ntpp-gmm", window, stride)
         for window in WINDOWS_FRAMES
@@ -98,12 +99,12 @@ def configurations() -> list[Configuration]:
 
 
 def plan(scene: Scene, folder: Path) -> list[Job]:
-    """All samples to make."""
+    """The samples of all configurations."""
     from crowdbench.spawn.ntpp_training import SETTINGS
 
     recording = cached(scene.recording.name)
     files = [Path(__file__)]
-    files += [recording] if recording.exists() else []  # the plaza's is made by our code
+    files += [recording] if recording.exists() else []  # the recording of the plaza is generated
     jobs = []
     for of in configurations():
         changed = {"window_frames": of.window_frames, "stride_frames": of.stride_frames}
@@ -126,13 +127,13 @@ def make(
     workers: int,
     progress: Progress,
 ) -> dict[Configuration, list[Sample]]:
-    """Make all samples that are missing; all of each configuration, by seed.
+    """Make the missing samples; return all samples of each configuration, in the order of seeds.
 
-    `progress(done, total)` is called before the first and after each.
+    `progress(done, total)` is called before the first sample and after each.
     """
     found = {job: sample for job in jobs if (sample := _read(job)) is not None}
     progress(len(found), len(jobs))
-    # The longest first: else one process ends alone, and the time that is left seems short.
+    # The longest jobs first, so that all processes end at about the same time.
     missing = sorted((job for job in jobs if job not in found), key=_cost, reverse=True)
     tasks = [(job,) for job in missing]
     common = (scene, recording.observed, arrivals, areas, reference)
@@ -148,10 +149,10 @@ def make(
 
 
 def _read(job: Job) -> Sample | None:
-    """What an earlier call made, unless something that it depends on has changed."""
+    """The sample of an earlier call; None if there is none or a dependency has changed."""
     try:
         sample = read_struct(job.path, Sample, RecordingError, "")
-    except RecordingError:  # missing, or another program's: it is written anew
+    except RecordingError:  # missing or invalid: it is made again
         return None
     return sample if (sample.schema, sample.made_from) == (_SCHEMA, job.fingerprint) else None
 
@@ -195,7 +196,7 @@ def _sample(
 
 
 def _fitted(job: Job, scene: Scene, arrivals: Arrivals, areas: Areas) -> Any:
-    """The spawn model, trained on the whole recording."""
+    """The spawn model of a job, fitted to the whole recording."""
     if job.configuration.spawn == "poisson-gmm":
         return PoissonGMM.fit(arrivals, areas)
     if job.configuration.spawn == "renewal-gmm":
@@ -206,11 +207,11 @@ def _fitted(job: Job, scene: Scene, arrivals: Arrivals, areas: Areas) -> Any:
 
 
 def _present(scene: Scene, model: SpawnModel, seed: int, frames: int) -> Int[np.ndarray, " frames"]:
-    """N(t) of a rollout with straight walkers."""
+    """N(t) of a rollout with straight walkers, frame by frame."""
     horizon_s = frames * scene.dt_s
     try:
         return rollout(scene, model, Straight(), seed=seed, horizon_s=horizon_s).present()
-    except RecordingError:  # nobody came, as may be in so short a time
+    except RecordingError:  # nobody entered, which is possible in a short time
         return np.zeros(frames, dtype=np.int64)
 
 
@@ -226,7 +227,7 @@ def _statistics(crowd: Trajectories, reference: Reference) -> dict[str, dict[str
 
 
 def recorded_presence(recording: Trajectories) -> list[Presence]:
-    """The recording's own N(t) for each of `SCHEMES`, cut as the rollouts are."""
+    """The recording's N(t) for each of `SCHEMES`, divided in the same way as the rollouts."""
     found = []
     for scheme in SCHEMES:
         series = np.array_split(recording.present(), parts_at(recording.frames, scheme)[1:-1])

@@ -1,14 +1,15 @@
-"""The results of a scene on one page: what its shipped models get, and what they miss.
+"""The results page of a scene: scores of the shipped models, and what they miss.
 
 `write_results` evaluates the spawn models that come with crowdbench in both protocols and writes a
-page in Markdown with its pictures, meant to be kept under version control. All numbers of the page
-come from the two scorecards and their rollouts: the same evaluations give the same bytes.
+Markdown page with pictures, meant to be kept under version control. All numbers come from the two
+scorecards and their rollouts: the same evaluations give the same bytes.
 """
 
 from pathlib import Path
 
+from crowdbench.crowds import POLICY, SPAWN
 from crowdbench.evaluation.evaluate import evaluate
-from crowdbench.evaluation.rollout_jobs import Job, Progress, parts_of, plan
+from crowdbench.evaluation.rollout_jobs import Job, Progress, plan, splits_of
 from crowdbench.files import replacing, write_text
 from crowdbench.registry import has_recording, recording_of
 from crowdbench.report.plots import PlotData
@@ -33,8 +34,9 @@ def write_results(
 ) -> Path:
     """Evaluate a scene in both protocols and write `<scene>.md` and `<scene>/*.png` into `out`.
 
-    The evaluations are left in `<scene>-full` and `<scene>-heldout` of `work`, where another call
-    takes up what is there. `seeds`, `workers` and `progress` are those of `evaluate`.
+    Returns the path of the page. The evaluations are kept in `<scene>-full` and `<scene>-heldout`
+    of `work`, where a later call reuses them. `seeds`, `workers` and `progress` are those of
+    `evaluate`.
 
     Raises:
         SceneError, WeightsError, RecordingError, SettingError: as `evaluate`.
@@ -46,10 +48,12 @@ def write_results(
         "full": work / f"{place.id}-full",
         "heldout": work / f"{place.id}-heldout",
     }
-    with replacing(path) as temporary:  # that it can be written is found out first
+    with replacing(path) as temporary:  # fails early if the page cannot be written
         cards = {
             protocol: evaluate(
                 scene,
+                spawn=SPAWN,
+                policy=POLICY,
                 protocol=protocol,
                 seeds=seeds,
                 workers=workers,
@@ -72,13 +76,13 @@ def write_results(
 
 
 def _jobs(place: Scene, card: Scorecard, folder: Path) -> list[Job]:
-    """The rollouts that a scorecard was made from."""
+    """The rollouts from which a scorecard was computed."""
     pairs = [(entry.spawn, entry.policy) for entry in card.entries]
     return plan(place.asked, place, pairs, card.protocol, card.rollouts, folder / "rollouts")
 
 
 def _lags(reference: Reference, card: Scorecard, jobs: list[Job]) -> list[Lag]:
-    """The autocorrelation of the best crowd of a scorecard."""
+    """Autocorrelation of N(t) for a scorecard's best crowd, lag by lag; empty without scores."""
     best = best_of(card)
     if best is None:
         return []
@@ -86,8 +90,8 @@ def _lags(reference: Reference, card: Scorecard, jobs: list[Job]) -> list[Lag]:
     return at_lags(
         reference,
         {
-            part: [read_own(job.path) for job in of_best if job.part == part]
-            for part in parts_of(card.protocol)
+            split: [read_own(job.path) for job in of_best if job.split == split]
+            for split in splits_of(card.protocol)
         },
     )
 

@@ -1,4 +1,4 @@
-"""The autocorrelation of N(t) lag by lag; scorecards hold its mean over the lags only."""
+"""Autocorrelation of N(t) lag by lag; scorecards contain only its mean over the lags."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,30 +13,30 @@ from crowdbench.trajectories.table import Trajectories
 
 @dataclass(frozen=True)
 class Lag:
-    """The autocorrelation of N(t) at one lag."""
+    """Autocorrelation of N(t) at one lag, averaged over the splits."""
 
     lag_s: float
     recorded: float
     simulated: float
-    """Mean over the rollouts."""
+    """Mean over the rollouts and splits."""
 
 
 def at_lags(reference: Reference, crowds: Mapping[str, Sequence[Trajectories]]) -> list[Lag]:
-    """At each lag that the metric compares in every part, the mean over the parts.
+    """Autocorrelations at each lag that the metric compares in every split, means over the splits.
 
-    `crowds` are the rollouts of each part (of `blocks.PARTS`), seen in its blocks.
+    `crowds` are the rollouts by split (see `blocks.SPLITS`); each split is evaluated in its blocks.
     """
-    blocks = {part: reference.blocks.scored(part) for part in crowds}
+    blocks = {split: reference.blocks.scored(split) for split in crowds}
     found = []
     for lag_s in LAGS_S:
-        if not all(counted([lag_s], blocks[part]) for part in crowds):
+        if not all(counted([lag_s], blocks[split]) for split in crowds):
             continue
         of_recording = reference.statistics["autocorrelation"][lag_key(lag_s)]
         recorded, simulated = [], []
-        for part, rollouts in crowds.items():
-            inside = reference.blocks.in_part(part)
+        for split, rollouts in crowds.items():
+            inside = reference.blocks.in_split(split)
             recorded.append(correlation(of_recording[inside].sum(axis=0)))
-            sums = [lagged(crowd, blocks[part], [lag_s])[0].sum(axis=0) for crowd in rollouts]
+            sums = [lagged(crowd, blocks[split], [lag_s])[0].sum(axis=0) for crowd in rollouts]
             simulated.append(np.mean(correlation(np.array(sums))))
         found.append(Lag(lag_s, float(np.mean(recorded)), float(np.mean(simulated))))
     return found

@@ -1,4 +1,4 @@
-"""The page's pictures: those of an evaluation, of all its rollouts, with captions."""
+"""The pictures of the results page, of all rollouts of an evaluation, with captions."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,14 +11,14 @@ from crowdbench.report.plots.panels import MOST_PATHS, block_means, in_blocks, r
 from crowdbench.report.text.words import plainly
 
 SHOWN = 6
-"""Rollouts of each crowd whose number of agents is drawn."""
+"""Number of rollouts per crowd in the picture of agents over time."""
 POLICY = "social-force"
-"""Where a picture is about who comes and goes, one policy walks them: lines would lie double."""
+"""The policy in pictures about arrivals, where the lines of two policies would coincide."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture of the page."""
+    """A picture of the page, with its file name, title and caption."""
 
     file: str
     title: str
@@ -26,7 +26,7 @@ class Picture:
 
 
 def draw_pictures(plot: PlotData, folder: Path) -> list[Picture]:
-    """Draw all pictures of a protocol's rollouts into `folder`.
+    """Draw all pictures into `folder` and return them in the order of the page.
 
     Raises:
         OutputError: a picture cannot be written.
@@ -44,9 +44,9 @@ def draw_pictures(plot: PlotData, folder: Path) -> list[Picture]:
         draw_figure(file, what, folder)
     scene = plot.scene
     curves = (
-        "The curves show the share of values above x, all rollouts together; grey is what 95 % of "
-        "the resamples of the recording’s time blocks lie between, so that within it the "
-        "recording is too short to tell a crowd from it."
+        "Curves: share of values above x, all rollouts pooled. Grey band: 95 % of resamples of the "
+        "recording’s time blocks; within it, the recording is too short to distinguish a crowd "
+        "from it."
     )
     walkers = f"Walkers are {POLICY}."
     return [
@@ -58,36 +58,36 @@ def draw_pictures(plot: PlotData, folder: Path) -> list[Picture]:
         Picture(
             "autocorrelation.png",
             "Autocorrelation of the number of agents",
-            "Correlation of the number of people present with that a lag later, both in one time "
-            "block; of the models the mean over all rollouts. Grey and whiskers: 95 % by "
-            f"resampling time blocks. Dots: the lags that the metric compares. "
+            "Correlation of the number of people present with the number one lag later, in the "
+            "same time block; for models, the mean over all rollouts. Grey band and whiskers: 95 % "
+            "of resamples of the recording’s time blocks. Dots: the lags that the metric compares. "
             f"{_at_lags(plot)}",
         ),
         Picture(
             "inter_spawn.png",
             "Inter-spawn times",
-            f"Time from one arrival to the next anywhere in the scene. {curves} {walkers} "
+            f"Time between consecutive arrivals in the whole scene. {curves} {walkers} "
             f"{_in_seconds(one, 'inter_spawn', scene.grid_s)}",
         ),
         Picture(
             "spawns_per_10_frames.png",
             "Spawns per 10 frames",
-            f"People who enter in {10 * scene.dt_s:.3g} s. Curves and band as above. {walkers} "
-            f"{medians(one, one.curves('spawns_per_10_frames'), 1.0)}",
+            f"Number of people who enter in {10 * scene.dt_s:.3g} s. Curves and band as above. "
+            f"{walkers} {medians(one, one.curves('spawns_per_10_frames'), 1.0)}",
         ),
         Picture(
             "dwell.png",
             "Dwell time",
-            "Time from entering to leaving, by Kaplan and Meier where observation ends first. "
-            f"Curves and band as above. {_in_seconds(plot, 'dwell', scene.dt_s)}",
+            "Time from entering to leaving; a Kaplan–Meier estimate, as observation may end "
+            f"earlier. Curves and band as above. {_in_seconds(plot, 'dwell', scene.dt_s)}",
         ),
         Picture(
             "paths.png",
             "Paths",
-            f"Ways of the first {MOST_PATHS} people, or of all where there are fewer, of "
+            f"Paths of the first {MOST_PATHS} people (or of all, if there are fewer) of "
             f"{'the recording and of ' * (plot.recording is not None)}one rollout of each model, "
-            f"in the colour of their goal area. Walls are grey, dashed ellipses spawn areas, solid "
-            f"ones goal areas (two standard deviations). {walkers}",
+            "in the colours of their goal areas. Grey: walls; dashed ellipses: spawn areas; solid "
+            f"ellipses: goal areas (two standard deviations). {walkers}",
         ),
     ]
 
@@ -97,7 +97,7 @@ def _in_seconds(plot: PlotData, name: str, unit_s: float) -> str:
 
 
 def _at_lags(plot: PlotData) -> str:
-    """The values at the dots."""
+    """Sentences with the values at the lags that the metric compares."""
     compared = plot.compared_autocorrelation()
     each = plot.autocorrelations(compared.lag_s.tolist())
     found = []
@@ -111,12 +111,12 @@ def _at_lags(plot: PlotData) -> str:
 
 
 def _present(plot: PlotData, walkers: str) -> str:
-    """What the picture of agents over time shows."""
-    drawn = f"Number of people present in {SHOWN} rollouts of each model, one of them drawn out"
+    """Caption of the picture of agents over time."""
+    rollouts = f"{SHOWN} rollouts of each model, one of them highlighted"
     if not in_blocks(plot):
         return (
-            f"{drawn}. Grey: what the recorded number lies between for 90 % of a time block, "
-            f"black: its mean there. {walkers} "
+            f"Number of people present in {rollouts}. Black: mean of the recording in each time "
+            f"block; grey: its range in 90 % of a time block. {walkers} "
             f"{medians(plot, plot.curves('agents_over_time'), 1.0)}"
         )
     spread = [f"recorded {plainly(float(recorded_means(plot).std()))}"]
@@ -124,7 +124,7 @@ def _present(plot: PlotData, walkers: str) -> str:
         each = [block_means(plot, crowd).std() for crowd in group.crowds]
         spread.append(f"{group.label} {plainly(float(np.mean(each)))}")
     return (
-        f"{drawn}, by its mean over each time block; black: that of the recording. {walkers} "
-        f"Standard deviation of these means over the blocks, of the models the mean over all "
-        f"rollouts: {', '.join(spread)}."
+        f"Mean number of people present in each time block, in {rollouts}. Black: the recording. "
+        f"{walkers} Standard deviation of these means over the blocks (for models, the mean over "
+        f"all rollouts): {', '.join(spread)}."
     )

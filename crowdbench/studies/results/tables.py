@@ -1,19 +1,20 @@
-"""The page's tables, in Markdown: scores, and plain distances metric by metric."""
+"""The tables of the results page in Markdown: scores, and plain distances by metric."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from crowdbench.metrics import FAMILIES, WALK, all_metrics
+from crowdbench.metrics import FAMILIES, WALK, all_metrics, paper_first
 from crowdbench.report.text.markdown import table
-from crowdbench.report.text.words import NOTHING, digits, interval, number
+from crowdbench.report.text.words import NOTHING, digits, interval, number, share, speed
 from crowdbench.scoring.scorecard import MetricCard, PairResult, Row, Scorecard, may_rank
 
 
 def score_table(rows: Sequence[Row]) -> str:
-    """Scores of all rows, in their order; who does not compete in italics."""
+    """Markdown table with the scores of all rows, in their order; baselines are in italics."""
     crowd, walk = [f for f in FAMILIES if f not in WALK], list(WALK)
-    head = ["spawn × policy", *crowd, "crowd", *walk, "walk", "overall", "rank"]
+    gate = ["speed, m/s", "at goal"]
+    head = ["spawn × policy", *crowd, "crowd", *walk, "walk", *gate, "overall", "rank"]
     lines = []
     for row in rows:
         name = pair(row)
@@ -24,6 +25,8 @@ def score_table(rows: Sequence[Row]) -> str:
                 interval(row.crowd),
                 *(number(row.families.get(family)) for family in walk),
                 interval(row.walk),
+                gated(row, "speed", speed(row.entry.speed_mps)),
+                gated(row, "arrivals", share(row.entry.at_goal)),
                 interval(row.overall),
                 NOTHING if row.rank is None else f"{row.rank}",
             ]
@@ -31,20 +34,25 @@ def score_table(rows: Sequence[Row]) -> str:
     return table(head, lines)
 
 
+def gated(row: Row, limit: str, value: str) -> str:
+    """A value of the gate, bold and marked where the policy exceeds the limit."""
+    return f"**{value} !**" if limit in row.fails else value
+
+
 def distance_table(
     card: Scorecard,
     families: Sequence[str] = FAMILIES,
     names: Mapping[str, str] | None = None,
 ) -> str:
-    """Plain distances by metric and entry: mean ± standard deviation over the rollouts.
+    """Markdown table of plain distances: mean ± standard deviation over the rollouts.
 
-    `names` are those of policies, where they are all that tells entries apart.
+    Columns are named after the pairs, or after the policies if `names` gives their display names.
     """
     first = card.entries[0].metrics
     names = {} if names is None else names
     columns = [names.get(entry.policy, pair(entry)) for entry in card.entries]
     lines = []
-    for metric in all_metrics():
+    for metric in paper_first(all_metrics()):
         if metric.name in first and metric.family in families:
             lines.append(
                 [
@@ -59,22 +67,22 @@ def distance_table(
 
 
 def with_unit(value: float | None, unit: str) -> str:
-    """A typical value; empty where there is none."""
+    """A typical value with its unit; empty if the value is None."""
     return "" if value is None else f"{digits(value)} {unit}".rstrip()
 
 
 def competes(row: Row) -> bool:
-    """Whether it is a crowd that was evaluated, and no played recording."""
+    """Whether the row is an evaluated crowd that may be ranked (not a replay)."""
     return row.kind == "entry" and may_rank(row.spawn)
 
 
 def pair(crowd: Row | PairResult) -> str:
-    """Spawn model and policy."""
+    """Name of a pair: `spawn × policy`."""
     return f"{crowd.spawn} × {crowd.policy}"
 
 
 def _distance(card: MetricCard) -> str:
-    """Of a single rollout there is no deviation."""
+    """A distance ± its standard deviation, which is left out for a single rollout."""
     if card.distance is None:
         return NOTHING
     known = [d for d in card.distances if d is not None]

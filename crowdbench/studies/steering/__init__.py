@@ -1,4 +1,4 @@
-"""What a scenario changes about a scene's crowd and what it leaves as it was: tables, pictures."""
+"""Comparison of a scene's crowd with and without a scenario: tables and pictures."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +18,7 @@ from crowdbench.studies.steering.maps import areas_picture, changes_picture
 from crowdbench.studies.steering.rates import rates_picture
 
 WALKED = 5
-"""Seeds that are walked for a map; samples alone take no time."""
+"""Number of seeds with rollouts, for the map; sampling alone takes little time."""
 
 
 def draw_steering(
@@ -28,10 +28,10 @@ def draw_steering(
     policy: str = "straight",
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Path]:
-    """Draw `<scenario>-rates.png` and `<scenario>-map.png` into `out`.
+    """Draw `<scenario>-rates.png` and `<scenario>-map.png` into `out` and return their paths.
 
-    The map is of the first seeds, walked by `policy`. `progress(done, total)` is called before the
-    first rollout and after each.
+    The map shows rollouts of the first seeds with `policy`. `progress(done, total)` is called
+    before the first rollout and after each.
 
     Raises:
         SettingError, WeightsError: there is no such policy.

@@ -1,4 +1,4 @@
-"""The same spawn model with and without a scenario, person by person."""
+"""Comparison of a spawn model's people with and without a scenario."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,58 +20,60 @@ _ALL = (*_ENTRY, "goal", "goal_area", "velocity")
 
 @dataclass(frozen=True, eq=False)
 class Steering:
-    """A spawn model's people by seed, in episodes as long as the scene's recording."""
+    """Events of a spawn model with and without a scenario, in episodes as long as the recording."""
 
     scene: Scene
     usual: list[SpawnModel]
-    """The model as it was fitted, by seed."""
+    """The model as fitted, by seed."""
     steered: list[Steered]
+    """The model under the scenario, by seed."""
     usual_events: list[SpawnEvents]
-    """By seed. Who enters in the warm-up is left out."""
+    """Events of `usual` by seed, without those of the warm-up."""
     steered_events: list[SpawnEvents]
+    """Events of `steered` by seed, without those of the warm-up."""
 
     @property
     def scenario(self) -> Scenario:
-        """What is different."""
+        """The scenario."""
         return self.steered[0].scenario
 
     @property
     def areas(self) -> Areas:
-        """Those of the scene."""
+        """Spawn and goal areas of the scene, without added ones."""
         return self.steered[0].areas
 
     @property
     def touched(self) -> list[int]:
-        """Spawn areas whose rate the scenario changes, and those that it adds."""
+        """Spawn areas with a changed rate, and added spawn areas."""
         changed = sorted(c.area for c in self.scenario.change if c.factor != 1 or c.shift_s != 0)
         return [*changed, *range(len(self.areas.spawn), self.spawn_areas)]
 
     @property
     def spawn_areas(self) -> int:
-        """Spawn areas, added ones included."""
+        """Number of spawn areas, including added ones."""
         return len(self.areas.spawn) + len(self.scenario.add)
 
 
 @dataclass(frozen=True)
 class AreaChange:
-    """The people of one spawn area, means per episode."""
+    """Numbers of people from one spawn area, means per episode."""
 
     area: int
     centre_m: tuple[float, float]
     usual: float
     asked: float
-    """What the scenario makes of `usual`: for an added area what it says."""
+    """Number that the scenario asks for: a multiple of `usual`, or the rate of an added area."""
     steered: float
     same_entry: float | None
-    """Share of the usual people who come under the scenario too, at the same time and place and
-    with the same preferred speed, to the last bit; None where there are none."""
+    """Share of the usual people who also enter under the scenario, at exactly the same time and
+    place and with the same preferred speed; None if there are no usual people."""
     same_goal: float | None
-    """Share of those who besides walk to the same goal."""
+    """Share of the usual people who also have the same goal; None as for `same_entry`."""
 
 
 @dataclass(frozen=True)
 class GoalChange:
-    """The people who walk to one goal area, means per episode."""
+    """Numbers of people who walk to one goal area, means per episode."""
 
     area: int
     centre_m: tuple[float, float]
@@ -85,12 +87,12 @@ def steering(
 ) -> Steering:
     """Sample a spawn model with and without a scenario.
 
-    Seed k is of fit k modulo the number of fits; by default there are as many as an evaluation
-    makes rollouts.
+    Seed k uses fit k modulo the number of fits. The number of seeds defaults to the number of
+    rollouts in an evaluation.
 
     Raises:
-        SceneError, WeightsError, RecordingError, SettingError: what was asked for does not exist
-            or does not fit.
+        SceneError, WeightsError, RecordingError, SettingError: the scene, scenario or model does
+            not exist or does not fit.
     """
     place = load_scene(scene)
     fits = place.protocol.fits
@@ -117,7 +119,7 @@ def _episode(model: SpawnModel, scene: Scene, seed: int) -> SpawnEvents:
 
 
 def area_changes(found: Steering) -> list[AreaChange]:
-    """How many people each spawn area lets in, and how many of the usual ones still come."""
+    """For each spawn area, the numbers of people, and the shares of usual people who remain."""
     number = len(found.areas.spawn)
     usual = _means([e.spawn_area for e in found.usual_events], found.spawn_areas)
     steered = _means([e.spawn_area for e in found.steered_events], found.spawn_areas)
@@ -145,7 +147,7 @@ def area_changes(found: Steering) -> list[AreaChange]:
 
 
 def goal_changes(found: Steering) -> list[GoalChange]:
-    """How many people walk to each goal area."""
+    """For each goal area, the numbers of people who walk to it."""
     areas, number = found.areas, len(found.areas.goal)
     usual = _means([e.goal_area for e in found.usual_events], number)
     steered = _means([e.goal_area for e in found.steered_events], number)
@@ -155,7 +157,7 @@ def goal_changes(found: Steering) -> list[GoalChange]:
     )
     moved = set(np.flatnonzero((flow[: len(areas.flow)] != areas.flow).any(axis=1)).tolist())
     changed = sorted(moved.union(found.touched))
-    # In areas where nothing changes the people are the usual ones.
+    # In areas without changes, the people are the same as without the scenario.
     others = [e[~np.isin(e.spawn_area, changed)].goal_area for e in found.usual_events]
     asked = _means(others, number) + _asked(found, entered)[changed] @ flow[changed]
     return [
@@ -165,13 +167,13 @@ def goal_changes(found: Steering) -> list[GoalChange]:
 
 
 def _means(areas: list[np.ndarray], number: int) -> Float[np.ndarray, " n"]:
-    """How often each area occurs, on average over the seeds."""
+    """Number of people of each area, means over the seeds."""
     known = np.concatenate(areas)
     return np.bincount(known[known >= 0], minlength=number) / len(areas)
 
 
 def _asked(found: Steering, usual: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """People of each spawn area that the scenario asks for."""
+    """Number of people of each spawn area that the scenario asks for."""
     asked = usual.copy()
     horizon_s = found.scene.horizon_s
     for change in found.scenario.change:
@@ -182,14 +184,14 @@ def _asked(found: Steering, usual: Float[np.ndarray, " n"]) -> Float[np.ndarray,
 
 
 def total(profile: Profile, before: float, horizon_s: float) -> float:
-    """The integral of a profile over an episode."""
+    """The integral of a profile over an episode; its value is `before` until its first step."""
     return Clock.of(profile, before=before, warm_up_s=0.0, horizon_s=horizon_s).end_s
 
 
 def _also_in(
     events: SpawnEvents, others: SpawnEvents, columns: tuple[str, ...]
 ) -> Bool[np.ndarray, " E"]:
-    """Which of the events are among the others too, bit for bit."""
+    """Whether each event is also among the others, with exactly the same values."""
     return np.isin(_bytes_of(events, columns), _bytes_of(others, columns))
 
 

@@ -1,4 +1,4 @@
-"""Maps: a scene's numbered areas, and where people are more and less under a scenario."""
+"""Maps of a scene's numbered areas, and of the density that a scenario changes."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
@@ -24,7 +24,7 @@ SPAWN, GOAL = "black", COLOURS[0]
 
 
 def areas_picture(scene: Scene, areas: Areas) -> bytes:
-    """Where people enter and where they walk to, each area with its number."""
+    """Bytes of maps with the numbered spawn areas and goal areas."""
 
     def draw(axes: "list[Axes]") -> None:
         for axis, gaussians, colour, title in (
@@ -44,7 +44,7 @@ def areas_picture(scene: Scene, areas: Areas) -> bytes:
 def changes_picture(
     found: Steering, usual: Sequence[Trajectories], steered: Sequence[Trajectories]
 ) -> bytes:
-    """Density as fitted, and by how much it is another under the scenario; areas it changes."""
+    """Bytes of maps: density as fitted, and its change under the scenario, with changed areas."""
     before, after = _density(found.scene, usual), _density(found.scene, steered)
     scenario = found.scenario
     added = [
@@ -73,7 +73,7 @@ def changes_picture(
 
 
 def _maps(draw: Draw, scene: Scene, kind: Literal["png", "small png"], below: float = 0.0) -> bytes:
-    """Two maps side by side, with some inches below them."""
+    """Bytes of two maps side by side, with `below` inches left free below them."""
     b = scene.bounds
     height = _WIDTH * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m) + 0.6 + below
     return picture(draw, width=2 * _WIDTH + 0.6, height=height, columns=2, kind=kind)
@@ -82,7 +82,7 @@ def _maps(draw: Draw, scene: Scene, kind: Literal["png", "small png"], below: fl
 def _named(
     axis: "Axes", gaussians: Gaussians, k: int, colour: str, name: str, below: bool = False
 ) -> None:
-    """An area with its name at its centre, or just below that."""
+    """Draw an area with its name above its centre, or below it."""
     panels.ellipse(axis, gaussians, k, color=colour, linewidth=1.0)
     _write(axis, gaussians.mean[k], name, colour, "top" if below else "bottom")
 
@@ -101,7 +101,7 @@ def _write(
 
 
 def _spot(gaussians: Gaussians, k: int, scene: Scene) -> Float[np.ndarray, " 2"]:
-    """Where an area's number stands: its centre, or its top if a smaller one has that centre."""
+    """Position of an area's number: its centre, or its top if a smaller area is at its centre."""
     apart = np.linalg.norm(gaussians.mean - gaussians.mean[k], axis=1)
     size = np.linalg.det(gaussians.covariance)
     beside = (scene.bounds.x_max_m - scene.bounds.x_min_m) / 40  # a number's height
@@ -125,8 +125,8 @@ def _shown(
     least: float | None,
     what: str,
 ) -> None:
-    """A map of numbers; without a `least` the scale is as long below 0 as above."""
-    # A cell where people pile up must not darken all others.
+    """Draw a map with a colour bar; the scale begins at `least`, or is symmetric if it is None."""
+    # A percentile, so that single cells with very high values do not darken all others.
     top = float(np.percentile(np.abs(density[density != 0]), 99)) if density.any() else 1.0
     low = -top if least is None else least
     image = draw_cells(axis, density, scene, cmap=colours, vmin=low, vmax=top)

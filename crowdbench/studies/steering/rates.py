@@ -1,4 +1,4 @@
-"""The picture of when people come: persons per minute, as fitted and under a scenario."""
+"""The picture of arrival rates: persons per minute, as fitted and under a scenario."""
 
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ _MOST_PANELS = 8
 
 
 def rates_picture(found: Steering) -> bytes:
-    """A panel for each spawn area whose rate is changed or that is added, one for all others."""
+    """Bytes of a picture with a panel per changed or added spawn area, and one for all others."""
     touched = found.touched[:_MOST_PANELS]
     horizon_s = found.scene.horizon_s
     bin_s = next((b for b in _BINS_S if horizon_s / b <= _MOST_BINS), _BINS_S[-1])
@@ -56,13 +56,13 @@ def _panel(axis: "Axes", found: Steering, areas: list[int], edges: Float[np.ndar
     axis.stairs(usual, edges, color=USUAL, fill=True, alpha=0.45, label="as fitted")
     axis.stairs(steered, edges, color=STEERED, linewidth=1.3, label="steered")
     top = 1.15 * max(0.1, *usual, *steered)
-    axis.set_ylim(-0.03 * top, top)  # a closed area's line at 0 is to be seen
+    axis.set_ylim(-0.03 * top, top)  # so that a line at 0 is visible
 
 
 def _per_minute(
     events: list[SpawnEvents], areas: list[int], edges: Float[np.ndarray, " b"]
 ) -> Float[np.ndarray, " n"]:
-    """Mean over the seeds."""
+    """Persons per minute in each bin, means over the seeds."""
     each = [_counts(e.time_s[np.isin(e.spawn_area, areas)], edges) for e in events]
     per_minute: np.ndarray = 60 * np.mean(each, axis=0) / np.diff(edges)
     return per_minute
@@ -75,7 +75,7 @@ def _counts(
 
 
 def _asked(axis: "Axes", found: Steering, area: int) -> None:
-    """The mean rate as fitted times the factor, or an added area's rate."""
+    """Draw the requested rate: the mean fitted rate times the factor, or an added area's rate."""
     horizon_s, number = found.scene.horizon_s, len(found.areas.spawn)
     profile: Profile
     if area >= number:

@@ -1,8 +1,8 @@
-"""How policies walk, on one page: scores and distances under recorded arrivals, scene by scene.
+"""The page on policies: scores and distances under recorded arrivals, by scene.
 
-`write_walks` evaluates the plain walkers, the policies that a scene ships and any others, and
-writes a page in Markdown with pictures, meant to be kept under version control. All of it comes
-from rollouts: the same ones give the same bytes.
+`write_walks` evaluates the simple policies, the policies that a scene ships and any others, and
+writes a Markdown page with pictures, meant to be kept under version control. All numbers come from
+rollouts: the same rollouts give the same bytes.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from crowdbench.errors import RecordingError, SettingError
 from crowdbench.evaluation.evaluate import evaluate
 from crowdbench.evaluation.rollout_jobs import Progress, plan
 from crowdbench.files import replacing, write_text
-from crowdbench.policies import ReplayPolicy
+from crowdbench.policies import RecordedPaths
 from crowdbench.registry import has_recording, recording_of, trained_policies
 from crowdbench.registry import policy as find_policy
 from crowdbench.report.plots.plot_data import Crowds
@@ -27,18 +27,9 @@ from crowdbench.trajectories.storage import read_own
 
 PLAIN = ("random", "straight", "social-force")
 ARRIVALS = "ntpp-gmm"
-"""Under these too, beside the recorded ones, it is looked whether people get to their goals."""
+"""The spawn model for the table of arrivals at the goal, in addition to recorded arrivals."""
 FEW = 2
-"""Rollouts there, which distances are made of and no scores."""
-
-
-class RecordedPaths(ReplayPolicy):
-    """Walks people along their recorded paths until they come to their goals, as all policies do.
-
-    `replay` lets them go on to the end of their record.
-    """
-
-    name = "recorded paths"
+"""Number of rollouts with that spawn model: enough for distances, but not for scores."""
 
 
 def write_walks(
@@ -53,10 +44,10 @@ def write_walks(
 ) -> Path:
     """Evaluate policies on scenes and write `walks.md` and `walks/<scene>-dwell.png` into `out`.
 
-    These are `random`, `straight`, `social-force`, `more`, and those that each scene ships. The
-    rollouts are left in `walks-<scene>-…` of `work`, where another call takes up what is there.
-    `seeds` rollouts of a policy (in each fold), by default the fewest that make scores; `workers`
-    and `progress` are those of `evaluate`.
+    Returns the path of the page. The policies are `random`, `straight`, `social-force`, `more`, and
+    those that each scene ships. Rollouts are kept in `walks-<scene>-…` of `work`, where a later
+    call reuses them. `seeds` is the number of rollouts per policy (and fold), by default the
+    smallest number that gives scores; `workers` and `progress` are those of `evaluate`.
 
     Raises:
         RecordingError: a recording has not been imported.
@@ -65,17 +56,17 @@ def write_walks(
     """
     places = [load_scene(scene) for scene in dict.fromkeys(scenes)]
     if not places:
-        raise SettingError("walks", got="no scene", expected="one or more")
+        raise SettingError("walks", got="no scene", expected="one or more scenes")
     for place in places:
         if not has_recording(place):
             raise RecordingError(
                 place.id,
                 got="no recording",
-                expected="its recording, under whose arrivals policies walk",
+                expected="the recording, because policies are run under the recorded arrivals",
                 hint=f"Run `crowdbench data fetch {place.recording.name}`.",
             )
     path = out / "walks.md"
-    with replacing(path) as temporary:  # that it can be written is found out first
+    with replacing(path) as temporary:  # fails early if the page cannot be written
         found = [_walk(place, more, out, work, seeds, workers, progress) for place in places]
         write_text(temporary, page(found, more, seeds))
     return path

@@ -1,4 +1,4 @@
-"""The page in Markdown."""
+"""The Markdown text of the page on policies."""
 
 import shlex
 from collections.abc import Sequence
@@ -6,37 +6,39 @@ from dataclasses import dataclass
 
 from crowdbench.metrics import METRICS, WALK, MetricResult
 from crowdbench.report.text.markdown import flowed, table
-from crowdbench.report.text.words import NOTHING, interval, named
+from crowdbench.report.text.words import NOTHING, interval, named, share, speed
 from crowdbench.scene import Scene
 from crowdbench.scoring.score import ranks
 from crowdbench.scoring.scorecard import PairResult, Protocol, Scorecard, metric_scores, rows
 from crowdbench.studies.results.page import of_recording
-from crowdbench.studies.results.tables import distance_table, with_unit
+from crowdbench.studies.results.tables import distance_table, gated
 
 _NAMES: dict[Protocol, str] = {"full": "Full", "heldout": "Held out"}
-_FAMILIES = ("lives", *WALK)
+_FAMILIES = ("trips", *WALK)
 _ENDS = ("goal", "exit", "timeout")
+FAR = 0.01
+"""Distances of recorded people walked from which on the page names them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Walked:
-    """What was found out on a scene."""
+    """The evaluations of all policies on a scene."""
 
     scene: Scene
     names: dict[str, str]
-    """How tables call each policy."""
+    """Display name of each policy."""
     sees: dict[str, str]
-    """What each policy acts on, `observation` or `state`."""
+    """Input of each policy, `observation` or `state`."""
     cards: dict[Protocol, Scorecard]
-    """Under the recorded arrivals."""
+    """Scorecards under the recorded arrivals, by protocol."""
     sampled: Scorecard
-    """Under arrivals of a spawn model, fitted on all of the recording."""
+    """Scorecard under arrivals of a spawn model that is fitted to the whole recording."""
     rule: dict[str, MetricResult]
-    """What the metrics say of the recorded paths, cut off where they first come to their goals."""
+    """Metrics of recorded people walked."""
 
 
 def page(found: Sequence[Walked], more: Sequence[str], seeds: int | None) -> str:
-    """The page; the same evaluations give the same bytes."""
+    """The page in Markdown; the same evaluations give the same bytes."""
     words = ["crowdbench", "walks", *(named(walked.scene) for walked in found)]
     if more:
         words += ["--policy", *more]
@@ -46,13 +48,15 @@ def page(found: Sequence[Walked], more: Sequence[str], seeds: int | None) -> str
     first = found[0]
     return flowed(f"""# How policies walk
 
-Everyone enters when and where recorded people did, with the speed and the goal that they had, and
-is walked by a policy. What scores, brackets, ranks and protocols are is explained in
-`docs/metrics.md`; *walk* is the mean of motion and interaction. Who sees *observations* sees what
-an agent in the environment does, its rays among it; who sees the *state*, positions, velocities and
-goals of everyone (random looks at nothing).
+People enter at the recorded times and places, with the recorded speeds and goals, and are moved by
+a policy. `docs/metrics.md` explains scores, intervals, ranks and protocols. A score of 0 is that
+of the *anchor* (here straight walkers), 1 is the score of the recording itself; *walk* is the
+lesser of motion and interaction, and at most 0 for policies whose speed or arrivals, marked with
+!, exceed the limits of the scene. The column *sees* is the input of a policy: *observation*, that
+of an agent in the environment, including its rays, or *state*, the positions, velocities and goals
+of all people (random uses none of it).
 
-Made with crowdbench {first.cards["full"].crowdbench} by
+Generated with crowdbench {first.cards["full"].crowdbench} by
 
 ```sh
 {shlex.join(words)}
@@ -73,18 +77,19 @@ def _scene(walked: Walked) -> str:
     parts += [f"### Do they arrive?\n\n{_lives(walked)}", _rule(walked)]
     parts += [
         f"### Dwell times\n\n![Dwell times](walks/{scene.id}-dwell.png)",
-        "Share of people who stay longer, all rollouts under the recorded arrivals together; grey "
-        "is what 95 % of the resamples of the recording’s time blocks lie between.",
+        "Share of people who stay longer, all rollouts under the recorded arrivals pooled. Grey "
+        "band: 95 % of resamples of the recording’s time blocks.",
     ]
     return "\n\n".join(parts)
 
 
 def scores(walked: Walked, card: Scorecard) -> str:
-    """A table of those who have a score, and why others have none."""
+    """Markdown table of the policies with scores, and why others have none."""
     known = [row for row in rows(card) if row.kind == "entry" and row.walk is not None]
     rank = ranks([row.walk for row in known if row.walk is not None])
     scored = [m for m in METRICS if m.family in WALK and m.name in card.scored]
-    head = ["policy", "sees", "rank", "walk", *WALK, *(m.name.replace("_", " ") for m in scored)]
+    head = ["policy", "sees", "rank", "walk", *WALK, "speed, m/s", "at goal"]
+    head += [m.name.replace("_", " ") for m in scored]
     lines = []
     for row, of_row in zip(known, rank, strict=True):
         each = metric_scores(card, row.entry)
@@ -95,6 +100,8 @@ def scores(walked: Walked, card: Scorecard) -> str:
                 str(of_row),
                 interval(row.walk),
                 *(interval(row.families.get(family)) for family in WALK),
+                gated(row, "speed", speed(row.entry.speed_mps)),
+                gated(row, "arrivals", share(row.entry.at_goal)),
                 *(interval(each.get(m.name)) for m in scored),
             ]
         )
@@ -103,14 +110,13 @@ def scores(walked: Walked, card: Scorecard) -> str:
 
 
 def _unscored(walked: Walked, card: Scorecard, scored: set[str]) -> list[str]:
-    """Why policies are missing from the table of scores."""
+    """A sentence on the policies without scores; empty if there are none."""
     missing = [name for policy, name in walked.names.items() if policy not in scored]
     if not missing:
         return []
-    made = f"{card.rollouts} {'was' if card.rollouts == 1 else 'were'} made"
     return [
-        f"No score of {', '.join(missing)}: that needs at least two rollouts of each of the "
-        f"{card.fits} fits, {2 * card.fits} in all; {made}."
+        f"No scores: {', '.join(missing)}. Rollouts of each policy: {card.rollouts}. Scores need "
+        f"two rollouts of each fit, {2 * card.fits} in all."
     ]
 
 
@@ -119,11 +125,11 @@ def _distances(walked: Walked, card: Scorecard) -> str:
 
 
 def _lives(walked: Walked) -> str:
-    """Who arrives, how long they stay and how near they come to each other, two arrivals."""
+    """Markdown table of arrivals at the goal, mean speeds and dwell times."""
     full, sampled = walked.cards["full"], walked.sampled
     spawn = sampled.entries[0].spawn
     both = (("recorded", full, "replay"), (spawn, sampled, spawn))
-    columns = ("at goal", "dwell, W1/mean", "closest approach, W1/mean", "wall hits")
+    columns = ("at goal", "speed, m/s", "dwell, W1/mean")
     head = ["policy", *(f"{what} ({arrivals})" for arrivals, _, _ in both for what in columns)]
     lines = []
     for policy, name in walked.names.items():
@@ -138,11 +144,10 @@ def _lives(walked: Walked) -> str:
 def _life(entry: PairResult) -> list[str]:
     ended = sum(entry.outcomes.get(how, 0) for how in _ENDS)
     arrived = entry.outcomes.get("goal", 0)
-    walls = entry.metrics["wall_hits"].simulated
     return [
         f"{100 * arrived / ended:.1f} %" if ended else NOTHING,
-        *(_plain(entry.metrics[name].distance) for name in ("dwell", "closest_approach")),
-        NOTHING if walls is None else f"{100 * walls:.2f} %",
+        speed(entry.speed_mps),
+        _plain(entry.metrics["dwell"].distance),
     ]
 
 
@@ -151,12 +156,14 @@ def _plain(value: float | None) -> str:
 
 
 def _rule(walked: Walked) -> str:
-    dwell = walked.rule["dwell"]
+    far = {name: result for name, result in walked.rule.items() if result.distance >= FAR}
+    if not far:
+        rest = f"All its distances to the recording are below {FAR:g}."
+    else:
+        listed = ", ".join(f"{n.replace('_', ' ')} {r.distance:.3f}" for n, r in far.items())
+        rest = f"Its distances to the recording are below {FAR:g}, but for {listed}."
     return (
-        "A simulated life ends where its way first comes to the goal, a recorded one with its "
-        f"record: people who linger there do so in the recording alone (mean dwell time "
-        f"{with_unit(dwell.recorded, dwell.unit)}). Of the recorded paths themselves, cut off by "
-        f"that rule, the dwell time is {with_unit(dwell.simulated, dwell.unit)} in the mean and "
-        f"{dwell.distance:.3f} from the recording’s, which is what a policy that walks just as "
-        "people did would get here."
+        "Recorded trips are cut off where simulated ones end, at the first step to the goal after "
+        "the last stop. So `recorded-paths`, which walks recorded people under the rules of the "
+        f"simulation, shows what a perfect walker scores. {rest}"
     )

@@ -1,4 +1,4 @@
-"""The page's picture of a scene: dwell times. Their paths stand among the figures of the scene."""
+"""The picture of dwell times of a scene. Paths are among the figures of the scene."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,7 +11,7 @@ from crowdbench.scene import Scene
 from crowdbench.scoring.reference import Reference
 
 LEFT_OUT = ("random",)
-"""Whose dwell times are the scene's patience."""
+"""Policies that are not drawn, as most of their trips end at the time limit."""
 
 
 def draw_dwell(
@@ -28,7 +28,7 @@ def draw_dwell(
     """
     shown = {key: crowd for key, crowd in crowds.items() if key[1] not in LEFT_OUT}
     plot = PlotData.of(scene, reference, shown, "full")
-    # One spawn model: the colour tells the policy.
+    # There is only one spawn model, so colours distinguish policies.
     groups = [
         replace(group, label=names[group.policy], dashes=(),
                 colour=COLOURS[k % len(COLOURS)])

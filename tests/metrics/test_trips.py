@@ -38,7 +38,7 @@ def along(*paths: list[tuple[float, float]]) -> Trajectories:
 
 
 def test_dwell_is_kaplan_meiers_over_those_who_enter():
-    # Lives of 3 and 1, and one of 7 that is cut off: a third of the mass each.
+    # Trips of 3 and 1, and one of 7 that is cut off: a third of the mass each.
     result = score(Dwell(), SOME, crowd_of([(1, 3)], frames=10), TEN)
     assert result.recorded == pytest.approx(11 / 3)
     assert result.simulated == pytest.approx(2.0)
@@ -47,7 +47,7 @@ def test_dwell_is_kaplan_meiers_over_those_who_enter():
 
 
 def test_dwell_shares_the_mass_of_a_life_cut_off_among_those_that_last_longer():
-    # Lives of 1 and 3, one cut off after 2 in between: the life of 3 stands for both.
+    # Trips of 1 and 3, one cut off after 2 in between: the life of 3 stands for both.
     crowd = crowd_of([(1, 2), (1, 3), (1, 4)], frames=10, persons={"left": [True, False, True]})
     assert score(Dwell(), crowd, crowd, TEN).recorded == pytest.approx(1 / 3 + 2 / 3 * 3)
 

@@ -1,4 +1,4 @@
-"""Family lives: what becomes of those who enter in the blocks, followed past their edges."""
+"""Family trips: the trips of people who enter in a block, even if they leave after its end."""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,25 +10,25 @@ from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
 SHORTEST_WAY_M = 1.0
-"""Below this distance from start to end, a detour is no ratio to speak of."""
+"""Trips with a shorter distance from start to end have no meaningful detour ratio."""
 LONGEST_DETOUR = 100.0
 FAILED = (OUTCOMES.index("exit"), OUTCOMES.index("timeout"))
 
 
 class Dwell(RelativeWasserstein):
-    """Time from a person's first row to its last, of those who enter in the blocks.
+    """Time from a person's first row to the last, for people who enter in the blocks.
 
-    Who is still there when observation ends is right-censored, and the distribution is
-    Kaplan–Meier's. Distance: Wasserstein-1 divided by the recording's mean dwell time; a crowd
-    that nobody enters counts as one that dwells a block long.
+    People who are still present when observation ends are right-censored, so the distribution is
+    the Kaplan–Meier estimate. Distance: Wasserstein-1 divided by the recording's mean dwell time.
+    A crowd that nobody enters is treated as if people stayed for one block.
     """
 
     name = "dwell"
-    family = "lives"
+    family = "trips"
     unit = "s"
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`ended[b, d]` and `censored[b, d]`: lives of d frames of those who enter in block b."""
+        """`ended[b, d]`, `censored[b, d]`: trips of d frames that begin in block b."""
         persons, block, _ = blocks.of_arrivals(crowd)
         life = (crowd.last - crowd.first)[persons]
         left = crowd.left[persons]
@@ -38,42 +38,42 @@ class Dwell(RelativeWasserstein):
         }
 
     def step(self, blocks: TimeBlocks) -> float:
-        """One frame."""
+        """Lattice step: one frame, in seconds."""
         return blocks.dt_s
 
     def if_empty(self, blocks: TimeBlocks) -> int:
-        """The mean length of the blocks."""
+        """Value of an empty sample: the mean length of the blocks, in frames."""
         return max(1, round(float(np.diff(blocks.frames).mean())))
 
     def on_lattice(self, name: str) -> bool:
-        """Both."""
+        """True: both statistics are histograms."""
         return True
 
     def embed(
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
-        """Kaplan–Meier's distribution function."""
+        """The Kaplan–Meier distribution function."""
         return kaplan_meier_cdf(
             sums["ended"], sums["censored"], support, if_empty=self.if_empty(blocks)
         )
 
     def size(self, sums: Sums) -> int:
-        """Lives, whole and censored."""
+        """Number of trips, complete and censored."""
         return int(sums["ended"].sum() + sums["censored"].sum())
 
 
 class OriginDestination(TotalVariation):
-    """Shares of the ways from spawn area to goal area among those who entered and left.
+    """Share of each pair of spawn area and goal area among people who entered and left.
 
-    Persons with an unknown area, or one that the place does not have, do not count. Distance:
+    Persons with an unknown area, or an area that the scene does not have, are ignored. Distance:
     total variation.
     """
 
     name = "origin_destination"
-    family = "lives"
+    family = "trips"
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, k · G + g]`: persons who enter at k in block b and walk to g."""
+        """`counts[b, k · G + g]`: persons who enter block b at area k with goal area g of G."""
         persons, block, _ = blocks.of_arrivals(crowd)
         origin, destination = crowd.spawn_area[persons], crowd.goal_area[persons]
         known = (origin >= 0) & (origin < place.spawn_areas) & crowd.left[persons]
@@ -85,19 +85,19 @@ class OriginDestination(TotalVariation):
 
 
 class Detour(RelativeWasserstein):
-    """Path length over the straight distance from start to end, of those who entered and left.
+    """Path length over the straight distance from start to end, for people who entered and left.
 
-    People whose start and end are less than 1 m apart do not count; ratios end at 100. Distance:
-    Wasserstein-1 of ratios rounded to 0.01, divided by the recording's mean; nobody counts as
-    people who walk straight.
+    People whose start and end are less than 1 m apart are ignored; ratios are clipped at 100.
+    Distance: Wasserstein-1 of ratios rounded to 0.01, divided by the recording's mean. An empty
+    sample is treated as people who walk straight.
     """
 
     name = "detour"
-    family = "lives"
+    family = "trips"
     unit = ""
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, r]`: lives with a ratio of r hundredths, of those who enter in block b."""
+        """`counts[b, r]`: trips that begin in block b with a ratio of r hundredths."""
         persons, block, _ = blocks.of_arrivals(crowd)
         length = crowd.path_lengths()[persons]
         way = np.linalg.norm(crowd.end.astype(np.float64) - crowd.start, axis=1)[persons]
@@ -106,27 +106,28 @@ class Detour(RelativeWasserstein):
         return {"counts": histograms(rounded(ratio, 0.01), block[counts], len(blocks))}
 
     def step(self, blocks: TimeBlocks) -> float:
-        """0.01."""
+        """Lattice step: 0.01."""
         return 0.01
 
     def if_empty(self, blocks: TimeBlocks) -> int:
-        """A ratio of 1."""
+        """Value of an empty sample: a ratio of 1, in lattice steps."""
         return 100
 
 
 class GoalShare(ShareDifference):
-    """Share of those who entered and left who reached their goal: no exit, no timeout.
+    """Share of people who reached their goal, among those who entered and left.
 
-    A recorded person's goal is where it left, so that a recording's share is 1. Distance:
+    Trips that end with the outcome `exit` or `timeout` did not reach their goal. A recorded
+    person's goal is the place where it left, so the share of a recording is 1. Distance:
     |difference|.
     """
 
     name = "goal_share"
-    family = "lives"
+    family = "trips"
     unit = ""
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`share[b]`: persons who enter in block b and reach their goal, and who leave at all."""
+        """`share[b]`: number of persons entering in block b who reach their goal, and who leave."""
         persons, block, _ = blocks.of_arrivals(crowd)
         left = crowd.left[persons]
         reached = ~np.isin(crowd.outcome[persons][left], FAILED)

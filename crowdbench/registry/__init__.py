@@ -1,0 +1,55 @@
+"""Recordings, spawn models, policies and metrics by name."""
+
+from crowdbench.registry.own_code import add_metric
+from crowdbench.registry.policies import (
+    POLICIES,
+    PolicySource,
+    list_policies,
+    policy,
+    policy_source,
+    trained_policies,
+)
+from crowdbench.registry.recordings import (
+    GENERATED,
+    RECORDINGS,
+    has_recording,
+    import_recording,
+    recording,
+    recording_of,
+)
+from crowdbench.registry.spawn_models import (
+    DEFAULT_SPAWN,
+    FITTED,
+    SPAWN_MODELS,
+    WEIGHTS,
+    SpawnSource,
+    fitted_models,
+    list_spawn_models,
+    spawn_model,
+    spawn_source,
+)
+
+__all__ = [
+    "DEFAULT_SPAWN",
+    "FITTED",
+    "GENERATED",
+    "POLICIES",
+    "RECORDINGS",
+    "SPAWN_MODELS",
+    "WEIGHTS",
+    "PolicySource",
+    "SpawnSource",
+    "add_metric",
+    "fitted_models",
+    "has_recording",
+    "import_recording",
+    "list_policies",
+    "list_spawn_models",
+    "policy",
+    "policy_source",
+    "recording",
+    "recording_of",
+    "spawn_model",
+    "spawn_source",
+    "trained_policies",
+]

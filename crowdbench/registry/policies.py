@@ -1,0 +1,153 @@
+"""Policies by name."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from crowdbench import plugins
+from crowdbench.errors import SettingError
+from crowdbench.policies import (
+    OnnxPolicy,
+    Policy,
+    Random,
+    RecordedPaths,
+    ReplayPolicy,
+    SocialForce,
+    Straight,
+)
+from crowdbench.registry.own_code import code_of, having, made, own_class
+from crowdbench.registry.recordings import has_recording, recording_of
+from crowdbench.scene import Scene, load_scene
+from crowdbench.spawn.weights import check_split
+from crowdbench.trajectories.blocks import SPLITS
+from crowdbench.trajectories.table import Trajectories
+
+_PLAIN: dict[str, Callable[[], Policy]] = {
+    "straight": Straight,
+    "social-force": SocialForce,
+    "random": Random,
+}
+_RECORDED: dict[str, Callable[[Trajectories], Policy]] = {
+    "replay": ReplayPolicy,
+    "recorded-paths": RecordedPaths,
+}
+POLICIES = (*_PLAIN, *_RECORDED)
+
+
+@dataclass(frozen=True)
+class PolicySource:
+    """What the name of a policy refers to on a scene, found once by `policy_source`."""
+
+    name: str
+    scene: Scene
+    networks: Path | None
+    """An ONNX file, or a folder with one per split."""
+    own: bool
+    """Whether it is a class of a user or another package, which `policy` imports."""
+
+    @property
+    def per_split(self) -> bool:
+        """Whether there is a network for each split."""
+        return self.networks is not None and self.networks.suffix != ".onnx"
+
+    def network(self, split: str) -> Path | None:
+        """ONNX file for a split; None if the policy is not a network.
+
+        Raises:
+            SettingError: there is no such split.
+        """
+        check_split(split, 0)
+        if self.networks is None:
+            return None
+        return self.networks / f"{split}.onnx" if self.per_split else self.networks
+
+    def card_file(self) -> Path | None:
+        """An ONNX file that exists, whose card names the policy; None if it is not a network."""
+        files = [file for split in SPLITS if (file := self.network(split)) is not None]
+        return next((file for file in files if file.is_file()), files[0] if files else None)
+
+    def policy(self, split: str = "full") -> Policy:
+        """The policy for a split; see `crowdbench.policy`."""
+        file = self.network(split)
+        if file is not None:
+            return OnnxPolicy(file)
+        if not self.own:
+            if self.name in _RECORDED:
+                return _RECORDED[self.name](recording_of(self.scene))
+            return _PLAIN[self.name]()
+        shipped, others = trained_policies(self.scene), plugins.names("policies")
+        known = (*POLICIES, *shipped, *others, "an ONNX file, a folder of ONNX files")
+        kind = plugins.part("policies", self.name) or own_class(self.name, "policy", known)
+        policy: Policy = made(kind, self.name)
+        having(policy, self.name, ("name", "sees", "reset", "act"))
+        if policy.sees not in ("observation", "state"):
+            raise SettingError(
+                self.name, got=f"sees = {policy.sees!r}", expected="'observation' or 'state'"
+            )
+        return policy
+
+    def dependencies(self, split: str) -> tuple[list[Path], bytes]:
+        """Files that its rollouts depend on, and code that is in no file."""
+        file = self.network(split)
+        code = code_of("policies", self.name) if self.own else []
+        files = [file] if file is not None else []
+        return (files, code) if isinstance(code, bytes) else ([*files, *code], b"")
+
+
+def policy_source(name: str, scene: Scene) -> PolicySource:
+    """Find what the name of a policy refers to on a scene.
+
+    A class is imported only when the policy is made, so a scorecard that names one can be shown
+    where the class is not installed.
+    """
+    plugins.names("policies", POLICIES)  # raises an error if a built-in name was registered
+    networks = None if name in POLICIES else _networks(name, scene)
+    return PolicySource(name, scene, networks, own=networks is None and name not in POLICIES)
+
+
+def _networks(name: str, scene: Scene) -> Path | None:
+    """ONNX file, or folder of ONNX files, that a name refers to; None if it refers to neither."""
+    if name.endswith(".onnx"):
+        return Path(name)
+    if ":" in name:
+        return None
+    own = Path(name)
+    folder = own if len(own.parts) > 1 else scene.folder / "policies" / name
+    return folder if folder.is_dir() else None
+
+
+def policy(named: str | Policy, scene: str | Path | Scene, split: str = "full") -> Policy:
+    """Policy with the given name, or from an ONNX file.
+
+    Args:
+        named: a name; an ONNX file; a folder with one ONNX file per split (`full.onnx`,
+            `fold0.onnx`, …); `pkg.module:Class`, which is called without arguments; or a policy.
+            Policies that ship with a scene are in its folder `policies`.
+        scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
+        split: one of `blocks.SPLITS`; selects the file in a folder.
+
+    Raises:
+        SettingError: there is no such policy, or the packages for ONNX files are not installed.
+        WeightsError: the file is missing or invalid.
+        RecordingError: it needs a recording that is not imported.
+    """
+    if not isinstance(named, str):
+        return named
+    return policy_source(named, load_scene(scene)).policy(split)
+
+
+def list_policies(scene: str | Path | Scene) -> list[str]:
+    """Names of the policies of a scene: built-in, shipped with it, and registered by packages.
+
+    Raises:
+        SceneError: the scene does not exist.
+    """
+    place = load_scene(scene)
+    plain = [name for name in POLICIES if name in _PLAIN or has_recording(place)]
+    return [*plain, *trained_policies(place), *plugins.names("policies", POLICIES)]
+
+
+def trained_policies(scene: Scene) -> list[str]:
+    """Names of the policies that ship with a scene."""
+    folder = scene.folder / "policies"
+    return sorted(f.name for f in folder.iterdir() if f.is_dir()) if folder.is_dir() else []

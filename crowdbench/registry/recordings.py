@@ -1,0 +1,61 @@
+"""Recordings by name: imported ones, and generated ones."""
+
+import importlib
+from pathlib import Path
+
+from crowdbench.recordings import catalogue
+from crowdbench.scene import Scene, load_scene
+from crowdbench.spawn import fit_areas
+from crowdbench.trajectories.storage import read_own, write_parquet
+from crowdbench.trajectories.table import Trajectories
+
+GENERATED = {"plaza": "crowdbench.rollouts.plaza_recording:record"}
+"""Recordings that are simulated, and the functions that simulate them, imported on first use."""
+RECORDINGS = (*catalogue.SOURCES, *GENERATED)
+"""Names of the listed recordings. The catalogue has further days of the Forum."""
+
+
+def recording(name: str) -> Trajectories:
+    """Recording with the given name: an imported one, or a generated one (the plaza's).
+
+    Raises:
+        SettingError: no recording has this name.
+        RecordingError: it has not been imported.
+    """
+    if name in GENERATED:
+        path = catalogue.cached(name)
+        return read_own(path) if path.exists() else _generated(name)
+    return catalogue.load_imported(name)
+
+
+def import_recording(name: str, source: Path | None = None) -> Trajectories:
+    """Import a recording into the user's cache and return it; see `catalogue.import_recording`."""
+    if name in GENERATED:
+        crowd = _generated(name)
+        write_parquet(crowd, catalogue.cached(name))
+        return crowd
+    return catalogue.import_recording(name, source)
+
+
+def recording_of(scene: str | Path | Scene) -> Trajectories:
+    """Recording of a scene, with people assigned to the scene's spawn and goal areas.
+
+    Raises:
+        SceneError: the scene does not exist.
+        RecordingError: the recording has not been imported.
+    """
+    place = load_scene(scene)
+    _, crowd = fit_areas(recording(place.recording.name), place, place.clustering["default"])
+    return crowd
+
+
+def has_recording(scene: Scene) -> bool:
+    """Whether the scene's recording is available: imported or generated."""
+    name = scene.recording.name
+    return name in GENERATED or catalogue.cached(name).exists()
+
+
+def _generated(name: str) -> Trajectories:
+    module, _, function = GENERATED[name].partition(":")
+    crowd: Trajectories = getattr(importlib.import_module(module), function)()
+    return crowd

@@ -1,0 +1,203 @@
+"""Spawn models by name."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from crowdbench import plugins
+from crowdbench.errors import SettingError, WeightsError
+from crowdbench.recordings import catalogue
+from crowdbench.registry.own_code import code_of, having, made, own_class, understood
+from crowdbench.registry.recordings import has_recording, recording_of
+from crowdbench.scene import Scene, load_scene
+from crowdbench.spawn import (
+    BlockReplay,
+    NtppGMM,
+    PoissonGMM,
+    PoissonGroups,
+    RenewalGMM,
+    Replay,
+    Scenario,
+    SpawnModel,
+    Steered,
+)
+from crowdbench.spawn.areas import Areas, read_areas
+from crowdbench.spawn.events import blocks_of
+from crowdbench.spawn.scenario import check_scenario, read_scenario, split_scenario
+from crowdbench.spawn.weights import check_split
+
+FITTED: dict[str, type[PoissonGMM] | type[PoissonGroups] | type[RenewalGMM] | type[NtppGMM]] = {
+    "poisson-gmm": PoissonGMM,
+    "poisson-groups": PoissonGroups,
+    "renewal-gmm": RenewalGMM,
+    "ntpp-gmm": NtppGMM,
+}
+"""Spawn models that are fitted to a recording; scenes ship their fits."""
+WEIGHTS = {
+    "poisson-gmm.json": "poisson-gmm",
+    "poisson-groups.json": "poisson-groups",
+    "renewal-gmm.json": "renewal-gmm",
+    "ntpp-gmm.safetensors": "ntpp-gmm",
+}
+"""File name of the fits of each spawn model in `FITTED`."""
+SPAWN_MODELS = (*FITTED, "block-replay", "replay")
+DEFAULT_SPAWN = "ntpp-gmm"
+"""Default spawn model of the environments."""
+
+
+@dataclass(frozen=True)
+class SpawnSource:
+    """What the name of a spawn model refers to on a scene, found once by `spawn_source`."""
+
+    name: str
+    scene: Scene
+    base: str
+    """The name without its scenario."""
+    scenario: Path | None
+    fits: Path | None
+    """File with the fits of a model in `FITTED`: the scene's, or that of another folder."""
+    own: bool
+    """Whether it is a class of a user or another package, which `model` imports."""
+
+    def model(self, split: str = "full", fit: int = 0) -> SpawnModel:
+        """The model, fitted to a split; see `spawn_model`."""
+        check_split(split, fit)
+        model = self._unsteered(split, fit)
+        return model if self.scenario is None else _steered(model, self.scene, self.scenario)
+
+    def dependencies(self) -> tuple[list[Path], bytes]:
+        """Files besides the scene's that its rollouts depend on, and code that is in no file."""
+        files = [self.scenario] if self.scenario is not None else []
+        if self.fits is not None and self.fits.parent != self.scene.folder:
+            files.append(self.fits)
+        cached = catalogue.cached(self.scene.recording.name)
+        if self.base in ("replay", "block-replay") and cached.exists():
+            files.append(cached)
+        code = code_of("spawn_models", self.base) if self.own else []
+        return (files, code) if isinstance(code, bytes) else ([*files, *code], b"")
+
+    def _unsteered(self, split: str, fit: int) -> SpawnModel:
+        scene = self.scene
+        if self.fits is not None:
+            holding = replace(scene, folder=self.fits.parent)
+            return FITTED[WEIGHTS[self.fits.name]].read(holding, read_areas(scene), split, fit)
+        if self.own:
+            others = (*plugins.names("spawn_models"), "a folder with the fits of one model")
+            known = (*SPAWN_MODELS, *others)
+            part = plugins.part("spawn_models", self.base)
+            kind = part or own_class(self.base, "spawn model", known)
+            offered = understood(kind, split=split, fit=fit)
+            model: SpawnModel = made(kind, self.base, scene, **offered)
+            return having(model, self.base, ("name", "start", "sample"))
+        crowd = recording_of(scene)
+        if self.base == "replay":
+            return Replay(crowd)
+        return BlockReplay(crowd, blocks_of(crowd, scene).training(split), read_areas(scene))
+
+
+def spawn_source(name: str, scene: Scene) -> SpawnSource:
+    """Find what the name of a spawn model refers to on a scene.
+
+    Raises:
+        SettingError: a folder does not contain the fits of exactly one model.
+        WeightsError: the scene has no fits of this model.
+    """
+    plugins.names("spawn_models", SPAWN_MODELS)  # raises an error if a built-in name was registered
+    base, scenario = split_scenario(name)
+    fits = _fits_of(base, scene)
+    own = fits is None and base not in SPAWN_MODELS
+    return SpawnSource(name, scene, base, scenario, fits, own)
+
+
+def spawn_model(
+    model: str | SpawnModel,
+    scene: str | Path | Scene,
+    split: str = "full",
+    fit: int = 0,
+    scenario: Scenario | None = None,
+) -> SpawnModel:
+    """Spawn model with the given name, fitted to a split of the recording.
+
+    Args:
+        model: a name; a folder with the fits of one model of `FITTED`, in a file named as in
+            `WEIGHTS`; `pkg.module:Class`, which is called with the scene, and with `split` and
+            `fit` if it takes arguments of these names; `MODEL+FILE.toml`, the model MODEL steered
+            by the scenario in the file; or a spawn model.
+        scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
+        split: one of `blocks.SPLITS`. `replay` is the whole recording in every split.
+        fit: index of the fit, modulo the number of fits.
+        scenario: a scenario that steers the model.
+
+    Raises:
+        SettingError: there is no such model, split or fit, or the scenario does not fit.
+        WeightsError: the scene has no fits of this model, or those in the folder are invalid.
+        RecordingError: it needs a recording that is not imported.
+    """
+    place = load_scene(scene)
+    if isinstance(model, str):
+        check_split(split, fit)
+        model = spawn_source(model, place).model(split, fit)
+    return model if scenario is None else _steered(model, place, scenario)
+
+
+def _steered(model: SpawnModel, scene: Scene, scenario: Scenario | Path) -> Steered:
+    own = getattr(model, "areas", None)
+    areas = own if isinstance(own, Areas) else read_areas(scene)
+    if isinstance(scenario, Path):
+        scenario = read_scenario(scenario, scene, areas)
+    else:
+        check_scenario(scenario, scene, areas, f"scenario {scenario.name}")
+    return Steered(model, scenario, areas)
+
+
+def _fits_of(model: str, scene: Scene) -> Path | None:
+    """File with the fits of a model; None if it has none.
+
+    Raises:
+        WeightsError: the scene has no fits of this model; the message lists those that it has.
+        SettingError: `model` is a folder without the fits of exactly one model.
+    """
+    if model in FITTED:
+        return _shipped_fits(model, scene)
+    folder = Path(model)
+    if model in SPAWN_MODELS or not folder.is_dir():
+        return None
+    found = [folder / name for name in WEIGHTS if (folder / name).is_file()]
+    if len(found) != 1:
+        raise SettingError(
+            f"spawn model {model}",
+            got=f"a folder with {', '.join(f.name for f in found) or 'no fits'}",
+            expected=f"exactly one of {', '.join(WEIGHTS)}",
+            hint="Put the fits of each model into a separate folder.",
+        )
+    return found[0]
+
+
+def _shipped_fits(model: str, scene: Scene) -> Path:
+    file = next(scene.folder / file for file, name in WEIGHTS.items() if name == model)
+    if not file.is_file():
+        torch = " (it needs torch, the extra `fit`)" if model == "ntpp-gmm" else ""
+        others = ", ".join(fitted_models(scene))
+        raise WeightsError(
+            file,
+            got="no such file",
+            expected=f"the scene's fits of {model}",
+            hint=f"Run `crowdbench fit {scene.asked}`{torch}"
+            + (f", or choose a fitted spawn model: {others}." if others else "."),
+        )
+    return file
+
+
+def list_spawn_models(scene: str | Path | Scene) -> list[str]:
+    """Names of the spawn models of a scene: fitted, replayed, and registered by packages.
+
+    Raises:
+        SceneError: the scene does not exist.
+    """
+    place = load_scene(scene)
+    played = [name for name in SPAWN_MODELS if name not in FITTED] * has_recording(place)
+    return [*fitted_models(place), *played, *plugins.names("spawn_models", SPAWN_MODELS)]
+
+
+def fitted_models(scene: Scene) -> list[str]:
+    """Names of the spawn models whose fits are in a scene's folder."""
+    return [name for file, name in WEIGHTS.items() if (scene.folder / file).is_file()]
