@@ -31,10 +31,18 @@ from crowdbench.leaderboard.pages.readme import readme
 from crowdbench.leaderboard.pages.standings import TRACKS, View, read_entries, scores, standing
 from crowdbench.leaderboard.pages.text import in_html, in_markdown, link
 from crowdbench.leaderboard.submission.schema import SCENES
-from crowdbench.leaderboard.verification.entry import Curve, Entry, Flag, ScoreCard, read_entry
+from crowdbench.leaderboard.verification.entry import (
+    SCORER,
+    Curve,
+    Entry,
+    Flag,
+    ScoreCard,
+    read_entry,
+)
+from crowdbench.metrics import WALK
 from crowdbench.report.text.words import with_interval
 from crowdbench.scoring.energy import RESAMPLES
-from crowdbench.scoring.score import combined, ranks
+from crowdbench.scoring.score import Score, combined, ranks
 
 HOSTILE = (
     "<script>document.title = 'ran'</script>",
@@ -72,21 +80,26 @@ def contents(root: Path) -> dict[str, bytes]:
 # Standings.
 
 
-def test_scores_are_means_of_families_then_of_scenes() -> None:
+def test_scores_combine_families_then_scenes() -> None:
     entry = next(e for e in everyone() if e.id == "ntpp-gmm-bc")
     found = scores(entry)
     each = []
     for name in SCENES:
         families = {f: card.score() for f, card in entry.scenes[name].families.items()}
-        whole = combined(list(families.values()))  # scorer 1 took the mean of all families
-        assert whole is not None
-        assert found[View(scene=name)].value == pytest.approx(whole.value)
+        crowd = [score for f, score in families.items() if f not in WALK]
+        walk = [score for f, score in families.items() if f in WALK]
+        assert len(walk) == 2
+        value = (np.mean([s.value for s in crowd]) + min(s.value for s in walk)) / 2
+        resampled = np.mean([s.resampled for s in crowd], axis=0)
+        resampled = (resampled + np.min([s.resampled for s in walk], axis=0)) / 2
+        assert found[View(scene=name)].value == pytest.approx(value)
+        np.testing.assert_allclose(found[View(scene=name)].resampled, resampled)
         assert found[View("motion", name)].value == families["motion"].value
-        each.append(whole)
-    mean = combined(each)
-    assert mean is not None
-    assert found[View()].value == pytest.approx(mean.value)
-    np.testing.assert_allclose(found[View()].resampled, mean.resampled)
+        each.append(Score(float(value), resampled))
+    assert found[View()].value == pytest.approx(np.mean([score.value for score in each]))
+    np.testing.assert_allclose(
+        found[View()].resampled, np.mean([score.resampled for score in each], axis=0)
+    )
     assert found[View("trips")].value == pytest.approx(
         np.mean([entry.scenes[s].families["trips"].value for s in ("gc-v0", "forum-v0")])
     )
@@ -219,6 +232,7 @@ def preview(tmp_path_factory: pytest.TempPathFactory) -> Path:
     declared = msgspec.structs.replace(bc.declared, name="newcomer")
     newcomer = msgspec.structs.replace(bc, id="newcomer", declared=declared)
     lone = made_up("lone", "walk", 0.5, scenes=("plaza-v0",))
+    lone = msgspec.structs.replace(lone, scorer=bc.scorer)
     root = put([newcomer, lone], tmp_path_factory.mktemp("preview"))
     (root / "RULES.md").unlink()
     build(root)
@@ -480,7 +494,7 @@ def test_the_page_of_an_entry_has_all_that_is_known(board: Path) -> None:
         "goal 91.8 %", entry.scenes["gc-v0"].made_from, "at most 0.46 without copying",
         "crowdbench leaderboard verify leaderboard/submissions/jittered-blocks --out verified",
         "Ada Example, Ben Beispiel: jittered-blocks. crowdbench leaderboard, track\nspawn, scorer "
-        f"1 (crowdbench 0.1.0):\noverall {with_interval(scores(entry)[View()])}; eth-v0 ",
+        f"{SCORER} (crowdbench 0.1.0):\noverall {with_interval(scores(entry)[View()])}; eth-v0 ",
     ):  # fmt: skip
         assert known in text
     for scene in entry.scenes.values():
@@ -847,7 +861,7 @@ def test_the_table_is_written_between_its_comments_and_nowhere_else(tmp_path: Pa
     table, _, after = after.partition(END)
     assert after == "\nafter\n"
     rows = table.strip().splitlines()
-    assert rows[0].startswith("| track | entry | rank | overall | eth-v0 |")
+    assert rows[0].startswith("| track | entry | rank | overall | speed | at goal | eth-v0 |")
     assert "old" not in table
     (tmp_path / "README.md").write_text("no table")
     build(root)
