@@ -1,6 +1,7 @@
 """Classes of the user's own that raise: one message, exit code 2, and what was made is kept."""
 
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -147,10 +148,13 @@ def test_a_spawn_model_that_raises_is_told_likewise(
 def test_workers_tell_it_too_and_what_was_made_before_is_kept(
     name: str, message: str, mine: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    policies = ["--policy", "straight", f"mine:{name}", "--seeds", "3", "--workers", "2"]
-    line = told(capsys, "--spawn", "poisson-gmm", *policies)
+    crowds = ["--spawn", "poisson-gmm", "--policy", "straight"]
+    assert main(["evaluate", "eth-v0", "--seeds", "2", "--out", "out", *crowds]) == 0
+    for made in ("report.html", "scorecard.json", "tables.md"):
+        Path("out", made).unlink(missing_ok=True)
+    line = told(capsys, *crowds, f"mine:{name}", "--seeds", "3", "--workers", "2")
     assert message in line
-    assert "rollout 0 of poisson-gmm × mine:" in line
+    assert re.search(r"rollout [012] of poisson-gmm × mine:", line)
     kept = sorted(path.name for path in Path("out", "rollouts").iterdir())
     assert "poisson-gmm_straight_full_0.parquet" in kept
     assert not [name for name in kept if name.startswith(".") or "mine" in name]

@@ -71,7 +71,7 @@ def cheats_of(scene: Scene) -> list[Cheat]:
     noise_mps = tuple(sigma / scene.dt_s for sigma in sigma_m)
     white = Wanderer("velocity-noise", (noise_mps[0], noise_mps[1]))
     wander = Wanderer("wander", (WANDER_MPS, WANDER_MPS), MEMORY)
-    positions = "straight walkers, white noise on positions, {} the recording's"
+    positions = "straight walkers, white noise on positions: {}the recording's"
     return [
         Cheat("recorded-paths", "recorded people walked", walked(RecordedPaths(crowd)), 1),
         Cheat(
@@ -89,8 +89,12 @@ def cheats_of(scene: Scene) -> list[Cheat]:
         ),
         Cheat("straight", "straight walkers", straight, 1),
         *(
-            Cheat(f"position-noise-{name}", positions.format(name), disturbed(straight, k), SEEDS)
-            for name, k in (("half", 0.5), ("same", 1.0), ("twice", 2.0))
+            Cheat(f"position-noise-{name}", positions.format(much), disturbed(straight, k), SEEDS)
+            for name, much, k in (
+                ("half", "half ", 0.5),
+                ("same", "", 1.0),
+                ("twice", "twice ", 2.0),
+            )
         ),
         Cheat(
             "velocity-noise",
