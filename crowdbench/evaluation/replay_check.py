@@ -6,6 +6,7 @@ from crowdbench.policies import Straight
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Scene
 from crowdbench.spawn import Replay
+from crowdbench.spawn.plans import cut_at_goals
 from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
 TOLERANCE_M = 1e-3
@@ -54,19 +55,9 @@ def arrival_rule_changes(recording: Trajectories, scene: Scene) -> dict[str, str
 
     Returns the results as text for a table, by name.
     """
-    dt_s, radius_m = scene.dt_s, scene.motion.goal_radius_m
-    early = []
-    for p in np.flatnonzero(recording.left).tolist():
-        path = recording.path(p).astype(np.float64)
-        start, way = path[:-1], np.diff(path, axis=0)
-        length2 = (way**2).sum(axis=1)
-        to_goal = path[-1] - start
-        with np.errstate(invalid="ignore", divide="ignore"):
-            t = np.clip(np.nan_to_num((to_goal * way).sum(axis=1) / length2), 0, 1)
-        distance = np.linalg.norm(start + t[:, None] * way - path[-1], axis=1)
-        reached = np.flatnonzero(distance <= radius_m)
-        early.append((len(way) - 1 - reached[0]) * dt_s if len(reached) else 0.0)
-    shortened = np.array(early)
+    cut = cut_at_goals(recording, scene)
+    frames = np.diff(recording.offsets) - np.diff(cut.offsets)
+    shortened = frames[recording.left] * scene.dt_s
     straight = rollout(scene, Replay(recording), Straight(), seed=0)
     ended = np.bincount(straight.outcome, minlength=len(OUTCOMES))
     return {

@@ -67,7 +67,8 @@ def test_a_replay_is_the_recording(opentraj: Path, tmp_path: Path, capsys: Print
     assert re.search(r"replay × replay .* 1\.00 +1\.00", out)  # motion and interaction
     assert "effect of the arrival rule" in out
     (entry,) = json.loads((tmp_path / "out" / "scorecard.json").read_text())["entries"]
-    assert {tuple(m["distances"]) for m in entry["metrics"].values()} == {(0.0,)}
+    distances = [d for m in entry["metrics"].values() for d in m["distances"]]
+    assert max(distances) < 1e-6  # sums of floats
 
 
 @pytest.mark.parametrize(("name", "persons"), [("eth", 360), ("hotel", 390), ("zara01", 148)])

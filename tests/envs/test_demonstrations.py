@@ -101,10 +101,14 @@ def test_the_displaced_come_back_as_smoothly_as_people_walk(shown, recorded) -> 
     # What was added to the changes of velocity is little.
     change = np.abs(acts - seen[:, :2])[moved] - np.abs(did - before[:, :2])[moved]
     assert abs(change.mean()) * PLAZA.motion.max_speed_mps / PLAZA.dt_s < 0.15  # m/s²
-    # Close to the goal an action leads to it, from wherever one is.
+    # The last action leads to where the trip ended, within the goal's disc, from wherever one is.
     last = moved & (left_s < 1.5 * PLAZA.dt_s)
     step_m = acts[last] * PLAZA.dt_s * PLAZA.motion.max_speed_mps
-    way = seen[last, 2:3] * 30 * seen[last, 3:5]
+    ends = recorded.xy[recorded.offsets[1:] - 1][there[last]]
+    assert (
+        np.hypot(*(ends - recorded.goal[there[last]]).T) < PLAZA.motion.goal_radius_m
+    ).mean() > 0.9
+    way = seen[last, 2:3] * 30 * seen[last, 3:5] + ends - recorded.goal[there[last]]
     assert np.median(np.abs(step_m - way)) < 0.01
     again = demonstrations("plaza-v0", rays=8, displaced_m=0.5, recovery_s=2.0, seed=3)
     assert again.observations.tobytes() == other.observations.tobytes()

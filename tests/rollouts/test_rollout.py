@@ -177,8 +177,8 @@ def test_a_replayed_recording_keeps_its_persons(
 
 
 EXCEPTIONS = {
-    # A record of one frame (a life has two), and a path through a tree.
-    "hotel-v0": {"leave in another frame (a trip has at least two frames)": 1, "meet a wall": 1},
+    # A record of one frame.
+    "hotel-v0": {"leave in another frame (a trip has at least two frames)": 1},
     "forum-v0": {},
     "zara1-v0": {},
 }
