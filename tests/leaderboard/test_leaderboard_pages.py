@@ -25,7 +25,13 @@ from crowdbench.leaderboard.pages import build
 from crowdbench.leaderboard.pages.axis import NARROW, bar
 from crowdbench.leaderboard.pages.curves import figure
 from crowdbench.leaderboard.pages.entry_page import entry_page
-from crowdbench.leaderboard.pages.excerpt import BEGIN, END, with_excerpt
+from crowdbench.leaderboard.pages.excerpt import (
+    BEGIN,
+    END,
+    PAPER_BEGIN,
+    paper_metrics,
+    with_excerpt,
+)
 from crowdbench.leaderboard.pages.index import index_page
 from crowdbench.leaderboard.pages.readme import readme
 from crowdbench.leaderboard.pages.standings import TRACKS, View, read_entries, scores, standing
@@ -846,10 +852,30 @@ def test_on_paper_the_controls_are_gone(board: Path, browser: Browser) -> None:
 # The table in the repository's README.
 
 
-def test_the_readme_has_the_table_of_the_entries_that_are_there() -> None:
-    page = (ROOT.parent / "README.md").read_text()
+@pytest.mark.parametrize("name", ["README.md", "docs/results.md"])
+def test_pages_have_the_tables_of_the_entries_that_are_there(name: str) -> None:
+    page = (ROOT.parent / name).read_text()
     entries = read_entries(ROOT / "entries")
     assert with_excerpt(page, [standing(track, entries) for track in TRACKS]) == page
+    assert (BEGIN if name == "README.md" else PAPER_BEGIN) in page
+
+
+def test_the_paper_s_metrics_are_shown_for_all_scenes_and_models_scored_or_not() -> None:
+    entries = everyone()
+    text = paper_metrics([standing(track, entries) for track in TRACKS])
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()[2:]]
+    spawn = standing("spawn", entries)
+    for scene in SCENES:
+        at = [row[0] for row in rows].index(scene)
+        assert rows[at][1] == "*recorded*"
+        here = rows[at + 1 : at + 1 + len(spawn.lines)]
+        assert {row[1] for row in here} == {line.entry.declared.name for line in spawn.lines}
+        for row in here:
+            (entry,) = (line.entry for line in spawn.lines if line.entry.declared.name == row[1])
+            metrics = entry.scenes[scene].metrics
+            for k, metric in enumerate(("agents_over_time", "inter_spawn", "dwell")):
+                assert float(row[2 + 2 * k]) == pytest.approx(metrics[metric].simulated, rel=0.006)
+                assert float(row[3 + 2 * k]) == pytest.approx(metrics[metric].distance, abs=0.0051)
 
 
 def test_the_table_is_written_between_its_comments_and_nowhere_else(tmp_path: Path) -> None:

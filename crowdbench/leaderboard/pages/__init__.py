@@ -1,6 +1,6 @@
 """The leaderboard's pages: `README.md`, `index.html` and a page per entry, from the entries alone.
 
-The table in the README of the repository is written too.
+The tables in the repository's README and `docs/results.md` are written too.
 
 The same entries give the same bytes. Only means over families and scenes are computed here, and
 ranks on the resamples that entries share.
@@ -23,8 +23,9 @@ def build(root: Path) -> list[Path]:
     """Write the pages of `root/entries/*.json` into `root`; pages of removed entries are deleted.
 
     A folder without `RULES.md` becomes a preview: its entries are shown among those that come with
-    crowdbench, and the rules are copied into `pages/`. Otherwise the table in the README of the
-    parent folder is updated too, if that README contains `excerpt.BEGIN`.
+    crowdbench, and the rules are copied into `pages/`. Otherwise the tables in `README.md` and
+    `docs/results.md` of the parent folder are updated too, if these contain the comments of
+    `excerpt`.
 
     Returns:
         Paths of the written pages: `README.md`, `index.html`, then `pages/ID.html` by track.
@@ -56,11 +57,12 @@ def build(root: Path) -> list[Path]:
     if preview:
         rules = read_bytes(shipped / RULES, SettingError, "Reinstall crowdbench.")
         write_text(root / "pages" / RULES, rules.decode())
-    above = root.absolute().parent / "README.md"
-    if not preview and above.is_file():
-        page = above.read_text(encoding="utf-8")
-        if (new := with_excerpt(page, standings)) != page:
-            write_text(above, new)
+    for name in () if preview else ("README.md", "docs/results.md"):
+        outside = root.absolute().parent / name
+        if outside.is_file():
+            page = outside.read_text(encoding="utf-8")
+            if (new := with_excerpt(page, standings)) != page:
+                write_text(outside, new)
     for path in (root / "pages").glob("*.html"):
         if path not in pages:
             _remove(path)

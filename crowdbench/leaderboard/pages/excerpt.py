@@ -1,4 +1,4 @@
-"""The table in the repository's README: the ranked entries by track and scene."""
+"""Tables outside the leaderboard: the ranked entries, and the metrics of the founding paper."""
 
 from collections.abc import Sequence
 
@@ -6,26 +6,57 @@ from crowdbench.leaderboard.pages.standings import Line, Standing, View
 from crowdbench.leaderboard.pages.tables import GATE, OVERALL, gated
 from crowdbench.leaderboard.pages.text import in_markdown
 from crowdbench.leaderboard.submission.schema import SCENES
+from crowdbench.metrics import METRICS, PAPER
 from crowdbench.report.text.markdown import table
-from crowdbench.report.text.words import interval, number
+from crowdbench.report.text.words import NOTHING, digits, interval, number
 
 BEGIN = "<!-- The table is made by `crowdbench leaderboard build`. -->\n"
+PAPER_BEGIN = (
+    "<!-- The table of the paper's metrics is made by `crowdbench leaderboard build`. -->\n"
+)
 END = "<!-- End of the table. -->"
 MEMORY = "block-replay"
 """The reference that is shown beside the ranked entries."""
 
 
 def with_excerpt(page: str, standings: Sequence[Standing]) -> str:
-    """The page with a new table between its two comments; unchanged if it has none."""
-    before, begin, rest = page.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    return f"{before}{begin}\n{excerpt(standings)}\n\n{end}{after}" if begin and end else page
+    """The page with new tables between their comments; unchanged if it has none."""
+    for begin, made in ((BEGIN, excerpt), (PAPER_BEGIN, paper_metrics)):
+        before, begins, rest = page.partition(begin)
+        _, end, after = rest.partition(END)
+        if begins and end:
+            page = f"{before}{begin}\n{made(standings)}\n\n{end}{after}"
+    return page
 
 
 def excerpt(standings: Sequence[Standing]) -> str:
     """The table in Markdown: the ranked entries of all tracks, and the memorisation baseline."""
     head = ["track", "entry", "rank", "overall", *GATE, *SCENES]
     return table(head, [row for each in standings for row in _rows(each)], text=3)
+
+
+def paper_metrics(standings: Sequence[Standing]) -> str:
+    """The three metrics of the founding paper in Markdown, for all scenes and spawn models."""
+    (standing,) = (each for each in standings if each.track == "spawn")
+    by_name = {metric.name: metric for metric in METRICS}
+    head = ["scene", "spawn model"]
+    for name in PAPER:
+        head += [f"`{name}` ({by_name[name].unit})", "distance"]
+    rows = []
+    for scene in standing.scenes:
+        lines = [line for line in standing.ordered(OVERALL) if scene in line.entry.scenes]
+        for k, line in enumerate(lines):
+            known = [line.entry.scenes[scene].metrics[name] for name in PAPER]
+            if k == 0:
+                recorded = (cell for m in known for cell in (_digits(m.recorded), ""))
+                rows.append([scene, "*recorded*", *recorded])
+            simulated = (c for m in known for c in (_digits(m.simulated), f"{m.distance:.2f}"))
+            rows.append(["", in_markdown(line.entry.declared.name), *simulated])
+    return table(head, rows, text=2)
+
+
+def _digits(value: float | None) -> str:
+    return NOTHING if value is None else digits(value)
 
 
 def _rows(standing: Standing) -> list[list[str]]:
