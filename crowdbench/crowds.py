@@ -116,16 +116,21 @@ def score_rollouts(
 ) -> "Scorecard":
     """Score several rollouts of any simulator against the anchors of a scene.
 
-    The scorecard has one entry, called `trajectories`, under the protocol `full`. With
-    `recorded_arrivals` the entry is scored on motion and interaction, otherwise on the other four
-    families. Two rollouts are the least for a score. See `score` for what a crowd has to be.
+    The scorecard has one entry, called `trajectories`, under the protocol `full`. It is scored on
+    arrivals, presence, trips and space, which needs at least two rollouts.
+
+    With `recorded_arrivals`, people must enter at the recorded times and places, and how they walk
+    is scored too: motion and interaction. One rollout is enough for a deterministic simulator.
+    People get the goals of the recorded people whom they stand for; who leaves within 1 m of it has
+    arrived, if the table has no `outcome`. See `score` for what a crowd has to be.
 
     Raises:
         SceneError: the scene does not exist.
         SettingError: there are no crowds.
         WeightsError: the scene has no reference statistics or anchors.
         RecordingError: a crowd belongs to another scene, or its time step or length differs from
-            the scene's.
+            the scene's; or, with `recorded_arrivals`, people do not enter as recorded, or the
+            recording is not imported.
     """
     from crowdbench.evaluation.judge import judge_crowds
     from crowdbench.evaluation.references import reference_of

@@ -28,7 +28,8 @@ def add(commands: "Commands") -> None:
     score.add_argument(
         "--recorded-arrivals",
         action="store_true",
-        help="people enter as recorded: score how they walk (motion and interaction)",
+        help="people enter at the recorded times and places: score how they walk (needs the "
+        "recording)",
     )
     add_json_option(score)
     score.set_defaults(run=_score)
@@ -44,13 +45,23 @@ def _score(args: argparse.Namespace) -> None:
 
 def _scored(args: argparse.Namespace) -> "Scorecard":
     from crowdbench.crowds import score, score_rollouts
+    from crowdbench.errors import SettingError
     from crowdbench.scene import load_scene
+    from crowdbench.scoring.reference import check_fits
     from crowdbench.trajectories.storage import read
 
     scene = load_scene(args.scene)
+    if len({table.resolve() for table in args.table}) < len(args.table):
+        raise SettingError(
+            "crowdbench score",
+            got="a file that is named twice",
+            expected="a file for each rollout",
+        )
     crowds = [read(table, scene=scene.id, dt_s=scene.dt_s) for table in args.table]
+    for table, crowd in zip(args.table, crowds, strict=True):
+        check_fits(crowd, scene, table)
     card = score_rollouts(scene, crowds, recorded_arrivals=args.recorded_arrivals)
-    if len(crowds) > 1:
+    if len(crowds) > 1 or args.recorded_arrivals:
         print_card(card, scene)
         return card
     print(f"\n{args.table[0].name} on {scene.id}: {len(crowds[0])} persons")

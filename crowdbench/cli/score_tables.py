@@ -34,7 +34,7 @@ def print_card(card: "Scorecard", scene: "Scene") -> None:
         f"blocks, {_rollouts(card.rollouts)} of each pair{in_folds}."
     )
     print_fitting(_score_tables(table, names), new_console())
-    for note in _notes(card, scene):
+    for note in _notes(card, scene, table):
         print_note(note)
     print()
     _print_distances(card, names)
@@ -105,7 +105,7 @@ def _gated(row: "Row", limit: str, value: str) -> "Text":
     return Text(f"{value} !", style="bold red") if limit in row.fails else Text(value)
 
 
-def _notes(card: "Scorecard", scene: "Scene") -> list[str]:
+def _notes(card: "Scorecard", scene: "Scene", table: "Sequence[Row]") -> list[str]:
     """Explanations of the scores, and reasons why scores are missing."""
     from crowdbench.recordings.catalogue import SOURCES
     from crowdbench.report.text.words import STEERED
@@ -129,11 +129,16 @@ def _notes(card: "Scorecard", scene: "Scene") -> list[str]:
             "No scores: this scene has no scored metrics yet. Run "
             f"`crowdbench power {scene.asked} --write`."
         )
-    elif card.rollouts < 2 * card.fits:
+    elif any(
+        (row.walk if row.spawn == "replay" else row.crowd) is None
+        for row in table
+        if row.kind == "entry"
+    ):
         in_folds = " in each fold" if card.protocol == "heldout" else ""
         notes.append(
-            f"No scores of your crowds: a score needs at least two rollouts for each of the "
-            f"{card.fits} fits, that is, {2 * card.fits} of each pair{in_folds}; "
+            f"Scores are missing: a score needs at least two rollouts "
+            f"{'' if card.fits == 1 else f'for each of the {card.fits} fits, that is, '}"
+            f"{'' if card.fits == 1 else f'{2 * card.fits} '}of each pair{in_folds}; "
             f"there {'is' if card.rollouts == 1 else 'are'} {card.rollouts}."
         )
     if not walked(card):

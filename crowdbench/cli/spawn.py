@@ -1,6 +1,7 @@
-"""`crowdbench spawn`: test how well a scene's spawn models explain its recording."""
+"""`crowdbench spawn`: test a scene's spawn models, or write a sample of one of them."""
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crowdbench.cli.printing import new_console, new_table, print_note
@@ -12,13 +13,48 @@ if TYPE_CHECKING:
 def add(commands: "Commands") -> None:
     """Add this command to the command line."""
     spawn = commands.add_parser(
-        "spawn", help="test how well a scene's spawn models explain its recording"
+        "spawn", help="test a scene's spawn models, or write who enters when, where and whither"
     )
     spawn.add_argument("scene", help="id of a scene, or its folder")
+    spawn.add_argument(
+        "--sample",
+        type=Path,
+        metavar="FILE",
+        help="write one sample of --model to a CSV or Parquet file, for other simulators",
+    )
+    spawn.add_argument(
+        "--model",
+        default="ntpp-gmm",
+        help="spawn model of --sample (default: ntpp-gmm); replay writes the recorded arrivals",
+    )
+    spawn.add_argument("--seed", type=int, default=0, help="random seed of --sample (default: 0)")
     spawn.set_defaults(run=_spawn)
 
 
 def _spawn(args: argparse.Namespace) -> None:
+    if args.sample is None:
+        _test(args)
+    else:
+        _sample(args)
+
+
+def _sample(args: argparse.Namespace) -> None:
+    from crowdbench.registry import spawn_model
+    from crowdbench.rollouts.episode import arrivals
+    from crowdbench.scene import load_scene
+    from crowdbench.spawn.table import write_events
+
+    scene = load_scene(args.scene)
+    model = spawn_model(args.model, scene)
+    frames = scene.recording.frames
+    events = arrivals(model, scene, seed=args.seed, world=0, warm_up=0, frames=frames)
+    write_events(events, args.sample)
+    print(f"{len(events)} people of {args.model} in {scene.horizon_s:g} s: {args.sample}")
+    if args.model in ("replay", "block-replay"):
+        print_note("The recording remains subject to its owners' terms: do not publish this file.")
+
+
+def _test(args: argparse.Namespace) -> None:
     from crowdbench.scene import load_scene
     from crowdbench.scene_building.spawn_diagnostics import check_models, trained_networks
     from crowdbench.spawn.rescaling import KolmogorovSmirnov

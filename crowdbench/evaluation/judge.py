@@ -9,13 +9,11 @@ import numpy as np
 
 from crowdbench import __version__
 from crowdbench.errors import SettingError
-from crowdbench.evaluation.rollout_jobs import (
-    Job,
-    RolloutSummary,
-    splits_of,
-)
+from crowdbench.evaluation.recorded_arrivals import recognised
+from crowdbench.evaluation.rollout_jobs import Job, RolloutSummary, splits_of
 from crowdbench.metrics import WALK, Metric, Statistics, blamed
 from crowdbench.metrics.motion import STANDING_MPS, Speed
+from crowdbench.registry import recording_of
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import RESAMPLES, Draws, FloorDraws, energy, floor, mean_of
 from crowdbench.scoring.reference import Reference, check_fits
@@ -77,19 +75,25 @@ def judge_crowds(
 
     Raises:
         SettingError: there are no crowds.
-        RecordingError: a crowd does not fit the scene.
+        RecordingError: a crowd does not fit the scene or does not enter as recorded, or the
+            recording that tells this is not imported.
     """
     if not crowds:
         raise SettingError("crowds", got="none", expected="one or more rollouts")
     areas, spawn = read_areas(place), "replay" if recorded_arrivals else TRAJECTORIES
+    recording = recording_of(place) if recorded_arrivals else None
     rolled = {}
     for k, crowd in enumerate(crowds):
         check_fits(crowd, place)
+        if recording is not None:
+            crowd = recognised(crowd, recording, place)
         job = Job(place.id, spawn, TRAJECTORIES, "full", 0, k, Path(), "")
         rolled[job] = RolloutSummary.of_crowd(areas.assign(crowd), reference)
     scale = read_anchors(place).protocols["full"]
-    card = judge(place, reference, rolled, "full", len(crowds), scale)
-    return msgspec.structs.replace(card, fits=1)  # nothing is known of fits
+    # A single rollout under the recorded arrivals is scored as that of a deterministic policy.
+    seeds = max(2, len(crowds)) if recorded_arrivals else len(crowds)
+    card = judge(place, reference, rolled, "full", seeds, scale)
+    return msgspec.structs.replace(card, fits=1, rollouts=len(crowds))  # fits are unknown
 
 
 def draws_of(scene: Scene, reference: Reference, split: str) -> Draws:

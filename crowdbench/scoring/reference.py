@@ -119,31 +119,44 @@ def applicable(blocks: TimeBlocks) -> list[Metric]:
     return [metric for metric in all_metrics() if metric.applies(blocks)]
 
 
-def check_fits(crowd: Trajectories, scene: Scene) -> None:
+def check_fits(crowd: Trajectories, scene: Scene, where: object = None) -> None:
     """Check that a crowd can be compared in the scene's time blocks.
 
+    `where` names the crowd in messages.
+
     Raises:
-        RecordingError: it belongs to another scene, or has another time step or length.
+        RecordingError: it belongs to another scene, has another time step or length, or is mostly
+            outside the scene.
     """
+    where = f"crowd scored on {scene.id}" if where is None else where
     if not np.isclose(crowd.dt_s, scene.dt_s):
         raise RecordingError(
-            f"crowd scored on {scene.id}",
+            where,
             got=f"frames of {crowd.dt_s:g} s",
             expected=f"frames of {scene.dt_s:g} s",
             hint="Resample the trajectories to the scene's time step.",
         )
     if crowd.scene not in (scene.id, scene.recording.name):
-        raise RecordingError(
-            f"crowd scored on {scene.id}", got=f"a crowd of {crowd.scene}", expected=scene.id
-        )
+        raise RecordingError(where, got=f"a crowd of {crowd.scene}", expected=scene.id)
     needed = scene.recording.frames
     if abs(crowd.frames - needed) > scene.frames(scene.protocol.block_s):
         raise RecordingError(
-            f"crowd scored on {scene.id}",
+            where,
             got=f"{crowd.frames} frames ({crowd.duration_s:.1f} s)",
             expected=f"{needed} frames ({needed * scene.dt_s:.1f} s), as long as the recording",
             hint="Both crowds are compared in the same time blocks: simulate for as long as the "
             "recording, and check the time step.",
+        )
+    b = scene.bounds
+    low, high = np.array([b.x_min_m, b.y_min_m]) - 1.0, np.array([b.x_max_m, b.y_max_m]) + 1.0
+    outside = np.any((crowd.xy < low) | (crowd.xy > high), axis=1)
+    if len(crowd.xy) and outside.mean() > 0.5:
+        raise RecordingError(
+            where,
+            got=f"{outside.mean():.0%} of the positions outside {scene.id}",
+            expected=f"x from {b.x_min_m:g} to {b.x_max_m:g} and y from {b.y_min_m:g} to "
+            f"{b.y_max_m:g}",
+            hint="Use metres, and the scene's axes and origin.",
         )
 
 

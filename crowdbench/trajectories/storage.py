@@ -280,9 +280,11 @@ def _numbers(path: Path, table: "pyarrow.Table", name: str) -> np.ndarray:
         )
     values = table.column(name)
     if values.null_count:
+        first = int(np.flatnonzero(values.is_null().to_numpy())[0]) + 1
         raise RecordingError(
             path,
-            got=f"{values.null_count} empty values in column {name}",
+            got=f"an empty or NaN value in {values.null_count} rows of column {name}, first in "
+            f"row {first}",
             expected="a value in each row",
             hint="Remove these rows or correct them in the source.",
         )

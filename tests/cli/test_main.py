@@ -6,17 +6,18 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from crowdbench import __version__
+from crowdbench import __version__, recording_of, rollout
 from crowdbench.cli import main
 from crowdbench.crowds import score
 from crowdbench.recordings.catalogue import SOURCES
 from crowdbench.scene import list_scenes, load_scene
-from crowdbench.trajectories.storage import read
+from crowdbench.trajectories.storage import read, write_csv
 
 Printed = pytest.CaptureFixture[str]
 
@@ -232,3 +233,37 @@ def test_who_is_told_to_stop_says_so_by_its_exit_code_and_leaves_no_half_file(
     assert (process.returncode, err) == (code, f"crowdbench: {told}\n")
     assert list(tmp_path.rglob(".*")) == []
     assert not (tmp_path / "scorecard.json").exists()
+
+
+def test_a_sample_of_a_spawn_model_is_written_for_other_programs(
+    tmp_path: Path, capsys: Printed
+) -> None:
+    from pyarrow import csv, parquet
+
+    asked = ["spawn", "plaza-v0", "--sample"]
+    assert main([*asked, str(tmp_path / "a.csv"), "--model", "replay"]) == 0
+    assert "do not publish" in capsys.readouterr().out
+    recorded = csv.read_csv(tmp_path / "a.csv")
+    recording = recording_of("plaza-v0")
+    assert recorded.num_rows == len(recording)
+    np.testing.assert_allclose(recorded["goal_x"], recording.goal_x, atol=1e-3)
+    np.testing.assert_allclose(recorded["time_s"], recording.requested_s)
+    assert 0.9 * len(recording) < recorded["via_x"].null_count < len(recording)
+    assert main([*asked, str(tmp_path / "b.parquet"), "--seed", "1"]) == 0
+    drawn = parquet.read_table(tmp_path / "b.parquet")
+    assert drawn.num_rows > 100
+    assert drawn["time_s"].to_numpy().max() < 1800
+    assert main([*asked, str(tmp_path / "c.txt")]) == 2
+    assert "expected .csv or .parquet" in capsys.readouterr().err
+
+
+def test_tables_that_cannot_be_scored_are_named(tmp_path: Path, capsys: Printed) -> None:
+    crowd = rollout("plaza-v0", "poisson-gmm", "straight", seed=0)
+    fine, far = tmp_path / "fine.csv", tmp_path / "far.csv"
+    write_csv(crowd, fine)
+    write_csv(replace(crowd, xy=crowd.xy + np.float32(1000)), far)
+    assert main(["score", "plaza-v0", str(fine), str(far)]) == 2
+    err = capsys.readouterr().err
+    assert "far.csv: got 100% of the positions outside plaza-v0" in err
+    assert main(["score", "plaza-v0", str(fine), str(fine)]) == 2
+    assert "a file that is named twice" in capsys.readouterr().err

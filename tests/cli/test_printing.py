@@ -126,7 +126,7 @@ def test_why_there_are_no_scores_is_said(made: int, said: str, capsys: Printed) 
     few = card_of(*map(unscored, USUAL.entries), rollouts=made)
     out = " ".join(printed(few, capsys).split())
     assert (
-        "No scores of your crowds: a score needs at least two rollouts for each of the 5 fits, "
+        "Scores are missing: a score needs at least two rollouts for each of the 5 fits, "
         f"that is, 10 of each pair; {said}."
     ) in out
     assert "No scores" not in printed(USUAL, capsys)

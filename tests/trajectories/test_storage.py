@@ -102,7 +102,11 @@ BROKEN = {
     "no y": ("person_id,frame,x\n7,0,0\n", "columns person_id, frame, x", "a column y"),
     "no time": ("person_id,x,y\n7,0,0\n", "columns person_id, x, y", "a column frame (or time_s)"),
     "two x": ("person_id,frame,x,x,y\n7,0,0,0,0\n", "more than one column x", "only one"),
-    "empty cell": (ROW + "7,1,,0.5\n", "1 empty values in column x", "a value in each row"),
+    "empty cell": (
+        ROW + "7,1,,0.5\n",
+        "value in 1 rows of column x, first in row 2",
+        "a value in each row",
+    ),
     "ragged": (ROW + "7,1,0.5\n", "3", "readable table"),
     "text": (ROW + "7,1,left,0.5\n", "text in column x", "numbers in each row"),
     "date": ("person_id,time_s,x,y\n7,2020-01-01,0,0\n", "values in column time_s", "numbers"),
