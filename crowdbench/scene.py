@@ -336,6 +336,7 @@ def _check(file: _SceneFile, path: Path) -> None:
         require(math.isfinite(value), f"bounds.{name} = {value}", "a finite number")
     walking, gate = file.walking, file.gate
     lags, shifts = walking.lags_ticks, walking.shifts_s
+    shortest_s = max(1.0, walking.tick_frames * file.dt_s)
     for name, holds, got, expected in (
         ("tick_frames", walking.tick_frames >= 1, walking.tick_frames, "1 or more"),
         (
@@ -352,9 +353,9 @@ def _check(file: _SceneFile, path: Path) -> None:
         ),
         (
             "shifts_s",
-            len(shifts) > 0 and all(math.isfinite(s) and s >= 1 for s in shifts),
+            len(shifts) > 0 and all(math.isfinite(s) and s >= shortest_s for s in shifts),
             list(shifts),
-            "numbers of seconds, 1 or more",
+            f"numbers of seconds, {shortest_s:g} or more",
         ),
     ):
         require(holds, f"walking.{name} = {got}", expected)

@@ -177,7 +177,8 @@ class _NoiseCancelled(Metric):
 
     def size(self, sums: Sums) -> int:
         """Number of products at the shortest lag."""
-        return int(next(iter(sums.values()))[1])
+        shortest = min(sums, key=lambda name: int(name.split()[-1]))
+        return int(sums[shortest][1])
 
 
 class Acceleration(_NoiseCancelled):

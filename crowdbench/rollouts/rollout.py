@@ -39,16 +39,16 @@ def rollout(
         CapacityError: there are more people than slots.
         RecordingError: nobody entered.
     """
-    # The type is tested, not the name, because the file of a network may have any name. Subclasses
-    # (`walks.RecordedPaths`) follow recorded paths but leave as with all other policies.
-    replaying = type(policy) is ReplayPolicy
-    if replaying and (not isinstance(spawn, Replay) or start == "empty"):
+    # The type is tested, not the name, because the file of a network may have any name.
+    if isinstance(policy, ReplayPolicy) and (not isinstance(spawn, Replay) or start == "empty"):
         raise SettingError(
-            "policy replay",
+            f"policy {policy.name}",
             got=f"spawn model {spawn.name}, start {start or spawn.start}",
             expected="the spawn model replay, start recorded",
-            hint="The policy replay needs the recorded arrivals.",
+            hint=f"The policy {policy.name} needs the recorded arrivals.",
         )
+    # Its subclass `RecordedPaths` follows recorded paths, but leaves as all other policies do.
+    replaying = type(policy) is ReplayPolicy
     settings = settings or settings_for(policy)
     simulation = Simulation(scene, settings=settings)
     frames = scene.frames(scene.horizon_s if horizon_s is None else horizon_s)

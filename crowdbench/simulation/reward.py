@@ -11,7 +11,8 @@ from jaxtyping import Float32
 
 from crowdbench.errors import SettingError
 from crowdbench.simulation import Simulation
-from crowdbench.simulation.state import GOAL, TO_GOAL, WAITING
+from crowdbench.simulation.state import GOAL, TO_GOAL, TO_VIA, WAITING
+from crowdbench.simulation.step import PASSED_M
 
 PACE_MPS = 0.5
 """Deviation from the preferred speed at which the pace cost is half of its maximum."""
@@ -100,6 +101,8 @@ class Rewarder:
         turned = (self._stage[at] != TO_GOAL) & (slots.stage[at] == TO_GOAL)
         left = np.where(turned, simulation.to_via(at[0], at[1]), simulation.remaining[at])
         nearer -= np.where(arrived, np.minimum(radius, nearer), left)
+        # Giving up a via point is no progress; the straight way to it may lead through walls.
+        nearer[turned & (self._stage[at] == TO_VIA) & (left > PASSED_M)] = 0.0
         self._stage[:] = slots.stage
         before = self._behind[at]
         behind = before + due - nearer

@@ -124,7 +124,11 @@ class Queue(NamedTuple):
             start=stacked([e.start for e in events], 0, np.float32),
             goal=stacked([e.goal for e in events], 0, np.float32),
             via=stacked([e.via for e in events], np.nan, np.float32),
-            wait=stacked([np.ceil(e.wait_s / dt_s - 1e-6) for e in events], 0, np.int32),
+            wait=stacked(
+                [np.clip(np.ceil(e.wait_s / dt_s - 1e-6), 0, never // 4) for e in events],
+                0,
+                np.int32,
+            ),
             speed=stacked([e.speed for e in events], 0, np.float32),
             velocity=stacked([e.velocity for e in events], 0, np.float32),
             waits=stacked([e.entered & ~e.scripted for e in events], 0, np.bool_),

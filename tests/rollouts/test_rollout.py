@@ -10,7 +10,7 @@ from worlds import box, poisson, square
 
 from crowdbench.errors import CapacityError, SettingError
 from crowdbench.evaluation.replay_check import compare_replay
-from crowdbench.policies import Policy, Random, ReplayPolicy, SocialForce, Straight
+from crowdbench.policies import Policy, Random, RecordedPaths, ReplayPolicy, SocialForce, Straight
 from crowdbench.recordings.catalogue import SOURCES, import_recording, read_published
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene
@@ -153,15 +153,21 @@ def test_replay_cannot_begin_with_a_stationary_crowd(eth: Trajectories) -> None:
         rollout(ETH, Replay(eth), Straight(), seed=1, horizon_s=9.0, start="stationary")
 
 
-def test_replay_walks_only_recorded_arrivals(eth: Trajectories) -> None:
+@pytest.mark.parametrize("policy", [ReplayPolicy, RecordedPaths])
+def test_recorded_paths_are_walked_only_after_recorded_arrivals(
+    eth: Trajectories, policy: type[ReplayPolicy]
+) -> None:
     with pytest.raises(SettingError, match="spawn model replay"):
-        rollout(ETH, poisson(ETH), ReplayPolicy(eth), seed=1, horizon_s=9.0)
+        rollout(ETH, poisson(ETH), policy(eth), seed=1, horizon_s=9.0)
 
 
-def test_replay_walks_only_people_of_the_recorded_start(eth: Trajectories) -> None:
+@pytest.mark.parametrize("policy", [ReplayPolicy, RecordedPaths])
+def test_recorded_paths_are_walked_only_by_people_of_the_recorded_start(
+    eth: Trajectories, policy: type[ReplayPolicy]
+) -> None:
     # Without the initial population the events are numbered otherwise than the recorded persons.
     with pytest.raises(SettingError, match="start recorded"):
-        rollout(ETH, Replay(eth), ReplayPolicy(eth), seed=0, start="empty", horizon_s=9.0)
+        rollout(ETH, Replay(eth), policy(eth), seed=0, start="empty", horizon_s=9.0)
 
 
 def test_a_replayed_recording_is_the_recording(eth: Trajectories, replayed: Trajectories) -> None:

@@ -7,6 +7,7 @@ from worlds import Person, box, ended, simulate, square, step
 
 from crowdbench.policies import Random, SocialForce, StateView, Straight
 from crowdbench.rollouts.episode import actions_of, generator
+from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.reward import PARTS, Reward
 from crowdbench.simulation.state import GOAL, TIMEOUT, TO_GOAL, TO_VIA, WAITING
@@ -138,8 +139,10 @@ def test_state_policies_see_target_and_goal() -> None:
     assert view.goal.tolist() == [[9.0, 0.0], [8.0, 0.0]]
 
 
-def reward_of(person: Person, velocities: list[tuple[float, float] | None]) -> list[list[float]]:
-    env = env_of(person, reward=Reward(progress=1.0, arrival=0.0, pace=-1.0))
+def reward_of(
+    person: Person, velocities: list[tuple[float, float] | None], scene: Scene | None = None
+) -> list[list[float]]:
+    env = env_of(person, scene=scene, reward=Reward(progress=1.0, arrival=0.0, pace=-1.0))
     env.reset()
     found = []
     for velocity in velocities:
@@ -154,6 +157,15 @@ def test_progress_continues_when_the_target_changes() -> None:
     found = reward_of(person, [(0.2, 0.0)] * 8)
     progress = [dict(zip(PARTS, parts, strict=True))["progress"] for parts in found]
     np.testing.assert_allclose(progress, 0.4, atol=1e-5)
+
+
+def test_giving_up_is_no_progress() -> None:
+    # The way around the wall is far longer than the straight line through it.
+    wall = box(5.0, -20.0, 5.5, 20.0)
+    person = Person(start=(4.0, 0.0), goal=(-9.0, 0.0), via=(8.5, 0.0), wait_s=9.0, speed=1.0)
+    found = reward_of(person, [None] * 90, square(50.0, wall))
+    progress = [parts[PARTS.index("progress")] for parts in found]
+    np.testing.assert_allclose(progress, 0.0, atol=1e-5)
 
 
 def test_whoever_stands_while_waiting_loses_nothing_and_whoever_runs_does() -> None:
