@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crowdbench.cli.printing import new_console, new_table, print_note
+from crowdbench.errors import SettingError
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -24,18 +25,19 @@ def add(commands: "Commands") -> None:
     )
     spawn.add_argument(
         "--model",
-        default="ntpp-gmm",
         help="spawn model of --sample (default: ntpp-gmm); replay writes the recorded arrivals",
     )
-    spawn.add_argument("--seed", type=int, default=0, help="random seed of --sample (default: 0)")
+    spawn.add_argument("--seed", type=int, help="random seed of --sample (default: 0)")
     spawn.set_defaults(run=_spawn)
 
 
 def _spawn(args: argparse.Namespace) -> None:
-    if args.sample is None:
-        _test(args)
-    else:
+    if args.sample is not None:
         _sample(args)
+    elif args.model is not None or args.seed is not None:
+        raise SettingError("--model and --seed", got="no --sample", expected="--sample FILE")
+    else:
+        _test(args)
 
 
 def _sample(args: argparse.Namespace) -> None:
@@ -44,13 +46,15 @@ def _sample(args: argparse.Namespace) -> None:
     from crowdbench.scene import load_scene
     from crowdbench.spawn.table import write_events
 
-    scene = load_scene(args.scene)
-    model = spawn_model(args.model, scene)
+    scene, seed = load_scene(args.scene), args.seed or 0
+    if seed < 0:
+        raise SettingError("--seed", got=f"{seed}", expected="0 or more")
+    model = spawn_model(args.model or "ntpp-gmm", scene)
     frames = scene.recording.frames
-    events = arrivals(model, scene, seed=args.seed, world=0, warm_up=0, frames=frames)
+    events = arrivals(model, scene, seed=seed, world=0, warm_up=0, frames=frames)
     write_events(events, args.sample)
-    print(f"{len(events)} people of {args.model} in {scene.horizon_s:g} s: {args.sample}")
-    if args.model in ("replay", "block-replay"):
+    print(f"{len(events)} people of {model.name} in {scene.horizon_s:g} s: {args.sample}")
+    if model.name in ("replay", "block-replay"):
         print_note("The recording remains subject to its owners' terms: do not publish this file.")
 
 

@@ -253,8 +253,13 @@ def test_a_sample_of_a_spawn_model_is_written_for_other_programs(
     drawn = parquet.read_table(tmp_path / "b.parquet")
     assert drawn.num_rows > 100
     assert drawn["time_s"].to_numpy().max() < 1800
-    assert main([*asked, str(tmp_path / "c.txt")]) == 2
-    assert "expected .csv or .parquet" in capsys.readouterr().err
+    for more, said in (
+        ([*asked, str(tmp_path / "c.txt")], "expected .csv or .parquet"),
+        ([*asked, str(tmp_path / "c.csv"), "--seed", "-1"], "got -1; expected 0 or more"),
+        (["spawn", "plaza-v0", "--model", "replay"], "got no --sample; expected --sample FILE"),
+    ):
+        assert main(more) == 2
+        assert said in capsys.readouterr().err
 
 
 def test_tables_that_cannot_be_scored_are_named(tmp_path: Path, capsys: Printed) -> None:

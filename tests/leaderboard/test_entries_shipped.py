@@ -35,27 +35,29 @@ def test_all_that_is_shipped_is_an_entry() -> None:
     assert networks <= walked
 
 
+rescored = pytest.mark.xfail(
+    any(read_entry(path).scorer < SCORER for path in ENTRIES),
+    reason="entries of an older scorer await `crowdbench leaderboard rescore`",
+    strict=True,
+)
+"""Tests that fail until all entries are scored by the present scorer, and must not before."""
+
+
+@rescored
 @pytest.mark.parametrize("path", ENTRIES, ids=lambda path: path.stem)
 def test_an_entry_is_of_the_present_files(path: Path) -> None:
     """Who adds one by hand, or changes it or its submission, is found out; and what was trained
     anew is to be verified anew."""
     entry = read_entry(path)
-    assert entry.schema == SCHEMA
+    assert (entry.schema, entry.scorer) == (SCHEMA, SCORER)
     with open_submission(ROOT / "submissions" / entry.id) as submission:
         assert entry.declared == submission.declared
         assert entry.status == submission.status
         assert entry.artefacts == submission.artefacts | submission.shipped
     assert set(entry.scenes) == set(entry.declared.scenes)
-    if entry.scorer < SCORER:
-        return  # before a rescore, entries have the scenes of their scorer
     for scene, of_scene in entry.scenes.items():
         assert of_scene.made_from == files_of(load_scene(scene))
         assert of_scene.protocol == submission.protocol
-
-
-def test_all_entries_are_of_one_scorer() -> None:
-    (scorer,) = {read_entry(path).scorer for path in ENTRIES}
-    assert scorer in (SCORER - 1, SCORER)
 
 
 def numbers(found: object) -> list[float]:
@@ -87,9 +89,8 @@ def plain(entry: Entry) -> Any:
     return msgspec.to_builtins(entry, builtin_types=(bytes,))
 
 
+@rescored
 def test_a_shipped_baseline_gives_its_entry_again(opentraj: Path, tmp_path: Path) -> None:
-    if read_entry(ROOT / "entries/ppo.json").scorer < SCORER:
-        pytest.skip("entries are to be rescored")
     import_recording("eth", opentraj)
     verify(ROOT / "submissions/ppo", tmp_path, workers=1)
     entry, committed = read_entry(tmp_path / "ppo.json"), read_entry(ROOT / "entries/ppo.json")
