@@ -190,8 +190,8 @@ def evaluate(
     never scored.
 
     If the recording is imported, policies are also scored under the recorded arrivals. A
-    deterministic policy needs only one rollout there. The policy `replay` works only with the
-    spawn model `replay`; other pairs with it are skipped.
+    deterministic policy needs only one rollout there. The policies `replay` and
+    `recorded-paths` work only with the spawn model `replay`; other pairs with them are skipped.
 
     Writes `scorecard.json`, `run.json`, `report.html`, `rollouts/*.parquet` and the figures into
     `out`. Existing rollouts are kept if nothing that they depend on has changed.

@@ -21,13 +21,14 @@ def add(commands: "Commands") -> None:
 def _cheats(args: argparse.Namespace) -> None:
     from crowdbench.metrics import METRICS, WALK
     from crowdbench.report.text.words import interval, number, share, speed
-    from crowdbench.scoring.scorecard import metric_scores, rows
+    from crowdbench.scoring.scorecard import metric_scores, rows, scale_of
     from crowdbench.studies.cheats import cheat
 
     with progress_bar("crowds") as progress:
         card, what = cheat(args.scene, progress=progress)
     by_policy = {row.policy: row for row in rows(card) if row.kind == "entry"}
-    scores = {name: metric_scores(card, row.entry) for name, row in by_policy.items()}
+    scale = scale_of(card)
+    scores = {name: metric_scores(scale, row.entry) for name, row in by_policy.items()}
     walking = [m.name for m in METRICS if m.family in WALK and m.name in card.scored]
     table = new_table("cheat", "motion", "interaction", "walk", "speed", "at goal")
     for name, row in by_policy.items():

@@ -36,8 +36,9 @@ def add(commands: "Commands") -> None:
         nargs="+",
         metavar="POLICY",
         default=["straight", "social-force"],
-        help="policies: straight, social-force, random, replay, FILE.onnx, a folder with such a "
-        "file for each fold, or pkg.module:Class (default: straight social-force)",
+        help="policies: straight, social-force, random, replay and recorded-paths (these two with "
+        "the spawn model replay), FILE.onnx, a folder with such a file for each fold, or "
+        "pkg.module:Class (default: straight social-force)",
     )
     evaluate.add_argument(
         "--metric",

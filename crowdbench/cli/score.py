@@ -40,10 +40,12 @@ def _score(args: argparse.Namespace) -> None:
 
     with json_written(args.json) as write:
         card = _scored(args)
-        write(score_rows(card))
+        if card is not None:
+            write(score_rows(card))
 
 
-def _scored(args: argparse.Namespace) -> "Scorecard":
+def _scored(args: argparse.Namespace) -> "Scorecard | None":
+    """Print the results; the scorecard, or None if it is not needed."""
     from crowdbench.crowds import score, score_rollouts
     from crowdbench.errors import SettingError
     from crowdbench.scene import load_scene
@@ -60,8 +62,11 @@ def _scored(args: argparse.Namespace) -> "Scorecard":
     crowds = [read(table, scene=scene.id, dt_s=scene.dt_s) for table in args.table]
     for table, crowd in zip(args.table, crowds, strict=True):
         check_fits(crowd, scene, table)
-    card = score_rollouts(scene, crowds, recorded_arrivals=args.recorded_arrivals)
-    if len(crowds) > 1 or args.recorded_arrivals:
+    several = len(crowds) > 1 or args.recorded_arrivals
+    card = None
+    if several or args.json is not None:  # a scene of one's own may have no anchors yet
+        card = score_rollouts(scene, crowds, recorded_arrivals=args.recorded_arrivals)
+    if card is not None and several:
         print_card(card, scene)
         return card
     print(f"\n{args.table[0].name} on {scene.id}: {len(crowds[0])} persons")

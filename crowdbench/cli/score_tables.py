@@ -109,7 +109,7 @@ def _notes(card: "Scorecard", scene: "Scene", table: "Sequence[Row]") -> list[st
     """Explanations of the scores, and reasons why scores are missing."""
     from crowdbench.recordings.catalogue import SOURCES
     from crowdbench.report.text.words import STEERED
-    from crowdbench.scoring.scorecard import ANCHOR, steered, walked
+    from crowdbench.scoring.scorecard import ANCHOR, has_recorded_arrivals, steered
 
     notes = [
         f"Scores: 0 is the score of the anchor ({' × '.join(ANCHOR)}; for motion and interaction, "
@@ -141,7 +141,7 @@ def _notes(card: "Scorecard", scene: "Scene", table: "Sequence[Row]") -> list[st
             f"{'' if card.fits == 1 else f'{2 * card.fits} '}of each pair{in_folds}; "
             f"there {'is' if card.rollouts == 1 else 'are'} {card.rollouts}."
         )
-    if not walked(card):
+    if not has_recorded_arrivals(card):
         name = scene.recording.name
         how = "fetch" if name in SOURCES else "import"
         notes.append(

@@ -1,6 +1,8 @@
 """`crowdbench spawn`: test a scene's spawn models, or write a sample of one of them."""
 
 import argparse
+import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +16,8 @@ if TYPE_CHECKING:
 def add(commands: "Commands") -> None:
     """Add this command to the command line."""
     spawn = commands.add_parser(
-        "spawn", help="test a scene's spawn models, or write who enters when, where and whither"
+        "spawn",
+        help="test a scene's spawn models, or write the arrivals of one of them",
     )
     spawn.add_argument("scene", help="id of a scene, or its folder")
     spawn.add_argument(
@@ -41,20 +44,24 @@ def _spawn(args: argparse.Namespace) -> None:
 
 
 def _sample(args: argparse.Namespace) -> None:
-    from crowdbench.registry import spawn_model
+    from crowdbench.registry import GENERATED, spawn_model
     from crowdbench.rollouts.episode import arrivals
     from crowdbench.scene import load_scene
+    from crowdbench.spawn.scenario import split_scenario
     from crowdbench.spawn.table import write_events
 
+    sys.path.insert(0, os.getcwd())  # so that pkg.module:Class is found in the working directory
     scene, seed = load_scene(args.scene), args.seed or 0
     if seed < 0:
         raise SettingError("--seed", got=f"{seed}", expected="0 or more")
-    model = spawn_model(args.model or "ntpp-gmm", scene)
+    name = args.model or "ntpp-gmm"
+    model = spawn_model(name, scene)
     frames = scene.recording.frames
     events = arrivals(model, scene, seed=seed, world=0, warm_up=0, frames=frames)
     write_events(events, args.sample)
-    print(f"{len(events)} people of {model.name} in {scene.horizon_s:g} s: {args.sample}")
-    if model.name in ("replay", "block-replay"):
+    print(f"written to {args.sample}: {len(events)} people of {model.name}, {scene.horizon_s:g} s")
+    copied = split_scenario(name)[0] in ("replay", "block-replay")
+    if copied and scene.recording.name not in GENERATED:
         print_note("The recording remains subject to its owners' terms: do not publish this file.")
 
 

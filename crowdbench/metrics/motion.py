@@ -21,7 +21,8 @@ from crowdbench.trajectories.table import Trajectories
 
 FASTEST_MPS = 100.0
 LARGEST = 1e6
-"""m²/s⁴. Larger values and products only occur in broken tables; they are clipped."""
+"""Speeds, and products of accelerations (m²/s⁴), are clipped at these values. Larger ones only
+occur in broken tables."""
 STANDING_MPS = 0.3
 """Slower displacements have no reliable direction."""
 PRODUCT = 1e-6

@@ -85,7 +85,7 @@ class Autocorrelation(Metric):
 
     def applies(self, blocks: TimeBlocks) -> bool:
         """Whether the blocks are long enough for at least one lag."""
-        return bool(counted(LAGS_S, blocks))
+        return bool(usable_lags(LAGS_S, blocks))
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`lag n s[b]`: n, Σx, Σx′, Σxx′, Σx², Σx′² in block b, for every lag, used or not."""
@@ -96,14 +96,14 @@ class Autocorrelation(Metric):
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
         """The correlation at each lag that is used."""
-        each = [correlation(sums[lag_key(lag_s)]) for lag_s in counted(LAGS_S, blocks)]
+        each = [correlation(sums[lag_key(lag_s)]) for lag_s in usable_lags(LAGS_S, blocks)]
         return np.stack(each, axis=-1)
 
     def weights(
         self, recorded: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, " #F"]:
         """1 / number of lags: the distance is a mean over the lags."""
-        return np.full(1, 1 / len(counted(LAGS_S, blocks)))
+        return np.full(1, 1 / len(usable_lags(LAGS_S, blocks)))
 
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
         """Mean correlation over the lags."""
@@ -128,7 +128,7 @@ def lagged(
     return found
 
 
-def counted(lags_s: Sequence[float], blocks: TimeBlocks) -> list[float]:
+def usable_lags(lags_s: Sequence[float], blocks: TimeBlocks) -> list[float]:
     """The lags for which enough frames have a frame one lag later in the same block."""
     length = np.diff(blocks.frames)
     return [

@@ -75,7 +75,9 @@ class ReplayPolicy:
         crowd = self.recording
         if len(seen.event) and seen.event.max() >= len(crowd):
             raise SettingError(
-                "policy replay", got="arrivals of another model", expected="the spawn model replay"
+                f"policy {self.name}",
+                got="arrivals of another model",
+                expected="the spawn model replay",
             )
         row = crowd.offsets[seen.event] + (seen.frame + 1 - crowd.first[seen.event])
         row = np.clip(row, crowd.offsets[seen.event], crowd.offsets[seen.event + 1] - 1)

@@ -64,7 +64,8 @@ def read_recording(
         # mid-scene, which would look like a pause.
         crowd = at_scene_frames(crowd, pauses=layout not in ("gc", "forum"), where=path)
     _check_motion(crowd, path)
-    return replace(crowd, scene=name)
+    crowd = replace(crowd, scene=name)
+    return crowd if (crowd.group >= 0).any() else with_companions(crowd)
 
 
 def read_rows(
@@ -107,7 +108,7 @@ def read_rows(
         ) from error
     notes = {**crowd.provenance.get("notes", {}), **_transform(layout)}
     provenance = {"source": path.name, "sha256": hash_of(files), "notes": notes}
-    return with_companions(replace(crowd, provenance=provenance))
+    return replace(crowd, provenance=provenance)
 
 
 def _read_by_others(
@@ -139,7 +140,7 @@ def _read_by_others(
     }
     notes = crowd.provenance.get("notes", {})
     provenance = {"source": path.name, "sha256": hash_of(hashed), "notes": notes}
-    return with_companions(replace(crowd, provenance=provenance))
+    return replace(crowd, provenance=provenance)
 
 
 def import_own(

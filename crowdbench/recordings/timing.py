@@ -94,6 +94,7 @@ def at_scene_frames(crowd: Trajectories, *, pauses: bool, where: object) -> Traj
         "spawn_s": np.maximum(0.0, crowd.spawn_s - begin * crowd.dt_s),
         "entered": crowd.entered,
         "left": crowd.left,
+        "group": crowd.group,
     }
     thinned = from_rows(
         scene=crowd.scene,

@@ -38,7 +38,9 @@ def import_recording(name: str, source: Path | None = None) -> Trajectories:
 
 
 def recording_of(scene: str | Path | Scene) -> Trajectories:
-    """Recording of a scene, with people assigned to the scene's spawn and goal areas.
+    """Recording of a scene as models and metrics use it.
+
+    Trips are cut off at their goals, and people are assigned to the scene's spawn and goal areas.
 
     Raises:
         SceneError: the scene does not exist.

@@ -42,8 +42,6 @@ TICK_S = 0.4
 WINDOW_S = 3.2
 LEAST_WINDOW = 7
 """Speeds are measured over at least this time and this number of ticks."""
-LONGEST_LAG_S = 4.0
-"""Longest time scale at which the noise of positions is estimated."""
 BUSY_SHIFTS_S = (60.0,)
 """A single shift is sufficient where very many people meet."""
 
@@ -157,12 +155,17 @@ def walking_of(crowd: Trajectories) -> Walking:
     )
 
 
+def _busy(crowd: Trajectories) -> bool:
+    """Whether so many people are present that rollouts take minutes."""
+    return len(crowd.xy) * crowd.dt_s > BUSY_PERSON_S
+
+
 def protocol_of(crowd: Trajectories, *, fits: int | None, rollouts_per_fit: int | None) -> Protocol:
     """Length of time blocks by the observed duration, and the number of fits and rollouts."""
     observed_s = _observed_s(crowd)
     block_s = next(block_s for longest_s, block_s in BLOCKS_S if observed_s <= longest_s)
     usual = 10 if block_s <= SHORT_BLOCK_S else 6
-    if len(crowd.xy) * crowd.dt_s > BUSY_PERSON_S:  # rollouts take minutes
+    if _busy(crowd):
         usual = 3
     return Protocol(
         block_s=block_s,

@@ -161,8 +161,7 @@ def check_fits(crowd: Trajectories, scene: Scene, where: object = None) -> None:
 
 
 _Count = Annotated[int, msgspec.Meta(ge=0)]
-# Sums of products may be negative.
-_Value = Annotated[int, msgspec.Meta(ge=0, lt=10**6)]  # a histogram is as long as its largest value
+_Column = Annotated[int, msgspec.Meta(ge=0, lt=10**6)]  # histograms have that many columns
 
 
 class _ReferenceFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -177,8 +176,9 @@ class _ReferenceFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     opens: list[bool]
     spawn_areas: int
     goal_areas: int
-    statistics: dict[str, dict[str, tuple[int, list[list[tuple[_Value, int]]]]]]
-    """By metric and statistic: the number of columns, and per block the pairs (column, count)."""
+    statistics: dict[str, dict[str, tuple[int, list[list[tuple[_Column, int]]]]]]
+    """By metric and statistic: the number of columns, and per block the pairs (column, value).
+    Values may be negative: some are sums of products."""
 
 
 def write_reference(reference: Reference, scene: Scene) -> Path:

@@ -52,7 +52,7 @@ ANCHORS = (
 )
 """The unranked baselines that every table shows: pairs of a spawn model and a policy."""
 
-WALKED = ("replay", "recorded-paths")
+GATE_STANDARD = ("replay", "recorded-paths")
 """The spawn model and policy whose speed and arrivals are the standard of the scene's gate."""
 RECORDED_POLICIES = ("replay", "recorded-paths")
 """Policies that follow recorded paths. They need recorded arrivals and are not ranked."""
@@ -174,7 +174,7 @@ class Row:
     """Rank by `overall` if every entry has one, otherwise by `crowd`."""
 
 
-def walked(card: Scorecard) -> bool:
+def has_recorded_arrivals(card: Scorecard) -> bool:
     """Whether the policies were also evaluated under the recorded arrivals."""
     return any(entry.spawn == "replay" for entry in card.entries)
 
@@ -195,10 +195,12 @@ def scale_of(card: Scorecard) -> dict[str, tuple[Energy, Energy]]:
     return found
 
 
-def metric_scores(card: Scorecard, entry: PairResult) -> dict[str, Score | None]:
-    """The score of an entry in each scored metric; None if it has none."""
+def metric_scores(
+    scale: dict[str, tuple[Energy, Energy]], entry: PairResult
+) -> dict[str, Score | None]:
+    """The score of an entry in each scored metric, on the scale of `scale_of`; None for none."""
     scores: dict[str, Score | None] = {}
-    for name, (floor, anchor) in scale_of(card).items():
+    for name, (floor, anchor) in scale.items():
         energy = entry.metrics[name].energy
         scores[name] = score_of(energy.energy(), floor, anchor) if energy is not None else None
     return scores
@@ -211,10 +213,11 @@ def rows(card: Scorecard) -> list[Row]:
     (spawn model `replay`). They apply to all entries with the same policy.
     """
     everyone = [*card.entries, *card.scale.anchors]
-    of_entry = {id(e): metric_scores(card, e) for e in everyone}
+    scale = scale_of(card)
+    of_entry = {id(e): metric_scores(scale, e) for e in everyone}
     under_recorded = {e.policy: e for e in reversed(everyone) if e.spawn == "replay"}
     walkers = {policy: of_entry[id(e)] for policy, e in under_recorded.items()}
-    recorded = walked(card)
+    recorded = has_recorded_arrivals(card)
 
     def row(entry: PairResult, kind: Literal["entry", "anchor"]) -> Row:
         scores = dict(of_entry[id(entry)])
@@ -238,9 +241,9 @@ def rows(card: Scorecard) -> list[Row]:
     return [*_ranked(entries), *anchors]
 
 
-def walked_as_recorded(card: Scorecard) -> PairResult:
+def gate_standard(card: Scorecard) -> PairResult:
     """The result of recorded people walked under the rules of the simulation."""
-    return next(e for e in card.scale.anchors if (e.spawn, e.policy) == WALKED)
+    return next(e for e in card.scale.anchors if (e.spawn, e.policy) == GATE_STANDARD)
 
 
 def failures(card: Scorecard, entry: PairResult) -> tuple[Limit, ...]:
@@ -248,9 +251,9 @@ def failures(card: Scorecard, entry: PairResult) -> tuple[Limit, ...]:
 
     `entry` is the policy's result under the recorded arrivals. Its mean walking speed and its share
     of people at their goals are compared with those of recorded people walked. A share that is
-    unknown, as for rollouts of other simulators, is not compared.
+    unknown, as for the policy `replay`, is not compared.
     """
-    standard = walked_as_recorded(card)
+    standard = gate_standard(card)
     found: list[Limit] = []
     if standard.speed_mps is not None:
         speed = 0.0 if entry.speed_mps is None else entry.speed_mps

@@ -1,7 +1,8 @@
 """The observation kernel.
 
 There are three versions. Each is a float32 vector with values in [−1, 1] and ends with R rays.
-`lidar-1` contains, by index:
+Below, the *goal* is the person's target: its via point until its wait there is over, then its goal
+(see `Simulation`). `lidar-1` contains, by index:
 
 - 0, 1: velocity / max_speed
 - 2: min(distance to the goal, GOAL_RANGE_M) / GOAL_RANGE_M
@@ -154,9 +155,9 @@ def observe(
 ):  # fmt: skip
     """Write the observations of everyone present or ended in this step to `out` (W, N, head + R).
 
-    `target` (W, N, 2) is the next point on the path to the goal, `beyond` (W, N) the remaining
-    length of the path from there, and `bounds` is x_min, x_max, y_min, y_max. Also writes the
-    length of the path to the goal to `remaining` (W, N), and the distance to the nearest visible
+    `target` (W, N, 2) is the next point on the path to the person's target, `beyond` (W, N) the
+    remaining length of the path from there, and `bounds` is x_min, x_max, y_min, y_max. Also writes
+    the length of the whole path to `remaining` (W, N), and the distance to the nearest visible
     person to `nearest` (W, N), infinite if there is none. All lengths are in metres.
     """
     # Arrays are unpacked once, because each access through a bundle costs as much as a ray.

@@ -1,6 +1,6 @@
 """The reward of the environments: a weighted sum of five parts.
 
-Its unit is one metre of progress to the goal. Walking at the preferred speed is optimal for every
+Its unit is one metre of progress to the target. Walking at the preferred speed is optimal for every
 discount factor; see `Reward`.
 """
 
@@ -99,7 +99,8 @@ class Rewarder:
         radius = np.float32(scene.motion.goal_radius_m)
         # Where the target has just changed, progress is that to the former one.
         turned = (self._stage[at] != TO_GOAL) & (slots.stage[at] == TO_GOAL)
-        left = np.where(turned, simulation.to_via(at[0], at[1]), simulation.remaining[at])
+        left = simulation.remaining[at]
+        left[turned] = simulation.to_via(at[0][turned], at[1][turned])
         nearer -= np.where(arrived, np.minimum(radius, nearer), left)
         # Giving up a via point is no progress; the straight way to it may lead through walls.
         nearer[turned & (self._stage[at] == TO_VIA) & (left > PASSED_M)] = 0.0

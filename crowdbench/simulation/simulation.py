@@ -213,10 +213,7 @@ class Simulation:
     def to_via(
         self, world: Int[np.ndarray, " n"], slot: Int[np.ndarray, " n"]
     ) -> Float32[np.ndarray, " n"]:
-        """Straight distance of the persons in these worlds and slots to their via points, metres.
-
-        NaN for people without one.
-        """
+        """Straight distance of people, given by world and slot, to their via points, metres."""
         via = self._queue.via[world, self.slots.event[world, slot]]
         off = via - self.slots.position[world, slot]
         distance: np.ndarray = np.sqrt((off * off).sum(axis=-1))

@@ -66,13 +66,13 @@ def advance(actions, slots, queue, clock, limits, walls):
                 velocity[w, i, 0] = (to_x - x) / dt
                 velocity[w, i, 1] = (to_y - y) / dt
                 hit_wall[w, i] = hit
-                to_goal, since = np.inf, born[w, i]
+                to_goal = np.inf
                 if stage[w, i] != TO_GOAL:
                     _visit(w, i, frame, x, y, to_x, to_y, slots, queue, limits)
                 if stage[w, i] == TO_GOAL:
                     goal_x, goal_y = np.float64(goal[w, i, 0]), np.float64(goal[w, i, 1])
                     to_goal = distance_to_segment(goal_x, goal_y, x, y, to_x, to_y)
-                since += wait[w, event[w, i]]
+                since = born[w, i] + wait[w, event[w, i]]
                 how = outcome(
                     to_goal, to_x, to_y, frame, since, leave[w, i], scripted[w, i], horizon, limits,
                 )  # fmt: skip

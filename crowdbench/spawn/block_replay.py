@@ -29,8 +29,8 @@ class BlockReplay:
 
     People have their recorded goals, companions, stops and preferred speeds; see `plans_of`. So
     that no arrival is discarded, people who were not seen to leave get a goal drawn from the
-    scene's areas given their spawn area, and people with only one recorded frame get a speed drawn
-    from the recorded ones.
+    scene's areas given their spawn area, and people without a preferred speed get one drawn from
+    the scene's.
     """
 
     recording: Trajectories

@@ -29,8 +29,7 @@ FLOW = np.array(
     [[0.0, 0.5, 0.3, 0.2], [0.6, 0.0, 0.1, 0.3], [0.3, 0.2, 0.0, 0.5], [0.2, 0.3, 0.5, 0.0]]
 )
 SPEED_MPS, SPEED_SD_MPS = 1.34, 0.26  # Weidmann (1993), Transporttechnik der Fußgänger
-STATES = ("quiet", "busy")
-STAY_S = (30.0, 12.0)  # mean stay in each state
+STAY_S = (30.0, 12.0)  # mean stay in the quiet and in the busy state
 GROUPS_PER_S = np.array([[0.02, 0.30], [0.03, 0.20], [0.01, 0.15], [0.02, 0.25]])  # by state
 NEXT_MEMBER = 0.4  # P(a group has one more member)
 

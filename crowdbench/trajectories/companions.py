@@ -53,6 +53,6 @@ def groups_of(crowd: Trajectories) -> Int[np.ndarray, " P"]:
     label = connected_components(links, directed=False)[1]
     alone = np.bincount(label, minlength=1)[label] == 1
     _, first = np.unique(label[~alone], return_index=True)
-    number = np.full(size + 1, -1, dtype=np.int32)
+    number = np.full(size, -1, dtype=np.int32)
     number[label[~alone][np.sort(first)]] = np.arange(len(first))
-    return np.where(alone, -1, number[label]).astype(np.int32)
+    return number[label]

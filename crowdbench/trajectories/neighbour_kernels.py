@@ -42,7 +42,7 @@ def nearest(xy, begins, far_m):
 
 @njit(cache=True, error_model="numpy")
 def companions(xy, begin, stop, first, half, late, least, share, within_m, relative_m):
-    """Pairs (n, 2) of companions, as indices of persons; see `companions`.
+    """Pairs (n, 2) of companions, as indices of persons; see `crowdbench.trajectories.companions`.
 
     Person p has the rows `begin[p]` to `stop[p]`; persons are sorted by `first` frame. Times are in
     frames: velocities are measured over `half` frames before and after, people enter at most `late`

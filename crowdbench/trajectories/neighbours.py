@@ -3,7 +3,7 @@
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from crowdbench.trajectories.table import Trajectories
 
@@ -12,26 +12,15 @@ FAR_M = 5e3
 
 
 @lru_cache(maxsize=1)  # several metrics search for neighbours in the same crowd
-def _by_frame(
-    crowd: Trajectories,
-) -> tuple[Float[np.ndarray, "R 2"], Int[np.ndarray, " _"], Int[np.ndarray, " R"]]:
-    """Positions as the kernels expect them, the start of each frame, and the original rows."""
-    from crowdbench.trajectories.neighbour_kernels import sort_from_left
+def nearest_neighbour_m(crowd: Trajectories) -> Float[np.ndarray, " R"]:
+    """Distance of each row to the nearest other person in the same frame; infinite if alone."""
+    from crowdbench.trajectories.neighbour_kernels import nearest, sort_from_left
 
     frame = crowd.row_frame()
     row = np.argsort(frame, kind="stable")
     begins = np.concatenate([[0], np.cumsum(np.bincount(frame))])
     xy = crowd.xy[row].astype(np.float64)
     sort_from_left(xy, row, begins)
-    return xy, begins, row
-
-
-@lru_cache(maxsize=1)
-def nearest_neighbour_m(crowd: Trajectories) -> Float[np.ndarray, " R"]:
-    """Distance of each row to the nearest other person in the same frame; infinite if alone."""
-    from crowdbench.trajectories.neighbour_kernels import nearest
-
-    xy, begins, row = _by_frame(crowd)
     result = np.empty(len(row))
     result[row] = nearest(xy, begins, FAR_M)
     return result

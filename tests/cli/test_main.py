@@ -242,7 +242,7 @@ def test_a_sample_of_a_spawn_model_is_written_for_other_programs(
 
     asked = ["spawn", "plaza-v0", "--sample"]
     assert main([*asked, str(tmp_path / "a.csv"), "--model", "replay"]) == 0
-    assert "do not publish" in capsys.readouterr().out
+    assert "do not publish" not in capsys.readouterr().out  # the plaza is nobody's recording
     recorded = csv.read_csv(tmp_path / "a.csv")
     recording = recording_of("plaza-v0")
     assert recorded.num_rows == len(recording)
@@ -260,6 +260,17 @@ def test_a_sample_of_a_spawn_model_is_written_for_other_programs(
     ):
         assert main(more) == 2
         assert said in capsys.readouterr().err
+
+
+def test_arrivals_of_a_recording_are_not_to_be_published(
+    opentraj: Path, tmp_path: Path, capsys: Printed
+) -> None:
+    assert main(["data", "import", "eth", "--source", str(opentraj)]) == 0
+    asked = ["spawn", "eth-v0", "--sample", str(tmp_path / "a.csv"), "--model"]
+    for model, copied in (("replay", True), ("block-replay", True), ("poisson-gmm", False)):
+        capsys.readouterr()
+        assert main([*asked, model]) == 0
+        assert ("do not publish" in capsys.readouterr().out) == copied
 
 
 def test_tables_that_cannot_be_scored_are_named(tmp_path: Path, capsys: Printed) -> None:

@@ -15,7 +15,7 @@ from crowdbench.recordings.convert import WRITERS
 from crowdbench.recordings.own import FORMATS, import_own, read_recording
 from crowdbench.recordings.timing import at_scene_frames
 from crowdbench.registry import recording
-from crowdbench.trajectories.storage import write_parquet
+from crowdbench.trajectories.storage import read_columns, write_csv, write_parquet
 from crowdbench.trajectories.table import Trajectories
 
 
@@ -107,6 +107,32 @@ def test_a_recording_begins_with_its_first_row() -> None:
 def test_who_a_table_says_was_there_before_has_not_entered() -> None:
     crowd = crowd_of([(0, 9), (3, 9)], dt_s=0.4, persons={"entered": [False, False]})
     assert not at_scene_frames(crowd, pauses=True, where="here").entered.any()
+
+
+def side_by_side() -> Trajectories:
+    """Two who walk together, and one who is alone."""
+    x = 1.2 * 0.4 * np.arange(40)
+    xy = np.concatenate([np.c_[x, np.full(40, y)] for y in (0.0, 0.7, 6.0)])
+    return crowd_of([(0, 39)] * 3, dt_s=0.4, xy=xy, frames=60)
+
+
+def test_companions_of_a_new_place_are_found(tmp_path: Path) -> None:
+    crowd = side_by_side()
+    lines = (f"{p},{t},{x},{y}" for p in range(3) for t, (x, y) in enumerate(crowd.path(p)))
+    (tmp_path / "mine.csv").write_text("\n".join(["person_id,frame,x,y", *lines]))
+    found = read_recording(tmp_path / "mine.csv", "csv", name="mine", dt_s=0.4)
+    assert found.group.tolist() == [0, 0, -1]
+
+
+def test_companions_that_a_table_states_are_kept(tmp_path: Path) -> None:
+    stated = replace(side_by_side(), group=np.array([-1, 4, 4], np.int32))
+    write_csv(stated, tmp_path / "mine.csv")
+    found = read_recording(tmp_path / "mine.csv", "csv", name="mine", dt_s=0.4)
+    assert found.group.tolist() == [-1, 4, 4]
+    assert (
+        main(["convert", str(tmp_path / "mine.csv"), str(tmp_path / "b.csv"), "--dt", "0.4"]) == 0
+    )
+    assert read_columns(tmp_path / "b.csv")["group"][-1] == 4
 
 
 def test_a_table_that_crowdbench_wrote_is_taken_as_it_is(

@@ -14,7 +14,8 @@ from crowdbench.trajectories.blocks import cut
 
 BLOCKS = cut(np.array([[0, 40]]), block_s=10.0, dt_s=1.0, grid_s=1.0)
 DRAWS = Draws.of(BLOCKS, resample_s=10.0, block_s=10.0, seed=(0,))
-HISTOGRAMS = [m for m in METRICS if m.name in ("agents_over_time", "speed", "nearest_neighbour")]
+BY_NAME = {metric.name: metric for metric in METRICS}
+HISTOGRAMS = [BY_NAME[name] for name in ("agents_over_time", "speed", "nearest_neighbour")]
 
 
 def crowd(rng: np.random.Generator) -> Statistics:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from crowdbench.leaderboard.pages.standings import Line, Standing, View
 from crowdbench.leaderboard.pages.tables import GATE, OVERALL, gated
-from crowdbench.leaderboard.pages.text import in_markdown
+from crowdbench.leaderboard.pages.text import decimals, in_markdown
 from crowdbench.leaderboard.submission.schema import SCENES
 from crowdbench.metrics import METRICS, PAPER
 from crowdbench.report.text.markdown import table
@@ -50,7 +50,7 @@ def paper_metrics(standings: Sequence[Standing]) -> str:
             if k == 0:
                 recorded = (cell for m in known for cell in (_digits(m.recorded), ""))
                 rows.append([scene, "*recorded*", *recorded])
-            simulated = (c for m in known for c in (_digits(m.simulated), f"{m.distance:.2f}"))
+            simulated = (c for m in known for c in (_digits(m.simulated), decimals(m.distance)))
             rows.append(["", in_markdown(line.entry.declared.name), *simulated])
     return table(head, rows, text=2)
 

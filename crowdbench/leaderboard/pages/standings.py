@@ -151,9 +151,8 @@ def scores(entry: Entry) -> dict[View, Score]:
 
     A scene's score combines its families (see `total_score`), if no scored family is missing. The
     overall score, in total and of each family, is the mean of the scenes in `SCENES`, if none is
-    missing. Crowds
-    submitted as trajectories do not have the recorded arrivals, so they are scored without motion
-    and interaction.
+    missing. Crowds submitted as trajectories do not have the recorded arrivals, so they are scored
+    without motion and interaction.
     """
     families = FAMILIES_OF[entry.declared.track]
     if entry.declared.track == "crowd" and _are_trajectories(entry):

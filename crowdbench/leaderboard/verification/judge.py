@@ -29,8 +29,6 @@ from crowdbench.spawn.areas import read_areas
 from crowdbench.trajectories.storage import read, read_own
 from crowdbench.trajectories.table import Trajectories
 
-"""Name in place of a spawn model or a policy for crowds submitted as tables."""
-
 
 @dataclass(frozen=True, eq=False)
 class _Task:

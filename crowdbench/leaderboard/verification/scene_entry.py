@@ -29,14 +29,14 @@ from crowdbench.scene import Scene
 from crowdbench.scoring.energy import Energy, FitEnergies, energies_of_fits
 from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.score import LOWEST, Score, total_score
-from crowdbench.scoring.scorecard import PairResult as PairEntry
 from crowdbench.scoring.scorecard import (
+    PairResult,
     Scorecard,
     failures,
+    gate_standard,
     metric_scores,
     rows,
     scale_of,
-    walked_as_recorded,
 )
 from crowdbench.trajectories.table import Trajectories
 
@@ -65,7 +65,7 @@ class Rollouts:
         """The rollouts of a pair of models."""
         return {j: what for j, what in self.rolled.items() if (j.spawn, j.policy) == pair}
 
-    def entry(self, pair: Pair) -> PairEntry:
+    def entry(self, pair: Pair) -> PairResult:
         """The scorecard's result for a pair of models."""
         return next(e for e in self.card.entries if (e.spawn, e.policy) == pair)
 
@@ -104,7 +104,7 @@ def scene_entry(
     jobs = list(rollouts.of(rollouts.main))
     entry = rollouts.entry(rollouts.main)
     families = _families(rollouts)
-    standard = walked_as_recorded(card)
+    standard = gate_standard(card)
     walker = rollouts.entry(rollouts.walk or rollouts.main)
     fails = () if rollouts.walk is None else failures(card, walker)
     copy = _copy(rollouts, recording, map(crowd_of, jobs))
@@ -142,7 +142,7 @@ def _families(rollouts: Rollouts) -> dict[str, Score]:
 def _metrics(rollouts: Rollouts) -> dict[str, MetricEntry]:
     scale = scale_of(rollouts.card)
     scores = {
-        pair: metric_scores(rollouts.card, rollouts.entry(pair))
+        pair: metric_scores(scale, rollouts.entry(pair))
         for pair in (rollouts.crowd, rollouts.walk)
         if pair is not None
     }

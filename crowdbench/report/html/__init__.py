@@ -18,7 +18,7 @@ from crowdbench.report.plots import FIGURES, Crowds, PlotData, draw_figures
 from crowdbench.report.text.words import PROTOCOLS, named
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import Reference
-from crowdbench.scoring.scorecard import ANCHOR, Scorecard, rows, walked
+from crowdbench.scoring.scorecard import ANCHOR, Scorecard, has_recorded_arrivals, rows
 
 FILES = ("report.html", *FIGURES)
 """Names of the files that `publish` writes."""
@@ -63,7 +63,7 @@ def _page(card: Scorecard, plot: PlotData) -> str:
         anchor=ANCHOR,
         resamples=f"{card.resamples:,}",
         protocol=PROTOCOLS[card.protocol].removesuffix("."),
-        walked=walked(card),
+        walked=has_recorded_arrivals(card),
         scores=score_table(card, table, names),
         metrics=metric_tables(card, plot, names),
         pictures=pictures(plot) if plot.groups else "",

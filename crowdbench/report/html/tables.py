@@ -12,7 +12,15 @@ from crowdbench.report.display_names import Names
 from crowdbench.report.html.render import html
 from crowdbench.report.plots import PlotData
 from crowdbench.scoring.score import LOWEST, Score
-from crowdbench.scoring.scorecard import PairResult, Row, Scorecard, metric_scores, steered, walked
+from crowdbench.scoring.scorecard import (
+    PairResult,
+    Row,
+    Scorecard,
+    has_recorded_arrivals,
+    metric_scores,
+    scale_of,
+    steered,
+)
 from crowdbench.trajectories.table import OUTCOMES
 
 
@@ -33,7 +41,7 @@ def score_table(card: Scorecard, table: Sequence[Row], names: Names) -> Markup:
         families=FAMILIES,
         walk=WALK,
         gate=card.gate,
-        walked=walked(card),
+        walked=has_recorded_arrivals(card),
         steered=any(steered(entry.spawn) for entry in card.entries),
         ranked=ranked and by,
         first=[
@@ -112,10 +120,11 @@ def _metric_table(
     caption: str, card: Scorecard, entries: Sequence[PairResult], families: Sequence[str]
 ) -> _MetricTable:
     shown = [metric for metric in all_metrics() if metric.name in entries[0].metrics]
+    scale = scale_of(card)
     return _MetricTable(
         caption,
         entries,
-        [metric_scores(card, entry) for entry in entries],
+        [metric_scores(scale, entry) for entry in entries],
         {family: [m for m in shown if m.family == family] for family in families},
     )
 

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from crowdbench.colours import spawn_colours
 from crowdbench.metrics import Metric, Statistics, Sums, Support, all_metrics, total
 from crowdbench.metrics.lattice import correlation
-from crowdbench.metrics.presence import LAGS_S, counted, lag_key, lagged
+from crowdbench.metrics.presence import LAGS_S, lag_key, lagged, usable_lags
 from crowdbench.report.display_names import names_of
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import Draws
@@ -193,7 +193,7 @@ class PlotData:
     def lags_s(self) -> Float[np.ndarray, " L"]:
         """Lags of the autocorrelation in pictures, s: those for which blocks are long enough."""
         steps = np.arange(0.0, _LONGEST_LAG_S + _LAG_STEP_S / 2, _LAG_STEP_S)
-        return np.array(counted(steps.tolist(), self.reference.blocks))
+        return np.array(usable_lags(steps.tolist(), self.reference.blocks))
 
     def autocorrelations(self, lags_s: Sequence[float]) -> Float[np.ndarray, "G L"]:
         """Mean autocorrelation of N(t) over the rollouts of each group, at the given lags."""
@@ -207,7 +207,7 @@ class PlotData:
 
     def compared_autocorrelation(self) -> Correlations:
         """The recording's autocorrelation at the lags that the metric compares."""
-        lags_s = counted(LAGS_S, self.reference.blocks)
+        lags_s = usable_lags(LAGS_S, self.reference.blocks)
         known = self.reference.statistics["autocorrelation"] if lags_s else {}
         sums = np.array([known[lag_key(lag_s)] for lag_s in lags_s])
         return self._correlations(lags_s, sums.reshape(len(lags_s), len(self.reference.blocks), 6))

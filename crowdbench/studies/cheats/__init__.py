@@ -1,11 +1,12 @@
 """Cheats: crowds that show what the walking metrics can and cannot tell.
 
 Some of them are as good as the recording (recorded people walked, the recording with noise or
-smoothed) and have to score about 1. Others do not walk like people (noise, wander, runners) and
-have to score about 0. All have the recorded arrivals.
+smoothed) and should score about 1. Others do not walk like people (noise, wander, runners) and
+should score about 0. All have the recorded arrivals.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,8 +15,9 @@ import numpy as np
 from crowdbench.errors import RecordingError
 from crowdbench.evaluation.judge import judge
 from crowdbench.evaluation.references import reference_of
-from crowdbench.evaluation.rollout_jobs import Job, RolloutSummary
+from crowdbench.evaluation.rollout_jobs import Job, Progress, RolloutSummary
 from crowdbench.policies import Policy, Random, RecordedPaths, SocialForce, Straight
+from crowdbench.recordings.catalogue import SOURCES
 from crowdbench.recordings.noise import noise_of
 from crowdbench.registry import has_recording, recording, recording_of
 from crowdbench.rollouts.rollout import rollout
@@ -28,7 +30,6 @@ from crowdbench.trajectories.table import Trajectories
 
 SEEDS = 2
 """Number of crowds of each cheat with random numbers."""
-Progress = Callable[[int, int], None]
 
 
 class Cheat(NamedTuple):
@@ -50,11 +51,12 @@ def cheats_of(scene: Scene) -> list[Cheat]:
         RecordingError: the recording has not been imported.
     """
     if not has_recording(scene):
+        how = "fetch" if scene.recording.name in SOURCES else "import"
         raise RecordingError(
             scene.id,
             got="no recording",
             expected="the recording, because all cheats have the recorded arrivals",
-            hint=f"Run `crowdbench data fetch {scene.recording.name}`.",
+            hint=f"Run `crowdbench data {how} {scene.recording.name}`.",
         )
     crowd, tick = recording_of(scene), scene.walking.tick_frames
     raw = recording(scene.recording.name)
@@ -67,7 +69,7 @@ def cheats_of(scene: Scene) -> list[Cheat]:
         along, across = (times * sigma for sigma in sigma_m)
         return lambda seed: with_noise(of(0), (along, across), tick, _rng(seed))
 
-    straight = walked(Straight())
+    straight = cache(walked(Straight()))
     noise_mps = tuple(sigma / scene.dt_s for sigma in sigma_m)
     white = Wanderer("velocity-noise", (noise_mps[0], noise_mps[1]))
     wander = Wanderer("wander", (WANDER_MPS, WANDER_MPS), MEMORY)
@@ -112,12 +114,9 @@ def cheats_of(scene: Scene) -> list[Cheat]:
 def cheat(
     scene: str | Path | Scene,
     *,
-    names: Sequence[str] = (),
     progress: Progress = lambda done, total: None,
 ) -> tuple[Scorecard, dict[str, str]]:
     """Score cheats on a scene in protocol `full`; returns the scorecard and what each cheat is.
-
-    `names` selects cheats, by default all.
 
     Raises:
         RecordingError: the recording has not been imported.
@@ -125,7 +124,7 @@ def cheat(
     """
     place = load_scene(scene)
     reference, scale = reference_of(place), read_anchors(place).protocols["full"]
-    chosen = [each for each in cheats_of(place) if not names or each.name in names]
+    chosen = cheats_of(place)
     rolled, done, total = {}, 0, sum(each.seeds for each in chosen)
     progress(0, total)
     for each in chosen:

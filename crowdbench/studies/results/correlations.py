@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crowdbench.metrics.lattice import correlation
-from crowdbench.metrics.presence import LAGS_S, counted, lag_key, lagged
+from crowdbench.metrics.presence import LAGS_S, lag_key, lagged, usable_lags
 from crowdbench.scoring.reference import Reference
 from crowdbench.trajectories.table import Trajectories
 
@@ -29,7 +29,7 @@ def at_lags(reference: Reference, crowds: Mapping[str, Sequence[Trajectories]]) 
     blocks = {split: reference.blocks.scored(split) for split in crowds}
     found = []
     for lag_s in LAGS_S:
-        if not all(counted([lag_s], blocks[split]) for split in crowds):
+        if not all(usable_lags([lag_s], blocks[split]) for split in crowds):
             continue
         of_recording = reference.statistics["autocorrelation"][lag_key(lag_s)]
         recorded, simulated = [], []

@@ -12,9 +12,10 @@ from crowdbench.scoring.scorecard import (
     PairResult,
     Row,
     Scorecard,
+    has_recorded_arrivals,
     metric_scores,
     rows,
-    walked,
+    scale_of,
 )
 from crowdbench.studies.results.correlations import Lag
 from crowdbench.studies.results.tables import competes, pair, with_unit
@@ -168,13 +169,14 @@ def _difference(
 def _low(card: Scorecard, best: Row) -> list[str]:
     """Table of the best crowd's low scores, then the lowest scores of the other families."""
     lines, lowest, without = [], [], []
+    scale = scale_of(card)
     for family in FAMILIES:
         entry = best.entry
         if family in WALK:
-            if not walked(card):
+            if not has_recorded_arrivals(card):
                 continue
             entry = next(e for e in card.entries if (e.spawn, e.policy) == ("replay", best.policy))
-        scores = metric_scores(card, entry)
+        scores = metric_scores(scale, entry)
         metrics = [m for m in METRICS if m.family == family and m.name in card.scored]
         known = [(m, s) for m in metrics if (s := scores.get(m.name)) is not None]
         without += [m for m in metrics if scores.get(m.name) is None]

@@ -8,7 +8,7 @@ from crowdbench.recordings.catalogue import source
 from crowdbench.report.text.markdown import flowed
 from crowdbench.report.text.words import PROTOCOLS, named
 from crowdbench.scene import Scene
-from crowdbench.scoring.scorecard import Protocol, Scorecard, rows, walked
+from crowdbench.scoring.scorecard import Protocol, Scorecard, has_recorded_arrivals, rows
 from crowdbench.studies.results.correlations import Lag
 from crowdbench.studies.results.misses import LOW, MEMORY, misses, not_scored
 from crowdbench.studies.results.pictures import Picture
@@ -131,7 +131,7 @@ def _scores(protocol: Protocol, card: Scorecard) -> str:
 
 
 def _no_walk(card: Scorecard) -> str:
-    if walked(card):
+    if has_recorded_arrivals(card):
         return ""
     return (
         "The recording was not imported, so policies were not run under the recorded arrivals: "

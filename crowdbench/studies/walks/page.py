@@ -9,7 +9,14 @@ from crowdbench.report.text.markdown import flowed, table
 from crowdbench.report.text.words import NOTHING, interval, named, share, speed
 from crowdbench.scene import Scene
 from crowdbench.scoring.score import ranks
-from crowdbench.scoring.scorecard import PairResult, Protocol, Scorecard, metric_scores, rows
+from crowdbench.scoring.scorecard import (
+    PairResult,
+    Protocol,
+    Scorecard,
+    metric_scores,
+    rows,
+    scale_of,
+)
 from crowdbench.studies.results.page import of_recording
 from crowdbench.studies.results.tables import distance_table, gated
 
@@ -90,9 +97,9 @@ def scores(walked: Walked, card: Scorecard) -> str:
     scored = [m for m in METRICS if m.family in WALK and m.name in card.scored]
     head = ["policy", "sees", "rank", "walk", *WALK, "speed, m/s", "at goal"]
     head += [m.name.replace("_", " ") for m in scored]
-    lines = []
+    lines, scale = [], scale_of(card)
     for row, of_row in zip(known, rank, strict=True):
-        each = metric_scores(card, row.entry)
+        each = metric_scores(scale, row.entry)
         lines.append(
             [
                 walked.names[row.policy],
