@@ -129,9 +129,8 @@ def test_companions_that_a_table_states_are_kept(tmp_path: Path) -> None:
     write_csv(stated, tmp_path / "mine.csv")
     found = read_recording(tmp_path / "mine.csv", "csv", name="mine", dt_s=0.4)
     assert found.group.tolist() == [-1, 4, 4]
-    assert (
-        main(["convert", str(tmp_path / "mine.csv"), str(tmp_path / "b.csv"), "--dt", "0.4"]) == 0
-    )
+    asked = ["--to", "csv", "--out", str(tmp_path / "b.csv"), "--dt-s", "0.4"]
+    assert main(["convert", str(tmp_path / "mine.csv"), *asked]) == 0
     assert read_columns(tmp_path / "b.csv")["group"][-1] == 4
 
 
