@@ -244,7 +244,10 @@ def _metric_card(
             len(seen.crowds) == 1 < seeds or min(map(len, seen.fits)) >= 2
         ):
             draws = draws_of(scene, reference, seen.split)
-            energies.append(energy(metric, seen.recorded, seen.fits, seen.blocks, draws))
+            spread = metric.family not in WALK
+            energies.append(
+                energy(metric, seen.recorded, seen.fits, seen.blocks, draws, spread=spread)
+            )
     known = [e for e in energies if e is not None]
     whole = bool(known) and len(known) == len(splits_of(protocol))
     return MetricCard(

@@ -16,7 +16,7 @@ def encounters(xy, velocity, person, order, begins, shift, radius_m, stranger_mp
 
     An encounter is a run of consecutive ticks in which two people are within `radius_m`. With
     `shift`, the second person of each pair is delayed by that number of ticks. People are
-    strangers if their relative speed exceeds `stranger_mps` in more than half of these ticks. The
+    strangers if their velocities, one per position, differ by more than `stranger_mps`. The
     closest approach is that on the linear steps from the tick before to the tick after the
     encounter. The index is that of the first person's position nearest to it.
     """
@@ -39,15 +39,16 @@ def encounters(xy, velocity, person, order, begins, shift, radius_m, stranger_mp
                 j = order[m]
                 if person[i] == person[j]:
                     continue
+                vx, vy = velocity[i, 0] - velocity[j, 0], velocity[i, 1] - velocity[j, 1]
+                if vx * vx + vy * vy <= stranger_mps * stranger_mps:
+                    continue
                 if _same(person, i, j, -1) and _within(xy, i - 1, j - 1, radius_m):
                     continue  # the encounter began earlier
-                strangers, least, at = _follow(xy, velocity, person, i, j, radius_m, stranger_mps)
-                if strangers:
-                    if count == len(index):
-                        closest = np.concatenate((closest, np.empty(count)))
-                        index = np.concatenate((index, np.empty(count, np.int64)))
-                    closest[count], index[count] = least, at
-                    count += 1
+                if count == len(index):
+                    closest = np.concatenate((closest, np.empty(count)))
+                    index = np.concatenate((index, np.empty(count, np.int64)))
+                closest[count], index[count] = _follow(xy, person, i, j, radius_m)
+                count += 1
     return closest[:count], index[:count]
 
 
@@ -67,17 +68,13 @@ def _same(person, i, j, ahead):
 
 
 @njit(error_model="numpy")
-def _follow(xy, velocity, person, i, j, radius_m, stranger_mps):
-    """Whether people are strangers, their closest approach, and the index of the position there."""
-    ticks, fast = 0, 0
+def _follow(xy, person, i, j, radius_m):
+    """The closest approach of the encounter that begins here, and the index of the position."""
     least, at = np.inf, i
     if _same(person, i, j, -1):
         least = _approach(xy, i - 1, j - 1, i, j)
     going = True
     while going:
-        ticks += 1
-        vx, vy = velocity[i, 0] - velocity[j, 0], velocity[i, 1] - velocity[j, 1]
-        fast += vx * vx + vy * vy > stranger_mps * stranger_mps
         here = math.hypot(xy[i, 0] - xy[j, 0], xy[i, 1] - xy[j, 1])
         if here < least:
             least, at = here, i
@@ -88,7 +85,7 @@ def _follow(xy, velocity, person, i, j, radius_m, stranger_mps):
                 least, at = step, i
             i, j = i + 1, j + 1
             going = _within(xy, i, j, radius_m)
-    return 2 * fast > ticks, least, at
+    return least, at
 
 
 @njit(error_model="numpy")

@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float, Int
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
 from crowdbench.metrics.lattice import counted, histograms, rounded
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
-from crowdbench.metrics.motion import Ticks, ticks_of
 from crowdbench.metrics.rows import rows_in
+from crowdbench.metrics.ticks import Ticks, ticks_of
 from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.companions import groups_of
 from crowdbench.trajectories.neighbours import nearest_neighbour_m
@@ -21,8 +21,6 @@ ENCOUNTER_M = 2.0
 STRANGERS_MPS = 0.7
 BIN_M = 0.05
 BINS = round(ENCOUNTER_M / BIN_M)
-AROUND_TICKS = 2
-"""Velocities in encounters are measured over this many ticks before and after."""
 CLEARANCE_M = 2.0
 """Distances to walls are clipped at this value."""
 APART_M = 5.0
@@ -33,10 +31,12 @@ class Avoidance(Metric):
     """How much less often strangers come close to each other than if they ignored each other.
 
     An encounter is a run of consecutive ticks in which two people are within 2 m of each other.
-    They are strangers if their relative speed exceeds 0.7 m/s in more than half of these ticks. Its
-    closest approach is the smallest distance on the linear steps from the tick before to the tick
-    after. The baseline is the same quantity for pairs of people one of whom is shifted in time, so
-    that they cannot have seen each other; their paths, and how crowded they are, are the same.
+    They are strangers if their mean velocities, each from the start to the end of the whole trip,
+    differ by more than 0.7 m/s. With velocities of the encounter itself, a person who slows down
+    near others would not count as a stranger. The closest approach is the smallest distance on the
+    linear steps from the tick before to the tick after. The baseline is the same quantity for pairs
+    of people one of whom is delayed, so that they cannot have seen each other; their paths, and how
+    crowded they are, are the same.
 
     Distance: ∫ |ΔG(d)| dd over 2 m, where G is the distribution function of the observed closest
     approaches minus that of the baseline.
@@ -54,9 +54,9 @@ class Avoidance(Metric):
         """`observed[b, d]`, `shifted[b, d]`: encounters in block b, in bins of 5 cm."""
         from crowdbench.metrics.encounters import encounters
 
-        at = ticks_of(crowd, blocks, place.tick_frames)
-        velocity = _velocities(at)
-        tick = crowd.row_frame()[at.row] // place.tick_frames
+        at = ticks_of(crowd, blocks, place.walking.tick_frames)
+        velocity = _mean_velocities(at)
+        tick = crowd.row_frame()[at.row] // place.walking.tick_frames
         order = np.lexsort((at.xy[:, 0], tick))
         begins = np.concatenate([[0], np.cumsum(np.bincount(tick))])
 
@@ -70,10 +70,10 @@ class Avoidance(Metric):
             flat = np.bincount(block[inside] * BINS + bins, minlength=len(blocks) * BINS)
             return flat.reshape(len(blocks), BINS)
 
-        shifts = [round(shift_s / at.dt_s) for shift_s in place.shifts_s]
+        shifts = [round(shift_s / at.dt_s) for shift_s in place.walking.shifts_s]
         return {
             "observed": histogram(0),
-            "shifted": np.sum([histogram(s) for k in shifts for s in (-k, k)], axis=0),
+            "shifted": np.sum([histogram(k) for k in shifts], axis=0),
         }
 
     def embed(
@@ -101,16 +101,12 @@ class Avoidance(Metric):
         return int(sums["observed"].sum())
 
 
-def _velocities(at: Ticks) -> Float[np.ndarray, "n 2"]:
-    """Velocity over two ticks before and after each position, less at the ends of a trip, m/s."""
+def _mean_velocities(at: Ticks) -> Float[np.ndarray, "n 2"]:
+    """Mean velocity of each position's person from its first to its last tick, m/s."""
     begin = np.flatnonzero(np.diff(at.person, prepend=-1) != 0)
-    trip = np.cumsum(np.diff(at.person, prepend=-1) != 0) - 1
-    last = np.append(begin[1:], len(at.person)) - 1
-    index = np.arange(len(at.person))
-    before = np.maximum(index - AROUND_TICKS, begin[trip])
-    after = np.minimum(index + AROUND_TICKS, last[trip])
-    way = at.xy[after] - at.xy[before]
-    return np.asarray(way / (np.maximum(after - before, 1) * at.dt_s)[:, None])
+    length = np.diff(np.append(begin, len(at.person)))
+    way = at.xy[begin + length - 1] - at.xy[begin]
+    return np.repeat(way / (np.maximum(length - 1, 1) * at.dt_s)[:, None], length, axis=0)
 
 
 class WallClearance(RelativeWasserstein):
@@ -125,7 +121,7 @@ class WallClearance(RelativeWasserstein):
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, d]`: number of positions in block b at a distance of d · 5 cm from walls."""
-        at = ticks_of(crowd, blocks, place.tick_frames)
+        at = ticks_of(crowd, blocks, place.walking.tick_frames)
         inside = at.block >= 0
         distance = clearance(place.walls, at.xy[inside])
         return {"counts": histograms(rounded(distance, 0.05), at.block[inside], len(blocks))}
@@ -211,11 +207,11 @@ class CompanionDistance(RelativeWasserstein):
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, d]`: number of pairs and ticks in block b with a distance of d · 5 cm."""
-        at = ticks_of(crowd, blocks, place.tick_frames)
+        at = ticks_of(crowd, blocks, place.walking.tick_frames)
         group = groups_of(crowd)
         begin = np.searchsorted(at.person, np.arange(len(crowd)))
         stop = np.searchsorted(at.person, np.arange(len(crowd)), side="right")
-        tick = crowd.row_frame()[at.row] // place.tick_frames
+        tick = crowd.row_frame()[at.row] // place.walking.tick_frames
         members = np.flatnonzero(group >= 0)
         members = members[np.argsort(group[members], kind="stable")]
         edges = np.flatnonzero(np.diff(group[members])) + 1

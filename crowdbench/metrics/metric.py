@@ -10,12 +10,13 @@ so the energy score based on it is proper.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from crowdbench.scene import Walking
 from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.table import Trajectories
 
@@ -56,14 +57,8 @@ class Place:
     """Radius of a person's disc."""
     walls: tuple[tuple[tuple[float, float], ...], ...] = ()
     """Corners of each wall, metres."""
-    tick_frames: int = 1
-    """Frames from one tick to the next; walking is measured at ticks."""
-    window_ticks: int = 9
-    """Length of the window in which speeds are measured, in ticks; odd."""
-    lags_ticks: tuple[int, ...] = (3, 4, 6)
-    """Time scales of accelerations, in ticks."""
-    shifts_s: tuple[float, ...] = (20.0, 40.0)
-    """Shifts in time, in both directions, of the pairs that encounters are compared with."""
+    walking: Walking = field(default_factory=Walking)
+    """Time scales of the walking metrics."""
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,12 @@
 """Family motion: how people move, on time scales on which they move more than annotations jitter.
 
-Positions are taken at *ticks*: every `Place.tick_frames` frames, so that no position is an
+Positions are taken at *ticks*: every `Walking.tick_frames` frames, so that no position is an
 interpolated one. Speeds are slopes over a window of ticks. Accelerations are mean products of two
 second differences that share no position, so that independent noise of the positions, of any size
 and distribution, cancels.
 """
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -15,7 +14,8 @@ from jaxtyping import Float, Int
 from crowdbench.metrics.forms import RelativeWasserstein
 from crowdbench.metrics.lattice import histograms, rounded
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
-from crowdbench.metrics.rows import block_of_frames
+from crowdbench.metrics.ticks import ticks_of
+from crowdbench.scene import Walking
 from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.table import Trajectories
 
@@ -33,46 +33,17 @@ FEWEST_STEPS = 4
 HARMONICS = 3
 
 
-class Ticks(NamedTuple):
-    """The positions of a crowd at its `n` ticks, trip by trip."""
-
-    xy: Float[np.ndarray, "n 2"]
-    """Metres."""
-    row: Int[np.ndarray, " n"]
-    """Index of each position in `Trajectories.xy`."""
-    person: Int[np.ndarray, " n"]
-    block: Int[np.ndarray, " n"]
-    """Time block of each position; −1 outside all blocks."""
-    dt_s: float
-    """Seconds from one tick to the next."""
-
-    def with_room(self, before: int, after: int) -> Int[np.ndarray, " m"]:
-        """Indices of the positions whose trip has as many ticks before and after them."""
-        index = np.arange(before, max(before, len(self.xy) - after))
-        return index[self.person[index - before] == self.person[index + after]]
-
-
-@lru_cache(maxsize=1)  # several metrics use the ticks of the same crowd
-def ticks_of(crowd: Trajectories, blocks: TimeBlocks, tick_frames: int) -> Ticks:
-    """The positions of a crowd at its ticks."""
-    frame = crowd.row_frame()
-    rows = np.flatnonzero(frame % tick_frames == 0)
-    block = block_of_frames(blocks, crowd.frames)[frame[rows]]
-    xy = crowd.xy[rows].astype(np.float64)
-    return Ticks(xy, rows, crowd.row_person()[rows], block, tick_frames * crowd.dt_s)
-
-
 @lru_cache(maxsize=1)  # two metrics use the speeds of the same crowd
 def _speeds(
-    crowd: Trajectories, blocks: TimeBlocks, tick_frames: int, window: int
+    crowd: Trajectories, blocks: TimeBlocks, walking: Walking
 ) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
     """Speed (m/s), person and block at the middle of each full window of ticks.
 
     The velocity is the slope of the least-squares line through the window's positions (Savitzky &
     Golay 1964, first derivative).
     """
-    at = ticks_of(crowd, blocks, tick_frames)
-    half = (window - 1) // 2
+    at = ticks_of(crowd, blocks, walking.tick_frames)
+    half = (walking.window_ticks - 1) // 2
     index = at.with_room(half, half)
     slope = np.zeros((len(index), 2))
     for i in range(1, half + 1):
@@ -94,7 +65,7 @@ class Speed(RelativeWasserstein):
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, v]`: number of positions in block b with a speed of v cm/s."""
-        speed, _, block = _speeds(crowd, blocks, place.tick_frames, place.window_ticks)
+        speed, _, block = _speeds(crowd, blocks, place.walking)
         inside = block >= 0
         return {"counts": histograms(rounded(speed[inside], 0.01), block[inside], len(blocks))}
 
@@ -116,7 +87,7 @@ class Pace(RelativeWasserstein):
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, v]`: number of positions in block b whose speed differs by v cm/s."""
-        speed, person, block = _speeds(crowd, blocks, place.tick_frames, place.window_ticks)
+        speed, person, block = _speeds(crowd, blocks, place.walking)
         total, count = np.bincount(person, speed), np.bincount(person)
         unsteady = np.abs(speed - (total / np.maximum(count, 1))[person])
         inside = block >= 0
@@ -152,8 +123,8 @@ class _NoiseCancelled(Metric):
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`lag k`: per block the sum of products, in 1e-6 m²/s⁴, and their number."""
         found = {}
-        for lag in place.lags_ticks:
-            of_lag = _products(crowd, blocks, place.tick_frames, lag)
+        for lag in place.walking.lags_ticks:
+            of_lag = _products(crowd, blocks, place.walking.tick_frames, lag)
             found[f"lag {lag}"] = of_lag[:, [self._component, 2]]
         return found
 
@@ -218,7 +189,7 @@ class Deviation(RelativeWasserstein):
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, d]`: number of trips that begin in block b with a deviation of d cm."""
-        at = ticks_of(crowd, blocks, place.tick_frames)
+        at = ticks_of(crowd, blocks, place.walking.tick_frames)
         begin = np.flatnonzero(np.diff(at.person, prepend=-1) != 0)
         steps = np.diff(np.append(begin, len(at.person))) - 1
         chord = at.xy[begin + steps] - at.xy[begin]

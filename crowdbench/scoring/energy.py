@@ -9,15 +9,17 @@ the negative-type distances of `crowdbench.metrics`). For rollouts X of a model 
     S  = 1 − (ES − F) / (ES_anchor − F)
 
 The score S is 0 for the anchor and, on average, 1 for the process that generated the recording.
-F is the noise floor. For the families motion and interaction, which are scored under the recorded
-arrivals, F is 0 and S is 1 for the recording itself.
+F is the noise floor. The families motion and interaction are scored under the recorded arrivals, so
+a rollout can be right in each of them, and need not vary. There ES is the mean distance alone, F is
+0, and S is 1 for the recording itself. With the second term, a policy could gain by drawing lots
+between two ways of walking that are both wrong.
 
 Uncertainty is estimated from 1,000 hierarchical resamples: of time blocks (the same for all
 entries, so that entries can be compared in pairs), of fits, and of rollouts within fits.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -158,12 +160,15 @@ def energy(
     rollouts: Sequence[Sequence[Statistics]],
     blocks: TimeBlocks,
     draws: Draws,
+    *,
+    spread: bool = True,
 ) -> Energy | None:
     """Energy score of the rollouts of each fit, averaged over the fits.
 
     `rollouts[i][k]` holds the statistics of rollout k of fit i; all fits have the same number of
-    rollouts. A single rollout per fit means that the model is deterministic. Returns None if the
-    metric is undefined because the recording's mean is 0.
+    rollouts. A single rollout per fit means that the model is deterministic. Without `spread`, the
+    score is the mean distance, without its second term. Returns None if the metric is undefined
+    because the recording's mean is 0.
     """
     fits, each = len(rollouts), len(rollouts[0])
     crowds = [recorded, *(crowd for fit in rollouts for crowd in fit)]
@@ -175,7 +180,7 @@ def energy(
         return _distances(of[:, 0], of[:, 1:].reshape(len(of), fits, each, of.shape[-1]))
 
     to_y, between = split(embedded(np.ones((1, len(blocks)), dtype=np.int64)))
-    centre = float(to_y.mean() - pair_mean(between).mean() / 2)
+    centre = float(to_y.mean() - spread * pair_mean(between).mean() / 2)
     chosen, inside = draws.fits(fits), draws.rollouts(fits, each)
     resampled = np.empty(RESAMPLES)
     for part in embedded.chunks(RESAMPLES):
@@ -183,6 +188,9 @@ def energy(
         r = np.arange(len(to_y))[:, None, None]
         fit, k = chosen[part][:, :, None], inside[part]
         near = to_y[r, fit, k].mean(axis=(1, 2))
+        if not spread:
+            resampled[part] = near
+            continue
         one, other = k[:, :, :, None], k[:, :, None, :]
         pairs = between[r[..., None], fit[..., None], one, other]
         # A rollout that is drawn twice is not a pair: its distance of 0 would bias the mean.
@@ -208,8 +216,13 @@ def energies_of_fits(
     recorded: Statistics,
     rollouts: Sequence[Sequence[Statistics]],
     blocks: TimeBlocks,
+    *,
+    spread: bool = True,
 ) -> FitEnergies | None:
-    """The two terms of the energy score of each fit; None if the metric is undefined."""
+    """The two terms of the energy score of each fit; None if the metric is undefined.
+
+    Without `spread`, the second term is 0.
+    """
     crowds = [recorded, *(crowd for fit in rollouts for crowd in fit)]
     embedded = Embedded.of(metric, crowds, recorded, blocks)
     if embedded is None:
@@ -218,7 +231,7 @@ def energies_of_fits(
     to_y, between = _distances(
         x[:, 0], x[:, 1:].reshape(1, len(rollouts), len(rollouts[0]), x.shape[-1])
     )
-    return FitEnergies(to_y[0].mean(axis=1), pair_mean(between[0]) / 2)
+    return FitEnergies(to_y[0].mean(axis=1), spread * pair_mean(between[0]) / 2)
 
 
 def floor(
@@ -279,6 +292,14 @@ class Embedded:
             together = np.stack([c[name] for c in everyone[:-1]], axis=1)
             stacked[name] = together.reshape(len(together), -1).astype(np.float64)
         return cls(metric, blocks, support, stacked, len(crowds), weight)
+
+    def first(self, crowds: int) -> "Embedded":
+        """The same for the first crowds only, on the support of all."""
+        stacked = {
+            name: values.reshape(len(values), self.crowds, -1)[:, :crowds].reshape(len(values), -1)
+            for name, values in self.stacked.items()
+        }
+        return replace(self, stacked=stacked, crowds=crowds)
 
     def chunks(self, resamples: int, rows: int = 1) -> Iterator[slice]:
         """Slices of the resamples, of `rows` rows each, that are small enough for memory."""

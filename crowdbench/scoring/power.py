@@ -58,15 +58,13 @@ def power(
     embedded = Embedded.of(metric, [recorded, *anchor], recorded, blocks)
     if embedded is None:
         return None
-    synthetic = embedded(draws.blocks[:SYNTHETIC])
-    y = synthetic[:, 0]
-    truth = embedded(draws.blocks[SYNTHETIC : 2 * SYNTHETIC])[:, 0]
+    recording = embedded.first(1)  # the vectors of all rollouts might not fit into memory
+    y = recording(draws.blocks[:SYNTHETIC])[:, 0]
+    truth = recording(draws.blocks[SYNTHETIC : 2 * SYNTHETIC])[:, 0]
     of_truth = cdist(y, truth, "cityblock").mean(axis=1) - pdist(truth, "cityblock").mean() / 2
     if metric.family in WALK:
-        x = synthetic[:, 1:]
+        x = embedded(draws.blocks[:SYNTHETIC])[:, 1:]
         of_anchor = np.abs(x - y[:, None]).sum(axis=-1).mean(axis=1)
-        between = [pdist(each, "cityblock").mean() / 2 if len(each) > 1 else 0.0 for each in x]
-        of_anchor = of_anchor - np.array(between)
     else:
         x = embedded(np.ones((1, len(blocks)), dtype=np.int64))[0, 1:]
         of_anchor = cdist(y, x, "cityblock").mean(axis=1) - pdist(x, "cityblock").mean() / 2

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from strategies import crowd_of, crowds
 
 from crowdbench.metrics import Acceleration, Deviation, Pace, Place, Speed, Turning, total
+from crowdbench.scene import Walking
 from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.table import Trajectories
 
@@ -80,7 +81,7 @@ def test_on_a_circle_all_values_are_known() -> None:
     crowd = walking(CIRCLE)
     expected = [
         2 * RADIUS_M * (1 - np.cos(OMEGA * k * DT_S)) / (k * DT_S) ** 2 * np.cos(OMEGA * DT_S / 2)
-        for k in PLACE.lags_ticks
+        for k in PLACE.walking.lags_ticks
     ]
     assert expected == pytest.approx([0.3098, 0.3080, 0.3029], abs=2e-4)
     assert lags(Turning(), crowd) == pytest.approx(expected, rel=1e-3)
@@ -124,7 +125,7 @@ def test_people_who_stand_turn_nowhere() -> None:
 @pytest.mark.parametrize("metric", [Acceleration(), Turning()])
 def test_products_keep_to_one_trip(metric: Acceleration | Turning) -> None:
     # Two trips, one after the other in the table, far apart: their ends share no product.
-    place = replace(PLACE, lags_ticks=(3,))
+    place = replace(PLACE, walking=Walking(lags_ticks=(3,)))
     blocks = whole(60, dt_s=DT_S)
     both = metric.summarise(walking(STRAIGHT, STRAIGHT + np.array([500, 0])), blocks, place)[
         "lag 3"
@@ -136,7 +137,7 @@ def test_products_keep_to_one_trip(metric: Acceleration | Turning) -> None:
 
 def test_frames_between_ticks_do_not_count() -> None:
     # Every second position is interpolated: wrong ones change nothing.
-    place = replace(PLACE, tick_frames=2)
+    place = replace(PLACE, walking=Walking(tick_frames=2))
     wrong = CIRCLE.copy()
     wrong[1::2] += 9.0  # odd rows, in even frames for a first frame of 1
     even, odd = (walking(path, first=2) for path in (CIRCLE, wrong))
@@ -195,7 +196,7 @@ def test_a_leap_across_the_world_counts_as_the_fastest_there_is() -> None:
 
 @given(crowds(dt_s=DT_S), st.sampled_from([1, 2]))
 def test_products_are_those_of_their_formula(crowd: Trajectories, tick: int) -> None:
-    place = replace(PLACE, tick_frames=tick, lags_ticks=(2,))
+    place = replace(PLACE, walking=Walking(tick_frames=tick, lags_ticks=(2,)))
     blocks = whole(crowd.frames, dt_s=DT_S)
     along, across, number = 0.0, 0.0, 0
     for person in range(len(crowd)):

@@ -63,6 +63,20 @@ def test_the_energy_score_is_the_mean_distance_less_half_the_rollouts_own():
     assert es.centre == pytest.approx((1 + 3) / 2 - 2 / 2)
 
 
+def test_a_coin_between_two_wrong_ways_gains_nothing_without_the_second_term():
+    blocks = blocks_of(1)
+    draws = draws_of(blocks)
+    one, other = steady(2), steady(4)
+    es = [
+        energy(N, steady(3), [rollouts], blocks, draws, spread=False)
+        for rollouts in ([one, one], [one, other])
+    ]
+    assert es[0] is not None
+    assert es[1] is not None
+    assert es[1].centre == pytest.approx(es[0].centre)
+    np.testing.assert_allclose(es[1].resampled, es[0].resampled)
+
+
 def test_only_rollouts_of_one_fit_are_compared_with_each_other():
     blocks = blocks_of(1)
     fits = [[steady(2), steady(2)], [steady(4), steady(4)]]

@@ -14,7 +14,7 @@ from crowdbench.scene import load_scene
 from crowdbench.scoring.scorecard import Row, rows
 from crowdbench.studies.cheats import cheat, cheats_of
 from crowdbench.studies.cheats.recordings import shifted, smoothed, with_noise
-from crowdbench.studies.cheats.walkers import Runner, Wanderer
+from crowdbench.studies.cheats.walkers import Creeper, Runner, Wanderer
 from crowdbench.trajectories.table import Trajectories
 
 OPEN = square(200.0)
@@ -39,6 +39,19 @@ def steps(policy: Runner | Wanderer, frames: int, speed: float = 1.0) -> np.ndar
 
 def test_runners_run() -> None:
     np.testing.assert_allclose(steps(Runner(), 5), np.tile([1.7 * 0.4, 0.0], (5, 1)), atol=1e-4)
+
+
+def test_creepers_creep_near_others_only() -> None:
+    simulation = simulate(OPEN, Person(goal=(50.0, 0.0)), Person(start=(5.0, 1.0), goal=(-50.0, 1)))
+    creeper, speeds = Creeper(), []
+    creeper.reset(OPEN, generator(0, 0, "policy"))
+    for _ in range(30):
+        gap = np.linalg.norm(np.subtract(*simulation.slots.position[0, :2]))
+        simulation.step(actions_of(creeper, simulation))
+        speed = np.linalg.norm(simulation.slots.velocity[0, :2], axis=1)
+        np.testing.assert_allclose(speed, 0.2 if gap < 2 else 1.0, rtol=1e-3)
+        speeds.append(speed[0])
+    assert len(np.unique(np.round(speeds, 1))) == 2
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.8])

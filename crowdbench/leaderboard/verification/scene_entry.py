@@ -88,8 +88,9 @@ class Rollouts:
             if pair is None or self.entry(pair).metrics[metric.name].energy is None:
                 continue
             if metric.name in self.card.scored:
+                spread = metric.family not in WALK
                 splits = {
-                    s.split: energies_of_fits(metric, s.recorded, s.fits, s.blocks)
+                    s.split: energies_of_fits(metric, s.recorded, s.fits, s.blocks, spread=spread)
                     for s in self.seen(metric)
                 }
                 found[metric.name] = {p: e for p, e in splits.items() if e is not None}

@@ -19,13 +19,13 @@ from crowdbench.evaluation.rollout_jobs import Job, Progress, RolloutSummary
 from crowdbench.policies import Policy, Random, RecordedPaths, SocialForce, Straight
 from crowdbench.recordings.catalogue import SOURCES
 from crowdbench.recordings.noise import noise_of
-from crowdbench.registry import has_recording, recording, recording_of
+from crowdbench.registry import has_recording, raw_recording_of, recording_of
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.scorecard import Scorecard, read_anchors
 from crowdbench.spawn import Replay
 from crowdbench.studies.cheats.recordings import shifted, smoothed, with_noise
-from crowdbench.studies.cheats.walkers import MEMORY, WANDER_MPS, Runner, Wanderer
+from crowdbench.studies.cheats.walkers import MEMORY, WANDER_MPS, Creeper, Runner, Wanderer
 from crowdbench.trajectories.table import Trajectories
 
 SEEDS = 2
@@ -59,7 +59,7 @@ def cheats_of(scene: Scene) -> list[Cheat]:
             hint=f"Run `crowdbench data {how} {scene.recording.name}`.",
         )
     crowd, tick = recording_of(scene), scene.walking.tick_frames
-    raw = recording(scene.recording.name)
+    raw = raw_recording_of(scene)
     sigma_m = tuple(max(0.01, axis.sigma_m) for axis in noise_of(raw, tick))
 
     def walked(policy: Policy) -> Callable[[int], Trajectories]:
@@ -106,6 +106,12 @@ def cheats_of(scene: Scene) -> list[Cheat]:
         ),
         Cheat("wander", "straight walkers with a random wander", walked(wander), SEEDS),
         Cheat("runner", "straight walkers at 1.7 times the speed", walked(Runner()), 1),
+        Cheat(
+            "creeper",
+            "straight walkers who creep at 0.2 m/s when somebody is near",
+            walked(Creeper()),
+            1,
+        ),
         Cheat("random", "random velocities", walked(Random()), SEEDS),
         Cheat("social-force", "social forces, for comparison", walked(SocialForce()), 1),
     ]

@@ -11,6 +11,8 @@ from crowdbench.scene import Scene
 
 RUNNING = 1.7
 """Speed of runners as a multiple of the preferred speed."""
+CREEPING_MPS = 0.2
+NEAR_M = 2.0
 WANDER_MPS = 0.25
 """Standard deviation of each component of a wanderer's velocity."""
 MEMORY = 0.8
@@ -29,6 +31,23 @@ class Runner(Straight):
         speed = np.minimum(RUNNING * seen.speed, distance / np.float32(self._scene.dt_s))
         scale = np.divide(speed, distance, out=np.zeros_like(speed), where=distance > 0)
         return way * scale[:, None] / np.float32(self._scene.motion.max_speed_mps)
+
+
+class Creeper(Straight):
+    """Straight walkers who creep at 0.2 m/s while somebody is within 2 m, friend or stranger."""
+
+    name = "creeper"
+
+    def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
+        """Actions (A, 2) of straight walkers, slower near others."""
+        actions = super().act(seen)
+        gap = np.hypot(*(seen.position[:, None] - seen.position).transpose(2, 0, 1))
+        gap[seen.world[:, None] != seen.world] = np.inf
+        np.fill_diagonal(gap, np.inf)
+        near = gap.min(axis=1, initial=np.inf) < NEAR_M
+        speed = np.hypot(*actions.T) * self._scene.motion.max_speed_mps
+        limit = np.divide(CREEPING_MPS, speed, out=np.ones_like(speed), where=speed > 0)
+        return np.where(near, np.minimum(1, limit), 1)[:, None].astype(np.float32) * actions
 
 
 class Wanderer(Straight):

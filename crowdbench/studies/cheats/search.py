@@ -1,6 +1,6 @@
 """A random search for blind wanderers that score well.
 
-    python tests/wander_search.py [SCENE] [DRAWS]
+    python -m crowdbench.studies.cheats.search [SCENE] [DRAWS]
 
 Each draw is a crowd of straight walkers with random errors in their velocities: white noise, a slow
 wander along and across the path, a sinusoidal sway, and a personal deviation from the preferred
@@ -15,7 +15,7 @@ import numpy as np
 from crowdbench.evaluation.judge import judge
 from crowdbench.evaluation.references import reference_of
 from crowdbench.evaluation.rollout_jobs import Job, RolloutSummary
-from crowdbench.policies import SocialForce, StateView
+from crowdbench.policies import Policy, SocialForce, StateView
 from crowdbench.registry import recording_of
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene
@@ -54,9 +54,10 @@ def main() -> None:
     low = np.array([0.0, 0.0, 0.0, 0.5, 0.0, 2.0, 0.0])
     high = np.array([0.2, 0.5, 0.5, 0.98, 0.4, 12.0, 0.15])
     drawn = {f"draw {k}": low + rng.random(7) * (high - low) for k in range(draws)}
-    policies = {name: Drawn(name, of) for name, of in drawn.items()}
+    policies: dict[str, Policy] = {"social-force": SocialForce()}
+    policies |= {name: Drawn(name, of) for name, of in drawn.items()}
     rolled = {}
-    for name, policy in {"social-force": SocialForce(), **policies}.items():
+    for name, policy in policies.items():
         job = Job(scene.id, "replay", name, "full", 0, 0, Path(), "")
         walked = rollout(scene, Replay(crowd), policy, seed=0)
         rolled[job] = RolloutSummary.of_crowd(walked, reference)
