@@ -52,7 +52,7 @@ class SocialForce:
         # People stay at a via point until their wait is over.
         speed = seen.speed.astype(np.float64)
         visits = (seen.target != seen.goal).any(axis=1)
-        rest = np.linalg.norm(towards - seen.position, axis=1) / dt_s
+        rest = np.linalg.norm(seen.target - seen.position, axis=1) / dt_s
         speed[visits] = np.minimum(speed, rest)[visits]
         displacement = _walk(
             seen.world,

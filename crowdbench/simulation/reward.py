@@ -12,7 +12,7 @@ from jaxtyping import Float32
 from crowdbench.errors import SettingError
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.state import GOAL, TO_GOAL, TO_VIA, WAITING
-from crowdbench.simulation.step import PASSED_M
+from crowdbench.spawn.plans import PASSED_M
 
 PACE_MPS = 0.5
 """Deviation from the preferred speed at which the pace cost is half of its maximum."""

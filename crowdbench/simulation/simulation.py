@@ -67,11 +67,11 @@ class Simulation:
        frame. At the horizon all trips end.
 
        The *target* of a person is its via point until it has been visited, then its goal. A visit
-       begins when the path walked in a step comes within 1 m of the via point, or within 3 m of it
-       and ends beyond it, as seen from the start. It lasts for the person's wait; nobody is forced
-       to stand still. If a person has not come closer to the via point (by 0.5 m) for 30 s, it
-       cannot be reached, and the goal is the target. Trips end at the goal only while it is the
-       target, and the timeout is extended by the wait.
+       begins on entry within 1 m of the via point, or when the path walked in a step comes within 1
+       m of it, or within 3 m of it and ends beyond it, as seen from the start. It lasts for the
+       person's wait; nobody is forced to stand still. If a person has not come closer to the via
+       point (by 0.5 m) for 30 s, it cannot be reached, and the goal is the target. Trips end at the
+       goal only while it is the target, and the timeout is extended by the wait.
     4. Let people enter who are due. A person waits while someone who was already present is too
        close, but not for people who enter in the same frame. Nobody enters at the horizon.
     """

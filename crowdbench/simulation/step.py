@@ -21,10 +21,8 @@ from crowdbench.simulation.state import (
     WAITING,
 )
 from crowdbench.simulation.walls import CELL_M, cell_of
-from crowdbench.spawn.plans import VISIT_M
+from crowdbench.spawn.plans import PASSED_M, VISIT_M
 
-PASSED_M = 3.0
-"""Distance up to which a via point counts as visited by those who have passed it."""
 CLOSER_M = 0.5
 """Least decrease of the distance to a via point that counts as coming closer."""
 
@@ -195,7 +193,12 @@ def _enter(w, i, e, slots, queue, clock):
         slots.goal[w, i, k] = queue.goal[w, e, k]
         slots.target[w, i, k] = queue.via[w, e, k]
     slots.stage[w, i] = TO_VIA
-    if np.isnan(queue.via[w, e, 0]):
+    via_x = np.float64(queue.via[w, e, 0]) - np.float64(queue.start[w, e, 0])
+    via_y = np.float64(queue.via[w, e, 1]) - np.float64(queue.start[w, e, 1])
+    if math.hypot(via_x, via_y) <= VISIT_M:
+        slots.stage[w, i] = WAITING
+        slots.until[w, i] = clock.frame[w] + queue.wait[w, e]
+    if np.isnan(via_x) or (slots.stage[w, i] == WAITING and queue.wait[w, e] == 0):
         slots.stage[w, i] = TO_GOAL
         for k in range(2):
             slots.target[w, i, k] = queue.goal[w, e, k]

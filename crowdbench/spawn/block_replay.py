@@ -86,7 +86,9 @@ class BlockReplay:
             goal=np.where(left[:, None], end, drawn.goal),
             spawn_area=spawn_area,
             goal_area=np.where(left, crowd.goal_area[persons], drawn.goal_area),
-            speed=np.where(np.isfinite(speed), speed, drawn.speed),
+            speed=np.minimum(
+                np.where(np.isfinite(speed), speed, drawn.speed), scene.motion.max_speed_mps
+            ),
             group=group,
             via=via,
             wait_s=plans.wait_s[persons],

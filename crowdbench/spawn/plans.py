@@ -17,6 +17,13 @@ from crowdbench.trajectories.table import Trajectories
 
 VISIT_M = 1.0
 """Distance at which a via point counts as visited; see `Simulation`."""
+PASSED_M = 3.0
+"""Distance up to which a via point counts as visited by those who have passed it."""
+SLOWEST_MPS = 0.3
+"""People who are slower than this, outside their stops, hardly walk."""
+SHORTEST_S = 2.0
+"""People who walk for less time than this, or less than 1 m, hardly walk either."""
+SHORTEST_M = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,11 +33,14 @@ class RecordedPlans:
     via: Float[np.ndarray, "P 2"]
     """Place of the person's longest stop, metres; NaN without a stop."""
     wait_s: Float[np.ndarray, " P"]
-    """Time from coming within 1 m of that place, where a simulated wait begins, to the end of the
+    """Time from the step that visits that place, by the rule of the simulation, to the end of the
     stop, seconds; 0 without a stop."""
+    resumed: Int[np.ndarray, " P"]
+    """Row of `Trajectories.xy` where the longest stop ends; the person's first row without one."""
     speed: Float[np.ndarray, " P"]
-    """Path length over duration outside all stops, m/s; NaN for people who never walk. The 0.8 s
-    in which people come to rest, and set off, are left out too."""
+    """Path length over duration outside all stops, m/s. The 0.8 s in which people come to rest, and
+    set off, are left out too. NaN for people who hardly walk: for less than 2 s, for less than 1 m,
+    or at less than 0.3 m/s."""
 
 
 @lru_cache(maxsize=4)  # a scene's recording is used by models, policies and metrics
@@ -42,12 +52,13 @@ def plans_of(crowd: Trajectories) -> RecordedPlans:
     longest = order[at]
     via, wait_s = np.full((size, 2), np.nan), np.zeros(size)
     via[person] = stops.place[longest]
+    resumed = crowd.offsets[:-1].astype(np.int64)
+    resumed[person] = stops.last[longest]
     xy = crowd.xy.astype(np.float64)
-    for p, stop in zip(person.tolist(), longest.tolist(), strict=True):
-        came = int(stops.first[stop])
-        while came > crowd.offsets[p] and np.hypot(*(xy[came - 1] - via[p])) <= VISIT_M:
-            came -= 1
-        wait_s[p] = (stops.last[stop] - came) * crowd.dt_s
+    for p in person.tolist():
+        first, stop = crowd.offsets[p], crowd.offsets[p + 1]
+        came = first + _visited(xy[first:stop], via[p])
+        wait_s[p] = max(0, resumed[p] - came) * crowd.dt_s
     steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
     of_row = crowd.row_person()
     walked = np.diff(of_row) == 0
@@ -59,24 +70,33 @@ def plans_of(crowd: Trajectories) -> RecordedPlans:
     whose = of_row[1:][walked]
     way = np.bincount(whose, steps[walked], minlength=size)
     time_s = np.bincount(whose, minlength=size) * crowd.dt_s
-    speed = np.divide(way, time_s, out=np.full(size, np.nan), where=time_s > 0)
-    return RecordedPlans(via, wait_s, speed)
+    walks = (time_s >= SHORTEST_S) & (way >= np.maximum(SHORTEST_M, SLOWEST_MPS * time_s))
+    speed = np.divide(way, time_s, out=np.full(size, np.nan), where=walks)
+    return RecordedPlans(via, wait_s, resumed, speed)
+
+
+def _visited(path: Float[np.ndarray, "n 2"], via: Float[np.ndarray, " 2"]) -> int:
+    """Index of the position at which the via point of a path is visited; see `Simulation`."""
+    if np.hypot(*(path[0] - via)) <= VISIT_M:
+        return 0
+    distance = _distance(np.broadcast_to(via, (len(path) - 1, 2)), path[:-1], path[1:])
+    beyond = (path[1:] - via) @ (via - path[0]) > 0
+    visits = np.flatnonzero((distance <= VISIT_M) | ((distance <= PASSED_M) & beyond))
+    return int(visits[0]) + 1 if len(visits) else len(path) - 1
 
 
 def cut_at_goals(crowd: Trajectories, scene: Scene) -> Trajectories:
     """The crowd, with each trip cut off where a simulated trip would have ended.
 
-    That is the first step after the person's last stop that comes within the goal radius of its
-    goal (moved to the nearest walkable place). Columns of persons remain as they are.
+    That is the first step that comes within the goal radius of its goal (moved to the nearest
+    walkable place) when the person's longest stop is over. Columns of persons remain as they are.
     """
     goal = scene.nearest_walkable(crowd.goal.astype(np.float64))
     xy, person = crowd.xy.astype(np.float64), crowd.row_person()
-    earliest = crowd.offsets[:-1].copy()
-    stops = stops_of(crowd)
-    np.maximum.at(earliest, stops.person, stops.last)
+    earliest = np.maximum(plans_of(crowd).resumed, crowd.offsets[:-1] + 1)
     near = np.zeros(len(xy), dtype=bool)  # whether the step that leads to a row comes near the goal
     near[1:] = _distance(goal[person[1:]], xy[:-1], xy[1:]) <= scene.motion.goal_radius_m
-    near &= np.arange(len(xy)) > earliest[person]
+    near &= np.arange(len(xy)) >= earliest[person]
     last = crowd.offsets[1:] - 1
     arrived = np.flatnonzero(near)
     whose, at = np.unique(person[arrived], return_index=True)

@@ -43,7 +43,7 @@ class Replay:
         plans = plans_of(crowd)
         walking = plans.speed[np.isfinite(plans.speed)]
         usual = float(np.median(walking)) if len(walking) else 0.0
-        speed = np.nan_to_num(plans.speed, nan=usual)
+        speed = np.minimum(np.nan_to_num(plans.speed, nan=usual), scene.motion.max_speed_mps)
         via = plans.via.copy()
         stops = ~np.isnan(via[:, 0])
         via[stops] = scene.nearest_walkable(via[stops])

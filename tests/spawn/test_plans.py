@@ -53,6 +53,19 @@ def test_a_plan_holds_the_longest_stop_and_a_speed_without_standing() -> None:
     assert plans.wait_s[1] == 0
 
 
+def test_people_who_hardly_walk_have_no_speed() -> None:
+    shifts_its_feet = walk((0.1, 30))
+    short, soon = walk((0.8, 1.2)), walk((1.2, 0.8))
+    plans = plans_of(recording(shifts_its_feet, short, soon, walk((0.5, 8))))
+    assert np.isnan(plans.speed[:3]).all()
+    assert plans.speed[3] == pytest.approx(0.5)
+
+
+def test_preferred_speeds_stay_below_the_speed_limit() -> None:
+    events = Replay(recording(walk((30.0, 2)), walk((1.5, 8), y=9))).sample(60.0, OPEN, RNG)
+    np.testing.assert_allclose(events.speed, [OPEN.motion.max_speed_mps, 1.5], atol=0.03)
+
+
 def test_recorded_arrivals_carry_the_plans() -> None:
     path = walk((1.2, 8), (0.0, 8), (1.2, 8))
     crowd = recording(path, path + np.array([0.0, 0.8]), walk((1.5, 12), y=9), group=[0, 0, -1])
@@ -87,6 +100,12 @@ def test_a_trip_is_cut_at_the_first_step_to_the_goal_after_the_last_stop() -> No
     np.testing.assert_array_equal(cut.left, crowd.left)
 
 
+def test_a_short_stop_at_the_goal_after_a_longer_one_is_lingering() -> None:
+    path = walk((1.2, 8), (0.0, 12), (1.2, 8), (0.0, 8))
+    cut = cut_at_goals(recording(path), OPEN)
+    assert len(cut.xy) == 1 + 20 + 30 + 20
+
+
 @given(crowds())
 def test_cutting_shortens_trips_to_where_they_reach_their_goals(drawn: Trajectories) -> None:
     cut = cut_at_goals(drawn, OPEN)
@@ -109,10 +128,25 @@ def place() -> Scene:
     return OPEN
 
 
-def test_recorded_people_walked_leave_where_the_cut_recording_ends(place: Scene) -> None:
-    paths = [walk((1.2, 8), (0.0, 8), (1.4, 8)), walk((1.5, 12), y=9)]
-    paths[1] = np.concatenate([paths[1], np.repeat(paths[1][-1:], 6, axis=0)])
-    crowd = cut_at_goals(recording(*paths), place)
+SWERVES = walk((1.2, 8), (0.0, 8), (1.4, 8))
+SWERVES[:, 1] = np.interp(np.arange(len(SWERVES)), [5, 10, 18, 23], [0, 2.5, 2.5, 0])
+WAITERS = {
+    "stops": walk((1.2, 8), (0.0, 8), (1.4, 8)),
+    "stops where it enters": walk((0.0, 8), (1.4, 8)),
+    "comes back": np.concatenate([walk((1.2, 8), (0.0, 8)), walk((1.4, 8))[::-1] - 1.6]),
+    "swerves": SWERVES,
+    "stops twice": walk((1.2, 8), (0.0, 8), (1.2, 8), (0.0, 12), (1.2, 8)),
+    "stops at its goal": walk((1.2, 8), (0.0, 8)),
+}
+
+
+@pytest.mark.parametrize("path", WAITERS.values(), ids=WAITERS)
+def test_recorded_people_walked_leave_where_the_cut_recording_ends(
+    place: Scene, path: np.ndarray
+) -> None:
+    lingers = walk((1.5, 12), y=9)
+    lingers = np.concatenate([lingers, np.repeat(lingers[-1:], 6, axis=0)])
+    crowd = cut_at_goals(recording(path, lingers), place)
     walked = rollout(place, Replay(crowd), RecordedPaths(crowd), seed=0, horizon_s=crowd.duration_s)
     np.testing.assert_array_equal(walked.last, crowd.last)
     np.testing.assert_allclose(walked.xy, crowd.xy, atol=1e-4)
