@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 import numpy as np
@@ -39,6 +39,8 @@ class Recording(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_de
     """99th percentile of the dwell times of people who entered and left, seconds."""
     sha256: str = ""
     """SHA-256 of the source data, for users' own recordings."""
+    preprocess: Literal["", "paper"] = ""
+    """`paper`: people are dropped as in the founding paper; see `trajectories.preprocessing`."""
 
 
 class Bounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -86,6 +88,9 @@ class Clustering(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     keep_noise: bool
     """If True, persons in no cluster join the nearest cluster or a separate broad area. If False,
     they are left out, as in the founding paper."""
+    widest_m: float = math.inf
+    """Largest standard deviation of an area, metres. Wider clusters are split, because DBSCAN joins
+    doors that are side by side."""
 
 
 class Protocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -116,8 +121,7 @@ class Walking(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     lags_ticks: tuple[int, ...] = (3, 4, 6)
     """Time scales of accelerations, in ticks."""
     shifts_s: tuple[float, ...] = (20.0, 40.0)
-    """Shifts in time of the pairs that encounters are compared with, in seconds, in both
-    directions."""
+    """Delays of one of two people in the pairs that encounters are compared with, seconds."""
 
 
 class Gate(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -363,8 +367,10 @@ def _check(file: _SceneFile, path: Path) -> None:
     require(0 <= gate.arrivals <= 1, f"gate.arrivals = {gate.arrivals}", "a share from 0 to 1")
     for key, settings in file.clustering.items():
         for name, value in msgspec.structs.asdict(settings).items():
-            holds = name == "keep_noise" or (math.isfinite(value) and value > 0)
+            holds = name in ("keep_noise", "widest_m") or (math.isfinite(value) and value > 0)
             require(holds, f"clustering.{key}.{name} = {value}", "a positive number")
+        wide = settings.widest_m >= 1.0
+        require(wide, f"clustering.{key}.widest_m = {settings.widest_m}", "1 m or more")
     require("default" in file.clustering, "no [clustering.default]", "settings of DBSCAN there")
     for wall in file.walls:
         few = f"wall {wall.name!r} with {len(wall.corners_m)} corners"

@@ -197,6 +197,7 @@ BROKEN = {
     "two corners": (FIRST_WALL, "corners_m = [[0, 0], [4, 4]]", "'south parapet'", "three corners"),
     "nan corner": ("[-0.793, -0.595]", "[nan, -0.595]", "'south parapet' with a corner", "metres"),
     "no clustering": ("[clustering.default]", "[clustering.other]", "clustering.default", "DBSCAN"),
+    "narrow": ("widest_m = 4.0", "widest_m = 0.3", "default.widest_m = 0.3", "1 m or more"),
     "no epsilon": ("goal_eps_m = 0.8", "goal_eps_m = 0", "default.goal_eps_m = 0.0", "positive"),
 }
 

@@ -22,6 +22,8 @@ EPS_M = (0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0)
 LEFT_OUT = 0.1
 """The first of `EPS_M` is used that leaves less than this share of starts, and of ends, in no
 cluster."""
+WIDEST_M = 4.0
+"""Largest standard deviation of an area; doors are narrower."""
 PERSONS_ROOT = 6.0
 """A cluster has at least √(number of persons) / 6 persons, and at least three."""
 BLOCKS_S = ((270.0, 20.0), (480.0, 30.0), (1800.0, 60.0), (7200.0, 120.0), (math.inf, 600.0))
@@ -102,7 +104,7 @@ def motion_of(crowd: Trajectories) -> Motion:
 def clustering_of(crowd: Trajectories, where: object) -> Clustering:
     """Settings of DBSCAN: the smallest ε of `EPS_M` that leaves less than 10 % in no cluster.
 
-    A small ε separates doors that a large ε would merge.
+    A small ε separates doors that a large ε would merge. Clusters that are still wide are split.
 
     Raises:
         RecordingError: too many starts or ends are in no cluster with any ε.
@@ -117,6 +119,7 @@ def clustering_of(crowd: Trajectories, where: object) -> Clustering:
                 goal_eps_m=eps_m,
                 goal_min_persons=least,
                 keep_noise=True,
+                widest_m=WIDEST_M,
             )
     raise RecordingError(
         where,

@@ -8,7 +8,7 @@ import tomlkit
 from tomlkit.items import Array, Table
 
 from crowdbench.files import write_text
-from crowdbench.scene import SCHEMA, Protocol, Scene, Wall
+from crowdbench.scene import SCHEMA, Protocol, Recording, Scene, Wall
 
 _HEAD = """\
 {title}. Made by `crowdbench scene create` from {source}.
@@ -20,7 +20,7 @@ _WHY = {
     "motion": "The goal radius is half a typical step.",
     "spawning": "As in the scenes that come with crowdbench.",
     "clustering": "The smallest radius with which DBSCAN leaves out less than 10 % of the starts, "
-    "and of the ends.",
+    "and of the ends. Clusters wider than widest_m are split.",
     "walking": "Time scales on which people move more than the noise of their positions.",
     "gate": "The score of walking is at most 0 beyond these limits of speed and arrivals.",
     "protocol": "Time blocks by the recording's length; `crowdbench power` selects what is scored.",
@@ -64,12 +64,24 @@ def write_scored(scene: Scene, scored: Sequence[str]) -> Path:
     return path
 
 
+def with_recording(text: str, recording: Recording) -> str:
+    """The text of a `scene.toml` with these values in `[recording]`."""
+    document = tomlkit.parse(text)
+    for name, value in msgspec.to_builtins(recording).items():
+        if document["recording"].get(name) != value:
+            document["recording"][name] = value
+    return tomlkit.dumps(document)
+
+
 def with_default_clustering(text: str, name: str) -> str:
     """The text of a `scene.toml` whose default clustering has the settings of another one."""
     document = tomlkit.parse(text)
     clustering = document["clustering"]
-    for key, value in clustering[name].items():
-        clustering["default"][key] = value
+    chosen, default = clustering[name].unwrap(), clustering["default"]
+    for key in set(default) - set(chosen):
+        del default[key]
+    for key, value in chosen.items():
+        default[key] = value
     return tomlkit.dumps(document)
 
 

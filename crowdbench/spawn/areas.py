@@ -151,10 +151,11 @@ def fit_areas(
 
     In the returned recording trips are cut off at their goals (see `cut_at_goals`), and areas are
     assigned. Starts of people who entered and ends of people who left are clustered by DBSCAN. A
-    Gaussian is fitted to the members of each cluster. With `keep_noise`, a point in no cluster then
-    joins the cluster of the nearest member if that is within 2 ε. If at least `min_persons` points
-    are further away, they form one broad area; otherwise they join the nearest cluster too. Noise
-    points never affect the Gaussian of a cluster.
+    cluster with a standard deviation above `widest_m` is split by a Gaussian mixture, into as few
+    parts as are needed. A Gaussian is fitted to the members of each cluster. With `keep_noise`, a
+    point in no cluster then joins the cluster of the nearest member if that is within 2 ε. If at
+    least `min_persons` points are further away, they form one broad area; otherwise they join the
+    nearest cluster too. Noise points never affect the Gaussian of a cluster.
 
     Raises:
         SceneError: no cluster is found, or no person was seen to enter and to leave.
@@ -164,14 +165,14 @@ def fit_areas(
         crowd.start[crowd.entered],
         settings.spawn_eps_m,
         settings.spawn_min_persons,
-        settings.keep_noise,
+        settings,
         scene,
     )
     ends = _cluster(
         crowd.goal[crowd.left],
         settings.goal_eps_m,
         settings.goal_min_persons,
-        settings.keep_noise,
+        settings,
         scene,
     )
     spawn_area = np.full(len(crowd), -1, dtype=np.int32)
@@ -198,14 +199,20 @@ def fit_areas(
         spawn=starts.gaussians,
         goal=ends.gaussians,
         flow=flow / flow.sum(axis=1, keepdims=True),
-        speed_quantiles=np.percentile(plans_of(crowd).speed[whole], _PERCENT),
+        speed_quantiles=np.percentile(
+            np.minimum(plans_of(crowd).speed[whole], scene.motion.max_speed_mps), _PERCENT
+        ),
         left_out=(starts.left_out, ends.left_out),
     )
     return areas, crowd
 
 
 def _cluster(
-    points: Float[np.ndarray, "n 2"], eps_m: float, min_persons: int, keep_noise: bool, scene: Scene
+    points: Float[np.ndarray, "n 2"],
+    eps_m: float,
+    min_persons: int,
+    settings: Clustering,
+    scene: Scene,
 ) -> _Clusters:
     from sklearn.cluster import DBSCAN
     from sklearn.neighbors import NearestNeighbors
@@ -222,10 +229,11 @@ def _cluster(
             expected="at least one cluster",
             hint="Increase eps_m or decrease min_persons in [clustering] of scene.toml.",
         )
+    label = _split(points, label, settings.widest_m)
     groups = [points[label == k] for k in range(label.max() + 1)]
     noise = np.flatnonzero(label < 0)
     left_out = len(noise) / len(points)
-    if keep_noise and len(noise):
+    if settings.keep_noise and len(noise):
         members = np.flatnonzero(label >= 0)
         tree = NearestNeighbors(n_neighbors=1).fit(points[members])
         gap, nearest = (x[:, 0] for x in tree.kneighbors(points[noise]))
@@ -245,6 +253,30 @@ def _cluster(
         label.astype(np.int32),
         left_out,
     )
+
+
+def _split(
+    points: Float[np.ndarray, "n 2"], label: Int[np.ndarray, " n"], widest_m: float
+) -> Int[np.ndarray, " n"]:
+    """The labels of the clusters, numbered anew, with those that are too wide split into parts."""
+    from sklearn.mixture import GaussianMixture
+
+    split = np.full(len(label), -1, dtype=np.int64)
+    for k in range(label.max() + 1):
+        inside = label == k
+        of = points[inside]
+        part, parts = np.zeros(len(of), dtype=np.int64), 1
+        while max(_width(of[part == p]) for p in np.unique(part)) > widest_m:
+            parts += 1
+            mixture = GaussianMixture(parts, reg_covar=_FLOOR_M**2, n_init=3, random_state=0)
+            part = mixture.fit_predict(of)
+        split[inside] = split.max() + 1 + np.unique(part, return_inverse=True)[1]
+    return split
+
+
+def _width(points: Float[np.ndarray, "n 2"]) -> float:
+    """Largest standard deviation of the points in any direction, metres."""
+    return float(np.sqrt(np.linalg.eigvalsh(np.cov(points.T, bias=True))[-1]))
 
 
 class _AreasFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as replace_struct
 from strategies import crowd_of
 
 from crowdbench.errors import SceneError, WeightsError
@@ -123,6 +124,19 @@ def test_a_cluster_is_a_gaussian_of_its_members(scene):
     np.testing.assert_allclose(areas.spawn.mean, [[2.1, 5.1]], rtol=1e-6)
     # A variance of 0.1² of the corners, and 0.1² because people are not points.
     np.testing.assert_allclose(areas.spawn.covariance, [0.02 * np.eye(2)], atol=1e-6)
+
+
+def test_a_wide_cluster_is_split_at_its_gaps(scene: Scene) -> None:
+    rng = np.random.default_rng(0)
+    doors = [rng.normal(x, 0.8, 60) for x in (3.0, 6.5, 10.0)]
+    starts = np.stack([np.concatenate(doors), np.full(180, 5.0)], axis=1)
+    crowd = walks(starts.tolist(), [AFAR[k % 4] for k in range(180)])
+    whole, _ = fit_areas(crowd, scene, KEEP)
+    assert len(whole.spawn) == 1
+    split, found = fit_areas(crowd, scene, replace_struct(KEEP, widest_m=1.5))
+    np.testing.assert_allclose(np.sort(split.spawn.mean[:, 0]), [3.0, 6.5, 10.0], atol=0.3)
+    assert len(split.goal) == len(whole.goal)
+    assert (np.bincount(found.spawn_area) > 50).all()
 
 
 def test_noise_does_not_shape_the_gaussian_of_a_cluster(scene):
