@@ -24,13 +24,13 @@ from crowdbench.metrics import (
     blamed,
     metrics_for,
 )
-from crowdbench.scene import Scene
+from crowdbench.scene import Scene, Walking
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.events import blocks_of
 from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.table import Trajectories, from_rows
 
-SCHEMA = 2
+SCHEMA = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def place_of(scene: Scene, areas: Areas) -> Place:
         bounds_m=(b.x_min_m, b.x_max_m, b.y_min_m, b.y_max_m),
         radius_m=scene.motion.person_radius_m,
         walls=tuple(wall.corners_m for wall in scene.walls),
-        **msgspec.structs.asdict(scene.walking),
+        walking=scene.walking,
     )
 
 
@@ -174,6 +174,9 @@ class _ReferenceFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     """Value of `protocol.block_s` in `scene.toml` when the statistics were computed."""
     blocks: Annotated[list[tuple[_Count, _Count]], msgspec.Meta(min_length=1)]
     opens: list[bool]
+    walking: Walking
+    """`[walking]` of `scene.toml` when the statistics were computed, like the radius below."""
+    person_radius_m: float
     spawn_areas: int
     goal_areas: int
     statistics: dict[str, dict[str, tuple[int, list[list[tuple[_Column, int]]]]]]
@@ -193,6 +196,8 @@ def write_reference(reference: Reference, scene: Scene) -> Path:
         block_s=scene.protocol.block_s,
         blocks=[(int(a), int(b)) for a, b in reference.blocks.frames],
         opens=reference.blocks.opens.tolist(),
+        walking=scene.walking,
+        person_radius_m=scene.motion.person_radius_m,
         spawn_areas=reference.place.spawn_areas,
         goal_areas=reference.place.goal_areas,
         statistics={
@@ -227,13 +232,18 @@ def read_reference(scene: Scene) -> Reference:
         ("dt_s", file.dt_s, scene.dt_s),
         ("grid_s", file.grid_s, scene.grid_s),
         ("protocol.block_s", file.block_s, scene.protocol.block_s),
+        ("motion.person_radius_m", file.person_radius_m, scene.motion.person_radius_m),
         ("recording.frames", max(frames, scene.recording.frames), scene.recording.frames),
+        *(
+            (f"walking.{name}", getattr(file.walking, name), getattr(scene.walking, name))
+            for name in Walking.__struct_fields__
+        ),
     ):
         if computed != stated:
             raise WeightsError(
                 path,
-                got=f"statistics computed with {name} = {computed:g}",
-                expected=f"{name} = {stated:g}, as in scene.toml",
+                got=f"statistics computed with {name} = {_shown(computed)}",
+                expected=f"{name} = {_shown(stated)}, as in scene.toml",
                 hint=hint,
             )
     place = place_of(scene, read_areas(scene))
@@ -280,6 +290,10 @@ def read_reference(scene: Scene) -> Reference:
         if metric in known
     }
     return Reference(blocks, place, statistics)
+
+
+def _shown(value: float | int | tuple[float, ...]) -> str:
+    return ", ".join(f"{v:g}" for v in value) if isinstance(value, tuple) else f"{value:g}"
 
 
 class _RawStatistics(msgspec.Struct, frozen=True):

@@ -108,6 +108,23 @@ def test_written_statistics_are_read_back(tmp_path: Path, plaza: Trajectories) -
             assert counts[:, found.shape[1] :].sum() == 0
 
 
+@pytest.mark.parametrize(
+    ("changed", "name"),
+    [
+        (replace(PLAZA, walking=structs.replace(PLAZA.walking, shifts_s=(15.0,))), "shifts_s = 15"),
+        (
+            replace(PLAZA, motion=structs.replace(PLAZA.motion, person_radius_m=0.2)),
+            "radius_m = 0.2",
+        ),
+    ],
+    ids=["walking", "radius"],
+)
+def test_statistics_of_other_settings_are_refused(changed: Scene, name: str) -> None:
+    with pytest.raises(WeightsError) as caught:
+        read_reference(changed)
+    assert name in caught.value.expected
+
+
 SEARCHED = "renewal-gmm.json"  # by an optimiser, whose last digits are the processor's own
 
 
@@ -140,12 +157,12 @@ def test_the_plazas_shipped_files_are_remade(tmp_path: Path, plaza: Trajectories
     assert remade(PLAZA, plaza, tmp_path) == []
 
 
-def test_eths_shipped_files_are_remade(tmp_path: Path, eth: Trajectories) -> None:
-    assert remade(ETH, eth, tmp_path) == []
+def test_eths_shipped_files_are_remade(tmp_path: Path, raw: Trajectories) -> None:
+    assert remade(ETH, raw, tmp_path) == []
 
 
-def test_the_papers_clustering_makes_other_areas(tmp_path: Path, eth: Trajectories) -> None:
-    fit_scene(ETH, eth, clustering="paper", models=EXACT, out=tmp_path)
+def test_the_papers_clustering_makes_other_areas(tmp_path: Path, raw: Trajectories) -> None:
+    fit_scene(ETH, raw, clustering="paper", models=EXACT, out=tmp_path)
     assert (tmp_path / "areas.json").read_bytes() != (ETH.folder / "areas.json").read_bytes()
     made = load_scene(tmp_path)  # a scene whose default is the paper's
     assert made.clustering["default"] == ETH.clustering["paper"]
