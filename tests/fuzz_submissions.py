@@ -23,10 +23,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from spoiling import spoilt
-from submissions import listed_submission, spawn_submission, walk_submission
+from submissions import SHIPPED_FITS, listed_submission, spawn_submission, walk_submission
 
 from crowdbench.leftovers import swept
-from crowdbench.registry import WEIGHTS
 
 LIMIT_S = 5.0
 LIMIT_BYTES = 2**30
@@ -37,7 +36,7 @@ _FIRST_S = 300.0  # what a child may take to import everything and open sound su
 def sound_submissions(folder: Path) -> list[Path]:
     """Submissions of every kind in which nothing is wrong."""
     sound = [walk_submission(folder / "walk"), listed_submission(folder / "listed")]
-    for file in WEIGHTS:
+    for file in SHIPPED_FITS:
         sound.append(spawn_submission(folder / file.partition(".")[0], file))
     return sound
 

@@ -14,6 +14,7 @@ from crowdbench.registry.recordings import (
     RECORDINGS,
     has_recording,
     import_recording,
+    raw_recording_of,
     recording,
     recording_of,
 )
@@ -47,6 +48,7 @@ __all__ = [
     "list_spawn_models",
     "policy",
     "policy_source",
+    "raw_recording_of",
     "recording",
     "recording_of",
     "spawn_model",

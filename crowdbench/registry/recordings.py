@@ -6,6 +6,7 @@ from pathlib import Path
 from crowdbench.recordings import catalogue
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import fit_areas
+from crowdbench.trajectories.preprocessing import paper_preprocessed
 from crowdbench.trajectories.storage import read_own, write_parquet
 from crowdbench.trajectories.table import Trajectories
 
@@ -37,6 +38,16 @@ def import_recording(name: str, source: Path | None = None) -> Trajectories:
     return catalogue.import_recording(name, source)
 
 
+def raw_recording_of(scene: Scene) -> Trajectories:
+    """Recording of a scene, with the people that its `scene.toml` asks for.
+
+    Raises:
+        RecordingError: the recording has not been imported.
+    """
+    crowd = recording(scene.recording.name)
+    return paper_preprocessed(crowd)[0] if scene.recording.preprocess else crowd
+
+
 def recording_of(scene: str | Path | Scene) -> Trajectories:
     """Recording of a scene as models and metrics use it.
 
@@ -47,7 +58,7 @@ def recording_of(scene: str | Path | Scene) -> Trajectories:
         RecordingError: the recording has not been imported.
     """
     place = load_scene(scene)
-    _, crowd = fit_areas(recording(place.recording.name), place, place.clustering["default"])
+    _, crowd = fit_areas(raw_recording_of(place), place, place.clustering["default"])
     return crowd
 
 

@@ -12,8 +12,10 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import (
     BlockReplay,
     NtppGMM,
+    NtppPaper,
     PoissonGMM,
     PoissonGroups,
+    PoissonPaper,
     RenewalGMM,
     Replay,
     Scenario,
@@ -25,11 +27,14 @@ from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.scenario import check_scenario, read_scenario, split_scenario
 from crowdbench.spawn.weights import check_split
 
-FITTED: dict[str, type[PoissonGMM] | type[PoissonGroups] | type[RenewalGMM] | type[NtppGMM]] = {
+Fitted = type[PoissonGMM] | type[PoissonGroups] | type[RenewalGMM] | type[NtppGMM] | type[NtppPaper]
+FITTED: dict[str, Fitted] = {
     "poisson-gmm": PoissonGMM,
     "poisson-groups": PoissonGroups,
     "renewal-gmm": RenewalGMM,
     "ntpp-gmm": NtppGMM,
+    "poisson-paper": PoissonPaper,
+    "ntpp-paper": NtppPaper,
 }
 """Spawn models that are fitted to a recording; scenes ship their fits."""
 WEIGHTS = {
@@ -37,6 +42,8 @@ WEIGHTS = {
     "poisson-groups.json": "poisson-groups",
     "renewal-gmm.json": "renewal-gmm",
     "ntpp-gmm.safetensors": "ntpp-gmm",
+    "poisson-paper.json": "poisson-paper",
+    "ntpp-paper.safetensors": "ntpp-paper",
 }
 """File name of the fits of each spawn model in `FITTED`."""
 SPAWN_MODELS = (*FITTED, "block-replay", "replay")
@@ -175,13 +182,14 @@ def _fits_of(model: str, scene: Scene) -> Path | None:
 def _shipped_fits(model: str, scene: Scene) -> Path:
     file = next(scene.folder / file for file, name in WEIGHTS.items() if name == model)
     if not file.is_file():
-        torch = " (it needs torch, the extra `fit`)" if model == "ntpp-gmm" else ""
+        torch = " (it needs torch, the extra `fit`)" if model.startswith("ntpp") else ""
+        extra = " --models " + model if model.endswith("-paper") else ""
         others = ", ".join(fitted_models(scene))
         raise WeightsError(
             file,
             got="no such file",
             expected=f"the scene's fits of {model}",
-            hint=f"Run `crowdbench fit {scene.asked}`{torch}"
+            hint=f"Run `crowdbench fit {scene.asked}{extra}`{torch}"
             + (f", or choose a fitted spawn model: {others}." if others else "."),
         )
     return file

@@ -11,7 +11,7 @@ import numpy as np
 from crowdbench.errors import CrowdbenchError, SceneError, WeightsError
 from crowdbench.metrics import metrics_for
 from crowdbench.recordings.catalogue import SOURCES
-from crowdbench.registry import FITTED, has_recording, recording, trained_policies
+from crowdbench.registry import FITTED, has_recording, raw_recording_of, trained_policies
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building.fit import check_against
 from crowdbench.scene_building.rules import LEFT_OUT
@@ -145,7 +145,7 @@ def _recording(scene: Scene, areas: Areas | None, reference: Reference | None) -
     name = scene.recording.name
     if not has_recording(scene):
         return f"{name} is not imported: nothing was compared with it"
-    crowd = recording(name)
+    crowd = raw_recording_of(scene)
     _check_hash(scene, crowd)
     check_against(scene, crowd)
     if areas is None or reference is None:

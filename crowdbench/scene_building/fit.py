@@ -2,24 +2,26 @@
 
 import importlib.util
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from msgspec import structs
 
 from crowdbench.errors import SceneError, SettingError
 from crowdbench.evaluation.parallel import call_each, checked_workers
 from crowdbench.files import unwritable, write_text
 from crowdbench.registry import FITTED
 from crowdbench.scene import Scene
-from crowdbench.scene_building.toml import with_default_clustering
+from crowdbench.scene_building.toml import with_default_clustering, with_recording
 from crowdbench.scoring.reference import Reference, write_reference
 from crowdbench.spawn import (
     Areas,
     Arrivals,
     PoissonGMM,
     PoissonGroups,
+    PoissonPaper,
     RenewalGMM,
     SpawnModel,
     arrivals_of,
@@ -27,10 +29,17 @@ from crowdbench.spawn import (
 )
 from crowdbench.spawn.areas import write_areas
 from crowdbench.trajectories.blocks import SPLITS
+from crowdbench.trajectories.preprocessing import paper_preprocessed
 from crowdbench.trajectories.stops import standing
 from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
-MODELS = tuple(FITTED)
+MODELS = ("poisson-gmm", "poisson-groups", "renewal-gmm", "ntpp-gmm")
+"""Models that are fitted by default: all but those of the founding paper."""
+NEURAL = {
+    "ntpp-gmm": "crowdbench.spawn.ntpp_training",
+    "ntpp-paper": "crowdbench.spawn.ntpp_paper_training",
+}
+"""Modules that train the neural models with torch."""
 ASTRAY = 0.03
 """Maximum share of the recorded positions outside the bounds or in a wall. Some are unavoidable: if
 a person was not seen for minutes, the interpolated path may pass through a wall."""
@@ -43,19 +52,26 @@ def fit_scene(
     recording: Trajectories,
     *,
     clustering: str = "default",
+    preprocess: Literal["", "paper"] | None = None,
     models: Sequence[str] = MODELS,
+    training: Mapping[str, Any] | None = None,
+    fits: int | None = None,
     out: Path | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> dict[str, str]:
     """Fit the areas, spawn models and statistics of a scene and write them to its folder or `out`.
 
-    Each spawn model is fitted to the whole recording and for each fold. `workers` is the number of
+    Each spawn model is fitted to the whole recording and for each fold. With `preprocess`, people
+    are dropped as in the founding paper (by default as `scene.toml` says); `out` becomes a scene
+    of the others. `training` holds changes
+    of the settings of neural models by name of field, such as `window_frames`. `fits` is the
+    number of fits of neural models, by default that of the scene. `workers` is the number of
     processes, by default one per core. Returns results by name, as text for a table.
 
     Raises:
-        SettingError: the scene has no clustering of that name, a model does not exist, or torch,
-            which is required to fit `ntpp-gmm`, is not installed.
+        SettingError: the scene has no clustering of that name, a model or setting does not exist,
+            or torch, which is required to fit neural models, is not installed.
         SceneError: `scene.toml` contradicts the recording.
         OutputError: the folder cannot be written.
     """
@@ -68,7 +84,16 @@ def fit_scene(
             if clustering == "paper"
             else "",
         )
+    scene, recording, dropped = _preprocessed(scene, recording, preprocess, out)
     _check_models(models)
+    settings = {name: training_settings(name, training or {}) for name in NEURAL if name in models}
+    if training and not settings:
+        raise SettingError(
+            "training", got=", ".join(training), expected="none without a neural model"
+        )
+    fits = scene.protocol.fits if fits is None else fits
+    if fits < 1:
+        raise SettingError("fits", got=str(fits), expected="1 or more")
     check_against(scene, recording)
     place = replace(scene, folder=out or scene.folder)
     try:  # before the fits, which take minutes
@@ -81,40 +106,86 @@ def fit_scene(
     arrivals = {
         split: arrivals_of(crowd, blocks.training(split), len(areas.spawn)) for split in SPLITS
     }
-    fits = _fit_models(models, arrivals, areas, place, checked_workers(workers), progress)
+    fitted = _fit_models(
+        models, settings, fits, arrivals, areas, place, checked_workers(workers), progress
+    )
     # `out` becomes a separate scene, whose default clustering is the one that was used.
     toml = (scene.folder / "scene.toml").read_text()
-    write_text(place.folder / "scene.toml", with_default_clustering(toml, clustering))
+    toml = with_default_clustering(with_recording(toml, scene.recording), clustering)
+    write_text(place.folder / "scene.toml", toml)
     write_areas(areas, place.folder / "areas.json")
     for name in models:
-        FITTED[name].write(place.folder, fits[name])
+        FITTED[name].write(place.folder, fitted[name])
     write_reference(reference, place)
     full = arrivals["full"]
     return {
+        **dropped,
         "persons": f"{len(crowd)}, {len(full.tick)} of them arrivals in the time blocks",
         "cut off": _cut_off(recording, crowd),
         "in walls": f"{_in_walls(scene, crowd):.2%} of the recorded positions",
         "spawn areas": f"{len(areas.spawn)}, {areas.left_out[0]:.1%} of arrivals left out",
         "goal areas": f"{len(areas.goal)}, {areas.left_out[1]:.1%} of departures left out",
         "arrivals": f"{len(full.tick) / full.exposure_s() * 60:.2f} persons per minute",
-        **{name: _likelihood(fits[name]["full"], full) for name in models},
+        **{name: _likelihood(fitted[name]["full"], full) for name in models},
         "time blocks": f"{len(reference.blocks)}, {reference.blocks.exposure_s():.1f} s in total",
         "written to": str(place.folder),
     }
 
 
+def _preprocessed(
+    scene: Scene, recording: Trajectories, preprocess: str | None, out: Path | None
+) -> tuple[Scene, Trajectories, dict[str, str]]:
+    """The scene and recording without the people that are dropped, and the counts as text."""
+    if preprocess is None:
+        preprocess = scene.recording.preprocess
+    if preprocess != scene.recording.preprocess and out is None:
+        raise SettingError(
+            "preprocess",
+            got=f"{preprocess!r} and no output folder",
+            expected="an output folder, because other people make another scene",
+            hint="Add --out DIR.",
+        )
+    if not preprocess:
+        return scene, recording, {}
+    if preprocess != "paper":
+        raise SettingError("preprocess", got=repr(preprocess), expected="'paper'")
+    recording, counts = paper_preprocessed(recording)
+    of = structs.replace(
+        scene.recording, preprocess="paper", dwell_p99_s=round(dwell_p99_s(recording), 6)
+    )
+    return replace(scene, recording=of), recording, counts.facts(scene.recording.name)
+
+
 def _check_models(models: Sequence[str]) -> None:
     for name in models:
-        if name not in MODELS:
+        if name not in FITTED:
             raise SettingError(
-                "models", got=repr(name), expected=f"one or more of {', '.join(MODELS)}"
+                "models", got=repr(name), expected=f"one or more of {', '.join(FITTED)}"
             )
-    if "ntpp-gmm" in models:
+    if any(name in NEURAL for name in models):
         check_torch(", or omit the model with --models poisson-gmm poisson-groups renewal-gmm")
 
 
+def training_settings(model: str, changes: Mapping[str, Any]) -> Any:
+    """The training settings of a neural model, with some of them changed.
+
+    Raises:
+        SettingError: the model has no setting of that name, or a number is not positive.
+    """
+    settings = importlib.import_module(NEURAL[model]).Settings
+    known = [f.name for f in fields(settings)]
+    for name, value in changes.items():
+        if name not in known:
+            raise SettingError(
+                f"training of {model}", got=name, expected=f"one of {', '.join(known)}"
+            )
+        if not (np.isfinite(value) and (value > 0 or isinstance(value, bool))):
+            raise SettingError(name, got=str(value), expected="a positive number")
+    return settings(**changes)
+
+
 def has_torch() -> bool:
-    """Whether torch, which is required to fit `ntpp-gmm`, is installed."""
+    """Whether torch, which is required to fit neural spawn models, is installed."""
     return importlib.util.find_spec("torch") is not None
 
 
@@ -122,11 +193,11 @@ def check_torch(hint: str = "") -> None:
     """Check that torch is installed; `hint` names an alternative to installing it.
 
     Raises:
-        SettingError: torch, which is required to fit `ntpp-gmm`, is not installed.
+        SettingError: torch, which is required to fit neural spawn models, is not installed.
     """
     if not has_torch():
         raise SettingError(
-            "ntpp-gmm",
+            "neural spawn models",
             got="no installation of torch, which fitting requires",
             expected="torch 2.4 or newer",
             hint=f'Install it in the clone with pip install -e ".[fit]"{hint}.',
@@ -135,20 +206,25 @@ def check_torch(hint: str = "") -> None:
 
 def _fit_models(
     models: Sequence[str],
+    settings: Mapping[str, Any],
+    count: int,
     arrivals: Mapping[str, Arrivals],
     areas: Areas,
     scene: Scene,
     workers: int,
     progress: Progress | None,
 ) -> dict[str, dict[str, list[Any]]]:
-    """The fits of each model for each split, by names of model and split."""
-    light = [(n, split, 0) for n in models if n != "ntpp-gmm" for split in SPLITS]
-    seeds = range(scene.protocol.fits if "ntpp-gmm" in models else 0)
-    heavy = [("ntpp-gmm", split, k) for split in SPLITS for k in seeds]
+    """The fits of each model for each split, by names of model and split.
+
+    Neural models are fitted `count` times.
+    """
+    light = [(n, split, 0) for n in models if n not in settings for split in SPLITS]
+    heavy = [(n, split, k) for n in settings for split in SPLITS for k in range(count)]
     done: dict[tuple[str, str, int], SpawnModel] = {}
     for jobs, processes in ((light, 1), (heavy, workers)):
-        settings = _ntpp_settings() if jobs is heavy and jobs else None
-        tasks = [(n, arrivals[split], areas, scene, seed, settings) for n, split, seed in jobs]
+        tasks = [
+            (n, arrivals[split], areas, scene, seed, settings.get(n)) for n, split, seed in jobs
+        ]
         for k, model in call_each(_fit, tasks, processes, name=_named):
             if progress and not done:
                 progress(0, len(light) + len(heavy))
@@ -159,12 +235,6 @@ def _fit_models(
     for name, split, k in light + heavy:
         fits[name][split].append(done[name, split, k])
     return fits
-
-
-def _ntpp_settings() -> Any:
-    from crowdbench.spawn import ntpp_training
-
-    return ntpp_training.SETTINGS
 
 
 def _named(name: str, *rest: object) -> str:
@@ -180,9 +250,11 @@ def _fit(
         return PoissonGroups.fit(arrivals, areas)
     if name == "renewal-gmm":
         return RenewalGMM.fit(arrivals, areas)
-    from crowdbench.spawn import ntpp_training
-
-    return ntpp_training.fit(arrivals, areas, scene, seed=seed, settings=settings)
+    if name == "poisson-paper":
+        return PoissonPaper.fit_frames(arrivals, areas, scene)
+    training = importlib.import_module(NEURAL[name])
+    model: SpawnModel = training.fit(arrivals, areas, scene, seed=seed, settings=settings)
+    return model
 
 
 def _cut_off(recording: Trajectories, crowd: Trajectories) -> str:

@@ -5,7 +5,8 @@ from crowdbench.spawn.block_replay import BlockReplay
 from crowdbench.spawn.events import Arrivals, SpawnEvents, arrivals_in, arrivals_of
 from crowdbench.spawn.model import SpawnModel
 from crowdbench.spawn.ntpp import NtppGMM
-from crowdbench.spawn.poisson import PoissonGMM
+from crowdbench.spawn.ntpp_paper import NtppPaper
+from crowdbench.spawn.poisson import PoissonGMM, PoissonPaper
 from crowdbench.spawn.poisson_groups import PoissonGroups
 from crowdbench.spawn.renewal import RenewalGMM
 from crowdbench.spawn.replay import Replay
@@ -19,8 +20,10 @@ __all__ = [
     "BlockReplay",
     "Change",
     "NtppGMM",
+    "NtppPaper",
     "PoissonGMM",
     "PoissonGroups",
+    "PoissonPaper",
     "RenewalGMM",
     "Replay",
     "Scenario",

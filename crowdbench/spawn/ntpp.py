@@ -26,22 +26,19 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import msgspec
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.random import Generator
 
-from crowdbench.errors import WeightsError
-from crowdbench.files import read_bytes, replacing
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals, SpawnEvents
 from crowdbench.spawn.groups import Hazards, check_grid, per_person, spells_of
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.weights import Fits, check_origin, check_split, hint
-from crowdbench.trajectories.blocks import SPLITS
+from crowdbench.spawn.network_files import NetworkFile
+from crowdbench.spawn.weights import Fits
 
 NAME = "ntpp-gmm"
 SCHEMA = 2
@@ -65,6 +62,9 @@ SHAPES: dict[str, tuple[int, ...]] = {
 candidate, as in torch. `base` is added to the head's outputs: log shape, log scale (grid steps) and
 log odds of one more member. `scaling` holds mean and standard deviation of log gap (grid steps),
 then of log size."""
+
+
+_FILE = NetworkFile(NAME, SCHEMA, SHAPES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,28 +167,15 @@ class NtppGMM:
     @classmethod
     def write(cls, folder: Path, fits: "Fits[NtppGMM]") -> None:
         """Write all fits of all splits into a scene's folder."""
-        from safetensors.numpy import save
-
         first = fits["full"][0]
-        tensors = {}
-        for split, models in fits.items():
-            for fit, model in enumerate(models):
-                for name in SHAPES:
-                    array = model.weights[name].astype(np.float32)
-                    tensors[f"{split}.{fit}.{name}"] = np.ascontiguousarray(array)
-        header = _Header(
-            schema=SCHEMA,
-            model=NAME,
-            scene=first.areas.scene,
-            fits=len(fits["full"]),
+        _FILE.write(
+            folder,
+            first.areas.scene,
+            {split: [model.weights for model in models] for split, models in fits.items()},
             grid_s=first.grid_s,
             memory=first.memory,
-            settings=dict(first.settings),
+            settings=first.settings,
         )
-        # A single entry, because the order of several entries differs between runs.
-        text = msgspec.json.encode(header, order="deterministic").decode()
-        with replacing(folder / f"{NAME}.safetensors") as temporary:
-            temporary.write_bytes(save(tensors, metadata={"crowdbench": text}))
 
     @classmethod
     def read(cls, scene: Scene, areas: Areas, split: str = "full", fit: int = 0) -> "NtppGMM":
@@ -198,41 +185,7 @@ class NtppGMM:
             SettingError: the split or fit does not exist.
             WeightsError: the file is missing or broken, or belongs to another scene.
         """
-        check_split(split, fit)
-        path = scene.folder / f"{NAME}.safetensors"
-        how = hint(scene)
-        data = read_bytes(path, WeightsError, how)
-        header, tensors = _decode(path, data, how)
-        check_origin(
-            path, (header.model, header.scene, header.schema), (NAME, scene.id, SCHEMA), how
-        )
-        if header.memory < 1:
-            raise WeightsError(
-                path,
-                got=f"a memory of {header.memory} grid steps",
-                expected="1 or more",
-                hint=how,
-            )
-        most = len(tensors) // len(SHAPES)
-        if not 1 <= header.fits <= max(1, most) or not np.isclose(header.grid_s, scene.grid_s):
-            raise WeightsError(
-                path,
-                got=f"{header.fits} fits on a grid of {header.grid_s:g} s",
-                expected=f"the number of fits in the file, at least 1, on a grid of "
-                f"{scene.grid_s:g} s",
-                hint=how,
-            )
-        k = len(areas.spawn)
-        shapes = {name: (k, *shape) for name, shape in SHAPES.items()}
-        expected = {
-            f"{p}.{f}.{name}": shape
-            for p in SPLITS
-            for f in range(header.fits)
-            for name, shape in shapes.items()
-        }
-        _check(path, tensors, expected, how)
-        prefix = f"{split}.{fit % header.fits}."
-        weights = {name: tensors[prefix + name] for name in SHAPES}
+        header, weights = _FILE.read(scene, len(areas.spawn), split, fit)
         return cls(areas, weights, header.grid_s, header.memory, header.settings)
 
 
@@ -245,67 +198,3 @@ def networks(scene: Scene, areas: Areas, splits: Sequence[str]) -> Int[np.ndarra
     fits = range(scene.protocol.fits)
     each = [[NtppGMM.read(scene, areas, p, fit).trained() for p in splits] for fit in fits]
     return np.sum(each, axis=1)
-
-
-class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    schema: int
-    model: str
-    scene: str
-    fits: int
-    grid_s: float
-    memory: int
-    settings: dict[str, int | float]
-
-
-def _decode(path: Path, data: bytes, how: str) -> tuple[_Header, dict[str, np.ndarray]]:
-    """Header and tensors of a safetensors file."""
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
-
-    try:
-        tensors = load(data)
-        # The file begins with eight bytes that give the length of a JSON header.
-        raw = msgspec.json.decode(data[8 : 8 + int.from_bytes(data[:8], "little")])
-        text = raw["__metadata__"]["crowdbench"]
-        return msgspec.json.decode(text, type=_Header), tensors
-    except (SafetensorError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise WeightsError(
-            path,
-            got=f"unreadable weights ({error})",
-            expected="safetensors with crowdbench's header",
-            hint=how,
-        ) from error
-
-
-def _check(
-    path: Path,
-    tensors: Mapping[str, Any],
-    expected: Mapping[str, tuple[int, ...]],
-    how: str,
-) -> None:
-    wrong = sorted(set(tensors) ^ set(expected))
-    if wrong:
-        raise WeightsError(
-            path,
-            got=f"{len(wrong)} tensors missing or unknown, among them {wrong[0]}",
-            expected="one tensor per split, fit and weight",
-            hint=how,
-        )
-    for name, array in tensors.items():
-        where = f"{path}, {name}"
-        if array.shape != expected[name] or array.dtype != np.float32:
-            raise WeightsError(
-                where,
-                got=f"{array.dtype} of shape {array.shape}",
-                expected=f"float32 of shape {expected[name]}",
-                hint=how,
-            )
-        if not np.isfinite(array).all():
-            raise WeightsError(where, got="NaN or infinity", expected="finite numbers", hint=how)
-        if name.endswith("scaling") and (array[:, 1::2] <= 0).any():
-            raise WeightsError(
-                where,
-                got="a standard deviation of 0 or less",
-                expected="standard deviations > 0",
-                hint=how,
-            )

@@ -37,13 +37,8 @@ def _head(h, weights):
 
 
 @njit(cache=True)
-def _update(h, gap, size, weights):
-    """The state after a group of `size` that enters `gap` grid steps after the previous group."""
-    input_weight, input_bias, state_weight, state_bias = weights[0:4]
-    scaling = weights[10]
-    x = np.empty(2)
-    x[0] = (math.log(gap) - scaling[0]) / scaling[1]
-    x[1] = (math.log(size) - scaling[2]) / scaling[3]
+def gru(x, h, input_weight, input_bias, state_weight, state_bias):
+    """The next state of a gated recurrent unit with input x and state h, as in torch."""
     n = len(h)
     i = input_weight @ x + input_bias
     s = state_weight @ h + state_bias
@@ -54,6 +49,16 @@ def _update(h, gap, size, weights):
         candidate = math.tanh(i[2 * n + j] + reset * s[2 * n + j])
         new[j] = (1.0 - keep) * candidate + keep * h[j]
     return new
+
+
+@njit(cache=True)
+def _update(h, gap, size, weights):
+    """The state after a group of `size` that enters `gap` grid steps after the previous group."""
+    scaling = weights[10]
+    x = np.empty(2)
+    x[0] = (math.log(gap) - scaling[0]) / scaling[1]
+    x[1] = (math.log(size) - scaling[2]) / scaling[3]
+    return gru(x, h, weights[0], weights[1], weights[2], weights[3])
 
 
 @njit(cache=True)

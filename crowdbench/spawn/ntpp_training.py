@@ -124,12 +124,12 @@ def fit(
     arrivals: Arrivals, areas: Areas, scene: Scene, *, seed: int, settings: Settings = SETTINGS
 ) -> NtppGMM:
     """Train the networks of a scene's areas; the same seed gives the same weights."""
-    with _deterministic():
+    with deterministic():
         return _fit(arrivals, areas, scene, seed, settings)
 
 
 @contextmanager
-def _deterministic() -> Iterator[None]:
+def deterministic() -> Iterator[None]:
     """Use deterministic algorithms and one thread.
 
     With several threads the order of summation is not fixed, and networks of this size are not

@@ -1,8 +1,11 @@
-"""`poisson-gmm`: people enter each area at a constant rate, independently of each other."""
+"""`poisson-gmm`: people enter each area at a constant rate, independently of each other.
+
+`poisson-paper` is the same model as the founding paper's published code fits it.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +20,8 @@ from crowdbench.spawn.weights import Fits, check_numbers, check_split, read_spli
 
 NAME = "poisson-gmm"
 
+Model = TypeVar("Model", bound="PoissonGMM")
+
 
 @dataclass(frozen=True, eq=False)
 class PoissonGMM:
@@ -26,6 +31,8 @@ class PoissonGMM:
     rate: Float[np.ndarray, " K"]
     """Expected persons per second for each area."""
     name: str = NAME
+    kind: ClassVar[str] = NAME
+    """Name of the model, and of its file."""
     start: ClassVar[Start] = "stationary"
 
     @classmethod
@@ -71,10 +78,12 @@ class PoissonGMM:
         """Write the rates of all splits into a scene's folder."""
         scene = fits["full"][0].areas.scene
         splits = {split: {"rate_per_s": models[0].rate} for split, models in fits.items()}
-        write_splits(folder / f"{NAME}.json", NAME, scene, splits)
+        write_splits(folder / f"{cls.kind}.json", cls.kind, scene, splits)
 
     @classmethod
-    def read(cls, scene: Scene, areas: Areas, split: str = "full", fit: int = 0) -> "PoissonGMM":
+    def read(
+        cls: type[Model], scene: Scene, areas: Areas, split: str = "full", fit: int = 0
+    ) -> Model:
         """The fit that a scene ships for a split; all values of `fit` give the same fit.
 
         Raises:
@@ -82,6 +91,38 @@ class PoissonGMM:
             WeightsError: the file is missing or broken, or belongs to another scene.
         """
         check_split(split, fit)
-        rate = read_split(scene, NAME, ["rate_per_s"], len(areas.spawn), split)["rate_per_s"]
-        check_numbers(scene, NAME, {"rate_per_s": (bool((rate >= 0).all()), "rates ≥ 0")})
+        rate = read_split(scene, cls.kind, ["rate_per_s"], len(areas.spawn), split)["rate_per_s"]
+        check_numbers(scene, cls.kind, {"rate_per_s": (bool((rate >= 0).all()), "rates ≥ 0")})
+        return cls(areas, rate)
+
+
+@dataclass(frozen=True, eq=False)
+class PoissonPaper(PoissonGMM):
+    """`poisson-gmm` as fitted by the published code of the paper (`code/src/tpp/poisson.py`).
+
+    The rate of an area is the number of frames in which anybody enters, divided by the time from
+    the first to the last of them. So people who enter together are lost, and areas with few
+    arrivals close together get rates that are much too high. The paper itself describes the
+    maximum-likelihood rate, which is that of `poisson-gmm`.
+    """
+
+    name: str = "poisson-paper"
+    kind: ClassVar[str] = "poisson-paper"
+
+    @classmethod
+    def fit_frames(cls, arrivals: Arrivals, areas: Areas, scene: Scene) -> "PoissonPaper":
+        """Count occupied frames. Time between observed stretches is left out.
+
+        An area with arrivals in a single frame, where the code divides by 0, gets one person per
+        observed time.
+        """
+        counts = arrivals.counts()
+        frame = (np.arange(len(counts)) * arrivals.grid_s / scene.dt_s + 1e-6).astype(np.int64)
+        rate = np.zeros(arrivals.areas)
+        for k in range(arrivals.areas):
+            frames = np.unique(frame[counts[:, k] > 0])
+            if len(frames) > 1:
+                rate[k] = len(frames) / ((frames[-1] - frames[0]) * scene.dt_s)
+            elif len(frames):
+                rate[k] = 1 / arrivals.exposure_s()
         return cls(areas, rate)

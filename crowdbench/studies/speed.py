@@ -23,7 +23,7 @@ from crowdbench.errors import SettingError
 from crowdbench.evaluation.judge import draws_of
 from crowdbench.metrics import WALK, metrics_for
 from crowdbench.policies import Policy, SocialForce, Straight
-from crowdbench.registry import FITTED, has_recording, recording_of, spawn_model
+from crowdbench.registry import fitted_models, has_recording, recording_of, spawn_model
 from crowdbench.registry import policy as named_policy
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
@@ -71,7 +71,7 @@ def measure() -> Iterator[Figure]:
     yield Figure("PettingZoo environment, 20 agents", _pettingzoo(20), "agent-steps/s")
     yield from _torchrl(64, 50)
     scene = load_scene("eth-v0")
-    for name in FITTED:
+    for name in fitted_models(scene):
         spawn = spawn_model(name, scene)
         yield Figure(
             f"{name}, sampling 10,000 frames of ETH", _least_s(_sampling(spawn, scene)), "s"

@@ -14,6 +14,7 @@ from safetensors.numpy import load_file, save_file
 from submissions import (
     FOLDS,
     PLAZA,
+    SHIPPED_FITS,
     crowd,
     declare,
     edit,
@@ -31,7 +32,7 @@ from crowdbench.leaderboard.submission.limits import LARGEST_DECLARATION, MOST_F
 from crowdbench.leaderboard.submission.parse import _EXPECTED
 from crowdbench.leaderboard.submission.schema import Declared, Trained
 from crowdbench.leaderboard.submission.submission import open_submission, slug
-from crowdbench.registry import WEIGHTS, policy, spawn_model
+from crowdbench.registry import policy, spawn_model
 from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.storage import write_parquet
 
@@ -55,7 +56,7 @@ def test_networks_are_ranked_and_found_by_the_registry(walker: Path) -> None:
         ]
 
 
-@pytest.mark.parametrize("file", WEIGHTS)
+@pytest.mark.parametrize("file", SHIPPED_FITS)
 def test_fits_are_ranked_and_found_by_the_registry(file: str, tmp_path: Path) -> None:
     with open_submission(spawn_submission(tmp_path / "rates", file)) as submission:
         assert submission.status == "ranked"

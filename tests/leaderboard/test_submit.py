@@ -9,6 +9,7 @@ from onnx import TensorProto, helper
 from submissions import (
     FOLDS,
     PLAZA,
+    SHIPPED_FITS,
     fill_in,
     listed_submission,
     walk_submission,
@@ -19,7 +20,6 @@ from crowdbench.cli import main
 from crowdbench.leaderboard.sandbox.parent import SandboxError
 from crowdbench.leaderboard.submission.submission import open_submission
 from crowdbench.leaderboard.verification.check import LIMITS, check
-from crowdbench.registry import WEIGHTS
 
 Printed = pytest.CaptureFixture[str]
 
@@ -79,7 +79,7 @@ def test_one_network_that_knows_no_scene_is_for_those_of_the_overall_score(tmp_p
         assert submission.declared.training.protocol == "none"
 
 
-@pytest.mark.parametrize("file", WEIGHTS)
+@pytest.mark.parametrize("file", SHIPPED_FITS)
 def test_files_are_put_into_the_empty_places(file: str, tmp_path: Path) -> None:
     folder = tmp_path / "crowd"
     assert submit("init", folder, "--track", "crowd", "--scene", "plaza-v0") == 0

@@ -11,14 +11,13 @@ from msgspec import structs
 from crowdbench import registry
 from crowdbench.errors import SettingError
 from crowdbench.recordings.catalogue import SOURCES, read_published
-from crowdbench.registry import FITTED, recording, spawn_model
+from crowdbench.registry import recording, spawn_model
 from crowdbench.scene import Scene, load_scene
-from crowdbench.scene_building.fit import fit_scene
-from crowdbench.spawn import Arrivals, NtppGMM, arrivals_of, fit_areas, ntpp_training
+from crowdbench.scene_building.fit import MODELS, fit_scene
+from crowdbench.spawn import Arrivals, NtppGMM, NtppPaper, arrivals_of, fit_areas, ntpp_training
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.ntpp import SHAPES
-from crowdbench.spawn.ntpp_training import Settings
 from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.table import Trajectories
 
@@ -58,7 +57,7 @@ def case(request: pytest.FixtureRequest) -> Case:
 
 
 @pytest.mark.parametrize("split", SPLITS)
-@pytest.mark.parametrize("name", FITTED)
+@pytest.mark.parametrize("name", MODELS)
 def test_samples_have_the_recorded_persons_per_minute_and_area_from_the_first_frames_on(
     case: Case, name: str, split: str
 ) -> None:
@@ -127,17 +126,16 @@ def with_fits(fits: int) -> Scene:
     return replace(PLAZA, protocol=structs.replace(PLAZA.protocol, fits=fits))
 
 
-def test_neural_fits_are_made_for_every_part_and_told_of(
-    plaza: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(
-        ntpp_training, "SETTINGS", Settings(epochs=3, patience=1, calibration_points=2000)
-    )
+BRIEF = {"epochs": 3, "patience": 1, "calibration_points": 2000}
+
+
+def test_neural_fits_are_made_for_every_part_and_told_of(plaza: Case, tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     found = fit_scene(
         with_fits(2),
         plaza.crowd,
         models=["ntpp-gmm"],
+        training=BRIEF,
         out=tmp_path,
         workers=1,
         progress=lambda done, total: told.append((done, total)),
@@ -152,13 +150,10 @@ def test_neural_fits_are_made_for_every_part_and_told_of(
 
 
 @pytest.mark.long
-def test_two_workers_write_what_one_writes(
-    plaza: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    brief = Settings(epochs=2, patience=1, calibration_points=2000)
-    monkeypatch.setattr(ntpp_training, "SETTINGS", brief)
+def test_two_workers_write_what_one_writes(plaza: Case, tmp_path: Path) -> None:
     for workers in (1, 2):
-        fit_scene(with_fits(1), plaza.crowd, out=tmp_path / str(workers), workers=workers)
+        out = tmp_path / str(workers)
+        fit_scene(with_fits(1), plaza.crowd, training=BRIEF, out=out, workers=workers)
     one, two = (
         {path.name: path.read_bytes() for path in (tmp_path / str(workers)).iterdir()}
         for workers in (1, 2)
@@ -183,3 +178,41 @@ def test_models_that_nobody_fits_are_refused(plaza: Case, tmp_path: Path) -> Non
         SettingError, match="one or more of poisson-gmm, poisson-groups, renewal-gmm, ntpp-gmm"
     ):
         fit_scene(PLAZA, plaza.crowd, out=tmp_path, models=["replay"])
+
+
+def test_the_papers_models_are_fitted_as_asked(plaza: Case, tmp_path: Path) -> None:
+    asked = {"window_frames": 100, "stride_frames": 100, "epochs": 2, "published_code": True}
+    fit_scene(
+        PLAZA,
+        plaza.crowd,
+        models=["ntpp-paper", "poisson-paper"],
+        training=asked,
+        fits=1,
+        out=tmp_path,
+        workers=1,
+    )
+    place = replace(PLAZA, folder=tmp_path)
+    for split in SPLITS:
+        model = NtppPaper.read(place, read_areas(PLAZA), split)
+        assert model.published_code
+        assert model.settings == asked | {"learning_rate": 5e-3}
+        events = registry.spawn_model("poisson-paper", place, split).sample(
+            100.0, PLAZA, np.random.default_rng(0)
+        )
+        assert len(events) > 0
+
+
+@pytest.mark.parametrize(
+    ("models", "training", "told"),
+    [
+        (["poisson-gmm"], {"epochs": 3}, "got epochs; expected none without a neural model"),
+        (["ntpp-gmm"], {"published_code": True}, "got published_code; expected one of window"),
+        (["ntpp-paper"], {"epochs": 0}, "epochs: got 0; expected a positive number"),
+        (["ntpp-paper"], {"learning_rate": np.nan}, "learning_rate: got nan"),
+    ],
+)
+def test_training_that_a_model_does_not_have_is_refused(
+    plaza: Case, tmp_path: Path, models: list[str], training: dict[str, float], told: str
+) -> None:
+    with pytest.raises(SettingError, match=told):
+        fit_scene(PLAZA, plaza.crowd, models=models, training=training, out=tmp_path)

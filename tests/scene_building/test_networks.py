@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from crowdbench.leaderboard.submission.schema import Declared
+from crowdbench.leaderboard.submission.submission import open_submission
 from crowdbench.leaderboard.submission.template import _parameters
-from crowdbench.leaderboard.verification.entry import read_entry
 from crowdbench.scene import list_scenes, load_scene
 from crowdbench.scene_building.spawn_diagnostics import Networks, trained_networks
 from crowdbench.spawn import NtppGMM
@@ -23,6 +24,12 @@ LEARNED = (*WITH_NTPP, "bc", "gail")
 @pytest.fixture(scope="module")
 def found() -> dict[str, Networks]:
     return {scene: trained_networks(load_scene(scene)) for scene in SCENES}
+
+
+def declaration(name: str) -> Declared:
+    """What a submission says; `test_entries_shipped` compares the entry with it."""
+    with open_submission(ROOT / "leaderboard" / "submissions" / name) as submission:
+        return submission.declared
 
 
 def heldout(networks: Networks) -> str:
@@ -52,8 +59,10 @@ def test_the_page_of_results_has_those_of_eth(found: dict[str, Networks]) -> Non
 
 
 @pytest.mark.parametrize("name", WITH_NTPP)
-def test_entries_say_how_many_networks_were_trained(name: str, found: dict[str, Networks]) -> None:
-    declared = read_entry(ROOT / "leaderboard" / "entries" / f"{name}.json").declared
+def test_submissions_say_how_many_networks_were_trained(
+    name: str, found: dict[str, Networks]
+) -> None:
+    declared = declaration(name)
     told = dict.fromkeys(SCENES, "")
     for count, of, scene in re.findall(
         r"(\d+) of (\d+)(?: areas)? of (\w+-v0)", declared.training.data
@@ -63,8 +72,8 @@ def test_entries_say_how_many_networks_were_trained(name: str, found: dict[str, 
 
 
 @pytest.mark.parametrize("name", LEARNED)
-def test_entries_count_what_was_learned(name: str) -> None:
-    declared = read_entry(ROOT / "leaderboard" / "entries" / f"{name}.json").declared
+def test_submissions_count_what_was_learned(name: str) -> None:
+    declared = declaration(name)
     counts = []
     for scene in declared.scenes:
         place = load_scene(scene)

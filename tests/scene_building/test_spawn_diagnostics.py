@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from crowdbench.cli import main
-from crowdbench.registry import FITTED
 from crowdbench.scene import load_scene
+from crowdbench.scene_building.fit import MODELS
 from crowdbench.scene_building.spawn_diagnostics import Checked, check_models
 
 
@@ -34,7 +34,7 @@ def test_nothing_explains_fresh_data_better_than_the_truth(plaza: dict[str, Chec
     assert min(fresh, key=lambda name: fresh[name] or -99.0) == "poisson-gmm"
 
 
-@pytest.mark.parametrize("model", FITTED)
+@pytest.mark.parametrize("model", MODELS)
 def test_samplers_follow_their_own_density(plaza: dict[str, Checked], model: str) -> None:
     for found in (plaza[model].own_gaps, plaza[model].own_sizes):
         assert found is not None
@@ -50,7 +50,7 @@ def test_poissons_gaps_and_sizes_are_not_the_recordings(plaza: dict[str, Checked
 
 
 def counts_hold(found: dict[str, Checked]) -> None:
-    for name in FITTED:
+    for name in MODELS:
         assert found[name].persons == pytest.approx(1, abs=0.10), name
         assert found[name].first == pytest.approx(1, abs=0.30), name
 
@@ -75,6 +75,6 @@ def test_most_of_what_eths_models_gain_over_poisson_is_groups(eth: dict[str, Che
 def test_the_command_prints_a_row_per_model(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["spawn", "plaza-v0"]) == 0
     printed = capsys.readouterr().out
-    for name in ("plaza-truth", *FITTED):
+    for name in ("plaza-truth", *MODELS):
         assert name in printed
     assert "ntpp-gmm has a trained network in 4 of 4 areas" in " ".join(printed.split())

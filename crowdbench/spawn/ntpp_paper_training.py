@@ -1,0 +1,186 @@
+"""Training of `ntpp-paper` with torch, as the founding paper and its published code describe it.
+
+Windows of w frames, o frames apart (the paper's "overlap" is a stride in its code), are cut from
+the recording; windows at the end of an observed stretch are shorter. The loss is the mean over the
+windows of the negative log-density of their gaps, with the survival term of eq. 5 for the time
+after the last event, divided by w. Each epoch is one Adam step on all windows of an area, as in the
+published code; the paper does not say how windows are batched. There is no early stopping and no
+calibration. Areas without arrivals keep their random weights in training splits, where the paper
+would have no network, XX.
+"""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn.functional import softplus
+
+from crowdbench.scene import Scene
+from crowdbench.spawn.areas import Areas
+from crowdbench.spawn.events import Arrivals
+from crowdbench.spawn.ntpp_paper import HIDDEN, SHAPES, NtppPaper
+from crowdbench.spawn.ntpp_paper_kernels import TINY
+from crowdbench.spawn.ntpp_sequences import windows
+from crowdbench.spawn.ntpp_training import deterministic
+
+_NEVER = -100.0
+"""Output of a head that gives a rate of almost 0."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of training; the defaults are those of the paper."""
+
+    window_frames: int = 1000
+    stride_frames: int = 50
+    """The paper compares windows of 100, 500 and 1000 frames and strides of 5 and 50."""
+    epochs: int = 500
+    learning_rate: float = 0.0
+    """By default (0) 1e-4, as in the paper, and 5e-3 with `published_code`."""
+    published_code: bool = False
+    """Whether the model is that of the published code; see `ntpp_paper`."""
+
+    def __post_init__(self) -> None:
+        if self.learning_rate == 0.0:
+            object.__setattr__(self, "learning_rate", 5e-3 if self.published_code else 1e-4)
+
+
+PAPER = Settings()
+
+
+class _Network(nn.Module):
+    """The network of one area."""
+
+    def __init__(self, linear: bool) -> None:
+        super().__init__()
+        self.gru = nn.GRU(2, HIDDEN, batch_first=True)
+        self.hidden = None if linear else nn.Linear(HIDDEN, HIDDEN)
+        self.out = nn.Linear(HIDDEN, 2)
+        self.initial: Tensor = torch.zeros(HIDDEN) if linear else torch.randn(HIDDEN)
+
+    def forward(self, gaps: Float[Tensor, "V L"]) -> tuple[Tensor, Tensor]:
+        """Rate and shape of each gap, given those before it; (V, L) each."""
+        inputs = torch.stack([gaps, gaps.clamp_min(TINY).log()], dim=-1)[:, :-1]
+        initial = self.initial.expand(1, len(gaps), HIDDEN).contiguous()
+        states = initial[0][:, None]
+        if inputs.shape[1]:
+            states = torch.cat([states, self.gru(inputs, initial)[0]], dim=1)
+        if self.hidden is not None:
+            states = torch.tanh(self.hidden(states))
+        out = softplus(self.out(states))
+        return out[..., 0], out[..., 1]
+
+    def weights(self) -> dict[str, np.ndarray]:
+        """The weights with the names of `SHAPES`."""
+        hidden, of_gru = self.hidden, dict(self.gru.named_parameters())
+        of: dict[str, Tensor] = {
+            "input_weight": of_gru["weight_ih_l0"],
+            "input_bias": of_gru["bias_ih_l0"],
+            "state_weight": of_gru["weight_hh_l0"],
+            "state_bias": of_gru["bias_hh_l0"],
+            "initial": self.initial,
+            "hidden_weight": torch.zeros(HIDDEN, HIDDEN) if hidden is None else hidden.weight,
+            "hidden_bias": torch.zeros(HIDDEN) if hidden is None else hidden.bias,
+            "out_weight": self.out.weight,
+            "out_bias": self.out.bias,
+        }
+        return {name: tensor.detach().numpy().copy() for name, tensor in of.items()}
+
+
+def fit(
+    arrivals: Arrivals, areas: Areas, scene: Scene, *, seed: int, settings: Settings = PAPER
+) -> NtppPaper:
+    """Train the networks of a scene's areas; the same seed gives the same weights."""
+    rng = np.random.default_rng([seed, 0])
+    weights: dict[str, list[np.ndarray]] = {name: [] for name in SHAPES}
+    with deterministic(), torch.random.fork_rng(devices=[]):
+        for k in range(arrivals.areas):
+            torch.manual_seed(1000 * seed + k)
+            network = _Network(settings.published_code)
+            found = sequences(arrivals, k, scene, settings, rng)
+            if any(len(gaps) > 1 for gaps in found):
+                train(network, found, settings)
+            else:
+                _silence(network)
+            for name, array in network.weights().items():
+                weights[name].append(array)
+    stacked = {name: np.stack(each) for name, each in weights.items()}
+    return NtppPaper(areas, stacked, scene.dt_s, arrivals.grid_s, asdict(settings))
+
+
+def sequences(
+    arrivals: Arrivals, area: int, scene: Scene, settings: Settings, rng: np.random.Generator
+) -> list[Float[np.ndarray, " _"]]:
+    """The gaps in each training window of an area, in frames; the last one ends the window."""
+    step = arrivals.grid_s / scene.dt_s
+    tick = arrivals.tick[arrivals.area == area]
+    if settings.published_code:
+        times = np.unique(np.floor(tick * step + 1e-6))
+    else:
+        times = np.sort((tick + rng.random(len(tick))) * step)
+    width = max(1, round(settings.window_frames / step))
+    stride = max(1, round(settings.stride_frames / step))
+    if not settings.published_code:
+        cut = windows(arrivals.windows, width, stride)
+        return [_gaps(times, a * step, b * step) for a, b in cut.tolist()]
+    found = []
+    for start, stop in arrivals.windows.tolist():
+        for a in range(start, stop, stride):
+            inside = _between(times, a * step, min(a + width, stop) * step)
+            if len(inside):
+                last = inside[0] + settings.window_frames
+                found.append(np.diff(np.concatenate([inside[:1], inside, [last]])))
+    return found
+
+
+def _between(times: Float[np.ndarray, " n"], start: float, stop: float) -> Float[np.ndarray, " m"]:
+    return times[np.searchsorted(times, start) : np.searchsorted(times, stop)]
+
+
+def _gaps(times: Float[np.ndarray, " n"], start: float, stop: float) -> Float[np.ndarray, " m"]:
+    return np.diff(np.concatenate([[start], _between(times, start, stop), [stop]]))
+
+
+def train(
+    network: "_Network", found: list[Float[np.ndarray, " _"]], settings: Settings
+) -> list[float]:
+    """Train a network on its windows; returns the loss before each epoch."""
+    length = torch.tensor([len(gaps) - 1 for gaps in found])
+    padded = np.zeros((len(found), max(map(len, found))), np.float32)
+    for row, gaps in zip(padded, found, strict=True):
+        row[: len(gaps)] = gaps
+    batch = torch.tensor(padded)
+    at = torch.arange(batch.shape[1])
+    events, last = at < length[:, None], at == length[:, None]
+    adam = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
+    losses = []
+    for _ in range(settings.epochs):
+        adam.zero_grad()
+        loss = -log_density(network, batch, events, last).mean() / settings.window_frames
+        loss.backward()  # type: ignore[no-untyped-call]
+        adam.step()
+        losses.append(loss.item())
+    return losses
+
+
+def log_density(
+    network: "_Network",
+    gaps: Float[Tensor, "V L"],
+    events: Tensor,
+    last: Tensor,
+) -> Float[Tensor, " V"]:
+    """Log-density of each window (eq. 5): of the gaps that end with an event, and the rest."""
+    rate, shape = network(gaps)
+    log_gap = gaps.clamp_min(TINY).log()
+    hazard = rate * torch.exp(shape * log_gap)
+    logs = rate.log() + shape.log() + (shape - 1) * log_gap - hazard
+    return (logs * events - hazard * last).sum(dim=1)
+
+
+def _silence(network: "_Network") -> None:
+    """Make the rate of an area without arrivals almost 0; there is nothing to train on."""
+    with torch.no_grad():
+        network.out.weight.zero_()
+        network.out.bias.copy_(torch.tensor([_NEVER, 1.0]))

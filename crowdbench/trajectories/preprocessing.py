@@ -1,0 +1,75 @@
+"""The founding paper's preprocessing, which drops people. crowdbench itself keeps everyone.
+
+The paper leaves out "agents that hardly move" and those with fewer than 20 or more than 100 steps.
+Its published code (`code/src/data/load_data.py`) drops people whose squared distance from start to
+end is at most 2 m². The order of the rules does not matter for who is left.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from jaxtyping import Bool
+
+from crowdbench.trajectories.table import Trajectories
+
+LEAST_SQUARED_M2 = 2.0
+SHORTEST_STEPS = 20
+LONGEST_STEPS = 100
+PUBLISHED: Mapping[str, tuple[int, str]] = {
+    "eth": (258, "people on ETH"),
+    "gc": (12_255, "people in 11,999 frames"),
+    "forum": (1_331, "people on 14 July, another day of the Forum"),
+}
+"""The number of people that the paper states, by recording."""
+
+
+@dataclass(frozen=True)
+class Counts:
+    """How many people are left after each rule."""
+
+    recorded: int
+    moving: int
+    """People who end more than √2 m from where they start."""
+    long_enough: int
+    """Of these, people with 20 steps or more."""
+    kept: int
+    """Of these, people with at most 100 steps."""
+
+    def facts(self, recording: str) -> dict[str, str]:
+        """The counts as text for a table, beside the paper's."""
+        facts = {
+            "recorded": f"{self.recorded} people",
+            "who move": f"{self.moving} end more than 1.41 m from their start",
+            "not too short": f"{self.long_enough} of them have {SHORTEST_STEPS} steps or more",
+            "not too long": f"{self.kept} of them have at most {LONGEST_STEPS} steps",
+        }
+        if recording in PUBLISHED:
+            number, what = PUBLISHED[recording]
+            facts["paper"] = f"{number:,} {what}"
+        return facts
+
+
+def paper_preprocessed(crowd: Trajectories) -> tuple[Trajectories, Counts]:
+    """The people that the paper keeps, and how many are left after each rule."""
+    way = crowd.end.astype(np.float64) - crowd.start
+    steps = np.diff(crowd.offsets) - 1
+    moving = (way * way).sum(axis=1) > LEAST_SQUARED_M2
+    long_enough = moving & (steps >= SHORTEST_STEPS)
+    kept = long_enough & (steps <= LONGEST_STEPS)
+    counts = (len(crowd), *(int(some.sum()) for some in (moving, long_enough, kept)))
+    return only(crowd, kept), Counts(*counts)
+
+
+def only(crowd: Trajectories, chosen: Bool[np.ndarray, " P"]) -> Trajectories:
+    """The crowd of the chosen people."""
+    rows = chosen[crowd.row_person()]
+    lengths = np.diff(crowd.offsets)[chosen]
+    shared = {"observed", "offsets", "xy", "provenance"}
+    persons = {
+        f.name: getattr(crowd, f.name)[chosen]
+        for f in fields(crowd)
+        if f.name not in shared and isinstance(getattr(crowd, f.name), np.ndarray)
+    }
+    offsets = np.concatenate([[0], np.cumsum(lengths)])
+    return replace(crowd, xy=crowd.xy[rows], offsets=offsets, **persons)
