@@ -35,15 +35,6 @@ def test_all_that_is_shipped_is_an_entry() -> None:
     assert networks <= walked
 
 
-rescored = pytest.mark.xfail(
-    any(read_entry(path).scorer < SCORER for path in ENTRIES),
-    reason="entries of an older scorer await `crowdbench leaderboard rescore`",
-    strict=True,
-)
-"""Tests that fail until all entries are scored by the present scorer, and must not before."""
-
-
-@rescored
 @pytest.mark.parametrize("path", ENTRIES, ids=lambda path: path.stem)
 def test_an_entry_is_of_the_present_files(path: Path) -> None:
     """Who adds one by hand, or changes it or its submission, is found out; and what was trained
@@ -89,7 +80,6 @@ def plain(entry: Entry) -> Any:
     return msgspec.to_builtins(entry, builtin_types=(bytes,))
 
 
-@rescored
 def test_a_shipped_baseline_gives_its_entry_again(opentraj: Path, tmp_path: Path) -> None:
     import_recording("eth", opentraj)
     verify(ROOT / "submissions/ppo", tmp_path, workers=1)

@@ -238,7 +238,6 @@ def preview(tmp_path_factory: pytest.TempPathFactory) -> Path:
     declared = msgspec.structs.replace(bc.declared, name="newcomer")
     newcomer = msgspec.structs.replace(bc, id="newcomer", declared=declared)
     lone = made_up("lone", "walk", 0.5, scenes=("plaza-v0",))
-    lone = msgspec.structs.replace(lone, scorer=bc.scorer)
     root = put([newcomer, lone], tmp_path_factory.mktemp("preview"))
     (root / "RULES.md").unlink()
     build(root)

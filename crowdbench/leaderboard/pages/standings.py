@@ -162,8 +162,6 @@ def scores(entry: Entry) -> dict[View, Score]:
         each = {f: scene.families[f].score() for f in families if f in scene.families}
         found |= {View(family, name): score for family, score in each.items()}
         whole = total_score(each, passes=not scene.fails)
-        if entry.scorer == 1:  # it took the mean of all families, and had no gate
-            whole = combined(list(each.values()))
         if whole is not None and _counted(scene) & set(families) <= set(each):
             found[View(scene=name)] = whole
     if all(View(scene=name) in found for name in SCENES):

@@ -19,9 +19,7 @@ DISTRIBUTIONS = {
     "deviation": ("Deviation from the straight way", "deviation (m)"),
 }
 AGENTS = "Agents over time"
-RETIRED = "Closest approach of strangers"
-"""A curve of scorer 1, which later scorers do not have."""
-TITLES = {AGENTS, RETIRED, *(title for title, _ in DISTRIBUTIONS.values())}
+TITLES = {AGENTS, *(title for title, _ in DISTRIBUTIONS.values())}
 _SHOWN = 0.996
 """A distribution is shown up to the value that this share does not exceed."""
 

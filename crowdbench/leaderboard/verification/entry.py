@@ -114,14 +114,14 @@ class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Number of rollouts per split, over all fits."""
     persons: int
     outcomes: dict[str, int]
-    speed_mps: float | None = None
+    speed_mps: float | None
     """Mean speed of people who walk, under the recorded arrivals if the track scores policies."""
-    at_goal: float | None = None
+    at_goal: float | None
     """Share of people at their goals, of those whose trips ended; None if it is unknown."""
-    recorded_speed_mps: float | None = None
+    recorded_speed_mps: float | None
     """The same of recorded people walked under the rules of the simulation."""
-    recorded_at_goal: float | None = None
-    fails: list[Limit] = []
+    recorded_at_goal: float | None
+    fails: list[Limit]
     """The limits of the scene's gate that the policy exceeds; its walk score is at most 0 then."""
     families: dict[str, ScoreCard]
     metrics: dict[str, MetricEntry]

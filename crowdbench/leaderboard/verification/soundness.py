@@ -10,9 +10,7 @@ from crowdbench.metrics import FAMILIES, METRICS
 from crowdbench.scene import list_scenes
 from crowdbench.trajectories.blocks import SPLITS
 
-RETIRED = {"closest_approach": "interaction", "wall_hits": "interaction"}
-"""Metrics of scorer 1, which later scorers do not have."""
-FAMILY_OF = {metric.name: metric.family for metric in METRICS} | RETIRED
+FAMILY_OF = {metric.name: metric.family for metric in METRICS}
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 
 
