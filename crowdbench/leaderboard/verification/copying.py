@@ -92,8 +92,10 @@ class ArrivalCopies:
         norm = float(np.linalg.norm(window - mean))
         # Σ blurred · blurred equals the sum of twice-blurred counts at the arrivals, which has far
         # fewer terms than a convolution.
-        shifts = np.arange(len(self._norm))
-        products = self._twice[area[:, None], at[:, None] + shifts].sum(axis=0)
+        shifts = len(self._norm)
+        products = np.zeros(shifts)
+        for k, first in zip(area.tolist(), at.tolist(), strict=True):
+            products += self._twice[k, first : first + shifts]
         products -= (mean * self._sums).sum(axis=0)
         # A window with almost no arrivals correlates with anything.
         enough = self._norm > norm / 2
