@@ -78,7 +78,7 @@ def words(found: Any) -> Any:
 
 def plain(entry: Entry) -> Any:
     # A new verification knows nothing of earlier scorers.
-    return msgspec.to_builtins(msgspec.structs.replace(entry, history=()), builtin_types=(bytes,))
+    return msgspec.to_builtins(msgspec.structs.replace(entry, history=[]), builtin_types=(bytes,))
 
 
 def test_a_shipped_baseline_gives_its_entry_again(opentraj: Path, tmp_path: Path) -> None:
