@@ -60,7 +60,7 @@ def check_numbers(settings: Any, *, or_zero: Sequence[str] = ()) -> None:
 def new_parser(name: str, description: str | None) -> argparse.ArgumentParser:
     """Argument parser of `python -m baselines.NAME` with the options that all scripts have."""
     parser = argparse.ArgumentParser(
-        prog=f"python -m baselines.{name}",
+        prog=f"python -m {_module(name)}",
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -80,6 +80,10 @@ def new_parser(name: str, description: str | None) -> argparse.ArgumentParser:
         "--out", type=Path, metavar="DIR", help=f"output folder (default: results/{name}-SCENE)"
     )
     return parser
+
+
+def _module(name: str) -> str:
+    return f"baselines.{name.replace('-', '_')}"
 
 
 def add_settings(
@@ -141,7 +145,7 @@ class Command:
             observation=observation,
             scene=self.scene.id,
             split=split,
-            command=f"python -m baselines.{self.name} {shlex.join(self.given)}",
+            command=f"python -m {_module(self.name)} {shlex.join(self.given)}",
             revision=revision(Path(__file__).parent),
         )
         return export_policy(network, self.out / f"{split}.onnx", card, noise=noise)

@@ -5,8 +5,8 @@ the recording; windows at the end of an observed stretch are shorter. The loss i
 windows of the negative log-density of their gaps, with the survival term of eq. 5 for the time
 after the last event, divided by w. Each epoch is one Adam step on all windows of an area, as in the
 published code; the paper does not say how windows are batched. There is no early stopping and no
-calibration. Areas without arrivals keep their random weights in training splits, where the paper
-would have no network, XX.
+calibration. An area in which nobody enters during the training time gets a rate of almost 0, as
+there is nothing to train on.
 """
 
 from dataclasses import asdict, dataclass

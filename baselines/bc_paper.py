@@ -1,0 +1,175 @@
+"""The behaviour cloning of the founding paper (Kreutz et al. 2025, ICRA), with `imitation`.
+
+    python -m baselines.bc_paper --scene eth-v0
+
+writes `results/bc-paper-eth-v0/full.onnx`, which `crowdbench evaluate eth-v0 --policy
+results/bc-paper-eth-v0/full.onnx` rolls out. As in the paper, the policy is a network with two layers
+of 32, trained for 1000 epochs at the learning rate 1e-4. It sees its velocity, the distance to its
+goal, the angle to its goal over 2π, and 32 rays, and predicts a Gaussian whose standard deviation is
+the same in all states. Where the paper is silent, this follows its published code: batches of 1024,
+`imitation`'s weight of the entropy (1e-3), actions scaled to [−1, 1] between the extremes of the
+recording, and actions that are sampled, not means. (The code's learning rate is 1e-3, `imitation`'s
+default: `--learning-rate 1e-3`.)
+
+Two things differ. Velocities, distances and rays have the units of `lidar-1` and not pixels of a
+picture. People who hardly move, and those with short or long trips, are not left out.
+
+`baselines.bc` is crowdbench's own cloning.
+"""
+
+import math
+import sys
+import time
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from baselines.packages import needs
+from crowdbench import Demonstrations, demonstrations
+from crowdbench.errors import CrowdbenchError
+from crowdbench.simulation.observations import GOAL_DIRECTION, OBSERVATIONS
+
+with needs("imitation", __name__):
+    import torch
+    from gymnasium import spaces
+    from imitation.algorithms import bc
+    from imitation.policies.base import FeedForward32Policy
+    from imitation.util import logger
+    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+    from torch import Tensor, nn
+
+    from baselines.bc import Batches
+    from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
+
+OBSERVATION = "lidar-1"
+SELF = OBSERVATIONS[OBSERVATION]
+"""Number of values before the rays."""
+NOISE = 2
+"""Number of normal numbers per action."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of the cloning."""
+
+    learning_rate: float = 1e-4
+    batch_size: int = 1024
+    epochs: int = 1000
+    seed: int = 0
+
+
+SETTABLE = {
+    "learning_rate": "learning rate of Adam",
+    "batch_size": "number of samples in a batch",
+    "epochs": "number of epochs",
+}
+"""Settings with a command line option, and the help texts of the options."""
+
+
+class PaperObservation(BaseFeaturesExtractor):
+    """The paper's observation, from `lidar-1`: the direction to the goal becomes one angle."""
+
+    def __init__(self, observation_space: spaces.Box) -> None:
+        super().__init__(observation_space, int(observation_space.shape[0]) - 1)
+
+    def forward(self, seen: Tensor) -> Tensor:
+        """Velocity (2), distance and angle / 2π of the goal, rays: (A, obs − 1) of (A, obs)."""
+        cos, sin = seen[:, GOAL_DIRECTION].unbind(dim=1)
+        angle = torch.atan2(sin, cos)[:, None] / (2 * math.pi)
+        return torch.cat([seen[:, : GOAL_DIRECTION.start], angle, seen[:, SELF:]], dim=1)
+
+
+class Sampler(nn.Module):
+    """Computes actions from observations (A, obs) and standard normal numbers (A, 2)."""
+
+    def __init__(self, policy: FeedForward32Policy, lowest: np.ndarray, highest: np.ndarray):
+        """A cloned policy, and the velocities (2,) that it knows as −1 and 1."""
+        super().__init__()
+        self.features = policy.features_extractor
+        self.actor = policy.mlp_extractor.policy_net
+        self.head = policy.action_net
+        self.register_buffer("std", policy.log_std.detach().exp())
+        self.register_buffer("middle", torch.from_numpy((highest + lowest) / 2))
+        self.register_buffer("half", torch.from_numpy((highest - lowest) / 2))
+
+    def forward(self, seen: Tensor, noise: Tensor) -> Tensor:
+        """Sampled actions (A, 2), clipped to the range of the demonstrations."""
+        mean = self.head(self.actor(self.features(seen)))
+        drawn: Tensor = self.middle + self.half * (mean + self.std * noise).clamp(-1, 1)
+        return drawn
+
+
+def clone(shown: Demonstrations, settings: Settings) -> Sampler:
+    """Clone a policy from demonstrations with the observation `lidar-1`."""
+    torch.manual_seed(settings.seed)
+    rng = np.random.default_rng(settings.seed)
+    seen, did = shown.pairs()
+    lowest, highest = did.min(axis=0), did.max(axis=0)
+    half = np.maximum((highest - lowest) / 2, 1e-6)
+    scaled = ((did - lowest) / half - 1).astype(np.float32)
+    observed = spaces.Box(-1.0, 1.0, (seen.shape[1],), np.float32)
+    actions = spaces.Box(-1.0, 1.0, (2,), np.float32)
+    policy = FeedForward32Policy(
+        observed,
+        actions,
+        lambda _: settings.learning_rate,
+        features_extractor_class=PaperObservation,
+    )
+    size = min(settings.batch_size, len(did))
+    trainer = bc.BC(
+        observation_space=observed,
+        action_space=actions,
+        policy=policy,
+        demonstrations=Batches({"obs": seen, "acts": scaled}, size, rng),
+        batch_size=size,
+        optimizer_kwargs={"lr": settings.learning_rate},
+        rng=rng,
+        device="cpu",
+        custom_logger=logger.configure(format_strs=[]),
+    )
+    began, epoch = time.monotonic(), 0
+
+    def print_progress() -> None:
+        nonlocal epoch
+        epoch += 1
+        if epoch % max(1, settings.epochs // 10) == 0:
+            took = time.monotonic() - began
+            print(f"epoch {epoch:4d} of {settings.epochs}  {took:.0f} s", flush=True)
+
+    with warnings.catch_warnings():  # imitation logs tensors with gradients
+        warnings.filterwarnings("ignore", message="Converting a tensor")
+        trainer.train(
+            n_epochs=settings.epochs,
+            on_epoch_end=print_progress,
+            progress_bar=False,
+            log_interval=10**9,
+        )
+    return Sampler(policy, lowest, highest)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Clone and write a policy for each split; return the exit code."""
+    parser = new_parser("bc-paper", __doc__)
+    add_settings(parser, Settings(), SETTABLE)
+    asked = parser.parse_args(arguments)
+    use_one_thread()
+    settings = Settings(seed=asked.seed, **{name: getattr(asked, name) for name in SETTABLE})
+    try:
+        check_numbers(settings, or_zero=("seed",))
+        command = Command.of("bc-paper", asked.scene, asked.splits, asked.out, arguments)
+        for split in asked.splits:
+            shown = demonstrations(asked.scene, split=split, observation=OBSERVATION)
+            sampler = clone(shown, settings)
+            path = command.write(split, sampler, observation=OBSERVATION, noise=NOISE)
+            deviation = ", ".join(f"{s:.3f}" for s in (sampler.std * sampler.half).tolist())
+            print(f"{path}: standard deviations {deviation} of the maximum speed")
+            print(f"{path}: {command.walk(path, 'ntpp-gmm')}", flush=True)
+    except CrowdbenchError as error:
+        print(f"baselines.bc_paper: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
