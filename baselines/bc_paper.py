@@ -3,13 +3,13 @@
     python -m baselines.bc_paper --scene eth-v0
 
 writes `results/bc-paper-eth-v0/full.onnx`, which `crowdbench evaluate eth-v0 --policy
-results/bc-paper-eth-v0/full.onnx` rolls out. As in the paper, the policy is a network with two layers
-of 32, trained for 1000 epochs at the learning rate 1e-4. It sees its velocity, the distance to its
-goal, the angle to its goal over 2π, and 32 rays, and predicts a Gaussian whose standard deviation is
-the same in all states. Where the paper is silent, this follows its published code: batches of 1024,
-`imitation`'s weight of the entropy (1e-3), actions scaled to [−1, 1] between the extremes of the
-recording, and actions that are sampled, not means. (The code's learning rate is 1e-3, `imitation`'s
-default: `--learning-rate 1e-3`.)
+results/bc-paper-eth-v0/full.onnx` rolls out. As in the paper, the policy is a network with two
+layers of 32, trained for 1000 epochs at the learning rate 1e-4. It sees its velocity, the distance
+to its goal, the angle to its goal over 2π, and 32 rays, and predicts a Gaussian whose standard
+deviation is the same in all states. Where the paper is silent, this follows its published code:
+batches of 1024, `imitation`'s weight of the entropy (1e-3), actions scaled to [−1, 1] between the
+extremes of the recording, and actions that are sampled, not means. (The code's learning rate is
+1e-3, `imitation`'s default: `--learning-rate 1e-3`.)
 
 Two things differ. Velocities, distances and rays have the units of `lidar-1` and not pixels of a
 picture. People who hardly move, and those with short or long trips, are not left out.

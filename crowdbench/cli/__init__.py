@@ -2,7 +2,7 @@
 
 Main commands: `crowdbench evaluate | score | view | steer | areas | policy | submit | leaderboard |
 data | convert | scenes | metrics | bench`. Commands for making a scene and its pages: `scene |
-fit | spawn | anchors | power | results | walks | cheats | figures | ablation`.
+fit | spawn | anchors | power | results | walks | cheats | figures | paper`.
 
 Exit codes: 2 after an error of the user (one message), 130 after an interrupt, 143 after SIGTERM,
 and 1, without a message, if the reader of the output closes it (`crowdbench … | head`).
@@ -16,7 +16,6 @@ from contextlib import suppress
 
 from crowdbench import __version__
 from crowdbench.cli import (
-    ablation,
     anchors,
     areas,
     bench,
@@ -28,6 +27,7 @@ from crowdbench.cli import (
     fit,
     leaderboard,
     metrics,
+    paper,
     policy,
     power,
     results,
@@ -87,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in (
         evaluate, score, view, areas, steer, policy, scene, fit, spawn, anchors, power, results,
-        walks, cheats, ablation, figures, submit, leaderboard, data, convert, scenes, metrics,
+        walks, cheats, paper, figures, submit, leaderboard, data, convert, scenes, metrics,
         bench,
     ):  # fmt: skip
         command.add(commands)

@@ -46,12 +46,12 @@ process is estimation error, and half is due to the limited model (a Weibull dis
 depends on a few groups).
 
 Two later changes were made for Grand Central, where trains bring people to an area every ten
-minutes. After a silence as long as a window, the state of the network is reset. And the calibration
-uses root finding, because samples had up to 1.4 times the recorded number of persons, and this
-ratio can change by four times the shift. On the first and third fold of Grand Central, renewal-gmm
-has −1.997 and −1.854 nats per person. With these changes, windows of 100, 200 and 500 frames have
-−1.900, −1.896, −1.896 on the first and −1.789, −1.788, −1.792 on the third fold. On ETH's folds
-windows of 100 and 500 frames have −3.430 and −3.434.
+minutes. After a silence of 100 frames, the state of the network is reset. And the calibration uses
+root finding, because samples had up to 1.4 times the recorded number of persons, and this ratio can
+change by four times the shift. On the first and third fold of Grand Central, renewal-gmm has −1.997
+and −1.854 nats per person. With these changes, and resets after a silence as long as a window,
+windows of 100, 200 and 500 frames have −1.900, −1.896, −1.896 on the first and −1.789, −1.788,
+−1.792 on the third fold. On ETH's folds windows of 100 and 500 frames have −3.430 and −3.434.
 """
 
 from collections.abc import Callable, Iterator
@@ -99,6 +99,8 @@ class Settings:
 
     window_frames: int = 100
     stride_frames: int = 50
+    reset_frames: int = 100
+    """Length of the silence after which the state of the network is reset to the initial one."""
     learning_rate: float = 5e-3
     initial_rate: float = 10.0
     """Factor of the learning rate of the initial state. Within the few epochs of training it must
@@ -149,6 +151,7 @@ def _fit(arrivals: Arrivals, areas: Areas, scene: Scene, seed: int, settings: Se
     points_per_frame = scene.dt_s / scene.grid_s
     cutting = _Cutting(
         width=max(1, round(settings.window_frames * points_per_frame)),
+        reset=max(1, round(settings.reset_frames * points_per_frame)),
         stride=max(1, round(settings.stride_frames * points_per_frame)),
         block=max(1, round(scene.protocol.block_s / scene.grid_s)),
     )
@@ -159,7 +162,7 @@ def _fit(arrivals: Arrivals, areas: Areas, scene: Scene, seed: int, settings: Se
     for chosen, parts in _batched(groups, cutting, settings):
         steps[chosen] = _best_steps(arrivals, chosen, parts, seed, cutting, settings)
         _train_chosen(weights, steps, arrivals, chosen, parts, seed, cutting, settings)
-    model = NtppGMM(areas, _rounded(weights), arrivals.grid_s, cutting.width, asdict(settings))
+    model = NtppGMM(areas, _rounded(weights), arrivals.grid_s, cutting.reset, asdict(settings))
     return _calibrated(model, arrivals, steps > 0, seed, settings)
 
 
@@ -169,6 +172,8 @@ class _Cutting:
 
     width: int
     """Length of a training window."""
+    reset: int
+    """Length of the silence after which the state is reset."""
     stride: int
     """Distance from one training window to the next."""
     block: int
@@ -240,7 +245,7 @@ def _best_steps(
         found = windows(inside, cutting.width, cutting.stride)
         training += sequences(arrivals, found, chosen)
         together = joined(pieces[dealt == number])
-        held_out += sequences(arrivals, together, chosen, memory=cutting.width)
+        held_out += sequences(arrivals, together, chosen, memory=cutting.reset)
     weights = {name: np.concatenate([start[name] for start in starts]) for name in SHAPES}
     validation = pack(held_out, weights["scaling"])
     batches = _Batches.of(training, weights["scaling"], parts, seed)

@@ -13,7 +13,7 @@ from crowdbench.report.text.words import plainly
 SHOWN = 6
 """Number of rollouts per crowd in the picture of agents over time."""
 POLICY = "social-force"
-"""The policy in pictures about arrivals, where the lines of two policies would coincide."""
+"""The policy in pictures about arrivals, where the lines of several policies would coincide."""
 
 
 @dataclass(frozen=True)
@@ -25,13 +25,15 @@ class Picture:
     caption: str
 
 
-def draw_pictures(plot: PlotData, folder: Path) -> list[Picture]:
+def draw_pictures(plot: PlotData, folder: Path, policy: str = POLICY) -> list[Picture]:
     """Draw all pictures into `folder` and return them in the order of the page.
+
+    Pictures about arrivals show the rollouts of `policy` only.
 
     Raises:
         OutputError: a picture cannot be written.
     """
-    one = plot.narrowed(policy=POLICY)
+    one = plot.narrowed(policy=policy)
     drawn = {
         "agents_over_time.png": one.narrowed(rollouts=SHOWN),
         "autocorrelation.png": plot,
@@ -48,7 +50,7 @@ def draw_pictures(plot: PlotData, folder: Path) -> list[Picture]:
         "recording’s time blocks; within it, the recording is too short to distinguish a crowd "
         "from it."
     )
-    walkers = f"Walkers are {POLICY}."
+    walkers = f"Walkers are {policy}."
     return [
         Picture(
             "agents_over_time.png",

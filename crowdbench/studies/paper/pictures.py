@@ -1,4 +1,4 @@
-"""The picture of the study, as in the paper: distributions of the number of agents."""
+"""The pictures of the study: distributions of the number of agents, and those of results pages."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,13 +11,14 @@ from crowdbench.colours import spawn_colours
 from crowdbench.files import replacing
 from crowdbench.report.plots.canvas import picture
 from crowdbench.scene import Scene
-from crowdbench.studies.ablation.presence import Presence
-from crowdbench.studies.ablation.study import SCHEMES, Configuration, Sample
+from crowdbench.studies.paper.fits import RECORDED, Configuration
+from crowdbench.studies.paper.presence import Presence
+from crowdbench.studies.paper.study import SCHEMES, Sample
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-NAME = "agents.png"
+AGENTS = "agents.png"
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
@@ -27,28 +28,29 @@ def draw_agents(
     samples: Mapping[Configuration, Sequence[Sample]],
     folder: Path,
 ) -> None:
-    """Draw the distribution of N(t) of the recording and each configuration, scheme by scheme.
+    """Draw the distribution of N(t) of the recording and each model, scheme by scheme.
 
     Raises:
         OutputError: the picture cannot be written.
     """
-    everyone = [*recorded, *(p for each in samples.values() for s in each for p in s.present)]
+    simulated = {of: each for of, each in samples.items() if of != RECORDED}
+    everyone = [*recorded, *(p for each in simulated.values() for s in each for p in s.present)]
     most = max(len(present.counts) for present in everyone)
+    colours = spawn_colours([of.model for of in simulated])
 
     def draw(axes: "list[Axes]") -> None:
-        colours = spawn_colours(())
         for k, (axis, scheme) in enumerate(zip(axes, SCHEMES, strict=True)):
-            rows = [("recording", "black", _shares([recorded[k]]))]
-            for configuration, each in samples.items():
+            rows = [("recorded", "black", _shares([recorded[k]]))]
+            for of, each in simulated.items():
                 shares = _shares([sample.present[k] for sample in each])
-                rows.append((configuration.label, colours[configuration.spawn], shares))
+                rows.append((of.label, colours[of.model], shares))
             _panel(axis, rows)
             axis.set_title(f"{scheme} × {-(-scene.recording.frames // scheme):,} frames")
         axes[0].set_xlim(0, most)
 
-    height = 0.36 * (1 + len(samples)) + 1.0
+    height = 0.36 * (1 + len(simulated)) + 1.0
     data = picture(draw, width=6.0, height=height, columns=len(SCHEMES), kind="small png")
-    with replacing(folder / NAME) as temporary:
+    with replacing(folder / AGENTS) as temporary:
         temporary.write_bytes(data)
 
 

@@ -1,0 +1,147 @@
+"""The founding paper's claims, checked with its own models and settings and with crowdbench's.
+
+`write_paper` trains the paper's models (ICRA 2025, "Whenever, Wherever") with each of its windows
+and strides, samples them and crowdbench's models, and writes a Markdown page with pictures, meant
+to be kept under version control. The same samples give the same bytes.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from crowdbench.errors import SettingError
+from crowdbench.evaluation.lock import alone_in
+from crowdbench.evaluation.parallel import checked_workers
+from crowdbench.evaluation.rollout_jobs import Progress
+from crowdbench.files import replacing, write_text
+from crowdbench.metrics import PAPER
+from crowdbench.registry import recording_of
+from crowdbench.report.plots import PlotData
+from crowdbench.scene import Scene, load_scene
+from crowdbench.scene_building.fit import check_torch
+from crowdbench.scoring.reference import read_reference
+from crowdbench.spawn import arrivals_of
+from crowdbench.spawn.areas import fit_areas, read_areas
+from crowdbench.studies.paper.claims import Evidence, claims
+from crowdbench.studies.paper.fits import make_fits
+from crowdbench.studies.paper.page import Studied, page
+from crowdbench.studies.paper.pictures import draw_agents
+from crowdbench.studies.paper.study import (
+    crowds_of,
+    make,
+    plan,
+    recorded_bursts,
+    recorded_presence,
+    walker_of,
+)
+from crowdbench.studies.results.pictures import draw_pictures
+from crowdbench.trajectories.preprocessing import paper_preprocessed
+from crowdbench.trajectories.storage import read_own
+from crowdbench.trajectories.table import Trajectories
+
+
+def write_paper(
+    scenes: Sequence[str | Path],
+    *,
+    out: Path = Path("docs"),
+    work: Path = Path("results"),
+    workers: int | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Path:
+    """Check the paper's claims on scenes; write `paper.md` and `paper/<scene>/*.png` into `out`.
+
+    Returns the path of the page. Fits and samples are kept in `paper-<scene>` of `work`; a later
+    call reuses those whose dependencies have not changed. `progress(done, total)` is called for
+    the fits of a scene, then for its samples: before the first and after each. `workers` is the
+    number of processes (by default one per core).
+
+    Raises:
+        SceneError, WeightsError: there is no such scene, or it lacks areas, fits or statistics.
+        RecordingError: a recording has not been imported.
+        SettingError: no scene, torch is not installed, or `workers` is less than 1.
+        OutputError: `out` or `work` cannot be written.
+    """
+    places = [load_scene(scene) for scene in dict.fromkeys(scenes)]
+    if not places:
+        raise SettingError("paper", got="no scene", expected="one or more scenes")
+    workers = checked_workers(workers)
+    check_torch()
+    recordings = [recording_of(place) for place in places]
+    path = out / "paper.md"
+    found = []
+    with _without_halves(path), replacing(path) as temporary:  # fails early without access
+        for place, recording in zip(places, recordings, strict=True):
+            folder = work / f"paper-{place.id}"
+            with alone_in(folder):
+                found.append(_studied(place, recording, folder, out, workers, progress))
+        write_text(temporary, page(found))
+    return path
+
+
+def _studied(
+    place: Scene, recording: Trajectories, folder: Path, out: Path, workers: int, progress: Progress
+) -> Studied:
+    """Make the study of a scene, and draw its pictures."""
+    for half in (*folder.glob(".*-*.json"), *folder.glob("fits/.*-*.safetensors")):
+        half.unlink(missing_ok=True)  # of an earlier call that was killed
+    reference, areas = read_reference(place), read_areas(place)
+    arrivals = arrivals_of(recording, reference.blocks.training("full"), len(areas.spawn))
+    jobs = plan(place, arrivals, folder)
+    fits = {job.fit.path: job.fit for job in jobs if job.fit is not None}
+    make_fits(list(fits.values()), place, arrivals, areas, workers, progress)
+    samples = make(jobs, place, recording, arrivals, areas, reference, workers, progress)
+    walker = walker_of(place)
+    evidence = Evidence(
+        scene=place,
+        walker=walker,
+        bursts=recorded_bursts(place, arrivals),
+        present=recorded_presence(recording),
+        typical={
+            metric.name: metric.compare(known, known, reference.blocks).recorded
+            for metric in reference.metrics
+            if metric.name in PAPER and (known := reference.statistics[metric.name])
+        },
+        samples=samples,
+    )
+    draw_agents(place, evidence.present, samples, out / "paper" / place.id)
+    crowds = {key: read_own(path) for key, path in crowds_of(jobs, walker).items()}
+    plot = PlotData.of(place, reference, crowds, "full", recording)
+    return Studied(
+        evidence,
+        claims(evidence),
+        draw_pictures(plot, out / "paper" / place.id, walker),
+        _kept(place, recording),
+        _areas(place, recording),
+        longest_s=float(np.diff(recording.observed).max() * recording.dt_s),
+    )
+
+
+def _kept(place: Scene, recording: Trajectories) -> dict[str, str]:
+    """How many people the paper's preprocessing keeps."""
+    _, counts = paper_preprocessed(recording)
+    return counts.facts(place.recording.name)
+
+
+def _areas(place: Scene, recording: Trajectories) -> dict[str, str]:
+    """What DBSCAN finds with each of the scene's settings."""
+    found = {}
+    for name, settings in place.clustering.items():
+        areas, _ = fit_areas(recording, place, settings)
+        found[name] = (
+            f"{len(areas.spawn)} spawn areas, {areas.left_out[0]:.0%} of starts in none; "
+            f"{len(areas.goal)} goal areas, {areas.left_out[1]:.0%} of ends in none"
+        )
+    return found
+
+
+@contextmanager
+def _without_halves(path: Path) -> Iterator[None]:
+    """Remove the temporary files of an earlier call that was killed."""
+    for half in path.parent.glob(f".{path.stem}-*.md"):
+        half.unlink(missing_ok=True)
+    yield
+
+
+__all__ = ["write_paper"]

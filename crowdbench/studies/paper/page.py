@@ -1,0 +1,195 @@
+"""The Markdown text of the page on the founding paper."""
+
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from crowdbench import __version__
+from crowdbench.report.text.markdown import flowed, table
+from crowdbench.report.text.words import NOTHING, named
+from crowdbench.scene import Scene
+from crowdbench.studies.paper.claims import Claim, Evidence, arrivals_table, own_density
+from crowdbench.studies.paper.fits import COMPARED, SAMPLES, windowed
+from crowdbench.studies.paper.measures import Numbers, pm
+from crowdbench.studies.paper.pictures import AGENTS
+from crowdbench.studies.paper.presence import LAG_S
+from crowdbench.studies.paper.study import DRAWS, SCHEMES
+from crowdbench.studies.results.page import of_recording
+from crowdbench.studies.results.pictures import Picture
+
+_MODELS = "\n".join(
+    (
+        "- *the paper’s model*: `ntpp-paper`, a GRU and an MLP of 32 units for each area, one "
+        "person per event in continuous time, 500 epochs with a learning rate of 1e-4;",
+        "- *its published code*: the same model with what the code does otherwise: a linear head, "
+        "an initial state of zeros, a learning rate of 5e-3, frames as events, training windows "
+        "that begin with an event, and a sampler that clamps the state of the network;",
+        "- *crowdbench’s ntpp-gmm*: with group sizes, a trained initial state, early stopping and "
+        "calibrated rates; the fits that the scene ships;",
+        "- `poisson-gmm`: constant rates; `poisson-paper`: with the rates of the published code.",
+    )
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Studied:
+    """Everything about a scene that is on the page."""
+
+    evidence: Evidence
+    claims: Sequence[Claim]
+    pictures: Sequence[Picture]
+    kept: Mapping[str, str]
+    """How many people the paper's preprocessing keeps, as text."""
+    areas: Mapping[str, str]
+    """What clustering finds with the settings of the paper and of the scene, as text."""
+    longest_s: float
+    """Length of the longest observed stretch, seconds."""
+
+    @property
+    def scene(self) -> Scene:
+        """The scene."""
+        return self.evidence.scene
+
+
+def page(found: Sequence[Studied]) -> str:
+    """The page in Markdown; the same samples give the same bytes."""
+    scenes = "\n\n".join(_scene(studied) for studied in found)
+    command = shlex.join(["crowdbench", "paper", *(named(studied.scene) for studied in found)])
+    return flowed(f"""# The founding paper, claim by claim
+
+*Whenever, Wherever* (Kreutz, Mühlhäuser and Sanchez Guinea, ICRA 2025) models when people enter by
+neural temporal point processes, where they enter and where they go by Gaussian areas, and moves
+them by behaviour cloning. This page checks its claims with its own models and settings, and with
+crowdbench’s. Generated with crowdbench {__version__} by
+
+```sh
+{command}
+```
+
+## Which claims hold
+
+{_verdicts(found)}
+
+The models, which are all fitted to the whole recording:
+
+{_MODELS}
+
+As in the paper, the {SAMPLES} samples of its models are from one fit. Those of `ntpp-gmm` are from
+{SAMPLES} fits with different seeds. If nothing else is said, training windows have 1000 frames with
+a stride of 50, as in the published code, except that shipped fits of `ntpp-gmm` have 100 and 50.
+All models use the areas of the scene. A difference is significant if Welch’s t-test over the
+samples says so at 5 %, with Holm’s procedure over the tests of a claim. ± is the standard deviation
+over samples.
+
+{scenes}
+""")
+
+
+def _verdicts(found: Sequence[Studied]) -> str:
+    head = ["claim", *(studied.scene.id for studied in found)]
+    lines = [
+        [claims[0].title, *(claim.verdict for claim in claims)]
+        for claims in zip(*(studied.claims for studied in found), strict=True)
+    ]
+    return table(head, lines, text=len(head))
+
+
+def _scene(studied: Studied) -> str:
+    of = studied.evidence
+    scene = of.scene
+    parts = [f"## {scene.title} ({scene.id})", of_recording(scene)]
+    for claim in studied.claims:
+        parts.append(f"### {claim.title}\n\n{claim.verdict.capitalize()}. {claim.why}")
+    parts += [
+        "### Arrivals",
+        f"Means, and ranges of 95 % of {SAMPLES * DRAWS} samples of the arrivals alone.",
+        arrivals_table(of),
+        "### Do samples follow the density that was trained?",
+        "If they do, time-rescaled gaps are uniform. *agrees*: the smallest of the p-values of "
+        f"the {SAMPLES} samples, times {SAMPLES}, is above 5 %.",
+        own_density(of),
+        "### Windows and strides",
+        _table(of),
+        _notes(studied),
+        f"![Number of agents]({scene.id}/{AGENTS})",
+        "Distribution of the number of people present, all samples pooled. Dots are medians, thick "
+        "bars contain 50 % of the frames, thin bars 90 %. The grey band contains the central 50 % "
+        "of the recording.",
+    ]
+    for picture in studied.pictures:
+        image = f"![{picture.title}]({scene.id}/{picture.file})"
+        parts.append(f"### {picture.title}\n\n{image}\n\n{picture.caption}")
+    parts += [
+        "### Who is left out",
+        "The paper drops people who hardly move, and those with few or many steps "
+        "(`--preprocess paper`); crowdbench keeps everyone.",
+        table(["", "people"], [[name, what] for name, what in studied.kept.items()], text=2),
+        "### Areas",
+        "The paper’s settings of DBSCAN (`--clustering paper`) leave many starts and ends outside "
+        "of all clusters.",
+        table(["clustering", "areas"], [[n, what] for n, what in studied.areas.items()], text=2),
+    ]
+    return "\n\n".join(parts)
+
+
+def _table(of: Evidence) -> str:
+    head = [
+        "model", "samples of", "mean N", "sd of N", f"autocorrelation at {LAG_S:g} s",
+        "distance", "nats per person", "training (s)",
+    ]  # fmt: skip
+    lines = []
+    for k, scheme in enumerate(SCHEMES):
+        length = f"{scheme} × {-(-of.scene.recording.frames // scheme):,}"
+        alone = Numbers.of([of.present[k]], of.present[k])
+        lines.append(["recorded", length, *_numbers(alone), NOTHING, NOTHING])
+        for model in dict.fromkeys([*COMPARED, *windowed()]):
+            more = [NOTHING, NOTHING]
+            if k == 0:
+                each = of.samples[model]
+                nats = [sample.nats for sample in each if sample.nats is not None]
+                took_s = [sample.training_s for sample in each]
+                more = [
+                    pm(nats if np.ptp(nats) else nats[:1]),
+                    f"{np.mean(took_s):.0f}" if model.window_frames else NOTHING,
+                ]
+            lines.append([model.label, length, *_numbers(of.numbers(model, k)), *more])
+    return table(head, lines, text=2)
+
+
+def _numbers(of: Numbers) -> list[str]:
+    known = [c for c in of.correlation if c is not None]
+    return [pm(of.mean), pm(of.sd), pm(known) if known else NOTHING, pm(of.distance)]
+
+
+def _notes(studied: Studied) -> str:
+    scene = studied.scene
+    whole, tenth = (f"{-(-scene.recording.frames // scheme):,} frames" for scheme in SCHEMES)
+    notes = [
+        "*w/o* means training windows of w frames with a stride of o frames. N is the number of "
+        f"people present, with straight walkers. A sample is {SCHEMES[0]} rollout as long as the "
+        f"recording ({whole}) and, separately, {SCHEMES[1]} rollouts of a tenth of it ({tenth}), "
+        "which are pooled. *distance* is the Wasserstein-1 distance between the distributions of N "
+        "of crowd and recording, divided by the recording’s mean. The state of ntpp-gmm’s networks "
+        "is reset after a silence of 100 frames, whatever the window. *nats per person*: "
+        "log-likelihood of the training arrivals; that of ntpp-paper is a lower bound. Training "
+        "times are those of one core of the machine that generated this page."
+    ]
+    frames = round(studied.longest_s / scene.dt_s)
+    cut = sorted({c.window_frames for c in windowed() if c.window_frames >= frames})
+    if cut:
+        notes.append(
+            f"The longest stretch of observed time has {frames:,} frames: windows of "
+            f"{' and '.join(map(str, cut))} frames are whole stretches, whatever their stride."
+        )
+    steps = scene.grid_s / scene.dt_s
+    strides = sorted({c.stride_frames for c in windowed()})
+    rounded = {o: round(max(1, round(o / steps)) * steps, 6) for o in strides}
+    changed = [f"{o} frames become {r:g}" for o, r in rounded.items() if r != o]
+    if changed:
+        notes.append(
+            f"Strides are rounded to the annotation grid of {scene.grid_s:g} s: "
+            f"{', '.join(changed)}."
+        )
+    return " ".join(notes)
