@@ -16,12 +16,25 @@ from crowdbench.trajectories.table import Trajectories
 LEAST_SQUARED_M2 = 2.0
 SHORTEST_STEPS = 20
 LONGEST_STEPS = 100
-PUBLISHED: Mapping[str, tuple[int, str]] = {
-    "eth": (258, "people on ETH"),
-    "gc": (12_255, "people in 11,999 frames"),
-    "forum": (1_331, "people on 14 July, another day of the Forum"),
+PUBLISHED: Mapping[str, tuple[int, str, str]] = {
+    "eth": (
+        258,
+        "people on ETH",
+        "One person. The paper does not say how it counts steps.",
+    ),
+    "gc": (
+        12_255,
+        "people in 11,999 frames",
+        "The number of steps depends on the length of a frame, which the paper does not state. "
+        "With frames of 0.8 s, and without the lower limit, 11,893 people are left.",
+    ),
+    "forum": (
+        1_331,
+        "people in 58,480 frames of 14 July",
+        "This recording is of 1 July. That of 14 July is not in OpenTraj.",
+    ),
 }
-"""The number of people that the paper states, by recording."""
+"""The number of people that the paper states, of what, and why it differs, by recording."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +58,8 @@ class Counts:
             "not too long": f"{self.kept} of them have at most {LONGEST_STEPS} steps",
         }
         if recording in PUBLISHED:
-            number, what = PUBLISHED[recording]
-            facts["paper"] = f"{number:,} {what}"
+            number, what, why = PUBLISHED[recording]
+            facts |= {"paper": f"{number:,} {what}", "difference": why}
         return facts
 
 

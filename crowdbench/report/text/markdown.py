@@ -26,8 +26,8 @@ def flowed(text: str) -> str:
 
 
 def _filled(text: str, indent: str = "") -> str:
-    # Intervals and names of crowds are not broken across lines.
-    kept = re.sub(r" ×\s|\S+ \[\S+, \S+\]", lambda found: found[0].replace(" ", "\0"), text)
+    # Intervals, percentages and names of crowds are not broken across lines.
+    kept = re.sub(r" ×\s|\d %|\S+ \[\S+, \S+\]", lambda found: found[0].replace(" ", "\0"), text)
     lines = textwrap.fill(
         kept, 100, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )

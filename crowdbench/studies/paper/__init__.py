@@ -130,8 +130,8 @@ def _areas(place: Scene, recording: Trajectories) -> dict[str, str]:
     for name, settings in place.clustering.items():
         areas, _ = fit_areas(recording, place, settings)
         found[name] = (
-            f"{len(areas.spawn)} spawn areas, {areas.left_out[0]:.0%} of starts in none; "
-            f"{len(areas.goal)} goal areas, {areas.left_out[1]:.0%} of ends in none"
+            f"{len(areas.spawn)} spawn areas, {100 * areas.left_out[0]:.0f} % of starts in none; "
+            f"{len(areas.goal)} goal areas, {100 * areas.left_out[1]:.0f} % of ends in none"
         )
     return found
 

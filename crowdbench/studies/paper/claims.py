@@ -323,7 +323,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _percent(counts: Sequence[int]) -> str:
-    return f"{share(counts, SPIKE):.0%}"
+    return f"{100 * share(counts, SPIKE):.0f} %"
 
 
 def _summed(each: Sequence[Sequence[int]]) -> list[int]:

@@ -11,7 +11,7 @@ from crowdbench.report.text.markdown import flowed, table
 from crowdbench.report.text.words import NOTHING, named
 from crowdbench.scene import Scene
 from crowdbench.studies.paper.claims import Claim, Evidence, arrivals_table, own_density
-from crowdbench.studies.paper.fits import COMPARED, SAMPLES, windowed
+from crowdbench.studies.paper.fits import POISSON, POISSON_CODE, SAMPLES, SHIPPED, windowed
 from crowdbench.studies.paper.measures import Numbers, pm
 from crowdbench.studies.paper.pictures import AGENTS
 from crowdbench.studies.paper.presence import LAG_S
@@ -101,7 +101,8 @@ def _scene(studied: Studied) -> str:
     scene = of.scene
     parts = [f"## {scene.title} ({scene.id})", of_recording(scene)]
     for claim in studied.claims:
-        parts.append(f"### {claim.title}\n\n{claim.verdict.capitalize()}. {claim.why}")
+        verdict = "" if claim.verdict == NOTHING else f"{claim.verdict.capitalize()}. "
+        parts.append(f"### {claim.title}\n\n{verdict}{claim.why}")
     parts += [
         "### Arrivals",
         f"Means, and ranges of 95 % of {SAMPLES * DRAWS} samples of the arrivals alone.",
@@ -113,22 +114,22 @@ def _scene(studied: Studied) -> str:
         "### Windows and strides",
         _table(of),
         _notes(studied),
-        f"![Number of agents]({scene.id}/{AGENTS})",
+        f"![Number of agents](paper/{scene.id}/{AGENTS})",
         "Distribution of the number of people present, all samples pooled. Dots are medians, thick "
         "bars contain 50 % of the frames, thin bars 90 %. The grey band contains the central 50 % "
         "of the recording.",
     ]
     for picture in studied.pictures:
-        image = f"![{picture.title}]({scene.id}/{picture.file})"
+        image = f"![{picture.title}](paper/{scene.id}/{picture.file})"
         parts.append(f"### {picture.title}\n\n{image}\n\n{picture.caption}")
     parts += [
         "### Who is left out",
         "The paper drops people who hardly move, and those with few or many steps "
-        "(`--preprocess paper`); crowdbench keeps everyone.",
+        "(`crowdbench fit --preprocess paper`); crowdbench keeps everyone.",
         table(["", "people"], [[name, what] for name, what in studied.kept.items()], text=2),
         "### Areas",
-        "The paper’s settings of DBSCAN (`--clustering paper`) leave many starts and ends outside "
-        "of all clusters.",
+        "The paper’s settings of DBSCAN (`crowdbench fit --clustering paper`) leave many starts "
+        "and ends outside of all clusters.",
         table(["clustering", "areas"], [[n, what] for n, what in studied.areas.items()], text=2),
     ]
     return "\n\n".join(parts)
@@ -144,7 +145,7 @@ def _table(of: Evidence) -> str:
         length = f"{scheme} × {-(-of.scene.recording.frames // scheme):,}"
         alone = Numbers.of([of.present[k]], of.present[k])
         lines.append(["recorded", length, *_numbers(alone), NOTHING, NOTHING])
-        for model in dict.fromkeys([*COMPARED, *windowed()]):
+        for model in [POISSON, POISSON_CODE, SHIPPED, *windowed()]:
             more = [NOTHING, NOTHING]
             if k == 0:
                 each = of.samples[model]
