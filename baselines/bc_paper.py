@@ -91,12 +91,12 @@ class Sampler(nn.Module):
         self.head = policy.action_net
         self.register_buffer("std", policy.log_std.detach().exp())
         self.register_buffer("middle", torch.from_numpy((highest + lowest) / 2))
-        self.register_buffer("half", torch.from_numpy((highest - lowest) / 2))
+        self.register_buffer("reach", torch.from_numpy((highest - lowest) / 2))
 
     def forward(self, seen: Tensor, noise: Tensor) -> Tensor:
         """Sampled actions (A, 2), clipped to the range of the demonstrations."""
         mean = self.head(self.actor(self.features(seen)))
-        drawn: Tensor = self.middle + self.half * (mean + self.std * noise).clamp(-1, 1)
+        drawn: Tensor = self.middle + self.reach * (mean + self.std * noise).clamp(-1, 1)
         return drawn
 
 
@@ -162,7 +162,7 @@ def main(arguments: list[str] | None = None) -> int:
             shown = demonstrations(asked.scene, split=split, observation=OBSERVATION)
             sampler = clone(shown, settings)
             path = command.write(split, sampler, observation=OBSERVATION, noise=NOISE)
-            deviation = ", ".join(f"{s:.3f}" for s in (sampler.std * sampler.half).tolist())
+            deviation = ", ".join(f"{s:.3f}" for s in (sampler.std * sampler.reach).tolist())
             print(f"{path}: standard deviations {deviation} of the maximum speed")
             print(f"{path}: {command.walk(path, 'ntpp-gmm')}", flush=True)
     except CrowdbenchError as error:

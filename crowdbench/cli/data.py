@@ -84,16 +84,28 @@ def add_mending(command: argparse.ArgumentParser) -> None:
 
 
 def _fetch(args: argparse.Namespace) -> None:
+    fetch_and_import(args.name, args.out)
+
+
+def is_imported(name: str) -> bool:
+    """Whether a recording is available without its files."""
+    from crowdbench.recordings.catalogue import cached
+
+    return name == "plaza" or cached(name).exists()
+
+
+def fetch_and_import(name: str, out: Path | None = None) -> None:
+    """Download a published recording and import it, with messages."""
     from crowdbench.recordings.catalogue import source
     from crowdbench.recordings.fetch import default_folder, fetch
 
-    published = source(args.name)
-    folder = args.out or default_folder()
-    with progress_bar(args.name, of_bytes=True) as progress:
-        fetched = fetch(args.name, folder, progress)
+    published = source(name)
+    folder = out or default_folder()
+    with progress_bar(name, of_bytes=True) as progress:
+        fetched = fetch(name, folder, progress)
     how = f"fetched from {published.address}" if fetched else "already there"
     print(f"{folder / published.path}: {how}")
-    _bring(args.name, folder)
+    _bring(name, folder)
 
 
 def _import(args: argparse.Namespace) -> None:

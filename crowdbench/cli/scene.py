@@ -8,8 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench.cli.data import add_mending, mended
+from crowdbench.cli.data import add_mending, fetch_and_import, is_imported, mended
 from crowdbench.cli.printing import new_console, new_table, print_facts, progress_bar
+from crowdbench.errors import SceneError, SettingError
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -27,12 +28,20 @@ def add(commands: "Commands") -> None:
     )
     create.add_argument("name", metavar="NAME-v0", help="id of the new scene, lower case")
     create.add_argument(
-        "--recording", type=Path, required=True, metavar="PATH", help="the recording"
+        "--recording",
+        required=True,
+        metavar="PATH",
+        help="the recording; with --like, the name of one (fetched if it is not imported)",
+    )
+    create.add_argument(
+        "--like",
+        metavar="SCENE",
+        help="scene of the same place: its bounds, walls and settings are used, for example those "
+        "of forum-v0 for --recording forum-14jul",
     )
     create.add_argument(
         "--format",
         metavar="FORMAT",
-        required=True,
         help="format of the recording. obsmat: format of ETH and UCY; gc, forum: formats of Grand "
         "Central and the Forum; csv: a table with person_id, frame or time_s, x, y; trajnet: "
         "TrajNet++; jupedsim: format that PedPy reads",
@@ -79,23 +88,38 @@ def _timed(what: str) -> "Iterator[Progress]":
 
 def _create(args: argparse.Namespace) -> None:
     from crowdbench.recordings.describe import describe
-    from crowdbench.scene_building import create_scene
+    from crowdbench.scene_building import create_like, create_scene
 
-    created = create_scene(
-        args.name,
-        args.recording,
-        layout=args.format,
-        dt_s=args.dt_s,
-        gaps=args.gaps,
-        offset_s=args.offset_s,
-        walls=args.walls,
-        title=args.title,
-        out=args.out,
-        fits=args.fits,
-        rollouts_per_fit=args.rollouts_per_fit,
-        workers=args.workers,
-        stage=_timed,
-    )
+    shared = {
+        "title": args.title,
+        "out": args.out,
+        "fits": args.fits,
+        "rollouts_per_fit": args.rollouts_per_fit,
+        "workers": args.workers,
+        "stage": _timed,
+    }
+    if args.like is not None:
+        _check_like(args)
+        if not is_imported(args.recording):
+            fetch_and_import(args.recording)
+        created = create_like(args.name, args.like, args.recording, **shared)
+    else:
+        if args.format is None:
+            raise SettingError(
+                "crowdbench scene create",
+                got="neither --format nor --like",
+                expected="the format of the recording, or a scene of the same place",
+            )
+        created = create_scene(
+            args.name,
+            Path(args.recording),
+            layout=args.format,
+            dt_s=args.dt_s,
+            gaps=args.gaps,
+            offset_s=args.offset_s,
+            walls=args.walls,
+            **shared,
+        )
     scene, crowd = created.scene, created.recording
     print()
     print_facts(f"recording {crowd.scene}", mended(crowd, args) | describe(crowd))
@@ -107,8 +131,18 @@ def _create(args: argparse.Namespace) -> None:
         print('This scene has no ntpp-gmm, the default of environments: pass spawn="renewal-gmm".')
 
 
+def _check_like(args: argparse.Namespace) -> None:
+    for option in ("format", "dt_s", "gaps", "offset_s", "walls"):
+        if getattr(args, option) is not None:
+            name = f"--{option.replace('_', '-')}"
+            raise SettingError(
+                "crowdbench scene create",
+                got=f"{name} and --like",
+                expected=f"--like without {name}, which the other scene determines",
+            )
+
+
 def _check(args: argparse.Namespace) -> None:
-    from crowdbench.errors import SceneError
     from crowdbench.scene_building import check_scene
 
     findings = list(check_scene(args.scene))

@@ -23,13 +23,14 @@ from crowdbench.recordings import own
 from crowdbench.recordings.catalogue import cached
 from crowdbench.recordings.mending import Gaps
 from crowdbench.recordings.noise import noise_of
+from crowdbench.registry import recording as named_recording
 from crowdbench.registry import recording_of
 from crowdbench.scene import Gate, Recording, Scene, list_scenes, load_scene
 from crowdbench.scene_building import rules
 from crowdbench.scene_building.anchors import make_anchors, power_study
 from crowdbench.scene_building.fit import ASTRAY, MODELS, dwell_p99_s, fit_scene, has_torch
 from crowdbench.scene_building.pictures import draw_place
-from crowdbench.scene_building.toml import scene_toml, write_scored
+from crowdbench.scene_building.toml import like_toml, scene_toml, write_scored
 from crowdbench.scene_building.walls import read_walls
 from crowdbench.scoring.reference import read_reference
 from crowdbench.scoring.scorecard import write_anchors
@@ -91,7 +92,60 @@ def create_scene(
         )
         rules.check_size(crowd, recording)
         scene = _scene(name, title, crowd, recording, walls, fits, rollouts_per_fit)
+    source = f"{recording.name}{_with(gaps, offset_s)}"
+    toml = scene_toml(scene, source=source, walls_file=walls.name if walls else "")
     new = own.keep(crowd)
+    try:
+        return _build(place, toml, crowd, workers, stage)
+    except BaseException:
+        if new:
+            cached(known_as).unlink(missing_ok=True)
+        raise
+
+
+def create_like(
+    name: str,
+    like: str | Path,
+    recording: str,
+    *,
+    title: str = "",
+    out: Path | None = None,
+    fits: int | None = None,
+    rollouts_per_fit: int | None = None,
+    workers: int | None = None,
+    stage: Stage = lambda what: nullcontext(lambda done, total: None),
+) -> Created:
+    """Create the scene `name` of another recording of the place `like`, such as another day.
+
+    `recording` is the name of an imported recording. Bounds, walls and settings are those of
+    `like`, except for `fits` and `rollouts_per_fit`, if given; areas, models, scored metrics and
+    anchors are computed from the recording. Otherwise as `create_scene`.
+
+    Raises:
+        SettingError: the name or a number is invalid.
+        OutputError: the folder exists already, or cannot be written.
+        RecordingError: the recording has not been imported, or is too short.
+        SceneError: there is no scene `like`, or the recording does not fit it.
+    """
+    place = out or Path(name)
+    _checked(name, place, fits, rollouts_per_fit)
+    workers = checked_workers(workers)
+    known = load_scene(like)
+    crowd = named_recording(recording)
+    rules.check_size(crowd, Path(recording))
+    toml = like_toml(
+        known,
+        name=name,
+        title=title or _title(name),
+        recording=Recording(recording, crowd.frames, round(dwell_p99_s(crowd), 2)),
+        fits=fits,
+        rollouts_per_fit=rollouts_per_fit,
+    )
+    return _build(place, toml, crowd, workers, stage)
+
+
+def _build(place: Path, toml: str, crowd: Trajectories, workers: int, stage: Stage) -> Created:
+    """Make a scene with this `scene.toml` in a temporary folder, and move it to its place."""
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         with (
@@ -101,19 +155,13 @@ def create_scene(
         ):
             built = Path(half) / place.name
             built.mkdir()
-            source = f"{recording.name}{_with(gaps, offset_s)}"
-            toml = scene_toml(scene, source=source, walls_file=walls.name if walls else "")
             write_text(built / "scene.toml", toml)
             facts = _fill(built, crowd, workers, stage)
             if place.exists():
                 raise _there_already(place)
             built.rename(place)
-    except BaseException as error:
-        if new:
-            cached(known_as).unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise unwritable(place, error) from error
-        raise
+    except OSError as error:
+        raise unwritable(place, error) from error
     return Created(load_scene(place), crowd, facts | {"written to": str(place)})
 
 
@@ -175,7 +223,7 @@ def _scene(
     bounds = rules.bounds_of(crowd)
     scene = Scene(
         id=name,
-        title=title or name.rpartition("-")[0].replace("_", " ").capitalize(),
+        title=title or _title(name),
         dt_s=crowd.dt_s,
         grid_s=crowd.grid_s,
         recording=Recording(
@@ -194,6 +242,10 @@ def _scene(
     if walls:
         _check_walls(scene, crowd, walls)
     return scene
+
+
+def _title(name: str) -> str:
+    return name.rpartition("-")[0].replace("_", " ").capitalize()
 
 
 def _check_walls(scene: Scene, crowd: Trajectories, walls: Path) -> None:

@@ -55,6 +55,32 @@ def scene_toml(scene: Scene, *, source: str, walls_file: str) -> str:
     return tomlkit.dumps(document)
 
 
+def like_toml(
+    like: Scene,
+    *,
+    name: str,
+    title: str,
+    recording: Recording,
+    fits: int | None,
+    rollouts_per_fit: int | None,
+) -> str:
+    """The text of a new scene's file that differs from that of `like` in these values only.
+
+    The comment at the beginning is replaced, and the scored metrics are left out.
+    """
+    document = tomlkit.parse((like.folder / "scene.toml").read_text(encoding="utf-8"))
+    document["id"], document["title"] = name, title
+    document["recording"] = _table(recording)
+    del document["protocol"]["scored"]
+    for name, value in (("fits", fits), ("rollouts_per_fit", rollouts_per_fit)):
+        if value is not None:
+            document["protocol"][name] = value
+    text = tomlkit.dumps(document)
+    head = _HEAD.format(title=_one_line(title), source=f"{recording.name}, like {like.id}")
+    comment = "".join(f"# {line}\n" for line in head.splitlines())
+    return comment + text[text.index("schema") :]
+
+
 def write_scored(scene: Scene, scored: Sequence[str]) -> Path:
     """Set the scored metrics in a scene's `scene.toml`; comments and other values are kept."""
     path = scene.folder / "scene.toml"

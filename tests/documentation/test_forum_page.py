@@ -1,9 +1,8 @@
-"""The page on other days of the Forum: its commands, on an hour published as another day."""
+"""The page on other days of the Forum: its command, on an hour published as another day."""
 
 import io
 import re
 import shlex
-import subprocess
 import zipfile
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from servers import serving
 from crowdbench.cli import main
 from crowdbench.recordings import catalogue
 from crowdbench.recordings.catalogue import SOURCES
+from crowdbench.registry import recording_of
 from crowdbench.scene import load_scene
 from crowdbench.scoring import power
 from crowdbench.scoring.scorecard import read_anchors
@@ -37,7 +37,7 @@ def another_day(text: str) -> str:
     return f"% Total number of trajectories in file are  {len(tracks)} \n" + "\n".join(tracks)
 
 
-def test_a_scene_of_another_day_is_made_by_the_commands_of_the_page(
+def test_a_scene_of_another_day_is_made_by_the_command_of_the_page(
     tmp_path: Path,
     home: Path,
     opentraj: Path,
@@ -50,34 +50,35 @@ def test_a_scene_of_another_day_is_made_by_the_commands_of_the_page(
     with zipfile.ZipFile(zipped, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("tracks", another_day((opentraj / SOURCES["forum"].path).read_text()))
     (block,) = pages.blocks((pages.ROOT / "docs/forum.md").read_text(), "sh")
-    copying = block[block.index("mkdir") : block.index("crowdbench fit")]
-    fetching, *making = (line for line in block.splitlines() if line.startswith("crowdbench"))
-
+    command = block.strip().replace("\\\n", "")
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    # Fewer fits and rollouts than a benchmark needs, for the test's sake.
+    brief = "--fits 1 --rollouts-per-fit 2"
     with serving() as published:
         published.files["/Jul.14.zip"] = zipped.getvalue()
         monkeypatch.setattr(catalogue, "_FORUM_DAYS", published.address)
-        assert main(shlex.split(fetching)[1:]) == 0
-    here = copying.replace("path/to/crowdbench", shlex.quote(str(pages.ROOT)))
-    subprocess.run(["bash", "-euc", here], check=True)
-    scene = Path("forum14jul-v0/scene.toml")
-    assert load_scene(scene.parent).title == "Informatics Forum, Edinburgh, 14 July"
-    assert " 1 July" not in scene.read_text()
-
-    fit = [*shlex.split(making[0])[1:], "--models", "poisson-gmm", "renewal-gmm"]
-    capsys.readouterr()
-    assert main(fit) == 2
-    said = re.search(r"expected recording\.(frames = \d+), recording\.(dwell_p99_s = [\d.]+), as",
-                     capsys.readouterr().err)  # fmt: skip
-    assert said is not None
-    text = scene.read_text()
-    for line in said.groups():
-        text = re.sub(rf"^{line.split()[0]} = .*", line, text, flags=re.MULTILINE)
-    # Fewer rollouts than a benchmark needs, for the test's sake.
-    scene.write_text(text.replace("fits = 5", "fits = 1").replace("_fit = 6", "_fit = 2"))
-    evaluate = "crowdbench evaluate ./forum14jul-v0 --policy straight --spawn renewal-gmm --seeds 1"
-    for command in (shlex.join(["crowdbench", *fit]), *making[1:], evaluate):
-        assert main(shlex.split(command)[1:]) == 0, f"{command}: {capsys.readouterr().err}"
-    made = load_scene(scene.parent)
-    assert set(made.protocol.scored) != set(load_scene("forum-v0").protocol.scored)
+        assert main(shlex.split(f"{command} {brief}")[1:]) == 0
+    said = capsys.readouterr().out
+    assert "stored at first use; the publisher states none" in said
+    assert "Cite: " in said
+    folder = Path("forum14jul-v0")
+    made, known = load_scene(folder), load_scene("forum-v0")
+    assert made.title == "Informatics Forum, Edinburgh, 14 July"
+    assert made.recording.name == "forum-14jul"
+    assert made.recording.frames == recording_of(made).frames < 8100
+    assert (made.bounds, made.walls, made.walking) == (known.bounds, known.walls, known.walking)
+    assert (made.protocol.fits, made.protocol.rollouts_per_fit) == (1, 2)
+    assert set(made.protocol.scored) != set(known.protocol.scored)
     assert set(read_anchors(made).protocols) == {"full", "heldout"}
+    evaluate = "crowdbench evaluate ./forum14jul-v0 --policy straight --spawn renewal-gmm --seeds 1"
+    assert main(shlex.split(evaluate)[1:]) == 0
+
+
+def test_options_that_the_other_scene_determines_are_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    like = ["scene", "create", "day-v0", "--recording", "forum-14jul", "--like", "forum-v0"]
+    assert main([*like, "--dt-s", "0.4"]) == 2
+    assert "--like without --dt-s" in capsys.readouterr().err
+    assert main(["scene", "create", "day-v0", "--recording", "here.csv"]) == 2
+    assert "neither --format nor --like" in capsys.readouterr().err
