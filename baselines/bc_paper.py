@@ -8,8 +8,9 @@ layers of 32, trained for 1000 epochs at the learning rate 1e-4. It sees its vel
 to its goal, the angle to its goal over 2π, and 32 rays, and predicts a Gaussian whose standard
 deviation is the same in all states. Where the paper is silent, this follows its published code:
 batches of 1024, `imitation`'s weight of the entropy (1e-3), actions scaled to [−1, 1] between the
-extremes of the recording, and actions that are sampled, not means. (The code's learning rate is
-1e-3, `imitation`'s default: `--learning-rate 1e-3`.)
+extremes of the recording, and actions that are sampled, not means. The learning rate of the code is
+1e-3, `imitation`'s default (`--learning-rate 1e-3`). On short recordings it is needed: with batches
+of 1024 and 1e-4, the standard deviation hardly changes in 1000 epochs on ETH.
 
 Two things differ. Velocities, distances and rays have the units of `lidar-1` and not pixels of a
 picture. People who hardly move, and those with short or long trips, are not left out.

@@ -28,7 +28,9 @@ _MODELS = "\n".join(
         "that begin with an event, and a sampler that clamps the state of the network;",
         "- *crowdbench’s ntpp-gmm*: with group sizes, a trained initial state, early stopping and "
         "calibrated rates; the fits that the scene ships;",
-        "- `poisson-gmm`: constant rates; `poisson-paper`: with the rates of the published code.",
+        "- `poisson-gmm`: constant rates; `poisson-paper`: with the rates of the published code;",
+        "- `bc-paper`: the paper’s behaviour cloning, with the learning rate of its published code "
+        "(`docs/training.md` tells why).",
     )
 )
 
