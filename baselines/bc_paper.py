@@ -18,6 +18,7 @@ picture. People who hardly move, and those with short or long trips, are not lef
 `baselines.bc` is crowdbench's own cloning.
 """
 
+import argparse
 import math
 import sys
 import time
@@ -149,11 +150,16 @@ def clone(shown: Demonstrations, settings: Settings) -> Sampler:
     return Sampler(policy, lowest, highest)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Clone and write a policy for each split; return the exit code."""
+def command_line() -> argparse.ArgumentParser:
+    """Argument parser of this script."""
     parser = new_parser("bc-paper", __doc__)
     add_settings(parser, Settings(), SETTABLE)
-    asked = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Clone and write a policy for each split; return the exit code."""
+    asked = command_line().parse_args(arguments)
     use_one_thread()
     settings = Settings(seed=asked.seed, **{name: getattr(asked, name) for name in SETTABLE})
     try:

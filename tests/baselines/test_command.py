@@ -106,7 +106,7 @@ def test_without_its_packages_a_baseline_says_what_to_install(name: str, extra: 
     assert len(done.stderr.splitlines()) == 1
 
 
-@pytest.mark.parametrize("name", ["bc", "gail", "ppo"])
+@pytest.mark.parametrize("name", ["bc", "bc_paper", "gail", "ppo"])
 def test_every_option_is_told(name: str) -> None:
     if name != "ppo":
         need_imitation()

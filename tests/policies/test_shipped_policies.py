@@ -14,6 +14,7 @@ SHIPPED = [(scene, name) for scene in list_scenes() for name in trained_policies
 def test_there_are_some() -> None:
     each = {(f"{scene}-v0", "bc") for scene in ("eth", "gc", "forum")}
     each |= {(f"{scene}-v0", "gail") for scene in ("eth", "gc", "forum")}
+    each |= {(f"{scene}-v0", "bc-paper") for scene in ("eth", "gc", "forum")}
     assert each | {("eth-v0", "ppo")} <= set(SHIPPED)
 
 
@@ -25,7 +26,8 @@ def test_there_is_one_for_each_part_made_by_one_command(scene: str, name: str) -
     assert [card.split for card in cards] == list(SPLITS)
     assert {(card.scene, card.name) for card in cards} == {(scene, name)}
     (command,) = {card.command for card in cards}
-    assert command.startswith(f"python -m baselines.{name} --scene {scene} ")
+    module = name.replace("-", "_")
+    assert command.startswith(f"python -m baselines.{module} --scene {scene} ")
     assert f"--splits {' '.join(SPLITS)}" in command
     assert all(card.revision and not card.revision.endswith("-dirty") for card in cards)
 
