@@ -45,6 +45,9 @@ def add(commands: "Commands") -> None:
         action="store_true",
         help="train ntpp-paper as the paper's published code does, which differs from the paper",
     )
+    network.add_argument(
+        "--shared", action="store_true", help="train one network of ntpp-gmm for all areas"
+    )
     fit.add_argument("--workers", type=int, help="worker processes (default: one per core)")
     fit.add_argument("--out", type=Path, help="output folder (default: the scene's folder)")
     fit.set_defaults(run=_fit)
@@ -63,6 +66,7 @@ def _fit(args: argparse.Namespace) -> None:
         "epochs": args.epochs,
         "learning_rate": args.lr,
         "published_code": args.published_code or None,
+        "shared": args.shared or None,
     }
     with progress_bar("fits") as progress:
         facts = fit_scene(

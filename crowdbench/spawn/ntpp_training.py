@@ -56,12 +56,11 @@ windows of 100, 200 and 500 frames have −1.900, −1.896, −1.896 on the firs
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 import torch
 from jaxtyping import Int
-from scipy.optimize import brentq
 from torch import Tensor
 
 from crowdbench.scene import Scene
@@ -69,7 +68,7 @@ from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals
 from crowdbench.spawn.groups import group_size, spells_of
 from crowdbench.spawn.ntpp import HIDDEN, SHAPES, NtppGMM
-from crowdbench.spawn.ntpp_kernels import draw
+from crowdbench.spawn.ntpp_calibration import calibrated
 from crowdbench.spawn.ntpp_likelihood import Batch, nats, pack
 from crowdbench.spawn.ntpp_sequences import (
     Sequence,
@@ -80,7 +79,6 @@ from crowdbench.spawn.ntpp_sequences import (
     within,
 )
 
-_FURTHEST = 1.0  # largest shift of an area's log scale
 _JUDGED_EVERY = 8
 """Maximum number of steps between evaluations of the held-out likelihood. If it were evaluated only
 after all parts have been used, training on strongly overlapping windows would end at the first
@@ -117,6 +115,8 @@ class Settings:
     """Approximate maximum number of groups of an area per step."""
     calibration_points: int = 400_000
     """Number of grid points sampled per area and calibration step."""
+    shared: bool = False
+    """Whether all areas have the same network, and only rates and scales of their own."""
 
 
 SETTINGS = Settings()
@@ -163,7 +163,7 @@ def _fit(arrivals: Arrivals, areas: Areas, scene: Scene, seed: int, settings: Se
         steps[chosen] = _best_steps(arrivals, chosen, parts, seed, cutting, settings)
         _train_chosen(weights, steps, arrivals, chosen, parts, seed, cutting, settings)
     model = NtppGMM(areas, _rounded(weights), arrivals.grid_s, cutting.reset, asdict(settings))
-    return _calibrated(model, arrivals, steps > 0, seed, settings)
+    return calibrated(model, arrivals, steps > 0, seed=seed, points=settings.calibration_points)
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,11 @@ def _batched(
     """Batches of areas that are trained together, and the number of parts of their windows.
 
     A batch consists of areas of similar size, because their sequences are padded to the same size.
+    Areas that share a network are one batch.
     """
+    if settings.shared:
+        yield np.arange(len(groups)), 1
+        return
     trained = np.flatnonzero(groups >= settings.least_groups)
     rows = groups[trained] * max(1.0, cutting.width / cutting.stride)
     size = np.floor(np.log(rows) / np.log(4.0))
@@ -217,7 +221,7 @@ def _train_chosen(
                 weights[name][chosen[i]] = now[name][i].detach().numpy()
         return bool(step >= last)
 
-    _train(some, batches, settings, keep)
+    _train(some, batches, settings, keep, len(chosen))
 
 
 def _best_steps(
@@ -258,10 +262,12 @@ def _best_steps(
         with torch.no_grad():
             each = nats(now, validation).double().numpy()
         loss.append(each.reshape(sets, -1).sum(axis=0))
+        if settings.shared:
+            loss[-1][:] = loss[-1].sum()
         best = np.argmin(loss, axis=0).max() * every
         return bool(step - best >= settings.patience) or step >= settings.epochs
 
-    _train(weights, batches, settings, judge)
+    _train(weights, batches, settings, judge, len(chosen))
     return np.argmin(loss, axis=0) * every
 
 
@@ -308,14 +314,20 @@ def _train(
     batches: _Batches,
     settings: Settings,
     seen: Callable[[int, dict[str, Tensor]], bool],
+    areas: int,
 ) -> None:
-    """Take steps until `seen(step, weights)`, called before the first step too, returns True."""
+    """Take steps until `seen(step, weights)`, called before the first step too, returns True.
+
+    If networks are shared, the `areas` of each set of the cross-validation have that of the first.
+    """
     now = {name: torch.tensor(array, dtype=torch.float32) for name, array in weights.items()}
-    for name in _TRAINED:
-        now[name].requires_grad_()
+    count, each = len(weights["base"]), areas if settings.shared else 1
+    owner = torch.arange(count) // each
+    own = {name: now[name][::each].clone().requires_grad_() for name in _TRAINED}
+    now |= {name: own[name][owner] for name in _TRAINED}
     rates = {"initial": settings.initial_rate}
     groups = [
-        {"params": [now[name]], "lr": settings.learning_rate * rates.get(name, 1.0)}
+        {"params": [own[name]], "lr": settings.learning_rate * rates.get(name, 1.0)}
         for name in _TRAINED
     ]
     optimizer = torch.optim.Adam(groups)
@@ -323,8 +335,11 @@ def _train(
     while not seen(step, now):
         batch = batches.at(step)
         optimizer.zero_grad()
-        (nats(now, batch) / batch.persons).sum().backward()  # type: ignore[no-untyped-call]
+        persons = batch.persons.reshape(-1, each).sum(dim=1)
+        loss = nats(now, batch).reshape(-1, each).sum(dim=1) / persons
+        loss.sum().backward()  # type: ignore[no-untyped-call]
         optimizer.step()
+        now |= {name: own[name][owner] for name in _TRAINED}
         step += 1
 
 
@@ -354,51 +369,3 @@ def start_weights(arrivals: Arrivals, seed: int) -> dict[str, np.ndarray]:
 def _rounded(weights: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Weights rounded to float32, as in their file."""
     return {name: array.astype(np.float32) for name, array in weights.items()}
-
-
-def _calibrated(
-    model: NtppGMM,
-    arrivals: Arrivals,
-    chosen: np.ndarray,
-    seed: int,
-    settings: Settings,
-) -> NtppGMM:
-    """The model with log scales shifted so that samples have the recorded number of persons.
-
-    The samples of a self-exciting process can have another rate than its training data, even
-    though its compensator has the same rate.
-    """
-    persons = np.bincount(arrivals.area, minlength=arrivals.areas)
-    recorded = persons / np.diff(arrivals.windows, axis=1).sum()
-    base = model.weights["base"].copy()
-    for k in np.flatnonzero(chosen).tolist():
-        of_area = model.of_area(k)
-        base[k, 1] += _shift(of_area, model.memory, float(recorded[k]), seed, settings)
-    return replace(model, weights={**model.weights, "base": base})
-
-
-def _shift(
-    weights: tuple[np.ndarray, ...], memory: int, recorded: float, seed: int, settings: Settings
-) -> float:
-    """The shift of an area's log scale for which samples have `recorded` persons per grid point.
-
-    It is found between −1 and 1 by root finding. In a self-exciting process the log rate can change
-    by four times the shift, so a fixed-point iteration would not converge.
-    """
-    points = 2_000  # about the length of ETH's recording, so that the start has a similar weight
-    samples = max(1, settings.calibration_points // points)
-
-    def excess(shift: float) -> float:
-        base = weights[-2].copy()
-        base[1] += shift
-        rng = np.random.default_rng([seed, 2])
-        now = (*weights[:-2], base, weights[-1])
-        sampled = sum(int(draw(points, memory, now, rng)[1].sum()) for _ in range(samples))
-        return float(np.log(max(1, sampled) / (samples * points * recorded)))
-
-    low, high = -_FURTHEST, _FURTHEST
-    if excess(low) <= 0.0:
-        return low
-    if excess(high) >= 0.0:
-        return high
-    return float(brentq(excess, low, high, xtol=0.002, rtol=1e-9))

@@ -123,12 +123,14 @@ def test_sequences_that_forget_have_no_longer_silence_and_lose_nothing(
         assert persons[0] == persons[1]
 
 
-def test_a_network_forgets_after_as_many_grid_steps_as_its_windows_have() -> None:
-    # Frames of 0.4 s on a grid of 0.2 s: 30 frames are 60 steps.
+def test_a_network_forgets_after_a_silence_of_any_length() -> None:
+    # Frames of 0.4 s on a grid of 0.2 s: 40 frames are 80 steps.
     fine = replace(bursty(400.0), grid_s=0.2)
-    brief = replace(BRIEF, window_frames=30, stride_frames=15, epochs=2, patience=1)
+    brief = replace(
+        BRIEF, window_frames=30, stride_frames=15, reset_frames=40, epochs=2, patience=1
+    )
     fitted = ntpp_training.fit(fine, AREAS, replace(ETH, grid_s=0.2), seed=0, settings=brief)
-    assert fitted.memory == 60
+    assert fitted.memory == 80
 
 
 def test_training_starts_from_poisson() -> None:
@@ -165,7 +167,7 @@ def test_windows_that_overlap_much_are_judged_before_all_parts_had_their_turn() 
     arrivals = bursty(1200.0)
     often = replace(SETTINGS, window_frames=20, stride_frames=1, step_groups=64)
     groups = np.bincount(arrivals.area)
-    cutting = ntpp_training._Cutting(width=20, stride=1, block=150)
+    cutting = ntpp_training._Cutting(width=20, reset=20, stride=1, block=150)
     ((chosen, parts),) = ntpp_training._batched(groups, cutting, often)
     assert parts >= 64 > often.patience
     steps = ntpp_training._best_steps(arrivals, chosen, parts, 0, cutting, often)
@@ -228,3 +230,20 @@ def test_it_learns_what_poisson_cannot_and_keeps_the_number_of_persons() -> None
     recorded = np.bincount(arrivals.area) / arrivals.exposure_s()
     np.testing.assert_allclose(count / 10 / horizon_s, recorded, rtol=0.1)
     assert early * 100 == pytest.approx(count.sum(), rel=0.2)
+
+
+def test_a_shared_network_learns_from_all_areas() -> None:
+    arrivals = bursty(1200.0)
+    shared = replace(BRIEF, epochs=40, shared=True)
+    fitted = ntpp_training.fit(arrivals, AREAS, ETH, seed=0, settings=shared)
+    own = {"base", "scaling"}
+    for name, weights in fitted.weights.items():
+        assert np.array_equal(weights[0], weights[1]) == (name not in own)
+    start = replace(fitted, weights=ntpp_training.start_weights(arrivals, 0))
+    assert (fitted.weights["out_weight"] != 0).any()
+    assert fitted.log_likelihood(arrivals) > start.log_likelihood(arrivals) + 0.01
+    # An area of a few groups has no network of its own, but a part of the shared one.
+    few = replace(shared, least_groups=10_000)
+    again = ntpp_training.fit(arrivals, AREAS, ETH, seed=0, settings=few)
+    for name, weights in again.weights.items():
+        np.testing.assert_array_equal(weights, fitted.weights[name])

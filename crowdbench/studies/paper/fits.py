@@ -103,23 +103,23 @@ class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 def fit_of(configuration: Configuration, seed: int, arrivals: Arrivals, folder: Path) -> Fit:
     """The fit of a configuration with windows; fits of the paper's model have the seed 0."""
-    changed = {
-        "window_frames": configuration.window_frames,
-        "stride_frames": configuration.stride_frames,
-    }
+    window, stride = configuration.window_frames, configuration.stride_frames
     settings: Any
     if configuration.spawn == LITERAL.spawn:
         from crowdbench.spawn import ntpp_paper_training
 
-        code = configuration.code
         settings = replace(
-            ntpp_paper_training.PAPER, **changed, published_code=code, learning_rate=0.0
+            ntpp_paper_training.PAPER,
+            window_frames=window,
+            stride_frames=stride,
+            published_code=configuration.code,
+            learning_rate=0.0,
         )
         seed = 0
     else:
         from crowdbench.spawn import ntpp_training
 
-        settings = replace(ntpp_training.SETTINGS, **changed)
+        settings = replace(ntpp_training.SETTINGS, window_frames=window, stride_frames=stride)
     what = f"{settings} {seed} {arrivals.areas} {arrivals.grid_s}".encode()
     data = [arrivals.tick, arrivals.area, arrivals.windows]
     made_from = sha256(b"".join([what, _code(), *(a.tobytes() for a in data)]))[:16]
