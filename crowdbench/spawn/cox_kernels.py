@@ -1,0 +1,96 @@
+"""The particle filter of `cox-gmm`, compiled."""
+
+import numpy as np
+from jaxtyping import Float, Int
+from numba import njit
+
+
+@njit(cache=True)
+def filtered(
+    counts: Int[np.ndarray, "T K"],
+    width: int,
+    groups: Float[np.ndarray, " K"],
+    next_member: Float[np.ndarray, " K"],
+    roots: Float[np.ndarray, "J K K"],
+    stay: Float[np.ndarray, " J"],
+    half_variance: Float[np.ndarray, " K"],
+    particles: int,
+    rng: np.random.Generator,
+) -> float:
+    """Log of the estimated probability of the counts of one stretch.
+
+    The factors change every `width` grid points. `groups` is the mean number of groups per grid
+    point, `stay` the autocorrelation of each scale over a step.
+    """
+    scales, areas = stay.size, groups.size
+    state = np.zeros((particles, scales, areas))
+    noise = np.empty(areas)
+    log_weight = np.zeros(particles)
+    logs = np.empty(particles)
+    total = 0.0
+    for first in range(0, len(counts), width):
+        block = counts[first : first + width]
+        for i in range(particles):
+            for j in range(scales):
+                fresh = 1.0 if first == 0 else np.sqrt(1 - stay[j] * stay[j])
+                for a in range(areas):
+                    noise[a] = rng.standard_normal()
+                for a in range(areas):
+                    moved = 0.0 if first == 0 else stay[j] * state[i, j, a]
+                    for b in range(areas):
+                        moved += fresh * roots[j, a, b] * noise[b]
+                    state[i, j, a] = moved
+            logs[i] = 0.0
+            for a in range(areas):
+                log_factor = -half_variance[a]
+                for j in range(scales):
+                    log_factor += state[i, j, a]
+                rate = groups[a] * np.exp(log_factor)
+                for t in range(len(block)):
+                    logs[i] += log_probability(block[t, a], rate, next_member[a])
+        log_weight += logs
+        highest = log_weight.max()
+        weight = np.exp(log_weight - highest)
+        summed = weight.sum()
+        total += highest + np.log(summed)
+        weight /= summed
+        # The weights of the next step begin with those of this one, normalised.
+        if 1.0 / (weight * weight).sum() < 0.5 * particles:
+            state = state[_systematic(weight, rng.random())]
+            log_weight[:] = -np.log(particles)
+        else:
+            log_weight = np.log(np.maximum(weight, 1e-300))
+        if first == 0:
+            # All weights were 1 at first, not 1 / particles.
+            total -= np.log(particles)
+    return total
+
+
+@njit(cache=True)
+def log_probability(number: int, rate: float, next_member: float) -> float:
+    """Log-probability of a number of persons: Poisson groups with geometric sizes.
+
+    The Pólya–Aeppli distribution, by its recursion (Johnson, Kemp and Kotz 2005, Univariate
+    Discrete Distributions, eq. 9.166), in proportion to the probability of 0.
+    """
+    if number == 0:
+        return -rate
+    before, now = 0.0, 1.0
+    for n in range(1, number + 1):
+        first = (rate * (1 - next_member) + 2 * next_member * (n - 1)) / n * now
+        second = next_member * next_member * (n - 2) / n * before if n > 1 else 0.0
+        before, now = now, first - second
+    return np.log(max(now, 1e-300)) - rate
+
+
+@njit(cache=True)
+def _systematic(weight: Float[np.ndarray, " P"], u: float) -> Int[np.ndarray, " P"]:
+    """Indices of particles by systematic resampling."""
+    chosen = np.empty(len(weight), np.int64)
+    at, reached = 0, weight[0]
+    for i in range(len(weight)):
+        while (i + u) / len(weight) > reached and at < len(weight) - 1:
+            at += 1
+            reached += weight[at]
+        chosen[i] = at
+    return chosen

@@ -1,0 +1,273 @@
+"""Plans on top of any arrival process: companions, and ways with stops and via points.
+
+`PlannedAreas` are areas whose people do not come alone: spawn models that draw places from them
+become models of plans. The fits are in `plans.json`, one for each split; as with areas, all models
+of a scene share them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.random import Generator
+
+from crowdbench.errors import WeightsError
+from crowdbench.files import read_struct, write_json
+from crowdbench.scene import Scene
+from crowdbench.spawn.areas import Areas, as_array
+from crowdbench.spawn.events import SpawnEvents, entering
+from crowdbench.spawn.links import OFFSETS, Links, candidates, fit_links
+from crowdbench.spawn.plans import plans_of
+from crowdbench.spawn.ways import SIZES, Mixture, Ways, fit_ways
+from crowdbench.spawn.weights import check_origin, hint
+from crowdbench.trajectories.blocks import SPLITS, TimeBlocks
+from crowdbench.trajectories.companions import groups_of
+from crowdbench.trajectories.table import Trajectories
+
+FILE = "plans.json"
+SCHEMA = 1
+_TRIES = 20
+"""Number of offsets that are drawn for a companion; each is half as long as the one before."""
+
+
+class _Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    mean: list[list[float]]
+    covariance: list[list[list[float]]]
+    persons: list[list[float]]
+
+
+class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    log_weight: list[float]
+    tendency: list[float]
+    offset_mean: list[float]
+    offset_covariance: list[list[float]]
+    slowest_mps: float
+    fastest_mps: float
+    kinds: tuple[_Kind, _Kind, _Kind]
+
+
+class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    schema: int
+    model: str
+    scene: str
+    splits: dict[str, _Plans]
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedAreas(Areas):
+    """Areas whose people have companions, and ways of their own."""
+
+    links: Links
+    ways: Ways
+
+    @classmethod
+    def of(cls, areas: Areas, links: Links, ways: Ways) -> "PlannedAreas":
+        """The areas with these models of companions and ways."""
+        known = {field.name: getattr(areas, field.name) for field in fields(Areas)}
+        return cls(**known, links=links, ways=ways)
+
+    def draw(
+        self,
+        time_s: Float[np.ndarray, " E"],
+        spawn_area: Int[np.ndarray, " E"],
+        scene: Scene,
+        rng: Generator,
+    ) -> SpawnEvents:
+        """Draw a plan for each arrival; companions have plans that differ by an offset."""
+        order = np.argsort(time_s, kind="stable")
+        time_s, area = time_s[order], spawn_area[order]
+        joins = self.links.draw(time_s, area, rng)
+        ways = np.full((len(time_s), 8), np.nan)
+        first = joins < 0
+        ways[first], _ = self.ways.draw(area[first], scene, rng)
+        done, leader = first.copy(), np.where(first, np.arange(len(joins)), -1)
+        while not done.all():  # whoever joins somebody whose plan is known
+            now = np.flatnonzero(~done & done[joins])
+            ways[now] = self._beside(ways[joins[now]], scene, rng)
+            leader[now] = leader[joins[now]]
+            done[now] = True
+        size = np.bincount(leader, minlength=len(joins))
+        number = np.cumsum(size > 1) - 1
+        stops = np.isfinite(ways[:, 7])
+        return entering(
+            time_s=time_s,
+            start=ways[:, :2],
+            goal=ways[:, 2:4],
+            spawn_area=area,
+            goal_area=self.goal.likeliest(ways[:, 2:4]) if len(ways) else area,
+            speed=np.exp(ways[:, 4]),
+            group=np.where(size[leader] > 1, number[leader], -1),
+            via=ways[:, 5:7],
+            wait_s=np.where(stops, np.exp(np.where(stops, ways[:, 7], 0.0)), 0.0),
+        )
+
+    def _beside(
+        self, ways: Float[np.ndarray, "n 8"], scene: Scene, rng: Generator
+    ) -> Float[np.ndarray, "n 8"]:
+        """Ways of people who join those with these ways."""
+        offset = self.links.offsets(len(ways), rng)
+        found = ways.copy()
+        found[:, 4] += offset[:, 4]
+        limits = np.log([self.ways.slowest_mps, self.ways.fastest_mps])
+        found[:, 4] = found[:, 4].clip(*limits)
+        ahead = _directions(ways[:, 2:4] - ways[:, :2])
+        open_ = np.arange(len(ways))
+        for _ in range(_TRIES):
+            for columns, k in ((slice(0, 2), 0), (slice(2, 4), 2)):
+                found[open_, columns] = ways[open_, columns] + _turned(
+                    ahead[open_], offset[open_, k : k + 2]
+                )
+            good = scene.walkable(found[open_, :2]) & scene.walkable(found[open_, 2:4])
+            open_ = open_[~good]
+            if len(open_) == 0:
+                return found
+            offset[open_, :4] /= 2
+        found[open_, :4] = ways[open_, :4]
+        return found
+
+
+def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedAreas:
+    """Fit companions and ways to the people who enter in the time blocks.
+
+    `crowd` is a recording as `fit_areas` returns it.
+
+    Raises:
+        SceneError: no trip is complete.
+    """
+    persons, _, _ = blocks.of_arrivals(crowd)
+    persons = persons[crowd.spawn_area[persons] >= 0]
+    persons = persons[np.argsort(crowd.spawn_s[persons], kind="stable")]
+    time_s = crowd.spawn_s[persons]
+    area = crowd.spawn_area[persons].astype(np.int64)
+    group, plans = groups_of(crowd)[persons].astype(np.int64), plans_of(crowd)
+    earlier = _companion(time_s, area, group)
+    later = np.flatnonzero(earlier >= 0)
+    known = np.isfinite(plans.speed[persons]) & crowd.left[persons]
+    later = later[known[later] & known[earlier[later]]]
+    pairs = persons[later], persons[earlier[later]]
+    offsets = _offsets(crowd, plans.speed, *pairs)
+    links = fit_links(time_s, area, group, offsets, len(areas.spawn))
+    alone = np.zeros(len(crowd), dtype=bool)
+    alone[persons[earlier < 0]] = True
+    return PlannedAreas.of(areas, links, fit_ways(crowd, plans, alone, len(areas.spawn)))
+
+
+def _companion(
+    time_s: Float[np.ndarray, " E"], area: Int[np.ndarray, " E"], group: Int[np.ndarray, " E"]
+) -> Int[np.ndarray, " E"]:
+    """The last person of the same group who entered the same area before each person; else −1."""
+    pairs = candidates(time_s, area)
+    same = (group[pairs.later] >= 0) & (group[pairs.later] == group[pairs.earlier])
+    found = np.full(len(time_s), -1)
+    found[pairs.later[same]] = pairs.earlier[same]  # sorted: the last one stays
+    return found
+
+
+def _offsets(
+    crowd: Trajectories,
+    speed: Float[np.ndarray, " P"],
+    later: Int[np.ndarray, " n"],
+    earlier: Int[np.ndarray, " n"],
+) -> Float[np.ndarray, "n 5"]:
+    """Offsets of people to those whom they join; see `links.OFFSETS`."""
+    start, goal = crowd.start.astype(np.float64), crowd.goal.astype(np.float64)
+    ahead = _directions(goal[earlier] - start[earlier])
+    back = ahead * [1.0, -1.0]
+    return np.column_stack(
+        [
+            _turned(back, start[later] - start[earlier]),
+            _turned(back, goal[later] - goal[earlier]),
+            np.log(speed[later] / speed[earlier]),
+        ]
+    )
+
+
+def _directions(way: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    length = np.maximum(np.hypot(*way.T), 1e-9)
+    return np.asarray(way / length[:, None])
+
+
+def _turned(
+    direction: Float[np.ndarray, "n 2"], vector: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "n 2"]:
+    """The vectors, turned by the angle of the directions."""
+    (cos, sin), (x, y) = direction.T, vector.T
+    return np.column_stack([cos * x - sin * y, sin * x + cos * y])
+
+
+def write_plans(folder: Path, fits: Mapping[str, PlannedAreas]) -> None:
+    """Write the fits of all splits into a scene's folder."""
+    splits = {
+        split: _Plans(
+            log_weight=fit.links.log_weight.tolist(),
+            tendency=fit.links.tendency.tolist(),
+            offset_mean=fit.links.mean.tolist(),
+            offset_covariance=fit.links.covariance.tolist(),
+            slowest_mps=fit.ways.slowest_mps,
+            fastest_mps=fit.ways.fastest_mps,
+            kinds=tuple(  # type: ignore[arg-type]  # there are three
+                _Kind(
+                    mean=kind.mean.tolist(),
+                    covariance=kind.covariance.tolist(),
+                    persons=kind.persons.tolist(),
+                )
+                for kind in fit.ways.kinds
+            ),
+        )
+        for split, fit in fits.items()
+    }
+    scene = fits["full"].scene
+    write_json(folder / FILE, _File(schema=SCHEMA, model="plans", scene=scene, splits=splits))
+
+
+def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
+    """The areas with the plans that a scene ships for a split.
+
+    Raises:
+        WeightsError: the file is missing or broken, or belongs to another scene.
+    """
+    path, how = scene.folder / FILE, hint(scene)
+    file = read_struct(path, _File, WeightsError, how)
+    origin = (file.model, file.scene, file.schema)
+    check_origin(path, origin, ("plans", scene.id, SCHEMA), how)
+    if set(file.splits) != set(SPLITS):
+        raise WeightsError(
+            f"{path}, splits",
+            got=", ".join(sorted(file.splits)) or "nothing",
+            expected=", ".join(SPLITS),
+            hint=how,
+        )
+    of, size, where = file.splits[split], len(areas.spawn), f"{path}, splits.{split}"
+
+    def array(values: list, shape: tuple[int, ...], name: str) -> np.ndarray:
+        if not values and shape[0] == 0:  # JSON does not tell the other dimensions
+            return np.zeros(shape)
+        return as_array(values, shape, f"{where}.{name}", how)
+
+    links = Links(
+        array(of.log_weight, (6,), "log_weight"),
+        array(of.tendency, (size,), "tendency"),
+        array(of.offset_mean, (OFFSETS,), "offset_mean"),
+        array(of.offset_covariance, (OFFSETS, OFFSETS), "offset_covariance"),
+    )
+    kinds = []
+    for k, (kind, width) in enumerate(zip(of.kinds, SIZES, strict=True)):
+        count, name = len(kind.mean), f"kinds.{k}"
+        mixture = Mixture(
+            array(kind.mean, (count, width), f"{name}.mean"),
+            array(kind.covariance, (count, width, width), f"{name}.covariance"),
+            array(kind.persons, (count, size), f"{name}.persons"),
+        )
+        if count and not (np.linalg.eigvalsh(mixture.covariance) > 0).all():
+            raise WeightsError(
+                f"{where}.{name}.covariance",
+                got="invalid values",
+                expected="symmetric, positive definite matrices",
+                hint=how,
+            )
+        kinds.append(mixture)
+    ways = Ways((kinds[0], kinds[1], kinds[2]), of.slowest_mps, of.fastest_mps)
+    return PlannedAreas.of(areas, links, ways)

@@ -1,0 +1,207 @@
+"""Slow waves of arrivals: random factors of the rates that last for seconds to minutes.
+
+The logarithm of the factor of area a is a sum of stationary Gaussian processes z_j, minus half of
+its variance, so that the mean factor is 1. z_j is an Ornstein–Uhlenbeck process over all areas with
+the covariance B_j exp(−|h| / τ_j): a log-Gaussian Cox process (Møller, Syversveen and Waagepetersen
+1998, Scandinavian Journal of Statistics 25).
+
+The covariances are found by moments. For persons who enter independently of each other given the
+factors, E[n_a(t) n_b(t + h)] = m_a m_b exp(C_ab(h)) for h > 0, with C = Σ_j B_j exp(−h / τ_j): the
+logarithm of the pair correlation (ibid., theorem 1).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from crowdbench.spawn.events import Arrivals
+
+SCALES_S = (2.5, 12.0, 60.0, 300.0)
+"""Candidates for τ: those that the recording is long enough for are used."""
+STEP_S = 0.8
+"""Shortest lag, and step of the factors; at least a step of the annotation grid."""
+_LAGS_PER_SCALE = 3.0
+"""The longest lag is this number of times the longest scale."""
+_SHORTEST_STRETCHES = 10.0
+"""A scale is used if the observed time is this number of times as long."""
+_BINS_PER_OCTAVE = 3
+_PRIOR_PERSONS = 100.0
+"""Weight of the mean of all areas in the pair correlation of one area, persons."""
+_LEAST = 0.05
+"""Least pair correlation, of which the logarithm is taken."""
+_MOST = 4.0
+"""Largest variance of the logarithm of a factor, for one scale and area."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Pair correlations g_ab(h) of arrivals in `L` bins of lags."""
+
+    lag_s: Float[np.ndarray, " L"]
+    """Mean lag of each bin, seconds."""
+    correlation: Float[np.ndarray, "L K K"]
+    """E[n_a(t) n_b(t + h)] / m_a m_b; 1 for independent arrivals."""
+    weight: Float[np.ndarray, " L"]
+    """Number of pairs of intervals in each bin."""
+    persons: Float[np.ndarray, " K"]
+    """Number of persons of each area."""
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """The Gaussian processes of `J` scales for `K` areas."""
+
+    tau_s: Float[np.ndarray, " J"]
+    """Time constants, seconds."""
+    covariance: Float[np.ndarray, "J K K"]
+    """B_j: the covariance of the logarithms of the factors."""
+
+    def variance(self) -> Float[np.ndarray, " K"]:
+        """Variance of the logarithm of each area's factor."""
+        return np.asarray(np.einsum("jkk->k", self.covariance))
+
+    def roots(self) -> Float[np.ndarray, "J K K"]:
+        """Matrices L_j with L_j L_jᵀ = B_j, also for covariances without full rank."""
+        value, vector = np.linalg.eigh(self.covariance)
+        return np.asarray(vector * np.sqrt(np.clip(value, 0, None))[:, None, :])
+
+    def factors(
+        self, steps: int, step_s: float, rng: np.random.Generator
+    ) -> Float[np.ndarray, "T K"]:
+        """Draw the factors of all areas in `steps` intervals of `step_s` seconds."""
+        from scipy.signal import lfilter
+
+        areas = self.covariance.shape[1]
+        total = np.broadcast_to(-0.5 * self.variance(), (steps, areas)).copy()
+        for tau_s, root in zip(self.tau_s.tolist(), self.roots(), strict=True):
+            stay = float(np.exp(-step_s / tau_s))
+            noise = rng.standard_normal((steps, areas)) @ root.T
+            noise[1:] *= np.sqrt(1 - stay * stay)  # the first one is stationary
+            total += lfilter([1.0], [1.0, -stay], noise, axis=0)
+        return np.exp(total)
+
+
+def pairs_of(arrivals: Arrivals, *, longest_s: float) -> Pairs:
+    """Pair correlations of the persons who enter, at lags up to `longest_s` seconds."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    width = max(1, round(STEP_S / arrivals.grid_s))
+    counts = in_steps(arrivals, width)
+    step_s = width * arrivals.grid_s
+    most = max(1, min(round(longest_s / step_s), max(map(len, counts)) - 1))
+    areas = arrivals.areas
+    products, pairs = np.zeros((most, areas, areas)), np.zeros(most)
+    for n in counts:
+        size = next_fast_len(len(n) + most, real=True)
+        seen = rfft(n, size, axis=0)
+        for a in range(areas):
+            products[:, a] += irfft(seen[:, a, None].conj() * seen, size, axis=0)[1 : most + 1]
+        pairs += np.clip(len(n) - np.arange(1, most + 1), 0, None)
+    everyone = np.concatenate(counts)
+    mean = everyone.mean(axis=0)
+    of_lag = _bins(most)
+    bins = int(of_lag[-1]) + 1
+    weight = np.bincount(of_lag, pairs, minlength=bins)
+    lag_s = np.bincount(of_lag, np.arange(1, most + 1) * step_s * pairs, minlength=bins) / weight
+    summed = np.zeros((bins, areas, areas))
+    np.add.at(summed, of_lag, products)
+    expected = np.outer(mean, mean) * weight[:, None, None]
+    return Pairs(lag_s, _shrunk(summed, expected, everyone.sum(axis=0)), weight, everyone.sum(0))
+
+
+def in_steps(arrivals: Arrivals, width: int) -> list[Int[np.ndarray, "T K"]]:
+    """Number of persons in each interval of `width` grid points, in each observed stretch."""
+    counts = arrivals.counts()
+    found, base = [], 0
+    for length in np.diff(arrivals.windows, axis=1)[:, 0].tolist():
+        steps = length // width
+        of_window = counts[base : base + steps * width]
+        if steps:
+            found.append(of_window.reshape(steps, width, -1).sum(axis=1))
+        base += length
+    return found
+
+
+def fit_waves(arrivals: Arrivals, own: Sequence[Arrivals] = ()) -> Waves:
+    """Waves whose pair correlations are as recorded.
+
+    `own` are samples of a model whose rates the waves are to multiply: what it has itself is left
+    out.
+    """
+    observed_s = arrivals.exposure_s()
+    tau_s = np.array([t for t in SCALES_S if t * _SHORTEST_STRETCHES <= observed_s])
+    if len(tau_s) == 0 or len(arrivals.tick) < 2:
+        return Waves(np.zeros(0), np.zeros((0, arrivals.areas, arrivals.areas)))
+    longest_s = _LAGS_PER_SCALE * float(tau_s[-1])
+    recorded = pairs_of(arrivals, longest_s=longest_s)
+    excess = np.log(np.maximum(recorded.correlation, _LEAST))
+    for sample in own:
+        modelled = pairs_of(sample, longest_s=longest_s)
+        of_model = np.stack(
+            [
+                [np.interp(recorded.lag_s, modelled.lag_s, modelled.correlation[:, a, b])
+                 for b in range(arrivals.areas)]
+                for a in range(arrivals.areas)
+            ]
+        ).transpose(2, 0, 1)  # fmt: skip
+        excess -= np.log(np.maximum(of_model, _LEAST)) / len(own)
+    excess = (excess + excess.transpose(0, 2, 1)) / 2
+    basis = np.exp(-recorded.lag_s[:, None] / tau_s)
+    return Waves(tau_s, _covariances(excess, basis, np.sqrt(recorded.weight), recorded.persons))
+
+
+def _covariances(
+    excess: Float[np.ndarray, "L K K"],
+    basis: Float[np.ndarray, "L J"],
+    weight: Float[np.ndarray, " L"],
+    persons: Float[np.ndarray, " K"],
+) -> Float[np.ndarray, "J K K"]:
+    """Least squares for each pair of areas, made positive semidefinite.
+
+    The share of each scale in the variance of the total rate is that of a non-negative fit to the
+    total rate, because cutting off negative eigenvalues would change it.
+    """
+    from scipy.optimize import nnls
+
+    areas, scales = len(persons), basis.shape[1]
+    root = np.sqrt(weight)[:, None]
+    flat = excess.reshape(len(excess), -1)
+    each = np.linalg.lstsq(basis * root, flat * root, rcond=None)[0].reshape(scales, areas, areas)
+    share = persons / persons.sum()
+    of_total = np.einsum("lab,a,b->l", excess, share, share)
+    total = nnls(basis * root, of_total * root[:, 0])[0]
+    found = np.zeros_like(each)
+    for j in range(scales):
+        value, vector = np.linalg.eigh((each[j] + each[j].T) / 2)
+        possible = (vector * np.clip(value, 0, None)) @ vector.T
+        now = share @ possible @ share
+        if total[j] > 0 and now > 0:
+            found[j] = possible * min(total[j] / now, _MOST / max(np.diag(possible).max(), 1e-9))
+    return found
+
+
+def _bins(most: int) -> Int[np.ndarray, " most"]:
+    """Bin of each of the lags 1, …, `most`: a bin per lag at first, then `_BINS_PER_OCTAVE`."""
+    lag = np.arange(1, most + 1)
+    octave = np.floor(_BINS_PER_OCTAVE * np.log2(lag) + 1e-9).astype(np.int64)
+    return np.unique(octave, return_inverse=True)[1]
+
+
+def _shrunk(
+    summed: Float[np.ndarray, "L K K"],
+    expected: Float[np.ndarray, "L K K"],
+    persons: Float[np.ndarray, " K"],
+) -> Float[np.ndarray, "L K K"]:
+    """Pair correlations, drawn towards those of all areas where there are few persons."""
+    same = np.eye(len(persons), dtype=bool)
+    pooled = np.ones_like(summed)
+    for chosen in (same, ~same):
+        if chosen.any():
+            pooled[:, chosen] = (
+                summed[:, chosen].sum(axis=1) / np.maximum(expected[:, chosen].sum(axis=1), 1e-12)
+            )[:, None]
+    ratio = np.divide(summed, expected, out=np.ones_like(summed), where=expected > 0)
+    weight = np.sqrt(np.outer(persons, persons))
+    return np.asarray((weight * ratio + _PRIOR_PERSONS * pooled) / (weight + _PRIOR_PERSONS))
