@@ -21,6 +21,7 @@ from crowdbench.registry.recordings import (
 from crowdbench.registry.spawn_models import (
     DEFAULT_SPAWN,
     FITTED,
+    PLANNED,
     SPAWN_MODELS,
     WEIGHTS,
     SpawnSource,
@@ -34,6 +35,7 @@ __all__ = [
     "DEFAULT_SPAWN",
     "FITTED",
     "GENERATED",
+    "PLANNED",
     "POLICIES",
     "RECORDINGS",
     "SPAWN_MODELS",

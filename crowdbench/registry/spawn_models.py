@@ -11,6 +11,7 @@ from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import (
     BlockReplay,
+    CoxGMM,
     NtppGMM,
     NtppPaper,
     PoissonGMM,
@@ -24,15 +25,25 @@ from crowdbench.spawn import (
 )
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.events import blocks_of
+from crowdbench.spawn.planned import FILE as PLANS
+from crowdbench.spawn.planned import read_plans
 from crowdbench.spawn.scenario import check_scenario, read_scenario, split_scenario
 from crowdbench.spawn.weights import check_split
 
-Fitted = type[PoissonGMM] | type[PoissonGroups] | type[RenewalGMM] | type[NtppGMM] | type[NtppPaper]
+Fitted = (
+    type[PoissonGMM]
+    | type[PoissonGroups]
+    | type[RenewalGMM]
+    | type[NtppGMM]
+    | type[CoxGMM]
+    | type[NtppPaper]
+)
 FITTED: dict[str, Fitted] = {
     "poisson-gmm": PoissonGMM,
     "poisson-groups": PoissonGroups,
     "renewal-gmm": RenewalGMM,
     "ntpp-gmm": NtppGMM,
+    "cox-gmm": CoxGMM,
     "poisson-paper": PoissonPaper,
     "ntpp-paper": NtppPaper,
 }
@@ -42,11 +53,18 @@ WEIGHTS = {
     "poisson-groups.json": "poisson-groups",
     "renewal-gmm.json": "renewal-gmm",
     "ntpp-gmm.safetensors": "ntpp-gmm",
+    "cox-gmm.json": "cox-gmm",
     "poisson-paper.json": "poisson-paper",
     "ntpp-paper.safetensors": "ntpp-paper",
 }
 """File name of the fits of each spawn model in `FITTED`."""
-SPAWN_MODELS = (*FITTED, "block-replay", "replay")
+PLANNED = {
+    "poisson-plans": "poisson-groups",
+    "ntpp-plans": "ntpp-gmm",
+    "cox-plans": "cox-gmm",
+}
+"""Models of plans, and the model in `FITTED` that their times are from."""
+SPAWN_MODELS = (*FITTED, *PLANNED, "block-replay", "replay")
 DEFAULT_SPAWN = "ntpp-gmm"
 """Default spawn model of the environments."""
 
@@ -86,7 +104,11 @@ class SpawnSource:
         scene = self.scene
         if self.fits is not None:
             holding = replace(scene, folder=self.fits.parent)
-            return FITTED[WEIGHTS[self.fits.name]].read(holding, read_areas(scene), split, fit)
+            areas = read_areas(scene)
+            if self.base in PLANNED:
+                areas = read_plans(scene, areas, split)
+            model = FITTED[WEIGHTS[self.fits.name]].read(holding, areas, split, fit)
+            return replace(model, name=self.base) if self.base in PLANNED else model
         if self.own:
             others = (*plugins.names("spawn_models"), "a folder with the fits of one model")
             known = (*SPAWN_MODELS, *others)
@@ -163,8 +185,8 @@ def _fits_of(model: str, scene: Scene) -> Path | None:
         WeightsError: the scene has no fits of this model; the message lists those that it has.
         SettingError: `model` is a folder without the fits of exactly one model.
     """
-    if model in FITTED:
-        return _shipped_fits(model, scene)
+    if model in FITTED or model in PLANNED:
+        return _shipped_fits(PLANNED.get(model, model), scene)
     folder = Path(model)
     if model in SPAWN_MODELS or not folder.is_dir():
         return None
@@ -203,9 +225,18 @@ def list_spawn_models(scene: str | Path | Scene) -> list[str]:
     """
     place = load_scene(scene)
     played = [name for name in SPAWN_MODELS if name not in FITTED] * has_recording(place)
-    return [*fitted_models(place), *played, *plugins.names("spawn_models", SPAWN_MODELS)]
+    fitted = [*fitted_models(place), *planned_models(place)]
+    return [*fitted, *played, *plugins.names("spawn_models", SPAWN_MODELS)]
 
 
 def fitted_models(scene: Scene) -> list[str]:
     """Names of the spawn models whose fits are in a scene's folder."""
     return [name for file, name in WEIGHTS.items() if (scene.folder / file).is_file()]
+
+
+def planned_models(scene: Scene) -> list[str]:
+    """Names of the models of plans whose fits are in a scene's folder."""
+    if not (scene.folder / PLANS).is_file():
+        return []
+    fitted = fitted_models(scene)
+    return [name for name, times in PLANNED.items() if times in fitted]

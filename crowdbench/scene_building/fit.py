@@ -19,6 +19,7 @@ from crowdbench.scoring.reference import Reference, write_reference
 from crowdbench.spawn import (
     Areas,
     Arrivals,
+    CoxGMM,
     PoissonGMM,
     PoissonGroups,
     PoissonPaper,
@@ -28,12 +29,13 @@ from crowdbench.spawn import (
     fit_areas,
 )
 from crowdbench.spawn.areas import write_areas
+from crowdbench.spawn.planned import fit_plans, write_plans
 from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.preprocessing import paper_preprocessed
 from crowdbench.trajectories.stops import standing
 from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
-MODELS = ("poisson-gmm", "poisson-groups", "renewal-gmm", "ntpp-gmm")
+MODELS = ("poisson-gmm", "poisson-groups", "renewal-gmm", "cox-gmm", "ntpp-gmm")
 """Models that are fitted by default: all but those of the founding paper."""
 NEURAL = {
     "ntpp-gmm": "crowdbench.spawn.ntpp_training",
@@ -114,6 +116,8 @@ def fit_scene(
     toml = with_default_clustering(with_recording(toml, scene.recording), clustering)
     write_text(place.folder / "scene.toml", toml)
     write_areas(areas, place.folder / "areas.json")
+    plans = {split: fit_plans(crowd, blocks.training(split), areas) for split in SPLITS}
+    write_plans(place.folder, plans)
     for name in models:
         FITTED[name].write(place.folder, fitted[name])
     write_reference(reference, place)
@@ -250,6 +254,8 @@ def _fit(
         return PoissonGroups.fit(arrivals, areas)
     if name == "renewal-gmm":
         return RenewalGMM.fit(arrivals, areas)
+    if name == "cox-gmm":
+        return CoxGMM.fit(arrivals, areas)
     if name == "poisson-paper":
         return PoissonPaper.fit_frames(arrivals, areas, scene)
     training = importlib.import_module(NEURAL[name])

@@ -2,6 +2,7 @@
 
 from crowdbench.spawn.areas import Areas, fit_areas
 from crowdbench.spawn.block_replay import BlockReplay
+from crowdbench.spawn.cox import CoxGMM
 from crowdbench.spawn.events import Arrivals, SpawnEvents, arrivals_in, arrivals_of
 from crowdbench.spawn.model import SpawnModel
 from crowdbench.spawn.ntpp import NtppGMM
@@ -19,6 +20,7 @@ __all__ = [
     "Arrivals",
     "BlockReplay",
     "Change",
+    "CoxGMM",
     "NtppGMM",
     "NtppPaper",
     "PoissonGMM",

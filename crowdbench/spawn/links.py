@@ -49,6 +49,8 @@ class Links:
     mean: Float[np.ndarray, " 5"]
     """Mean offset to the other person. The sign across is drawn, the same at start and end."""
     covariance: Float[np.ndarray, "5 5"]
+    group_log_speed: float = 0.0
+    """Mean log speed of groups less that of people who are alone."""
 
     def draw(
         self, time_s: Float[np.ndarray, " E"], area: Int[np.ndarray, " E"], rng: Generator

@@ -6,8 +6,9 @@ of a scene share them.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -19,9 +20,9 @@ from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, as_array
 from crowdbench.spawn.events import SpawnEvents, entering
-from crowdbench.spawn.links import OFFSETS, Links, candidates, fit_links
-from crowdbench.spawn.plans import plans_of
-from crowdbench.spawn.ways import SIZES, Mixture, Ways, fit_ways
+from crowdbench.spawn.links import FEWEST, OFFSETS, Links, candidates, fit_links
+from crowdbench.spawn.plans import SLOWEST_MPS, plans_of
+from crowdbench.spawn.ways import BEND, STOP, WALK, Ways, fit_ways
 from crowdbench.spawn.weights import check_origin, hint
 from crowdbench.trajectories.blocks import SPLITS, TimeBlocks
 from crowdbench.trajectories.companions import groups_of
@@ -33,20 +34,15 @@ _TRIES = 20
 """Number of offsets that are drawn for a companion; each is half as long as the one before."""
 
 
-class _Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    mean: list[list[float]]
-    covariance: list[list[list[float]]]
-    persons: list[list[float]]
-
-
 class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     log_weight: list[float]
     tendency: list[float]
     offset_mean: list[float]
     offset_covariance: list[list[float]]
-    slowest_mps: float
+    group_log_speed: float
+    ways: dict[str, Any]
+    """Arrays of `Ways` by name, as nested lists."""
     fastest_mps: float
-    kinds: tuple[_Kind, _Kind, _Kind]
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -82,14 +78,23 @@ class PlannedAreas(Areas):
         joins = self.links.draw(time_s, area, rng)
         ways = np.full((len(time_s), 8), np.nan)
         first = joins < 0
-        ways[first], _ = self.ways.draw(area[first], scene, rng)
+        goal_area = np.zeros(len(time_s), dtype=np.int64)
+        cumulative = self.flow.cumsum(axis=1)[area[first]]
+        u = rng.random((len(cumulative), 1)) * cumulative[:, -1:]
+        goal_area[first] = (u >= cumulative).sum(axis=1)
+        ways[first] = self.ways.draw(area[first], goal_area[first], scene, rng)
         done, leader = first.copy(), np.where(first, np.arange(len(joins)), -1)
         while not done.all():  # whoever joins somebody whose plan is known
             now = np.flatnonzero(~done & done[joins])
             ways[now] = self._beside(ways[joins[now]], scene, rng)
-            leader[now] = leader[joins[now]]
+            leader[now], goal_area[now] = leader[joins[now]], goal_area[joins[now]]
             done[now] = True
         size = np.bincount(leader, minlength=len(joins))
+        together = size[leader] > 1
+        ways[together, 4] = np.clip(
+            ways[together, 4] + self.links.group_log_speed,
+            *np.log([SLOWEST_MPS, self.ways.fastest_mps]),
+        )
         number = np.cumsum(size > 1) - 1
         stops = np.isfinite(ways[:, 7])
         return entering(
@@ -97,9 +102,9 @@ class PlannedAreas(Areas):
             start=ways[:, :2],
             goal=ways[:, 2:4],
             spawn_area=area,
-            goal_area=self.goal.likeliest(ways[:, 2:4]) if len(ways) else area,
+            goal_area=goal_area,
             speed=np.exp(ways[:, 4]),
-            group=np.where(size[leader] > 1, number[leader], -1),
+            group=np.where(together, number[leader], -1),
             via=ways[:, 5:7],
             wait_s=np.where(stops, np.exp(np.where(stops, ways[:, 7], 0.0)), 0.0),
         )
@@ -111,7 +116,7 @@ class PlannedAreas(Areas):
         offset = self.links.offsets(len(ways), rng)
         found = ways.copy()
         found[:, 4] += offset[:, 4]
-        limits = np.log([self.ways.slowest_mps, self.ways.fastest_mps])
+        limits = np.log([SLOWEST_MPS, self.ways.fastest_mps])
         found[:, 4] = found[:, 4].clip(*limits)
         ahead = _directions(ways[:, 2:4] - ways[:, :2])
         open_ = np.arange(len(ways))
@@ -149,10 +154,21 @@ def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedA
     later = later[known[later] & known[earlier[later]]]
     pairs = persons[later], persons[earlier[later]]
     offsets = _offsets(crowd, plans.speed, *pairs)
-    links = fit_links(time_s, area, group, offsets, len(areas.spawn))
-    alone = np.zeros(len(crowd), dtype=bool)
-    alone[persons[earlier < 0]] = True
-    return PlannedAreas.of(areas, links, fit_ways(crowd, plans, alone, len(areas.spawn)))
+    first = np.zeros(len(crowd), dtype=bool)
+    first[persons[earlier < 0]] = True
+    in_group = np.zeros(len(crowd), dtype=bool)
+    in_group[persons[group >= 0]] = True
+    log_speed = np.log(plans.speed)
+    walks = first & np.isfinite(log_speed)
+    slower = 0.0
+    if min((walks & in_group).sum(), (walks & ~in_group).sum()) >= FEWEST:
+        slower = float(log_speed[walks & in_group].mean() - log_speed[walks & ~in_group].mean())
+    links = replace(
+        fit_links(time_s, area, group, offsets, len(areas.spawn)), group_log_speed=slower
+    )
+    # Ways are those of people who are alone; companions get them from the first of their group.
+    as_alone = replace(plans, speed=np.where(in_group, plans.speed * np.exp(-slower), plans.speed))
+    return PlannedAreas.of(areas, links, fit_ways(crowd, as_alone, areas, first))
 
 
 def _companion(
@@ -206,16 +222,9 @@ def write_plans(folder: Path, fits: Mapping[str, PlannedAreas]) -> None:
             tendency=fit.links.tendency.tolist(),
             offset_mean=fit.links.mean.tolist(),
             offset_covariance=fit.links.covariance.tolist(),
-            slowest_mps=fit.ways.slowest_mps,
+            group_log_speed=fit.links.group_log_speed,
+            ways={name: getattr(fit.ways, name).tolist() for name in _shapes(fit)},
             fastest_mps=fit.ways.fastest_mps,
-            kinds=tuple(  # type: ignore[arg-type]  # there are three
-                _Kind(
-                    mean=kind.mean.tolist(),
-                    covariance=kind.covariance.tolist(),
-                    persons=kind.persons.tolist(),
-                )
-                for kind in fit.ways.kinds
-            ),
         )
         for split, fit in fits.items()
     }
@@ -252,22 +261,42 @@ def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
         array(of.tendency, (size,), "tendency"),
         array(of.offset_mean, (OFFSETS,), "offset_mean"),
         array(of.offset_covariance, (OFFSETS, OFFSETS), "offset_covariance"),
+        of.group_log_speed,
     )
-    kinds = []
-    for k, (kind, width) in enumerate(zip(of.kinds, SIZES, strict=True)):
-        count, name = len(kind.mean), f"kinds.{k}"
-        mixture = Mixture(
-            array(kind.mean, (count, width), f"{name}.mean"),
-            array(kind.covariance, (count, width, width), f"{name}.covariance"),
-            array(kind.persons, (count, size), f"{name}.persons"),
+    shapes = _shapes(areas, len(of.ways.get("stop_mean", [])))
+    if set(of.ways) != set(shapes):
+        raise WeightsError(
+            f"{where}.ways",
+            got=", ".join(sorted(of.ways)) or "nothing",
+            expected=", ".join(sorted(shapes)),
+            hint=how,
         )
-        if count and not (np.linalg.eigvalsh(mixture.covariance) > 0).all():
+    arrays = {name: array(of.ways[name], shape, f"ways.{name}") for name, shape in shapes.items()}
+    for name in (name for name in arrays if name.endswith("covariance")):
+        if arrays[name].size and not (np.linalg.eigvalsh(arrays[name]) > 0).all():
             raise WeightsError(
-                f"{where}.{name}.covariance",
+                f"{where}.ways.{name}",
                 got="invalid values",
                 expected="symmetric, positive definite matrices",
                 hint=how,
             )
-        kinds.append(mixture)
-    ways = Ways((kinds[0], kinds[1], kinds[2]), of.slowest_mps, of.fastest_mps)
+    ways = Ways(**arrays, fastest_mps=of.fastest_mps)
     return PlannedAreas.of(areas, links, ways)
+
+
+def _shapes(areas: Areas, stops: int | None = None) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays of `Ways`; `stops` is the number of places where people stop."""
+    if isinstance(areas, PlannedAreas):
+        stops = len(areas.ways.stop_mean)
+    both, count = (len(areas.spawn), len(areas.goal)), stops or 0
+    return {
+        "trip_mean": (*both, WALK),
+        "trip_covariance": (*both, WALK, WALK),
+        "bend_mean": (*both, BEND),
+        "bend_covariance": (*both, BEND, BEND),
+        "stopping": both,
+        "stop_mean": (count, STOP),
+        "stop_covariance": (count, STOP, STOP),
+        "from_area": (count, both[0]),
+        "to_area": (count, both[1]),
+    }

@@ -1,19 +1,22 @@
-"""Ways: where a person starts, by which point it walks, how long it waits there, and its goal.
+"""Ways: from where to where a person walks, by which point, with which stop, and how fast.
 
-A recorded trip is of one of three kinds: direct, by a via point without stopping (the point that is
-furthest from the straight line, if that is more than 0.75 m), or with a stop. Each kind is a
-mixture of Gaussians over (start, goal, log speed), with the via point and the logarithm of the wait
-where the kind has them. The number of components is chosen by the Bayesian information criterion.
-No component stands for fewer than ten people or is narrower than 0.3 m, so that nothing recorded
-can be read from it.
+Given the spawn area a and the goal area g, which is drawn from the flows of the scene:
 
-The way of a person who enters area a is drawn from the components with the weights P(component | a)
-of the recorded people who entered there. Trips whose end was not seen are left out, and the others
-weighted by 1 / P(the end of such a trip is seen) (Robins and Rotnitzky 1992), because long trips
-are cut off more often.
+- start, goal and log speed are Gaussian. The pairs (a, g) that ten people or more have walked have
+  a Gaussian of their own, drawn towards the product of those of both areas with the weight of ten
+  people. The others have that product.
+- Those who do not stop have a *bend*: the point of their path that is furthest from the straight
+  line from start to goal, as the fraction along it and the distance from it. Bends are Gaussian
+  for each pair in the same way. A bend of more than 0.75 m becomes a via point.
+- Those who stop do so in one of some common places: a mixture of Gaussians over the place and the
+  logarithm of the wait, with the number of components chosen by the Bayesian information criterion.
+
+No Gaussian stands for fewer than ten people, and none of places is narrower than 0.3 m, so that
+nothing recorded can be read from it. Only trips whose end was seen are used. They are weighted by
+1 / P(the end of a trip as long as this is seen) (Robins and Rotnitzky 1992), because long trips are
+cut off more often.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,79 +25,76 @@ from numpy.random import Generator
 
 from crowdbench.errors import SceneError
 from crowdbench.scene import Scene
+from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.plans import SLOWEST_MPS, RecordedPlans
 from crowdbench.trajectories.stops import LEAST_S
 from crowdbench.trajectories.table import Trajectories
 
-DIRECT, DETOUR, STOP = range(3)
-SIZES = (5, 7, 8)
-"""Number of dimensions of each kind."""
-PLACES = (4, 6, 6)
-"""Number of these that are coordinates: start, goal, via."""
+WALK = 5
+"""Dimensions of a trip: start, goal, log speed."""
+BEND = 2
+"""Dimensions of a bend: fraction along the straight line, metres to its left."""
+STOP = 3
+"""Dimensions of a stop: place, log wait."""
 OFF_M = 0.75
-"""Distance from the straight line from which a trip is a detour."""
+"""Smallest bend that is a via point."""
 FEWEST = 10.0
+"""Least number of people of a Gaussian, and weight of what they have in common with others."""
 NARROWEST_M = 0.3
 _COMPONENTS = (1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36)
 _DRAWS = 200
-_PRIOR = 0.5
-"""Persons of an average area that are added to each area."""
-
-
-@dataclass(frozen=True, eq=False)
-class Mixture:
-    """The components of one kind: `C` Gaussians over `D` dimensions."""
-
-    mean: Float[np.ndarray, "C D"]
-    covariance: Float[np.ndarray, "C D D"]
-    persons: Float[np.ndarray, "C K"]
-    """Weight of the people of each area."""
+_FEW_STOPS = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """The mixtures of the three kinds; kinds that nobody walked have no components."""
+    """Gaussians of the trips and bends of each pair of areas, and the places of stops."""
 
-    kinds: tuple[Mixture, Mixture, Mixture]
-    slowest_mps: float
+    trip_mean: Float[np.ndarray, "K G 5"]
+    trip_covariance: Float[np.ndarray, "K G 5 5"]
+    bend_mean: Float[np.ndarray, "K G 2"]
+    bend_covariance: Float[np.ndarray, "K G 2 2"]
+    stopping: Float[np.ndarray, "K G"]
+    """P(a person stops on its way)."""
+    stop_mean: Float[np.ndarray, "C 3"]
+    stop_covariance: Float[np.ndarray, "C 3 3"]
+    from_area: Float[np.ndarray, "C K"]
+    """P(component | spawn area), but for a factor."""
+    to_area: Float[np.ndarray, "C G"]
+    """P(component | goal area), but for a factor."""
     fastest_mps: float
 
     def draw(
-        self, area: Int[np.ndarray, " n"], scene: Scene, rng: Generator
-    ) -> tuple[Float[np.ndarray, "n 8"], Int[np.ndarray, " n"]]:
-        """A way for each person, and its kind.
+        self,
+        spawn_area: Int[np.ndarray, " n"],
+        goal_area: Int[np.ndarray, " n"],
+        scene: Scene,
+        rng: Generator,
+    ) -> Float[np.ndarray, "n 8"]:
+        """A way for each person: start, goal, log speed, via, and log wait.
 
-        The columns are start, goal, log speed, via and log wait; NaN for those that the kind does
-        not have. Ways with a point outside the bounds or in a wall are drawn again.
+        Via is NaN for those who go straight, log wait for those who do not stop. Ways with a point
+        outside the bounds or in a wall are drawn again.
 
         Raises:
             SceneError: no walkable way can be drawn.
         """
-        kind = np.concatenate([np.full(len(m.mean), k) for k, m in enumerate(self.kinds)])
-        within = np.concatenate([np.arange(len(m.mean)) for m in self.kinds])
-        weight = np.concatenate([m.persons for m in self.kinds])
-        cumulative = (weight / weight.sum(axis=0)).cumsum(axis=0).T
-        roots = [np.linalg.cholesky(m.covariance) for m in self.kinds]
-        found = np.full((len(area), 8), np.nan)
-        found_kind = np.zeros(len(area), dtype=np.int64)
-        open_ = np.arange(len(area))
+        found = np.full((len(spawn_area), 8), np.nan)
+        trips = np.linalg.cholesky(self.trip_covariance)
+        open_ = np.arange(len(found))
         for _ in range(_DRAWS):
-            u = rng.random((len(open_), 1)) * cumulative[area[open_], -1:]
-            component = (u >= cumulative[area[open_]]).sum(axis=1)
+            a, g = spawn_area[open_], goal_area[open_]
             drawn = np.full((len(open_), 8), np.nan)
-            for k, mixture in enumerate(self.kinds):
-                mine = np.flatnonzero(kind[component] == k)
-                c = within[component[mine]]
-                noise = rng.standard_normal((len(mine), SIZES[k]))
-                drawn[mine, : SIZES[k]] = mixture.mean[c] + np.einsum(
-                    "nij,nj->ni", roots[k][c], noise
-                )
+            noise = rng.standard_normal((len(open_), WALK))
+            drawn[:, :WALK] = self.trip_mean[a, g] + np.einsum("nij,nj->ni", trips[a, g], noise)
+            stops = rng.random(len(open_)) < self.stopping[a, g]
+            drawn[stops, 5:] = self._stops(a[stops], g[stops], rng)
+            drawn[~stops, 5:7] = self._bends(a[~stops], g[~stops], drawn[~stops, :4], rng)
             good = self._possible(drawn, scene)
             found[open_[good]] = drawn[good]
-            found_kind[open_[good]] = kind[component[good]]
             open_ = open_[~good]
             if len(open_) == 0:
-                return found, found_kind
+                return found
         raise SceneError(
             scene.folder,
             got=f"{len(open_)} people for whom no way could be drawn in {_DRAWS} attempts",
@@ -102,9 +102,39 @@ class Ways:
             hint="Check the bounds and walls, or fit the scene again.",
         )
 
+    def _stops(
+        self, a: Int[np.ndarray, " n"], g: Int[np.ndarray, " n"], rng: Generator
+    ) -> Float[np.ndarray, "n 3"]:
+        """Places and log waits of stops."""
+        if len(a) == 0:
+            return np.zeros((0, STOP))
+        cumulative = (self.from_area[:, a] * self.to_area[:, g]).cumsum(axis=0)
+        u = rng.random(len(a)) * cumulative[-1]
+        component = (u >= cumulative).sum(axis=0)
+        root = np.linalg.cholesky(self.stop_covariance)[component]
+        noise = rng.standard_normal((len(a), STOP))
+        return self.stop_mean[component] + np.einsum("nij,nj->ni", root, noise)
+
+    def _bends(
+        self,
+        a: Int[np.ndarray, " n"],
+        g: Int[np.ndarray, " n"],
+        ends: Float[np.ndarray, "n 4"],
+        rng: Generator,
+    ) -> Float[np.ndarray, "n 2"]:
+        """Via points of people who do not stop; NaN for those who go straight."""
+        root = np.linalg.cholesky(self.bend_covariance)[a, g]
+        noise = rng.standard_normal((len(a), BEND))
+        along, left = (self.bend_mean[a, g] + np.einsum("nij,nj->ni", root, noise)).T
+        way = ends[:, 2:] - ends[:, :2]
+        length = np.maximum(np.hypot(*way.T), 1e-9)
+        across = np.column_stack([-way[:, 1], way[:, 0]]) / length[:, None]
+        via = ends[:, :2] + along.clip(0.05, 0.95)[:, None] * way + left[:, None] * across
+        return np.asarray(np.where(np.abs(left)[:, None] > OFF_M, via, np.nan))
+
     def _possible(self, drawn: Float[np.ndarray, "n 8"], scene: Scene) -> Bool[np.ndarray, " n"]:
         """Whether all points are walkable, and the speed is one of those recorded."""
-        low, high = np.log(self.slowest_mps), np.log(self.fastest_mps)
+        low, high = np.log(SLOWEST_MPS), np.log(self.fastest_mps)
         good = (drawn[:, 4] >= low) & (drawn[:, 4] <= high)
         for columns in (slice(0, 2), slice(2, 4)):
             good &= scene.walkable(drawn[:, columns])
@@ -116,179 +146,207 @@ class Ways:
 def fit_ways(
     crowd: Trajectories,
     plans: RecordedPlans,
+    areas: Areas,
     chosen: Bool[np.ndarray, " P"],
-    areas: int,
     seed: int = 0,
 ) -> Ways:
-    """Fit the mixtures to the chosen people of a recording, who have a spawn area.
+    """Fit the ways of the chosen people of a recording, which has areas.
 
     Raises:
-        SceneError: none of them was seen to leave, or walks.
+        SceneError: none of them was seen to enter, walk and leave.
     """
-    whole = chosen & crowd.left & np.isfinite(plans.speed)
-    if not whole.any():
+    known = (crowd.spawn_area >= 0) & (crowd.goal_area >= 0)
+    whole = np.flatnonzero(chosen & known & crowd.left & np.isfinite(plans.speed))
+    if len(whole) == 0:
         raise SceneError(
             crowd.scene,
             got="a recording of people none of whom was seen to enter, walk and leave",
             expected="complete trips to learn ways from",
         )
     weight = seen_weights(crowd, chosen)[whole]
-    features, kind = features_of(crowd, plans, np.flatnonzero(whole))
-    area = crowd.spawn_area[whole].astype(np.int64)
-    average = np.bincount(area, weight, minlength=areas)
-    average /= average.sum()
-    kinds = []
-    for k, size in enumerate(SIZES):
-        mine = kind == k
-        kinds.append(
-            _mixture(features[mine, :size], weight[mine], area[mine], areas, PLACES[k], seed)
+    a = crowd.spawn_area[whole].astype(np.int64)
+    g = crowd.goal_area[whole].astype(np.int64)
+    trip = np.column_stack([crowd.start[whole], crowd.goal[whole], np.log(plans.speed[whole])])
+    stops = np.isfinite(plans.via[whole, 0])
+    bend = bends_of(crowd, whole)
+    shape = (len(areas.spawn), len(areas.goal))
+    trip_mean, trip_covariance = _pairs(trip, weight, a, g, *_of_areas(areas, trip[:, 4], weight))
+    straight = ~stops
+    common = np.zeros((*shape, BEND)), np.broadcast_to(np.diag([0.04, 0.25]), (*shape, BEND, BEND))
+    if weight[straight].sum() >= FEWEST:
+        mean, covariance = moments(bend[straight], weight[straight])
+        common = (
+            np.broadcast_to(mean, (*shape, BEND)),
+            np.broadcast_to(covariance, (*shape, BEND, BEND)),
         )
-    total = sum(float(m.persons.sum()) for m in kinds)
-    kinds = [
-        Mixture(m.mean, m.covariance, m.persons + _PRIOR * m.persons.sum(1, keepdims=True) / total)
-        for m in kinds
-    ]
-    speed = plans.speed[whole]
-    fastest = max(float(speed.max()), 1.01 * SLOWEST_MPS)
-    return Ways((kinds[0], kinds[1], kinds[2]), SLOWEST_MPS, fastest)
+    bend_mean, bend_covariance = _pairs(
+        bend[straight], weight[straight], a[straight], g[straight], *common
+    )
+    stop = np.column_stack([plans.via[whole], np.log(np.maximum(plans.wait_s[whole], LEAST_S))])
+    places = _places(stop[stops], weight[stops], a[stops], g[stops], shape, seed)
+    return Ways(
+        trip_mean,
+        trip_covariance,
+        bend_mean,
+        bend_covariance,
+        _stopping(stops, weight, a, g, shape) * (len(places[0]) > 0),
+        *places,
+        fastest_mps=max(float(plans.speed[whole].max()), 1.01 * SLOWEST_MPS),
+    )
 
 
-def features_of(
-    crowd: Trajectories, plans: RecordedPlans, persons: Int[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "n 8"], Int[np.ndarray, " n"]]:
-    """The way of each person, and its kind; the columns are those of `Ways.draw`."""
-    start = crowd.start[persons].astype(np.float64)
-    goal = crowd.goal[persons].astype(np.float64)
-    via, wait_s = plans.via[persons], plans.wait_s[persons]
-    stops = np.isfinite(via[:, 0])
-    kind = np.where(stops, STOP, DIRECT)
-    for k in np.flatnonzero(~stops).tolist():
-        path = crowd.path(int(persons[k])).astype(np.float64)
-        way = goal[k] - start[k]
+def bends_of(crowd: Trajectories, persons: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+    """Fraction along the straight line, and metres to its left, of the furthest point of paths."""
+    found = np.zeros((len(persons), BEND))
+    for k, person in enumerate(persons.tolist()):
+        path = crowd.path(person).astype(np.float64)
+        way = crowd.goal[person] - path[0]
         length = np.hypot(*way)
-        off = path - start[k]
-        across = np.abs(off[:, 0] * way[1] - off[:, 1] * way[0]) / max(length, 1e-9)
-        if length < 1e-6:
-            across = np.hypot(*off.T)
-        furthest = int(np.argmax(across))
-        if across[furthest] > OFF_M:
-            kind[k], via[k] = DETOUR, path[furthest]
-    wait = np.log(np.maximum(wait_s, LEAST_S))
-    found = np.column_stack([start, goal, np.log(plans.speed[persons]), via, wait])
-    found[kind != STOP, 7] = np.nan
-    return found, kind
+        if length < OFF_M:
+            continue
+        off = path - path[0]
+        along = (off @ way) / length**2
+        left = (off[:, 1] * way[0] - off[:, 0] * way[1]) / length
+        furthest = int(np.argmax(np.abs(left)))
+        found[k] = np.clip(along[furthest], 0.05, 0.95), left[furthest]
+    return found
 
 
 def seen_weights(crowd: Trajectories, chosen: Bool[np.ndarray, " P"]) -> Float[np.ndarray, " P"]:
     """1 / P(a trip as long as the person's is seen to its end), by Kaplan and Meier (1958)."""
     length = (crowd.last - crowd.first).astype(np.int64)
-    times = np.unique(length[chosen])
-    at_risk = np.array([(length[chosen] >= t).sum() for t in times])
-    censored = np.array([(length[chosen & ~crowd.left] == t).sum() for t in times])
-    survival = np.cumprod(1 - censored / np.maximum(at_risk, 1))
-    before = np.concatenate([[1.0], survival])[np.searchsorted(times, length)]
-    return np.asarray(1 / np.maximum(before, 0.1))
+    times, at = np.unique(length, return_inverse=True)
+    trips = np.bincount(at[chosen], minlength=len(times))
+    cut = np.bincount(at[chosen & ~crowd.left], minlength=len(times))
+    at_risk = trips[::-1].cumsum()[::-1]
+    survival = np.cumprod(1 - cut / np.maximum(at_risk, 1))
+    before = np.concatenate([[1.0], survival[:-1]])
+    return np.asarray(1 / np.maximum(before[at], 0.1))
 
 
-def _mixture(
-    features: Float[np.ndarray, "n D"],
+def moments(
+    x: Float[np.ndarray, "n D"], weight: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " D"], Float[np.ndarray, "D D"]]:
+    """Weighted mean and covariance."""
+    mean = weight @ x / weight.sum()
+    off = x - mean
+    return mean, (off * weight[:, None]).T @ off / weight.sum()
+
+
+def _of_areas(
+    areas: Areas, log_speed: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "K G 5"], Float[np.ndarray, "K G 5 5"]]:
+    """Trips between areas whose starts, goals and speeds do not depend on each other."""
+    shape = (len(areas.spawn), len(areas.goal))
+    mean = np.zeros((*shape, WALK))
+    covariance = np.zeros((*shape, WALK, WALK))
+    mean[..., :2], mean[..., 2:4] = areas.spawn.mean[:, None], areas.goal.mean[None]
+    covariance[..., :2, :2] = areas.spawn.covariance[:, None]
+    covariance[..., 2:4, 2:4] = areas.goal.covariance[None]
+    of_speed, spread = moments(log_speed[:, None], weight)
+    mean[..., 4], covariance[..., 4, 4] = of_speed[0], max(float(spread[0, 0]), 1e-4)
+    return mean, covariance
+
+
+def _pairs(
+    x: Float[np.ndarray, "n D"],
     weight: Float[np.ndarray, " n"],
-    area: Int[np.ndarray, " n"],
-    areas: int,
-    places: int,
-    seed: int,
-) -> Mixture:
-    """The mixture with the best criterion whose components all stand for enough people."""
-    size = features.shape[1]
-    if len(features) == 0 or weight.sum() < FEWEST:
-        return Mixture(np.zeros((0, size)), np.zeros((0, size, size)), np.zeros((0, areas)))
-    best: tuple[float, np.ndarray] | None = None
-    for count in _components(len(features)):
-        shares = _shares(features, count, seed)
-        if count > 1 and (shares * weight[:, None]).sum(axis=0).min() < FEWEST:
+    a: Int[np.ndarray, " n"],
+    g: Int[np.ndarray, " n"],
+    mean: Float[np.ndarray, "K G D"],
+    covariance: Float[np.ndarray, "K G D D"],
+) -> tuple[Float[np.ndarray, "K G D"], Float[np.ndarray, "K G D D"]]:
+    """Gaussians of the pairs that enough people walked, drawn towards the given ones."""
+    mean, covariance = mean.copy(), covariance.copy()
+    for pair in np.unique(np.stack([a, g], axis=1), axis=0):
+        mine = (a == pair[0]) & (g == pair[1])
+        total = weight[mine].sum()
+        if mine.sum() < FEWEST:
             continue
-        criterion = _criterion(features, shares)
-        if best is not None and criterion > best[0] + 20.0:
-            break  # larger mixtures are worse by now
-        if best is None or criterion < best[0]:
-            best = criterion, shares
-    assert best is not None
-    shares = best[1] * weight[:, None]
-    mean, covariance = _moments(features, shares)
-    covariance = np.stack([_widened(matrix, places) for matrix in covariance])
-    persons = np.stack(
-        [np.bincount(area, shares[:, c], minlength=areas) for c in range(shares.shape[1])]
+        at = tuple(pair)
+        own, spread = moments(x[mine], weight[mine])
+        share = total / (total + FEWEST)
+        off = own - mean[at]
+        # Covariance of the people and of as many as FEWEST others together.
+        covariance[at] = (
+            share * spread + (1 - share) * covariance[at] + share * (1 - share) * np.outer(off, off)
+        )
+        mean[at] = share * own + (1 - share) * mean[at]
+    return mean, covariance + 1e-6 * np.eye(x.shape[1])
+
+
+def _stopping(
+    stops: Bool[np.ndarray, " n"],
+    weight: Float[np.ndarray, " n"],
+    a: Int[np.ndarray, " n"],
+    g: Int[np.ndarray, " n"],
+    shape: tuple[int, int],
+) -> Float[np.ndarray, "K G"]:
+    """Share of people who stop, drawn towards that of the spawn area, and this to that of all."""
+    overall = weight[stops].sum() / weight.sum()
+    of_area = np.bincount(a, weight, minlength=shape[0])
+    stop_area = np.bincount(a[stops], weight[stops], minlength=shape[0])
+    area = (stop_area + FEWEST * overall) / (of_area + FEWEST)
+    both, stop_both = np.zeros(shape), np.zeros(shape)
+    np.add.at(both, (a, g), weight)
+    np.add.at(stop_both, (a[stops], g[stops]), weight[stops])
+    return np.asarray((stop_both + FEWEST * area[:, None]) / (both + FEWEST))
+
+
+def _places(
+    x: Float[np.ndarray, "n 3"],
+    weight: Float[np.ndarray, " n"],
+    a: Int[np.ndarray, " n"],
+    g: Int[np.ndarray, " n"],
+    shape: tuple[int, int],
+    seed: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The mixture of stops: means, covariances, and weights by spawn and by goal area."""
+    if len(x) < FEWEST:
+        none = np.zeros((0, STOP)), np.zeros((0, STOP, STOP))
+        return *none, np.zeros((0, shape[0])), np.zeros((0, shape[1]))
+    shares = _shares(x, seed) * weight[:, None]
+    fitted = [moments(x, shares[:, c]) for c in range(shares.shape[1])]
+    total = shares.sum(axis=0)[:, None] / shares.sum()
+    of_spawn = np.stack([np.bincount(a, s, minlength=shape[0]) for s in shares.T])
+    of_goal = np.stack([np.bincount(g, s, minlength=shape[1]) for s in shares.T])
+    # P(c | a, g) ∝ P(c) P(a | c) P(g | c), each drawn towards what does not depend on c.
+    from_area = of_spawn + FEWEST * total * of_spawn.sum(axis=0).clip(_FEW_STOPS) / len(x)
+    to_area = of_goal + FEWEST * total * of_goal.sum(axis=0).clip(_FEW_STOPS) / len(x)
+    return (
+        np.stack([mean for mean, _ in fitted]),
+        np.stack([_widened(covariance) for _, covariance in fitted]),
+        from_area,
+        to_area / to_area.sum(axis=1, keepdims=True),
     )
-    return Mixture(mean, covariance, persons)
 
 
-def _components(people: int) -> Sequence[int]:
-    return [count for count in _COMPONENTS if count == 1 or people >= 2 * FEWEST * count]
-
-
-def _shares(features: Float[np.ndarray, "n D"], count: int, seed: int) -> Float[np.ndarray, "n C"]:
-    """Responsibility of each component for each person, by expectation maximisation."""
-    from sklearn.mixture import GaussianMixture
-
-    fitted = GaussianMixture(
-        count, reg_covar=1e-3, max_iter=60, tol=1e-3, random_state=seed, init_params="k-means++"
-    )
-    return np.asarray(_quietly(fitted, features).predict_proba(features))
-
-
-def _quietly(mixture: "object", features: Float[np.ndarray, "n D"]) -> "object":
-    """Fit without the warning that 60 iterations were not enough; the criterion decides."""
+def _shares(x: Float[np.ndarray, "n D"], seed: int) -> Float[np.ndarray, "n C"]:
+    """Responsibilities of the best mixture whose components all stand for enough people."""
     import warnings
 
     from sklearn.exceptions import ConvergenceWarning
+    from sklearn.mixture import GaussianMixture
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        return mixture.fit(features)  # type: ignore[attr-defined]
-
-
-def _criterion(features: Float[np.ndarray, "n D"], shares: Float[np.ndarray, "n C"]) -> float:
-    """The Bayesian information criterion (Schwarz 1978) of the mixture with these shares."""
-    from scipy.special import logsumexp
-    from scipy.stats import multivariate_normal
-
-    (people, size), count = features.shape, shares.shape[1]
-    mean, covariance = _moments(features, shares)
-    share = shares.mean(axis=0)
-    logs = np.stack(
-        [
-            np.log(share[c]) + multivariate_normal(mean[c], covariance[c]).logpdf(features)
-            for c in range(count)
-        ]
-    )
-    free = count * (1 + size + size * (size + 1) / 2) - 1
-    return float(free * np.log(people) - 2 * logsumexp(logs, axis=0).sum())
+    best: tuple[float, np.ndarray] = np.inf, np.ones((len(x), 1))
+    for count in _COMPONENTS:
+        if count > 1 and len(x) < 2 * FEWEST * count:
+            break
+        mixture = GaussianMixture(
+            count, reg_covar=1e-2, max_iter=60, random_state=seed, init_params="k-means++"
+        )
+        with warnings.catch_warnings():  # the criterion decides, whether it converged or not
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            shares = mixture.fit(x).predict_proba(x)
+        criterion = mixture.bic(x)
+        if shares.sum(axis=0).min() >= FEWEST and criterion < best[0]:
+            best = criterion, shares
+    return best[1]
 
 
-def _moments(
-    features: Float[np.ndarray, "n D"], shares: Float[np.ndarray, "n C"]
-) -> tuple[Float[np.ndarray, "C D"], Float[np.ndarray, "C D D"]]:
-    total = shares.sum(axis=0)
-    mean = (shares.T @ features) / total[:, None]
-    covariance = []
-    for c in range(shares.shape[1]):
-        off = features - mean[c]
-        covariance.append((off * shares[:, c, None]).T @ off / total[c])
-    return mean, np.stack(covariance) + 1e-3 * np.eye(features.shape[1])
-
-
-def _widened(covariance: Float[np.ndarray, "D D"], places: int) -> Float[np.ndarray, "D D"]:
-    """The covariance, with a standard deviation of at least 0.3 m in every direction of a place."""
-    columns = _columns_of_places(covariance.shape[0], places)
-    block = covariance[np.ix_(columns, columns)]
-    value, vector = np.linalg.eigh(block)
-    wide = (vector * np.maximum(value, NARROWEST_M**2)) @ vector.T
-    found = covariance.copy()
-    found[np.ix_(columns, columns)] = wide
-    # Widening a block keeps the matrix positive definite: what is added is not negative.
-    return found
-
-
-def _columns_of_places(size: int, places: int) -> Int[np.ndarray, " places"]:
-    """Columns with coordinates: start and goal, and via where there are six."""
-    return np.array([0, 1, 2, 3] if places == 4 or size == SIZES[DIRECT] else [0, 1, 2, 3, 5, 6])
+def _widened(covariance: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    """The covariance of a stop, with a place at least 0.3 m wide in each direction."""
+    found = covariance + 1e-3 * np.eye(STOP)
+    value, vector = np.linalg.eigh(found[:2, :2])
+    found[:2, :2] = (vector * np.maximum(value, NARROWEST_M**2)) @ vector.T
+    return np.asarray(found)
