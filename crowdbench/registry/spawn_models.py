@@ -107,8 +107,8 @@ class SpawnSource:
             areas = read_areas(scene)
             if self.base in PLANNED:
                 areas = read_plans(scene, areas, split)
-            model = FITTED[WEIGHTS[self.fits.name]].read(holding, areas, split, fit)
-            return replace(model, name=self.base) if self.base in PLANNED else model
+            fitted = FITTED[WEIGHTS[self.fits.name]].read(holding, areas, split, fit)
+            return replace(fitted, name=self.base) if self.base in PLANNED else fitted
         if self.own:
             others = (*plugins.names("spawn_models"), "a folder with the fits of one model")
             known = (*SPAWN_MODELS, *others)

@@ -1,0 +1,167 @@
+"""Waves and Cox arrivals: factors, likelihood and fit agree with each other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from models import AREAS, GRID_S
+from scipy.special import comb
+from scipy.stats import poisson
+
+from crowdbench.scene import load_scene
+from crowdbench.spawn import Arrivals, CoxGMM, arrivals_in
+from crowdbench.spawn.cox_kernels import filtered, log_probability
+from crowdbench.spawn.waves import Waves, fit_waves, in_steps, pairs_of
+
+ETH = load_scene("eth-v0")
+B = np.array([[[0.5, 0.3], [0.3, 0.4]], [[0.2, 0.1], [0.1, 0.3]]])
+WAVES = Waves(np.array([12.0, 60.0]), B)
+
+
+def cox(waves: Waves = WAVES) -> CoxGMM:
+    return CoxGMM(AREAS, np.array([0.3, 0.2]), np.array([0.2, 0.05]), waves, GRID_S)
+
+
+def sampled(horizon_s: float, seed: int = 0, model: CoxGMM | None = None) -> Arrivals:
+    events = (model or cox()).sample(horizon_s, ETH, np.random.default_rng(seed))
+    return arrivals_in(events, horizon_s, GRID_S, 2)
+
+
+def test_factors_have_mean_one_and_the_covariances_of_the_model() -> None:
+    steps, step_s = 400_000, 0.8
+    factors = WAVES.factors(steps, step_s, np.random.default_rng(0))
+    np.testing.assert_allclose(factors.mean(axis=0), 1.0, atol=0.05)
+    logs = np.log(factors)
+    np.testing.assert_allclose(np.cov(logs.T), B.sum(axis=0), atol=0.06)
+    lag = round(12.0 / step_s)
+    expected = sum(
+        b * np.exp(-lag * step_s / t) for b, t in zip(B, WAVES.tau_s.tolist(), strict=True)
+    )
+    off = logs - logs.mean(axis=0)
+    np.testing.assert_allclose(off[:-lag].T @ off[lag:] / (steps - lag), expected, atol=0.06)
+
+
+def test_roots_of_covariances_without_full_rank() -> None:
+    waves = Waves(np.array([5.0]), np.array([[[1.0, 2.0], [2.0, 4.0]]]))
+    root = waves.roots()[0]
+    np.testing.assert_allclose(root @ root.T, waves.covariance[0], atol=1e-12)
+
+
+@given(st.floats(1e-4, 5.0), st.floats(1e-6, 0.9), st.integers(0, 12))
+def test_the_number_of_persons_is_a_poisson_number_of_geometric_groups(
+    rate: float, more: float, number: int
+) -> None:
+    expected = sum(
+        poisson.pmf(k, rate) * comb(number - 1, k - 1) * (1 - more) ** k * more ** (number - k)
+        for k in range(1, number + 1)
+    )
+    expected = np.exp(-rate) if number == 0 else expected
+    assert np.exp(log_probability(number, rate, more)) == pytest.approx(expected, rel=1e-8)
+
+
+def test_without_waves_the_filter_is_exact() -> None:
+    counts = np.random.default_rng(0).poisson(0.1, (200, 2))
+    rate, more = np.array([0.1, 0.15]), np.array([0.2, 0.1])
+    none = np.zeros((0, 2, 2))
+    found = filtered(
+        counts, 2, rate, more, none, np.zeros(0), np.zeros(2), 5, np.random.default_rng(0)
+    )
+    expected = sum(
+        log_probability(int(counts[t, a]), rate[a], more[a]) for t in range(200) for a in (0, 1)
+    )
+    assert found == pytest.approx(expected)
+
+
+def test_the_filter_agrees_with_a_sum_over_all_states() -> None:
+    """One area and one scale: the state on a fine grid, by the forward algorithm."""
+    counts = np.random.default_rng(1).poisson(0.4, (60, 1))
+    variance, stay, rate, more = 0.8, 0.9, 0.35, 0.1
+    z = np.linspace(-5, 5, 401) * np.sqrt(variance)
+    density = np.exp(-0.5 * z**2 / variance)
+    belief = density / density.sum()
+    moved = np.exp(-0.5 * (z[None] - stay * z[:, None]) ** 2 / (variance * (1 - stay**2)))
+    moved /= moved.sum(axis=1, keepdims=True)
+    total = 0.0
+    for t in range(60):
+        belief = belief if t == 0 else belief @ moved
+        each = [
+            log_probability(int(counts[t, 0]), rate * np.exp(x - variance / 2), more) for x in z
+        ]
+        belief = belief * np.exp(each)
+        total += np.log(belief.sum())
+        belief /= belief.sum()
+    root = np.sqrt(variance) * np.ones((1, 1, 1))
+    found = [
+        filtered(
+            counts, 1, np.array([rate]), np.array([more]), root, np.array([stay]),
+            np.array([variance / 2]), 2_000, np.random.default_rng(seed),
+        )
+        for seed in range(5)
+    ]  # fmt: skip
+    assert np.mean(found) == pytest.approx(total, abs=0.3)
+
+
+def test_samples_have_the_rates_and_more_variance_than_poisson() -> None:
+    horizon_s = 40_000.0
+    found = sampled(horizon_s)
+    rate = np.bincount(found.area) / horizon_s
+    np.testing.assert_allclose(rate, [0.3, 0.2], rtol=0.15)
+    (minutes,) = in_steps(found, round(60.0 / GRID_S))
+    assert (minutes.var(axis=0) / minutes.mean(axis=0) > 3).all()
+    assert np.corrcoef(minutes.T)[0, 1] > 0.3
+
+
+def test_what_was_sampled_is_found_again() -> None:
+    found = CoxGMM.fit(sampled(40_000.0, seed=1), AREAS)
+    np.testing.assert_allclose(found.waves.variance(), B.sum(axis=0).diagonal(), atol=0.2)
+    of_pair = found.waves.covariance[:, 0, 1].sum()
+    assert of_pair == pytest.approx(0.4, abs=0.15)
+    np.testing.assert_allclose(found.rate_per_s, [0.3, 0.2], rtol=0.15)
+    np.testing.assert_allclose(found.next_member, [0.2, 0.05], atol=0.1)
+    assert (np.linalg.eigvalsh(found.waves.covariance) > -1e-9).all()
+
+
+def test_poisson_arrivals_have_hardly_any_waves() -> None:
+    calm = cox(Waves(np.zeros(0), np.zeros((0, 2, 2))))
+    found = CoxGMM.fit(sampled(20_000.0, model=calm), AREAS)
+    assert (found.waves.variance() < 0.1).all()
+
+
+def test_the_truth_is_likelier_than_a_process_without_waves() -> None:
+    arrivals = sampled(4_000.0, seed=2)
+    calm = replace(cox(), waves=Waves(np.zeros(0), np.zeros((0, 2, 2))))
+    assert cox().log_likelihood(arrivals) > calm.log_likelihood(arrivals) + 0.05
+
+
+def test_pair_correlations_are_those_of_a_direct_count() -> None:
+    arrivals = replace(sampled(600.0), windows=np.array([[0, 700], [800, 1500]]))
+    kept = (arrivals.tick < 700) | (arrivals.tick >= 800)
+    arrivals = replace(arrivals, tick=arrivals.tick[kept], area=arrivals.area[kept])
+    found = pairs_of(arrivals, longest_s=3.0)
+    counts = in_steps(arrivals, 2)
+    everyone = np.concatenate(counts)
+    mean, persons = everyone.mean(axis=0), everyone.sum(axis=0)
+    products = sum(n[:-1].T @ n[1:] for n in counts)
+    pairs = sum(len(n) - 1 for n in counts)
+    ratio = products / (pairs * np.outer(mean, mean))
+    same = np.eye(2, dtype=bool)
+    expected = pairs * np.outer(mean, mean)
+    pooled = np.where(
+        same,
+        products[same].sum() / expected[same].sum(),
+        products[~same].sum() / expected[~same].sum(),
+    )
+    weight = np.sqrt(np.outer(persons, persons))
+    np.testing.assert_allclose(
+        found.correlation[0], (weight * ratio + 100 * pooled) / (weight + 100), rtol=1e-6
+    )
+    assert found.lag_s[0] == pytest.approx(0.8)
+
+
+def test_too_short_a_recording_has_no_waves() -> None:
+    found = fit_waves(sampled(20.0))
+    assert found.covariance.shape == (0, 2, 2)
+    none = replace(sampled(600.0), tick=np.empty(0, np.int64), area=np.empty(0, np.int64))
+    assert CoxGMM.fit(none, AREAS).sample(100.0, ETH, np.random.default_rng(0)).time_s.size == 0

@@ -1,0 +1,126 @@
+"""Companions as marks on arrivals: likelihood, fit, and samples that follow it."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import approx_fprime
+
+from crowdbench.spawn.links import (
+    EDGES_S,
+    Links,
+    _likelihood,
+    _same,
+    candidates,
+    fit_links,
+)
+
+
+def links(log_weight: list[float] | None = None, tendency: tuple[float, ...] = (0.0, 0.5)) -> Links:
+    weight = [1.0, -0.5, -1.0, -2.0, -2.5, -3.0] if log_weight is None else log_weight
+    return Links(np.array(weight), np.array(tendency), np.zeros(5), 0.01 * np.eye(5))
+
+
+def arrivals(number: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Arrivals in two areas, some at the same time."""
+    rng = np.random.default_rng(seed)
+    time_s = np.sort(np.round(rng.uniform(0, 2.0 * number, number) / 0.4) * 0.4)
+    return time_s, rng.integers(0, 2, number)
+
+
+def grouped(joins: np.ndarray) -> np.ndarray:
+    """Group of each person, −1 for people whom nobody joins and who join nobody."""
+    leader = np.arange(len(joins))
+    for i, j in enumerate(joins.tolist()):
+        if j >= 0:
+            leader[i] = leader[j]
+    size = np.bincount(leader, minlength=len(joins))
+    return np.where(size[leader] > 1, leader, -1)
+
+
+@given(st.integers(0, 40), st.integers(0, 5))
+def test_candidates_are_all_earlier_arrivals_of_the_area_within_six_seconds(
+    number: int, seed: int
+) -> None:
+    time_s, area = arrivals(number, seed)
+    found = candidates(time_s, area)
+    expected = {
+        (i, j)
+        for i, j in itertools.product(range(number), repeat=2)
+        if j < i and area[i] == area[j] and time_s[i] - time_s[j] <= 6.0 + 1e-6
+    }
+    pairs = list(zip(found.later.tolist(), found.earlier.tolist(), strict=True))
+    assert len(pairs) == len(set(pairs))
+    assert set(pairs) == expected
+    assert (np.diff(found.later) >= 0).all()
+    for (i, j), k in zip(pairs, found.bin.tolist(), strict=True):
+        delay = time_s[i] - time_s[j]
+        assert EDGES_S[k] <= delay < EDGES_S[k + 1] or (k == 5 and delay <= EDGES_S[-1])
+
+
+def test_the_probabilities_of_all_that_can_happen_sum_to_one() -> None:
+    """For three people who come one after the other, over all partitions into groups."""
+    time_s, area = np.array([0.0, 1.0, 2.5]), np.zeros(3, dtype=np.int64)
+    partitions = ([-1, -1, -1], [0, 0, -1], [0, -1, 0], [-1, 1, 1], [0, 0, 0])
+    model = links(tendency=(0.3,))
+    total = sum(np.exp(model.log_likelihood(time_s, area, np.array(group))) for group in partitions)
+    assert total == pytest.approx(1.0)
+
+
+def test_the_gradient_is_that_of_the_likelihood() -> None:
+    time_s, area = arrivals(60)
+    group = grouped(links().draw(time_s, area, np.random.default_rng(1)))
+    pairs = candidates(time_s, area)
+    same = _same(pairs, group)
+    x = np.concatenate([links().log_weight, links().tendency])
+    value, slope = _likelihood(x, pairs, area, same)
+    numeric = approx_fprime(x, lambda y: _likelihood(y, pairs, area, same)[0], 1e-6)
+    assert np.isfinite(value)
+    np.testing.assert_allclose(slope, numeric, rtol=1e-4, atol=1e-4)
+
+
+def test_samples_have_the_probabilities_of_the_model() -> None:
+    time_s, area = np.array([0.0, 0.0, 1.5]), np.zeros(3, dtype=np.int64)
+    model, rng = links(tendency=(0.2,)), np.random.default_rng(0)
+    drawn = np.array([model.draw(time_s, area, rng) for _ in range(20_000)])
+    weight = np.exp(model.log_weight + 0.2)
+    assert (drawn[:, 0] == -1).all()
+    assert (drawn[:, 1] == 0).mean() == pytest.approx(weight[0] / (1 + weight[0]), abs=0.01)
+    for j in (0, 1):
+        expected = weight[2] / (1 + 2 * weight[2])
+        assert (drawn[:, 2] == j).mean() == pytest.approx(expected, abs=0.01)
+
+
+def test_the_fit_finds_the_weights_again_and_those_who_join_nobody() -> None:
+    time_s, area = arrivals(6_000, seed=3)
+    truth = links()
+    group = grouped(truth.draw(time_s, area, np.random.default_rng(4)))
+    offsets = np.random.default_rng(5).normal([0, 0.7, 0, 0.6, 0], 0.2, (200, 5))
+    offsets[::2, [1, 3]] *= -1
+    found = fit_links(time_s, area, group, offsets, 2)
+    # The weights and the tendencies are determined together only.
+    for a in (0, 1):
+        np.testing.assert_allclose(
+            (found.log_weight + found.tendency[a])[:4],
+            (truth.log_weight + truth.tendency[a])[:4],
+            atol=0.35,
+        )
+    assert found.log_likelihood(time_s, area, group) > truth.log_likelihood(time_s, area, group) - 5
+    np.testing.assert_allclose(found.mean, [0, 0.7, 0, 0.6, 0], atol=0.06)
+    nobody = fit_links(time_s, area, np.full(6_000, -1), offsets[:3], 2)
+    assert (nobody.draw(time_s, area, np.random.default_rng(0)) >= 0).mean() < 0.01
+
+
+def test_offsets_lie_on_both_sides_and_on_the_same_at_start_and_end() -> None:
+    model = Links(np.zeros(6), np.zeros(1), np.array([0.0, 0.7, 0.0, 0.6, 0.1]), 0.001 * np.eye(5))
+    drawn = model.offsets(2_000, np.random.default_rng(0))
+    assert (drawn[:, 1] > 0).mean() == pytest.approx(0.5, abs=0.05)
+    assert (np.sign(drawn[:, 1]) == np.sign(drawn[:, 3])).all()
+    assert drawn[:, 4].mean() == pytest.approx(0.1, abs=0.01)
+
+
+def test_without_arrivals_nobody_joins() -> None:
+    none = np.empty(0)
+    assert len(links().draw(none, none.astype(np.int64), np.random.default_rng(0))) == 0
