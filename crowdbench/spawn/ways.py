@@ -184,6 +184,8 @@ def fit_ways(
     )
     stop = np.column_stack([plans.via[whole], np.log(np.maximum(plans.wait_s[whole], LEAST_S))])
     places = _places(stop[stops], weight[stops], a[stops], g[stops], shape, seed)
+    for place in (slice(0, 2), slice(2, 4)):
+        trip_covariance = _widened(trip_covariance, place)
     return Ways(
         trip_mean,
         trip_covariance,
@@ -315,7 +317,7 @@ def _places(
     to_area = of_goal + FEWEST * total * of_goal.sum(axis=0).clip(_FEW_STOPS) / len(x)
     return (
         np.stack([mean for mean, _ in fitted]),
-        np.stack([_widened(covariance) for _, covariance in fitted]),
+        _widened(np.stack([covariance for _, covariance in fitted]), slice(0, 2)),
         from_area,
         to_area / to_area.sum(axis=1, keepdims=True),
     )
@@ -344,9 +346,10 @@ def _shares(x: Float[np.ndarray, "n D"], seed: int) -> Float[np.ndarray, "n C"]:
     return best[1]
 
 
-def _widened(covariance: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """The covariance of a stop, with a place at least 0.3 m wide in each direction."""
-    found = covariance + 1e-3 * np.eye(STOP)
-    value, vector = np.linalg.eigh(found[:2, :2])
-    found[:2, :2] = (vector * np.maximum(value, NARROWEST_M**2)) @ vector.T
+def _widened(covariance: Float[np.ndarray, "*pairs D D"], place: slice) -> np.ndarray:
+    """Covariances with a standard deviation of at least 0.3 m in each direction of a place."""
+    found = covariance + 1e-6 * np.eye(covariance.shape[-1])
+    value, vector = np.linalg.eigh(found[..., place, place])
+    wide = np.maximum(value, NARROWEST_M**2)
+    found[..., place, place] = (vector * wide[..., None, :]) @ vector.swapaxes(-1, -2)
     return np.asarray(found)

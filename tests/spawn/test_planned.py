@@ -1,0 +1,170 @@
+"""Plans: companions share them, ways are walkable, and files give back what was fitted."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crowdbench.errors import WeightsError
+from crowdbench.registry import recording_of
+from crowdbench.scene import load_scene
+from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.events import blocks_of
+from crowdbench.spawn.planned import (
+    FILE,
+    PlannedAreas,
+    _directions,
+    _turned,
+    fit_plans,
+    read_plans,
+    write_plans,
+)
+from crowdbench.spawn.plans import plans_of
+from crowdbench.spawn.ways import (
+    NARROWEST_M,
+    OFF_M,
+    Ways,
+    bends_of,
+    moments,
+)
+from crowdbench.trajectories.blocks import SPLITS
+from crowdbench.trajectories.table import Trajectories
+
+PLAZA = load_scene("plaza-v0")
+
+
+@pytest.fixture(scope="module")
+def crowd() -> Trajectories:
+    return recording_of(PLAZA)
+
+
+@pytest.fixture(scope="module")
+def fitted(crowd: Trajectories) -> PlannedAreas:
+    return fit_plans(crowd, blocks_of(crowd, PLAZA), read_areas(PLAZA))
+
+
+def with_stops(fitted: PlannedAreas) -> PlannedAreas:
+    """The same areas, in which a third of the people stop at one of two places."""
+    ways = fitted.ways
+    k, g = ways.stopping.shape
+    return replace(
+        fitted,
+        ways=replace(
+            ways,
+            stopping=np.full((k, g), 1 / 3),
+            stop_mean=np.array([[10.0, 10.0, np.log(8.0)], [20.0, 10.0, np.log(20.0)]]),
+            stop_covariance=np.stack([np.diag([0.1, 0.1, 0.01])] * 2),
+            from_area=np.ones((2, k)),
+            to_area=np.ones((2, g)),
+        ),
+    )
+
+
+def drawn(areas: PlannedAreas, number: int = 3_000, apart_s: float = 1.0):
+    rng = np.random.default_rng(0)
+    time_s = np.floor(np.arange(number) * apart_s / 3) * 3
+    area = rng.integers(0, len(areas.spawn), number)
+    return areas.draw(time_s, area, PLAZA, rng), area
+
+
+def test_ways_are_walkable_and_companions_share_them(fitted: PlannedAreas) -> None:
+    events, area = drawn(with_stops(fitted))
+    np.testing.assert_array_equal(events.spawn_area, area)
+    for points in (events.start, events.goal):
+        assert PLAZA.walkable(points.astype(np.float64)).all()
+    has_via = np.isfinite(events.via[:, 0])
+    assert PLAZA.walkable(events.via[has_via].astype(np.float64)).all()
+    assert ((events.wait_s > 0) <= has_via).all()
+    assert (events.wait_s > 0).mean() == pytest.approx(1 / 3, abs=0.06)
+    sizes = np.bincount(events.group[events.group >= 0])
+    assert (sizes >= 2).all()
+    for group in range(len(sizes)):
+        members = np.flatnonzero(events.group == group)
+        for name in ("spawn_area", "goal_area", "wait_s"):
+            assert len(np.unique(getattr(events, name)[members])) == 1
+
+
+def test_without_arrivals_there_are_no_plans(fitted: PlannedAreas) -> None:
+    rng = np.random.default_rng(0)
+    assert len(fitted.draw(np.empty(0), np.empty(0, np.int64), PLAZA, rng)) == 0
+
+
+def test_the_same_numbers_give_the_same_plans(fitted: PlannedAreas) -> None:
+    one, other = drawn(fitted)[0], drawn(fitted)[0]
+    for field in fields(one):
+        np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name))
+
+
+def test_the_file_gives_back_what_was_fitted(fitted: PlannedAreas, tmp_path: Path) -> None:
+    for areas in (fitted, with_stops(fitted)):
+        write_plans(tmp_path, dict.fromkeys(SPLITS, areas))
+        place = replace(PLAZA, folder=tmp_path)
+        again = read_plans(place, read_areas(PLAZA), "fold1")
+        for name in (f.name for f in fields(Ways)):
+            np.testing.assert_array_equal(getattr(again.ways, name), getattr(areas.ways, name))
+        for name in (f.name for f in fields(areas.links)):
+            np.testing.assert_array_equal(getattr(again.links, name), getattr(areas.links, name))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('"model":"plans"', '"model":"plums"', "plums of plaza-v0"),
+        ('"fold2"', '"fold9"', "fold9"),
+        ('"stopping"', '"stoping"', "stoping"),
+        ('"group_log_speed"', '"slow"', "group_log_speed"),
+    ],
+)
+def test_broken_files_are_refused(
+    fitted: PlannedAreas, tmp_path: Path, old: str, new: str, told: str
+) -> None:
+    write_plans(tmp_path, dict.fromkeys(SPLITS, fitted))
+    file = tmp_path / FILE
+    text = file.read_text().replace(" ", "").replace("\n", "")
+    file.write_text(text.replace(old, new))
+    with pytest.raises(WeightsError, match=told):
+        read_plans(replace(PLAZA, folder=tmp_path), read_areas(PLAZA), "full")
+
+
+def test_no_gaussian_is_narrower_than_thirty_centimetres(fitted: PlannedAreas) -> None:
+    for block in (slice(0, 2), slice(2, 4)):
+        values = np.linalg.eigvalsh(fitted.ways.trip_covariance[..., block, block])
+        assert (values >= (NARROWEST_M - 1e-6) ** 2).all()
+
+
+def test_a_bend_is_the_furthest_point_from_the_straight_line(crowd: Trajectories) -> None:
+    persons = np.flatnonzero(crowd.left)[:50]
+    for person, (along, left) in zip(persons.tolist(), bends_of(crowd, persons), strict=True):
+        path = crowd.path(person).astype(np.float64)
+        way = crowd.goal[person] - path[0]
+        length = np.hypot(*way)
+        if length < OFF_M:
+            continue
+        across = np.array([-way[1], way[0]]) / length
+        off = (path - path[0]) @ across
+        assert abs(left) == pytest.approx(np.abs(off).max())
+        assert 0.05 <= along <= 0.95
+
+
+def test_offsets_are_turned_with_the_direction_of_the_way() -> None:
+    ahead = _directions(np.array([[0.0, 2.0], [3.0, 0.0]]))
+    offset = np.array([[1.0, 0.5], [1.0, 0.5]])  # a metre ahead, half a metre to the left
+    np.testing.assert_allclose(_turned(ahead, offset), [[-0.5, 1.0], [1.0, 0.5]], atol=1e-12)
+    np.testing.assert_allclose(
+        _turned(ahead * [1.0, -1.0], _turned(ahead, offset)), offset, atol=1e-12
+    )
+
+
+def test_moments_are_weighted() -> None:
+    x = np.array([[0.0], [1.0], [5.0]])
+    mean, covariance = moments(x, np.array([1.0, 1.0, 0.0]))
+    assert (mean[0], covariance[0, 0]) == (0.5, 0.25)
+
+
+def test_speeds_are_those_of_the_recording(crowd: Trajectories, fitted: PlannedAreas) -> None:
+    events, _ = drawn(fitted)
+    recorded = plans_of(crowd).speed
+    recorded = recorded[np.isfinite(recorded)]
+    assert events.speed.max() <= recorded.max() * 1.02
+    assert np.median(events.speed) == pytest.approx(np.median(recorded), rel=0.05)
