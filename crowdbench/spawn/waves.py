@@ -99,7 +99,7 @@ def pairs_of(arrivals: Arrivals, *, longest_s: float) -> Pairs:
         for a in range(areas):
             products[:, a] += irfft(seen[:, a, None].conj() * seen, size, axis=0)[1 : most + 1]
         pairs += np.clip(len(n) - np.arange(1, most + 1), 0, None)
-    everyone = np.concatenate(counts)
+    everyone = np.concatenate(counts).astype(np.float64)
     mean = everyone.mean(axis=0)
     of_lag = _bins(most)
     bins = int(of_lag[-1]) + 1
