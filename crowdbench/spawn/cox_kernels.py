@@ -1,4 +1,4 @@
-"""The particle filter of `cox-gmm`, compiled."""
+"""Sampling and the particle filter of `cox-gmm`, compiled."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -6,8 +6,29 @@ from numba import njit
 
 
 @njit(cache=True)
+def drawn(
+    groups: Float[np.ndarray, "T K"],
+    following: Float[np.ndarray, " H"],
+    next_member: Float[np.ndarray, " K"],
+    rng: np.random.Generator,
+) -> Int[np.ndarray, "T K"]:
+    """Numbers of persons, given the rates of groups that follow nobody, per grid step."""
+    number = np.zeros(groups.shape, np.int64)
+    for t in range(groups.shape[0]):
+        for a in range(groups.shape[1]):
+            after = 0.0
+            for h in range(1, min(t, following.size) + 1):
+                after += following[h - 1] * number[t - h, a]
+            more = 1 - next_member[a]
+            for _ in range(rng.poisson(groups[t, a] + more * after)):
+                number[t, a] += rng.geometric(more)
+    return number
+
+
+@njit(cache=True)
 def filtered(
     counts: Int[np.ndarray, "T K"],
+    following: Float[np.ndarray, "T K"],
     width: int,
     groups: Float[np.ndarray, " K"],
     next_member: Float[np.ndarray, " K"],
@@ -20,7 +41,7 @@ def filtered(
     """Log of the estimated probability of the counts of one stretch.
 
     The factors change every `width` grid points. `groups` is the mean number of groups per grid
-    point, `stay` the autocorrelation of each scale over a step.
+    point that follow nobody, `following` that of those who follow others, `stay` the autocorrelation of each scale over a step.
     """
     scales, areas = stay.size, groups.size
     state = np.zeros((particles, scales, areas))
@@ -29,7 +50,7 @@ def filtered(
     logs = np.empty(particles)
     total = 0.0
     for first in range(0, len(counts), width):
-        block = counts[first : first + width]
+        block, after = counts[first : first + width], following[first : first + width]
         for i in range(particles):
             for j in range(scales):
                 fresh = 1.0 if first == 0 else np.sqrt(1 - stay[j] * stay[j])
@@ -47,7 +68,7 @@ def filtered(
                     log_factor += state[i, j, a]
                 rate = groups[a] * np.exp(log_factor)
                 for t in range(len(block)):
-                    logs[i] += log_probability(block[t, a], rate, next_member[a])
+                    logs[i] += log_probability(block[t, a], rate + after[t, a], next_member[a])
         log_weight += logs
         highest = log_weight.max()
         weight = np.exp(log_weight - highest)

@@ -47,7 +47,10 @@ class Links:
     tendency: Float[np.ndarray, " K"]
     """u_a for each area."""
     mean: Float[np.ndarray, " 5"]
-    """Mean offset to the other person. The sign across is drawn, the same at start and end."""
+    """Mean offset to a person who enters at the same time. The sign across is drawn, the same at
+    start and end."""
+    slope: Float[np.ndarray, " 5"]
+    """Change of the mean offset for each metre that the other one has walked meanwhile."""
     covariance: Float[np.ndarray, "5 5"]
     group_log_speed: float = 0.0
     """Mean log speed of groups less that of people who are alone."""
@@ -71,9 +74,13 @@ class Links:
         found[joins] = pairs.earlier[chosen[joins].clip(0, len(pairs.earlier) - 1)]
         return found
 
-    def offsets(self, size: int, rng: Generator) -> Float[np.ndarray, "n 5"]:
-        """Offsets of persons who join somebody; see `OFFSETS`."""
+    def offsets(
+        self, walked_m: Float[np.ndarray, " n"], rng: Generator
+    ) -> Float[np.ndarray, "n 5"]:
+        """Offsets of persons who join somebody who has walked this far; see `OFFSETS`."""
+        size = len(walked_m)
         drawn = rng.multivariate_normal(self.mean, self.covariance, size)
+        drawn += walked_m[:, None] * self.slope
         side = np.where(rng.random(size) < 0.5, -1.0, 1.0)
         drawn[:, (1, 3)] *= side[:, None]
         return drawn
@@ -114,11 +121,13 @@ def fit_links(
     area: Int[np.ndarray, " E"],
     group: Int[np.ndarray, " E"],
     offsets: Float[np.ndarray, "n 5"],
+    walked_m: Float[np.ndarray, " n"],
     areas: int,
 ) -> Links:
     """The most likely weights, with a normal prior of the tendencies.
 
-    `group` is −1 for people who are alone; `offsets` are those of recorded companions.
+    `group` is −1 for people who are alone; `offsets` are those of recorded companions to persons
+    who have walked `walked_m` before.
     """
     from scipy.optimize import minimize
 
@@ -138,14 +147,19 @@ def fit_links(
     start = np.concatenate([np.full(6, -3.0), np.zeros(areas)])
     found = minimize(loss, start, jac=True, method="L-BFGS-B").x
     folded = offsets * np.where(offsets[:, 1:2] < 0, [1, -1, 1, -1, 1], 1)
-    mean, covariance = COMMON_MEAN, np.diag(COMMON_SD**2)
+    mean, slope, covariance = COMMON_MEAN, np.zeros(OFFSETS), np.diag(COMMON_SD**2)
     if len(folded) >= FEWEST:
-        mean = np.median(folded, axis=0)
+        middle = np.median(folded, axis=0)
         spread = np.percentile(folded, [16, 84], axis=0)
-        near = (np.abs(folded - mean) <= 3 * np.maximum(spread[1] - spread[0], 0.1)).all(axis=1)
+        near = (np.abs(folded - middle) <= 1.5 * np.maximum(spread[1] - spread[0], 0.1)).all(axis=1)
         if near.sum() >= FEWEST:
-            mean, covariance = folded[near].mean(axis=0), np.cov(folded[near].T)
-    return Links(found[:6], found[6:], mean, covariance + 1e-6 * np.eye(OFFSETS))
+            folded, walked = folded[near], walked_m[near] - walked_m[near].mean()
+            mean = folded.mean(axis=0)
+            if walked.var() > 1e-6:
+                slope = walked @ (folded - mean) / (walked @ walked)
+            covariance = np.cov((folded - walked[:, None] * slope).T)
+            mean = mean - walked_m[near].mean() * slope
+    return Links(found[:6], found[6:], mean, slope, covariance + 1e-6 * np.eye(OFFSETS))
 
 
 def _same(pairs: Candidates, group: Int[np.ndarray, " E"]) -> Bool[np.ndarray, " n"]:

@@ -31,13 +31,15 @@ from crowdbench.trajectories.table import Trajectories
 FILE = "plans.json"
 SCHEMA = 1
 _TRIES = 20
-"""Number of offsets that are drawn for a companion; each is half as long as the one before."""
+"""Number of ways that are drawn for a companion, who otherwise gets that of the person it joins."""
+_COMMON_M = 2.0
 
 
 class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     log_weight: list[float]
     tendency: list[float]
     offset_mean: list[float]
+    offset_slope: list[float]
     offset_covariance: list[list[float]]
     group_log_speed: float
     ways: dict[str, Any]
@@ -76,25 +78,20 @@ class PlannedAreas(Areas):
         order = np.argsort(time_s, kind="stable")
         time_s, area = time_s[order], spawn_area[order]
         joins = self.links.draw(time_s, area, rng)
-        ways = np.full((len(time_s), 8), np.nan)
+        leader = _leaders(joins)
         first = joins < 0
         goal_area = np.zeros(len(time_s), dtype=np.int64)
         cumulative = self.flow.cumsum(axis=1)[area[first]]
         u = rng.random((len(cumulative), 1)) * cumulative[:, -1:]
         goal_area[first] = (u >= cumulative).sum(axis=1)
+        goal_area = goal_area[leader]
+        ways = np.full((len(time_s), 8), np.nan)
         ways[first] = self.ways.draw(area[first], goal_area[first], scene, rng)
-        done, leader = first.copy(), np.where(first, np.arange(len(joins)), -1)
-        while not done.all():  # whoever joins somebody whose plan is known
-            now = np.flatnonzero(~done & done[joins])
-            ways[now] = self._beside(ways[joins[now]], scene, rng)
-            leader[now], goal_area[now] = leader[joins[now]], goal_area[joins[now]]
-            done[now] = True
         size = np.bincount(leader, minlength=len(joins))
         together = size[leader] > 1
-        ways[together, 4] = np.clip(
-            ways[together, 4] + self.links.group_log_speed,
-            *np.log([SLOWEST_MPS, self.ways.fastest_mps]),
-        )
+        slower = first & together
+        ways[slower, 4] = self._possible_speed(ways[slower, 4] + self.links.group_log_speed)
+        self._place_companions(ways, time_s, joins, leader, scene, rng)
         number = np.cumsum(size > 1) - 1
         stops = np.isfinite(ways[:, 7])
         return entering(
@@ -109,29 +106,62 @@ class PlannedAreas(Areas):
             wait_s=np.where(stops, np.exp(np.where(stops, ways[:, 7], 0.0)), 0.0),
         )
 
-    def _beside(
-        self, ways: Float[np.ndarray, "n 8"], scene: Scene, rng: Generator
-    ) -> Float[np.ndarray, "n 8"]:
-        """Ways of people who join those with these ways."""
-        offset = self.links.offsets(len(ways), rng)
-        found = ways.copy()
-        found[:, 4] += offset[:, 4]
-        limits = np.log([SLOWEST_MPS, self.ways.fastest_mps])
-        found[:, 4] = found[:, 4].clip(*limits)
-        ahead = _directions(ways[:, 2:4] - ways[:, :2])
-        open_ = np.arange(len(ways))
-        for _ in range(_TRIES):
-            for columns, k in ((slice(0, 2), 0), (slice(2, 4), 2)):
-                found[open_, columns] = ways[open_, columns] + _turned(
-                    ahead[open_], offset[open_, k : k + 2]
+    def _place_companions(
+        self,
+        ways: Float[np.ndarray, "E 8"],
+        time_s: Float[np.ndarray, " E"],
+        joins: Int[np.ndarray, " E"],
+        leader: Int[np.ndarray, " E"],
+        scene: Scene,
+        rng: Generator,
+    ) -> None:
+        """Fill in the ways of those who join somebody, the second of each group first."""
+        rank = _ranks(leader)
+        groups, of_group = np.unique(leader, return_inverse=True)
+        members = np.full((len(groups), int(rank.max(initial=0)) + 1), -1)
+        members[of_group, rank] = np.arange(len(leader))
+        for place in range(1, members.shape[1]):
+            open_ = members[:, place]
+            open_ = open_[open_ >= 0]
+            for _ in range(_TRIES):
+                other = joins[open_]
+                walked = np.exp(ways[other, 4]) * (time_s[open_] - time_s[other])
+                drawn = self._beside(ways[other], walked, scene, rng)
+                good = scene.walkable(drawn[:, :2]) & scene.walkable(drawn[:, 2:4])
+                earlier = members[of_group[open_], :place]
+                distance = _closest_m(
+                    drawn[:, None], time_s[open_][:, None], ways[earlier], time_s[earlier]
                 )
-            good = scene.walkable(found[open_, :2]) & scene.walkable(found[open_, 2:4])
-            open_ = open_[~good]
-            if len(open_) == 0:
-                return found
-            offset[open_, :4] /= 2
-        found[open_, :4] = ways[open_, :4]
+                good &= distance.min(axis=1) >= 2 * scene.motion.person_radius_m
+                ways[open_[good]] = drawn[good]
+                open_ = open_[~good]
+                if len(open_) == 0:
+                    break
+            ways[open_] = ways[joins[open_]]
+
+    def _beside(
+        self,
+        ways: Float[np.ndarray, "n 8"],
+        walked_m: Float[np.ndarray, " n"],
+        scene: Scene,
+        rng: Generator,
+    ) -> Float[np.ndarray, "n 8"]:
+        """Ways of people who join those with these ways, who have walked this far."""
+        offset = self.links.offsets(walked_m, rng)
+        ahead = _directions(ways[:, 2:4] - ways[:, :2])
+        at_start, at_goal = _turned(ahead, offset[:, :2]), _turned(ahead, offset[:, 2:4])
+        found = ways.copy()
+        found[:, :2] += at_start
+        found[:, 2:4] += at_goal
+        via = found[:, 5:7] + (at_start + at_goal) / 2
+        free = np.isfinite(via[:, 0])
+        free[free] = scene.walkable(via[free])
+        found[free, 5:7] = via[free]
+        found[:, 4] = self._possible_speed(found[:, 4] + offset[:, 4])
         return found
+
+    def _possible_speed(self, log_speed: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        return np.clip(log_speed, *np.log([SLOWEST_MPS, self.ways.fastest_mps]))
 
 
 def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedAreas:
@@ -154,6 +184,7 @@ def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedA
     later = later[known[later] & known[earlier[later]]]
     pairs = persons[later], persons[earlier[later]]
     offsets = _offsets(crowd, plans.speed, *pairs)
+    walked_m = plans.speed[pairs[1]] * (crowd.spawn_s[pairs[0]] - crowd.spawn_s[pairs[1]])
     first = np.zeros(len(crowd), dtype=bool)
     first[persons[earlier < 0]] = True
     in_group = np.zeros(len(crowd), dtype=bool)
@@ -164,7 +195,8 @@ def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedA
     if min((walks & in_group).sum(), (walks & ~in_group).sum()) >= FEWEST:
         slower = float(log_speed[walks & in_group].mean() - log_speed[walks & ~in_group].mean())
     links = replace(
-        fit_links(time_s, area, group, offsets, len(areas.spawn)), group_log_speed=slower
+        fit_links(time_s, area, group, offsets, walked_m, len(areas.spawn)),
+        group_log_speed=slower,
     )
     # Ways are those of people who are alone; companions get them from the first of their group.
     as_alone = replace(plans, speed=np.where(in_group, plans.speed * np.exp(-slower), plans.speed))
@@ -196,9 +228,87 @@ def _offsets(
         [
             _turned(back, start[later] - start[earlier]),
             _turned(back, goal[later] - goal[earlier]),
-            np.log(speed[later] / speed[earlier]),
+            _log_ratios(crowd, speed, later, earlier),
         ]
     )
+
+
+def _log_ratios(
+    crowd: Trajectories,
+    speed: Float[np.ndarray, " P"],
+    later: Int[np.ndarray, " n"],
+    earlier: Int[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """Log ratio of the distances that two people cover while both are there.
+
+    Speeds of whole lives would differ more: one of two companions may have stopped alone, before
+    the other one entered. They are used where the common distance is too short.
+    """
+    found = np.log(speed[later] / speed[earlier])
+    for k, (i, j) in enumerate(zip(later.tolist(), earlier.tolist(), strict=True)):
+        begin = max(crowd.first[i], crowd.first[j])
+        end = min(crowd.last[i], crowd.last[j])
+        if end <= begin:
+            continue
+        ways = [
+            float(np.hypot(*(path[end - since] - path[begin - since])))
+            for path, since in (
+                (crowd.path(i), crowd.first[i]),
+                (crowd.path(j), crowd.first[j]),
+            )
+        ]
+        if min(ways) >= _COMMON_M:
+            found[k] = np.log(ways[0] / ways[1])
+    return found
+
+
+def _leaders(joins: Int[np.ndarray, " E"]) -> Int[np.ndarray, " E"]:
+    """The first person of each person's group; `joins` are earlier persons, or −1."""
+    leader = np.where(joins < 0, np.arange(len(joins)), joins)
+    while (leader[leader] != leader).any():
+        leader = leader[leader]
+    return leader
+
+
+def _ranks(leader: Int[np.ndarray, " E"]) -> Int[np.ndarray, " E"]:
+    """Place of each person in its group: 0 for the first one, who leads it."""
+    order = np.argsort(leader, kind="stable")
+    size = np.bincount(leader, minlength=len(leader))
+    before = np.cumsum(size) - size
+    rank = np.empty(len(leader), dtype=np.int64)
+    rank[order] = np.arange(len(leader)) - before[leader[order]]
+    return rank
+
+
+def _closest_m(
+    one: Float[np.ndarray, "n 1 8"],
+    one_s: Float[np.ndarray, "n 1"],
+    other: Float[np.ndarray, "n m 8"],
+    other_s: Float[np.ndarray, "n m"],
+) -> Float[np.ndarray, "n m"]:
+    """Least distance of straight walkers with these ways while both are there, metres.
+
+    Those who are never there together are infinitely far apart.
+    """
+
+    def moves(way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        direction = way[..., 2:4] - way[..., :2]
+        length = np.maximum(np.linalg.norm(direction, axis=-1), 1e-9)
+        speed = np.exp(way[..., 4])
+        return direction / length[..., None] * speed[..., None], length / speed
+
+    (v, life), (w, other_life) = moves(one), moves(other)
+    begin = np.maximum(one_s, other_s)
+    end = np.minimum(one_s + life, other_s + other_life)
+    gap = (
+        one[..., :2] + v * (begin - one_s)[..., None]
+        - other[..., :2] - w * (begin - other_s)[..., None]
+    )  # fmt: skip
+    drift = v - w
+    when = -(gap * drift).sum(axis=-1) / np.maximum((drift * drift).sum(axis=-1), 1e-12)
+    when = np.clip(when, 0.0, np.maximum(end - begin, 0.0))
+    distance = np.linalg.norm(gap + drift * when[..., None], axis=-1)
+    return np.asarray(np.where(end >= begin, distance, np.inf))
 
 
 def _directions(way: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
@@ -221,6 +331,7 @@ def write_plans(folder: Path, fits: Mapping[str, PlannedAreas]) -> None:
             log_weight=fit.links.log_weight.tolist(),
             tendency=fit.links.tendency.tolist(),
             offset_mean=fit.links.mean.tolist(),
+            offset_slope=fit.links.slope.tolist(),
             offset_covariance=fit.links.covariance.tolist(),
             group_log_speed=fit.links.group_log_speed,
             ways={name: getattr(fit.ways, name).tolist() for name in _shapes(fit)},
@@ -260,6 +371,7 @@ def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
         array(of.log_weight, (6,), "log_weight"),
         array(of.tendency, (size,), "tendency"),
         array(of.offset_mean, (OFFSETS,), "offset_mean"),
+        array(of.offset_slope, (OFFSETS,), "offset_slope"),
         array(of.offset_covariance, (OFFSETS, OFFSETS), "offset_covariance"),
         of.group_log_speed,
     )

@@ -17,11 +17,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.spawn.events import Arrivals
+from crowdbench.trajectories.companions import ENTRY_S
 
-SCALES_S = (2.5, 12.0, 60.0, 300.0)
+SCALES_S = (12.0, 60.0, 300.0)
 """Candidates for τ: those that the recording is long enough for are used."""
 STEP_S = 0.8
 """Shortest lag, and step of the factors; at least a step of the annotation grid."""
+LEAST_LAG_S = ENTRY_S
+"""Shortest delay at which correlations are due to waves: at shorter ones, companions enter."""
 _LAGS_PER_SCALE = 3.0
 """The longest lag is this number of times the longest scale."""
 _SHORTEST_STRETCHES = 10.0
@@ -147,9 +150,11 @@ def fit_waves(arrivals: Arrivals, own: Sequence[Arrivals] = ()) -> Waves:
             ]
         ).transpose(2, 0, 1)  # fmt: skip
         excess -= np.log(np.maximum(of_model, _LEAST)) / len(own)
-    excess = (excess + excess.transpose(0, 2, 1)) / 2
-    basis = np.exp(-recorded.lag_s[:, None] / tau_s)
-    return Waves(tau_s, _covariances(excess, basis, np.sqrt(recorded.weight), recorded.persons))
+    slow = recorded.lag_s > LEAST_LAG_S
+    excess = ((excess + excess.transpose(0, 2, 1)) / 2)[slow]
+    basis = np.exp(-recorded.lag_s[slow, None] / tau_s)
+    weight = np.sqrt(recorded.weight[slow])
+    return Waves(tau_s, _covariances(excess, basis, weight, recorded.persons))
 
 
 def _covariances(

@@ -20,7 +20,7 @@ from crowdbench.spawn.links import (
 
 def links(log_weight: list[float] | None = None, tendency: tuple[float, ...] = (0.0, 0.5)) -> Links:
     weight = [1.0, -0.5, -1.0, -2.0, -2.5, -3.0] if log_weight is None else log_weight
-    return Links(np.array(weight), np.array(tendency), np.zeros(5), 0.01 * np.eye(5))
+    return Links(np.array(weight), np.array(tendency), np.zeros(5), np.zeros(5), 0.01 * np.eye(5))
 
 
 def arrivals(number: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -99,7 +99,9 @@ def test_the_fit_finds_the_weights_again_and_those_who_join_nobody() -> None:
     group = grouped(truth.draw(time_s, area, np.random.default_rng(4)))
     offsets = np.random.default_rng(5).normal([0, 0.7, 0, 0.6, 0], 0.2, (200, 5))
     offsets[::2, [1, 3]] *= -1
-    found = fit_links(time_s, area, group, offsets, 2)
+    walked = np.random.default_rng(6).exponential(1.0, 200)
+    offsets[:, 0] += 0.3 * walked
+    found = fit_links(time_s, area, group, offsets, walked, 2)
     # The weights and the tendencies are determined together only.
     for a in (0, 1):
         np.testing.assert_allclose(
@@ -109,13 +111,17 @@ def test_the_fit_finds_the_weights_again_and_those_who_join_nobody() -> None:
         )
     assert found.log_likelihood(time_s, area, group) > truth.log_likelihood(time_s, area, group) - 5
     np.testing.assert_allclose(found.mean, [0, 0.7, 0, 0.6, 0], atol=0.06)
-    nobody = fit_links(time_s, area, np.full(6_000, -1), offsets[:3], 2)
+    np.testing.assert_allclose(found.slope, [0.3, 0, 0, 0, 0], atol=0.06)
+    nobody = fit_links(time_s, area, np.full(6_000, -1), offsets[:3], walked[:3], 2)
     assert (nobody.draw(time_s, area, np.random.default_rng(0)) >= 0).mean() < 0.01
 
 
 def test_offsets_lie_on_both_sides_and_on_the_same_at_start_and_end() -> None:
-    model = Links(np.zeros(6), np.zeros(1), np.array([0.0, 0.7, 0.0, 0.6, 0.1]), 0.001 * np.eye(5))
-    drawn = model.offsets(2_000, np.random.default_rng(0))
+    slope = np.array([0.5, 0, 0, 0, 0])
+    mean = np.array([0.0, 0.7, 0.0, 0.6, 0.1])
+    model = Links(np.zeros(6), np.zeros(1), mean, slope, 0.001 * np.eye(5))
+    drawn = model.offsets(np.full(2_000, 2.0), np.random.default_rng(0))
+    assert drawn[:, 0].mean() == pytest.approx(1.0, abs=0.01)
     assert (drawn[:, 1] > 0).mean() == pytest.approx(0.5, abs=0.05)
     assert (np.sign(drawn[:, 1]) == np.sign(drawn[:, 3])).all()
     assert drawn[:, 4].mean() == pytest.approx(0.1, abs=0.01)
