@@ -93,7 +93,7 @@ class CoxGMM:
         return cls(
             areas,
             mean / arrivals.grid_s,
-            _members(excess[0] - due, mean, counts.sum(axis=0)),
+            _members(excess[0] - due, mean, len(counts) * mean),
             followers,
             waves,
             arrivals.grid_s,

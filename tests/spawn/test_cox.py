@@ -20,8 +20,12 @@ B = np.array([[[0.5, 0.3], [0.3, 0.4]], [[0.2, 0.1], [0.1, 0.3]]])
 WAVES = Waves(np.array([12.0, 60.0]), B)
 
 
-def cox(waves: Waves = WAVES) -> CoxGMM:
-    return CoxGMM(AREAS, np.array([0.3, 0.2]), np.array([0.2, 0.05]), waves, GRID_S)
+FOLLOWERS = np.array([0.1, 0.05, 0.0, 0.05, 0.0])
+CALM = Waves(np.zeros(0), np.zeros((0, 2, 2)))
+
+
+def cox(waves: Waves = WAVES, followers: np.ndarray = FOLLOWERS) -> CoxGMM:
+    return CoxGMM(AREAS, np.array([0.3, 0.2]), np.array([0.2, 0.05]), followers, waves, GRID_S)
 
 
 def sampled(horizon_s: float, seed: int = 0, model: CoxGMM | None = None) -> Arrivals:
@@ -64,12 +68,13 @@ def test_the_number_of_persons_is_a_poisson_number_of_geometric_groups(
 def test_without_waves_the_filter_is_exact() -> None:
     counts = np.random.default_rng(0).poisson(0.1, (200, 2))
     rate, more = np.array([0.1, 0.15]), np.array([0.2, 0.1])
-    none = np.zeros((0, 2, 2))
-    found = filtered(
-        counts, 2, rate, more, none, np.zeros(0), np.zeros(2), 5, np.random.default_rng(0)
-    )
+    none, after = np.zeros((0, 2, 2)), np.random.default_rng(1).random((200, 2))
+    rng = np.random.default_rng(0)
+    found = filtered(counts, after, 2, rate, more, none, np.zeros(0), np.zeros(2), 5, rng)
     expected = sum(
-        log_probability(int(counts[t, a]), rate[a], more[a]) for t in range(200) for a in (0, 1)
+        log_probability(int(counts[t, a]), rate[a] + after[t, a], more[a])
+        for t in range(200)
+        for a in (0, 1)
     )
     assert found == pytest.approx(expected)
 
@@ -95,7 +100,7 @@ def test_the_filter_agrees_with_a_sum_over_all_states() -> None:
     root = np.sqrt(variance) * np.ones((1, 1, 1))
     found = [
         filtered(
-            counts, 1, np.array([rate]), np.array([more]), root, np.array([stay]),
+            counts, np.zeros((60, 1)), 1, np.array([rate]), np.array([more]), root, np.array([stay]),
             np.array([variance / 2]), 2_000, np.random.default_rng(seed),
         )
         for seed in range(5)
@@ -120,19 +125,35 @@ def test_what_was_sampled_is_found_again() -> None:
     assert of_pair == pytest.approx(0.4, abs=0.15)
     np.testing.assert_allclose(found.rate_per_s, [0.3, 0.2], rtol=0.15)
     np.testing.assert_allclose(found.next_member, [0.2, 0.05], atol=0.1)
+    np.testing.assert_allclose(found.followers, FOLLOWERS, atol=0.05)
     assert (np.linalg.eigvalsh(found.waves.covariance) > -1e-9).all()
 
 
 def test_poisson_arrivals_have_hardly_any_waves() -> None:
-    calm = cox(Waves(np.zeros(0), np.zeros((0, 2, 2))))
-    found = CoxGMM.fit(sampled(20_000.0, model=calm), AREAS)
+    found = CoxGMM.fit(sampled(20_000.0, model=cox(CALM, np.zeros(5))), AREAS)
     assert (found.waves.variance() < 0.1).all()
+    assert found.followers.sum() < 0.02
 
 
 def test_the_truth_is_likelier_than_a_process_without_waves() -> None:
     arrivals = sampled(4_000.0, seed=2)
-    calm = replace(cox(), waves=Waves(np.zeros(0), np.zeros((0, 2, 2))))
-    assert cox().log_likelihood(arrivals) > calm.log_likelihood(arrivals) + 0.05
+    assert cox().log_likelihood(arrivals) > cox(CALM).log_likelihood(arrivals) + 0.05
+    nobody_follows = cox(followers=np.zeros(5))
+    assert cox().log_likelihood(arrivals) > nobody_follows.log_likelihood(arrivals) + 0.01
+
+
+def test_followers_come_as_often_as_the_model_says() -> None:
+    """Without waves the likelihood is exact: the mean of its slope over samples is 0."""
+    truth, step = cox(CALM), 0.01
+    slopes = []
+    for seed in range(20):
+        arrivals = sampled(2_000.0, seed=seed, model=truth)
+        each = [
+            cox(CALM, FOLLOWERS + sign * step * np.eye(5)[0]).log_likelihood(arrivals)
+            for sign in (1, -1)
+        ]
+        slopes.append((each[0] - each[1]) / (2 * step) * len(arrivals.tick))
+    assert abs(np.mean(slopes)) < 3 * np.std(slopes) / np.sqrt(len(slopes))
 
 
 def test_pair_correlations_are_those_of_a_direct_count() -> None:

@@ -113,7 +113,7 @@ def test_the_file_gives_back_what_was_fitted(fitted: PlannedAreas, tmp_path: Pat
         ('"model":"plans"', '"model":"plums"', "plums of plaza-v0"),
         ('"fold2"', '"fold9"', "fold9"),
         ('"stopping"', '"stoping"', "stoping"),
-        ('"group_log_speed"', '"slow"', "group_log_speed"),
+        ('"group_log_speed"', '"slow"', "slow"),
     ],
 )
 def test_broken_files_are_refused(
