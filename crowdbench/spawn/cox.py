@@ -132,7 +132,6 @@ class CoxGMM:
         check_grid(arrivals, self.grid_s, NAME)
         width, counts, base, total = self._width(), arrivals.counts(), 0, 0.0
         step_s = width * self.grid_s
-        stay = np.exp(-step_s / self.waves.tau_s)
         for length in np.diff(arrivals.windows, axis=1)[:, 0].tolist():
             total += filtered(
                 counts[base : base + length],
@@ -141,7 +140,7 @@ class CoxGMM:
                 self._groups(),
                 self.next_member,
                 self.waves.roots(),
-                stay,
+                self.waves.recursion(step_s),
                 0.5 * self.waves.variance(),
                 PARTICLES,
                 np.random.default_rng(0),
@@ -246,7 +245,7 @@ def _excess(arrivals: Arrivals, waves: Waves, most: int) -> Float[np.ndarray, "H
             pairs[h] += len(n) - h
     mean = arrivals.counts().mean(axis=0)
     delay = np.arange(most + 1) * arrivals.grid_s
-    log = np.exp(-delay[:, None] / waves.tau_s) @ np.diagonal(waves.covariance, axis1=1, axis2=2)
+    log = waves.correlations(delay) @ np.diagonal(waves.covariance, axis1=1, axis2=2)
     return np.asarray(products / pairs.clip(1)[:, None] - mean**2 * np.exp(np.minimum(log, 5.0)))
 
 

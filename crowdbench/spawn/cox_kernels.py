@@ -33,7 +33,7 @@ def filtered(
     groups: Float[np.ndarray, " K"],
     next_member: Float[np.ndarray, " K"],
     roots: Float[np.ndarray, "J K K"],
-    stay: Float[np.ndarray, " J"],
+    recursion: Float[np.ndarray, "J 4"],
     half_variance: Float[np.ndarray, " K"],
     particles: int,
     rng: np.random.Generator,
@@ -41,31 +41,40 @@ def filtered(
     """Log of the estimated probability of the counts of one stretch.
 
     The factors change every `width` grid points. `groups` is the mean number of groups per grid
-    point that follow nobody, `following` that of those who follow others, `stay` the autocorrelation of each scale over a step.
+    point that follow nobody, `following` that of those who follow others; `roots` and `recursion`
+    are those of `Waves`.
     """
-    scales, areas = stay.size, groups.size
-    state = np.zeros((particles, scales, areas))
-    noise = np.empty(areas)
+    scales, areas = len(roots), groups.size
+    state = np.zeros((particles, 2, scales, areas))
+    noise = np.empty((2, areas))
     log_weight = np.zeros(particles)
     logs = np.empty(particles)
     total = 0.0
     for first in range(0, len(counts), width):
         block, after = counts[first : first + width], following[first : first + width]
         for i in range(particles):
+            now, before = state[i]
             for j in range(scales):
-                fresh = 1.0 if first == 0 else np.sqrt(1 - stay[j] * stay[j])
-                for a in range(areas):
-                    noise[a] = rng.standard_normal()
-                for a in range(areas):
-                    moved = 0.0 if first == 0 else stay[j] * state[i, j, a]
+                a1, a2, sigma, r = recursion[j]
+                for k in range(areas):
+                    noise[0, k], noise[1, k] = rng.standard_normal(), 0.0
+                    if first == 0:
+                        noise[1, k] = rng.standard_normal()
+                for k in range(areas):
+                    fresh = older = 0.0
                     for b in range(areas):
-                        moved += fresh * roots[j, a, b] * noise[b]
-                    state[i, j, a] = moved
+                        fresh += roots[j, k, b] * noise[0, b]
+                        older += roots[j, k, b] * noise[1, b]
+                    if first == 0:
+                        before[j, k], now[j, k] = older, r * older + np.sqrt(1 - r * r) * fresh
+                    else:
+                        moved = a1 * now[j, k] + a2 * before[j, k] + sigma * fresh
+                        before[j, k], now[j, k] = now[j, k], moved
             logs[i] = 0.0
             for a in range(areas):
                 log_factor = -half_variance[a]
                 for j in range(scales):
-                    log_factor += state[i, j, a]
+                    log_factor += now[j, a]
                 rate = groups[a] * np.exp(log_factor)
                 for t in range(len(block)):
                     logs[i] += log_probability(block[t, a], rate + after[t, a], next_member[a])

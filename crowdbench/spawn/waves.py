@@ -1,13 +1,15 @@
 """Slow waves of arrivals: random factors of the rates that last for seconds to minutes.
 
 The logarithm of the factor of area a is a sum of stationary Gaussian processes z_j, minus half of
-its variance, so that the mean factor is 1. z_j is an Ornstein–Uhlenbeck process over all areas with
-the covariance B_j exp(−|h| / τ_j): a log-Gaussian Cox process (Møller, Syversveen and Waagepetersen
-1998, Scandinavian Journal of Statistics 25).
+its variance, so that the mean factor is 1: a log-Gaussian Cox process (Møller, Syversveen and
+Waagepetersen 1998, Scandinavian Journal of Statistics 25). z_j is a process over all areas with the
+covariance B_j (1 + |h| / τ_j) exp(−|h| / τ_j), a Matérn covariance of order 3/2. With the covariance
+exp(−|h| / τ_j) instead, waves would change too fast: in Grand Central, correlations are the same at
+delays from 2 to 30 s.
 
 The covariances are found by moments. For persons who enter independently of each other given the
-factors, E[n_a(t) n_b(t + h)] = m_a m_b exp(C_ab(h)) for h > 0, with C = Σ_j B_j exp(−h / τ_j): the
-logarithm of the pair correlation (ibid., theorem 1).
+factors, E[n_a(t) n_b(t + h)] = m_a m_b exp(C_ab(h)) for h > 0, with C the covariance of the
+logarithms of the factors (ibid., theorem 1).
 """
 
 from collections.abc import Sequence
@@ -19,7 +21,7 @@ from jaxtyping import Float, Int
 from crowdbench.spawn.events import Arrivals
 from crowdbench.trajectories.companions import ENTRY_S
 
-SCALES_S = (12.0, 60.0, 300.0)
+SCALES_S = (10.0, 30.0, 90.0, 270.0)
 """Candidates for τ: those that the recording is long enough for are used."""
 STEP_S = 0.8
 """Shortest lag, and step of the factors; at least a step of the annotation grid."""
@@ -34,6 +36,9 @@ _PRIOR_PERSONS = 100.0
 """Weight of the mean of all areas in the pair correlation of one area, persons."""
 _LEAST = 0.05
 """Least pair correlation, of which the logarithm is taken."""
+_TOTAL = 10.0
+"""Weight of the total rate in the least squares."""
+_STEPS = 500
 _MOST = 4.0
 """Largest variance of the logarithm of a factor, for one scale and area."""
 
@@ -70,6 +75,22 @@ class Waves:
         value, vector = np.linalg.eigh(self.covariance)
         return np.asarray(vector * np.sqrt(np.clip(value, 0, None))[:, None, :])
 
+    def correlations(self, delay_s: Float[np.ndarray, " L"]) -> Float[np.ndarray, "L J"]:
+        """Autocorrelation of each scale at these delays, seconds."""
+        ratio = delay_s[:, None] / self.tau_s
+        return np.asarray((1 + ratio) * np.exp(-ratio))
+
+    def recursion(self, step_s: float) -> Float[np.ndarray, "J 4"]:
+        """Coefficients of each scale's recursion over intervals of `step_s` seconds.
+
+        With the columns a, b, σ and r: z(t) = a z(t − 1) + b z(t − 2) + σ ε(t), where ε is white
+        noise, and z has the variance 1 and the autocorrelation r at a delay of one interval.
+        """
+        stay = np.exp(-step_s / self.tau_s)
+        a, b = 2 * stay, -(stay**2)
+        r = a / (1 - b)
+        return np.column_stack([a, b, np.sqrt((1 - r * r) * (1 - b * b)), r])
+
     def factors(
         self, steps: int, step_s: float, rng: np.random.Generator
     ) -> Float[np.ndarray, "T K"]:
@@ -78,11 +99,12 @@ class Waves:
 
         areas = self.covariance.shape[1]
         total = np.broadcast_to(-0.5 * self.variance(), (steps, areas)).copy()
-        for tau_s, root in zip(self.tau_s.tolist(), self.roots(), strict=True):
-            stay = float(np.exp(-step_s / tau_s))
-            noise = rng.standard_normal((steps, areas)) @ root.T
-            noise[1:] *= np.sqrt(1 - stay * stay)  # the first one is stationary
-            total += lfilter([1.0], [1.0, -stay], noise, axis=0)
+        for (a, b, sigma, r), root in zip(self.recursion(step_s), self.roots(), strict=True):
+            noise = rng.standard_normal((steps + 2, areas)) @ root.T
+            first = noise[0]  # the first two are stationary
+            second = r * first + np.sqrt(1 - r * r) * noise[1]
+            before = np.stack([a * second + b * first, b * second])
+            total += lfilter([1.0], [1.0, -a, -b], sigma * noise[2:], axis=0, zi=before)[0]
         return np.exp(total)
 
 
@@ -152,7 +174,8 @@ def fit_waves(arrivals: Arrivals, own: Sequence[Arrivals] = ()) -> Waves:
         excess -= np.log(np.maximum(of_model, _LEAST)) / len(own)
     slow = recorded.lag_s > LEAST_LAG_S
     excess = ((excess + excess.transpose(0, 2, 1)) / 2)[slow]
-    basis = np.exp(-recorded.lag_s[slow, None] / tau_s)
+    nothing = Waves(tau_s, np.zeros((len(tau_s), arrivals.areas, arrivals.areas)))
+    basis = nothing.correlations(recorded.lag_s[slow])
     weight = np.sqrt(recorded.weight[slow])
     return Waves(tau_s, _covariances(excess, basis, weight, recorded.persons))
 
@@ -163,28 +186,34 @@ def _covariances(
     weight: Float[np.ndarray, " L"],
     persons: Float[np.ndarray, " K"],
 ) -> Float[np.ndarray, "J K K"]:
-    """Least squares for each pair of areas, made positive semidefinite.
+    """Least squares under the condition that the matrices are positive semidefinite.
 
-    The share of each scale in the variance of the total rate is that of a non-negative fit to the
-    total rate, because cutting off negative eigenvalues would change it.
+    Minimises Σ_l w_l [Σ_ab s_a s_b r_ab(l)² + κ (Σ_ab s_a s_b r_ab(l))²], where r are the residuals
+    of the logarithmic pair correlations and s the shares of the areas in all persons, by projected
+    gradients (Beck and Teboulle 2009, SIAM Journal on Imaging Sciences 2). The second term is the
+    covariance of the total rate. Without it the total would hardly fluctuate, because the errors of
+    many pairs of areas are larger than what they have in common.
     """
-    from scipy.optimize import nnls
-
-    areas, scales = len(persons), basis.shape[1]
-    root = np.sqrt(weight)[:, None]
-    flat = excess.reshape(len(excess), -1)
-    each = np.linalg.lstsq(basis * root, flat * root, rcond=None)[0].reshape(scales, areas, areas)
-    share = persons / persons.sum()
-    of_total = np.einsum("lab,a,b->l", excess, share, share)
-    total = nnls(basis * root, of_total * root[:, 0])[0]
-    found = np.zeros_like(each)
-    for j in range(scales):
-        value, vector = np.linalg.eigh((each[j] + each[j].T) / 2)
-        possible = (vector * np.clip(value, 0, None)) @ vector.T
-        now = share @ possible @ share
-        if total[j] > 0 and now > 0:
-            found[j] = possible * min(total[j] / now, _MOST / max(np.diag(possible).max(), 1e-9))
-    return found
+    share = np.sqrt(np.maximum(persons, 0.5) / np.maximum(persons, 0.5).sum())
+    scaled = np.outer(share, share)
+    weight = weight / weight.sum()
+    gram = np.einsum("l,lj,lk->jk", weight, basis, basis)
+    aim = np.einsum("l,lj,lab->jab", weight, basis, excess) * scaled
+    step = 1 / (np.linalg.eigvalsh(gram)[-1] * (1 + _TOTAL))
+    found = ahead = np.zeros_like(aim)
+    momentum = 1.0
+    for _ in range(_STEPS):
+        residual = np.einsum("jk,kab->jab", gram, ahead) - aim
+        total = np.einsum("jab,a,b->j", residual, share, share)
+        moved = ahead - step * (residual + _TOTAL * total[:, None, None] * scaled)
+        value, vector = np.linalg.eigh((moved + moved.transpose(0, 2, 1)) / 2)
+        now = (vector * np.clip(value, 0, None)[:, None, :]) @ vector.transpose(0, 2, 1)
+        following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
+        ahead = now + (momentum - 1) / following * (now - found)
+        found, momentum = now, following
+    found = found / scaled
+    largest = np.sqrt(_MOST / np.maximum(np.einsum("jkk->jk", found), _MOST))
+    return np.asarray(found * largest[:, :, None] * largest[:, None, :])
 
 
 def _bins(most: int) -> Int[np.ndarray, " most"]:
