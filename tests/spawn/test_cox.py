@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from models import AREAS, GRID_S
-from scipy.special import comb
+from scipy.special import comb, logsumexp
 from scipy.stats import poisson
 
 from crowdbench.scene import load_scene
@@ -41,7 +41,8 @@ def test_factors_have_mean_one_and_the_covariances_of_the_model() -> None:
     np.testing.assert_allclose(np.cov(logs.T), B.sum(axis=0), atol=0.06)
     lag = round(12.0 / step_s)
     expected = sum(
-        b * np.exp(-lag * step_s / t) for b, t in zip(B, WAVES.tau_s.tolist(), strict=True)
+        b * (1 + lag * step_s / t) * np.exp(-lag * step_s / t)
+        for b, t in zip(B, WAVES.tau_s.tolist(), strict=True)
     )
     off = logs - logs.mean(axis=0)
     np.testing.assert_allclose(off[:-lag].T @ off[lag:] / (steps - lag), expected, atol=0.06)
@@ -70,7 +71,7 @@ def test_without_waves_the_filter_is_exact() -> None:
     rate, more = np.array([0.1, 0.15]), np.array([0.2, 0.1])
     none, after = np.zeros((0, 2, 2)), np.random.default_rng(1).random((200, 2))
     rng = np.random.default_rng(0)
-    found = filtered(counts, after, 2, rate, more, none, np.zeros(0), np.zeros(2), 5, rng)
+    found = filtered(counts, after, 2, rate, more, none, np.zeros((0, 4)), np.zeros(2), 5, rng)
     expected = sum(
         log_probability(int(counts[t, a]), rate[a] + after[t, a], more[a])
         for t in range(200)
@@ -79,33 +80,27 @@ def test_without_waves_the_filter_is_exact() -> None:
     assert found == pytest.approx(expected)
 
 
-def test_the_filter_agrees_with_a_sum_over_all_states() -> None:
-    """One area and one scale: the state on a fine grid, by the forward algorithm."""
-    counts = np.random.default_rng(1).poisson(0.4, (60, 1))
-    variance, stay, rate, more = 0.8, 0.9, 0.35, 0.1
-    z = np.linspace(-5, 5, 401) * np.sqrt(variance)
-    density = np.exp(-0.5 * z**2 / variance)
-    belief = density / density.sum()
-    moved = np.exp(-0.5 * (z[None] - stay * z[:, None]) ** 2 / (variance * (1 - stay**2)))
-    moved /= moved.sum(axis=1, keepdims=True)
-    total = 0.0
-    for t in range(60):
-        belief = belief if t == 0 else belief @ moved
-        each = [
-            log_probability(int(counts[t, 0]), rate * np.exp(x - variance / 2), more) for x in z
-        ]
-        belief = belief * np.exp(each)
-        total += np.log(belief.sum())
-        belief /= belief.sum()
-    root = np.sqrt(variance) * np.ones((1, 1, 1))
+def test_the_filter_agrees_with_the_mean_over_many_waves() -> None:
+    counts = np.random.default_rng(1).poisson(0.4, (12, 2))
+    rate, more = np.array([0.35, 0.3]), np.array([0.1, 0.2])
+    rng, draws, step_s = np.random.default_rng(2), 40_000, 6.0
+    each = np.empty(draws)
+    waves = replace(WAVES, tau_s=np.array([5.0, 20.0]))
+    for i in range(draws):
+        factors = waves.factors(12, step_s, rng)
+        each[i] = sum(
+            log_probability(int(counts[t, a]), rate[a] * factors[t, a], more[a])
+            for t in range(12)
+            for a in (0, 1)
+        )
     found = [
         filtered(
-            counts, np.zeros((60, 1)), 1, np.array([rate]), np.array([more]), root, np.array([stay]),
-            np.array([variance / 2]), 2_000, np.random.default_rng(seed),
+            counts, np.zeros((12, 2)), 1, rate, more, waves.roots(), waves.recursion(step_s),
+            0.5 * waves.variance(), 2_000, np.random.default_rng(seed),
         )
         for seed in range(5)
     ]  # fmt: skip
-    assert np.mean(found) == pytest.approx(total, abs=0.3)
+    assert np.mean(found) == pytest.approx(logsumexp(each) - np.log(draws), abs=0.1)
 
 
 def test_samples_have_the_rates_and_more_variance_than_poisson() -> None:
