@@ -25,8 +25,8 @@ from crowdbench.spawn import (
 )
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.events import blocks_of
-from crowdbench.spawn.planned import FILE as PLANS
-from crowdbench.spawn.planned import read_plans
+from crowdbench.spawn.plan_files import FILE as PLANS
+from crowdbench.spawn.plan_files import read_plans
 from crowdbench.spawn.scenario import check_scenario, read_scenario, split_scenario
 from crowdbench.spawn.weights import check_split
 

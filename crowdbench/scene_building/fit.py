@@ -29,7 +29,8 @@ from crowdbench.spawn import (
     fit_areas,
 )
 from crowdbench.spawn.areas import write_areas
-from crowdbench.spawn.planned import fit_plans, write_plans
+from crowdbench.spawn.plan_files import write_plans
+from crowdbench.spawn.plan_fitting import fit_plans
 from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.preprocessing import paper_preprocessed
 from crowdbench.trajectories.stops import standing

@@ -114,6 +114,10 @@ class Areas:
             goal_area[ends] = self.goal.likeliest(crowd.end[ends].astype(np.float64))
         return replace(crowd, spawn_area=spawn_area, goal_area=goal_area)
 
+    def instead(self, spawn: Gaussians, flow: Float[np.ndarray, "k G"]) -> "Areas":
+        """Other spawn areas with the same goals and speeds."""
+        return replace(self, spawn=spawn, flow=flow)
+
     def draw(
         self,
         time_s: Float[np.ndarray, " E"],

@@ -1,4 +1,4 @@
-"""`cox-gmm`: groups whose rates rise and fall in slow, common waves, and who draw others after them.
+"""`cox-gmm`: groups whose rates rise and fall in slow, common waves, and whom others follow.
 
 A log-Gaussian Cox process with self-excitation. In area a and grid step t, groups enter at the rate
 
@@ -237,7 +237,7 @@ def _spread(followers: Float[np.ndarray, " F"], grid_s: float) -> Float[np.ndarr
 
 
 def _excess(arrivals: Arrivals, waves: Waves, most: int) -> Float[np.ndarray, "H K"]:
-    """E[n(t) n(t + h)] of each area less what the waves explain, for delays of 0 to `most` steps."""
+    """E[n(t) n(t + h)] of each area, less what the waves explain, for h from 0 to `most` steps."""
     products, pairs = np.zeros((most + 1, arrivals.areas)), np.zeros(most + 1)
     for n in in_steps(arrivals, 1):
         for h in range(min(most + 1, len(n))):

@@ -7,7 +7,7 @@ does not change that of the arrivals. A person who joins takes the plan of the o
 an offset in the direction of the other's way.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,6 +19,8 @@ EDGES_S = (0.0, 1e-6, 1.0, 2.0, 3.0, 4.5, ENTRY_S + 1e-6)
 """Limits of the bins of delays; the first contains people who enter at the same grid point."""
 SPREAD = 0.7
 """Standard deviation of the normal prior of u_a."""
+_FURTHEST = 30.0
+"""Largest tendency."""
 FEWEST = 10
 """With fewer pairs of companions, offsets are those of all scenes together."""
 OFFSETS = 5
@@ -73,6 +75,36 @@ class Links:
         found = np.full(len(time_s), -1)
         found[joins] = pairs.earlier[chosen[joins].clip(0, len(pairs.earlier) - 1)]
         return found
+
+    def with_group_size(self, area: int, time_s: Float[np.ndarray, " E"], size: float) -> "Links":
+        """Another tendency of an area, for which groups have this mean size, counting one.
+
+        It depends on the times (ascending, seconds) at which people enter the area: those who
+        follow nobody within 6 s are alone. The nearest possible mean is taken.
+        """
+        from scipy.optimize import brentq
+
+        of_area = np.zeros(len(time_s), dtype=np.int64)
+        pairs = candidates(time_s, of_area)
+        weight = np.bincount(pairs.later, np.exp(self.log_weight[pairs.bin]), len(time_s))
+
+        def excess(tendency: float) -> float:
+            factor = np.exp(tendency)
+            alone = len(time_s) - float((weight * factor / (1 + weight * factor)).sum())
+            return len(time_s) / alone - size
+
+        if len(time_s) == 0:
+            return self
+        low, high = -_FURTHEST, _FURTHEST
+        if excess(high) <= 0:
+            found = high
+        elif excess(low) >= 0:
+            found = low
+        else:
+            found = float(brentq(excess, low, high))
+        tendency = self.tendency.copy()
+        tendency[area] = found
+        return replace(self, tendency=tendency)
 
     def offsets(
         self, walked_m: Float[np.ndarray, " n"], rng: Generator

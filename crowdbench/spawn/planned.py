@@ -5,53 +5,23 @@ become models of plans. The fits are in `plans.json`, one for each split; as wit
 of a scene share them.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from typing import Any
 
-import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 from numpy.random import Generator
 
-from crowdbench.errors import WeightsError
-from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Scene
-from crowdbench.spawn.areas import Areas, as_array
+from crowdbench.spawn.areas import Areas, Gaussians
 from crowdbench.spawn.events import SpawnEvents, entering
-from crowdbench.spawn.links import FEWEST, OFFSETS, Links, candidates, fit_links
-from crowdbench.spawn.plans import SLOWEST_MPS, plans_of
-from crowdbench.spawn.ways import BEND, STOP, WALK, Ways, fit_ways
-from crowdbench.spawn.weights import check_origin, hint
-from crowdbench.trajectories.blocks import SPLITS, TimeBlocks
-from crowdbench.trajectories.companions import groups_of
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.spawn.links import Links
+from crowdbench.spawn.plans import SLOWEST_MPS
+from crowdbench.spawn.ways import Ways
 
-FILE = "plans.json"
-SCHEMA = 1
+_ALWAYS = 50.0
+"""Logarithm of a weight that decides alone."""
 _TRIES = 20
-"""Number of ways that are drawn for a companion, who otherwise gets that of the person it joins."""
-_COMMON_M = 2.0
-
-
-class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    log_weight: list[float]
-    tendency: list[float]
-    offset_mean: list[float]
-    offset_slope: list[float]
-    offset_covariance: list[list[float]]
-    group_log_speed: float
-    ways: dict[str, Any]
-    """Arrays of `Ways` by name, as nested lists."""
-    fastest_mps: float
-
-
-class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    schema: int
-    model: str
-    scene: str
-    splits: dict[str, _Plans]
+"""Number of ways that are drawn for a companion until one keeps its distance to the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +36,41 @@ class PlannedAreas(Areas):
         """The areas with these models of companions and ways."""
         known = {field.name: getattr(areas, field.name) for field in fields(Areas)}
         return cls(**known, links=links, ways=ways)
+
+    def changed(
+        self,
+        area: int,
+        time_s: Float[np.ndarray, " E"],
+        *,
+        group_size: float | None = None,
+        stop: float | None = None,
+        wait_s: float | None = None,
+    ) -> "PlannedAreas":
+        """The same areas, with other groups and stops of one of them.
+
+        `group_size` is the mean size of groups, of which one for people who enter at these times
+        (ascending, seconds); the nearest possible one is taken. `stop` is P(a person stops),
+        `wait_s` the mean wait of those who do.
+        """
+        links, ways = self.links, self.ways
+        if group_size is not None:
+            links = links.with_group_size(area, time_s, group_size)
+        stopping, longer = ways.stopping.copy(), ways.longer.copy()
+        if stop is not None:
+            stopping[area] = stop
+        if wait_s is not None:
+            longer[area] = np.log(wait_s / ways.mean_wait_s(area, self.flow[area]))
+        return replace(self, links=links, ways=replace(ways, stopping=stopping, longer=longer))
+
+    def instead(self, spawn: Gaussians, flow: Float[np.ndarray, "k G"]) -> "PlannedAreas":
+        """Other spawn areas with the same goals, whose people do not stop.
+
+        Whoever enters at the same time in the same area belongs to one group.
+        """
+        plain = Areas(self.scene, spawn, self.goal, flow, self.speed_quantiles, self.left_out)
+        together = np.where(np.arange(len(self.links.log_weight)) == 0, _ALWAYS, -_ALWAYS)
+        links = replace(self.links, log_weight=together, tendency=np.zeros(len(spawn)))
+        return PlannedAreas.of(plain, links, self.ways.instead(plain))
 
     def draw(
         self,
@@ -127,17 +132,18 @@ class PlannedAreas(Areas):
                 other = joins[open_]
                 walked = np.exp(ways[other, 4]) * (time_s[open_] - time_s[other])
                 drawn = self._beside(ways[other], walked, scene, rng)
-                good = scene.walkable(drawn[:, :2]) & scene.walkable(drawn[:, 2:4])
+                free = scene.walkable(drawn[:, :2]) & scene.walkable(drawn[:, 2:4])
                 earlier = members[of_group[open_], :place]
                 distance = _closest_m(
                     drawn[:, None], time_s[open_][:, None], ways[earlier], time_s[earlier]
                 )
-                good &= distance.min(axis=1) >= 2 * scene.motion.person_radius_m
-                ways[open_[good]] = drawn[good]
+                good = free & (distance.min(axis=1) >= 2 * scene.motion.person_radius_m)
+                ways[open_[free]] = drawn[free]
                 open_ = open_[~good]
                 if len(open_) == 0:
                     break
-            ways[open_] = ways[joins[open_]]
+            nowhere = open_[np.isnan(ways[open_, 0])]
+            ways[nowhere] = ways[joins[nowhere]]
 
     def _beside(
         self,
@@ -148,8 +154,8 @@ class PlannedAreas(Areas):
     ) -> Float[np.ndarray, "n 8"]:
         """Ways of people who join those with these ways, who have walked this far."""
         offset = self.links.offsets(walked_m, rng)
-        ahead = _directions(ways[:, 2:4] - ways[:, :2])
-        at_start, at_goal = _turned(ahead, offset[:, :2]), _turned(ahead, offset[:, 2:4])
+        ahead = directions(ways[:, 2:4] - ways[:, :2])
+        at_start, at_goal = turned(ahead, offset[:, :2]), turned(ahead, offset[:, 2:4])
         found = ways.copy()
         found[:, :2] += at_start
         found[:, 2:4] += at_goal
@@ -162,104 +168,6 @@ class PlannedAreas(Areas):
 
     def _possible_speed(self, log_speed: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         return np.clip(log_speed, *np.log([SLOWEST_MPS, self.ways.fastest_mps]))
-
-
-def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedAreas:
-    """Fit companions and ways to the people who enter in the time blocks.
-
-    `crowd` is a recording as `fit_areas` returns it.
-
-    Raises:
-        SceneError: no trip is complete.
-    """
-    persons, _, _ = blocks.of_arrivals(crowd)
-    persons = persons[crowd.spawn_area[persons] >= 0]
-    persons = persons[np.argsort(crowd.spawn_s[persons], kind="stable")]
-    time_s = crowd.spawn_s[persons]
-    area = crowd.spawn_area[persons].astype(np.int64)
-    group, plans = groups_of(crowd)[persons].astype(np.int64), plans_of(crowd)
-    earlier = _companion(time_s, area, group)
-    later = np.flatnonzero(earlier >= 0)
-    known = np.isfinite(plans.speed[persons]) & crowd.left[persons]
-    later = later[known[later] & known[earlier[later]]]
-    pairs = persons[later], persons[earlier[later]]
-    offsets = _offsets(crowd, plans.speed, *pairs)
-    walked_m = plans.speed[pairs[1]] * (crowd.spawn_s[pairs[0]] - crowd.spawn_s[pairs[1]])
-    first = np.zeros(len(crowd), dtype=bool)
-    first[persons[earlier < 0]] = True
-    in_group = np.zeros(len(crowd), dtype=bool)
-    in_group[persons[group >= 0]] = True
-    log_speed = np.log(plans.speed)
-    walks = first & np.isfinite(log_speed)
-    slower = 0.0
-    if min((walks & in_group).sum(), (walks & ~in_group).sum()) >= FEWEST:
-        slower = float(log_speed[walks & in_group].mean() - log_speed[walks & ~in_group].mean())
-    links = replace(
-        fit_links(time_s, area, group, offsets, walked_m, len(areas.spawn)),
-        group_log_speed=slower,
-    )
-    # Ways are those of people who are alone; companions get them from the first of their group.
-    as_alone = replace(plans, speed=np.where(in_group, plans.speed * np.exp(-slower), plans.speed))
-    return PlannedAreas.of(areas, links, fit_ways(crowd, as_alone, areas, first))
-
-
-def _companion(
-    time_s: Float[np.ndarray, " E"], area: Int[np.ndarray, " E"], group: Int[np.ndarray, " E"]
-) -> Int[np.ndarray, " E"]:
-    """The last person of the same group who entered the same area before each person; else −1."""
-    pairs = candidates(time_s, area)
-    same = (group[pairs.later] >= 0) & (group[pairs.later] == group[pairs.earlier])
-    found = np.full(len(time_s), -1)
-    found[pairs.later[same]] = pairs.earlier[same]  # sorted: the last one stays
-    return found
-
-
-def _offsets(
-    crowd: Trajectories,
-    speed: Float[np.ndarray, " P"],
-    later: Int[np.ndarray, " n"],
-    earlier: Int[np.ndarray, " n"],
-) -> Float[np.ndarray, "n 5"]:
-    """Offsets of people to those whom they join; see `links.OFFSETS`."""
-    start, goal = crowd.start.astype(np.float64), crowd.goal.astype(np.float64)
-    ahead = _directions(goal[earlier] - start[earlier])
-    back = ahead * [1.0, -1.0]
-    return np.column_stack(
-        [
-            _turned(back, start[later] - start[earlier]),
-            _turned(back, goal[later] - goal[earlier]),
-            _log_ratios(crowd, speed, later, earlier),
-        ]
-    )
-
-
-def _log_ratios(
-    crowd: Trajectories,
-    speed: Float[np.ndarray, " P"],
-    later: Int[np.ndarray, " n"],
-    earlier: Int[np.ndarray, " n"],
-) -> Float[np.ndarray, " n"]:
-    """Log ratio of the distances that two people cover while both are there.
-
-    Speeds of whole lives would differ more: one of two companions may have stopped alone, before
-    the other one entered. They are used where the common distance is too short.
-    """
-    found = np.log(speed[later] / speed[earlier])
-    for k, (i, j) in enumerate(zip(later.tolist(), earlier.tolist(), strict=True)):
-        begin = max(crowd.first[i], crowd.first[j])
-        end = min(crowd.last[i], crowd.last[j])
-        if end <= begin:
-            continue
-        ways = [
-            float(np.hypot(*(path[end - since] - path[begin - since])))
-            for path, since in (
-                (crowd.path(i), crowd.first[i]),
-                (crowd.path(j), crowd.first[j]),
-            )
-        ]
-        if min(ways) >= _COMMON_M:
-            found[k] = np.log(ways[0] / ways[1])
-    return found
 
 
 def _leaders(joins: Int[np.ndarray, " E"]) -> Int[np.ndarray, " E"]:
@@ -311,104 +219,15 @@ def _closest_m(
     return np.asarray(np.where(end >= begin, distance, np.inf))
 
 
-def _directions(way: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+def directions(way: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    """The vectors, with length 1."""
     length = np.maximum(np.hypot(*way.T), 1e-9)
     return np.asarray(way / length[:, None])
 
 
-def _turned(
+def turned(
     direction: Float[np.ndarray, "n 2"], vector: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 2"]:
     """The vectors, turned by the angle of the directions."""
     (cos, sin), (x, y) = direction.T, vector.T
     return np.column_stack([cos * x - sin * y, sin * x + cos * y])
-
-
-def write_plans(folder: Path, fits: Mapping[str, PlannedAreas]) -> None:
-    """Write the fits of all splits into a scene's folder."""
-    splits = {
-        split: _Plans(
-            log_weight=fit.links.log_weight.tolist(),
-            tendency=fit.links.tendency.tolist(),
-            offset_mean=fit.links.mean.tolist(),
-            offset_slope=fit.links.slope.tolist(),
-            offset_covariance=fit.links.covariance.tolist(),
-            group_log_speed=fit.links.group_log_speed,
-            ways={name: getattr(fit.ways, name).tolist() for name in _shapes(fit)},
-            fastest_mps=fit.ways.fastest_mps,
-        )
-        for split, fit in fits.items()
-    }
-    scene = fits["full"].scene
-    write_json(folder / FILE, _File(schema=SCHEMA, model="plans", scene=scene, splits=splits))
-
-
-def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
-    """The areas with the plans that a scene ships for a split.
-
-    Raises:
-        WeightsError: the file is missing or broken, or belongs to another scene.
-    """
-    path, how = scene.folder / FILE, hint(scene)
-    file = read_struct(path, _File, WeightsError, how)
-    origin = (file.model, file.scene, file.schema)
-    check_origin(path, origin, ("plans", scene.id, SCHEMA), how)
-    if set(file.splits) != set(SPLITS):
-        raise WeightsError(
-            f"{path}, splits",
-            got=", ".join(sorted(file.splits)) or "nothing",
-            expected=", ".join(SPLITS),
-            hint=how,
-        )
-    of, size, where = file.splits[split], len(areas.spawn), f"{path}, splits.{split}"
-
-    def array(values: list, shape: tuple[int, ...], name: str) -> np.ndarray:
-        if not values and shape[0] == 0:  # JSON does not tell the other dimensions
-            return np.zeros(shape)
-        return as_array(values, shape, f"{where}.{name}", how)
-
-    links = Links(
-        array(of.log_weight, (6,), "log_weight"),
-        array(of.tendency, (size,), "tendency"),
-        array(of.offset_mean, (OFFSETS,), "offset_mean"),
-        array(of.offset_slope, (OFFSETS,), "offset_slope"),
-        array(of.offset_covariance, (OFFSETS, OFFSETS), "offset_covariance"),
-        of.group_log_speed,
-    )
-    shapes = _shapes(areas, len(of.ways.get("stop_mean", [])))
-    if set(of.ways) != set(shapes):
-        raise WeightsError(
-            f"{where}.ways",
-            got=", ".join(sorted(of.ways)) or "nothing",
-            expected=", ".join(sorted(shapes)),
-            hint=how,
-        )
-    arrays = {name: array(of.ways[name], shape, f"ways.{name}") for name, shape in shapes.items()}
-    for name in (name for name in arrays if name.endswith("covariance")):
-        if arrays[name].size and not (np.linalg.eigvalsh(arrays[name]) > 0).all():
-            raise WeightsError(
-                f"{where}.ways.{name}",
-                got="invalid values",
-                expected="symmetric, positive definite matrices",
-                hint=how,
-            )
-    ways = Ways(**arrays, fastest_mps=of.fastest_mps)
-    return PlannedAreas.of(areas, links, ways)
-
-
-def _shapes(areas: Areas, stops: int | None = None) -> dict[str, tuple[int, ...]]:
-    """Shapes of the arrays of `Ways`; `stops` is the number of places where people stop."""
-    if isinstance(areas, PlannedAreas):
-        stops = len(areas.ways.stop_mean)
-    both, count = (len(areas.spawn), len(areas.goal)), stops or 0
-    return {
-        "trip_mean": (*both, WALK),
-        "trip_covariance": (*both, WALK, WALK),
-        "bend_mean": (*both, BEND),
-        "bend_covariance": (*both, BEND, BEND),
-        "stopping": both,
-        "stop_mean": (count, STOP),
-        "stop_covariance": (count, STOP, STOP),
-        "from_area": (count, both[0]),
-        "to_area": (count, both[1]),
-    }

@@ -33,6 +33,7 @@ from crowdbench.errors import SettingError
 from crowdbench.files import read_struct
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
+from crowdbench.spawn.planned import PlannedAreas
 
 SCHEMA = 1
 MOST_FACTOR = 100.0
@@ -55,6 +56,17 @@ class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """Delay of the area's arrivals in seconds, applied before `factor`; negative means earlier."""
     goals: dict[int, Number] | None = None
     """P(goal | this area), with sum 1; None keeps the scene's probabilities."""
+    group_size: Number | None = None
+    """Mean size of groups, counting people who are alone as one."""
+    stop: Number | None = None
+    """P(a person stops on its way)."""
+    wait_s: Number | None = None
+    """Mean wait of those who stop, seconds."""
+
+    def of_plans(self) -> dict[str, Number]:
+        """The changes that only models of plans understand, by name."""
+        known = {"group_size": self.group_size, "stop": self.stop, "wait_s": self.wait_s}
+        return {name: value for name, value in known.items() if value is not None}
 
 
 class Addition(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -174,9 +186,31 @@ def check_scenario(scenario: Scenario, scene: Scene, areas: Areas, where: str) -
         _check_range(change.shift_s, -math.inf, math.inf, f"{at}, shift_s")
         if change.goals is not None:
             _check_goals(change.goals, scenario, areas, f"{at}, goals", scene)
+        _check_plans(change, areas, at)
     for k, addition in enumerate(scenario.add, 1):
         _check_addition(addition, scenario, areas, f"{where}, add {k}", scene)
     _check_ways_out(scenario, areas, where)
+
+
+def _check_plans(change: Change, areas: Areas, at: str) -> None:
+    asked = change.of_plans()
+    if not asked:
+        return
+    if not isinstance(areas, PlannedAreas):
+        raise SettingError(
+            f"{at}, {next(iter(asked))}",
+            got="a model of people who come alone and do not stop",
+            expected="a model of plans, such as ntpp-plans or cox-plans",
+        )
+    limits = {"group_size": (1.0, math.inf), "stop": (0.0, 1.0), "wait_s": (4.0, math.inf)}
+    for name, value in asked.items():
+        _check_range(value, *limits[name], f"{at}, {name}")
+    if len(areas.ways.stop_mean) == 0 and {"stop", "wait_s"} & set(asked):
+        raise SettingError(
+            f"{at}, stop",
+            got=f"a change of stops on {areas.scene}, where too few recorded people stop",
+            expected="a scene whose model knows places of stops",
+        )
 
 
 def _check_addition(

@@ -26,12 +26,12 @@ only people who would have walked there are affected. P is that of the scene (or
 `areas`). The model must draw goals from it independently for each person, as fitted models do.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.random import Generator, default_rng
 
 from crowdbench.errors import SettingError
@@ -39,9 +39,10 @@ from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, Gaussians
 from crowdbench.spawn.events import Arrivals, SpawnEvents, entering, joined
 from crowdbench.spawn.model import SpawnModel, Start
+from crowdbench.spawn.planned import PlannedAreas
 from crowdbench.spawn.scenario import Addition, Number, Profile, Scenario, row
 
-_PURPOSES = ("more", "earlier", "goals", "add")
+_PURPOSES = ("more", "earlier", "goals", "add", "plans")
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +126,8 @@ class Steered:
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
         """Sample the people who enter in [0, `horizon_s`), seconds."""
         usual = self.model.sample(horizon_s, scene, rng)
-        chance = _Chance(self.model, horizon_s, scene, usual, int(rng.integers(2**63)))
+        chance = _Chance(self, horizon_s, scene, usual, int(rng.integers(2**63)))
+        usual = chance.stretch(0)
         retimed = [c for c in self.scenario.change if c.factor != 1 or c.shift_s != 0]
         parts = [usual[~np.isin(usual.spawn_area, [c.area for c in retimed])]]
         for change in retimed:
@@ -150,6 +152,20 @@ class Steered:
     def _clock(self, profile: Profile, before: float, horizon_s: float) -> Clock:
         return Clock.of(profile, before=before, warm_up_s=self.warm_up_s, horizon_s=horizon_s)
 
+    def replanned(
+        self, events: SpawnEvents, scene: Scene, generator: Callable[[int], Generator]
+    ) -> SpawnEvents:
+        """The same arrivals, with other groups and stops where the scenario asks for them."""
+        for change in (c for c in self.scenario.change if c.of_plans()):
+            assert isinstance(self.areas, PlannedAreas)  # checked with the scenario
+            mine = events.spawn_area == change.area
+            time_s = events.time_s[mine]
+            areas = self.areas.changed(change.area, time_s, **change.of_plans())
+            number = np.full(len(time_s), change.area)
+            drawn = areas.draw(time_s, number, scene, generator(change.area))
+            events = joined([events[~mine], drawn])
+        return events
+
     def _redirected(self, events: SpawnEvents, scene: Scene, chance: "_Chance") -> SpawnEvents:
         """The same events, with some goals changed as the scenario requires."""
         flow, wanted = self.areas.flow, self.scenario.flow(self.areas)
@@ -157,6 +173,8 @@ class Steered:
         for k in np.flatnonzero(~np.isclose(flow, wanted).all(axis=1)).tolist():
             rng = chance.generator("goals", k)
             mine = np.flatnonzero((events.spawn_area == k) & (events.goal_area >= 0))
+            leader = _leaders(events, mine)  # companions keep or change their goal together
+            mine = mine[leader == mine]
             now = goal_area[mine]
             keep = np.divide(wanted[k], flow[k], out=np.ones(len(flow[k])), where=flow[k] > 0)
             moved = mine[rng.random(len(mine)) >= keep[now]]
@@ -164,6 +182,13 @@ class Steered:
             if len(moved):
                 goal_area[moved] = rng.choice(len(more), len(moved), p=more / more.sum())
                 goal[moved] = self.areas.goal.draw(goal_area[moved], scene, rng)
+                everyone = np.flatnonzero((events.spawn_area == k) & (events.goal_area >= 0))
+                after = np.isin(leader, moved) & (leader != everyone)
+                follower, led = everyone[after], leader[after]
+                beside = goal[led] + events.goal[follower] - events.goal[led]
+                free = scene.walkable(beside.astype(np.float64))
+                goal[follower] = np.where(free[:, None], beside, goal[led])
+                goal_area[follower] = goal_area[led]
         # Whoever has a via point goes there first, whatever the goal.
         moved = (goal_area != events.goal_area) & np.isnan(events.via[:, 0])
         headed = entering(
@@ -185,12 +210,9 @@ class Steered:
         time_s = clock.when(rng.random(groups) * clock.end_s)
         time_s = np.repeat(time_s, rng.geometric(1 / addition.group_size, groups))
         covariance = np.diag(np.square(addition.sd_m, dtype=np.float64))
-        alone = replace(
-            self.areas,
-            spawn=Gaussians(np.array([addition.mean_m], dtype=np.float64), covariance[None]),
-            flow=row(addition.goals, len(self.areas.goal))[None],
-        )
-        events = alone.draw(time_s, np.zeros(len(time_s), dtype=np.int64), scene, rng)
+        spawn = Gaussians(np.array([addition.mean_m], dtype=np.float64), covariance[None])
+        areas = self.areas.instead(spawn, row(addition.goals, len(self.areas.goal))[None])
+        events = areas.draw(time_s, np.zeros(len(time_s), dtype=np.int64), scene, rng)
         return replace(events, spawn_area=events.spawn_area + np.int32(len(self.areas.spawn) + k))
 
 
@@ -198,22 +220,35 @@ class Steered:
 class _Chance:
     """The unsteered sample of a model, further samples, and random numbers for everything else."""
 
-    model: SpawnModel
+    steered: Steered
     horizon_s: float
     scene: Scene
     usual: SpawnEvents
     root: int
 
-    def generator(self, purpose: str, k: int) -> Generator:
+    def generator(self, purpose: str, *index: int) -> Generator:
         """A separate random generator for each purpose and index, independent of the scenario."""
-        return default_rng([self.root, _PURPOSES.index(purpose), k])
+        return default_rng([self.root, _PURPOSES.index(purpose), *index])
 
     def stretch(self, j: int) -> SpawnEvents:
         """The events in [j, j + 1) horizons of an endless sample; j = 0 is the unsteered sample."""
-        if j == 0:
-            return self.usual
-        rng = self.generator("more", j) if j > 0 else self.generator("earlier", -j)
-        return self.model.sample(self.horizon_s, self.scene, rng).shifted(j * self.horizon_s)
+        events = self.usual
+        if j != 0:
+            rng = self.generator("more", j) if j > 0 else self.generator("earlier", -j)
+            events = self.steered.model.sample(self.horizon_s, self.scene, rng)
+        which = 2 * abs(j) + (j < 0)
+        events = self.steered.replanned(
+            events, self.scene, lambda area: self.generator("plans", which, area)
+        )
+        return events.shifted(j * self.horizon_s) if j else events
+
+
+def _leaders(events: SpawnEvents, mine: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """Index of the first of these events with the same group and goal area as each of them."""
+    key = np.stack([events.group[mine], events.goal_area[mine]], axis=1)
+    key[events.group[mine] < 0, 1] = -1 - np.flatnonzero(events.group[mine] < 0)
+    _, first, which = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    return np.asarray(mine[first[which.reshape(-1)]])
 
 
 def _retimed(area: int, clock: Clock, shift_s: Number, chance: _Chance) -> SpawnEvents:

@@ -2,10 +2,10 @@
 
 The logarithm of the factor of area a is a sum of stationary Gaussian processes z_j, minus half of
 its variance, so that the mean factor is 1: a log-Gaussian Cox process (Møller, Syversveen and
-Waagepetersen 1998, Scandinavian Journal of Statistics 25). z_j is a process over all areas with the
-covariance B_j (1 + |h| / τ_j) exp(−|h| / τ_j), a Matérn covariance of order 3/2. With the covariance
-exp(−|h| / τ_j) instead, waves would change too fast: in Grand Central, correlations are the same at
-delays from 2 to 30 s.
+Waagepetersen 1998, Scandinavian Journal of Statistics 25). z_j is a process over all areas with
+the covariance B_j (1 + |h| / τ_j) exp(−|h| / τ_j), a Matérn covariance of order 3/2. With the
+covariance exp(−|h| / τ_j) instead, waves would change too fast: in Grand Central, correlations are
+the same at delays from 2 to 30 s.
 
 The covariances are found by moments. For persons who enter independently of each other given the
 factors, E[n_a(t) n_b(t + h)] = m_a m_b exp(C_ab(h)) for h > 0, with C the covariance of the

@@ -17,7 +17,7 @@ nothing recorded can be read from it. Only trips whose end was seen are used. Th
 cut off more often.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -62,7 +62,34 @@ class Ways:
     """P(component | spawn area), but for a factor."""
     to_area: Float[np.ndarray, "C G"]
     """P(component | goal area), but for a factor."""
+    longer: Float[np.ndarray, " K"]
+    """Added to the log waits of people from each spawn area; 0 unless it is steered."""
     fastest_mps: float
+
+    def mean_wait_s(self, area: int, flow: Float[np.ndarray, " G"]) -> float:
+        """Mean wait of people from an area who stop, for these probabilities of goals."""
+        share = self.from_area[:, area] * (self.to_area * flow * self.stopping[area]).sum(axis=1)
+        if share.sum() == 0:  # as if all areas had the same people
+            share = self.from_area.sum(axis=1)
+        log_wait, variance = self.stop_mean[:, 2], self.stop_covariance[:, 2, 2]
+        return float(share @ np.exp(log_wait + variance / 2) / share.sum())
+
+    def instead(self, areas: Areas) -> "Ways":
+        """Ways from other spawn areas to the same goals, without stops."""
+        log_speed = np.log(np.clip(areas.speed_quantiles, SLOWEST_MPS, self.fastest_mps))
+        mean, covariance = _of_areas(areas, log_speed, np.ones(len(log_speed)))
+        shape, count = (len(areas.spawn), len(areas.goal)), len(self.stop_mean)
+        bend_mean = self.bend_mean.mean(axis=0), self.bend_covariance.mean(axis=0)
+        return replace(
+            self,
+            trip_mean=mean,
+            trip_covariance=covariance,
+            bend_mean=np.broadcast_to(bend_mean[0], (*shape, BEND)),
+            bend_covariance=np.broadcast_to(bend_mean[1], (*shape, BEND, BEND)),
+            stopping=np.zeros(shape),
+            from_area=np.ones((count, shape[0])),
+            longer=np.zeros(shape[0]),
+        )
 
     def draw(
         self,
@@ -113,7 +140,9 @@ class Ways:
         component = (u >= cumulative).sum(axis=0)
         root = np.linalg.cholesky(self.stop_covariance)[component]
         noise = rng.standard_normal((len(a), STOP))
-        return self.stop_mean[component] + np.einsum("nij,nj->ni", root, noise)
+        drawn = self.stop_mean[component] + np.einsum("nij,nj->ni", root, noise)
+        drawn[:, 2] += self.longer[a]
+        return drawn
 
     def _bends(
         self,
@@ -193,6 +222,7 @@ def fit_ways(
         bend_covariance,
         _stopping(stops, weight, a, g, shape) * (len(places[0]) > 0),
         *places,
+        longer=np.zeros(shape[0]),
         fastest_mps=max(float(plans.speed[whole].max()), 1.01 * SLOWEST_MPS),
     )
 

@@ -11,15 +11,9 @@ from crowdbench.registry import recording_of
 from crowdbench.scene import load_scene
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import blocks_of
-from crowdbench.spawn.planned import (
-    FILE,
-    PlannedAreas,
-    _directions,
-    _turned,
-    fit_plans,
-    read_plans,
-    write_plans,
-)
+from crowdbench.spawn.plan_files import FILE, read_plans, write_plans
+from crowdbench.spawn.plan_fitting import fit_plans
+from crowdbench.spawn.planned import PlannedAreas, directions, turned
 from crowdbench.spawn.plans import plans_of
 from crowdbench.spawn.ways import (
     NARROWEST_M,
@@ -148,11 +142,11 @@ def test_a_bend_is_the_furthest_point_from_the_straight_line(crowd: Trajectories
 
 
 def test_offsets_are_turned_with_the_direction_of_the_way() -> None:
-    ahead = _directions(np.array([[0.0, 2.0], [3.0, 0.0]]))
+    ahead = directions(np.array([[0.0, 2.0], [3.0, 0.0]]))
     offset = np.array([[1.0, 0.5], [1.0, 0.5]])  # a metre ahead, half a metre to the left
-    np.testing.assert_allclose(_turned(ahead, offset), [[-0.5, 1.0], [1.0, 0.5]], atol=1e-12)
+    np.testing.assert_allclose(turned(ahead, offset), [[-0.5, 1.0], [1.0, 0.5]], atol=1e-12)
     np.testing.assert_allclose(
-        _turned(ahead * [1.0, -1.0], _turned(ahead, offset)), offset, atol=1e-12
+        turned(ahead * [1.0, -1.0], turned(ahead, offset)), offset, atol=1e-12
     )
 
 

@@ -1,0 +1,130 @@
+"""The file `plans.json` of a scene: companions and ways, fitted for each split."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from crowdbench.errors import WeightsError
+from crowdbench.files import read_struct, write_json
+from crowdbench.scene import Scene
+from crowdbench.spawn.areas import Areas, as_array
+from crowdbench.spawn.links import OFFSETS, Links
+from crowdbench.spawn.planned import PlannedAreas
+from crowdbench.spawn.ways import BEND, STOP, WALK, Ways
+from crowdbench.spawn.weights import check_origin, hint
+from crowdbench.trajectories.blocks import SPLITS
+
+FILE = "plans.json"
+SCHEMA = 1
+
+
+class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    log_weight: list[float]
+    tendency: list[float]
+    offset_mean: list[float]
+    offset_slope: list[float]
+    offset_covariance: list[list[float]]
+    group_log_speed: float
+    ways: dict[str, Any]
+    """Arrays of `Ways` by name, as nested lists."""
+    fastest_mps: float
+
+
+class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    schema: int
+    model: str
+    scene: str
+    splits: dict[str, _Plans]
+
+
+def write_plans(folder: Path, fits: Mapping[str, PlannedAreas]) -> None:
+    """Write the fits of all splits into a scene's folder."""
+    splits = {
+        split: _Plans(
+            log_weight=fit.links.log_weight.tolist(),
+            tendency=fit.links.tendency.tolist(),
+            offset_mean=fit.links.mean.tolist(),
+            offset_slope=fit.links.slope.tolist(),
+            offset_covariance=fit.links.covariance.tolist(),
+            group_log_speed=fit.links.group_log_speed,
+            ways={name: getattr(fit.ways, name).tolist() for name in _shapes(fit)},
+            fastest_mps=fit.ways.fastest_mps,
+        )
+        for split, fit in fits.items()
+    }
+    scene = fits["full"].scene
+    write_json(folder / FILE, _File(schema=SCHEMA, model="plans", scene=scene, splits=splits))
+
+
+def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
+    """The areas with the plans that a scene ships for a split.
+
+    Raises:
+        WeightsError: the file is missing or broken, or belongs to another scene.
+    """
+    path, how = scene.folder / FILE, hint(scene)
+    file = read_struct(path, _File, WeightsError, how)
+    origin = (file.model, file.scene, file.schema)
+    check_origin(path, origin, ("plans", scene.id, SCHEMA), how)
+    if set(file.splits) != set(SPLITS):
+        raise WeightsError(
+            f"{path}, splits",
+            got=", ".join(sorted(file.splits)) or "nothing",
+            expected=", ".join(SPLITS),
+            hint=how,
+        )
+    of, size, where = file.splits[split], len(areas.spawn), f"{path}, splits.{split}"
+
+    def array(values: list, shape: tuple[int, ...], name: str) -> np.ndarray:
+        if not values and shape[0] == 0:  # JSON does not tell the other dimensions
+            return np.zeros(shape)
+        return as_array(values, shape, f"{where}.{name}", how)
+
+    links = Links(
+        array(of.log_weight, (6,), "log_weight"),
+        array(of.tendency, (size,), "tendency"),
+        array(of.offset_mean, (OFFSETS,), "offset_mean"),
+        array(of.offset_slope, (OFFSETS,), "offset_slope"),
+        array(of.offset_covariance, (OFFSETS, OFFSETS), "offset_covariance"),
+        of.group_log_speed,
+    )
+    shapes = _shapes(areas, len(of.ways.get("stop_mean", [])))
+    if set(of.ways) != set(shapes):
+        raise WeightsError(
+            f"{where}.ways",
+            got=", ".join(sorted(of.ways)) or "nothing",
+            expected=", ".join(sorted(shapes)),
+            hint=how,
+        )
+    arrays = {name: array(of.ways[name], shape, f"ways.{name}") for name, shape in shapes.items()}
+    for name in (name for name in arrays if name.endswith("covariance")):
+        if arrays[name].size and not (np.linalg.eigvalsh(arrays[name]) > 0).all():
+            raise WeightsError(
+                f"{where}.ways.{name}",
+                got="invalid values",
+                expected="symmetric, positive definite matrices",
+                hint=how,
+            )
+    ways = Ways(**arrays, longer=np.zeros(size), fastest_mps=of.fastest_mps)
+    return PlannedAreas.of(areas, links, ways)
+
+
+def _shapes(areas: Areas, stops: int | None = None) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays of `Ways`; `stops` is the number of places where people stop."""
+    if isinstance(areas, PlannedAreas):
+        stops = len(areas.ways.stop_mean)
+    both, count = (len(areas.spawn), len(areas.goal)), stops or 0
+    return {
+        "trip_mean": (*both, WALK),
+        "trip_covariance": (*both, WALK, WALK),
+        "bend_mean": (*both, BEND),
+        "bend_covariance": (*both, BEND, BEND),
+        "stopping": both,
+        "stop_mean": (count, STOP),
+        "stop_covariance": (count, STOP, STOP),
+        "from_area": (count, both[0]),
+        "to_area": (count, both[1]),
+    }
