@@ -1,7 +1,7 @@
 """The command line.
 
 Main commands: `crowdbench evaluate | score | view | steer | areas | policy | submit | leaderboard |
-data | convert | scenes | metrics | bench`. Commands for making a scene and its pages: `scene |
+data | convert | arrivals | scenes | metrics | bench`. Commands for making a scene and its pages: `scene |
 fit | spawn | anchors | power | results | walks | cheats | figures | paper`.
 
 Exit codes: 2 after an error of the user (one message), 130 after an interrupt, 143 after SIGTERM,
@@ -18,6 +18,7 @@ from crowdbench import __version__
 from crowdbench.cli import (
     anchors,
     areas,
+    arrivals,
     bench,
     cheats,
     convert,
@@ -87,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in (
         evaluate, score, view, areas, steer, policy, scene, fit, spawn, anchors, power, results,
-        walks, cheats, paper, figures, submit, leaderboard, data, convert, scenes, metrics,
+        walks, cheats, paper, figures, submit, leaderboard, data, convert, arrivals, scenes, metrics,
         bench,
     ):  # fmt: skip
         command.add(commands)

@@ -1,6 +1,7 @@
 """`crowdbench spawn`: test a scene's spawn models, or write a sample of one of them."""
 
 import argparse
+import math
 import os
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from crowdbench.errors import SettingError
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
+    from crowdbench.scene import Scene
 
 
 def add(commands: "Commands") -> None:
@@ -28,38 +30,60 @@ def add(commands: "Commands") -> None:
     )
     spawn.add_argument(
         "--model",
-        help="spawn model of --sample (default: ntpp-gmm); replay writes the recorded arrivals",
+        help="spawn model of --sample (default: ntpp-gmm)",
     )
     spawn.add_argument("--seed", type=int, help="random seed of --sample (default: 0)")
+    spawn.add_argument(
+        "--horizon-s",
+        type=float,
+        metavar="S",
+        help="length of --sample in seconds (default: that of the recording)",
+    )
     spawn.set_defaults(run=_spawn)
 
 
 def _spawn(args: argparse.Namespace) -> None:
     if args.sample is not None:
         _sample(args)
-    elif args.model is not None or args.seed is not None:
-        raise SettingError("--model and --seed", got="no --sample", expected="--sample FILE")
+    elif any(option is not None for option in (args.model, args.seed, args.horizon_s)):
+        raise SettingError(
+            "--model, --seed and --horizon-s", got="no --sample", expected="--sample FILE"
+        )
     else:
         _test(args)
 
 
 def _sample(args: argparse.Namespace) -> None:
+    from crowdbench.scene import load_scene
+
+    sys.path.insert(0, os.getcwd())  # so that pkg.module:Class is found in the working directory
+    scene, seed, horizon_s = load_scene(args.scene), args.seed or 0, args.horizon_s
+    if seed < 0:
+        raise SettingError("--seed", got=f"{seed}", expected="0 or more")
+    if horizon_s is not None and not 0 < horizon_s < math.inf:
+        raise SettingError("--horizon-s", got=f"{horizon_s:g}", expected="a number above 0")
+    write_sample(scene, args.model or "ntpp-gmm", args.sample, seed=seed, horizon_s=horizon_s)
+
+
+def write_sample(
+    scene: "Scene", name: str, out: Path, *, seed: int = 0, horizon_s: float | None = None
+) -> None:
+    """Write a sample of a spawn model of `horizon_s` seconds (default: as long as the recording).
+
+    Raises:
+        SettingError, WeightsError, RecordingError: as `spawn_model`.
+        OutputError: `out` cannot be written.
+    """
     from crowdbench.registry import GENERATED, spawn_model
     from crowdbench.rollouts.episode import arrivals
-    from crowdbench.scene import load_scene
     from crowdbench.spawn.scenario import split_scenario
     from crowdbench.spawn.table import write_events
 
-    sys.path.insert(0, os.getcwd())  # so that pkg.module:Class is found in the working directory
-    scene, seed = load_scene(args.scene), args.seed or 0
-    if seed < 0:
-        raise SettingError("--seed", got=f"{seed}", expected="0 or more")
-    name = args.model or "ntpp-gmm"
     model = spawn_model(name, scene)
-    frames = scene.recording.frames
+    frames = scene.recording.frames if horizon_s is None else scene.frames(horizon_s)
     events = arrivals(model, scene, seed=seed, world=0, warm_up=0, frames=frames)
-    write_events(events, args.sample)
-    print(f"written to {args.sample}: {len(events)} people of {model.name}, {scene.horizon_s:g} s")
+    write_events(events, out)
+    print(f"written to {out}: {len(events)} people of {model.name}, {frames * scene.dt_s:g} s")
     copied = split_scenario(name)[0] in ("replay", "block-replay")
     if copied and scene.recording.name not in GENERATED:
         print_note("The recording remains subject to its owners' terms: do not publish this file.")

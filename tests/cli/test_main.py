@@ -253,7 +253,13 @@ def test_a_sample_of_a_spawn_model_is_written_for_other_programs(
     drawn = parquet.read_table(tmp_path / "b.parquet")
     assert drawn.num_rows > 100
     assert drawn["time_s"].to_numpy().max() < 1800
+    short = [*asked, str(tmp_path / "d.csv"), "--model", "poisson-gmm", "--horizon-s", "600"]
+    assert main(short) == 0
+    assert 500 < csv.read_csv(tmp_path / "d.csv")["time_s"].to_numpy().max() < 600
+    assert main(["arrivals", "plaza-v0", "--out", str(tmp_path / "e.csv")]) == 0
+    assert (tmp_path / "e.csv").read_bytes() == (tmp_path / "a.csv").read_bytes()
     for more, said in (
+        ([*short, "--horizon-s", "0"], "got 0; expected a number above 0"),
         ([*asked, str(tmp_path / "c.txt")], "expected .csv or .parquet"),
         ([*asked, str(tmp_path / "c.csv"), "--seed", "-1"], "got -1; expected 0 or more"),
         (["spawn", "plaza-v0", "--model", "replay"], "got no --sample; expected --sample FILE"),
