@@ -1,8 +1,8 @@
 """The command line.
 
 Main commands: `crowdbench evaluate | score | view | steer | areas | policy | submit | leaderboard |
-data | convert | arrivals | scenes | metrics | bench`. Commands for making a scene and its pages: `scene |
-fit | spawn | anchors | power | results | walks | cheats | figures | paper`.
+data | convert | arrivals | scenes | metrics | bench`. Commands for making a scene and its pages:
+`scene | fit | spawn | anchors | power | results | walks | cheats | figures | paper`.
 
 Exit codes: 2 after an error of the user (one message), 130 after an interrupt, 143 after SIGTERM,
 and 1, without a message, if the reader of the output closes it (`crowdbench … | head`).
@@ -88,8 +88,8 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in (
         evaluate, score, view, areas, steer, policy, scene, fit, spawn, anchors, power, results,
-        walks, cheats, paper, figures, submit, leaderboard, data, convert, arrivals, scenes, metrics,
-        bench,
+        walks, cheats, paper, figures, submit, leaderboard, data, convert, arrivals, scenes,
+        metrics, bench,
     ):  # fmt: skip
         command.add(commands)
     return parser
