@@ -15,12 +15,13 @@ from crowdbench.metrics.arrivals import (
     InterSpawnPerArea,
     SpawnCounts,
 )
-from crowdbench.metrics.interaction import (
-    Avoidance,
+from crowdbench.metrics.groups import (
     CompanionDistance,
-    OverlapRate,
-    WallClearance,
+    CompanionOffset,
+    CompanionShare,
+    GroupSize,
 )
+from crowdbench.metrics.interaction import Avoidance, OverlapRate, WallClearance
 from crowdbench.metrics.metric import (
     FAMILIES,
     WALK,
@@ -34,8 +35,14 @@ from crowdbench.metrics.metric import (
     total,
 )
 from crowdbench.metrics.motion import Acceleration, Deviation, Pace, Speed, Turning
-from crowdbench.metrics.presence import AgentsOverTime, AgentsSpread, Autocorrelation
-from crowdbench.metrics.space import NearestNeighbour, Occupancy
+from crowdbench.metrics.presence import (
+    AgentsOverTime,
+    AgentsSpread,
+    Autocorrelation,
+    SlowAutocorrelation,
+    StandingShare,
+)
+from crowdbench.metrics.space import GoalDensity, NearestNeighbour, Occupancy, StartDensity
 from crowdbench.metrics.trips import Detour, Dwell, GoalShare, OriginDestination
 from crowdbench.plugins import blaming, made, parts
 from crowdbench.trajectories.blocks import TimeBlocks
@@ -49,12 +56,20 @@ METRICS: tuple[Metric, ...] = (
     AgentsOverTime(),
     AgentsSpread(),
     Autocorrelation(),
+    SlowAutocorrelation(),
+    StandingShare(),
     Dwell(),
     OriginDestination(),
     Detour(),
     GoalShare(),
     Occupancy(),
     NearestNeighbour(),
+    StartDensity(),
+    GoalDensity(),
+    CompanionShare(),
+    GroupSize(),
+    CompanionDistance(),
+    CompanionOffset(),
     Speed(),
     Pace(),
     Acceleration(),
@@ -63,7 +78,6 @@ METRICS: tuple[Metric, ...] = (
     Avoidance(),
     WallClearance(),
     OverlapRate(),
-    CompanionDistance(),
 )
 """crowdbench's own metrics, in the order of the tables."""
 

@@ -1,7 +1,6 @@
 """Family interaction: how people avoid each other and walls."""
 
 from functools import lru_cache
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
 from crowdbench.metrics.rows import rows_in
 from crowdbench.metrics.ticks import Ticks, ticks_of
 from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.companions import groups_of
 from crowdbench.trajectories.neighbours import nearest_neighbour_m
 from crowdbench.trajectories.table import Trajectories
 
@@ -23,8 +21,6 @@ BIN_M = 0.05
 BINS = round(ENCOUNTER_M / BIN_M)
 CLEARANCE_M = 2.0
 """Distances to walls are clipped at this value."""
-APART_M = 5.0
-"""Distances between companions are clipped at this value."""
 
 
 class Avoidance(Metric):
@@ -190,50 +186,3 @@ class OverlapRate(ShareDifference):
         nearest = nearest_neighbour_m(crowd)[rows]
         known = np.isfinite(nearest)
         return {"share": counted(nearest[known] < 2 * place.radius_m, block[known], len(blocks))}
-
-
-class CompanionDistance(RelativeWasserstein):
-    """Distance between two companions at each tick, clipped at 5 m.
-
-    Companions are found by one rule in recordings and rollouts, see
-    `crowdbench.trajectories.companions`. Distance: Wasserstein-1 of distances rounded to 5 cm,
-    divided by the recording's mean.
-    """
-
-    name = "companion_distance"
-    family = "interaction"
-    unit = "m"
-    scored = False
-
-    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, d]`: number of pairs and ticks in block b with a distance of d · 5 cm."""
-        at = ticks_of(crowd, blocks, place.walking.tick_frames)
-        group = groups_of(crowd)
-        begin = np.searchsorted(at.person, np.arange(len(crowd)))
-        stop = np.searchsorted(at.person, np.arange(len(crowd)), side="right")
-        tick = crowd.row_frame()[at.row] // place.walking.tick_frames
-        members = np.flatnonzero(group >= 0)
-        members = members[np.argsort(group[members], kind="stable")]
-        edges = np.flatnonzero(np.diff(group[members])) + 1
-        gaps, in_block = [np.empty(0)], [np.empty(0, np.int64)]
-        for of_group in np.split(members, edges):
-            for a, b in combinations(of_group.tolist(), 2):
-                if stop[a] == begin[a] or stop[b] == begin[b]:
-                    continue
-                shift = int(begin[b] - tick[begin[b]] - begin[a] + tick[begin[a]])
-                first, last = max(begin[a], begin[b] - shift), min(stop[a], stop[b] - shift)
-                if first < last:
-                    here, there = at.xy[first:last], at.xy[first + shift : last + shift]
-                    gaps.append(np.hypot(*(here - there).T))
-                    in_block.append(at.block[first:last])
-        gap, block = np.minimum(np.concatenate(gaps), APART_M), np.concatenate(in_block)
-        inside = block >= 0
-        return {"counts": histograms(rounded(gap[inside], 0.05), block[inside], len(blocks))}
-
-    def step(self, blocks: TimeBlocks) -> float:
-        """Lattice step: 0.05 m."""
-        return 0.05
-
-    def if_empty(self, blocks: TimeBlocks) -> int:
-        """Value of an empty sample: 5 m, in lattice steps."""
-        return round(APART_M / 0.05)

@@ -5,13 +5,23 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from crowdbench.metrics.forms import LogRatio, RelativeWasserstein
-from crowdbench.metrics.lattice import Numbers, correlation, histograms, lagged_sums, moments
+from crowdbench.metrics.forms import LogRatio, RelativeWasserstein, ShareDifference
+from crowdbench.metrics.lattice import (
+    Numbers,
+    correlation,
+    counted,
+    histograms,
+    lagged_sums,
+    moments,
+)
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
+from crowdbench.metrics.rows import rows_in
 from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.stops import standing
 from crowdbench.trajectories.table import Trajectories
 
 LAGS_S = (10.0, 30.0, 60.0)
+SLOW_LAGS_S = (120.0, 300.0)
 ENOUGH = 0.1
 """Minimum share of frames that must have a frame one lag later in the same block."""
 
@@ -114,28 +124,108 @@ class Autocorrelation(Metric):
         return int(sums[lag_key(LAGS_S[0])][0])
 
 
+class SlowAutocorrelation(Metric):
+    """Autocorrelation of N(t) at lags of 120 and 300 s.
+
+    As `Autocorrelation`, but N(t) and N(t + lag) may be in different blocks, as long as everything
+    between them is observed. Shown, never scored: recordings are short compared with these lags. A
+    lag is used if at least a tenth of the frames have a frame one lag later.
+    """
+
+    name = "slow_autocorrelation"
+    family = "presence"
+    unit = ""
+    scored = False
+
+    def applies(self, blocks: TimeBlocks) -> bool:
+        """Whether the stretches of adjacent blocks are long enough for at least one lag."""
+        return bool(usable_lags(SLOW_LAGS_S, blocks, across=True))
+
+    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
+        """`lag n s[b]`: as in `Autocorrelation`, in the block in which the pair ends."""
+        sums = lagged(crowd, blocks, SLOW_LAGS_S, across=True)
+        return {lag_key(lag_s): of_lag for lag_s, of_lag in zip(SLOW_LAGS_S, sums, strict=True)}
+
+    def embed(
+        self, sums: Sums, support: Support, blocks: TimeBlocks
+    ) -> Float[np.ndarray, "*batch F"]:
+        """The correlation at each lag that is used."""
+        usable = usable_lags(SLOW_LAGS_S, blocks, across=True)
+        return np.stack([correlation(sums[lag_key(lag_s)]) for lag_s in usable], axis=-1)
+
+    def weights(
+        self, recorded: Sums, support: Support, blocks: TimeBlocks
+    ) -> Float[np.ndarray, " #F"]:
+        """1 / number of lags: the distance is a mean over the lags."""
+        return np.full(1, 1 / len(usable_lags(SLOW_LAGS_S, blocks, across=True)))
+
+    def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
+        """Mean correlation over the lags."""
+        return float(self.embed(sums, support, blocks).mean())
+
+    def size(self, sums: Sums) -> int:
+        """Number of pairs of frames at the shortest lag."""
+        return int(sums[lag_key(SLOW_LAGS_S[0])][0])
+
+
+class StandingShare(ShareDifference):
+    """Share of the time that people spend standing.
+
+    Somebody stands if it moves by less than 0.3 m/s over 1.6 s, see
+    `crowdbench.trajectories.stops`. Distance: |difference|.
+    """
+
+    name = "standing_share"
+    family = "presence"
+    unit = ""
+
+    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
+        """`share[b]`: number of positions in block b of people who stand, and of all."""
+        rows, block = rows_in(crowd, blocks)
+        return {"share": counted(standing(crowd)[rows], block, len(blocks))}
+
+
 def lagged(
-    crowd: Trajectories, blocks: TimeBlocks, lags_s: Sequence[float]
+    crowd: Trajectories, blocks: TimeBlocks, lags_s: Sequence[float], *, across: bool = False
 ) -> Int[np.ndarray, "L B 6"]:
-    """n, Σx, Σx′, Σxx′, Σx², Σx′² of x = N(t) and x′ = N(t + lag) in each block, for each lag."""
+    """n, Σx, Σx′, Σxx′, Σx², Σx′² of x = N(t) and x′ = N(t + lag) in each block, for each lag.
+
+    Both are in the same block, or, if `across`, in adjacent blocks; then the pair is counted in
+    the block of x′.
+    """
     present, block = present_in(crowd, blocks)
+    unbroken = block
+    if across:
+        unbroken = _stretch(blocks)[block]
     found = np.zeros((len(lags_s), len(blocks), 6), dtype=np.int64)
     for k, lag_s in enumerate(lags_s):
         lag = min(_in_frames(lag_s, blocks), len(block))
-        same = block[lag:] == block[: len(block) - lag]
+        same = unbroken[lag:] == unbroken[: len(block) - lag]
         x, y = present[: len(block) - lag][same], present[lag:][same]
         found[k] = lagged_sums(x, y, block[lag:][same], len(blocks))
     return found
 
 
-def usable_lags(lags_s: Sequence[float], blocks: TimeBlocks) -> list[float]:
-    """The lags for which enough frames have a frame one lag later in the same block."""
-    length = np.diff(blocks.frames)
+def usable_lags(
+    lags_s: Sequence[float], blocks: TimeBlocks, *, across: bool = False
+) -> list[float]:
+    """The lags for which enough frames have a frame one lag later in the same block.
+
+    If `across`, a frame in an adjacent block counts too.
+    """
+    length = np.diff(blocks.frames)[:, 0]
+    if across:
+        length = np.bincount(_stretch(blocks), length)
     return [
         lag_s
         for lag_s in lags_s
         if np.maximum(length - _in_frames(lag_s, blocks), 0).sum() >= ENOUGH * length.sum()
     ]
+
+
+def _stretch(blocks: TimeBlocks) -> Int[np.ndarray, " B"]:
+    """The stretch of adjacent blocks to which each block belongs."""
+    return np.concatenate([[0], (blocks.frames[1:, 0] != blocks.frames[:-1, 1]).cumsum()])
 
 
 def lag_key(lag_s: float) -> str:

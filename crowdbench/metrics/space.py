@@ -1,6 +1,7 @@
 """Family space: where people are, and how close they are to each other."""
 
 import numpy as np
+from jaxtyping import Float32, Int
 
 from crowdbench.metrics.forms import RelativeWasserstein, TotalVariation
 from crowdbench.metrics.lattice import histograms, rounded
@@ -26,14 +27,51 @@ class Occupancy(TotalVariation):
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, cell]`: number of positions in each cell; cells are in order of x, then y."""
         rows, block = rows_in(crowd, blocks)
-        x0, x1, y0, y1 = place.bounds_m
-        low = np.floor([x0, y0]).astype(np.int64) - 1
-        high = np.ceil([x1, y1]).astype(np.int64)
-        cell = np.clip(np.floor(crowd.xy[rows]), low, high).astype(np.int64) - low
-        columns, cells = high - low + 1, int((high - low + 1).prod())
-        flat = block * cells + cell[:, 0] * columns[1] + cell[:, 1]
-        counts = np.bincount(flat, minlength=len(blocks) * cells)
-        return {"counts": counts.reshape(len(blocks), cells)}
+        return {"counts": _cells(crowd.xy[rows], block, len(blocks), place)}
+
+
+class StartDensity(TotalVariation):
+    """Share of people who enter in each 1 m × 1 m cell; cells are those of `Occupancy`.
+
+    Distance: total variation.
+    """
+
+    name = "start_density"
+    family = "space"
+
+    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
+        """`counts[b, cell]`: number of persons who enter in block b in each cell."""
+        persons, block, _ = blocks.of_arrivals(crowd)
+        return {"counts": _cells(crowd.start[persons], block, len(blocks), place)}
+
+
+class GoalDensity(TotalVariation):
+    """Share of people who leave in each 1 m × 1 m cell; cells are those of `Occupancy`.
+
+    People who were not seen to leave are ignored. Distance: total variation.
+    """
+
+    name = "goal_density"
+    family = "space"
+
+    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
+        """`counts[b, cell]`: number of persons who enter in block b and leave in each cell."""
+        persons, block, _ = blocks.of_arrivals(crowd)
+        left = crowd.left[persons]
+        return {"counts": _cells(crowd.end[persons[left]], block[left], len(blocks), place)}
+
+
+def _cells(
+    xy: Float32[np.ndarray, "n 2"], block: Int[np.ndarray, " n"], blocks: int, place: Place
+) -> Int[np.ndarray, "B C"]:
+    """Number of points of each block in each cell, with a margin of one cell."""
+    x0, x1, y0, y1 = place.bounds_m
+    low = np.floor([x0, y0]).astype(np.int64) - 1
+    high = np.ceil([x1, y1]).astype(np.int64)
+    cell = np.clip(np.floor(xy), low, high).astype(np.int64) - low
+    columns, cells = high - low + 1, int((high - low + 1).prod())
+    flat = block * cells + cell[:, 0] * columns[1] + cell[:, 1]
+    return np.bincount(flat, minlength=blocks * cells).reshape(blocks, cells)
 
 
 class NearestNeighbour(RelativeWasserstein):
