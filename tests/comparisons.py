@@ -11,9 +11,9 @@ from crowdbench.trajectories.blocks import TimeBlocks, cut
 from crowdbench.trajectories.table import OUTCOMES, PERSON_COLUMNS, Trajectories
 
 DT_S = 4.0
-OBSERVED = [(0, 60), (66, 126)]
+OBSERVED = [(0, 30), (36, 126)]
 BLOCKS = cut(np.array(OBSERVED), block_s=120.0, dt_s=DT_S, grid_s=2.0)
-"""Four blocks of 30 frames, long enough for each metric, with a gap in the middle."""
+"""Four blocks of 30 frames, long enough for each metric, with a gap."""
 PLACE = Place(
     spawn_areas=5,
     goal_areas=5,
@@ -26,7 +26,9 @@ PLACE = Place(
 
 
 def mingling(seed: int) -> Trajectories:
-    """Up to 60 people who jump about on a square of 10 m, and two who walk in curves together.
+    """Up to 60 people who jump about on a square of 10 m, and some who walk in curves together.
+
+    Those are two, or three with every fourth seed.
 
     All are on sixteenths of a metre. So their coordinates are exact, and stay so when turned and
     moved by whole metres.
@@ -37,19 +39,20 @@ def mingling(seed: int) -> Trajectories:
     last = np.minimum(first + rng.integers(0, 25, number), frames - 1)
     rows = int((last - first + 1).sum())
     jumping = rng.integers(-40, 40, (rows, 2)) / 8 + 1 / 16
-    t = np.arange(frames)
+    t = np.arange(4, frames)
     angle = 0.15 * t + 0.35 * np.sin(0.5 * t + rng.uniform(0, 6))
     curve = np.round(8 * 20 * np.stack([np.cos(angle), np.sin(angle)], axis=1)) / 8 + 1 / 16
     beside_m = (4 + seed % 9) / 8
-    first, last = (np.append(ends, [end] * 2) for ends, end in ((first, 0), (last, frames - 1)))
-    number += 2
+    members = 3 if seed % 4 == 2 else 2
+    first, last = np.append(first, [4] * members), np.append(last, [frames - 1] * members)
+    number += members
     return crowd_of(
         list(zip(first, last, strict=True)),
         frames=frames,
         observed=OBSERVED,
         dt_s=DT_S,
         grid_s=2.0,
-        xy=np.concatenate([jumping, curve, curve + np.array([beside_m, 0.0])]),
+        xy=np.concatenate([jumping, *(curve + [k * beside_m, 0.0] for k in range(members))]),
         persons={
             "spawn_area": rng.integers(-1, 5, number),
             "goal_area": rng.integers(-1, 5, number),
@@ -61,7 +64,7 @@ def mingling(seed: int) -> Trajectories:
     )
 
 
-BUSY, BUSY_TOO = mingling(0), mingling(2)
+BUSY, BUSY_TOO = mingling(0), mingling(6)
 mingling_crowds = st.integers(0, 2**32 - 1).map(mingling)
 any_crowds = crowds(dt_s=DT_S) | mingling_crowds
 

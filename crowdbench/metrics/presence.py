@@ -127,9 +127,9 @@ class Autocorrelation(Metric):
 class SlowAutocorrelation(Metric):
     """Autocorrelation of N(t) at lags of 120 and 300 s.
 
-    As `Autocorrelation`, but N(t) and N(t + lag) may be in different blocks, as long as everything
-    between them is observed. Shown, never scored: recordings are short compared with these lags. A
-    lag is used if at least a tenth of the frames have a frame one lag later.
+    As `Autocorrelation`, but only N(t + lag) is in the blocks, N(t) anywhere in the same observed
+    stretch. Shown, never scored: recordings are short compared with these lags. A lag is used if
+    at least a tenth of the frames in the blocks are that late.
     """
 
     name = "slow_autocorrelation"
@@ -138,26 +138,39 @@ class SlowAutocorrelation(Metric):
     scored = False
 
     def applies(self, blocks: TimeBlocks) -> bool:
-        """Whether the stretches of adjacent blocks are long enough for at least one lag."""
-        return bool(usable_lags(SLOW_LAGS_S, blocks, across=True))
+        """Whether at least one lag is used."""
+        return bool(_late_enough(blocks))
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`lag n s[b]`: as in `Autocorrelation`, in the block in which the pair ends."""
-        sums = lagged(crowd, blocks, SLOW_LAGS_S, across=True)
-        return {lag_key(lag_s): of_lag for lag_s, of_lag in zip(SLOW_LAGS_S, sums, strict=True)}
+        """`lag n s[b]`: as in `Autocorrelation`, with N(t + lag) in block b."""
+        last = max(int(blocks.frames.max()), crowd.frames)
+        present = np.pad(crowd.present(), (0, last - crowd.frames))
+        block, stretch = np.full(last, -1), np.full(last, -1)
+        for b, (start, stop) in enumerate(blocks.frames):
+            block[start:stop] = b
+        for k, (start, stop) in enumerate(crowd.observed):
+            stretch[start:stop] = k
+        found = {}
+        for lag_s in SLOW_LAGS_S:
+            lag = min(_in_frames(lag_s, blocks), last)
+            counts = (block[lag:] >= 0) & (stretch[lag:] >= 0)
+            counts &= stretch[lag:] == stretch[: last - lag]
+            x, y = present[: last - lag][counts], present[lag:][counts]
+            found[lag_key(lag_s)] = lagged_sums(x, y, block[lag:][counts], len(blocks))
+        return found
 
     def embed(
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
         """The correlation at each lag that is used."""
-        usable = usable_lags(SLOW_LAGS_S, blocks, across=True)
-        return np.stack([correlation(sums[lag_key(lag_s)]) for lag_s in usable], axis=-1)
+        each = [correlation(sums[lag_key(lag_s)]) for lag_s in _late_enough(blocks)]
+        return np.stack(each, axis=-1)
 
     def weights(
         self, recorded: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, " #F"]:
         """1 / number of lags: the distance is a mean over the lags."""
-        return np.full(1, 1 / len(usable_lags(SLOW_LAGS_S, blocks, across=True)))
+        return np.full(1, 1 / len(_late_enough(blocks)))
 
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
         """Mean correlation over the lags."""
@@ -186,36 +199,22 @@ class StandingShare(ShareDifference):
 
 
 def lagged(
-    crowd: Trajectories, blocks: TimeBlocks, lags_s: Sequence[float], *, across: bool = False
+    crowd: Trajectories, blocks: TimeBlocks, lags_s: Sequence[float]
 ) -> Int[np.ndarray, "L B 6"]:
-    """n, Σx, Σx′, Σxx′, Σx², Σx′² of x = N(t) and x′ = N(t + lag) in each block, for each lag.
-
-    Both are in the same block, or, if `across`, in adjacent blocks; then the pair is counted in
-    the block of x′.
-    """
+    """n, Σx, Σx′, Σxx′, Σx², Σx′² of x = N(t) and x′ = N(t + lag) in each block, for each lag."""
     present, block = present_in(crowd, blocks)
-    unbroken = block
-    if across:
-        unbroken = _stretch(blocks)[block]
     found = np.zeros((len(lags_s), len(blocks), 6), dtype=np.int64)
     for k, lag_s in enumerate(lags_s):
         lag = min(_in_frames(lag_s, blocks), len(block))
-        same = unbroken[lag:] == unbroken[: len(block) - lag]
+        same = block[lag:] == block[: len(block) - lag]
         x, y = present[: len(block) - lag][same], present[lag:][same]
         found[k] = lagged_sums(x, y, block[lag:][same], len(blocks))
     return found
 
 
-def usable_lags(
-    lags_s: Sequence[float], blocks: TimeBlocks, *, across: bool = False
-) -> list[float]:
-    """The lags for which enough frames have a frame one lag later in the same block.
-
-    If `across`, a frame in an adjacent block counts too.
-    """
-    length = np.diff(blocks.frames)[:, 0]
-    if across:
-        length = np.bincount(_stretch(blocks), length)
+def usable_lags(lags_s: Sequence[float], blocks: TimeBlocks) -> list[float]:
+    """The lags for which enough frames have a frame one lag later in the same block."""
+    length = np.diff(blocks.frames)
     return [
         lag_s
         for lag_s in lags_s
@@ -223,9 +222,11 @@ def usable_lags(
     ]
 
 
-def _stretch(blocks: TimeBlocks) -> Int[np.ndarray, " B"]:
-    """The stretch of adjacent blocks to which each block belongs."""
-    return np.concatenate([[0], (blocks.frames[1:, 0] != blocks.frames[:-1, 1]).cumsum()])
+def _late_enough(blocks: TimeBlocks) -> list[float]:
+    """The slow lags that enough frames of the blocks are at least as late as."""
+    start, stop = blocks.frames.T
+    late = {k: np.maximum(stop - np.maximum(start, _in_frames(k, blocks)), 0) for k in SLOW_LAGS_S}
+    return [k for k, frames in late.items() if frames.sum() >= ENOUGH * (stop - start).sum()]
 
 
 def lag_key(lag_s: float) -> str:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import crowd_of
 
-from crowdbench.metrics import Avoidance, CompanionDistance, OverlapRate, Place, WallClearance
+from crowdbench.metrics import Avoidance, OverlapRate, Place, WallClearance
 from crowdbench.metrics.encounters import encounters
 from crowdbench.metrics.interaction import clearance
 from crowdbench.scene import Walking
@@ -243,31 +243,6 @@ def test_where_there_are_no_walls_everyone_is_2_m_away() -> None:
     place = Place(spawn_areas=0, goal_areas=0, bounds_m=PLACE.bounds_m)
     counts = WallClearance().summarise(crowd_of([(0, 3)]), whole(4), place)["counts"]
     assert counts[0, 40] == 4
-
-
-def beside(path: np.ndarray, metres: float) -> np.ndarray:
-    return path + np.array([0.0, metres])
-
-
-def test_companions_are_measured_and_strangers_are_not() -> None:
-    path = np.stack([1.2 * 0.4 * np.arange(30), np.zeros(30)], axis=1)
-    crowd = crowd_of(
-        [(0, 29)] * 3,
-        dt_s=0.4,
-        xy=np.concatenate([path, beside(path, 0.75), beside(path[::-1], 3)]),
-    )
-    counts = CompanionDistance().summarise(crowd, whole(30, dt_s=0.4), PLACE)["counts"]
-    assert counts.nonzero()[1].tolist() == [15]
-    assert counts.sum() == 30
-
-
-def test_companions_who_come_later_are_compared_frame_by_frame() -> None:
-    path = np.stack([1.2 * 0.4 * np.arange(30), np.zeros(30)], axis=1)
-    later = beside(path[5:], 0.5)
-    crowd = crowd_of([(0, 29), (5, 29)], dt_s=0.4, xy=np.concatenate([path, later]))
-    counts = CompanionDistance().summarise(crowd, whole(30, dt_s=0.4), PLACE)["counts"]
-    assert counts.nonzero()[1].tolist() == [10]
-    assert counts.sum() == 25
 
 
 POSITIONS = st.integers(0, 2**31).map(

@@ -6,7 +6,15 @@ from comparisons import any_crowds, nobody, sample, score, whole
 from hypothesis import given
 from strategies import crowd_of, crowds
 
-from crowdbench.metrics import AgentsOverTime, AgentsSpread, Autocorrelation, Place
+from crowdbench.metrics import (
+    AgentsOverTime,
+    AgentsSpread,
+    Autocorrelation,
+    Place,
+    SlowAutocorrelation,
+    StandingShare,
+)
+from crowdbench.metrics.metric import total
 from crowdbench.trajectories.blocks import cut
 from crowdbench.trajectories.table import Trajectories
 
@@ -139,3 +147,30 @@ def test_one_long_block_among_short_ones_lets_no_lag_in():
     assert score(Autocorrelation(), crowd, crowd, blocks).recorded == pytest.approx(
         np.corrcoef(x, y)[0, 1]
     )
+
+
+def test_slow_correlations_go_beyond_the_blocks() -> None:
+    values = np.random.default_rng(0).integers(0, 4, 700)
+    values[120:] += values[:-120]
+    crowd = series(values.tolist())
+    blocks = cut(crowd.observed, block_s=50.0, dt_s=1.0, grid_s=1.0)
+    metric = SlowAutocorrelation()
+    sums = total(metric.summarise(crowd, blocks, PLACE))
+    for lag in (120, 300):
+        assert sums[f"lag {lag} s"][0] == 700 - lag
+    found = metric.embed(sums, np.zeros(1, np.int64), blocks)
+    expected = [np.corrcoef(values[lag:], values[:-lag])[0, 1] for lag in (120, 300)]
+    np.testing.assert_allclose(found, expected)
+    fold = blocks.scored("fold0")
+    some = metric.summarise(crowd, fold, PLACE)
+    each = metric.summarise(crowd, blocks, PLACE)
+    for name, values in some.items():
+        np.testing.assert_array_equal(values, each[name][::3])
+
+
+def test_standing_is_a_share_of_the_time() -> None:
+    walks = np.stack([0.48 * np.arange(20), np.zeros(20)], axis=1)
+    xy = np.concatenate([walks, np.tile([0.0, 5.0], (20, 1))])
+    crowd = crowd_of([(0, 19)] * 2, dt_s=0.4, xy=xy)
+    found = StandingShare().summarise(crowd, whole(20, dt_s=0.4), PLACE)["share"]
+    assert found.tolist() == [[20, 40]]

@@ -4,7 +4,7 @@ from comparisons import BLOCKS, PLACE, any_crowds, nobody, sample, score, whole
 from hypothesis import given
 from strategies import crowd_of, later
 
-from crowdbench.metrics import NearestNeighbour, Occupancy, Place
+from crowdbench.metrics import GoalDensity, NearestNeighbour, Occupancy, Place, StartDensity
 from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.neighbours import nearest_neighbour_m
 from crowdbench.trajectories.table import Trajectories
@@ -50,6 +50,13 @@ def test_occupancy_tells_a_cell_that_a_bound_cuts_from_the_margin():
 def test_occupancy_gathers_what_is_beyond_the_bounds_in_a_margin_of_one_cell():
     crowd = walking((-0.5, 0.5), (-7.0, 0.5), (1.5, 1e30))
     assert sample(Occupancy(), crowd, THREE, SQUARE) == [[1, 1, 11]]
+
+
+def test_densities_are_of_the_first_and_last_points_of_trips() -> None:
+    points = [(0.5, 0.5), (1.5, 0.5), (1.5, 1.5), (0.5, 1.5)]
+    crowd = crowd_of([(1, 2), (2, 3)], frames=4, xy=np.array(points))
+    assert sample(StartDensity(), crowd, whole(4), SQUARE) == [[5, 10]]
+    assert sample(GoalDensity(), crowd, whole(4), SQUARE) == [[9]]  # the other one is still there
 
 
 def test_occupancy_looks_at_the_frames_of_the_blocks_only():
