@@ -64,7 +64,7 @@ def mingling(seed: int) -> Trajectories:
     )
 
 
-BUSY, BUSY_TOO = mingling(0), mingling(6)
+BUSY, BUSY_TOO = mingling(0), mingling(2)
 mingling_crowds = st.integers(0, 2**32 - 1).map(mingling)
 any_crowds = crowds(dt_s=DT_S) | mingling_crowds
 
