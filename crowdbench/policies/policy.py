@@ -36,6 +36,8 @@ class StateView:
     """Where each person walks to now, in metres: its via point, if not yet visited, or its goal."""
     speed: Float32[np.ndarray, " A"]
     """Preferred speeds in m/s."""
+    group: Int[np.ndarray, " A"]
+    """Group in its world that each person walks with; −1 if alone."""
 
     @classmethod
     def of(cls, simulation: Simulation) -> "StateView":
@@ -54,6 +56,7 @@ class StateView:
             goal=slots.goal.reshape(-1, 2).take(at, axis=0),
             target=slots.target.reshape(-1, 2).take(at, axis=0),
             speed=slots.speed.ravel().take(at),
+            group=simulation.groups(world, slots.event.ravel().take(at)),
         )
 
     def towards(self, routes: Routes) -> Float[np.ndarray, "A 2"]:

@@ -11,7 +11,7 @@ import math
 from typing import ClassVar, Literal
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int
 from numba import njit
 from numpy.random import Generator
 
@@ -30,6 +30,9 @@ BEHIND = 0.5  # c, the weight of people out of view, eq. 8
 FASTEST = 1.3  # maximum speed as a multiple of the preferred speed, eq. 11
 REACH_M = 5.0  # repulsions beyond this distance, which are below V⁰/σ·e⁻⁷, are omitted
 SUBSTEP_S = 0.05
+GATHERING = 3.0  # β₂ of Moussaïd et al. (2010), m/s²
+SEPARATION = 1.0  # β₃, m/s²
+SEPARATE_M = 0.6  # two radii: companions who are nearer overlap
 
 
 class SocialForce:
@@ -64,12 +67,31 @@ class SocialForce:
             self._walls,
             max(1, round(dt_s / SUBSTEP_S)),
             dt_s,
+            self._companions(seen),
         )
         return (displacement / (dt_s * self._scene.motion.max_speed_mps)).astype(np.float32)
 
+    def _companions(self, seen: StateView) -> Int[np.ndarray, " A"]:
+        """Groups whose members stay together; −1 for people who are repelled by everyone."""
+        return np.full(len(seen.slot), -1, dtype=np.int32)
+
+
+class GroupForce(SocialForce):
+    """Social forces for people who walk in groups.
+
+    Companions do not repel each other. Instead they are drawn to the middle of their group if they
+    are further than (members − 1) / 2 metres from it, and move apart if they overlap: the forces of
+    Moussaïd et al. (2010), PLoS ONE 5, e10047, without that of gazing.
+    """
+
+    name = "group-force"
+
+    def _companions(self, seen: StateView) -> Int[np.ndarray, " A"]:
+        return seen.group
+
 
 @njit(cache=True, error_model="numpy")
-def _walk(world, position, velocity, goal, speed, segments, walls, substeps, dt):
+def _walk(world, position, velocity, goal, speed, segments, walls, substeps, dt, group):
     """Displacements (A, 2) in `dt` seconds, in metres; `world` must be in ascending order."""
     h = dt / substeps
     start = position.copy()
@@ -89,10 +111,16 @@ def _walk(world, position, velocity, goal, speed, segments, walls, substeps, dt)
                 first = a
             fx = (speed[a] * heading[a, 0] - velocity[a, 0]) / RELAXATION_S
             fy = (speed[a] * heading[a, 1] - velocity[a, 1]) / RELAXATION_S
+            mx, my, members = 0.0, 0.0, 1  # sum of the vectors to the companions
             b = first
             while b < size and world[b] == world[a]:
                 rx, ry = position[a, 0] - position[b, 0], position[a, 1] - position[b, 1]
-                if b != a and rx * rx + ry * ry < REACH_M * REACH_M:
+                if b != a and group[a] >= 0 and group[a] == group[b]:
+                    mx, my, members = mx - rx, my - ry, members + 1
+                    r = math.sqrt(rx * rx + ry * ry)
+                    if 0.0 < r < SEPARATE_M:
+                        fx, fy = fx + SEPARATION * rx / r, fy + SEPARATION * ry / r
+                elif b != a and rx * rx + ry * ry < REACH_M * REACH_M:
                     px, py = _repulsion(rx, ry, velocity[b, 0] * STEP_S, velocity[b, 1] * STEP_S)
                     toward = -(heading[a, 0] * px + heading[a, 1] * py)
                     seen = toward >= math.sqrt(px * px + py * py) * COS_OF_VIEW
@@ -100,6 +128,10 @@ def _walk(world, position, velocity, goal, speed, segments, walls, substeps, dt)
                     fx += weight * px
                     fy += weight * py
                 b += 1
+            away = math.sqrt(mx * mx + my * my) / members
+            if away > 0.5 * (members - 1):
+                fx += GATHERING * mx / (members * away)
+                fy += GATHERING * my / (members * away)
             wx, wy = _wall_force(
                 position[a, 0], position[a, 1], segments, walls, near[a, : count[a]]
             )

@@ -219,6 +219,12 @@ class Simulation:
         distance: np.ndarray = np.sqrt((off * off).sum(axis=-1))
         return distance
 
+    def groups(
+        self, world: Int[np.ndarray, " n"], event: Int[np.ndarray, " n"]
+    ) -> Int[np.ndarray, " n"]:
+        """Group of the persons of these spawn events; −1 if alone."""
+        return self._queue.group[world, event]
+
     def number_anew(self) -> None:
         """Renumber the people present from 0; called at the end of a warm-up.
 

@@ -97,6 +97,8 @@ class Queue(NamedTuple):
     """(W, E) preferred speed in m/s."""
     velocity: np.ndarray
     """(W, E, 2) velocity at entry in m/s."""
+    group: np.ndarray
+    """(W, E) group that the person walks with, −1 if alone."""
     waits: np.ndarray
     """(W, E) whether the person waits for free space."""
     leave: np.ndarray
@@ -131,6 +133,7 @@ class Queue(NamedTuple):
             ),
             speed=stacked([e.speed for e in events], 0, np.float32),
             velocity=stacked([e.velocity for e in events], 0, np.float32),
+            group=stacked([e.group for e in events], -1, np.int32),
             waits=stacked([e.entered & ~e.scripted for e in events], 0, np.bool_),
             leave=stacked([e.leave_frame for e in events], -1, np.int32),
             scripted=stacked([e.scripted for e in events], 0, np.bool_),

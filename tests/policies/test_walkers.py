@@ -1,27 +1,34 @@
 """What the walkers do with what they see."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from worlds import FAR, Person, box, events, ready, simulate, square, walked
 
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, Random, ReplayPolicy, SocialForce, StateView, Straight
-from crowdbench.policies.social_force import _repulsion, _wall_force
+from crowdbench.policies.social_force import GroupForce, _repulsion, _wall_force
 from crowdbench.rollouts.episode import actions_of
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.trajectories.table import Trajectories, from_rows
 
 DT = 0.4
 OPEN = square()
+WALKERS = (Straight(), Random(), SocialForce(), GroupForce())
 
 
-@pytest.mark.parametrize("policy", [Straight(), Random(), SocialForce()], ids=lambda p: p.name)
+@pytest.mark.parametrize(
+    "policy", [Straight(), Random(), SocialForce(), GroupForce()], ids=lambda p: p.name
+)
 def test_a_policy_acts_for_nobody(policy: Policy) -> None:
     simulation = simulate(OPEN, Person(time_s=9 * DT))
     assert not actions_of(ready(policy, OPEN), simulation).any()
 
 
-@pytest.mark.parametrize("policy", [Straight(), Random(), SocialForce()], ids=lambda p: p.name)
+@pytest.mark.parametrize(
+    "policy", [Straight(), Random(), SocialForce(), GroupForce()], ids=lambda p: p.name
+)
 def test_walkers_are_policies(policy: object) -> None:
     assert isinstance(policy, Policy)
 
@@ -55,7 +62,7 @@ def crowd_of(size: int) -> StateView:
     index, place = np.arange(size), np.zeros((size, 2), np.float32)
     frame, speed = np.zeros(size, np.int64), np.ones(size, np.float32)
     return StateView(np.zeros(size, np.int64), index, index, index, frame, *[place] * 4,
-                     speed)  # fmt: skip
+                     speed, index)  # fmt: skip
 
 
 def test_random_actions_fill_the_action_space() -> None:
@@ -223,3 +230,38 @@ def test_who_is_behind_counts_half() -> None:
     )
     alone = social_actions([Person(goal=(9, 0), velocity=(1, 0))])[0]
     assert alone[0] - ahead[0] > 1.2 * (behind[0] - alone[0]) > 0
+
+
+def grouped(*people: Person, groups: list[int], frames: int = 15) -> np.ndarray:
+    """Positions (frames + 1, N, 2) of people whom `GroupForce` walks in these groups."""
+    simulation = simulate(OPEN, *people, settings=Settings(max_alive=len(people)))
+    of_groups = replace(simulation.events[0], group=np.array(groups, np.int32))
+    simulation.reset([of_groups], horizon=1000)
+    policy = ready(GroupForce(), OPEN)
+    path = [simulation.slots.position[0].copy()]
+    for _ in range(frames):
+        simulation.step(actions_of(policy, simulation))
+        path.append(simulation.slots.position[0].copy())
+    return np.array(path)
+
+
+def test_people_who_are_alone_feel_the_same_forces_with_and_without_groups() -> None:
+    people = crowd()
+    alone = walked(SocialForce(), OPEN, *people, frames=3)
+    np.testing.assert_array_equal(grouped(*people, groups=[-1] * len(people), frames=3), alone)
+
+
+@pytest.mark.parametrize("apart_m", [0.7, 3.0])
+def test_companions_come_together_and_strangers_move_apart(apart_m: float) -> None:
+    pair = [Person(start=(-8, y), goal=(9, y)) for y in (-apart_m / 2, apart_m / 2)]
+    together, strangers = (
+        np.abs(np.diff(grouped(*pair, groups=groups)[-1, :, 1]))[0] for groups in ([3, 3], [3, -1])
+    )
+    assert 0.5 < together < 1.1  # a group of two is drawn together from 1 m on
+    assert strangers > max(apart_m - 0.01, 1.0)
+
+
+def test_companions_who_overlap_move_apart() -> None:
+    pair = [Person(start=(-8, y), goal=(9, y)) for y in (-0.1, 0.1)]
+    last = grouped(*pair, groups=[0, 0])[-1]
+    assert np.linalg.norm(last[1] - last[0]) > 0.5
