@@ -30,9 +30,9 @@ def add(commands: "Commands") -> None:
         "--models",
         nargs="*",
         metavar="MODEL",
-        default=["poisson-gmm", "poisson-groups", "renewal-gmm", "ntpp-gmm"],
+        default=["poisson-gmm", "poisson-groups", "renewal-gmm", "cox-gmm", "ntpp-gmm"],
         help="spawn models to fit; an empty list fits only areas and reference statistics "
-        "(default: poisson-gmm poisson-groups renewal-gmm ntpp-gmm)",
+        "(default: poisson-gmm poisson-groups renewal-gmm cox-gmm ntpp-gmm)",
     )
     network = fit.add_argument_group("training of ntpp-gmm and ntpp-paper")
     network.add_argument("--window", type=int, help="length of a training window, frames")

@@ -39,7 +39,7 @@ SHAPES = (0.3, 3.0)
 SPREAD = 0.5
 """Standard deviation of the normal prior of the log shape, whose mean 0 is a Poisson process. The
 values 0.25, 0.5, 1 and 10 give −3.439, −3.441, −3.452 and −3.518 nats per held-out person on ETH's
-folds; on the plaza's folds 0.25 gives −3.454, and the others −3.452."""
+folds; on the plaza's folds, which had no waves then, 0.25 gives −3.454, and the others −3.452."""
 _NUMBERS = ("shape", "scale_s", "next_member")
 _EXACT = 512  # terms of Σ S(j) that are summed one by one
 

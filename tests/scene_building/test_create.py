@@ -111,7 +111,7 @@ def test_a_scene_without_the_default_spawn_model_says_what_else_it_has(made: Mad
         crowdbench.parallel_env(made.scene.folder)
     assert caught.value.expected == "the scene's fits of ntpp-gmm"
     assert "needs torch" in caught.value.hint
-    assert caught.value.hint.endswith("spawn model: poisson-gmm, poisson-groups, renewal-gmm.")
+    assert caught.value.hint.endswith(": poisson-gmm, poisson-groups, renewal-gmm, cox-gmm.")
     assert 'pass spawn="renewal-gmm"' in made.out
     assert crowdbench.parallel_env(made.scene.folder, spawn="renewal-gmm").reset(seed=0)
 

@@ -21,6 +21,8 @@ pytestmark = pytest.mark.long
 
 PLAZA = load_scene("plaza-v0")
 TRUTH = "crowdbench.spawn.plaza:PlazaArrivals"
+WALKER = "crowdbench.policies.social_force:GroupForce"
+"""Who walks in the recording."""
 PLACE = Place(spawn_areas=4, goal_areas=4, bounds_m=(0.0, 30.0, 0.0, 20.0))
 ARRIVALS = [m for m in METRICS if m.family == "arrivals" and m.name != "fano_60_s"]
 FRAMES = 1500  # ten minutes
@@ -33,7 +35,7 @@ Arrive = Callable[[Generator], tuple[np.ndarray, np.ndarray]]
 @pytest.fixture(scope="module")
 def table(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Row]:
     card = evaluate(
-        "plaza-v0", spawn=[TRUTH, "poisson-gmm"], policy=["social-force"], seeds=20,
+        "plaza-v0", spawn=[TRUTH, "poisson-gmm"], policy=[WALKER], seeds=20,
         out=tmp_path_factory.mktemp("plaza"),
     )  # fmt: skip
     return {row.spawn: row for row in rows(card) if row.kind == "entry"}

@@ -109,7 +109,7 @@ def cox() -> CoxGMM:
 
 
 def test_waves_are_found_again(cox: CoxGMM) -> None:
-    """The covariances C_ab(h) of the logarithms of the rates, which the truth has in closed form."""
+    """The covariances of the logarithms of the rates, which the truth has in closed form."""
     delay_s = np.array([10.0, 20.0, 40.0, 80.0])
     expected = np.log(TRUTH.correlations(delay_s))
     found = np.einsum("lj,jab->lab", cox.waves.correlations(delay_s), cox.waves.covariance)

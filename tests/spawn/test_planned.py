@@ -160,5 +160,6 @@ def test_speeds_are_those_of_the_recording(crowd: Trajectories, fitted: PlannedA
     events, _ = drawn(fitted)
     recorded = plans_of(crowd).speed
     recorded = recorded[np.isfinite(recorded)]
-    assert events.speed.max() <= recorded.max() * 1.02
+    # The fastest person may be one of a group, who would be faster alone.
+    assert events.speed.max() <= recorded.max() / np.exp(fitted.links.group_log_speed) + 1e-6
     assert np.median(events.speed) == pytest.approx(np.median(recorded), rel=0.05)
