@@ -125,7 +125,7 @@ def clone(shown: Demonstrations, settings: Settings) -> Sampler:
         policy=policy,
         demonstrations=Batches({"obs": seen, "acts": scaled}, size, rng),
         batch_size=size,
-        optimizer_kwargs={"lr": settings.learning_rate},
+        optimizer_kwargs={"lr": settings.learning_rate, "fused": True},
         rng=rng,
         device="cpu",
         custom_logger=logger.configure(format_strs=[]),
