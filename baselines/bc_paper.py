@@ -85,6 +85,10 @@ class PaperObservation(BaseFeaturesExtractor):
 class Sampler(nn.Module):
     """Computes actions from observations (A, obs) and standard normal numbers (A, 2)."""
 
+    std: Tensor
+    middle: Tensor
+    reach: Tensor
+
     def __init__(self, policy: FeedForward32Policy, lowest: np.ndarray, highest: np.ndarray):
         """A cloned policy, and the velocities (2,) that it knows as −1 and 1."""
         super().__init__()

@@ -46,6 +46,17 @@ def signs(pairs: Sequence[tuple[Sequence[float], Sequence[float]]]) -> list[int]
     ]
 
 
+def difference(a: Sequence[float], b: Sequence[float]) -> tuple[float, float]:
+    """95 % confidence interval of the difference of means by Welch's (1947) procedure."""
+    from scipy.stats import ttest_ind
+
+    if np.ptp(a) == np.ptp(b) == 0:
+        exact = float(np.mean(a) - np.mean(b))
+        return exact, exact
+    interval = ttest_ind(a, b, equal_var=False).confidence_interval(0.95)
+    return float(interval.low), float(interval.high)
+
+
 def pm(values: Sequence[float]) -> str:
     """Mean ± standard deviation over samples; for a single value, only that value."""
     mean = digits(float(np.mean(values)))
