@@ -33,7 +33,8 @@ def test_there_is_one_for_each_part_made_by_one_command(scene: str, name: str) -
         assert card.command.startswith(f"python -m baselines.{module} --scene {scene} ")
         # Splits are trained independently, on Grand Central by several commands at a time.
         found = re.search(r" --splits ((?:\w+ ?)+?)(?= --|$)", card.command)
-        assert found and split in found[1].split()
+        assert found
+        assert split in found[1].split()
         alike.add(card.command.replace(found[0], ""))
     assert len(alike) == 1
     assert all(card.revision and not card.revision.endswith("-dirty") for card in cards)
