@@ -352,6 +352,9 @@ def test_differences_within_the_spread_over_samples_say_nothing() -> None:
     assert signs([(near, far), (far, near), (near, near[::-1])]) == [-1, 1, 0]
     assert signs([([1.0], [2.0])]) == [0]
     assert signs([([1.0, 1.0], [2.0, 2.0])]) == [-1]
+    tiny = [0.1 + 0.2, 0.3, 0.3]  # which differ by rounding
+    assert signs([(tiny, tiny[::-1]), (tiny, [0.4, 0.4, 0.4])]) == [0, -1]
+    assert difference(tiny, [0.4, 0.4, 0.4]) == pytest.approx((-0.1, -0.1))
 
 
 SERIES = [5, 6, 7, 6, 5, 4] * 200
@@ -483,6 +486,10 @@ def test_windows_that_degenerate() -> None:
     of_all = dict.fromkeys(("literal", "code", "shipped"), grows)
     assert verdicts(evidence(**of_all))[5] == "holds"
     assert verdicts(evidence(literal={"scale": 0.9}))[5].startswith(
+        "the paper’s model: does not hold"
+    )
+    # Windows that vary much less than Poisson are not like Poisson either.
+    assert verdicts(evidence(literal={"scale": 0.1}))[5].startswith(
         "the paper’s model: does not hold"
     )
     close = {"scales": {100: 0.605, 500: 0.605, 1000: 0.605}}  # about a quarter of the gap

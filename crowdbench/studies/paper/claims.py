@@ -26,7 +26,7 @@ from crowdbench.studies.paper.study import SCHEMES
 HOLDS, IN_PART, FAILS, UNDECIDED = "holds", "holds in part", "does not hold", "undecided"
 SPIKE = (4, 5)
 MARGIN = 0.25
-"""Windows are like Poisson if they close less than this share of the gap to the recording."""
+"""Windows are like Poisson if they close or widen the gap to the recording by less than this."""
 _RESULTS = {-1: "lower", 0: "no significant difference", 1: "higher"}
 
 
@@ -172,12 +172,11 @@ def _dwell(of: Evidence) -> Claim:
         verdict = HOLDS
     else:
         verdict = "no, but closer than straight walkers" if sign < 0 else FAILS
-    than = f"{_RESULTS[sign]} than" if sign else f"{_RESULTS[sign]} from"
+    than = f"significantly {_RESULTS[sign]} than" if sign else "not significantly different from"
     return Claim(
         title,
         verdict,
-        f"{how} The distance of {of.walker}, compared with that of straight walkers: {than} it."
-        f"\n\n{shown}",
+        f"{how} The distance of {of.walker} is {than} that of straight walkers.\n\n{shown}",
         ("dwell.png",),
     )
 
@@ -199,7 +198,7 @@ def _windows(of: Evidence) -> Claim:
         closed = [_closed(of, model.at(shortest, o), gap) for o in STRIDES_FRAMES]
         improved = [better[model, w, o] < 0 for w in longer for o in STRIDES_FRAMES]
         verdicts[model] = _window_verdict(closed, improved) if gap > 0 else NOTHING
-        shown = [f"{100 * low:.0f} to {100 * high:.0f} %" for low, high in closed]
+        shown = [f"{_whole(100 * low)} to {_whole(100 * high)} %" for low, high in closed]
         lines.append(
             [name, *(shown if gap > 0 else [NOTHING] * len(shown)), f"{sum(improved)} of 4"]
         )
@@ -213,8 +212,8 @@ def _windows(of: Evidence) -> Claim:
         title,
         _by_model(verdicts),
         f"{short_of}Windows of {shortest} frames are *like Poisson* if they close less than "
-        f"{100 * MARGIN:.0f} % of this gap: if the 95 % interval of their share (Welch) is below "
-        "that with both strides. "
+        f"{100 * MARGIN:.0f} % of this gap, and widen it by less: if the 95 % interval of the "
+        f"share (Welch) is within ±{100 * MARGIN:.0f} % with both strides. "
         f"Windows of {' and '.join(map(str, longer))} frames are *better* if their distance to the "
         f"recorded distribution of N is significantly smaller than with {shortest} frames and the "
         "same stride; Holm’s procedure covers all such tests of a scene. The claim holds if both "
@@ -232,8 +231,8 @@ def _closed(of: Evidence, model: Configuration, gap: float) -> tuple[float, floa
 
 
 def _window_verdict(closed: Sequence[tuple[float, float]], better: Sequence[bool]) -> str:
-    like = all(high < MARGIN for _, high in closed)
-    unlike = any(low > MARGIN for low, _ in closed)
+    like = all(low > -MARGIN and high < MARGIN for low, high in closed)
+    unlike = any(low > MARGIN or high < -MARGIN for low, high in closed)
     if like and all(better):
         return HOLDS
     if like or all(better):
@@ -271,6 +270,10 @@ def _by_model(verdicts: Mapping[Configuration, str]) -> str:
 def _listed(names: Sequence[str]) -> str:
     *first, last = names or [""]
     return f"{', '.join(first)} and {last}" if first else last
+
+
+def _whole(value: float) -> str:
+    return f"{value:.0f}".replace("-", "−")
 
 
 def _percent(counts: Sequence[int]) -> str:

@@ -72,6 +72,14 @@ CODE = Configuration("ntpp-paper", *CHOSEN, code=True)
 RECORDED = Configuration("replay")
 COMPARED = (POISSON, POISSON_CODE, LITERAL, CODE, SHIPPED)
 """The models that are compared with the recording."""
+_TRAINED_BY = {
+    "ntpp-paper": ("ntpp_paper_training", "ntpp_sequences"),
+    "ntpp-gmm": (
+        *("ntpp_training", "ntpp_likelihood", "ntpp_calibration", "ntpp_kernels", "ntpp"),
+        *("ntpp_sequences", "groups"),
+    ),
+}
+"""Modules that the fits of a model depend on."""
 
 
 def windowed() -> list[Configuration]:
@@ -126,16 +134,18 @@ def fit_of(
     lengths_s = f"{scene.dt_s} {arrivals.grid_s} {scene.protocol.block_s}"
     what = f"{settings} {seed} {arrivals.areas} {lengths_s}".encode()
     data = [arrivals.tick, arrivals.area, arrivals.windows]
-    made_from = sha256(b"".join([what, _code(), *(a.tobytes() for a in data)]))[:16]
+    made_from = sha256(b"".join([what, _code(configuration.spawn), *(a.tobytes() for a in data)]))[
+        :16
+    ]
     path = folder / f"{configuration.stem}_{seed}.safetensors"
     return Fit(configuration, seed, settings, path, made_from)
 
 
 @cache
-def _code() -> bytes:
-    """The code that trains networks, without comments and docstrings: fits take hours."""
+def _code(spawn: str) -> bytes:
+    """The code that trains a model, without comments and docstrings: fits take hours."""
     folder = Path(__file__).parents[2] / "spawn"
-    files = [*sorted(folder.glob("ntpp*.py")), folder / "groups.py"]
+    files = [folder / f"{name}.py" for name in _TRAINED_BY[spawn]]
     return b"".join(without_words(file.read_text(encoding="utf-8")) for file in files)
 
 

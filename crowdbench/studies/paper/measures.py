@@ -50,7 +50,7 @@ def difference(a: Sequence[float], b: Sequence[float]) -> tuple[float, float]:
     """95 % confidence interval of the difference of means by Welch's (1947) procedure."""
     from scipy.stats import ttest_ind
 
-    if np.ptp(a) == np.ptp(b) == 0:
+    if _constant(a) and _constant(b):
         exact = float(np.mean(a) - np.mean(b))
         return exact, exact
     interval = ttest_ind(a, b, equal_var=False).confidence_interval(0.95)
@@ -69,6 +69,11 @@ def _welch(a: Sequence[float], b: Sequence[float]) -> float:
 
     if min(len(a), len(b)) < 2:
         return 1.0
-    if np.ptp(a) == np.ptp(b) == 0:
-        return float(a[0] == b[0])
+    if _constant(a) and _constant(b):
+        return float(np.isclose(a[0], b[0]))
     return float(ttest_ind(a, b, equal_var=False).pvalue)
+
+
+def _constant(values: Sequence[float]) -> bool:
+    """Whether all values are equal, up to rounding errors that a t-test would take for spread."""
+    return bool(np.ptp(values) <= 1e-9 * max(1.0, np.abs(values).max()))

@@ -16,7 +16,7 @@ from crowdbench.studies.paper.study import DRAWS, SCHEMES
 from crowdbench.studies.paper.tables import (
     arrivals,
     own_density,
-    training_hours,
+    training_s,
     windows_and_strides,
 )
 from crowdbench.studies.results.page import of_recording
@@ -68,7 +68,8 @@ def page(found: Sequence[Studied], commit: str) -> str:
     scenes = "\n\n".join(_scene(studied) for studied in found)
     command = shlex.join(["crowdbench", "paper", *(named(studied.scene) for studied in found)])
     made = f"crowdbench {__version__}{commit and f' (commit {commit})'}"
-    hours = training_hours([studied.evidence for studied in found])
+    took_s = training_s([studied.evidence for studied in found])
+    took = f"{digits(took_s / 3600)} hours" if took_s >= 3600 else f"{took_s / 60:.0f} minutes"
     return flowed(f"""# The founding paper, claim by claim
 
 *Whenever, Wherever* (Kreutz, Mühlhäuser and Sanchez Guinea, ICRA 2025) models when people enter by
@@ -80,7 +81,7 @@ crowdbench’s. Generated with {made} by
 {command}
 ```
 
-The fits took {digits(hours)} hours of one core. They are kept: an interrupted command continues.
+The fits took {took} of one core. They are kept: an interrupted command continues.
 
 ## Which claims hold
 

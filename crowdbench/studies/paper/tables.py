@@ -80,14 +80,14 @@ def windows_and_strides(of: Evidence) -> str:
     return table(head, lines, text=2)
 
 
-def training_hours(found: Sequence[Evidence]) -> float:
-    """CPU time of all fits, hours; fits of which there are several samples count once."""
+def training_s(found: Sequence[Evidence]) -> float:
+    """CPU time of all fits, seconds; fits of which there are several samples count once."""
     total_s = 0.0
     for of in found:
         for model in windowed():
             times = [sample.training_s for sample in of.samples[model]]
             total_s += times[0] if model.spawn == LITERAL.spawn else sum(times)
-    return total_s / 3600
+    return total_s
 
 
 def _numbers(of: Numbers) -> list[str]:
