@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Float
 
 from crowdbench.errors import CrowdbenchError, SettingError
-from crowdbench.evaluation.parallel import call_each, checked_workers
 from crowdbench.registry import recording_of
 from crowdbench.report.text.markdown import table
 from crowdbench.scene import Scene, load_scene
@@ -28,29 +27,28 @@ from crowdbench.trajectories.blocks import SPLITS
 SEEDS = 5
 
 
-def compare(
-    scene: str | Path, *, seeds: int = SEEDS, workers: int | None = None
-) -> Float[np.ndarray, "2 folds seeds"]:
+def compare(scene: str | Path, *, seeds: int = SEEDS) -> Float[np.ndarray, "2 folds seeds"]:
     """Nats per held-out person with own networks and with the shared one, by fold and seed.
 
     Raises:
         SceneError, WeightsError: there is no such scene, or it lacks areas or statistics.
         RecordingError: its recording has not been imported.
-        SettingError: torch is not installed, or `workers` is less than 1.
+        SettingError: torch is not installed.
     """
     check_torch()
     place = load_scene(scene)
     crowd, blocks, areas = recording_of(place), read_reference(place).blocks, read_areas(place)
     count = len(areas.spawn)
     parts = [
-        tuple(arrivals_of(crowd, of, count) for of in (blocks.training(fold), blocks.scored(fold)))
+        (
+            arrivals_of(crowd, blocks.training(fold), count),
+            arrivals_of(crowd, blocks.scored(fold), count),
+        )
         for fold in SPLITS[1:]
     ]
-    tasks = [(shared, *part, k) for shared in (False, True) for part in parts for k in range(seeds)]
-    nats = np.empty(len(tasks))
-    for k, value in call_each(_nats, tasks, checked_workers(workers), common=(areas, place)):
-        nats[k] = value
-    return nats.reshape(2, len(parts), seeds)
+    nats = [_nats(s, *part, k, areas, place) for s in (False, True) for part in parts
+            for k in range(seeds)]  # fmt: skip
+    return np.array(nats).reshape(2, len(parts), seeds)
 
 
 def _nats(

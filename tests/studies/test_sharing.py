@@ -16,7 +16,7 @@ def briefly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_both_are_trained_for_each_fold_and_seed() -> None:
-    nats = sharing.compare("plaza-v0", seeds=2, workers=1)
+    nats = sharing.compare("plaza-v0", seeds=2)
     assert nats.shape == (2, 3, 2)
     assert np.all((nats > -6) & (nats < -2))
     assert len(np.unique(nats)) == nats.size
