@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pages
 import pytest
-from scipy.stats import wasserstein_distance
+from scipy.stats import ttest_ind, wasserstein_distance
 
 from crowdbench import cli
 from crowdbench.errors import OutputError, RecordingError, SettingError, WeightsError
@@ -46,7 +46,7 @@ from crowdbench.studies.paper.fits import (
     windowed,
     without_words,
 )
-from crowdbench.studies.paper.measures import difference, signs
+from crowdbench.studies.paper.measures import _welch, difference, signs
 from crowdbench.studies.paper.page import scenes_on
 from crowdbench.studies.paper.presence import Presence, stretches
 from crowdbench.studies.paper.study import Sample
@@ -508,6 +508,11 @@ def test_the_interval_of_a_difference_is_welchs() -> None:
     assert low < 2.0 < high
     assert high - low == pytest.approx(2 * 2.457 * 0.0791, rel=0.01)  # t of 5.9 degrees
     assert difference([1.0, 1.0], [0.5, 0.5]) == (0.5, 0.5)
+    known = ttest_ind(a, b, equal_var=False).confidence_interval(0.95)
+    assert (low, high) == pytest.approx((known.low, known.high))
+    assert _welch(a, b) == pytest.approx(ttest_ind(a, b, equal_var=False).pvalue)
+    constant = _welch(a, [1.0, 1.0, 1.0])  # one of a deterministic policy: no warning
+    assert 0 < constant < 1e-4
 
 
 def test_the_noise_of_dwell_times_is_that_of_their_resamples() -> None:
