@@ -85,6 +85,10 @@ class PaperObservation(BaseFeaturesExtractor):
 class Sampler(nn.Module):
     """Computes actions from observations (A, obs) and standard normal numbers (A, 2)."""
 
+    std: Tensor
+    middle: Tensor
+    reach: Tensor
+
     def __init__(self, policy: FeedForward32Policy, lowest: np.ndarray, highest: np.ndarray):
         """A cloned policy, and the velocities (2,) that it knows as −1 and 1."""
         super().__init__()
@@ -125,7 +129,7 @@ def clone(shown: Demonstrations, settings: Settings) -> Sampler:
         policy=policy,
         demonstrations=Batches({"obs": seen, "acts": scaled}, size, rng),
         batch_size=size,
-        optimizer_kwargs={"lr": settings.learning_rate},
+        optimizer_kwargs={"lr": settings.learning_rate, "fused": True},
         rng=rng,
         device="cpu",
         custom_logger=logger.configure(format_strs=[]),

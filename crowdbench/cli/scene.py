@@ -88,7 +88,8 @@ def _timed(what: str) -> "Iterator[Progress]":
 
 def _create(args: argparse.Namespace) -> None:
     from crowdbench.recordings.describe import describe
-    from crowdbench.scene_building import create_like, create_scene
+    from crowdbench.scene import load_scene
+    from crowdbench.scene_building import check_new, create_like, create_scene
 
     shared = {
         "title": args.title,
@@ -100,6 +101,8 @@ def _create(args: argparse.Namespace) -> None:
     }
     if args.like is not None:
         _check_like(args)
+        check_new(args.name, args.out or Path(args.name), args.fits, args.rollouts_per_fit)
+        load_scene(args.like)  # what is wrong is said before anything is fetched
         if not is_imported(args.recording):
             fetch_and_import(args.recording)
         created = create_like(args.name, args.like, args.recording, **shared)

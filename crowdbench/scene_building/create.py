@@ -8,7 +8,7 @@ import re
 import tempfile
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +28,20 @@ from crowdbench.registry import recording_of
 from crowdbench.scene import Gate, Recording, Scene, list_scenes, load_scene
 from crowdbench.scene_building import rules
 from crowdbench.scene_building.anchors import make_anchors, power_study
-from crowdbench.scene_building.fit import ASTRAY, MODELS, dwell_p99_s, fit_scene, has_torch
+from crowdbench.scene_building.fit import (
+    ASTRAY,
+    MODELS,
+    check_against,
+    dwell_p99_s,
+    fit_scene,
+    has_torch,
+)
 from crowdbench.scene_building.pictures import draw_place
 from crowdbench.scene_building.toml import like_toml, scene_toml, write_scored
 from crowdbench.scene_building.walls import read_walls
 from crowdbench.scoring.reference import read_reference
 from crowdbench.scoring.scorecard import write_anchors
+from crowdbench.trajectories.preprocessing import paper_preprocessed
 from crowdbench.trajectories.table import Trajectories
 
 _ID = re.compile(r"([a-z][a-z0-9_]*)-v[0-9]+")
@@ -84,7 +92,8 @@ def create_scene(
         SceneError: the walls cannot be read, or people walk through them.
     """
     place = out or Path(name)
-    known_as = _checked(name, place, fits, rollouts_per_fit)
+    known_as = check_new(name, place, fits, rollouts_per_fit)
+    own.check_name(known_as)
     workers = checked_workers(workers)
     with stage("read"):
         crowd = own.read_recording(
@@ -128,16 +137,20 @@ def create_like(
         SceneError: there is no scene `like`, or the recording does not fit it.
     """
     place = out or Path(name)
-    _checked(name, place, fits, rollouts_per_fit)
+    check_new(name, place, fits, rollouts_per_fit)
     workers = checked_workers(workers)
     known = load_scene(like)
     crowd = named_recording(recording)
     rules.check_size(crowd, Path(recording))
+    dropping = known.recording.preprocess
+    kept = paper_preprocessed(crowd)[0] if dropping else crowd
+    facts = Recording(recording, crowd.frames, round(dwell_p99_s(kept), 2), preprocess=dropping)
+    check_against(replace(known, recording=facts), kept)  # names the file that the user knows
     toml = like_toml(
         known,
         name=name,
         title=title or _title(name),
-        recording=Recording(recording, crowd.frames, round(dwell_p99_s(crowd), 2)),
+        recording=facts,
         fits=fits,
         rollouts_per_fit=rollouts_per_fit,
     )
@@ -165,8 +178,8 @@ def _build(place: Path, toml: str, crowd: Trajectories, workers: int, stage: Sta
     return Created(load_scene(place), crowd, facts | {"written to": str(place)})
 
 
-def _checked(name: str, place: Path, fits: int | None, rollouts_per_fit: int | None) -> str:
-    """Check the arguments and return the name of the recording.
+def check_new(name: str, place: Path, fits: int | None, rollouts_per_fit: int | None) -> str:
+    """Check the arguments of a new scene in the folder `place`; returns the name without `-vN`.
 
     Raises:
         SettingError: the name or a number is invalid.
@@ -185,7 +198,6 @@ def _checked(name: str, place: Path, fits: int | None, rollouts_per_fit: int | N
             got=f"the name {name} of a scene that comes with crowdbench",
             expected="a new name",
         )
-    own.check_name(found[1])
     if place.exists():
         raise _there_already(place)
     for option, value, least in (("--fits", fits, 1), ("--rollouts-per-fit", rollouts_per_fit, 2)):

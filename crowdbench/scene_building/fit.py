@@ -92,7 +92,10 @@ def fit_scene(
     settings = {name: training_settings(name, training or {}) for name in NEURAL if name in models}
     if training and not settings:
         raise SettingError(
-            "training", got=", ".join(training), expected="none without a neural model"
+            "training",
+            got=", ".join(training),
+            expected="none without a neural model",
+            hint="Name one with --models ntpp-gmm or --models ntpp-paper.",
         )
     fits = scene.protocol.fits if fits is None else fits
     if fits < 1:
@@ -178,15 +181,26 @@ def training_settings(model: str, changes: Mapping[str, Any]) -> Any:
         SettingError: the model has no setting of that name, or a number is not positive.
     """
     settings = importlib.import_module(NEURAL[model]).Settings
-    known = [f.name for f in fields(settings)]
+    known = _settings(model)
     for name, value in changes.items():
         if name not in known:
+            others = [other for other in NEURAL if other != model and name in _settings(other)]
             raise SettingError(
-                f"training of {model}", got=name, expected=f"one of {', '.join(known)}"
+                f"training of {model}",
+                got=name,
+                expected=f"one of {', '.join(known)}",
+                hint=f"Only {others[0]} has it: name no other neural model with --models."
+                if others
+                else "",
             )
         if not (np.isfinite(value) and (value > 0 or isinstance(value, bool))):
             raise SettingError(name, got=str(value), expected="a positive number")
     return settings(**changes)
+
+
+def _settings(model: str) -> list[str]:
+    """Names of the training settings of a neural model."""
+    return [f.name for f in fields(importlib.import_module(NEURAL[model]).Settings)]
 
 
 def has_torch() -> bool:
@@ -298,6 +312,7 @@ def check_against(scene: Scene, recording: Trajectories) -> None:
     """
     facts = (
         ("dt_s", scene.dt_s, recording.dt_s),
+        ("grid_s", scene.grid_s, recording.grid_s),
         ("recording.frames", scene.recording.frames, recording.frames),
         ("recording.dwell_p99_s", scene.recording.dwell_p99_s, dwell_p99_s(recording)),
     )

@@ -43,7 +43,7 @@ class Checked:
     fresh: float | None
     """Log-likelihood of ten new hours of the plaza, whose true process is known; else None."""
     gaps: KolmogorovSmirnov | None
-    """Test of the recorded gaps, for the first fit; None for models whose rates are hidden."""
+    """Test of the recorded gaps, for the first fit; None for a model without hazards."""
     sizes: KolmogorovSmirnov | None
     """Test of the recorded group sizes, for the first fit."""
     own_gaps: KolmogorovSmirnov | None
@@ -167,7 +167,8 @@ def _pooled(models: Sequence[SpawnModel], folds: list[Arrivals]) -> float:
 def _test(
     model: SpawnModel, arrivals: Arrivals, rng: np.random.Generator, what: Literal["gap", "size"]
 ) -> KolmogorovSmirnov | None:
-    if not isinstance(model, HasHazards):  # rates of `cox-gmm` are hidden
+    # Rates of `cox-gmm` are hidden; `ntpp-paper` has densities of gaps.
+    if not isinstance(model, HasHazards):
         return None
     return kolmogorov_smirnov(rescaled(model, arrivals, rng, what))
 

@@ -1,5 +1,6 @@
 """`scene.toml`: written for a new scene, and edited without losing comments."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -71,14 +72,14 @@ def like_toml(
     document = tomlkit.parse((like.folder / "scene.toml").read_text(encoding="utf-8"))
     document["id"], document["title"] = name, title
     document["recording"] = _table(recording)
-    del document["protocol"]["scored"]
+    document["protocol"].pop("scored", None)
     for name, value in (("fits", fits), ("rollouts_per_fit", rollouts_per_fit)):
         if value is not None:
             document["protocol"][name] = value
     text = tomlkit.dumps(document)
     head = _HEAD.format(title=_one_line(title), source=f"{recording.name}, like {like.id}")
     comment = "".join(f"# {line}\n" for line in head.splitlines())
-    return comment + text[text.index("schema") :]
+    return comment + text[re.search(r"^schema\b", text, re.MULTILINE).start() :]  # type: ignore[union-attr]
 
 
 def write_scored(scene: Scene, scored: Sequence[str]) -> Path:

@@ -21,11 +21,14 @@ _FURTHEST = 1.0
 def calibrated(
     model: NtppGMM, arrivals: Arrivals, chosen: Bool[np.ndarray, " K"], *, seed: int, points: int
 ) -> NtppGMM:
-    """The model with log scales of the chosen areas shifted; `points` grid points are sampled."""
+    """The model with log scales of the chosen areas shifted; `points` grid points are sampled.
+
+    Areas in which nobody enters stay as they are: no shift makes a rate 0.
+    """
     persons = np.bincount(arrivals.area, minlength=arrivals.areas)
     recorded = persons / np.diff(arrivals.windows, axis=1).sum()
     base = model.weights["base"].copy()
-    for k in np.flatnonzero(chosen).tolist():
+    for k in np.flatnonzero(chosen & (persons > 0)).tolist():
         of_area = model.of_area(k)
         base[k, 1] += _shift(of_area, model.memory, float(recorded[k]), seed, points)
     return replace(model, weights={**model.weights, "base": base})

@@ -23,6 +23,7 @@ crowdbench's own model, which treats groups, short recordings and the start of o
 differently, see `crowdbench.spawn.ntpp`.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -93,11 +94,12 @@ class NtppPaper:
         return tuple(np.ascontiguousarray(self.weights[n][k], dtype=np.float64) for n in SHAPES)
 
     def learned(self) -> int:
-        """Number of trained parameters."""
+        """Number of trained parameters; areas in which nobody enters have none."""
         names = set(SHAPES) - {"initial"}
         if self.published_code:
             names -= {"hidden_weight", "hidden_bias"}
-        return sum(self.weights[name].size for name in names)
+        trained = self.weights["out_weight"].any(axis=(1, 2)).sum()
+        return int(trained) * sum(math.prod(SHAPES[name]) for name in names)
 
     def times(self, horizon_s: float, rng: Generator) -> list[Float[np.ndarray, " _"]]:
         """Sample the times of the events of each area in [0, `horizon_s`), in frames.

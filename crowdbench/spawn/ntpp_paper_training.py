@@ -9,6 +9,8 @@ calibration. An area in which nobody enters during the training time gets a rate
 there is nothing to train on.
 """
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -25,6 +27,8 @@ from crowdbench.spawn.ntpp_paper_kernels import TINY
 from crowdbench.spawn.ntpp_sequences import windows
 from crowdbench.spawn.ntpp_training import deterministic
 
+_BATCH = 256
+"""Windows in a batch; smaller and larger ones take longer on Grand Central."""
 _NEVER = -100.0
 """Output of a head that gives a rate of almost 0."""
 
@@ -144,25 +148,44 @@ def _gaps(times: Float[np.ndarray, " n"], start: float, stop: float) -> Float[np
 
 
 def train(
-    network: "_Network", found: list[Float[np.ndarray, " _"]], settings: Settings
+    network: "_Network", found: Sequence[Float[np.ndarray, " _"]], settings: Settings
 ) -> list[float]:
     """Train a network on its windows; returns the loss before each epoch."""
-    length = torch.tensor([len(gaps) - 1 for gaps in found])
-    padded = np.zeros((len(found), max(map(len, found))), np.float32)
-    for row, gaps in zip(padded, found, strict=True):
-        row[: len(gaps)] = gaps
-    batch = torch.tensor(padded)
-    at = torch.arange(batch.shape[1])
-    events, last = at < length[:, None], at == length[:, None]
+    batches = _batches(found)
     adam = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
     losses = []
     for _ in range(settings.epochs):
         adam.zero_grad()
-        loss = -log_density(network, batch, events, last).mean() / settings.window_frames
-        loss.backward()  # type: ignore[no-untyped-call]
+        losses.append(0.0)
+        for batch, events, last, share in batches:  # one step: their gradients are added
+            logs = log_density(network, batch, events, last)
+            loss = -(share * logs).sum() / settings.window_frames
+            loss.backward()  # type: ignore[no-untyped-call]
+            losses[-1] += loss.item()
         adam.step()
-        losses.append(loss.item())
     return losses
+
+
+def _batches(
+    found: Sequence[Float[np.ndarray, " _"]],
+) -> list[tuple[Tensor, Tensor, Tensor, Tensor]]:
+    """Windows of similar lengths together, each with its share; those that are equal count once.
+
+    Most windows of a quiet area are equal, as nobody enters. Small batches stay in the cache.
+    """
+    count = Counter(gaps.astype(np.float32).tobytes() for gaps in found)
+    each = sorted(count.items(), key=lambda item: len(item[0]))
+    batches = []
+    for k in range(0, len(each), _BATCH):
+        rows = [np.frombuffer(data, np.float32) for data, _ in each[k : k + _BATCH]]
+        length = torch.tensor([len(row) - 1 for row in rows])
+        padded = np.zeros((len(rows), max(map(len, rows))), np.float32)
+        for into, row in zip(padded, rows, strict=True):
+            into[: len(row)] = row
+        at = torch.arange(padded.shape[1])
+        share = torch.tensor([n / len(found) for _, n in each[k : k + _BATCH]])
+        batches.append((torch.tensor(padded), at < length[:, None], at == length[:, None], share))
+    return batches
 
 
 def log_density(

@@ -208,8 +208,9 @@ def test_the_papers_models_are_fitted_as_asked(plaza: Case, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("models", "training", "told"),
     [
-        (["poisson-gmm"], {"epochs": 3}, "got epochs; expected none without a neural model"),
-        (["ntpp-gmm"], {"published_code": True}, "got published_code; expected one of window"),
+        (["poisson-gmm"], {"epochs": 3}, r"none without a neural model[\s\S]*--models ntpp-gmm"),
+        (["ntpp-gmm"], {"published_code": True}, r"got published_code[\s\S]*Only ntpp-paper has"),
+        (["ntpp-paper"], {"shared": True}, r"got shared[\s\S]*Only ntpp-gmm has it"),
         (["ntpp-paper"], {"epochs": 0}, "epochs: got 0; expected a positive number"),
         (["ntpp-paper"], {"learning_rate": np.nan}, "learning_rate: got nan"),
     ],

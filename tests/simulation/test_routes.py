@@ -212,7 +212,9 @@ def test_what_is_kept_of_ways_and_sights_changes_nothing(
             at = np.array(stop) if jumps else at + 0.06 * (np.array(stop) - at) + 1e-3 * step
             target, beyond = routes.next_of(nobody, nobody, at[None], np.array([goal], np.float64))
             found = [*target[0].tolist(), float(beyond[0])]
-            assert found == next_by_hand(routes, segments, at, np.array(goal))
+            # The order of additions may change the last bit of a distance.
+            by_hand = next_by_hand(routes, segments, at, np.array(goal))
+            assert found == pytest.approx(by_hand, rel=1e-12, abs=1e-12)
 
 
 def test_a_goal_in_sight_looks_the_same_in_both_versions() -> None:

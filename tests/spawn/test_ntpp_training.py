@@ -247,3 +247,12 @@ def test_a_shared_network_learns_from_all_areas() -> None:
     again = ntpp_training.fit(arrivals, AREAS, ETH, seed=0, settings=few)
     for name, weights in again.weights.items():
         np.testing.assert_array_equal(weights, fitted.weights[name])
+
+
+def test_a_shared_network_takes_an_area_in_which_nobody_enters() -> None:
+    arrivals = bursty(1200.0)
+    first = arrivals.area == 0
+    alone = replace(arrivals, tick=arrivals.tick[first], area=arrivals.area[first])
+    fitted = ntpp_training.fit(alone, AREAS, ETH, seed=0, settings=replace(BRIEF, shared=True))
+    events = fitted.sample(1200.0, ETH, np.random.default_rng(0))
+    assert np.bincount(events.spawn_area, minlength=2)[1] < 5

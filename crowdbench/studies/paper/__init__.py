@@ -11,24 +11,27 @@ from pathlib import Path
 
 import numpy as np
 
-from crowdbench.errors import SettingError
+from crowdbench.errors import OutputError, SettingError
+from crowdbench.evaluation.judge import draws_of
 from crowdbench.evaluation.lock import alone_in
 from crowdbench.evaluation.parallel import checked_workers
 from crowdbench.evaluation.rollout_jobs import Progress
 from crowdbench.files import replacing, write_text
-from crowdbench.metrics import PAPER
-from crowdbench.registry import recording_of
+from crowdbench.policies.export import revision
+from crowdbench.registry import raw_recording_of, recording_of, spawn_model
 from crowdbench.report.plots import PlotData
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building.fit import check_torch
 from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn import arrivals_of
 from crowdbench.spawn.areas import fit_areas, read_areas
-from crowdbench.studies.paper.claims import Evidence, claims
-from crowdbench.studies.paper.fits import make_fits
-from crowdbench.studies.paper.page import Studied, page
-from crowdbench.studies.paper.pictures import draw_agents
+from crowdbench.studies.paper.claims import claims
+from crowdbench.studies.paper.evidence import Evidence, noise
+from crowdbench.studies.paper.fits import SHIPPED, make_fits
+from crowdbench.studies.paper.page import Studied, page, scenes_on
+from crowdbench.studies.paper.pictures import draw_agents, draw_bursts
 from crowdbench.studies.paper.study import (
+    compared,
     crowds_of,
     make,
     plan,
@@ -61,22 +64,26 @@ def write_paper(
         SceneError, WeightsError: there is no such scene, or it lacks areas, fits or statistics.
         RecordingError: a recording has not been imported.
         SettingError: no scene, torch is not installed, or `workers` is less than 1.
-        OutputError: `out` or `work` cannot be written.
+        OutputError: `out` or `work` cannot be written, or the page is about more scenes.
     """
     places = [load_scene(scene) for scene in dict.fromkeys(scenes)]
     if not places:
         raise SettingError("paper", got="no scene", expected="one or more scenes")
     workers = checked_workers(workers)
     check_torch()
-    recordings = [recording_of(place) for place in places]
     path = out / "paper.md"
+    _check_no_scene_is_lost(path, places)
+    recordings = [recording_of(place) for place in places]
+    for place in places:
+        spawn_model(SHIPPED.spawn, place)  # fails here, not after hours, if there are no fits
+    commit = revision(Path(__file__).parent)
     found = []
     with _without_halves(path), replacing(path) as temporary:  # fails early without access
         for place, recording in zip(places, recordings, strict=True):
             folder = work / f"paper-{place.id}"
             with alone_in(folder):
                 found.append(_studied(place, recording, folder, out, workers, progress))
-        write_text(temporary, page(found))
+        write_text(temporary, page(found, commit))
     return path
 
 
@@ -91,37 +98,48 @@ def _studied(
     jobs = plan(place, arrivals, folder)
     fits = {job.fit.path: job.fit for job in jobs if job.fit is not None}
     make_fits(list(fits.values()), place, arrivals, areas, workers, progress)
-    samples = make(jobs, place, recording, arrivals, areas, reference, workers, progress)
+    samples = make(jobs, place, recording, arrivals, areas, workers, progress)
     walker = walker_of(place)
     evidence = Evidence(
         scene=place,
         walker=walker,
         bursts=recorded_bursts(place, arrivals),
         present=recorded_presence(recording),
-        typical={
-            metric.name: metric.compare(known, known, reference.blocks).recorded
-            for metric in reference.metrics
-            if metric.name in PAPER and (known := reference.statistics[metric.name])
-        },
         samples=samples,
+        walked=compared(jobs, reference),
+        dwell_noise=noise(reference, "dwell", draws_of(place, reference, "full")),
     )
-    draw_agents(place, evidence.present, samples, out / "paper" / place.id)
+    pictures = out / "paper" / place.id
     crowds = {key: read_own(path) for key, path in crowds_of(jobs, walker).items()}
     plot = PlotData.of(place, reference, crowds, "full", recording)
+    raw = raw_recording_of(place)
     return Studied(
         evidence,
         claims(evidence),
-        draw_pictures(plot, out / "paper" / place.id, walker),
-        _kept(place, recording),
-        _areas(place, recording),
+        [
+            draw_bursts(evidence, pictures),
+            draw_agents(evidence, pictures),
+            *draw_pictures(plot, pictures, walker),
+        ],
+        kept=paper_preprocessed(raw)[1].facts(place.recording.name),
+        areas=_areas(place, raw),
         longest_s=float(np.diff(recording.observed).max() * recording.dt_s),
     )
 
 
-def _kept(place: Scene, recording: Trajectories) -> dict[str, str]:
-    """How many people the paper's preprocessing keeps."""
-    _, counts = paper_preprocessed(recording)
-    return counts.facts(place.recording.name)
+def _check_no_scene_is_lost(path: Path, places: Sequence[Scene]) -> None:
+    """Check that an earlier page is not about scenes that this one would lack."""
+    if not path.is_file():
+        return
+    ids = [place.id for place in places]
+    missing = sorted(scenes_on(path.read_text(encoding="utf-8")) - set(ids))
+    if missing:
+        raise OutputError(
+            path,
+            got=f"a page that is also about {', '.join(missing)}",
+            expected=f"one about no other scenes than {', '.join(ids)}",
+            hint="Write elsewhere with --out DIR, or name these scenes too.",
+        )
 
 
 def _areas(place: Scene, recording: Trajectories) -> dict[str, str]:

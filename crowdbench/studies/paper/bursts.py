@@ -8,10 +8,20 @@ from jaxtyping import Float, Int
 
 from crowdbench.scene import Scene
 
-COUNTED_S = 60.0
-"""Length of the intervals in which the people who enter are counted, seconds."""
 FRAMES = 10
 """Number of frames in which the paper counts spawns."""
+LENGTHS_S = (60.0, 20.0)
+"""Lengths of the intervals in which people are counted, seconds; the next one is ten frames."""
+LEAST = 30
+"""Number of intervals that a variance needs."""
+
+
+def interval_of(stretches_s: Float[np.ndarray, "B 2"], scene: Scene) -> float:
+    """The longest interval that fits at least 30 times into observed time, or ten frames; s."""
+    for length_s in LENGTHS_S:
+        if sum(_whole(start, stop, length_s) for start, stop in stretches_s) >= LEAST:
+            return length_s
+    return FRAMES * scene.dt_s
 
 
 class Bursts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -19,11 +29,16 @@ class Bursts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     persons: int
     """Number of people who enter."""
+    interval_s: float
+    """Length of the intervals in which people are counted, seconds."""
+    intervals: int
+    """Number of whole intervals of observed time."""
     fano: float
-    """Variance of the number of people who enter in 60 s, divided by its mean; 1 for Poisson."""
+    """Variance of the number of people who enter in an interval, divided by its mean; 1 for
+    Poisson."""
     correlation: float
-    """Mean correlation between areas of the numbers of people who enter in 60 s, weighted by the
-    standard deviations of both areas; 0 for independent areas."""
+    """Mean correlation between areas of the numbers of people who enter in an interval, weighted by
+    the standard deviations of both areas; 0 for independent areas."""
     people: list[int]
     """`people[n]`: number of intervals of ten frames in which n people enter."""
     occupied: list[int]
@@ -39,7 +54,8 @@ class Bursts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         areas: int,
     ) -> "Bursts":
         """Statistics of the people who enter at `time_s` in `area`, in observed stretches."""
-        minutes = _counts(time_s, area, stretches_s, COUNTED_S, areas)
+        interval_s = interval_of(stretches_s, scene)
+        counts = _counts(time_s, area, stretches_s, interval_s, areas)
         ten = _counts(time_s, area, stretches_s, FRAMES * scene.dt_s, areas).sum(axis=1)
         frame_s = np.unique(np.floor(time_s / scene.dt_s + 1e-6)) * scene.dt_s
         only = np.zeros(len(frame_s), dtype=np.int64)
@@ -47,11 +63,13 @@ class Bursts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         inside = [
             np.count_nonzero((time_s >= start) & (time_s < stop)) for start, stop in stretches_s
         ]
-        total = minutes.sum(axis=1)
+        total = counts.sum(axis=1)
         return cls(
             persons=int(sum(inside)),
-            fano=float(total.var() / total.mean()) if total.sum() else 0.0,
-            correlation=_correlation(minutes),
+            interval_s=interval_s,
+            intervals=len(total),
+            fano=float(total.var(ddof=1) / total.mean()) if total.any() else 0.0,
+            correlation=_correlation(counts),
             people=np.bincount(ten).tolist(),
             occupied=np.bincount(occupied).tolist(),
         )
@@ -77,13 +95,18 @@ def _counts(
     """Number of entries in each whole interval of each stretch, and each area."""
     found = [np.zeros((0, areas), dtype=np.int64)]
     for start, stop in stretches_s:
-        intervals = int((stop - start) / length_s + 1e-6)
+        intervals = _whole(start, stop, length_s)
         # Times on the boundary belong to the later interval, whatever their last bit.
         at = np.floor((time_s - start) / length_s + 1e-6).astype(np.int64)
         inside = (at >= 0) & (at < intervals)
         flat = np.bincount(at[inside] * areas + area[inside], minlength=intervals * areas)
         found.append(flat.reshape(intervals, areas))
     return np.concatenate(found)
+
+
+def _whole(start_s: float, stop_s: float, length_s: float) -> int:
+    """Number of whole intervals between two times."""
+    return int((stop_s - start_s) / length_s + 1e-6)
 
 
 def _correlation(counts: Int[np.ndarray, "I K"]) -> float:

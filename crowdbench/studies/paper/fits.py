@@ -3,6 +3,7 @@
 A fit is made again only if its arrivals, its settings or the code of its training have changed.
 """
 
+import ast
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -71,6 +72,14 @@ CODE = Configuration("ntpp-paper", *CHOSEN, code=True)
 RECORDED = Configuration("replay")
 COMPARED = (POISSON, POISSON_CODE, LITERAL, CODE, SHIPPED)
 """The models that are compared with the recording."""
+_TRAINED_BY = {
+    "ntpp-paper": ("ntpp_paper_training", "ntpp_sequences"),
+    "ntpp-gmm": (
+        *("ntpp_training", "ntpp_likelihood", "ntpp_calibration", "ntpp_kernels", "ntpp"),
+        *("ntpp_sequences", "groups"),
+    ),
+}
+"""Modules that the fits of a model depend on."""
 
 
 def windowed() -> list[Configuration]:
@@ -101,7 +110,9 @@ class _Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     training_s: float
 
 
-def fit_of(configuration: Configuration, seed: int, arrivals: Arrivals, folder: Path) -> Fit:
+def fit_of(
+    configuration: Configuration, seed: int, scene: Scene, arrivals: Arrivals, folder: Path
+) -> Fit:
     """The fit of a configuration with windows; fits of the paper's model have the seed 0."""
     window, stride = configuration.window_frames, configuration.stride_frames
     settings: Any
@@ -120,19 +131,36 @@ def fit_of(configuration: Configuration, seed: int, arrivals: Arrivals, folder: 
         from crowdbench.spawn import ntpp_training
 
         settings = replace(ntpp_training.SETTINGS, window_frames=window, stride_frames=stride)
-    what = f"{settings} {seed} {arrivals.areas} {arrivals.grid_s}".encode()
+    lengths_s = f"{scene.dt_s} {arrivals.grid_s} {scene.protocol.block_s}"
+    what = f"{settings} {seed} {arrivals.areas} {lengths_s}".encode()
     data = [arrivals.tick, arrivals.area, arrivals.windows]
-    made_from = sha256(b"".join([what, _code(), *(a.tobytes() for a in data)]))[:16]
+    made_from = sha256(b"".join([what, _code(configuration.spawn), *(a.tobytes() for a in data)]))[
+        :16
+    ]
     path = folder / f"{configuration.stem}_{seed}.safetensors"
     return Fit(configuration, seed, settings, path, made_from)
 
 
 @cache
-def _code() -> bytes:
-    """The code that trains networks."""
+def _code(spawn: str) -> bytes:
+    """The code that trains a model, without comments and docstrings: fits take hours."""
     folder = Path(__file__).parents[2] / "spawn"
-    files = [*sorted(folder.glob("ntpp*.py")), folder / "groups.py"]
-    return b"".join(file.read_bytes() for file in files)
+    files = [folder / f"{name}.py" for name in _TRAINED_BY[spawn]]
+    return b"".join(without_words(file.read_text(encoding="utf-8")) for file in files)
+
+
+def without_words(code: str) -> bytes:
+    """The syntax tree of Python code without its comments and docstrings."""
+    tree = ast.parse(code)
+    for node in ast.walk(tree):
+        for name in ("body", "orelse", "finalbody"):
+            if isinstance(body := getattr(node, name, None), list):
+                setattr(node, name, [part for part in body if not _is_text(part)])
+    return ast.dump(tree).encode()
+
+
+def _is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
 def make_fits(

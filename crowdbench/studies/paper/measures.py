@@ -9,6 +9,9 @@ from crowdbench.report.text.words import digits
 from crowdbench.scoring.score import holm
 from crowdbench.studies.paper.presence import Presence
 
+_ROUNDING = 1e-9
+"""Differences of distances and counts below this are rounding errors."""
+
 
 @dataclass(frozen=True)
 class Numbers:
@@ -46,6 +49,15 @@ def signs(pairs: Sequence[tuple[Sequence[float], Sequence[float]]]) -> list[int]
     ]
 
 
+def difference(a: Sequence[float], b: Sequence[float]) -> tuple[float, float]:
+    """95 % confidence interval of the difference of means by Welch's (1947) procedure."""
+    from scipy.stats import t
+
+    middle, error, degrees = _compared(a, b)
+    width = error * t.ppf(0.975, degrees) if error else 0.0
+    return float(middle - width), float(middle + width)
+
+
 def pm(values: Sequence[float]) -> str:
     """Mean ± standard deviation over samples; for a single value, only that value."""
     mean = digits(float(np.mean(values)))
@@ -54,10 +66,25 @@ def pm(values: Sequence[float]) -> str:
 
 def _welch(a: Sequence[float], b: Sequence[float]) -> float:
     """p-value of Welch's t-test; 1 for a single sample, which has no spread."""
-    from scipy.stats import ttest_ind
+    from scipy.stats import t
 
     if min(len(a), len(b)) < 2:
         return 1.0
-    if np.ptp(a) == np.ptp(b) == 0:
-        return float(a[0] == b[0])
-    return float(ttest_ind(a, b, equal_var=False).pvalue)
+    middle, error, degrees = _compared(a, b)
+    if not error:
+        return float(np.isclose(middle, 0.0, atol=_ROUNDING))
+    return float(2 * t.sf(abs(middle) / error, degrees))
+
+
+def _compared(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float]:
+    """Difference of means, its standard error and the degrees of freedom (Welch 1947).
+
+    `scipy.stats.ttest_ind` warns if the values of a sample are equal, as those of a deterministic
+    policy are.
+    """
+    spreads = [0.0 if np.ptp(x) < _ROUNDING else np.var(x, ddof=1) / len(x) for x in (a, b)]
+    total = sum(spreads)
+    if not total:
+        return float(np.mean(a) - np.mean(b)), 0.0, np.inf
+    each = sum(v**2 / (len(x) - 1) for v, x in zip(spreads, (a, b), strict=True))
+    return float(np.mean(a) - np.mean(b)), float(np.sqrt(total)), float(total**2 / each)

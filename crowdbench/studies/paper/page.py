@@ -1,21 +1,24 @@
 """The Markdown text of the page on the founding paper."""
 
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from crowdbench import __version__
 from crowdbench.report.text.markdown import flowed, table
-from crowdbench.report.text.words import NOTHING, named
+from crowdbench.report.text.words import NOTHING, digits, named
 from crowdbench.scene import Scene
-from crowdbench.studies.paper.claims import Claim, Evidence, arrivals_table, own_density
-from crowdbench.studies.paper.fits import POISSON, POISSON_CODE, SAMPLES, SHIPPED, windowed
-from crowdbench.studies.paper.measures import Numbers, pm
-from crowdbench.studies.paper.pictures import AGENTS
-from crowdbench.studies.paper.presence import LAG_S
+from crowdbench.studies.paper.claims import Claim
+from crowdbench.studies.paper.evidence import Evidence
+from crowdbench.studies.paper.fits import SAMPLES, windowed
 from crowdbench.studies.paper.study import DRAWS, SCHEMES
+from crowdbench.studies.paper.tables import (
+    arrivals,
+    own_density,
+    training_s,
+    windows_and_strides,
+)
 from crowdbench.studies.results.page import of_recording
 from crowdbench.studies.results.pictures import Picture
 
@@ -55,20 +58,30 @@ class Studied:
         return self.evidence.scene
 
 
-def page(found: Sequence[Studied]) -> str:
+def scenes_on(page: str) -> set[str]:
+    """Ids of the scenes of a page."""
+    return set(re.findall(r"^## .* \((\S+)\)$", page, re.MULTILINE))
+
+
+def page(found: Sequence[Studied], commit: str) -> str:
     """The page in Markdown; the same samples give the same bytes."""
     scenes = "\n\n".join(_scene(studied) for studied in found)
     command = shlex.join(["crowdbench", "paper", *(named(studied.scene) for studied in found)])
+    made = f"crowdbench {__version__}{commit and f' (commit {commit})'}"
+    took_s = training_s([studied.evidence for studied in found])
+    took = f"{digits(took_s / 3600)} hours" if took_s >= 3600 else f"{took_s / 60:.0f} minutes"
     return flowed(f"""# The founding paper, claim by claim
 
 *Whenever, Wherever* (Kreutz, Mühlhäuser and Sanchez Guinea, ICRA 2025) models when people enter by
 neural temporal point processes, where they enter and where they go by Gaussian areas, and moves
 them by behaviour cloning. This page checks its claims with its own models and settings, and with
-crowdbench’s. Generated with crowdbench {__version__} by
+crowdbench’s. Generated with {made} by
 
 ```sh
 {command}
 ```
+
+The fits took {took} of one core. They are kept: an interrupted command continues.
 
 ## Which claims hold
 
@@ -78,12 +91,19 @@ The models, which are all fitted to the whole recording:
 
 {_MODELS}
 
-As in the paper, the {SAMPLES} samples of its models are from one fit. Those of `ntpp-gmm` are from
-{SAMPLES} fits with different seeds. If nothing else is said, training windows have 1000 frames with
-a stride of 50, as in the published code, except that shipped fits of `ntpp-gmm` have 100 and 50.
-All models use the areas of the scene. A difference is significant if Welch’s t-test over the
-samples says so at 5 %, with Holm’s procedure over the tests of a claim. ± is the standard deviation
-over samples.
+As in the paper, the {SAMPLES} samples of its models are from one fit: a difference can be one of
+that fit. Those of `ntpp-gmm` are from {SAMPLES} fits with different seeds. If nothing else is said,
+training windows have 1000 frames with a stride of 50, as in the published code, except that shipped
+fits of `ntpp-gmm` have 100 and 50. All models use the areas of the scene, and everyone is kept. A
+difference is significant if Welch’s t-test over the samples says so at 5 %, with Holm’s procedure
+over the tests of a claim. ± is the standard deviation over samples.
+
+To check the claims with the people and areas of the paper:
+
+```sh
+crowdbench fit eth-v0 --preprocess paper --clustering paper --out results/eth-as-in-the-paper
+crowdbench paper results/eth-as-in-the-paper --out results/paper
+```
 
 {scenes}
 """)
@@ -101,69 +121,43 @@ def _verdicts(found: Sequence[Studied]) -> str:
 def _scene(studied: Studied) -> str:
     of = studied.evidence
     scene = of.scene
+    left = {picture.file: picture for picture in studied.pictures}
     parts = [f"## {scene.title} ({scene.id})", of_recording(scene)]
     for claim in studied.claims:
+        if not claim.why:  # it is about another scene
+            continue
         verdict = "" if claim.verdict == NOTHING else f"{claim.verdict.capitalize()}. "
         parts.append(f"### {claim.title}\n\n{verdict}{claim.why}")
+        parts += [_shown(scene, left.pop(file)) for file in claim.pictures if file in left]
     parts += [
         "### Arrivals",
         f"Means, and ranges of 95 % of {SAMPLES * DRAWS} samples of the arrivals alone.",
-        arrivals_table(of),
+        arrivals(of),
         "### Do samples follow the density that was trained?",
         "If they do, time-rescaled gaps are uniform. *agrees*: the smallest of the p-values of "
         f"the {SAMPLES} samples, times {SAMPLES}, is above 5 %.",
         own_density(of),
         "### Windows and strides",
-        _table(of),
+        "The settings of the paper’s Table I and Fig. 7.",
+        windows_and_strides(of),
         _notes(studied),
-        f"![Number of agents](paper/{scene.id}/{AGENTS})",
-        "Distribution of the number of people present, all samples pooled. Dots are medians, thick "
-        "bars contain 50 % of the frames, thin bars 90 %. The grey band contains the central 50 % "
-        "of the recording.",
     ]
-    for picture in studied.pictures:
-        image = f"![{picture.title}](paper/{scene.id}/{picture.file})"
-        parts.append(f"### {picture.title}\n\n{image}\n\n{picture.caption}")
+    parts += [f"### {p.title}\n\n{_shown(scene, p)}" for p in left.values()]
     parts += [
         "### Who is left out",
         "The paper drops people who hardly move, and those with few or many steps "
         "(`crowdbench fit --preprocess paper`); crowdbench keeps everyone.",
         table(["", "people"], [[name, what] for name, what in studied.kept.items()], text=2),
         "### Areas",
-        "The paper’s settings of DBSCAN (`crowdbench fit --clustering paper`) leave many starts "
-        "and ends outside of all clusters.",
+        "What DBSCAN finds with each of the scene’s settings; *paper* are those of the paper "
+        "(`crowdbench fit --clustering paper`).",
         table(["clustering", "areas"], [[n, what] for n, what in studied.areas.items()], text=2),
     ]
     return "\n\n".join(parts)
 
 
-def _table(of: Evidence) -> str:
-    head = [
-        "model", "samples of", "mean N", "sd of N", f"autocorrelation at {LAG_S:g} s",
-        "distance", "nats per person", "training (s)",
-    ]  # fmt: skip
-    lines = []
-    for k, scheme in enumerate(SCHEMES):
-        length = f"{scheme} × {-(-of.scene.recording.frames // scheme):,}"
-        alone = Numbers.of([of.present[k]], of.present[k])
-        lines.append(["recorded", length, *_numbers(alone), NOTHING, NOTHING])
-        for model in [POISSON, POISSON_CODE, SHIPPED, *windowed()]:
-            more = [NOTHING, NOTHING]
-            if k == 0:
-                each = of.samples[model]
-                nats = [sample.nats for sample in each if sample.nats is not None]
-                took_s = [sample.training_s for sample in each]
-                more = [
-                    pm(nats if np.ptp(nats) else nats[:1]),
-                    f"{np.mean(took_s):.0f}" if model.window_frames else NOTHING,
-                ]
-            lines.append([model.label, length, *_numbers(of.numbers(model, k)), *more])
-    return table(head, lines, text=2)
-
-
-def _numbers(of: Numbers) -> list[str]:
-    known = [c for c in of.correlation if c is not None]
-    return [pm(of.mean), pm(of.sd), pm(known) if known else NOTHING, pm(of.distance)]
+def _shown(scene: Scene, picture: Picture) -> str:
+    return f"![{picture.title}](paper/{scene.id}/{picture.file})\n\n{picture.caption}"
 
 
 def _notes(studied: Studied) -> str:
@@ -176,15 +170,17 @@ def _notes(studied: Studied) -> str:
         "which are pooled. *distance* is the Wasserstein-1 distance between the distributions of N "
         "of crowd and recording, divided by the recording’s mean. The state of ntpp-gmm’s networks "
         "is reset after a silence of 100 frames, whatever the window. *nats per person*: "
-        "log-likelihood of the training arrivals; that of ntpp-paper is a lower bound. Training "
-        "times are those of one core of the machine that generated this page."
+        "log-likelihood of the training arrivals; that of ntpp-paper is a lower bound, which is "
+        "low for the published code, as it loses all but one of the people who enter in a frame. "
+        "Training times are those of one core of the machine that generated this page."
     ]
     frames = round(studied.longest_s / scene.dt_s)
     cut = sorted({c.window_frames for c in windowed() if c.window_frames >= frames})
     if cut:
         notes.append(
             f"The longest stretch of observed time has {frames:,} frames: windows of "
-            f"{' and '.join(map(str, cut))} frames are whole stretches, whatever their stride."
+            f"{' and '.join(map(str, cut))} frames contain at most a whole stretch. Those of the "
+            "published code are cut there too, but count as if they were observed in full."
         )
     steps = scene.grid_s / scene.dt_s
     strides = sorted({c.stride_frames for c in windowed()})

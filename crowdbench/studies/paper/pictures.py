@@ -1,6 +1,6 @@
-"""The pictures of the study: distributions of the number of agents, and those of results pages."""
+"""The pictures of the study that results pages do not have."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,40 +10,75 @@ from jaxtyping import Float
 from crowdbench.colours import spawn_colours
 from crowdbench.files import replacing
 from crowdbench.report.plots.canvas import picture
-from crowdbench.scene import Scene
-from crowdbench.studies.paper.fits import RECORDED, Configuration
+from crowdbench.studies.paper.evidence import Evidence
+from crowdbench.studies.paper.fits import COMPARED, RECORDED
 from crowdbench.studies.paper.presence import Presence
-from crowdbench.studies.paper.study import SCHEMES, Sample
+from crowdbench.studies.paper.study import DRAWS, SCHEMES
+from crowdbench.studies.results.pictures import Picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 AGENTS = "agents.png"
+BURSTS = "bursts.png"
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
-def draw_agents(
-    scene: Scene,
-    recorded: Sequence[Presence],
-    samples: Mapping[Configuration, Sequence[Sample]],
-    folder: Path,
-) -> None:
+def draw_bursts(of: Evidence, folder: Path) -> Picture:
+    """Draw variance / mean and correlation between areas of the arrivals of each model.
+
+    Raises:
+        OutputError: the picture cannot be written.
+    """
+    length = f"{of.bursts.interval_s:.3g} s"
+    panels = {"fano": f"variance / mean in {length}", "correlation": "correlation between areas"}
+
+    def draw(axes: "list[Axes]") -> None:
+        colours = spawn_colours([model.model for model in COMPARED])
+        for axis, (name, label) in zip(axes, panels.items(), strict=True):
+            axis.axvline(getattr(of.bursts, name), color="black", linewidth=1.0)
+            for at, model in enumerate(COMPARED):
+                colour = colours[model.model]
+                middle = float(np.median([getattr(bursts, name) for bursts in of.draws(model)]))
+                axis.plot(of.spread(model, name), [at, at], color=colour, linewidth=3.0)
+                axis.plot(middle, at, "o", color="white", markeredgecolor=colour, zorder=3)
+            axis.set_yticks(range(len(COMPARED)), [model.model for model in COMPARED])
+            axis.set(ylim=(len(COMPARED) - 0.4, -0.6), xlabel=label)
+            axis.tick_params(axis="y", length=0)
+            if axis is not axes[0]:
+                axis.tick_params(labelleft=False)
+
+    data = picture(draw, width=7.0, height=2.2, columns=2, kind="small png", shared=False)
+    with replacing(folder / BURSTS) as temporary:
+        temporary.write_bytes(data)
+    return Picture(
+        BURSTS,
+        "Bursts",
+        "Black lines: the recording. Dots and bars: median and 95 % of "
+        f"{DRAWS * len(of.samples[COMPARED[0]])} samples of the arrivals of each model, counted in "
+        f"intervals of {length}. The variance divided by the mean is 1 for Poisson arrivals; the "
+        "correlation is 0 for independent areas.",
+    )
+
+
+def draw_agents(of: Evidence, folder: Path) -> Picture:
     """Draw the distribution of N(t) of the recording and each model, scheme by scheme.
 
     Raises:
         OutputError: the picture cannot be written.
     """
-    simulated = {of: each for of, each in samples.items() if of != RECORDED}
+    scene, recorded = of.scene, of.present
+    simulated = {model: each for model, each in of.samples.items() if model != RECORDED}
     everyone = [*recorded, *(p for each in simulated.values() for s in each for p in s.present)]
     most = max(len(present.counts) for present in everyone)
-    colours = spawn_colours([of.model for of in simulated])
+    colours = spawn_colours([model.model for model in simulated])
 
     def draw(axes: "list[Axes]") -> None:
         for k, (axis, scheme) in enumerate(zip(axes, SCHEMES, strict=True)):
             rows = [("recorded", "black", _shares([recorded[k]]))]
-            for of, each in simulated.items():
+            for model, each in simulated.items():
                 shares = _shares([sample.present[k] for sample in each])
-                rows.append((of.label, colours[of.model], shares))
+                rows.append((model.label, colours[model.model], shares))
             _panel(axis, rows)
             axis.set_title(f"{scheme} × {-(-scene.recording.frames // scheme):,} frames")
         axes[0].set_xlim(0, most)
@@ -52,6 +87,13 @@ def draw_agents(
     data = picture(draw, width=6.0, height=height, columns=len(SCHEMES), kind="small png")
     with replacing(folder / AGENTS) as temporary:
         temporary.write_bytes(data)
+    return Picture(
+        AGENTS,
+        "Number of agents",
+        "Distribution of the number of people present, all samples pooled. Dots are medians, thick "
+        "bars contain 50 % of the frames, thin bars 90 %. The grey band contains the central 50 % "
+        "of the recording. *w/o*: windows of w frames with a stride of o frames.",
+    )
 
 
 def _panel(axis: "Axes", rows: Sequence[tuple[str, str, Float[np.ndarray, " _"]]]) -> None:

@@ -5,7 +5,7 @@ on, so that an interrupted study can continue and outdated samples are never reu
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from crowdbench.evaluation.parallel import call_each
 from crowdbench.evaluation.resolved import fingerprint
 from crowdbench.evaluation.rollout_jobs import Progress
 from crowdbench.files import read_struct, write_json
-from crowdbench.metrics import PAPER
+from crowdbench.metrics import PAPER, MetricResult
 from crowdbench.policies import Straight
 from crowdbench.recordings.catalogue import cached
 from crowdbench.registry import policy as find_policy
@@ -45,7 +45,7 @@ from crowdbench.studies.paper.fits import (
     windowed,
 )
 from crowdbench.studies.paper.presence import Presence, parts_at, stretches
-from crowdbench.trajectories.storage import write_parquet
+from crowdbench.trajectories.storage import read_own, write_parquet
 from crowdbench.trajectories.table import Trajectories
 
 SCHEMES = (1, 10)
@@ -54,15 +54,7 @@ DRAWS = 20
 """Number of samples of the arrivals alone, for each of `SAMPLES`."""
 WALKER = "bc-paper"
 """The paper's policy; scenes without it use straight walkers."""
-_SCHEMA = 1
-
-
-class Compared(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A rollout, compared with the recording by one metric."""
-
-    distance: float
-    value: float
-    """Typical value of the rollout, in the unit of the metric."""
+_SCHEMA = 2
 
 
 class Sample(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -82,8 +74,6 @@ class Sample(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     straight."""
     bursts: list[Bursts]
     """Of samples of the arrivals alone."""
-    walked: dict[str, dict[str, Compared]]
-    """Comparisons with the recording by policy and metric, for the metrics of the paper."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +84,7 @@ class Job:
     seed: int
     fit: Fit | None
     policies: tuple[str, ...]
-    """The policies whose rollouts are compared with the recording."""
+    """The policies whose rollouts are kept, to be compared with the recording."""
     path: Path
     made_from: str
 
@@ -122,7 +112,7 @@ def plan(scene: Scene, arrivals: Arrivals, folder: Path) -> list[Job]:
     for of in dict.fromkeys([RECORDED, *COMPARED, *windowed()]):
         policies = shown if of == RECORDED else (walker,) if of in COMPARED else ()
         for seed in range(SAMPLES):
-            fit = fit_of(of, seed, arrivals, folder / "fits") if of.window_frames else None
+            fit = fit_of(of, seed, scene, arrivals, folder / "fits") if of.window_frames else None
             what = f"{of} {seed} {policies} {SCHEMES} {DRAWS} {fit.made_from if fit else ''}"
             path = folder / f"{of.stem}_{seed}.json"
             jobs.append(Job(of, seed, fit, policies, path, fingerprint(scene, what, files)))
@@ -135,7 +125,6 @@ def make(
     recording: Trajectories,
     arrivals: Arrivals,
     areas: Areas,
-    reference: Reference,
     workers: int,
     progress: Progress,
 ) -> dict[Configuration, list[Sample]]:
@@ -148,7 +137,7 @@ def make(
     # The longest jobs first, so that all processes end at about the same time.
     missing = sorted((job for job in jobs if job not in found), key=lambda j: -len(j.policies))
     tasks = [(job,) for job in missing]
-    common = (scene, recording.observed, arrivals, areas, reference)
+    common = (scene, recording.observed, arrivals, areas)
     for k, sample in call_each(
         _sample, tasks, workers, common=common, name=lambda job: f"sample {job.path.stem}"
     ):
@@ -176,7 +165,6 @@ def _sample(
     observed: np.ndarray,
     arrivals: Arrivals,
     areas: Areas,
-    reference: Reference,
 ) -> Sample:
     model, took_s = _fitted(job, scene, arrivals, areas)
     seeds = count(job.seed * 100)
@@ -191,14 +179,8 @@ def _sample(
     if isinstance(model, NtppPaper):
         rng = np.random.default_rng(job.seed)
         own = kolmogorov_smirnov(model.residuals(scene.horizon_s, rng))
-    walked: dict[str, dict[str, Compared]] = {}
     for policy in job.policies:
         crowd = rollout(scene, model, find_policy(policy, scene), seed=next(seeds))
-        results = reference.score(crowd)
-        walked[policy] = {
-            name: Compared(distance=results[name].distance, value=results[name].simulated)
-            for name in PAPER
-        }
         write_parquet(crowd, job.crowd(policy))
     sample = Sample(
         schema=_SCHEMA,
@@ -208,7 +190,6 @@ def _sample(
         own=own,
         present=present,
         bursts=bursts,
-        walked=walked,
     )
     write_json(job.path, sample, compact=True)
     return sample
@@ -243,11 +224,16 @@ def _present(
 
 
 def _bursts(scene: Scene, model: SpawnModel, seed: int, arrivals: Arrivals) -> Bursts:
-    """Arrivals alone, in the times in which the recording is observed."""
-    frames = scene.recording.frames
+    """Arrivals alone, in the times in which the recording is observed.
+
+    Recorded people are first seen at a point of the annotation grid. Those of a model that knows
+    no grid are counted in the same way.
+    """
+    frames, grid_s = scene.recording.frames, arrivals.grid_s
     events = draw_arrivals(model, scene, seed=seed, world=0, warm_up=0, frames=frames)
     area = events.spawn_area.astype(np.int64)
-    return Bursts.of(events.time_s, area, _observed_s(arrivals), scene, arrivals.areas)
+    seen_s = np.ceil(events.time_s / grid_s - 1e-6) * grid_s
+    return Bursts.of(seen_s, area, _observed_s(arrivals), scene, arrivals.areas)
 
 
 def recorded_bursts(scene: Scene, arrivals: Arrivals) -> Bursts:
@@ -268,6 +254,20 @@ def recorded_presence(recording: Trajectories) -> list[Presence]:
         pieces = stretches(recording.observed, recording.frames, scheme)
         seen = [series[part][start:stop] for part, start, stop in pieces]
         found.append(Presence.of(seen, recording.dt_s))
+    return found
+
+
+def compared(
+    jobs: Sequence[Job], reference: Reference
+) -> dict[tuple[Configuration, str], list[dict[str, MetricResult]]]:
+    """Rollouts compared with the recording by the paper's metrics, by model and policy."""
+    statistics = {name: reference.statistics[name] for name in PAPER}
+    only = replace(reference, statistics=statistics)
+    found: dict[tuple[Configuration, str], list[dict[str, MetricResult]]] = {}
+    for job in jobs:
+        for policy in job.policies:
+            results = only.score(read_own(job.crowd(policy)))
+            found.setdefault((job.configuration, policy), []).append(results)
     return found
 
 
