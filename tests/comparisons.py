@@ -52,7 +52,7 @@ def mingling(seed: int) -> Trajectories:
         observed=OBSERVED,
         dt_s=DT_S,
         grid_s=2.0,
-        xy=np.concatenate([jumping, *(curve + [k * beside_m, 0.0] for k in range(members))]),
+        xy=np.concatenate([jumping, *(curve + np.array([k * beside_m, 0.0]) for k in range(members))]),
         persons={
             "spawn_area": rng.integers(-1, 5, number),
             "goal_area": rng.integers(-1, 5, number),

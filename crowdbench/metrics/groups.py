@@ -59,9 +59,7 @@ class GroupSize(RelativeWasserstein):
         group = groups_of(crowd)
         size = np.bincount(group[group >= 0], minlength=1)
         together = group[persons] >= 0
-        return {
-            "counts": histograms(size[group[persons[together]]], block[together], len(blocks))
-        }
+        return {"counts": histograms(size[group[persons[together]]], block[together], len(blocks))}
 
     def step(self, blocks: TimeBlocks) -> float:
         """Lattice step: 1 person."""
