@@ -44,6 +44,7 @@ def mingling(seed: int) -> Trajectories:
     curve = np.round(8 * 20 * np.stack([np.cos(angle), np.sin(angle)], axis=1)) / 8 + 1 / 16
     beside_m = (4 + seed % 9) / 8
     members = 3 if seed % 4 == 2 else 2
+    walking = [curve + np.array([k * beside_m, 0.0]) for k in range(members)]
     first, last = np.append(first, [4] * members), np.append(last, [frames - 1] * members)
     number += members
     return crowd_of(
@@ -52,7 +53,7 @@ def mingling(seed: int) -> Trajectories:
         observed=OBSERVED,
         dt_s=DT_S,
         grid_s=2.0,
-        xy=np.concatenate([jumping, *(curve + np.array([k * beside_m, 0.0]) for k in range(members))]),
+        xy=np.concatenate([jumping, *walking]),
         persons={
             "spawn_area": rng.integers(-1, 5, number),
             "goal_area": rng.integers(-1, 5, number),
