@@ -165,9 +165,8 @@ def _pooled(models: Sequence[SpawnModel], folds: list[Arrivals]) -> float:
 def _test(
     model: SpawnModel, arrivals: Arrivals, rng: np.random.Generator, what: Literal["gap", "size"]
 ) -> KolmogorovSmirnov | None:
-    if not isinstance(
-        model, HasHazards
-    ):  # `ntpp-paper` has densities of gaps
+    # `ntpp-paper` has densities of gaps instead.
+    if not isinstance(model, HasHazards):
         return None
     return kolmogorov_smirnov(rescaled(model, arrivals, rng, what))
 
