@@ -1,15 +1,16 @@
 """Fitting of companions and ways to a recording; see `crowdbench.spawn.planned`."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.links import FEWEST, candidates, fit_links
 from crowdbench.spawn.planned import PlannedAreas, directions, turned
 from crowdbench.spawn.plans import plans_of
-from crowdbench.spawn.ways import fit_ways
+from crowdbench.spawn.way_fitting import fit_ways, trips_of
+from crowdbench.spawn.ways import Trips
 from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.companions import groups_of
 from crowdbench.trajectories.table import Trajectories
@@ -26,35 +27,71 @@ def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedA
     Raises:
         SceneError: no trip is complete.
     """
-    persons, _, _ = blocks.of_arrivals(crowd)
-    persons = persons[crowd.spawn_area[persons] >= 0]
-    persons = persons[np.argsort(crowd.spawn_s[persons], kind="stable")]
-    time_s = crowd.spawn_s[persons]
-    area = crowd.spawn_area[persons].astype(np.int64)
-    group, plans = groups_of(crowd)[persons].astype(np.int64), plans_of(crowd)
-    earlier = _companion(time_s, area, group)
+    marks, plans = marks_of(crowd, blocks), plans_of(crowd)
+    persons, earlier = marks.persons, marks.earlier
     later = np.flatnonzero(earlier >= 0)
     known = np.isfinite(plans.speed[persons]) & crowd.left[persons]
     later = later[known[later] & known[earlier[later]]]
     pairs = persons[later], persons[earlier[later]]
     offsets = _offsets(crowd, plans.speed, *pairs)
     walked_m = plans.speed[pairs[1]] * (crowd.spawn_s[pairs[0]] - crowd.spawn_s[pairs[1]])
-    first = np.zeros(len(crowd), dtype=bool)
-    first[persons[earlier < 0]] = True
-    in_group = np.zeros(len(crowd), dtype=bool)
-    in_group[persons[group >= 0]] = True
+    first, in_group = marks.first(crowd), marks.in_group(crowd)
     log_speed = np.log(plans.speed)
     walks = first & np.isfinite(log_speed)
     slower = 0.0
     if min((walks & in_group).sum(), (walks & ~in_group).sum()) >= FEWEST:
         slower = float(log_speed[walks & in_group].mean() - log_speed[walks & ~in_group].mean())
     links = replace(
-        fit_links(time_s, area, group, offsets, walked_m, len(areas.spawn)),
+        fit_links(marks.time_s, marks.area, marks.group, offsets, walked_m, len(areas.spawn)),
         group_log_speed=slower,
     )
-    # Ways are those of people who are alone; companions get them from the first of their group.
-    as_alone = replace(plans, speed=np.where(in_group, plans.speed * np.exp(-slower), plans.speed))
-    return PlannedAreas.of(areas, links, fit_ways(crowd, as_alone, areas, first))
+    return PlannedAreas.of(areas, links, fit_ways(trips_alone(crowd, marks, slower), areas))
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """Who enters when, where, and with whom, in order of time."""
+
+    persons: Int[np.ndarray, " E"]
+    time_s: Float[np.ndarray, " E"]
+    area: Int[np.ndarray, " E"]
+    group: Int[np.ndarray, " E"]
+    """−1 for people who are alone."""
+    earlier: Int[np.ndarray, " E"]
+    """Index of the last one of the same group who entered the same area before, or −1."""
+
+    def first(self, crowd: Trajectories) -> Bool[np.ndarray, " P"]:
+        """Which of the crowd's people join nobody."""
+        found = np.zeros(len(crowd), dtype=bool)
+        found[self.persons[self.earlier < 0]] = True
+        return found
+
+    def in_group(self, crowd: Trajectories) -> Bool[np.ndarray, " P"]:
+        """Which of the crowd's people have companions."""
+        found = np.zeros(len(crowd), dtype=bool)
+        found[self.persons[self.group >= 0]] = True
+        return found
+
+
+def marks_of(crowd: Trajectories, blocks: TimeBlocks) -> Marks:
+    """The companions of the people who enter in the time blocks, in areas of their own."""
+    persons, _, _ = blocks.of_arrivals(crowd)
+    persons = persons[crowd.spawn_area[persons] >= 0]
+    persons = persons[np.argsort(crowd.spawn_s[persons], kind="stable")]
+    time_s = crowd.spawn_s[persons]
+    area = crowd.spawn_area[persons].astype(np.int64)
+    group = groups_of(crowd)[persons].astype(np.int64)
+    return Marks(persons, time_s, area, group, _companion(time_s, area, group))
+
+
+def trips_alone(crowd: Trajectories, marks: Marks, group_log_speed: float) -> Trips:
+    """Complete trips of those who join nobody, at the speeds that they would have alone.
+
+    Ways are those of people who are alone; companions get them from the first of their group.
+    """
+    plans, in_group = plans_of(crowd), marks.in_group(crowd)
+    alone = np.where(in_group, plans.speed * np.exp(-group_log_speed), plans.speed)
+    return trips_of(crowd, replace(plans, speed=alone), marks.first(crowd))
 
 
 def _companion(

@@ -15,13 +15,8 @@ from crowdbench.spawn.plan_files import FILE, read_plans, write_plans
 from crowdbench.spawn.plan_fitting import fit_plans
 from crowdbench.spawn.planned import PlannedAreas, directions, turned
 from crowdbench.spawn.plans import plans_of
-from crowdbench.spawn.ways import (
-    NARROWEST_M,
-    OFF_M,
-    Ways,
-    bends_of,
-    moments,
-)
+from crowdbench.spawn.way_fitting import NARROWEST_M, bends_of
+from crowdbench.spawn.ways import OFF_M, Ways, moments
 from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.table import Trajectories
 

@@ -1,0 +1,256 @@
+"""How well models of plans describe companions, ways and stops.
+
+    python -m crowdbench.studies.plans eth-v0 gc-v0
+
+prints two tables for each scene. The first one has log-likelihoods of held-out people, beside those
+of simpler models. The second one compares statistics of samples with those of the recording.
+"""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from crowdbench.errors import CrowdbenchError, SettingError
+from crowdbench.metrics import METRICS, Metric
+from crowdbench.policies import Straight
+from crowdbench.registry import recording_of, spawn_model
+from crowdbench.report.text.markdown import table
+from crowdbench.rollouts.rollout import rollout
+from crowdbench.scene import Scene, load_scene
+from crowdbench.scoring.reference import Reference, read_reference
+from crowdbench.spawn.areas import Areas, read_areas
+from crowdbench.spawn.links import Links
+from crowdbench.spawn.plan_fitting import Marks, fit_plans, marks_of, trips_alone
+from crowdbench.spawn.ways import Trips, log_gaussian, moments
+from crowdbench.trajectories.blocks import SPLITS
+from crowdbench.trajectories.table import Trajectories
+
+MODELS = ("ntpp-gmm", "ntpp-plans", "cox-plans")
+SHOWN = (
+    "companion_share",
+    "group_size",
+    "companion_distance",
+    "companion_offset",
+    "standing_share",
+    "agents_over_time",
+    "agents_sd",
+    "autocorrelation",
+)
+"""Metrics whose typical values are compared."""
+SEEDS = 5
+_RESAMPLES = 1000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Held:
+    """Log-likelihoods of held-out people, all folds together, nats."""
+
+    what: str
+    number: int
+    """Number of people."""
+    model: float
+    """Nats per person."""
+    simpler: float
+    """Nats per person of the simpler model."""
+    beside: str
+    """What the simpler model is."""
+
+
+def likelihoods(scene: Scene) -> list[Held]:
+    """Fit companions, ways and stops to the training blocks of each fold, and test them.
+
+    Raises:
+        WeightsError: the scene lacks areas or statistics.
+        RecordingError: its recording has not been imported.
+    """
+    crowd, blocks, areas = recording_of(scene), read_reference(scene).blocks, read_areas(scene)
+    found: dict[str, list[tuple[int, float, float]]] = {}
+    for fold in SPLITS[1:]:
+        training, held_out = blocks.training(fold), blocks.scored(fold)
+        fitted = fit_plans(crowd, training, areas)
+        slower = fitted.links.group_log_speed
+        known, marks = marks_of(crowd, training), marks_of(crowd, held_out)
+        same = _same_for_all(fitted.links, known)
+        each = (marks.time_s, marks.area, marks.group)
+        found.setdefault("who joins whom", []).append(
+            (len(marks.persons), fitted.links.log_likelihood(*each), same.log_likelihood(*each))
+        )
+        learnt, trips = (trips_alone(crowd, m, slower) for m in (known, marks))
+        of_areas = fitted.ways.instead(areas)
+        found.setdefault("start, goal and speed", []).append(
+            (
+                len(trips.weight),
+                float(fitted.ways.log_trips(trips).sum()),
+                float(of_areas.log_trips(trips).sum()),
+            )
+        )
+        if learnt.stops.any() and len(fitted.ways.stop_mean):
+            found.setdefault("whether people stop", []).append(
+                (
+                    len(trips.weight),
+                    float(fitted.ways.log_stopping(trips).sum()),
+                    float(_same_stopping(learnt, trips)),
+                )
+            )
+            found.setdefault("where and how long", []).append(
+                (
+                    int(trips.stops.sum()),
+                    float(fitted.ways.log_stops(trips).sum()),
+                    float(_one_place(learnt, trips)),
+                )
+            )
+    beside = {
+        "who joins whom": "the same probability at all delays and areas",
+        "start, goal and speed": "independent of each other, as in models of single people",
+        "whether people stop": "the same probability everywhere",
+        "where and how long": "one Gaussian",
+    }
+    return [
+        Held(
+            what=what,
+            number=(number := sum(n for n, _, _ in parts)),
+            model=sum(x for _, x, _ in parts) / max(number, 1),
+            simpler=sum(x for _, _, x in parts) / max(number, 1),
+            beside=beside[what],
+        )
+        for what, parts in found.items()
+    ]
+
+
+def _same_for_all(links: Links, known: Marks) -> Links:
+    """Links with one weight, the most likely one, whatever the delay and the area."""
+    from scipy.optimize import minimize_scalar
+
+    def same(log_weight: float) -> Links:
+        one = np.full(len(links.log_weight), log_weight)
+        return replace(links, log_weight=one, tendency=np.zeros(len(links.tendency)))
+
+    best = minimize_scalar(
+        lambda x: -same(x).log_likelihood(known.time_s, known.area, known.group),
+        bounds=(-10.0, 5.0),
+        method="bounded",
+    )
+    return same(float(best.x))
+
+
+def _same_stopping(learnt: Trips, trips: Trips) -> float:
+    share = learnt.weight[learnt.stops].sum() / learnt.weight.sum()
+    return float(np.log(np.where(trips.stops, share, 1 - share)).sum())
+
+
+def _one_place(learnt: Trips, trips: Trips) -> float:
+    mean, covariance = moments(learnt.stop[learnt.stops], learnt.weight[learnt.stops])
+    covariance = covariance + 1e-6 * np.eye(len(mean))
+    return float(log_gaussian(trips.stop[trips.stops], mean, covariance).sum())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """A statistic of the recording and of samples with straight walkers."""
+
+    metric: str
+    recorded: float
+    low: float
+    high: float
+    """Central 95 % of the recording's value, its time blocks resampled."""
+    sampled: dict[str, list[float]]
+    """Values of the samples of each model."""
+
+
+def statistics(scene: Scene, models: Sequence[str] = MODELS, *, seeds: int = SEEDS) -> list[Shown]:
+    """Compare samples of models fitted to the whole recording with it.
+
+    Raises:
+        WeightsError: the scene lacks fits or statistics.
+        RecordingError: its recording has not been imported.
+    """
+    areas: Areas = read_areas(scene)
+    reference = Reference.of(recording_of(scene), scene, areas)
+    crowds = {
+        name: [
+            rollout(scene, spawn_model(name, scene, fit=seed), Straight(), seed=seed)
+            for seed in range(seeds)
+        ]
+        for name in models
+    }
+    metrics = [m for m in METRICS if m.name in SHOWN and m.name in reference.statistics]
+    return [_shown(metric, crowds, reference) for metric in metrics]
+
+
+def _shown(metric: Metric, crowds: dict[str, list[Trajectories]], reference: Reference) -> Shown:
+    recorded, blocks = reference.statistics[metric.name], reference.blocks
+    (own,), support = metric.aligned([recorded], blocks)
+    rng = np.random.default_rng(0)
+    drawn = []
+    for _ in range(_RESAMPLES):
+        chosen = rng.integers(0, len(blocks), len(blocks))
+        sums = {name: values[chosen].sum(axis=0) for name, values in own.items()}
+        drawn.append(metric.typical(sums, support, blocks))
+    low, high = np.nanpercentile(drawn, [2.5, 97.5])
+    place = reference.place
+    results = {
+        name: [metric.compare(recorded, metric.summarise(c, blocks, place), blocks) for c in some]
+        for name, some in crowds.items()
+    }
+    return Shown(
+        metric=metric.name,
+        recorded=next(iter(results.values()))[0].recorded,
+        low=float(low),
+        high=float(high),
+        sampled={name: [r.simulated for r in some] for name, some in results.items()},
+    )
+
+
+def tables(scene: str | Path, models: Sequence[str] = MODELS, *, seeds: int = SEEDS) -> str:
+    """Both tables of a scene, as Markdown."""
+    place = load_scene(scene)
+    first = table(
+        ["held out", "people", "nats per person", "simpler model", "which is"],
+        [
+            [h.what, f"{h.number:,}", _signed(h.model), _signed(h.simpler), h.beside]
+            for h in likelihoods(place)
+        ],
+    )
+    second = table(
+        ["statistic", "recorded [95 %]", *models],
+        [
+            [
+                s.metric.replace("_", " "),
+                f"{s.recorded:.3g} [{s.low:.3g}, {s.high:.3g}]",
+                *(_value(s, name) for name in models),
+            ]
+            for s in statistics(place, models, seeds=seeds)
+        ],
+    )
+    return f"## {place.id}\n\n{first}\n\n{second}\n"
+
+
+def _value(shown: Shown, name: str) -> str:
+    value = float(np.mean(shown.sampled[name]))
+    mark = "" if shown.low <= value <= shown.high else " !"
+    return f"{value:.3g}{mark}"
+
+
+def _signed(nats: float) -> str:
+    return f"{nats:.3f}".replace("-", "−")
+
+
+def main(scenes: Sequence[str]) -> int:
+    """Print the tables; returns the exit code."""
+    try:
+        if not scenes:
+            raise SettingError("plans", got="no scene", expected="one or more scenes")
+        for scene in scenes:
+            print(tables(scene), flush=True)
+    except CrowdbenchError as error:
+        print(f"crowdbench: {error}", file=sys.stderr)
+        return 2
+    print("! outside the interval of the recording. Samples: models fitted to all of it.")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

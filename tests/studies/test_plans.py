@@ -1,0 +1,54 @@
+"""The tables on companions, ways and stops."""
+
+import pytest
+
+from crowdbench.scene import load_scene
+from crowdbench.studies import plans
+
+PLAZA = load_scene("plaza-v0")
+
+
+@pytest.fixture(scope="module")
+def held() -> dict[str, plans.Held]:
+    return {h.what: h for h in plans.likelihoods(PLAZA)}
+
+
+def test_held_out_people_are_likelier_than_under_the_simpler_model(
+    held: dict[str, plans.Held],
+) -> None:
+    assert list(held) == [
+        "who joins whom",
+        "start, goal and speed",
+        "whether people stop",
+        "where and how long",
+    ]
+    for what in ("who joins whom", "where and how long"):  # the truth has delays and places
+        assert held[what].model > held[what].simpler
+    # On the plaza starts, goals and speeds are independent of each other.
+    assert held["start, goal and speed"].model == pytest.approx(
+        held["start, goal and speed"].simpler, abs=0.1
+    )
+
+
+def test_as_many_are_held_out_as_have_plans(held: dict[str, plans.Held]) -> None:
+    assert 0 < held["where and how long"].number < held["whether people stop"].number
+    assert held["whether people stop"].number == held["start, goal and speed"].number
+    assert held["start, goal and speed"].number < held["who joins whom"].number
+
+
+def test_samples_are_compared_with_the_recording() -> None:
+    shown = {s.metric: s for s in plans.statistics(PLAZA, ["ntpp-gmm", "cox-plans"], seeds=2)}
+    assert set(shown) == set(plans.SHOWN)
+    for each in shown.values():
+        assert each.low <= each.recorded <= each.high
+        assert {name: len(values) for name, values in each.sampled.items()} == {
+            "ntpp-gmm": 2,
+            "cox-plans": 2,
+        }
+    standing = shown["standing_share"]
+    assert max(standing.sampled["ntpp-gmm"]) < standing.low < min(standing.sampled["cox-plans"])
+
+
+def test_no_scene_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
+    assert plans.main([]) == 2
+    assert "expected one or more scenes" in capsys.readouterr().err
