@@ -1,10 +1,12 @@
 """Companions as marks on arrivals: who walks with whom, whatever model the times come from.
 
 Person i joins an earlier arrival j of the same area, not more than 6 s before, with a probability
-proportional to w(t_i − t_j) e^{u_a}, and nobody with a probability proportional to 1. w has a value
-for each bin of delays, u_a is the tendency of area a to send groups. The likelihood of the marks
-does not change that of the arrivals. A person who joins takes the plan of the other one, moved by
-an offset in the direction of the other's way.
+proportional to w(t_i − t_j) exp(u_a + v(n_j)), and nobody with a probability proportional to 1.
+w has a value for each bin of delays. u_a is the tendency of area a to send groups. v is that of the
+group of j to take in one more: n_j = 1, 2, or 3 and more is the number of its people who have come
+so far, and v(1) = 0. Without v, there would be too many large groups, and too few of two. The
+likelihood of the marks does not change that of the arrivals. A person who joins takes the plan of
+the other one, moved by an offset in the direction of the other's way.
 """
 
 from dataclasses import dataclass, replace
@@ -21,6 +23,9 @@ SPREAD = 0.7
 """Standard deviation of the normal prior of u_a."""
 _FURTHEST = 30.0
 """Largest tendency."""
+_HALVINGS = 14
+_DRAWN = 4_000
+"""Number of people from whom the mean size of groups is estimated."""
 FEWEST = 10
 """With fewer pairs of companions, offsets are those of all scenes together."""
 OFFSETS = 5
@@ -48,6 +53,8 @@ class Links:
     """log w for each bin of delays."""
     tendency: Float[np.ndarray, " K"]
     """u_a for each area."""
+    larger: Float[np.ndarray, " 2"]
+    """v for groups of two, and of three and more."""
     mean: Float[np.ndarray, " 5"]
     """Mean offset to a person who enters at the same time. The sign across is drawn, the same at
     start and end."""
@@ -61,20 +68,13 @@ class Links:
         self, time_s: Float[np.ndarray, " E"], area: Int[np.ndarray, " E"], rng: Generator
     ) -> Int[np.ndarray, " E"]:
         """The person whom each of these arrivals (in order of time) joins; −1 for nobody."""
+        from crowdbench.spawn.link_kernels import joined
+
         pairs = candidates(time_s, area)
         weight = np.exp(self.log_weight[pairs.bin] + self.tendency[area[pairs.later]])
-        upto = np.concatenate([[0.0], np.cumsum(weight)])
-        begin, stop = (
-            np.searchsorted(pairs.later, np.arange(len(time_s)), side=side)
-            for side in ("left", "right")
-        )
-        total = upto[stop] - upto[begin]
-        aim = rng.random(len(time_s)) * (1 + total)
-        joins = aim < total
-        chosen = np.searchsorted(upto, upto[begin] + aim, side="right") - 1
-        found = np.full(len(time_s), -1)
-        found[joins] = pairs.earlier[chosen[joins].clip(0, len(pairs.earlier) - 1)]
-        return found
+        begin = np.searchsorted(pairs.later, np.arange(len(time_s) + 1))
+        factor = np.exp([0.0, *self.larger])
+        return joined(pairs.earlier, begin, weight, factor, rng.random(len(time_s)))
 
     def with_group_size(self, area: int, time_s: Float[np.ndarray, " E"], size: float) -> "Links":
         """Another tendency of an area, for which groups have this mean size, counting one.
@@ -82,29 +82,27 @@ class Links:
         It depends on the times (ascending, seconds) at which people enter the area: those who
         follow nobody within 6 s are alone. The nearest possible mean is taken.
         """
-        from scipy.optimize import brentq
-
-        of_area = np.zeros(len(time_s), dtype=np.int64)
-        pairs = candidates(time_s, of_area)
-        weight = np.bincount(pairs.later, np.exp(self.log_weight[pairs.bin]), len(time_s))
-
-        def excess(tendency: float) -> float:
-            factor = np.exp(tendency)
-            alone = len(time_s) - float((weight * factor / (1 + weight * factor)).sum())
-            return len(time_s) / alone - size
-
         if len(time_s) == 0:
             return self
+        of_area = np.full(len(time_s), area)
+        draws = -(-_DRAWN // len(time_s))
+
+        def steered(tendency: float) -> Links:
+            every = self.tendency.copy()
+            every[area] = tendency
+            return replace(self, tendency=every)
+
         low, high = -_FURTHEST, _FURTHEST
-        if excess(high) <= 0:
-            found = high
-        elif excess(low) >= 0:
-            found = low
-        else:
-            found = float(brentq(excess, low, high))
-        tendency = self.tendency.copy()
-        tendency[area] = found
-        return replace(self, tendency=tendency)
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            # The same random numbers each time: the mean size grows with the tendency.
+            rng = np.random.default_rng(0)
+            joins = [steered(middle).draw(time_s, of_area, rng) >= 0 for _ in range(draws)]
+            if 1 / (1 - np.mean(joins)) < size:
+                low = middle
+            else:
+                high = middle
+        return steered((low + high) / 2)
 
     def offsets(
         self, walked_m: Float[np.ndarray, " n"], rng: Generator
@@ -125,10 +123,8 @@ class Links:
     ) -> float:
         """Log-probability of who joins which group, in total, nats."""
         pairs = candidates(time_s, area)
-        value, _ = _likelihood(
-            np.concatenate([self.log_weight, self.tendency]), pairs, area, _same(pairs, group)
-        )
-        return value
+        x = np.concatenate([self.log_weight, self.larger, self.tendency])
+        return _likelihood(x, pairs, area, _same(pairs, group), _stages(pairs, area, group))[0]
 
 
 def candidates(time_s: Float[np.ndarray, " E"], area: Int[np.ndarray, " E"]) -> Candidates:
@@ -166,18 +162,17 @@ def fit_links(
     order = np.argsort(time_s, kind="stable")
     time_s, area, group = time_s[order], area[order], group[order]
     pairs = candidates(time_s, area)
-    same = _same(pairs, group)
+    same, stage = _same(pairs, group), _stages(pairs, area, group)
 
     def loss(x: Float[np.ndarray, " n"]) -> tuple[float, Float[np.ndarray, " n"]]:
-        value, slope = _likelihood(x, pairs, area, same)
+        value, slope = _likelihood(x, pairs, area, same, stage)
         # A weak prior keeps weights of bins without pairs finite.
-        spread = np.concatenate([np.full(6, 5.0), np.full(areas, SPREAD)])
-        centre = np.concatenate([np.full(6, -3.0), np.zeros(areas)])
+        spread = np.concatenate([np.full(6, 5.0), np.ones(2), np.full(areas, SPREAD)])
         off = (x - centre) / spread
         return -value + 0.5 * float(off @ off), -slope + off / spread
 
-    start = np.concatenate([np.full(6, -3.0), np.zeros(areas)])
-    found = minimize(loss, start, jac=True, method="L-BFGS-B").x
+    centre = np.concatenate([np.full(6, -3.0), np.zeros(2 + areas)])
+    found = minimize(loss, centre, jac=True, method="L-BFGS-B").x
     folded = offsets * np.where(offsets[:, 1:2] < 0, [1, -1, 1, -1, 1], 1)
     mean, slope, covariance = COMMON_MEAN, np.zeros(OFFSETS), np.diag(COMMON_SD**2)
     if len(folded) >= FEWEST:
@@ -191,7 +186,8 @@ def fit_links(
                 slope = walked @ (folded - mean) / (walked @ walked)
             covariance = np.cov((folded - walked[:, None] * slope).T)
             mean = mean - walked_m[near].mean() * slope
-    return Links(found[:6], found[6:], mean, slope, covariance + 1e-6 * np.eye(OFFSETS))
+    covariance = covariance + 1e-6 * np.eye(OFFSETS)
+    return Links(found[:6], found[8:], found[6:8], mean, slope, covariance)
 
 
 def _same(pairs: Candidates, group: Int[np.ndarray, " E"]) -> Bool[np.ndarray, " n"]:
@@ -200,15 +196,30 @@ def _same(pairs: Candidates, group: Int[np.ndarray, " E"]) -> Bool[np.ndarray, "
     return np.asarray((mine >= 0) & (mine == group[pairs.earlier]))
 
 
+def _stages(
+    pairs: Candidates, area: Int[np.ndarray, " E"], group: Int[np.ndarray, " E"]
+) -> Int[np.ndarray, " n"]:
+    """Size of the group of j when i enters, less one, at most 2, for each pair (i, j)."""
+    alone = group < 0
+    number = np.where(alone, np.arange(len(group)), group)
+    _, label = np.unique(np.column_stack([alone, area, number]), axis=0, return_inverse=True)
+    label = label.ravel().astype(np.int64)
+    entered = np.sort(label * len(label) + np.arange(len(label)))
+    of_group = label[pairs.earlier] * len(label)
+    before = np.searchsorted(entered, of_group + pairs.later) - np.searchsorted(entered, of_group)
+    return np.asarray(before.clip(1, 3) - 1)
+
+
 def _likelihood(
     x: Float[np.ndarray, " n"],
     pairs: Candidates,
     area: Int[np.ndarray, " E"],
     same: Bool[np.ndarray, " m"],
+    stage: Int[np.ndarray, " m"],
 ) -> tuple[float, Float[np.ndarray, " n"]]:
     """Log-probability that each person joins its group, or nobody; and its gradient."""
     of_area = area[pairs.later]
-    weight = np.exp(x[:6][pairs.bin] + x[6:][of_area])
+    weight = np.exp(x[:6][pairs.bin] + np.append(0.0, x[6:8])[stage] + x[8:][of_area])
     size = len(area)
     total = 1.0 + np.bincount(pairs.later, weight, minlength=size)
     to_group = np.bincount(pairs.later, weight * same, minlength=size)
@@ -219,7 +230,8 @@ def _likelihood(
     slope = np.concatenate(
         [
             np.bincount(pairs.bin, each, minlength=6),
-            np.bincount(of_area, each, minlength=len(x) - 6),
+            np.bincount(stage, each, minlength=3)[1:],
+            np.bincount(of_area, each, minlength=len(x) - 8),
         ]
     )
     return value, slope

@@ -24,6 +24,7 @@ SCHEMA = 1
 class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     log_weight: list[float]
     tendency: list[float]
+    larger: list[float]
     offset_mean: list[float]
     offset_slope: list[float]
     offset_covariance: list[list[float]]
@@ -46,6 +47,7 @@ def write_plans(folder: Path, fits: Mapping[str, PlannedAreas]) -> None:
         split: _Plans(
             log_weight=fit.links.log_weight.tolist(),
             tendency=fit.links.tendency.tolist(),
+            larger=fit.links.larger.tolist(),
             offset_mean=fit.links.mean.tolist(),
             offset_slope=fit.links.slope.tolist(),
             offset_covariance=fit.links.covariance.tolist(),
@@ -86,6 +88,7 @@ def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
     links = Links(
         array(of.log_weight, (6,), "log_weight"),
         array(of.tendency, (size,), "tendency"),
+        array(of.larger, (2,), "larger"),
         array(of.offset_mean, (OFFSETS,), "offset_mean"),
         array(of.offset_slope, (OFFSETS,), "offset_slope"),
         array(of.offset_covariance, (OFFSETS, OFFSETS), "offset_covariance"),

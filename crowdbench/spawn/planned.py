@@ -69,7 +69,9 @@ class PlannedAreas(Areas):
         """
         plain = Areas(self.scene, spawn, self.goal, flow, self.speed_quantiles, self.left_out)
         together = np.where(np.arange(len(self.links.log_weight)) == 0, _ALWAYS, -_ALWAYS)
-        links = replace(self.links, log_weight=together, tendency=np.zeros(len(spawn)))
+        links = replace(
+            self.links, log_weight=together, tendency=np.zeros(len(spawn)), larger=np.zeros(2)
+        )
         return PlannedAreas.of(plain, links, self.ways.instead(plain))
 
     def draw(

@@ -11,7 +11,12 @@ from crowdbench.trajectories.stops import LEAST_S
 from crowdbench.trajectories.table import Trajectories
 
 FEWEST = 10.0
-"""Least number of people of a Gaussian, and weight of what they have in common with others."""
+"""Least number of people of a Gaussian."""
+PRIOR = 20.0
+"""Weight of what people have in common with those of other areas, in people.
+
+Of 5, 10, 20, 40 and 80 it gives the highest held-out likelihood of trips in Grand Central, Hotel
+and Zara. In ETH 40 and in the Forum 10 are better, by 0.02 and 0.001 nats per trip."""
 NARROWEST_M = 0.3
 _COMPONENTS = (1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36)
 _FEW_STOPS = 0.5
@@ -122,9 +127,9 @@ def _pairs(
             continue
         at = tuple(pair)
         own, spread = moments(x[mine], weight[mine])
-        share = total / (total + FEWEST)
+        share = total / (total + PRIOR)
         off = own - mean[at]
-        # Covariance of the people and of as many as FEWEST others together.
+        # Covariance of the people and of as many as PRIOR others together.
         covariance[at] = (
             share * spread + (1 - share) * covariance[at] + share * (1 - share) * np.outer(off, off)
         )
@@ -143,11 +148,11 @@ def _stopping(
     overall = weight[stops].sum() / weight.sum()
     of_area = np.bincount(a, weight, minlength=shape[0])
     stop_area = np.bincount(a[stops], weight[stops], minlength=shape[0])
-    area = (stop_area + FEWEST * overall) / (of_area + FEWEST)
+    area = (stop_area + PRIOR * overall) / (of_area + PRIOR)
     both, stop_both = np.zeros(shape), np.zeros(shape)
     np.add.at(both, (a, g), weight)
     np.add.at(stop_both, (a[stops], g[stops]), weight[stops])
-    return np.asarray((stop_both + FEWEST * area[:, None]) / (both + FEWEST))
+    return np.asarray((stop_both + PRIOR * area[:, None]) / (both + PRIOR))
 
 
 def _places(
@@ -168,8 +173,8 @@ def _places(
     of_spawn = np.stack([np.bincount(a, s, minlength=shape[0]) for s in shares.T])
     of_goal = np.stack([np.bincount(g, s, minlength=shape[1]) for s in shares.T])
     # P(c | a, g) ∝ P(c) P(a | c) P(g | c), each drawn towards what does not depend on c.
-    from_area = of_spawn + FEWEST * total * of_spawn.sum(axis=0).clip(_FEW_STOPS) / len(x)
-    to_area = of_goal + FEWEST * total * of_goal.sum(axis=0).clip(_FEW_STOPS) / len(x)
+    from_area = of_spawn + PRIOR * total * of_spawn.sum(axis=0).clip(_FEW_STOPS) / len(x)
+    to_area = of_goal + PRIOR * total * of_goal.sum(axis=0).clip(_FEW_STOPS) / len(x)
     return (
         np.stack([mean for mean, _ in fitted]),
         _widened(np.stack([covariance for _, covariance in fitted]), slice(0, 2)),

@@ -3,7 +3,7 @@
 Given the spawn area a and the goal area g, which is drawn from the flows of the scene:
 
 - start, goal and log speed are Gaussian. The pairs (a, g) that ten people or more have walked have
-  a Gaussian of their own, drawn towards the product of those of both areas with the weight of ten
+  a Gaussian of their own, drawn towards the product of those of both areas with the weight of 20
   people. The others have that product.
 - Those who do not stop have a *bend*: the point of their path that is furthest from the straight
   line from start to goal, as the fraction along it and the distance from it. Bends are Gaussian

@@ -24,7 +24,7 @@ from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.links import Links
 from crowdbench.spawn.plan_fitting import Marks, fit_plans, marks_of, trips_alone
-from crowdbench.spawn.ways import Trips, log_gaussian, moments
+from crowdbench.spawn.ways import Trips, log_gaussian, moments, of_areas
 from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.table import Trajectories
 
@@ -79,12 +79,13 @@ def likelihoods(scene: Scene) -> list[Held]:
             (len(marks.persons), fitted.links.log_likelihood(*each), same.log_likelihood(*each))
         )
         learnt, trips = (trips_alone(crowd, m, slower) for m in (known, marks))
-        of_areas = fitted.ways.instead(areas)
+        mean, covariance = of_areas(areas, learnt.trip[:, 4], learnt.weight)
+        apart = replace(fitted.ways, trip_mean=mean, trip_covariance=covariance)
         found.setdefault("start, goal and speed", []).append(
             (
                 len(trips.weight),
                 float(fitted.ways.log_trips(trips).sum()),
-                float(of_areas.log_trips(trips).sum()),
+                float(apart.log_trips(trips).sum()),
             )
         )
         if learnt.stops.any() and len(fitted.ways.stop_mean):
@@ -126,7 +127,8 @@ def _same_for_all(links: Links, known: Marks) -> Links:
 
     def same(log_weight: float) -> Links:
         one = np.full(len(links.log_weight), log_weight)
-        return replace(links, log_weight=one, tendency=np.zeros(len(links.tendency)))
+        nothing = np.zeros(len(links.tendency))
+        return replace(links, log_weight=one, tendency=nothing, larger=np.zeros(2))
 
     best = minimize_scalar(
         lambda x: -same(x).log_likelihood(known.time_s, known.area, known.group),

@@ -13,14 +13,18 @@ from crowdbench.spawn.links import (
     Links,
     _likelihood,
     _same,
+    _stages,
     candidates,
     fit_links,
 )
 
+WEIGHT = np.array([1.0, -0.5, -1.0, -2.0, -2.5, -3.0])
+LARGER = np.array([-0.8, 0.6])
 
-def links(log_weight: list[float] | None = None, tendency: tuple[float, ...] = (0.0, 0.5)) -> Links:
-    weight = [1.0, -0.5, -1.0, -2.0, -2.5, -3.0] if log_weight is None else log_weight
-    return Links(np.array(weight), np.array(tendency), np.zeros(5), np.zeros(5), 0.01 * np.eye(5))
+
+def links(tendency: tuple[float, ...] = (0.0, 0.5), larger: np.ndarray = LARGER) -> Links:
+    zero = np.zeros(5)
+    return Links(WEIGHT, np.array(tendency), larger, zero, zero, 0.01 * np.eye(5))
 
 
 def arrivals(number: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -73,10 +77,10 @@ def test_the_gradient_is_that_of_the_likelihood() -> None:
     time_s, area = arrivals(60)
     group = grouped(links().draw(time_s, area, np.random.default_rng(1)))
     pairs = candidates(time_s, area)
-    same = _same(pairs, group)
-    x = np.concatenate([links().log_weight, links().tendency])
-    value, slope = _likelihood(x, pairs, area, same)
-    numeric = approx_fprime(x, lambda y: _likelihood(y, pairs, area, same)[0], 1e-6)
+    more = _same(pairs, group), _stages(pairs, area, group)
+    x = np.concatenate([links().log_weight, LARGER, links().tendency])
+    value, slope = _likelihood(x, pairs, area, *more)
+    numeric = approx_fprime(x, lambda y: _likelihood(y, pairs, area, *more)[0], 1e-6)
     assert np.isfinite(value)
     np.testing.assert_allclose(slope, numeric, rtol=1e-4, atol=1e-4)
 
@@ -88,9 +92,11 @@ def test_samples_have_the_probabilities_of_the_model() -> None:
     weight = np.exp(model.log_weight + 0.2)
     assert (drawn[:, 0] == -1).all()
     assert (drawn[:, 1] == 0).mean() == pytest.approx(weight[0] / (1 + weight[0]), abs=0.01)
-    for j in (0, 1):
-        expected = weight[2] / (1 + 2 * weight[2])
-        assert (drawn[:, 2] == j).mean() == pytest.approx(expected, abs=0.01)
+    for apart in (True, False):
+        of = drawn[(drawn[:, 1] == -1) == apart]
+        third = weight[2] * (1.0 if apart else np.exp(LARGER[0]))
+        for j in (0, 1):
+            assert (of[:, 2] == j).mean() == pytest.approx(third / (1 + 2 * third), abs=0.015)
 
 
 def test_the_fit_finds_the_weights_again_and_those_who_join_nobody() -> None:
@@ -109,6 +115,7 @@ def test_the_fit_finds_the_weights_again_and_those_who_join_nobody() -> None:
             (truth.log_weight + truth.tendency[a])[:4],
             atol=0.35,
         )
+    np.testing.assert_allclose(found.larger, truth.larger, atol=0.3)
     assert found.log_likelihood(time_s, area, group) > truth.log_likelihood(time_s, area, group) - 5
     np.testing.assert_allclose(found.mean, [0, 0.7, 0, 0.6, 0], atol=0.06)
     np.testing.assert_allclose(found.slope, [0.3, 0, 0, 0, 0], atol=0.06)
@@ -119,12 +126,41 @@ def test_the_fit_finds_the_weights_again_and_those_who_join_nobody() -> None:
 def test_offsets_lie_on_both_sides_and_on_the_same_at_start_and_end() -> None:
     slope = np.array([0.5, 0, 0, 0, 0])
     mean = np.array([0.0, 0.7, 0.0, 0.6, 0.1])
-    model = Links(np.zeros(6), np.zeros(1), mean, slope, 0.001 * np.eye(5))
+    model = Links(np.zeros(6), np.zeros(1), np.zeros(2), mean, slope, 0.001 * np.eye(5))
     drawn = model.offsets(np.full(2_000, 2.0), np.random.default_rng(0))
     assert drawn[:, 0].mean() == pytest.approx(1.0, abs=0.01)
     assert (drawn[:, 1] > 0).mean() == pytest.approx(0.5, abs=0.05)
     assert (np.sign(drawn[:, 1]) == np.sign(drawn[:, 3])).all()
     assert drawn[:, 4].mean() == pytest.approx(0.1, abs=0.01)
+
+
+def test_a_stage_is_the_size_of_the_group_that_has_come_so_far() -> None:
+    time_s, area = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5]), np.zeros(6, dtype=np.int64)
+    group = np.array([7, -1, 7, 7, 7, -1])
+    pairs = candidates(time_s, area)
+    stage = {
+        (i, j): k
+        for i, j, k in zip(
+            pairs.later.tolist(),
+            pairs.earlier.tolist(),
+            _stages(pairs, area, group).tolist(),
+            strict=True,
+        )
+    }
+    assert stage[1, 0] == stage[2, 0] == stage[2, 1] == 0
+    assert stage[3, 0] == stage[3, 2] == 1
+    assert stage[4, 0] == stage[4, 2] == stage[4, 3] == 2
+    assert stage[5, 3] == 2
+    assert stage[4, 1] == stage[5, 1] == 0
+    other = _stages(pairs, np.array([1, 0, 0, 0, 0, 0]), group)
+    assert other.max() == 2
+    assert dict(zip(stage, other.tolist(), strict=True))[4, 3] == 1
+
+
+def test_groups_that_take_in_nobody_have_two_people() -> None:
+    time_s, area = arrivals(4_000)
+    group = grouped(links(larger=np.full(2, -30.0)).draw(time_s, area, np.random.default_rng(0)))
+    assert set(np.bincount(group[group >= 0]).tolist()) == {0, 2}
 
 
 def test_without_arrivals_nobody_joins() -> None:
