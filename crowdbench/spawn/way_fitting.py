@@ -7,7 +7,7 @@ from crowdbench.errors import SceneError
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.plans import SLOWEST_MPS, RecordedPlans
 from crowdbench.spawn.ways import BEND, OFF_M, STOP, Trips, Ways, moments, of_areas
-from crowdbench.trajectories.stops import LEAST_S
+from crowdbench.trajectories.stops import LEAST_S, standing
 from crowdbench.trajectories.table import Trajectories
 
 FEWEST = 10.0
@@ -26,7 +26,9 @@ def trips_of(crowd: Trajectories, plans: RecordedPlans, chosen: Bool[np.ndarray,
     """The complete trips of the chosen people of a recording, which has areas."""
     known = (crowd.spawn_area >= 0) & (crowd.goal_area >= 0)
     whole = np.flatnonzero(chosen & known & crowd.left & np.isfinite(plans.speed))
-    log_wait = np.log(np.maximum(plans.wait_s[whole], LEAST_S))
+    # A plan has one stop: those who stop several times stand there for as long as at all of them.
+    stood_s = np.bincount(crowd.row_person(), standing(crowd), len(crowd)) * crowd.dt_s
+    log_wait = np.log(np.maximum(plans.wait_s, stood_s)[whole].clip(LEAST_S))
     return Trips(
         weight=seen_weights(crowd, chosen)[whole],
         spawn_area=crowd.spawn_area[whole].astype(np.int64),
@@ -68,7 +70,7 @@ def fit_ways(trips: Trips, areas: Areas, seed: int = 0) -> Ways:
     )
     places = _places(trips.stop[stops], weight[stops], a[stops], g[stops], shape, seed)
     for place in (slice(0, 2), slice(2, 4)):
-        trip_covariance = _widened(trip_covariance, place)
+        trip_covariance = widened(trip_covariance, place)
     return Ways(
         trip_mean,
         trip_covariance,
@@ -177,7 +179,7 @@ def _places(
     to_area = of_goal + PRIOR * total * of_goal.sum(axis=0).clip(_FEW_STOPS) / len(x)
     return (
         np.stack([mean for mean, _ in fitted]),
-        _widened(np.stack([covariance for _, covariance in fitted]), slice(0, 2)),
+        widened(np.stack([covariance for _, covariance in fitted]), slice(0, 2)),
         from_area,
         to_area / to_area.sum(axis=1, keepdims=True),
     )
@@ -206,7 +208,7 @@ def _shares(x: Float[np.ndarray, "n D"], seed: int) -> Float[np.ndarray, "n C"]:
     return best[1]
 
 
-def _widened(covariance: Float[np.ndarray, "*pairs D D"], place: slice) -> np.ndarray:
+def widened(covariance: Float[np.ndarray, "*pairs D D"], place: slice) -> np.ndarray:
     """Covariances with a standard deviation of at least 0.3 m in each direction of a place."""
     found = covariance + 1e-6 * np.eye(covariance.shape[-1])
     value, vector = np.linalg.eigh(found[..., place, place])

@@ -24,6 +24,7 @@ from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.links import Links
 from crowdbench.spawn.plan_fitting import Marks, fit_plans, marks_of, trips_alone
+from crowdbench.spawn.way_fitting import widened
 from crowdbench.spawn.ways import Trips, log_gaussian, moments, of_areas
 from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.table import Trajectories
@@ -80,6 +81,8 @@ def likelihoods(scene: Scene) -> list[Held]:
         )
         learnt, trips = (trips_alone(crowd, m, slower) for m in (known, marks))
         mean, covariance = of_areas(areas, learnt.trip[:, 4], learnt.weight)
+        for place in (slice(0, 2), slice(2, 4)):  # as wide as the model's
+            covariance = widened(covariance, place)
         apart = replace(fitted.ways, trip_mean=mean, trip_covariance=covariance)
         found.setdefault("start, goal and speed", []).append(
             (
