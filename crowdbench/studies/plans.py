@@ -1,9 +1,10 @@
 """How well models of plans describe companions, ways and stops.
 
-    python -m crowdbench.studies.plans eth-v0 gc-v0
+    python -m crowdbench.studies.plans eth-v0 gc-v0 > docs/plans.md
 
-prints two tables for each scene. The first one has log-likelihoods of held-out people, beside those
-of simpler models. The second one compares statistics of samples with those of the recording.
+writes a page with two tables for each scene. The first one has log-likelihoods of held-out people,
+beside those of simpler models. The second one compares statistics of samples with those of the
+recording.
 """
 
 import sys
@@ -42,6 +43,24 @@ SHOWN = (
 )
 """Metrics whose typical values are compared."""
 SEEDS = 5
+INTRODUCTION = """# How well plans describe people
+
+[Models of plans](spawn-models.md#plans-companions-ways-and-stops) send people with companions, ways
+and stops. This page tests them in two ways. It is the output of
+
+    python -m crowdbench.studies.plans {scenes}
+
+**Held-out people.** Companions, ways and stops are fitted to the training blocks of each fold. The
+first table of a scene has the log-likelihood of the people in the other blocks, all folds together,
+and that of a simpler model, fitted to the same people. Models of single people have no companions
+and no stops; so the simpler models are the simplest ones that have them. Higher is better.
+
+**Samples.** The second table compares samples with the recording. Models are fitted to all of it,
+walkers are straight, values are means of {seeds} rollouts. Brackets contain 95 % of the values of
+recordings whose time blocks are resampled; ! marks values outside. Companions are found by the same
+rule in recordings and rollouts. `ntpp-gmm` sends people without companions: those that it has
+happen to walk together.
+"""
 _RESAMPLES = 1000
 
 
@@ -248,12 +267,12 @@ def main(scenes: Sequence[str]) -> int:
     try:
         if not scenes:
             raise SettingError("plans", got="no scene", expected="one or more scenes")
-        for scene in scenes:
-            print(tables(scene), flush=True)
+        parts = [tables(scene) for scene in scenes]
     except CrowdbenchError as error:
         print(f"crowdbench: {error}", file=sys.stderr)
         return 2
-    print("! outside the interval of the recording. Samples: models fitted to all of it.")
+    print(INTRODUCTION.format(scenes=" ".join(scenes), seeds=SEEDS))
+    print("\n".join(parts), end="")
     return 0
 
 
