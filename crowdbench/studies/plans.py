@@ -243,7 +243,7 @@ def tables(scene: str | Path, models: Sequence[str] = MODELS, *, seeds: int = SE
         [
             [
                 s.metric.replace("_", " "),
-                f"{s.recorded:.3g} [{s.low:.3g}, {s.high:.3g}]",
+                f"{_number(s.recorded)} [{_number(s.low)}, {_number(s.high)}]",
                 *(_value(s, name) for name in models),
             ]
             for s in statistics(place, models, seeds=seeds)
@@ -255,7 +255,11 @@ def tables(scene: str | Path, models: Sequence[str] = MODELS, *, seeds: int = SE
 def _value(shown: Shown, name: str) -> str:
     value = float(np.mean(shown.sampled[name]))
     mark = "" if shown.low <= value <= shown.high else " !"
-    return f"{value:.3g}{mark}"
+    return f"{_number(value)}{mark}"
+
+
+def _number(value: float) -> str:
+    return (f"{value:.3g}" if abs(value) >= 1 else f"{value:.2f}").replace("-", "−")
 
 
 def _signed(nats: float) -> str:
