@@ -76,7 +76,9 @@ def test_samples_let_in_as_many_as_were_recorded_on_the_plaza(plaza: dict[str, C
 def test_samples_let_in_as_many_as_were_recorded_at_eth(eth: dict[str, Checked]) -> None:
     counts_hold(eth, first=0.30)
     order = ("ntpp-gmm", "renewal-gmm", "poisson-groups", "poisson-gmm")
-    assert sorted(MODELS, key=lambda name: -eth[name].heldout) == list(order)
+    assert sorted(order, key=lambda name: -eth[name].heldout) == list(order)
+    # Ten minutes hardly show waves.
+    assert eth["cox-gmm"].heldout == pytest.approx(eth["poisson-groups"].heldout, abs=0.01)
 
 
 def test_a_model_without_hazards_has_no_gaps_to_test(eth: dict[str, Checked]) -> None:
