@@ -137,7 +137,7 @@ def test_what_a_program_registers_is_known_to_it_and_to_its_workers(tmp_path: Pa
         "plaza-v0", spawn="poisson-gmm", policy="eastward", seeds=2, workers=2, out=tmp_path
     )
     (entry,) = (e for e in card.entries if (e.spawn, e.policy) == ("poisson-gmm", "eastward"))
-    assert entry.outcomes["exit"] > 0.5 * entry.persons
+    assert entry.outcomes["exit"] > 0.4 * entry.persons  # goals are everywhere
 
 
 @pytest.mark.long

@@ -127,9 +127,9 @@ class Autocorrelation(Metric):
 class SlowAutocorrelation(Metric):
     """Autocorrelation of N(t) at lags of 120 and 300 s.
 
-    As `Autocorrelation`, but only N(t + lag) is in the blocks, N(t) anywhere in the same observed
-    stretch. Shown, never scored: recordings are short compared with these lags. A lag is used if
-    at least a tenth of the frames in the blocks are that late.
+    As `Autocorrelation`, but N(t + lag) may be in a later block than N(t), if observation did not
+    stop in between; the pair counts for the later block. Shown, never scored: recordings are short
+    compared with these lags. A lag is used if at least a tenth of the frames are that late.
     """
 
     name = "slow_autocorrelation"
@@ -146,15 +146,13 @@ class SlowAutocorrelation(Metric):
         last = max(int(blocks.frames.max()), crowd.frames)
         present = np.pad(crowd.present(), (0, last - crowd.frames))
         block, stretch = np.full(last, -1), np.full(last, -1)
+        of_block = np.cumsum(blocks.opens)
         for b, (start, stop) in enumerate(blocks.frames):
-            block[start:stop] = b
-        for k, (start, stop) in enumerate(crowd.observed):
-            stretch[start:stop] = k
+            block[start:stop], stretch[start:stop] = b, of_block[b]
         found = {}
         for lag_s in SLOW_LAGS_S:
             lag = min(_in_frames(lag_s, blocks), last)
-            counts = (block[lag:] >= 0) & (stretch[lag:] >= 0)
-            counts &= stretch[lag:] == stretch[: last - lag]
+            counts = (block[lag:] >= 0) & (stretch[lag:] == stretch[: last - lag])
             x, y = present[: last - lag][counts], present[lag:][counts]
             found[lag_key(lag_s)] = lagged_sums(x, y, block[lag:][counts], len(blocks))
         return found

@@ -34,8 +34,10 @@ from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.reward import Reward
 from crowdbench.spawn import Arrivals, SpawnEvents, SpawnModel, arrivals_of
 from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.cox import CoxGMM
 from crowdbench.spawn.events import blocks_of, entering
 from crowdbench.spawn.model import Start
+from crowdbench.spawn.plan_fitting import fit_plans
 from crowdbench.trajectories.table import Trajectories
 
 PERSONS_PER_M2 = 0.07
@@ -77,6 +79,7 @@ def measure() -> Iterator[Figure]:
             f"{name}, sampling 10,000 frames of ETH", _least_s(_sampling(spawn, scene)), "s"
         )
     yield from _fitting()
+    yield from _fitting_plans()
     spawn = spawn_model("poisson-gmm", scene)
     for policy in (Straight(), SocialForce()):
         yield Figure(
@@ -99,7 +102,7 @@ def measure() -> Iterator[Figure]:
 def _large() -> Iterator[Figure]:
     """Figures of Grand Central at full length, 10,000 frames with 12,700 persons; measured once."""
     scene = load_scene("gc-v0")
-    for name in ("poisson-gmm", "ntpp-gmm"):
+    for name in ("poisson-gmm", "ntpp-gmm", "cox-plans"):
         spawn = spawn_model(name, scene)
         yield Figure(
             f"{name}, sampling 10,000 frames of GC", _least_s(_sampling(spawn, scene)), "s"
@@ -301,6 +304,21 @@ def _fitting() -> Iterator[Figure]:
         arrivals = arrivals_of(crowd, blocks_of(crowd, scene), len(areas.spawn))
         took_s = _once_s(partial(ntpp_training.fit, arrivals, areas, scene, seed=0))
         yield Figure(f"ntpp-gmm, one fit to {scene.id}", took_s, "s")
+
+
+def _fitting_plans() -> Iterator[Figure]:
+    """Figures of a fit of waves, companions, ways and stops to each large recording."""
+    for scene in map(load_scene, ("plaza-v0", "gc-v0")):
+        if not has_recording(scene):
+            continue
+        crowd, areas = recording_of(scene), read_areas(scene)
+        blocks = blocks_of(crowd, scene)
+        arrivals = arrivals_of(crowd, blocks, len(areas.spawn))
+        for name, fit in (
+            ("cox-gmm", partial(CoxGMM.fit, arrivals, areas)),
+            ("plans", partial(fit_plans, crowd, blocks, areas)),
+        ):
+            yield Figure(f"{name}, one fit to {scene.id}", _once_s(fit), "s")
 
 
 def _scoring(reference: Reference, crowds: list[Trajectories]) -> Callable[[], object]:

@@ -117,9 +117,9 @@ def test_the_untrained_network_walks_towards_the_goal() -> None:
 
 
 def test_training_improves_the_reward() -> None:
-    settings = ppo.Settings(worlds=4, frames=24_000, batch_frames=800, horizon_s=80.0)
+    settings = ppo.Settings(worlds=4, frames=48_000, batch_frames=800, horizon_s=80.0)
     rewards = [figures["reward"] for _, figures in ppo.train("plaza-v0", settings)]
-    assert np.mean(rewards[-5:]) > np.mean(rewards[:5]) + 0.005  # it begins near the optimum
+    assert np.mean(rewards[-5:]) > np.mean(rewards[:5]) + 0.03
 
 
 def test_unknown_scenes_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

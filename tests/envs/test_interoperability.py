@@ -157,7 +157,7 @@ def test_black_death_fails_at_the_first_birth(supersuit: Any) -> None:
 def test_supersuits_vector_environment_fails_at_reset(supersuit: Any, first: str) -> None:
     env = getattr(supersuit, first)(parallel_env("plaza-v0", horizon_s=60.0))
     vector = supersuit.pettingzoo_env_to_vec_env_v1(env)
-    assert vector.num_envs > 200
+    assert vector.num_envs > 100  # all who ever come
     with pytest.raises(AssertionError, match="agent death"):
         vector.reset(seed=3)
 

@@ -161,7 +161,7 @@ def test_two_workers_write_what_one_writes(plaza: Case, tmp_path: Path) -> None:
         {path.name: path.read_bytes() for path in (tmp_path / str(workers)).iterdir()}
         for workers in (1, 2)
     )
-    assert len(one) == 7
+    assert len(one) == 9
     assert one == two
 
 

@@ -160,7 +160,7 @@ class TestPage:
 
     def test_what_is_there_is_kept_and_what_is_missing_is_made(self, made: Study) -> None:
         before, text = made.samples(), made.page.read_bytes()
-        fits, samples = 42, 2 * len(ALL)
+        fits, samples = 24, 2 * len(ALL)
         told = made.again()
         assert told == [(fits, fits), (samples, samples)]
         assert made.page.read_bytes() == text

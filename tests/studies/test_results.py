@@ -206,11 +206,12 @@ def test_how_much_and_how_long_the_number_present_moves_is_always_told() -> None
 
 
 def test_what_is_not_scored_is_said_not_to_be() -> None:
-    scored = [n for n in PLAZA.protocol.scored if n not in ("autocorrelation", "detour")]
+    scored = [n for n in PLAZA.protocol.scored if n not in ("autocorrelation", "dwell", "detour")]
     text = page_of(POISSON, RIGHT, *WALKERS, scored=scored)
     assert "(trips)" not in missed(text)
     said = section(text, "### What is not scored")
-    assert "Plain distances only: autocorrelation, dwell, origin destination, detour" in said
+    first = "autocorrelation, slow autocorrelation, dwell, origin destination, detour"
+    assert f"Plain distances only: {first}" in said
     assert "Families without a scored metric, left out of all means: *trips*." in said
     assert "because the time blocks are too short: fano 60 s." in said
 

@@ -33,12 +33,20 @@ QUANTITIES = {
     "agents_over_time": "mean number of people present",
     "agents_sd": "standard deviation of the number of people present",
     "autocorrelation": "autocorrelation of the number of people present",
+    "slow_autocorrelation": "autocorrelation of the number of people present at 120 and 300 s",
+    "standing_share": "share of the time that people stand",
     "dwell": "mean dwell time",
     "origin_destination": "shares of the pairs of spawn area and goal area",
     "detour": "mean ratio of path length to straight-line distance",
     "goal_share": "share of people who reach their goal",
     "occupancy": "shares of time that people spend in each square metre",
     "nearest_neighbour": "mean distance to the nearest neighbour",
+    "start_density": "density of the places where people start",
+    "goal_density": "density of the places where people go",
+    "companion_share": "share of people with a companion",
+    "group_size": "mean size of the group of a person",
+    "companion_distance": "mean distance between companions",
+    "companion_offset": "mean offset between companions",
     "speed": "mean speed",
     "pace": "mean deviation from a person's mean speed",
     "acceleration": "acceleration along the path",
@@ -47,7 +55,6 @@ QUANTITIES = {
     "avoidance": "minus the distance by which strangers keep away from each other",
     "wall_clearance": "mean distance to the nearest wall, up to 2 m",
     "overlap_rate": "share of time in which people overlap",
-    "companion_distance": "mean distance between companions",
 }
 """The typical value of each metric, or the shares that it compares."""
 
