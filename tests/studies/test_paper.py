@@ -110,7 +110,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Study:
 def tables(text: str, heading: str) -> list[list[str]]:
     """The cells of the first table below a heading, without its head."""
     lines = text.split(f"{heading}\n")[1].split("\n\n")
-    block = next(b for b in lines if b.startswith("| "))
+    block = next(b.strip() for b in lines if b.lstrip().startswith("| "))
     return [[c.strip() for c in line.strip("|").split("|")] for line in block.splitlines()[2:]]
 
 
