@@ -28,7 +28,7 @@ def arguments(page: str, program: str, *, small: bool = True) -> list[str]:
     """Of the page's only line that begins with `program`; `small` puts the plaza, which needs no
     recording and is walked in seconds, in the place of its scenes."""
     lines = "\n".join(blocks((ROOT / page).read_text(), "sh")).splitlines()
-    (line,) = (line for line in lines if line.split("#")[0].strip().startswith(program))
+    (line,) = (line for line in lines if f"{line.split('#')[0].strip()} ".startswith(f"{program} "))
     given = shlex.split(line.split("#")[0].strip().removeprefix(program))
     if not small:
         return given

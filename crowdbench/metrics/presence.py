@@ -129,7 +129,8 @@ class SlowAutocorrelation(Metric):
 
     As `Autocorrelation`, but N(t + lag) may be in a later block than N(t), if observation did not
     stop in between; the pair counts for the later block. Shown, never scored: recordings are short
-    compared with these lags. A lag is used if at least a tenth of the frames are that late.
+    compared with these lags. A lag is used if at least a tenth of the frames come that long after
+    observation began.
     """
 
     name = "slow_autocorrelation"
@@ -145,14 +146,13 @@ class SlowAutocorrelation(Metric):
         """`lag n s[b]`: as in `Autocorrelation`, with N(t + lag) in block b."""
         last = max(int(blocks.frames.max()), crowd.frames)
         present = np.pad(crowd.present(), (0, last - crowd.frames))
-        block, stretch = np.full(last, -1), np.full(last, -1)
-        of_block = np.cumsum(blocks.opens)
+        block, since = np.full(last, -1), np.full(last, last)
         for b, (start, stop) in enumerate(blocks.frames):
-            block[start:stop], stretch[start:stop] = b, of_block[b]
+            block[start:stop], since[start:stop] = b, blocks.since[b]
         found = {}
         for lag_s in SLOW_LAGS_S:
             lag = min(_in_frames(lag_s, blocks), last)
-            counts = (block[lag:] >= 0) & (stretch[lag:] == stretch[: last - lag])
+            counts = np.arange(last - lag) >= since[lag:]
             x, y = present[: last - lag][counts], present[lag:][counts]
             found[lag_key(lag_s)] = lagged_sums(x, y, block[lag:][counts], len(blocks))
         return found
@@ -221,10 +221,14 @@ def usable_lags(lags_s: Sequence[float], blocks: TimeBlocks) -> list[float]:
 
 
 def _late_enough(blocks: TimeBlocks) -> list[float]:
-    """The slow lags that enough frames of the blocks are at least as late as."""
+    """The slow lags at which enough frames of the blocks have an earlier one."""
     start, stop = blocks.frames.T
-    late = {k: np.maximum(stop - np.maximum(start, _in_frames(k, blocks)), 0) for k in SLOW_LAGS_S}
-    return [k for k, frames in late.items() if frames.sum() >= ENOUGH * (stop - start).sum()]
+    found = []
+    for lag_s in SLOW_LAGS_S:
+        late = np.maximum(stop - np.maximum(start, blocks.since + _in_frames(lag_s, blocks)), 0)
+        if late.sum() >= ENOUGH * (stop - start).sum():
+            found.append(lag_s)
+    return found
 
 
 def lag_key(lag_s: float) -> str:

@@ -262,7 +262,9 @@ def read_reference(scene: Scene) -> Reference:
             expected=f"{len(file.blocks)}, one per block",
             hint=hint,
         )
-    blocks = TimeBlocks(np.array(file.blocks), np.array(file.opens), scene.dt_s, scene.grid_s)
+    within = np.array(file.blocks)
+    since = np.maximum.accumulate(np.where(file.opens, within[:, 0], 0))
+    blocks = TimeBlocks(within, since, scene.dt_s, scene.grid_s)
     if (np.diff(blocks.frames.ravel()) < 0).any() or (np.diff(blocks.frames) == 0).any():
         raise WeightsError(
             path,

@@ -27,9 +27,8 @@ class TimeBlocks:
 
     frames: Int[np.ndarray, "B 2"]
     """[start, stop) of each block."""
-    opens: Bool[np.ndarray, " B"]
-    """True if observation begins with the block. People in its first frame were there before, so
-    arrivals are counted from its second frame on."""
+    since: Int[np.ndarray, " B"]
+    """First frame of the observed interval in which each block lies."""
     dt_s: float
     """Seconds from one frame to the next."""
     grid_s: float
@@ -37,6 +36,15 @@ class TimeBlocks:
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    @property
+    def opens(self) -> Bool[np.ndarray, " B"]:
+        """True if observation begins with the block.
+
+        People in its first frame were there before, so arrivals are counted from its second
+        frame on.
+        """
+        return self.frames[:, 0] == self.since
 
     def in_split(self, split: str) -> Bool[np.ndarray, " B"]:
         """Whether each block is scored for models fitted for `split` (one of `SPLITS`).
@@ -57,7 +65,7 @@ class TimeBlocks:
 
     def take(self, chosen: Bool[np.ndarray, " B"] | Int[np.ndarray, " b"]) -> "TimeBlocks":
         """A subset of the blocks, by mask or by ascending indices."""
-        return TimeBlocks(self.frames[chosen], self.opens[chosen], self.dt_s, self.grid_s)
+        return TimeBlocks(self.frames[chosen], self.since[chosen], self.dt_s, self.grid_s)
 
     @property
     def arrival_s(self) -> Float[np.ndarray, "B 2"]:
@@ -94,10 +102,10 @@ def cut(
     Every observed frame belongs to a block: an interval shorter than `block_s` is one block.
     """
     frames: list[tuple[int, int]] = []
-    opens: list[bool] = []
+    since: list[int] = []
     for start, stop in observed:
         count = max(1, round((stop - start) * dt_s / block_s))
         edges = np.linspace(start, stop, count + 1).round().astype(np.int64)
         frames += pairwise(edges)
-        opens += [True] + [False] * (count - 1)
-    return TimeBlocks(np.array(frames), np.array(opens), dt_s, grid_s)
+        since += [start] * count
+    return TimeBlocks(np.array(frames), np.array(since), dt_s, grid_s)

@@ -114,7 +114,7 @@ def test_the_order_of_persons_changes_nothing(metric, crowd, data):
 @example(crowds=(BUSY, BUSY_TOO), frames=9_999)
 @given(crowds=two_crowds, frames=st.integers(0, 10_000))
 def test_a_shift_in_time_of_both_crowds_and_the_blocks_changes_nothing(metric, crowds, frames):
-    blocks = replace(BLOCKS, frames=BLOCKS.frames + frames)
+    blocks = replace(BLOCKS, frames=BLOCKS.frames + frames, since=BLOCKS.since + frames)
     moved = score(metric, *(later(crowd, frames) for crowd in crowds), blocks)
     np.testing.assert_equal(asdict(moved), asdict(score(metric, *crowds)))
 

@@ -161,7 +161,7 @@ def test_deviation_is_that_of_whole_trips_of_3_m() -> None:
 
 
 def test_values_count_in_the_block_of_their_middle() -> None:
-    blocks = TimeBlocks(np.array([[1, 7], [7, 60]]), np.array([True, False]), DT_S, DT_S)
+    blocks = TimeBlocks(np.array([[1, 7], [7, 60]]), np.array([1, 1]), DT_S, DT_S)
     counts = [len(values) for values in sample(Speed(), walking(STRAIGHT), blocks)]
     assert counts == [2, ROWS - 8 - 2]  # the first middle is frame 5
     products = Turning().summarise(walking(STRAIGHT), blocks, PLACE)["lag 3"]

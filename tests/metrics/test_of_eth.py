@@ -79,7 +79,7 @@ def avoids(crowd: Trajectories, blocks: TimeBlocks, place: Place) -> float:
 
 def test_all_metrics_but_that_of_long_blocks_see_something(eth, blocks, place):
     metrics = metrics_for(blocks)
-    assert len(metrics) == 29
+    assert len(metrics) == 28
     for metric in metrics:
         result = distance(metric, eth, eth, blocks, place)
         assert result.distance == 0

@@ -60,7 +60,7 @@ def test_densities_are_of_the_first_and_last_points_of_trips() -> None:
 
 
 def test_occupancy_looks_at_the_frames_of_the_blocks_only():
-    blocks = TimeBlocks(np.array([[0, 1], [2, 3]]), np.array([True, True]), 1.0, 1.0)
+    blocks = TimeBlocks(np.array([[0, 1], [2, 3]]), np.array([0, 2]), 1.0, 1.0)
     crowd = walking((0.5, 0.5), (0.5, 1.5), (1.5, 1.5))
     assert sample(Occupancy(), crowd, blocks, SQUARE) == [[5], [10]]
 
@@ -101,7 +101,7 @@ def test_no_neighbour_is_further_away_than_none():
 
 
 def test_nearest_neighbours_count_in_the_block_of_their_frame():
-    blocks = TimeBlocks(np.array([[0, 1], [2, 3]]), np.array([True, True]), 1.0, 1.0)
+    blocks = TimeBlocks(np.array([[0, 1], [2, 3]]), np.array([0, 2]), 1.0, 1.0)
     xy = np.array([(0, 0)] * 3 + [(1, 0), (2, 0), (3, 0)])
     crowd = crowd_of([(0, 2), (0, 2)], xy=xy)
     assert sample(NearestNeighbour(), crowd, blocks) == [[100, 100], [300, 300]]

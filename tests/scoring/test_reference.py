@@ -100,7 +100,7 @@ def test_written_statistics_are_read_back(tmp_path: Path, plaza: Trajectories) -
     write_reference(reference, place)
     again = read_reference(place)
     assert np.array_equal(again.blocks.frames, reference.blocks.frames)
-    assert np.array_equal(again.blocks.opens, reference.blocks.opens)
+    assert np.array_equal(again.blocks.since, reference.blocks.since)
     for metric, histograms in reference.statistics.items():
         for name, counts in histograms.items():
             found = again.statistics[metric][name]

@@ -127,7 +127,7 @@ def test_blocks_of_the_grid_between_frames_are_played_on_it() -> None:
         [(3, 5), (6, 9)], frames=20, dt_s=0.4, grid_s=0.1,
         persons={"spawn_area": [0, 0], "goal_area": [1, 1], "spawn_s": [1.1, 2.3]},
     )  # fmt: skip
-    blocks = TimeBlocks(np.array([[0, 20]]), np.array([True]), 0.4, 0.1)
+    blocks = TimeBlocks(np.array([[0, 20]]), np.array([0]), 0.4, 0.1)
     events = BlockReplay(crowd, blocks, AREAS).sample(40.0, ETH, np.random.default_rng(8))
     gaps = np.unique(np.diff(events.time_s).round(6))
     assert gaps.tolist() == [1.2, 6.4]  # 7.6 s a round

@@ -41,8 +41,7 @@ class Windows:
         frames = round(WINDOW_S / crowd.dt_s)
         step = max(1, round(frames / STARTS))
         start = np.concatenate([np.arange(a, b - frames + 1, step) for a, b in crowd.observed])
-        opens = np.ones(len(crowd.observed), dtype=bool)
-        blocks = TimeBlocks(crowd.observed, opens, crowd.dt_s, crowd.grid_s)
+        blocks = TimeBlocks(crowd.observed, crowd.observed[:, 0], crowd.dt_s, crowd.grid_s)
         who, _, tick = blocks.of_arrivals(crowd)
         spawns, goals = len(areas.spawn) + 1, len(areas.goal) + 1
         spawn, goal = crowd.spawn_area[who] % spawns, crowd.goal_area[who] % goals  # −1 is last
