@@ -10,6 +10,7 @@ Given the spawn area a and the goal area g, which is drawn from the flows of the
   for each pair in the same way. A bend of more than 0.75 m becomes a via point.
 - Those who stop do so in one of some common places: a mixture of Gaussians over the place and the
   logarithm of the wait, with the number of components chosen by the Bayesian information criterion.
+  If fewer than ten people stop, they stop half way, and their waits are mixed with usual ones.
 
 No Gaussian stands for fewer than ten people, and none of places is narrower than 0.3 m, so that
 nothing recorded can be read from it. Only trips whose end was seen are used. They are weighted by

@@ -25,7 +25,7 @@ from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.links import Links
 from crowdbench.spawn.plan_fitting import Marks, fit_plans, marks_of, trips_alone
-from crowdbench.spawn.way_fitting import widened
+from crowdbench.spawn.way_fitting import FEWEST, widened
 from crowdbench.spawn.ways import Trips, log_gaussian, moments, of_areas
 from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.table import Trajectories
@@ -110,7 +110,7 @@ def likelihoods(scene: Scene) -> list[Held]:
                 float(apart.log_trips(trips).sum()),
             )
         )
-        if learnt.stops.any() and len(fitted.ways.stop_mean):
+        if len(fitted.ways.stop_mean):
             found.setdefault("whether people stop", []).append(
                 (
                     len(trips.weight),
@@ -118,6 +118,7 @@ def likelihoods(scene: Scene) -> list[Held]:
                     float(_same_stopping(learnt, trips)),
                 )
             )
+        if learnt.stops.sum() >= FEWEST:  # else the model has no places of its own
             found.setdefault("where and how long", []).append(
                 (
                     int(trips.stops.sum()),

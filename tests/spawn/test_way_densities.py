@@ -1,5 +1,7 @@
 """Densities of ways, and samples that agree with them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import binomtest, chi2, kstest, multivariate_normal, norm
@@ -9,6 +11,7 @@ from crowdbench.scene import load_scene
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.plan_fitting import fit_plans, marks_of, trips_alone
+from crowdbench.spawn.way_fitting import fit_ways
 from crowdbench.spawn.ways import Trips, Ways, log_gaussian
 
 PLAZA = load_scene("plaza-v0")
@@ -100,3 +103,25 @@ def test_those_who_join_somebody_have_no_trip_of_their_own() -> None:
     assert len(alone.weight) <= (~joined).sum()
     faster = alone.trip[:, 4] - as_seen.trip[:, 4]
     assert set(np.unique(faster.round(9))) == {0.0, round(-np.log(0.9), 9)}
+
+
+def test_few_people_stop_half_way_for_a_time_that_is_mixed_with_usual_ones() -> None:
+    areas = read_areas(PLAZA)
+    rng = np.random.default_rng(0)
+    number, few = 300, 4
+    trip = rng.normal(size=(number, 5)) * 0.1 + [-10, 0, 10, 2, 0]
+    stop = np.full((number, 3), np.nan)
+    stop[:few] = [3.0, 9.0, np.log(40.0)]  # far off the way of the others
+    zeros = np.zeros(number, np.int64)
+    trips = Trips(np.ones(number), zeros, zeros, trip, np.zeros((number, 2)), stop)
+    ways = fit_ways(trips, areas)
+    assert ways.stop_mean.shape == (1, 3)
+    np.testing.assert_allclose(ways.stop_mean[0, :2], [0, 1], atol=0.05)
+    expected = 0.4 * np.log(40) + 0.6 * np.log(10)
+    assert ways.stop_mean[0, 2] == pytest.approx(expected)
+    expected = 0.6 * 1 + 0.4 * 0.6 * np.log(4) ** 2
+    assert ways.stop_covariance[0, 2, 2] == pytest.approx(expected)
+    assert ways.stopping[0, 0] == pytest.approx(few / number)
+    nobody = fit_ways(replace(trips, stop=np.full((number, 3), np.nan)), areas)
+    assert len(nobody.stop_mean) == 0
+    assert not nobody.stopping.any()
