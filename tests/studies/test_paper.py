@@ -88,6 +88,8 @@ class Study:
         """In its folder, with fewer samples and epochs."""
         with pytest.MonkeyPatch.context() as patch:
             patch.chdir(self.folder)
+            # Other tests may have imported the plaza, of which samples know the file.
+            patch.setenv("CROWDBENCH_HOME", str(self.folder / "home"))
             patch.setattr(study, "SAMPLES", 2)
             patch.setattr(study, "DRAWS", 2)
             brief = ntpp_training.Settings(epochs=3, patience=1, calibration_points=2000)
