@@ -36,9 +36,8 @@ with needs("imitation", __name__):
     import torch
     from gymnasium import spaces
     from imitation.algorithms import bc
-    from imitation.policies.base import FeedForward32Policy
     from imitation.util import logger
-    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+    from stable_baselines3.common.policies import ActorCriticPolicy
     from torch import Tensor, nn
 
     from baselines.bc import Batches
@@ -49,6 +48,8 @@ SELF = OBSERVATIONS[OBSERVATION]
 """Number of values before the rays."""
 NOISE = 2
 """Number of normal numbers per action."""
+LAYERS = {"pi": [32, 32], "vf": []}
+"""The paper's layers; cloning needs no value of a state, so its network has no layers."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +70,8 @@ SETTABLE = {
 """Settings with a command line option, and the help texts of the options."""
 
 
-class PaperObservation(BaseFeaturesExtractor):
+class PaperObservation(nn.Module):
     """The paper's observation, from `lidar-1`: the direction to the goal becomes one angle."""
-
-    def __init__(self, observation_space: spaces.Box) -> None:
-        super().__init__(observation_space, int(observation_space.shape[0]) - 1)
 
     def forward(self, seen: Tensor) -> Tensor:
         """Velocity (2), distance and angle / 2π of the goal, rays: (A, obs − 1) of (A, obs)."""
@@ -89,10 +87,10 @@ class Sampler(nn.Module):
     middle: Tensor
     reach: Tensor
 
-    def __init__(self, policy: FeedForward32Policy, lowest: np.ndarray, highest: np.ndarray):
+    def __init__(self, policy: ActorCriticPolicy, lowest: np.ndarray, highest: np.ndarray):
         """A cloned policy, and the velocities (2,) that it knows as −1 and 1."""
         super().__init__()
-        self.features = policy.features_extractor
+        self.features = PaperObservation()
         self.actor = policy.mlp_extractor.policy_net
         self.head = policy.action_net
         self.register_buffer("std", policy.log_std.detach().exp())
@@ -110,18 +108,14 @@ def clone(shown: Demonstrations, settings: Settings) -> Sampler:
     """Clone a policy from demonstrations with the observation `lidar-1`."""
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
-    seen, did = shown.pairs()
+    pairs, did = shown.pairs()
+    seen = PaperObservation()(torch.from_numpy(pairs)).numpy()
     lowest, highest = did.min(axis=0), did.max(axis=0)
     half = np.maximum((highest - lowest) / 2, 1e-6)
     scaled = ((did - lowest) / half - 1).astype(np.float32)
     observed = spaces.Box(-1.0, 1.0, (seen.shape[1],), np.float32)
     actions = spaces.Box(-1.0, 1.0, (2,), np.float32)
-    policy = FeedForward32Policy(
-        observed,
-        actions,
-        lambda _: settings.learning_rate,
-        features_extractor_class=PaperObservation,
-    )
+    policy = ActorCriticPolicy(observed, actions, lambda _: settings.learning_rate, net_arch=LAYERS)
     size = min(settings.batch_size, len(did))
     trainer = bc.BC(
         observation_space=observed,
