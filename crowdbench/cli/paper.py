@@ -16,13 +16,14 @@ def add(commands: "Commands") -> None:
         "paper",
         help="check the founding paper's claims (minutes on ETH, hours on Grand Central)",
     )
-    paper.add_argument("scenes", nargs="+", metavar="SCENE", help="id of a scene, or its folder")
+    paper.add_argument("scene", metavar="SCENE", help="id of a scene, or its folder")
     paper.add_argument(
         "--out",
         type=Path,
         default=Path("docs"),
         metavar="DIR",
-        help="output folder of the page and its pictures (default: docs)",
+        help="output folder of the overview, paper.md, and of the pages and pictures of scenes in "
+        "paper/ (default: docs)",
     )
     paper.add_argument("--workers", type=int, help="worker processes (default: one per core)")
     paper.set_defaults(run=_paper)
@@ -32,5 +33,5 @@ def _paper(args: argparse.Namespace) -> None:
     from crowdbench.studies.paper import write_paper
 
     with progress_bar("fits and samples") as progress:
-        page = write_paper(args.scenes, out=args.out, workers=args.workers, progress=progress)
+        page = write_paper(args.scene, out=args.out, workers=args.workers, progress=progress)
     print(f"written to {page} and {page.with_suffix('')}/")

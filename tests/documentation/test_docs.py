@@ -155,6 +155,8 @@ def test_every_command_that_a_sentence_mentions_exists(
 def test_every_page_of_results_says_how_it_was_made() -> None:
     for path in DOCS.glob("results/*.md"):  # tests of the command itself run it on the plaza
         assert pages.commands(path.read_text()) == [f"crowdbench results {path.stem}"]
+    for path in DOCS.glob("paper/*.md"):
+        assert pages.commands(path.read_text()) == [f"crowdbench paper {path.stem}"]
 
 
 def test_no_page_has_commands_that_no_test_runs() -> None:
@@ -163,7 +165,7 @@ def test_no_page_has_commands_that_no_test_runs() -> None:
         *("README.md", "scenes.md", "forum.md", "steering.md", "viewer.md"),
         *("figures.md", "walks.md", "evaluation.md", "data.md", "submitting.md"),
     }
-    of_results = [*DOCS.glob("results/*.md"), DOCS / "paper.md"]
+    of_results = [*DOCS.glob("results/*.md"), DOCS / "paper.md", *DOCS.glob("paper/*.md")]
     with_commands = {path for path in PAGES if "crowdbench" in "".join(blocks_of(path))}
     assert {path.name for path in with_commands - set(of_results)} == here | in_files_of_their_own
 

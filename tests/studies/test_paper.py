@@ -47,7 +47,7 @@ from crowdbench.studies.paper.fits import (
     without_words,
 )
 from crowdbench.studies.paper.measures import _welch, difference, signs
-from crowdbench.studies.paper.page import scenes_on
+from crowdbench.studies.paper.page import Verdicts, overview
 from crowdbench.studies.paper.presence import Presence, stretches
 from crowdbench.studies.paper.study import Sample
 from crowdbench.studies.paper.tables import own_density
@@ -67,7 +67,8 @@ class Study:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.work = folder / "results/paper-plaza-v0"
-        self.page = folder / "docs/paper.md"
+        self.overview = folder / "docs/paper.md"
+        self.page = folder / "docs/paper/plaza-v0.md"
 
     def by_command(self) -> None:
         with self.small():
@@ -78,7 +79,7 @@ class Study:
         told: list[tuple[int, int]] = []
         with self.small():
             written = write_paper(
-                ["plaza-v0"], workers=1, progress=lambda done, total: told.append((done, total))
+                "plaza-v0", workers=1, progress=lambda done, total: told.append((done, total))
             )
             assert written.resolve() == self.page
         return told
@@ -121,20 +122,21 @@ class TestPage:
     def test_every_claim_has_a_verdict_and_its_reasons(self, made: Study) -> None:
         text = made.page.read_text(encoding="utf-8")
         assert pages.commands(text)[0] == "crowdbench paper plaza-v0"
-        assert scenes_on(text) == {"plaza-v0"}
-        verdicts = tables(text, "## Which claims hold")
+        overview = made.overview.read_text(encoding="utf-8")
+        assert "| claim | [plaza-v0](paper/plaza-v0.md) |" in overview
+        verdicts = tables(overview, "## Which claims hold")
         assert len(verdicts) == 6
         for claim, verdict in verdicts:
             if "Grand Central" in claim:  # this is the plaza
                 assert verdict == "–"
-                assert f"### {claim}" not in text
+                assert f"## {claim}" not in text
             else:
                 start = "" if verdict == "–" else f"{verdict.capitalize()}. "
-                (why,) = re.findall(rf"^### {re.escape(claim)}\n\n(.*?)\n\n", text, re.M | re.S)
+                (why,) = re.findall(rf"^## {re.escape(claim)}\n\n(.*?)\n\n", text, re.M | re.S)
                 assert " ".join(why.split()).startswith(start.strip())
 
     def test_each_model_has_its_row_in_both_schemes(self, made: Study) -> None:
-        rows = tables(made.page.read_text(encoding="utf-8"), "### Windows and strides")
+        rows = tables(made.page.read_text(encoding="utf-8"), "## Windows and strides")
         first = (POISSON, POISSON_CODE, SHIPPED)
         names = ["recorded", *(c.label for c in (*first, *windowed()))]
         assert [(r[0], r[1]) for r in rows] == [
@@ -142,7 +144,7 @@ class TestPage:
         ]
 
     def test_numbers_are_those_of_the_samples(self, made: Study) -> None:
-        rows = tables(made.page.read_text(encoding="utf-8"), "### Windows and strides")
+        rows = tables(made.page.read_text(encoding="utf-8"), "## Windows and strides")
         samples = made.samples()
         for configuration in ALL[1:]:
             for k in (0, 1):
@@ -173,7 +175,7 @@ class TestPage:
         stale = made.work / "ntpp-gmm-500-50_0.json"
         stale.write_bytes(stale.read_bytes().replace(b'"made_from":"', b'"made_from":"0'))
         (made.work / "fits/ntpp-paper-100-5_0.safetensors").write_bytes(b"half")
-        halves = [made.work / ".poisson-gmm_0-x1.json", made.page.parent / ".paper-x1.md"]
+        halves = [made.work / ".poisson-gmm_0-x1.json", made.page.parent / ".plaza-v0-x1.md"]
         for half in halves:  # as a call that is killed leaves behind
             half.touch()
         told = made.again()
@@ -244,15 +246,13 @@ def test_the_papers_model_has_one_fit_and_crowdbenchs_one_for_each_sample() -> N
 
 def test_without_the_recording_nothing_is_begun(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="crowdbench data import eth"):
-        write_paper(["eth-v0"], out=tmp_path / "docs", work=tmp_path / "work")
+        write_paper("eth-v0", out=tmp_path / "docs", work=tmp_path / "work")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_workers_and_no_scenes_are_refused(tmp_path: Path) -> None:
+def test_no_workers_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SettingError, match="workers"):
-        write_paper(["plaza-v0"], out=tmp_path, workers=0)
-    with pytest.raises(SettingError, match="no scene"):
-        write_paper([], out=tmp_path)
+        write_paper("plaza-v0", out=tmp_path, workers=0)
 
 
 def test_poisson_arrivals_have_no_bursts_and_areas_that_do_not_depend_on_each_other() -> None:
@@ -547,11 +547,28 @@ def test_words_in_the_code_do_not_make_fits_stale() -> None:
     assert without_words(code) != without_words("def f(x):\n    return x + 2\n")
 
 
-def test_a_page_about_more_scenes_is_not_replaced(tmp_path: Path) -> None:
-    page = tmp_path / "paper.md"
-    page.write_text("# A\n\n## A place (eth-v0)\n\n## The plaza (plaza-v0)\n")
-    with pytest.raises(OutputError, match=r"also about eth-v0[\s\S]*--out DIR"):
-        write_paper(["plaza-v0"], out=tmp_path, work=tmp_path / "work")
+def test_the_overview_is_about_all_scenes_with_a_page() -> None:
+    plaza = Verdicts(
+        schema=1, scene="plaza-v0", title="Plaza", verdicts=[("A", "holds"), ("B", "–")]
+    )
+    other = Verdicts(
+        schema=1, scene="x-v0", title="X", verdicts=[("A", "undecided"), ("C", "holds")]
+    )
+    lines = overview([plaza, other]).splitlines()
+    assert "| claim | [plaza-v0](paper/plaza-v0.md) | [x-v0](paper/x-v0.md) |" in lines
+    assert [line for line in lines if re.match(r"\| [ABC] ", line)] == [
+        "| A | holds | undecided |",
+        "| B | – | – |",
+        "| C | – | holds |",
+    ]
+
+
+def test_verdicts_that_cannot_be_read_are_noticed_first(tmp_path: Path) -> None:
+    file = tmp_path / "docs/paper/x-v0/verdicts.json"
+    file.parent.mkdir(parents=True)
+    file.write_text('{"schema": 1}')
+    with pytest.raises(OutputError, match=r"x-v0[\s\S]*crowdbench paper"):
+        write_paper("plaza-v0", out=tmp_path / "docs", work=tmp_path / "work")
     assert not (tmp_path / "work").exists()
 
 
@@ -561,5 +578,5 @@ def test_missing_fits_are_noticed_first(tmp_path: Path) -> None:
     for file in place.glob("ntpp-gmm*"):
         file.unlink()
     with pytest.raises(WeightsError, match="ntpp-gmm"):
-        write_paper([place], out=tmp_path / "docs", work=tmp_path / "work")
+        write_paper(place, out=tmp_path / "docs", work=tmp_path / "work")
     assert not (tmp_path / "work").exists()

@@ -1,22 +1,22 @@
 """The founding paper's claims, checked with its own models and settings and with crowdbench's.
 
 `write_paper` trains the paper's models (ICRA 2025, "Whenever, Wherever") with each of its windows
-and strides, samples them and crowdbench's models, and writes a Markdown page with pictures, meant
-to be kept under version control. The same samples give the same bytes.
+and strides, samples them and crowdbench's models, and writes a Markdown page with pictures for each
+scene and an overview, meant to be kept under version control. The same samples give the same bytes.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from crowdbench.errors import OutputError, SettingError
+from crowdbench.errors import OutputError
 from crowdbench.evaluation.judge import draws_of
 from crowdbench.evaluation.lock import alone_in
 from crowdbench.evaluation.parallel import checked_workers
 from crowdbench.evaluation.rollout_jobs import Progress
-from crowdbench.files import replacing, write_text
+from crowdbench.files import read_struct, replacing, write_json, write_text
 from crowdbench.policies.export import revision
 from crowdbench.registry import raw_recording_of, recording_of, spawn_model
 from crowdbench.report.plots import PlotData
@@ -28,7 +28,7 @@ from crowdbench.spawn.areas import fit_areas, read_areas
 from crowdbench.studies.paper.claims import claims
 from crowdbench.studies.paper.evidence import Evidence, noise
 from crowdbench.studies.paper.fits import SHIPPED, make_fits
-from crowdbench.studies.paper.page import Studied, page, scenes_on
+from crowdbench.studies.paper.page import Studied, Verdicts, overview, page
 from crowdbench.studies.paper.pictures import draw_agents, draw_bursts
 from crowdbench.studies.paper.study import (
     compared,
@@ -44,47 +44,56 @@ from crowdbench.trajectories.preprocessing import paper_preprocessed
 from crowdbench.trajectories.storage import read_own
 from crowdbench.trajectories.table import Trajectories
 
+VERDICTS = "verdicts.json"
+"""Beside the pictures of a scene."""
+
 
 def write_paper(
-    scenes: Sequence[str | Path],
+    scene: str | Path,
     *,
     out: Path = Path("docs"),
     work: Path = Path("results"),
     workers: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Path:
-    """Check the paper's claims on scenes; write `paper.md` and `paper/<scene>/*.png` into `out`.
+    """Check the paper's claims on a scene; write `paper/<scene>.md` and its pictures into `out`.
 
-    Returns the path of the page. Fits and samples are kept in `paper-<scene>` of `work`; a later
-    call reuses those whose dependencies have not changed. `progress(done, total)` is called for
-    the fits of a scene, then for its samples: before the first and after each. `workers` is the
-    number of processes (by default one per core).
+    Returns the path of the page. The overview `paper.md` in `out`, of all scenes that have a page
+    there, is written again. Fits and samples are kept in `paper-<scene>` of `work`; a later call
+    reuses those whose dependencies have not changed. `progress(done, total)` is called for the
+    fits, then for the samples: before the first and after each. `workers` is the number of
+    processes (by default one per core).
 
     Raises:
         SceneError, WeightsError: there is no such scene, or it lacks areas, fits or statistics.
-        RecordingError: a recording has not been imported.
-        SettingError: no scene, torch is not installed, or `workers` is less than 1.
-        OutputError: `out` or `work` cannot be written, or the page is about more scenes.
+        RecordingError: the recording has not been imported.
+        SettingError: torch is not installed, or `workers` is less than 1.
+        OutputError: `out` or `work` cannot be written, or verdicts in `out` cannot be read.
     """
-    places = [load_scene(scene) for scene in dict.fromkeys(scenes)]
-    if not places:
-        raise SettingError("paper", got="no scene", expected="one or more scenes")
+    place = load_scene(scene)
     workers = checked_workers(workers)
     check_torch()
-    path = out / "paper.md"
-    _check_no_scene_is_lost(path, places)
-    recordings = [recording_of(place) for place in places]
-    for place in places:
-        spawn_model(SHIPPED.spawn, place)  # fails here, not after hours, if there are no fits
+    recording = recording_of(place)
+    spawn_model(SHIPPED.spawn, place)  # fails here, not after hours, if there are no fits
     commit = revision(Path(__file__).parent)
-    found = []
+    path, folder = out / "paper" / f"{place.id}.md", work / f"paper-{place.id}"
+    _verdicts_in(out)  # fails here, too
     with _without_halves(path), replacing(path) as temporary:  # fails early without access
-        for place, recording in zip(places, recordings, strict=True):
-            folder = work / f"paper-{place.id}"
-            with alone_in(folder):
-                found.append(_studied(place, recording, folder, out, workers, progress))
-        write_text(temporary, page(found, commit))
+        with alone_in(folder):
+            studied = _studied(place, recording, folder, out, workers, progress)
+        write_text(temporary, page(studied, commit))
+        write_json(path.with_suffix("") / VERDICTS, Verdicts.of(studied))
+    write_text(out / "paper.md", overview(_verdicts_in(out)))
     return path
+
+
+def _verdicts_in(out: Path) -> list[Verdicts]:
+    """The verdicts of all scenes that have a page, in the order of their ids."""
+    hint = "Make its page again with `crowdbench paper`, or remove the folder."
+    return [
+        read_struct(file, Verdicts, OutputError, hint)
+        for file in sorted(out.glob(f"paper/*/{VERDICTS}"))
+    ]
 
 
 def _studied(
@@ -125,21 +134,6 @@ def _studied(
         areas=_areas(place, raw),
         longest_s=float(np.diff(recording.observed).max() * recording.dt_s),
     )
-
-
-def _check_no_scene_is_lost(path: Path, places: Sequence[Scene]) -> None:
-    """Check that an earlier page is not about scenes that this one would lack."""
-    if not path.is_file():
-        return
-    ids = [place.id for place in places]
-    missing = sorted(scenes_on(path.read_text(encoding="utf-8")) - set(ids))
-    if missing:
-        raise OutputError(
-            path,
-            got=f"a page that is also about {', '.join(missing)}",
-            expected=f"one about no other scenes than {', '.join(ids)}",
-            hint="Write elsewhere with --out DIR, or name these scenes too.",
-        )
 
 
 def _areas(place: Scene, recording: Trajectories) -> dict[str, str]:

@@ -1,9 +1,10 @@
-"""The Markdown text of the page on the founding paper."""
+"""The Markdown text of the pages on the founding paper: one for each scene, and an overview."""
 
-import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+import msgspec
 
 from crowdbench import __version__
 from crowdbench.report.text.markdown import flowed, table
@@ -22,6 +23,7 @@ from crowdbench.studies.paper.tables import (
 from crowdbench.studies.results.page import of_recording
 from crowdbench.studies.results.pictures import Picture
 
+SCHEMA = 1
 _MODELS = "\n".join(
     (
         "- *the paper’s model*: `ntpp-paper`, a GRU and an MLP of 32 units for each area, one "
@@ -58,34 +60,40 @@ class Studied:
         return self.evidence.scene
 
 
-def scenes_on(page: str) -> set[str]:
-    """Ids of the scenes of a page."""
-    return set(re.findall(r"^## .* \((\S+)\)$", page, re.MULTILINE))
+class Verdicts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The verdicts of a scene's page, which the overview repeats."""
+
+    schema: int
+    scene: str
+    title: str
+    verdicts: list[tuple[str, str]]
+    """Claims and verdicts, in the order of the page."""
+
+    @classmethod
+    def of(cls, studied: Studied) -> "Verdicts":
+        """Those of a studied scene."""
+        verdicts = [(claim.title, claim.verdict) for claim in studied.claims]
+        scene = studied.scene
+        return cls(schema=SCHEMA, scene=scene.id, title=scene.title, verdicts=verdicts)
 
 
-def page(found: Sequence[Studied], commit: str) -> str:
-    """The page in Markdown; the same samples give the same bytes."""
-    scenes = "\n\n".join(_scene(studied) for studied in found)
-    command = shlex.join(["crowdbench", "paper", *(named(studied.scene) for studied in found)])
-    made = f"crowdbench {__version__}{commit and f' (commit {commit})'}"
-    took_s = training_s([studied.evidence for studied in found])
-    took = f"{digits(took_s / 3600)} hours" if took_s >= 3600 else f"{took_s / 60:.0f} minutes"
+def overview(scenes: Sequence[Verdicts]) -> str:
+    """The page of all scenes in Markdown: which claims hold where."""
+    by_title = [dict(each.verdicts) for each in scenes]
+    titles = dict.fromkeys(title for verdicts in by_title for title in verdicts)
+    head = ["claim", *(f"[{each.scene}](paper/{each.scene}.md)" for each in scenes)]
+    lines = [[t, *(verdicts.get(t, NOTHING) for verdicts in by_title)] for t in titles]
     return flowed(f"""# The founding paper, claim by claim
 
 *Whenever, Wherever* (Kreutz, Mühlhäuser and Sanchez Guinea, ICRA 2025) models when people enter by
 neural temporal point processes, where they enter and where they go by Gaussian areas, and moves
-them by behaviour cloning. This page checks its claims with its own models and settings, and with
-crowdbench’s. Generated with {made} by
-
-```sh
-{command}
-```
-
-The fits took {took} of one core. They are kept: an interrupted command continues.
+them by behaviour cloning. These pages check its claims with its own models and settings, and with
+crowdbench’s. The page of a scene, `docs/paper/SCENE.md`, has the numbers and pictures behind the
+verdicts. It is made by `crowdbench paper SCENE`, as is this overview.
 
 ## Which claims hold
 
-{_verdicts(found)}
+{table(head, lines, text=len(head))}
 
 The models, which are all fitted to the whole recording:
 
@@ -104,51 +112,61 @@ To check the claims with the people and areas of the paper:
 crowdbench fit eth-v0 --preprocess paper --clustering paper --out results/eth-as-in-the-paper
 crowdbench paper results/eth-as-in-the-paper --out results/paper
 ```
-
-{scenes}
 """)
 
 
-def _verdicts(found: Sequence[Studied]) -> str:
-    head = ["claim", *(studied.scene.id for studied in found)]
-    lines = [
-        [claims[0].title, *(claim.verdict for claim in claims)]
-        for claims in zip(*(studied.claims for studied in found), strict=True)
-    ]
-    return table(head, lines, text=len(head))
+def page(studied: Studied, commit: str) -> str:
+    """The page of a scene in Markdown; the same samples give the same bytes."""
+    scene = studied.scene
+    made = f"crowdbench {__version__}{commit and f' (commit {commit})'}"
+    took_s = training_s([studied.evidence])
+    took = f"{digits(took_s / 3600)} hours" if took_s >= 3600 else f"{took_s / 60:.0f} minutes"
+    return flowed(f"""# The founding paper on {scene.id}: {scene.title}
+
+Generated with {made} by
+
+```sh
+{shlex.join(["crowdbench", "paper", named(scene)])}
+```
+
+The fits took {took} of one core. They are kept: an interrupted command continues. [The founding
+paper, claim by claim](../paper.md) tells which models are compared, and how. {of_recording(scene)}
+
+{_sections(studied)}
+""")
 
 
-def _scene(studied: Studied) -> str:
+def _sections(studied: Studied) -> str:
     of = studied.evidence
     scene = of.scene
     left = {picture.file: picture for picture in studied.pictures}
-    parts = [f"## {scene.title} ({scene.id})", of_recording(scene)]
+    parts = []
     for claim in studied.claims:
         if not claim.why:  # it is about another scene
             continue
         verdict = "" if claim.verdict == NOTHING else f"{claim.verdict.capitalize()}. "
-        parts.append(f"### {claim.title}\n\n{verdict}{claim.why}")
+        parts.append(f"## {claim.title}\n\n{verdict}{claim.why}")
         parts += [_shown(scene, left.pop(file)) for file in claim.pictures if file in left]
     parts += [
-        "### Arrivals",
+        "## Arrivals",
         f"Means, and ranges of 95 % of {SAMPLES * DRAWS} samples of the arrivals alone.",
         arrivals(of),
-        "### Do samples follow the density that was trained?",
+        "## Do samples follow the density that was trained?",
         "If they do, time-rescaled gaps are uniform. *agrees*: the smallest of the p-values of "
         f"the {SAMPLES} samples, times {SAMPLES}, is above 5 %.",
         own_density(of),
-        "### Windows and strides",
+        "## Windows and strides",
         "The settings of the paper’s Table I and Fig. 7.",
         windows_and_strides(of),
         _notes(studied),
     ]
-    parts += [f"### {p.title}\n\n{_shown(scene, p)}" for p in left.values()]
+    parts += [f"## {p.title}\n\n{_shown(scene, p)}" for p in left.values()]
     parts += [
-        "### Who is left out",
+        "## Who is left out",
         "The paper drops people who hardly move, and those with few or many steps "
         "(`crowdbench fit --preprocess paper`); crowdbench keeps everyone.",
         table(["", "people"], [[name, what] for name, what in studied.kept.items()], text=2),
-        "### Areas",
+        "## Areas",
         "What DBSCAN finds with each of the scene’s settings; *paper* are those of the paper "
         "(`crowdbench fit --clustering paper`).",
         table(["clustering", "areas"], [[n, what] for n, what in studied.areas.items()], text=2),
@@ -157,7 +175,7 @@ def _scene(studied: Studied) -> str:
 
 
 def _shown(scene: Scene, picture: Picture) -> str:
-    return f"![{picture.title}](paper/{scene.id}/{picture.file})\n\n{picture.caption}"
+    return f"![{picture.title}]({scene.id}/{picture.file})\n\n{picture.caption}"
 
 
 def _notes(studied: Studied) -> str:
