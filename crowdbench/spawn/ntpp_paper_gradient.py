@@ -67,8 +67,6 @@ class Scratch(NamedTuple):
 
     state: Float[np.ndarray, "n H"]
     """The state before each gap."""
-    by_state: Float[np.ndarray, "n H"]
-    """The gradient by this state."""
     gates: Float[np.ndarray, "n 3*H"]
     """r, z and s on the way to the next state, and later the gradient by what they are made of."""
     candidate: Float[np.ndarray, "n H"]
@@ -78,7 +76,7 @@ class Scratch(NamedTuple):
     def of(cls, batches: Sequence[Batch]) -> "Scratch":
         """As much memory as the largest batch needs."""
         n = max(len(batch.log_gap) for batch in batches)
-        return cls(*(np.empty((n, k * HIDDEN), np.float32) for k in (1, 1, 3, 1)))
+        return cls(*(np.empty((n, k * HIDDEN), np.float32) for k in (1, 3, 1)))
 
 
 class _Turned(NamedTuple):
@@ -262,7 +260,7 @@ def _forward(inputs, state, turned, state_bias, gates, candidate, new):
 
 @_compiled
 def _turn_back(state, gates, candidate, by_new):
-    """Replace values by gradients; what is left in `by_new` is the direct part by `state`."""
+    """Replace values by gradients, and `by_new` by the part that comes straight from `state`."""
     units = state.shape[1]
     for i in range(len(state)):
         for j in range(units):
@@ -292,34 +290,36 @@ def _turned(weights):
 @_compiled
 def add_gradient(batch, weights, linear, gradient, scratch):
     """Add the gradient of a batch's loss, −Σ share · log-density; returns the loss."""
-    state, by_state, gates, candidate = scratch
-    inputs, offsets = batch.inputs, batch.offsets
-    turned = _turned(weights)
+    state, gates, candidate = scratch
+    inputs, offsets, turned = batch.inputs, batch.offsets, _turned(weights)
     state[: offsets[1]] = weights.initial
-    loss = 0.0
-    for t in range(len(offsets) - 1):
-        a, b = offsets[t], offsets[t + 1]
-        loss += _head(batch, a, b, state[a:b], weights, turned, linear, gradient, by_state[a:b])
-        if t + 2 < len(offsets):
-            end = offsets[t + 2]
-            c = a + end - b  # the windows that end with this step are the last ones
-            _forward(
-                inputs[a:c], state[a:c], turned, weights.state_bias,
-                gates[a:c], candidate[a:c], state[b:end],
-            )  # fmt: skip
-    by_gates = np.zeros((3, 3 * HIDDEN), np.float32)
-    by_candidate = np.zeros((3, HIDDEN), np.float32)
-    for t in range(len(offsets) - 3, -1, -1):
+    for t in range(len(offsets) - 2):
         a, b, end = offsets[t], offsets[t + 1], offsets[t + 2]
-        c = a + end - b
-        _turn_back(state[a:c], gates[a:c], candidate[a:c], by_state[b:end])
-        _add(np.dot(inputs[a:c].T, gates[a:c]), by_gates)
-        _add(np.dot(inputs[a:c].T, candidate[a:c]), by_candidate)
-        _add(np.dot(gates[a:c].T, state[a:c]), gradient.state_weight)
-        _add(np.dot(gates[a:c], weights.state_weight), by_state[a:c])
-        _add(by_state[b:end], by_state[a:c])
+        stop = a + end - b  # windows that end with this step are the last ones of it
+        now = slice(a, stop)
+        _forward(
+            inputs[now], state[now], turned, weights.state_bias,
+            gates[now], candidate[now], state[b:end],
+        )  # fmt: skip
+    loss = 0.0
+    by_gates = np.zeros((3, 3 * HIDDEN), np.float32)
+    by_i = np.zeros((3, HIDDEN), np.float32)
+    by_new = np.empty((0, HIDDEN), np.float32)
+    for t in range(len(offsets) - 2, -1, -1):
+        a, b = offsets[t], offsets[t + 1]
+        by_state = np.empty((b - a, HIDDEN), np.float32)
+        loss += _head(batch, a, b, state[a:b], weights, turned, linear, gradient, by_state)
+        now = slice(a, a + len(by_new))
+        if len(by_new):
+            _turn_back(state[now], gates[now], candidate[now], by_new)
+            _add(np.dot(inputs[now].T, gates[now]), by_gates)
+            _add(np.dot(inputs[now].T, candidate[now]), by_i)
+            _add(np.dot(gates[now].T, state[now]), gradient.state_weight)
+            _add(np.dot(gates[now], weights.state_weight), by_new)
+            _add(by_new, by_state[: len(by_new)])
+        by_new = by_state
     _add(by_gates[2], gradient.state_bias)
-    by_gates[:, _S:] = by_candidate  # i has a bias and weights of its own
+    by_gates[:, _S:] = by_i  # which has a bias and weights of its own
     gradient.input_weight[:] += by_gates[:2].T
     _add(by_gates[2], gradient.input_bias)
     return loss
