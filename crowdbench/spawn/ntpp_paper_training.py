@@ -4,9 +4,10 @@ Windows of w frames, o frames apart (the paper's "overlap" is a stride in its co
 the recording; windows at the end of an observed stretch are shorter. The loss is the mean over the
 windows of the negative log-density of their gaps, with the survival term of eq. 5 for the time
 after the last event, divided by w. Each epoch is one Adam step on all windows of an area, as in the
-published code; the paper does not say how windows are batched. There is no early stopping and no
-calibration. An area in which nobody enters during the training time gets a rate of almost 0, as
-there is nothing to train on.
+published code; the paper does not say how windows are batched. The loss and its gradient come from
+compiled kernels (`crowdbench.spawn.ntpp_paper_gradient`), the first weights and Adam's steps from
+torch. There is no early stopping and no calibration. An area in which nobody enters during the
+training time gets a rate of almost 0, as there is nothing to train on.
 """
 
 from collections import Counter
@@ -17,18 +18,22 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn.functional import softplus
 
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals
 from crowdbench.spawn.ntpp_paper import HIDDEN, SHAPES, NtppPaper
-from crowdbench.spawn.ntpp_paper_kernels import TINY
+from crowdbench.spawn.ntpp_paper_gradient import (
+    ROWS,
+    Batch,
+    Scratch,
+    Weights,
+    add_gradient,
+    pack,
+)
 from crowdbench.spawn.ntpp_sequences import windows
 from crowdbench.spawn.ntpp_training import deterministic
 
-_BATCH = 256
-"""Windows in a batch; smaller and larger ones take longer on Grand Central."""
 _NEVER = -100.0
 """Output of a head that gives a rate of almost 0."""
 
@@ -64,22 +69,10 @@ class _Network(nn.Module):
         self.out = nn.Linear(HIDDEN, 2)
         self.initial: Tensor = torch.zeros(HIDDEN) if linear else torch.randn(HIDDEN)
 
-    def forward(self, gaps: Float[Tensor, "V L"]) -> tuple[Tensor, Tensor]:
-        """Rate and shape of each gap, given those before it; (V, L) each."""
-        inputs = torch.stack([gaps, gaps.clamp_min(TINY).log()], dim=-1)[:, :-1]
-        initial = self.initial.expand(1, len(gaps), HIDDEN).contiguous()
-        states = initial[0][:, None]
-        if inputs.shape[1]:
-            states = torch.cat([states, self.gru(inputs, initial)[0]], dim=1)
-        if self.hidden is not None:
-            states = torch.tanh(self.hidden(states))
-        out = softplus(self.out(states))
-        return out[..., 0], out[..., 1]
-
-    def weights(self) -> dict[str, np.ndarray]:
-        """The weights with the names of `SHAPES`."""
+    def tensors(self) -> dict[str, Tensor]:
+        """The weights with the names of `SHAPES`, in their order."""
         hidden, of_gru = self.hidden, dict(self.gru.named_parameters())
-        of: dict[str, Tensor] = {
+        return {
             "input_weight": of_gru["weight_ih_l0"],
             "input_bias": of_gru["bias_ih_l0"],
             "state_weight": of_gru["weight_hh_l0"],
@@ -90,7 +83,10 @@ class _Network(nn.Module):
             "out_weight": self.out.weight,
             "out_bias": self.out.bias,
         }
-        return {name: tensor.detach().numpy().copy() for name, tensor in of.items()}
+
+    def weights(self) -> dict[str, np.ndarray]:
+        """Copies of the weights with the names of `SHAPES`."""
+        return {name: tensor.detach().numpy().copy() for name, tensor in self.tensors().items()}
 
 
 def fit(
@@ -151,55 +147,39 @@ def train(
     network: "_Network", found: Sequence[Float[np.ndarray, " _"]], settings: Settings
 ) -> list[float]:
     """Train a network on its windows; returns the loss before each epoch."""
-    batches = _batches(found)
+    batches = _batches(found, settings.window_frames)
+    scratch = Scratch.of(batches)
+    tensors = list(network.tensors().values())
+    # These arrays share the memory of the tensors, so they follow each step of Adam.
+    weights = Weights(*(tensor.detach().numpy() for tensor in tensors))
+    gradient = Weights(*map(np.zeros_like, weights))
+    for tensor, array in zip(tensors, gradient, strict=True):
+        tensor.grad = torch.from_numpy(array)
     adam = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
     losses = []
     for _ in range(settings.epochs):
-        adam.zero_grad()
+        for array in gradient:
+            array[:] = 0
         losses.append(0.0)
-        for batch, events, last, share in batches:  # one step: their gradients are added
-            logs = log_density(network, batch, events, last)
-            loss = -(share * logs).sum() / settings.window_frames
-            loss.backward()  # type: ignore[no-untyped-call]
-            losses[-1] += loss.item()
+        for batch in batches:  # one step: their gradients are added
+            losses[-1] += add_gradient(batch, weights, settings.published_code, gradient, scratch)
         adam.step()
     return losses
 
 
-def _batches(
-    found: Sequence[Float[np.ndarray, " _"]],
-) -> list[tuple[Tensor, Tensor, Tensor, Tensor]]:
+def _batches(found: Sequence[Float[np.ndarray, " _"]], window_frames: int) -> list[Batch]:
     """Windows of similar lengths together, each with its share; those that are equal count once.
 
-    Most windows of a quiet area are equal, as nobody enters. Small batches stay in the cache.
+    Most windows of a quiet area are equal, as nobody enters.
     """
     count = Counter(gaps.astype(np.float32).tobytes() for gaps in found)
     each = sorted(count.items(), key=lambda item: len(item[0]))
     batches = []
-    for k in range(0, len(each), _BATCH):
-        rows = [np.frombuffer(data, np.float32) for data, _ in each[k : k + _BATCH]]
-        length = torch.tensor([len(row) - 1 for row in rows])
-        padded = np.zeros((len(rows), max(map(len, rows))), np.float32)
-        for into, row in zip(padded, rows, strict=True):
-            into[: len(row)] = row
-        at = torch.arange(padded.shape[1])
-        share = torch.tensor([n / len(found) for _, n in each[k : k + _BATCH]])
-        batches.append((torch.tensor(padded), at < length[:, None], at == length[:, None], share))
+    for k in range(0, len(each), ROWS):
+        rows = [np.frombuffer(data, np.float32) for data, _ in each[k : k + ROWS]]
+        share = np.array([n for _, n in each[k : k + ROWS]]) / (len(found) * window_frames)
+        batches.append(pack(rows, share))
     return batches
-
-
-def log_density(
-    network: "_Network",
-    gaps: Float[Tensor, "V L"],
-    events: Tensor,
-    last: Tensor,
-) -> Float[Tensor, " V"]:
-    """Log-density of each window (eq. 5): of the gaps that end with an event, and the rest."""
-    rate, shape = network(gaps)
-    log_gap = gaps.clamp_min(TINY).log()
-    hazard = rate * torch.exp(shape * log_gap)
-    logs = rate.log() + shape.log() + (shape - 1) * log_gap - hazard
-    return (logs * events - hazard * last).sum(dim=1)
 
 
 def _silence(network: "_Network") -> None:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from models import AREAS, GRID_S, arrivals_at, renewal
 from scipy.integrate import quad
 from scipy.stats import kstest
@@ -16,7 +15,7 @@ from crowdbench.spawn import Arrivals, NtppPaper, PoissonGMM, PoissonPaper, arri
 from crowdbench.spawn import ntpp_paper_training as training
 from crowdbench.spawn.ntpp_paper import HIDDEN, SHAPES
 from crowdbench.spawn.ntpp_paper_kernels import density, draw
-from crowdbench.spawn.ntpp_paper_training import PAPER, Settings, log_density, sequences
+from crowdbench.spawn.ntpp_paper_training import PAPER, Settings, sequences
 from crowdbench.trajectories.blocks import SPLITS
 
 ETH = load_scene("eth-v0")
@@ -49,20 +48,6 @@ def test_the_density_of_a_gap_integrates_to_its_hazard() -> None:
 
     until = density(np.append(past, 12.0), weights, False)[1][3]
     assert quad(after, 0, 12.0)[0] == pytest.approx(1 - np.exp(-until), rel=1e-5)
-
-
-@pytest.mark.parametrize("code", [False, True])
-def test_torch_and_the_kernels_agree(code: bool) -> None:
-    torch.manual_seed(1)
-    net = training._Network(code)
-    arrays = {name: array[None] for name, array in net.weights().items()}
-    model = NtppPaper(AREAS, arrays, ETH.dt_s, GRID_S, {"published_code": code})
-    gaps = np.random.default_rng(0).exponential(4.0, 12)
-    batch = torch.tensor(gaps[None], dtype=torch.float32)
-    at = torch.arange(12)[None]
-    of_torch = float(log_density(net, batch, at < 11, at == 11).detach())
-    of_kernels = density(gaps, model.of_area(0), code)[0].sum()
-    assert of_torch == pytest.approx(of_kernels, rel=1e-4)
 
 
 def test_the_literal_sampler_follows_its_density_and_that_of_the_code_does_not() -> None:

@@ -73,7 +73,7 @@ RECORDED = Configuration("replay")
 COMPARED = (POISSON, POISSON_CODE, LITERAL, CODE, SHIPPED)
 """The models that are compared with the recording."""
 _TRAINED_BY = {
-    "ntpp-paper": ("ntpp_paper_training", "ntpp_sequences"),
+    "ntpp-paper": ("ntpp_paper_training", "ntpp_paper_gradient", "ntpp_sequences"),
     "ntpp-gmm": (
         *("ntpp_training", "ntpp_likelihood", "ntpp_calibration", "ntpp_kernels", "ntpp"),
         *("ntpp_sequences", "groups"),
