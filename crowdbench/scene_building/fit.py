@@ -29,6 +29,7 @@ from crowdbench.spawn import (
     fit_areas,
 )
 from crowdbench.spawn.areas import write_areas
+from crowdbench.spawn.plan_calibration import calibrated
 from crowdbench.spawn.plan_files import write_plans
 from crowdbench.spawn.plan_fitting import fit_plans
 from crowdbench.trajectories.blocks import SPLITS
@@ -120,7 +121,10 @@ def fit_scene(
     toml = with_default_clustering(with_recording(toml, scene.recording), clustering)
     write_text(place.folder / "scene.toml", toml)
     write_areas(areas, place.folder / "areas.json")
-    plans = {split: fit_plans(crowd, blocks.training(split), areas) for split in SPLITS}
+    plans = {
+        split: calibrated(fit_plans(crowd, training, areas), crowd, training, place)
+        for split, training in ((split, blocks.training(split)) for split in SPLITS)
+    }
     write_plans(place.folder, plans)
     for name in models:
         FITTED[name].write(place.folder, fitted[name])

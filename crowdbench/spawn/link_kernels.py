@@ -10,13 +10,13 @@ def joined(
     earlier: Int[np.ndarray, " n"],
     begin: Int[np.ndarray, " B"],
     weight: Float[np.ndarray, " n"],
-    larger: Float[np.ndarray, " 3"],
+    larger: Float[np.ndarray, " 4"],
     u: Float[np.ndarray, " E"],
 ) -> Int[np.ndarray, " E"]:
     """Whom each person joins, or −1.
 
     Person i may join `earlier[begin[i] : begin[i + 1]]`, with these weights times the factor in
-    `larger` for groups of one, two, and three and more; `u` are uniform random numbers.
+    `larger` for groups of one, two, three, and four and more; `u` are uniform random numbers.
     """
     found = np.full(u.size, -1, np.int64)
     leader = np.arange(u.size)
@@ -24,10 +24,10 @@ def joined(
     for i in range(u.size):
         total = 1.0
         for k in range(begin[i], begin[i + 1]):
-            total += weight[k] * larger[min(size[leader[earlier[k]]], 3) - 1]
+            total += weight[k] * larger[min(size[leader[earlier[k]]], larger.size) - 1]
         aim = u[i] * total
         for k in range(begin[i], begin[i + 1]):
-            aim -= weight[k] * larger[min(size[leader[earlier[k]]], 3) - 1]
+            aim -= weight[k] * larger[min(size[leader[earlier[k]]], larger.size) - 1]
             if aim < 0:
                 found[i] = earlier[k]
                 leader[i] = leader[earlier[k]]

@@ -3,8 +3,8 @@
 Person i joins an earlier arrival j of the same area, not more than 6 s before, with a probability
 proportional to w(t_i − t_j) exp(u_a + v(n_j)), and nobody with a probability proportional to 1.
 w has a value for each bin of delays. u_a is the tendency of area a to send groups. v is that of the
-group of j to take in one more: n_j = 1, 2, or 3 and more is the number of its people who have come
-so far, and v(1) = 0. Without v, there would be too many large groups, and too few of two. The
+group of j to take in one more: n_j = 1, 2, 3, or 4 and more is the number of its people who have
+come so far, and v(1) = 0. Without v, there would be too many large groups, and too few of two. The
 likelihood of the marks does not change that of the arrivals. A person who joins takes the plan of
 the other one, moved by an offset in the direction of the other's way.
 """
@@ -15,6 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.random import Generator
 
+from crowdbench.spawn.mixtures import responsibilities
+from crowdbench.spawn.ways import moments
 from crowdbench.trajectories.companions import ENTRY_S
 
 EDGES_S = (0.0, 1e-6, 1.0, 2.0, 3.0, 4.5, ENTRY_S + 1e-6)
@@ -26,12 +28,17 @@ _FURTHEST = 30.0
 _HALVINGS = 14
 _DRAWN = 4_000
 """Number of people from whom the mean size of groups is estimated."""
+_MOST = 4
+"""Largest number of components of the mixture of offsets; more hardly change what is drawn."""
+STAGES = 4
+"""Number of values of v; the first one, of people who are alone, is 0."""
 FEWEST = 10
 """With fewer pairs of companions, offsets are those of all scenes together."""
 OFFSETS = 5
-"""Along and across at the start, along and across at the end, and log ratio of the speeds."""
-COMMON_MEAN = np.array([0.0, 0.7, 0.0, 0.6, 0.0])
-COMMON_SD = np.array([0.4, 0.3, 0.6, 0.3, 0.15])
+"""Along and across at the start, along and across at the end, and the gain: by how many metres
+more the one who joins walks while both are there."""
+COMMON_MEAN = np.array([0.0, 0.7, 0.0, 0.7, 0.0])
+COMMON_SD = np.array([0.4, 0.3, 0.6, 0.3, 0.5])
 """Rounded means and standard deviations of the offsets over the scenes with most companions."""
 
 
@@ -53,14 +60,16 @@ class Links:
     """log w for each bin of delays."""
     tendency: Float[np.ndarray, " K"]
     """u_a for each area."""
-    larger: Float[np.ndarray, " 2"]
-    """v for groups of two, and of three and more."""
-    mean: Float[np.ndarray, " 5"]
-    """Mean offset to a person who enters at the same time. The sign across is drawn, the same at
+    larger: Float[np.ndarray, " 3"]
+    """v for groups of two, of three, and of four and more."""
+    share: Float[np.ndarray, " C"]
+    """Shares of the components of the mixture of offsets."""
+    mean: Float[np.ndarray, "C 5"]
+    """Mean offsets to a person who enters at the same time. The sign across is drawn, the same at
     start and end."""
+    covariance: Float[np.ndarray, "C 5 5"]
     slope: Float[np.ndarray, " 5"]
-    """Change of the mean offset for each metre that the other one has walked meanwhile."""
-    covariance: Float[np.ndarray, "5 5"]
+    """Change of the mean offsets for each metre that the other one has walked meanwhile."""
     group_log_speed: float = 0.0
     """Mean log speed of groups less that of people who are alone."""
 
@@ -109,7 +118,11 @@ class Links:
     ) -> Float[np.ndarray, "n 5"]:
         """Offsets of persons who join somebody who has walked this far; see `OFFSETS`."""
         size = len(walked_m)
-        drawn = rng.multivariate_normal(self.mean, self.covariance, size)
+        component = np.searchsorted(self.share.cumsum(), rng.random(size) * self.share.sum())
+        component = component.clip(0, len(self.share) - 1)
+        root = np.linalg.cholesky(self.covariance)[component]
+        noise = rng.standard_normal((size, OFFSETS))
+        drawn = self.mean[component] + np.einsum("nij,nj->ni", root, noise)
         drawn += walked_m[:, None] * self.slope
         side = np.where(rng.random(size) < 0.5, -1.0, 1.0)
         drawn[:, (1, 3)] *= side[:, None]
@@ -167,27 +180,36 @@ def fit_links(
     def loss(x: Float[np.ndarray, " n"]) -> tuple[float, Float[np.ndarray, " n"]]:
         value, slope = _likelihood(x, pairs, area, same, stage)
         # A weak prior keeps weights of bins without pairs finite.
-        spread = np.concatenate([np.full(6, 5.0), np.ones(2), np.full(areas, SPREAD)])
+        spread = np.concatenate([np.full(6, 5.0), np.ones(STAGES - 1), np.full(areas, SPREAD)])
         off = (x - centre) / spread
         return -value + 0.5 * float(off @ off), -slope + off / spread
 
-    centre = np.concatenate([np.full(6, -3.0), np.zeros(2 + areas)])
+    centre = np.concatenate([np.full(6, -3.0), np.zeros(STAGES - 1 + areas)])
     found = minimize(loss, centre, jac=True, method="L-BFGS-B").x
+    log_weight, larger, tendency = np.split(found, [6, 5 + STAGES])
+    return Links(log_weight, tendency, larger, *_offsets(offsets, walked_m))
+
+
+def _offsets(
+    offsets: Float[np.ndarray, "n 5"], walked_m: Float[np.ndarray, " n"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Shares, means and covariances of the mixture of offsets, and their slope."""
+    if len(offsets) < FEWEST:
+        covariance = np.diag(COMMON_SD**2)
+        return np.ones(1), COMMON_MEAN[None], covariance[None], np.zeros(OFFSETS)
     folded = offsets * np.where(offsets[:, 1:2] < 0, [1, -1, 1, -1, 1], 1)
-    mean, slope, covariance = COMMON_MEAN, np.zeros(OFFSETS), np.diag(COMMON_SD**2)
-    if len(folded) >= FEWEST:
-        middle = np.median(folded, axis=0)
-        spread = np.percentile(folded, [16, 84], axis=0)
-        near = (np.abs(folded - middle) <= 1.5 * np.maximum(spread[1] - spread[0], 0.1)).all(axis=1)
-        if near.sum() >= FEWEST:
-            folded, walked = folded[near], walked_m[near] - walked_m[near].mean()
-            mean = folded.mean(axis=0)
-            if walked.var() > 1e-6:
-                slope = walked @ (folded - mean) / (walked @ walked)
-            covariance = np.cov((folded - walked[:, None] * slope).T)
-            mean = mean - walked_m[near].mean() * slope
-    covariance = covariance + 1e-6 * np.eye(OFFSETS)
-    return Links(found[:6], found[8:], found[6:8], mean, slope, covariance)
+    middle, walked = np.median(folded, axis=0), walked_m - walked_m.mean()
+    spread = np.percentile(folded, [16, 84], axis=0)
+    reach = 3 * np.maximum(spread[1] - spread[0], 0.1)
+    folded = middle + (folded - middle).clip(-reach, reach)  # against single wild values
+    slope = np.zeros(OFFSETS)
+    if walked.var() > 1e-6:
+        slope = walked @ (folded - folded.mean(axis=0)) / (walked @ walked)
+    folded = folded - walked_m[:, None] * slope
+    shares = responsibilities(folded, most=_MOST)
+    fitted = [moments(folded, each) for each in shares.T]
+    covariance = np.stack([c for _, c in fitted]) + 1e-4 * np.eye(OFFSETS)
+    return shares.mean(axis=0), np.stack([m for m, _ in fitted]), covariance, slope
 
 
 def _same(pairs: Candidates, group: Int[np.ndarray, " E"]) -> Bool[np.ndarray, " n"]:
@@ -199,7 +221,7 @@ def _same(pairs: Candidates, group: Int[np.ndarray, " E"]) -> Bool[np.ndarray, "
 def _stages(
     pairs: Candidates, area: Int[np.ndarray, " E"], group: Int[np.ndarray, " E"]
 ) -> Int[np.ndarray, " n"]:
-    """Size of the group of j when i enters, less one, at most 2, for each pair (i, j)."""
+    """Size of the group of j when i enters, less one, at most 3, for each pair (i, j)."""
     alone = group < 0
     number = np.where(alone, np.arange(len(group)), group)
     _, label = np.unique(np.column_stack([alone, area, number]), axis=0, return_inverse=True)
@@ -207,7 +229,7 @@ def _stages(
     entered = np.sort(label * len(label) + np.arange(len(label)))
     of_group = label[pairs.earlier] * len(label)
     before = np.searchsorted(entered, of_group + pairs.later) - np.searchsorted(entered, of_group)
-    return np.asarray(before.clip(1, 3) - 1)
+    return np.asarray(before.clip(1, STAGES) - 1)
 
 
 def _likelihood(
@@ -219,7 +241,8 @@ def _likelihood(
 ) -> tuple[float, Float[np.ndarray, " n"]]:
     """Log-probability that each person joins its group, or nobody; and its gradient."""
     of_area = area[pairs.later]
-    weight = np.exp(x[:6][pairs.bin] + np.append(0.0, x[6:8])[stage] + x[8:][of_area])
+    log_weight, larger, tendency = np.split(x, [6, 5 + STAGES])
+    weight = np.exp(log_weight[pairs.bin] + np.append(0.0, larger)[stage] + tendency[of_area])
     size = len(area)
     total = 1.0 + np.bincount(pairs.later, weight, minlength=size)
     to_group = np.bincount(pairs.later, weight * same, minlength=size)
@@ -230,8 +253,8 @@ def _likelihood(
     slope = np.concatenate(
         [
             np.bincount(pairs.bin, each, minlength=6),
-            np.bincount(stage, each, minlength=3)[1:],
-            np.bincount(of_area, each, minlength=len(x) - 8),
+            np.bincount(stage, each, minlength=STAGES)[1:],
+            np.bincount(of_area, each, minlength=len(tendency)),
         ]
     )
     return value, slope

@@ -11,23 +11,24 @@ from crowdbench.errors import WeightsError
 from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, as_array
-from crowdbench.spawn.links import OFFSETS, Links
+from crowdbench.spawn.links import OFFSETS, STAGES, Links
 from crowdbench.spawn.planned import PlannedAreas
 from crowdbench.spawn.ways import BEND, STOP, WALK, Ways
 from crowdbench.spawn.weights import check_origin, hint
 from crowdbench.trajectories.blocks import SPLITS
 
 FILE = "plans.json"
-SCHEMA = 1
+SCHEMA = 2
 
 
 class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     log_weight: list[float]
     tendency: list[float]
     larger: list[float]
-    offset_mean: list[float]
+    offset_share: list[float]
+    offset_mean: list[list[float]]
+    offset_covariance: list[list[list[float]]]
     offset_slope: list[float]
-    offset_covariance: list[list[float]]
     group_log_speed: float
     ways: dict[str, Any]
     """Arrays of `Ways` by name, as nested lists."""
@@ -48,9 +49,10 @@ def write_plans(folder: Path, fits: Mapping[str, PlannedAreas]) -> None:
             log_weight=fit.links.log_weight.tolist(),
             tendency=fit.links.tendency.tolist(),
             larger=fit.links.larger.tolist(),
+            offset_share=fit.links.share.tolist(),
             offset_mean=fit.links.mean.tolist(),
-            offset_slope=fit.links.slope.tolist(),
             offset_covariance=fit.links.covariance.tolist(),
+            offset_slope=fit.links.slope.tolist(),
             group_log_speed=fit.links.group_log_speed,
             ways={name: getattr(fit.ways, name).tolist() for name in _shapes(fit)},
             fastest_mps=fit.ways.fastest_mps,
@@ -85,13 +87,15 @@ def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
             return np.zeros(shape)
         return as_array(values, shape, f"{where}.{name}", how)
 
+    mixed = max(1, len(of.offset_share))
     links = Links(
         array(of.log_weight, (6,), "log_weight"),
         array(of.tendency, (size,), "tendency"),
-        array(of.larger, (2,), "larger"),
-        array(of.offset_mean, (OFFSETS,), "offset_mean"),
+        array(of.larger, (STAGES - 1,), "larger"),
+        array(of.offset_share, (mixed,), "offset_share"),
+        array(of.offset_mean, (mixed, OFFSETS), "offset_mean"),
+        array(of.offset_covariance, (mixed, OFFSETS, OFFSETS), "offset_covariance"),
         array(of.offset_slope, (OFFSETS,), "offset_slope"),
-        array(of.offset_covariance, (OFFSETS, OFFSETS), "offset_covariance"),
         of.group_log_speed,
     )
     shapes = _shapes(areas, len(of.ways.get("stop_mean", [])))

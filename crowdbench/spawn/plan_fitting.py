@@ -8,15 +8,16 @@ from jaxtyping import Bool, Float, Int
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.links import FEWEST, candidates, fit_links
 from crowdbench.spawn.planned import PlannedAreas, directions, turned
-from crowdbench.spawn.plans import plans_of
+from crowdbench.spawn.plans import SLOWEST_MPS, plans_of
 from crowdbench.spawn.way_fitting import fit_ways, trips_of
 from crowdbench.spawn.ways import Trips
 from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.companions import groups_of
+from crowdbench.trajectories.stops import HALF_S
 from crowdbench.trajectories.table import Trajectories
 
-_COMMON_M = 2.0
-"""Shortest common way from which a ratio of speeds is computed."""
+_FEWEST_ROWS = 4
+"""Least number of times at which two people walk together that tell how they do so."""
 
 
 def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedAreas:
@@ -33,7 +34,7 @@ def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedA
     known = np.isfinite(plans.speed[persons]) & crowd.left[persons]
     later = later[known[later] & known[earlier[later]]]
     pairs = persons[later], persons[earlier[later]]
-    offsets = _offsets(crowd, plans.speed, *pairs)
+    offsets = _offsets(crowd, *pairs)
     walked_m = plans.speed[pairs[1]] * (crowd.spawn_s[pairs[0]] - crowd.spawn_s[pairs[1]])
     first, in_group = marks.first(crowd), marks.in_group(crowd)
     log_speed = np.log(plans.speed)
@@ -107,7 +108,6 @@ def _companion(
 
 def _offsets(
     crowd: Trajectories,
-    speed: Float[np.ndarray, " P"],
     later: Int[np.ndarray, " n"],
     earlier: Int[np.ndarray, " n"],
 ) -> Float[np.ndarray, "n 5"]:
@@ -115,39 +115,44 @@ def _offsets(
     start, goal = crowd.start.astype(np.float64), crowd.goal.astype(np.float64)
     ahead = directions(goal[earlier] - start[earlier])
     back = ahead * [1.0, -1.0]
-    return np.column_stack(
+    found = np.column_stack(
         [
             turned(back, start[later] - start[earlier]),
             turned(back, goal[later] - goal[earlier]),
-            _log_ratios(crowd, speed, later, earlier),
+            np.zeros(len(later)),
         ]
     )
-
-
-def _log_ratios(
-    crowd: Trajectories,
-    speed: Float[np.ndarray, " P"],
-    later: Int[np.ndarray, " n"],
-    earlier: Int[np.ndarray, " n"],
-) -> Float[np.ndarray, " n"]:
-    """Log ratio of the distances that two people cover while both are there.
-
-    Speeds of whole lives would differ more: one of two companions may have stopped alone, before
-    the other one entered. They are used where the common distance is too short.
-    """
-    found = np.log(speed[later] / speed[earlier])
     for k, (i, j) in enumerate(zip(later.tolist(), earlier.tolist(), strict=True)):
-        begin = max(crowd.first[i], crowd.first[j])
-        end = min(crowd.last[i], crowd.last[j])
-        if end <= begin:
-            continue
-        ways = [
-            float(np.hypot(*(path[end - since] - path[begin - since])))
-            for path, since in (
-                (crowd.path(i), crowd.first[i]),
-                (crowd.path(j), crowd.first[j]),
-            )
-        ]
-        if min(ways) >= _COMMON_M:
-            found[k] = np.log(ways[0] / ways[1])
+        gap = _gap(crowd, i, j)
+        if gap is not None:
+            # Straight walkers are as far abreast all the way as they are at its ends. Companions
+            # come closer to each other at doors: what counts is how they walk in between.
+            (_, found[k, 1]), (_, found[k, 3]) = gap
+            found[k, 4] = gap[1, 0] - gap[0, 0]
     return found
+
+
+def _gap(crowd: Trajectories, i: int, j: int) -> Float[np.ndarray, "2 2"] | None:
+    """From j to i, along and across their common direction, when both begin and end to walk there.
+
+    The ends of the straight line through the gaps at all times at which they walk; None if these
+    are too few.
+    """
+    half = max(1, round(HALF_S / crowd.dt_s))
+    begin, end = max(crowd.first[i], crowd.first[j]), min(crowd.last[i], crowd.last[j])
+    if end - begin < 2 * half + _FEWEST_ROWS:
+        return None
+    one, other = (
+        crowd.path(p)[begin - crowd.first[p] : end - crowd.first[p] + 1].astype(np.float64)
+        for p in (i, j)
+    )
+    middle = (one + other) / 2
+    moved = middle[2 * half :] - middle[: -2 * half]
+    walks = np.hypot(*moved.T) >= SLOWEST_MPS * 2 * half * crowd.dt_s
+    if walks.sum() < _FEWEST_ROWS:
+        return None
+    gap = turned(directions(moved[walks]) * [1.0, -1.0], (one - other)[half:-half][walks])
+    side = 1.0 if gap[:, 1].mean() >= 0 else -1.0  # they are not nearer because they change sides
+    gap[:, 1] = np.abs(gap[:, 1])
+    line = np.polynomial.polynomial.polyfit(np.linspace(0, 1, len(gap)), gap, 1)
+    return np.array([line[0], line[0] + line[1]]) * [1.0, side]

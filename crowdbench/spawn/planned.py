@@ -14,14 +14,17 @@ from numpy.random import Generator
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, Gaussians
 from crowdbench.spawn.events import SpawnEvents, entering
-from crowdbench.spawn.links import Links
+from crowdbench.spawn.links import STAGES, Links
 from crowdbench.spawn.plans import SLOWEST_MPS
 from crowdbench.spawn.ways import Ways
+from crowdbench.trajectories.companions import WITHIN_M
 
 _ALWAYS = 50.0
 """Logarithm of a weight that decides alone."""
 _TRIES = 20
-"""Number of ways that are drawn for a companion until one keeps its distance to the others."""
+"""Number of ways that are drawn for a companion until one stays near, and runs into nobody."""
+_SHORTEST_M = 2.0
+"""Shortest common way over which a companion gains on the other one, or falls back."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +73,10 @@ class PlannedAreas(Areas):
         plain = Areas(self.scene, spawn, self.goal, flow, self.speed_quantiles, self.left_out)
         together = np.where(np.arange(len(self.links.log_weight)) == 0, _ALWAYS, -_ALWAYS)
         links = replace(
-            self.links, log_weight=together, tendency=np.zeros(len(spawn)), larger=np.zeros(2)
+            self.links,
+            log_weight=together,
+            tendency=np.zeros(len(spawn)),
+            larger=np.zeros(STAGES - 1),
         )
         return PlannedAreas.of(plain, links, self.ways.instead(plain))
 
@@ -98,7 +104,7 @@ class PlannedAreas(Areas):
         together = size[leader] > 1
         slower = first & together
         ways[slower, 4] = self._possible_speed(ways[slower, 4] + self.links.group_log_speed)
-        self._place_companions(ways, time_s, joins, leader, scene, rng)
+        self._place_companions(ways, time_s, leader, scene, rng)
         number = np.cumsum(size > 1) - 1
         stops = np.isfinite(ways[:, 7])
         return entering(
@@ -117,12 +123,14 @@ class PlannedAreas(Areas):
         self,
         ways: Float[np.ndarray, "E 8"],
         time_s: Float[np.ndarray, " E"],
-        joins: Int[np.ndarray, " E"],
         leader: Int[np.ndarray, " E"],
         scene: Scene,
         rng: Generator,
     ) -> None:
-        """Fill in the ways of those who join somebody, the second of each group first."""
+        """Fill in the ways of those who join a group, the second of each group first.
+
+        They walk beside the one who came before them.
+        """
         rank = _ranks(leader)
         groups, of_group = np.unique(leader, return_inverse=True)
         members = np.full((len(groups), int(rank.max(initial=0)) + 1), -1)
@@ -131,21 +139,23 @@ class PlannedAreas(Areas):
             open_ = members[:, place]
             open_ = open_[open_ >= 0]
             for _ in range(_TRIES):
-                other = joins[open_]
+                earlier = members[of_group[open_], :place]
+                other = earlier[:, -1]
                 walked = np.exp(ways[other, 4]) * (time_s[open_] - time_s[other])
                 drawn = self._beside(ways[other], walked, scene, rng)
                 free = scene.walkable(drawn[:, :2]) & scene.walkable(drawn[:, 2:4])
-                earlier = members[of_group[open_], :place]
-                distance = _closest_m(
+                closest, furthest = _distances_m(
                     drawn[:, None], time_s[open_][:, None], ways[earlier], time_s[earlier]
                 )
-                good = free & (distance.min(axis=1) >= 2 * scene.motion.person_radius_m)
+                good = free & (closest[:, -1] >= scene.motion.person_radius_m)
+                good &= (closest[:, :-1] >= 2 * scene.motion.person_radius_m).all(axis=1)
+                good &= furthest[:, -1] <= WITHIN_M
                 ways[open_[free]] = drawn[free]
                 open_ = open_[~good]
                 if len(open_) == 0:
                     break
             nowhere = open_[np.isnan(ways[open_, 0])]
-            ways[nowhere] = ways[joins[nowhere]]
+            ways[nowhere] = ways[members[of_group[nowhere], place - 1]]
 
     def _beside(
         self,
@@ -165,7 +175,9 @@ class PlannedAreas(Areas):
         free = np.isfinite(via[:, 0])
         free[free] = scene.walkable(via[free])
         found[free, 5:7] = via[free]
-        found[:, 4] = self._possible_speed(found[:, 4] + offset[:, 4])
+        left_m = np.maximum(_length_m(ways) - walked_m, _SHORTEST_M)
+        gain = np.log(np.maximum(1 + offset[:, 4] / left_m, 0.5))
+        found[:, 4] = self._possible_speed(found[:, 4] + gain)
         return found
 
     def _possible_speed(self, log_speed: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -190,15 +202,15 @@ def _ranks(leader: Int[np.ndarray, " E"]) -> Int[np.ndarray, " E"]:
     return rank
 
 
-def _closest_m(
+def _distances_m(
     one: Float[np.ndarray, "n 1 8"],
     one_s: Float[np.ndarray, "n 1"],
     other: Float[np.ndarray, "n m 8"],
     other_s: Float[np.ndarray, "n m"],
-) -> Float[np.ndarray, "n m"]:
-    """Least distance of straight walkers with these ways while both are there, metres.
+) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m"]]:
+    """Least and largest distance of straight walkers with these ways while both are there, metres.
 
-    Those who are never there together are infinitely far apart.
+    The least one is infinite, and the largest one 0, for those who are never there together.
     """
 
     def moves(way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -214,11 +226,21 @@ def _closest_m(
         one[..., :2] + v * (begin - one_s)[..., None]
         - other[..., :2] - w * (begin - other_s)[..., None]
     )  # fmt: skip
-    drift = v - w
+    drift, common = v - w, np.maximum(end - begin, 0.0)
     when = -(gap * drift).sum(axis=-1) / np.maximum((drift * drift).sum(axis=-1), 1e-12)
-    when = np.clip(when, 0.0, np.maximum(end - begin, 0.0))
-    distance = np.linalg.norm(gap + drift * when[..., None], axis=-1)
-    return np.asarray(np.where(end >= begin, distance, np.inf))
+    least, first, last = (
+        np.linalg.norm(gap + drift * at[..., None], axis=-1)
+        for at in (np.clip(when, 0.0, common), 0 * common, common)
+    )
+    there = end >= begin
+    return np.where(there, least, np.inf), np.where(there, np.maximum(first, last), 0.0)
+
+
+def _length_m(ways: Float[np.ndarray, "n 8"]) -> Float[np.ndarray, " n"]:
+    """Length of the ways, by their via points if they have one, metres."""
+    start, goal, via = ways[:, :2], ways[:, 2:4], ways[:, 5:7]
+    by_via = np.linalg.norm(via - start, axis=1) + np.linalg.norm(goal - via, axis=1)
+    return np.where(np.isfinite(by_via), by_via, np.linalg.norm(goal - start, axis=1))
 
 
 def directions(way: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:

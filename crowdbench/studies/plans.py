@@ -23,7 +23,7 @@ from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.spawn.areas import Areas, read_areas
-from crowdbench.spawn.links import Links
+from crowdbench.spawn.links import STAGES, Links
 from crowdbench.spawn.plan_fitting import Marks, fit_plans, marks_of, trips_alone
 from crowdbench.spawn.way_fitting import FEWEST, widened
 from crowdbench.spawn.ways import Trips, log_gaussian, moments, of_areas
@@ -151,7 +151,7 @@ def _same_for_all(links: Links, known: Marks) -> Links:
     def same(log_weight: float) -> Links:
         one = np.full(len(links.log_weight), log_weight)
         nothing = np.zeros(len(links.tendency))
-        return replace(links, log_weight=one, tendency=nothing, larger=np.zeros(2))
+        return replace(links, log_weight=one, tendency=nothing, larger=np.zeros(STAGES - 1))
 
     best = minimize_scalar(
         lambda x: -same(x).log_likelihood(known.time_s, known.area, known.group),

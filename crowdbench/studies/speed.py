@@ -33,11 +33,14 @@ from crowdbench.scoring.score import Score, combined, ranks, score_of
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.reward import Reward
 from crowdbench.spawn import Arrivals, SpawnEvents, SpawnModel, arrivals_of
-from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.cox import CoxGMM
 from crowdbench.spawn.events import blocks_of, entering
 from crowdbench.spawn.model import Start
+from crowdbench.spawn.plan_calibration import calibrated
 from crowdbench.spawn.plan_fitting import fit_plans
+from crowdbench.spawn.planned import PlannedAreas
+from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.table import Trajectories
 
 PERSONS_PER_M2 = 0.07
@@ -316,9 +319,13 @@ def _fitting_plans() -> Iterator[Figure]:
         arrivals = arrivals_of(crowd, blocks, len(areas.spawn))
         for name, fit in (
             ("cox-gmm", partial(CoxGMM.fit, arrivals, areas)),
-            ("plans", partial(fit_plans, crowd, blocks, areas)),
+            ("plans", partial(_fit_plans, crowd, blocks, areas, scene)),
         ):
             yield Figure(f"{name}, one fit to {scene.id}", _once_s(fit), "s")
+
+
+def _fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: Scene) -> PlannedAreas:
+    return calibrated(fit_plans(crowd, blocks, areas), crowd, blocks, scene)
 
 
 def _scoring(reference: Reference, crowds: list[Trajectories]) -> Callable[[], object]:

@@ -19,12 +19,13 @@ from crowdbench.spawn.links import (
 )
 
 WEIGHT = np.array([1.0, -0.5, -1.0, -2.0, -2.5, -3.0])
-LARGER = np.array([-0.8, 0.6])
+LARGER = np.array([-0.8, 0.6, 0.1])
 
 
 def links(tendency: tuple[float, ...] = (0.0, 0.5), larger: np.ndarray = LARGER) -> Links:
-    zero = np.zeros(5)
-    return Links(WEIGHT, np.array(tendency), larger, zero, zero, 0.01 * np.eye(5))
+    zero = np.zeros((1, 5))
+    covariance = 0.01 * np.eye(5)[None]
+    return Links(WEIGHT, np.array(tendency), larger, np.ones(1), zero, covariance, np.zeros(5))
 
 
 def arrivals(number: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +118,8 @@ def test_the_fit_finds_the_weights_again_and_those_who_join_nobody() -> None:
         )
     np.testing.assert_allclose(found.larger, truth.larger, atol=0.3)
     assert found.log_likelihood(time_s, area, group) > truth.log_likelihood(time_s, area, group) - 5
-    np.testing.assert_allclose(found.mean, [0, 0.7, 0, 0.6, 0], atol=0.06)
+    mean = found.share @ found.mean
+    np.testing.assert_allclose(mean, [0, 0.7, 0, 0.6, 0], atol=0.06)
     np.testing.assert_allclose(found.slope, [0.3, 0, 0, 0, 0], atol=0.06)
     nobody = fit_links(time_s, area, np.full(6_000, -1), offsets[:3], walked[:3], 2)
     assert (nobody.draw(time_s, area, np.random.default_rng(0)) >= 0).mean() < 0.01
@@ -126,7 +128,9 @@ def test_the_fit_finds_the_weights_again_and_those_who_join_nobody() -> None:
 def test_offsets_lie_on_both_sides_and_on_the_same_at_start_and_end() -> None:
     slope = np.array([0.5, 0, 0, 0, 0])
     mean = np.array([0.0, 0.7, 0.0, 0.6, 0.1])
-    model = Links(np.zeros(6), np.zeros(1), np.zeros(2), mean, slope, 0.001 * np.eye(5))
+    covariance = 0.001 * np.eye(5)[None]
+    none = np.zeros(6), np.zeros(1), np.zeros(3)
+    model = Links(*none, np.ones(1), mean[None], covariance, slope)
     drawn = model.offsets(np.full(2_000, 2.0), np.random.default_rng(0))
     assert drawn[:, 0].mean() == pytest.approx(1.0, abs=0.01)
     assert (drawn[:, 1] > 0).mean() == pytest.approx(0.5, abs=0.05)
@@ -134,9 +138,26 @@ def test_offsets_lie_on_both_sides_and_on_the_same_at_start_and_end() -> None:
     assert drawn[:, 4].mean() == pytest.approx(0.1, abs=0.01)
 
 
+def test_offsets_are_those_of_one_kind_of_companions_or_the_other() -> None:
+    rng = np.random.default_rng(0)
+    kinds = np.array([[0.0, 0.7, 0.0, 0.7, 0.0], [-1.5, 0.2, -1.5, 0.2, 0.0]])
+    of = (rng.random(600) < 0.25).astype(np.int64)
+    offsets = kinds[of] + 0.1 * rng.standard_normal((600, 5))
+    time_s, area = arrivals(10)
+    found = fit_links(time_s, area, np.full(10, -1), offsets, np.zeros(600), 2)
+    order = np.argsort(-found.share)
+    np.testing.assert_allclose(found.share[order], [0.75, 0.25], atol=0.05)
+    np.testing.assert_allclose(found.mean[order], kinds, atol=0.05)
+    drawn = found.offsets(np.zeros(4_000), rng)
+    drawn[:, (1, 3)] *= np.sign(drawn[:, 1:2])
+    behind = drawn[:, 0] < -0.75
+    assert behind.mean() == pytest.approx(0.25, abs=0.03)
+    np.testing.assert_allclose(drawn[behind].mean(axis=0), kinds[1], atol=0.05)
+
+
 def test_a_stage_is_the_size_of_the_group_that_has_come_so_far() -> None:
-    time_s, area = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5]), np.zeros(6, dtype=np.int64)
-    group = np.array([7, -1, 7, 7, 7, -1])
+    time_s = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5])
+    area, group = np.zeros(8, dtype=np.int64), np.array([7, -1, 7, 7, 7, -1, 7, 7])
     pairs = candidates(time_s, area)
     stage = {
         (i, j): k
@@ -150,16 +171,17 @@ def test_a_stage_is_the_size_of_the_group_that_has_come_so_far() -> None:
     assert stage[1, 0] == stage[2, 0] == stage[2, 1] == 0
     assert stage[3, 0] == stage[3, 2] == 1
     assert stage[4, 0] == stage[4, 2] == stage[4, 3] == 2
-    assert stage[5, 3] == 2
+    assert stage[5, 3] == 3
+    assert stage[7, 6] == 3
     assert stage[4, 1] == stage[5, 1] == 0
-    other = _stages(pairs, np.array([1, 0, 0, 0, 0, 0]), group)
-    assert other.max() == 2
-    assert dict(zip(stage, other.tolist(), strict=True))[4, 3] == 1
+    other = _stages(pairs, np.array([1, 0, 0, 0, 0, 0, 0, 0]), group)
+    found = dict(zip(stage, other.tolist(), strict=True))
+    assert (found[4, 3], found[6, 3], found[7, 3]) == (1, 2, 3)
 
 
 def test_groups_that_take_in_nobody_have_two_people() -> None:
     time_s, area = arrivals(4_000)
-    group = grouped(links(larger=np.full(2, -30.0)).draw(time_s, area, np.random.default_rng(0)))
+    group = grouped(links(larger=np.full(3, -30.0)).draw(time_s, area, np.random.default_rng(0)))
     assert set(np.bincount(group[group >= 0]).tolist()) == {0, 2}
 
 

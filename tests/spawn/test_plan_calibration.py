@@ -1,0 +1,123 @@
+"""Samples of plans have as many companions as the recording, by the rule that finds both."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from crowdbench.registry import recording_of
+from crowdbench.scene import load_scene
+from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.events import SpawnEvents, blocks_of, entering
+from crowdbench.spawn.plan_calibration import calibrated, straight_walks
+from crowdbench.spawn.plan_fitting import fit_plans, marks_of
+from crowdbench.spawn.planned import PlannedAreas
+from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.companions import groups_of
+from crowdbench.trajectories.table import Trajectories
+
+PLAZA = load_scene("plaza-v0")
+
+
+def walker(**of: object) -> SpawnEvents:
+    """A person who walks 8 m to the right at 1 m/s."""
+    values = {
+        "time_s": np.array([0.3]),
+        "start": np.array([[4.0, 10.0]]),
+        "goal": np.array([[12.0, 10.0]]),
+        "spawn_area": np.zeros(1, np.int64),
+        "goal_area": np.zeros(1, np.int64),
+        "speed": np.ones(1),
+    }
+    return entering(**{**values, **of})  # type: ignore[arg-type]
+
+
+def test_people_walk_straight_to_their_goals() -> None:
+    crowd = straight_walks(walker(), PLAZA)
+    dt_s = PLAZA.dt_s
+    assert crowd.first.tolist() == [np.ceil(0.3 / dt_s)]
+    steps = np.arange(len(crowd.xy))
+    np.testing.assert_allclose(crowd.xy[:-1, 0], 4.0 + steps[:-1] * dt_s, atol=1e-5)
+    np.testing.assert_allclose(crowd.xy[:, 1], 10.0, atol=1e-5)
+    end = 12.0 - PLAZA.motion.goal_radius_m
+    assert crowd.xy[-1, 0] == pytest.approx(end, abs=1e-5)
+
+
+def test_people_wait_at_their_stops() -> None:
+    via, wait_s = np.array([[8.0, 13.0]]), np.array([4.0])
+    crowd = straight_walks(walker(via=via, wait_s=wait_s), PLAZA)
+    at_stop = np.linalg.norm(crowd.xy - via, axis=1) < 1e-4
+    assert at_stop.sum() * PLAZA.dt_s == pytest.approx(4.0, abs=PLAZA.dt_s)
+    assert len(crowd.xy) * PLAZA.dt_s == pytest.approx(10.0 + 4.0, abs=2 * PLAZA.dt_s)
+    speed = np.linalg.norm(np.diff(crowd.xy, axis=0), axis=1) / PLAZA.dt_s
+    assert speed.max() <= 1.0 + 1e-4
+
+
+@pytest.fixture(scope="module")
+def crowd() -> Trajectories:
+    return recording_of(PLAZA)
+
+
+@pytest.fixture(scope="module")
+def blocks(crowd: Trajectories) -> TimeBlocks:
+    return blocks_of(crowd, PLAZA)
+
+
+def found(areas: PlannedAreas, crowd: Trajectories, blocks: TimeBlocks) -> tuple[float, float]:
+    """Share of people with a companion, and that of three or more among them; of ten samples."""
+    marks, rng = marks_of(crowd, blocks), np.random.default_rng(7)
+    groups = [
+        groups_of(straight_walks(areas.draw(marks.time_s, marks.area, PLAZA, rng), PLAZA))
+        for _ in range(10)
+    ]
+    each = np.array([numbers(group) for group in groups])
+    share, larger = each.mean(axis=0).tolist()
+    return share, larger
+
+
+def numbers(group: np.ndarray) -> tuple[float, float]:
+    together = group[group >= 0]
+    return len(together) / len(group), float((np.bincount(together)[together] >= 3).mean())
+
+
+def test_as_many_companions_are_found_as_in_the_recording(
+    crowd: Trajectories, blocks: TimeBlocks
+) -> None:
+    recorded = numbers(groups_of(crowd)[marks_of(crowd, blocks).persons])
+    fitted = fit_plans(crowd, blocks, read_areas(PLAZA))
+    np.testing.assert_allclose(
+        found(calibrated(fitted, crowd, blocks, PLAZA), crowd, blocks), recorded, atol=0.04
+    )
+    # From far away, too.
+    links = replace(fitted.links, log_weight=fitted.links.log_weight + 1.5)
+    far = replace(fitted, links=links)
+    assert found(far, crowd, blocks)[0] > recorded[0] + 0.05
+    again = found(calibrated(far, crowd, blocks, PLAZA), crowd, blocks)
+    np.testing.assert_allclose(again, recorded, atol=0.04)
+
+
+def test_the_same_seed_gives_the_same_links(crowd: Trajectories, blocks: TimeBlocks) -> None:
+    fitted = fit_plans(crowd, blocks, read_areas(PLAZA))
+    one, other = (calibrated(fitted, crowd, blocks, PLAZA).links for _ in range(2))
+    np.testing.assert_array_equal(one.log_weight, other.log_weight)
+    np.testing.assert_array_equal(one.larger, other.larger)
+
+
+def test_where_nobody_has_a_companion_nothing_changes(
+    crowd: Trajectories, blocks: TimeBlocks
+) -> None:
+    fitted = fit_plans(crowd, blocks, read_areas(PLAZA))
+    ones = np.ones(50)
+    alone = straight_walks(
+        walker(
+            time_s=30.0 * np.arange(1, 51),
+            start=np.outer(ones, [4.0, 10.0]),
+            goal=np.outer(ones, [12.0, 10.0]),
+            spawn_area=np.zeros(50, np.int64),
+            goal_area=np.zeros(50, np.int64),
+            speed=ones,
+        ),
+        PLAZA,
+    )
+    alone = replace(alone, spawn_area=np.zeros(50, np.int32))
+    assert calibrated(fitted, alone, blocks_of(alone, PLAZA), PLAZA) is fitted
