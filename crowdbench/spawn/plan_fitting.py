@@ -154,5 +154,6 @@ def _gap(crowd: Trajectories, i: int, j: int) -> Float[np.ndarray, "2 2"] | None
     gap = turned(directions(moved[walks]) * [1.0, -1.0], (one - other)[half:-half][walks])
     side = 1.0 if gap[:, 1].mean() >= 0 else -1.0  # they are not nearer because they change sides
     gap[:, 1] = np.abs(gap[:, 1])
-    line = np.polynomial.polynomial.polyfit(np.linspace(0, 1, len(gap)), gap, 1)
+    margin = half / (len(gap) + 2 * half - 1)
+    line = np.polynomial.polynomial.polyfit(np.linspace(margin, 1 - margin, len(gap)), gap, 1)
     return np.array([line[0], line[0] + line[1]]) * [1.0, side]

@@ -11,14 +11,16 @@ from crowdbench.registry import recording_of
 from crowdbench.scene import load_scene
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import blocks_of
+from crowdbench.spawn.plan_calibration import straight_walks
 from crowdbench.spawn.plan_files import FILE, read_plans, write_plans
-from crowdbench.spawn.plan_fitting import fit_plans
+from crowdbench.spawn.plan_fitting import _offsets, fit_plans
 from crowdbench.spawn.planned import PlannedAreas, directions, turned
 from crowdbench.spawn.plans import plans_of
 from crowdbench.spawn.way_fitting import NARROWEST_M, bends_of
 from crowdbench.spawn.ways import OFF_M, Ways, moments
 from crowdbench.trajectories.blocks import SPLITS
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.trajectories.companions import WITHIN_M
+from crowdbench.trajectories.table import Trajectories, from_rows
 
 PLAZA = load_scene("plaza-v0")
 
@@ -158,3 +160,58 @@ def test_speeds_are_those_of_the_recording(crowd: Trajectories, fitted: PlannedA
     # The fastest person may be one of a group, who would be faster alone.
     assert events.speed.max() <= recorded.max() / np.exp(fitted.links.group_log_speed) + 1e-6
     assert np.median(events.speed) == pytest.approx(np.median(recorded), rel=0.05)
+
+
+def pair(gap_m: np.ndarray, delay: int = 0) -> Trajectories:
+    """Somebody who walks along x at 0.5 m a frame, and somebody at `gap_m` from there."""
+    rows = len(gap_m)
+    first = np.column_stack([0.5 * np.arange(rows), np.full(rows, 10.0)])
+    return from_rows(
+        scene="plaza",
+        dt_s=0.4,
+        person_id=np.repeat([0, 1], [rows, rows - delay]),
+        frame=np.concatenate([np.arange(rows), np.arange(delay, rows)]),
+        xy=np.concatenate([first, (first + gap_m)[delay:]]),
+        where="a test",
+    )
+
+
+def test_companions_are_as_far_apart_as_they_are_while_they_walk() -> None:
+    # At the ends they come close to each other; on the way they are 0.8 m abreast.
+    across = np.full(40, 0.8)
+    across[[0, -1]] = 0.1
+    found = _offsets(pair(np.column_stack([np.zeros(40), across])), np.array([1]), np.array([0]))
+    np.testing.assert_allclose(found, [[0, 0.8, 0, 0.8, 0]], atol=0.05)
+
+
+def test_a_companion_who_catches_up_gains_on_the_other_one() -> None:
+    along = np.linspace(-1.5, -0.5, 40)
+    crowd = pair(np.column_stack([along, np.full(40, -0.6)]), delay=2)
+    found = _offsets(crowd, np.array([1]), np.array([0]))[0]
+    assert found[4] == pytest.approx(along[-1] - along[2], abs=0.01)
+    assert found[0] == pytest.approx(2 * 0.5 + along[2], abs=1e-5)  # where it enters, late
+    np.testing.assert_allclose(found[[1, 3]], -0.6, atol=1e-5)
+
+
+def test_companions_who_change_sides_do_not_count_as_near() -> None:
+    across = np.where(np.arange(40) < 28, 0.8, -0.8)
+    crowd = pair(np.column_stack([np.zeros(40), across]))
+    found = _offsets(crowd, np.array([1]), np.array([0]))[0]
+    np.testing.assert_allclose(found[[1, 3]], 0.8, atol=0.05)
+
+
+def test_companions_stay_near_each_other_and_none_walks_into_another(
+    fitted: PlannedAreas,
+) -> None:
+    links = replace(fitted.links, covariance=9 * fitted.links.covariance)
+    events, _ = drawn(replace(fitted, links=links), 1_500)
+    crowd = straight_walks(replace(events, wait_s=0 * events.wait_s), PLAZA)
+    frame, person = crowd.row_frame(), crowd.row_person()
+    apart = []
+    for group in range(int(events.group.max()) + 1):
+        first, second = np.flatnonzero(events.group == group)[:2].tolist()
+        one, other = (dict(zip(frame[person == p].tolist(), crowd.path(p), strict=True))
+                      for p in (first, second))  # fmt: skip
+        apart += [np.hypot(*(one[t] - other[t])) for t in one.keys() & other.keys()]
+    assert np.mean(np.array(apart) <= WITHIN_M) > 0.9
+    assert np.mean(np.array(apart) >= 0.29) > 0.97
