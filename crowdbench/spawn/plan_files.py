@@ -12,13 +12,15 @@ from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, as_array
 from crowdbench.spawn.links import OFFSETS, Links
+from crowdbench.spawn.mixtures import DECIMALS
 from crowdbench.spawn.planned import PlannedAreas
-from crowdbench.spawn.ways import BEND, STOP, WALK, Ways
+from crowdbench.spawn.walk_files import WalksFile, check_covariances, read_walks, written_walks
+from crowdbench.spawn.ways import BEND, STOP, Ways
 from crowdbench.spawn.weights import check_origin, hint
 from crowdbench.trajectories.blocks import SPLITS
 
 FILE = "plans.json"
-SCHEMA = 1
+SCHEMA = 2
 
 
 class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -29,8 +31,9 @@ class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     offset_slope: list[float]
     offset_covariance: list[list[float]]
     group_log_speed: float
+    walks: WalksFile
     ways: dict[str, Any]
-    """Arrays of `Ways` by name, as nested lists."""
+    """The other arrays of `Ways` by name, as nested lists."""
     fastest_mps: float
 
 
@@ -52,13 +55,15 @@ def write_plans(folder: Path, fits: Mapping[str, PlannedAreas]) -> None:
             offset_slope=fit.links.slope.tolist(),
             offset_covariance=fit.links.covariance.tolist(),
             group_log_speed=fit.links.group_log_speed,
-            ways={name: getattr(fit.ways, name).tolist() for name in _shapes(fit)},
+            walks=written_walks(fit.ways.walks),
+            ways={name: getattr(fit.ways, name).round(DECIMALS).tolist() for name in _shapes(fit)},
             fastest_mps=fit.ways.fastest_mps,
         )
         for split, fit in fits.items()
     }
     scene = fits["full"].scene
-    write_json(folder / FILE, _File(schema=SCHEMA, model="plans", scene=scene, splits=splits))
+    file = _File(schema=SCHEMA, model="plans", scene=scene, splits=splits)
+    write_json(folder / FILE, file, compact=True)
 
 
 def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
@@ -104,14 +109,9 @@ def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
         )
     arrays = {name: array(of.ways[name], shape, f"ways.{name}") for name, shape in shapes.items()}
     for name in (name for name in arrays if name.endswith("covariance")):
-        if arrays[name].size and not (np.linalg.eigvalsh(arrays[name]) > 0).all():
-            raise WeightsError(
-                f"{where}.ways.{name}",
-                got="invalid values",
-                expected="symmetric, positive definite matrices",
-                hint=how,
-            )
-    ways = Ways(**arrays, longer=np.zeros(size), fastest_mps=of.fastest_mps)
+        check_covariances(arrays[name], f"{where}.ways.{name}", how)
+    walks = read_walks(of.walks, (size, len(areas.goal)), f"{where}.walks", how)
+    ways = Ways(walks, **arrays, longer=np.zeros(size), fastest_mps=of.fastest_mps)
     return PlannedAreas.of(areas, links, ways)
 
 
@@ -121,8 +121,6 @@ def _shapes(areas: Areas, stops: int | None = None) -> dict[str, tuple[int, ...]
         stops = len(areas.ways.stop_mean)
     both, count = (len(areas.spawn), len(areas.goal)), stops or 0
     return {
-        "trip_mean": (*both, WALK),
-        "trip_covariance": (*both, WALK, WALK),
         "bend_mean": (*both, BEND),
         "bend_covariance": (*both, BEND, BEND),
         "stopping": both,

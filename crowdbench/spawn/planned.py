@@ -134,7 +134,7 @@ class PlannedAreas(Areas):
                 other = joins[open_]
                 walked = np.exp(ways[other, 4]) * (time_s[open_] - time_s[other])
                 drawn = self._beside(ways[other], walked, scene, rng)
-                free = scene.walkable(drawn[:, :2]) & scene.walkable(drawn[:, 2:4])
+                free = scene.has_room(drawn[:, :2]) & scene.has_room(drawn[:, 2:4])
                 earlier = members[of_group[open_], :place]
                 distance = _closest_m(
                     drawn[:, None], time_s[open_][:, None], ways[earlier], time_s[earlier]
@@ -163,7 +163,7 @@ class PlannedAreas(Areas):
         found[:, 2:4] += at_goal
         via = found[:, 5:7] + (at_start + at_goal) / 2
         free = np.isfinite(via[:, 0])
-        free[free] = scene.walkable(via[free])
+        free[free] = scene.has_room(via[free])
         found[free, 5:7] = via[free]
         found[:, 4] = self._possible_speed(found[:, 4] + offset[:, 4])
         return found
