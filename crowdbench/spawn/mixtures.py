@@ -12,7 +12,7 @@ FEWEST = 10.0
 PRIOR = 20.0
 """Weight of what people have in common with those of other areas, in people.
 
-Of 10, 20 and 40, 20 gives the highest held-out likelihood of walks in Grand Central, Hotel and
+Of 10, 20 and 40, 20 gives the highest held-out likelihood of trips in Grand Central, Hotel and
 Zara. In ETH 40 and in the Forum 10 are better, by 0.02 and 0.01 nats per person."""
 NARROWEST_M = 0.3
 """Least standard deviation of a place in any direction."""

@@ -14,7 +14,7 @@ from crowdbench.spawn.areas import Areas, as_array
 from crowdbench.spawn.links import OFFSETS, Links
 from crowdbench.spawn.mixtures import DECIMALS
 from crowdbench.spawn.planned import PlannedAreas
-from crowdbench.spawn.walk_files import WalksFile, check_covariances, read_walks, written_walks
+from crowdbench.spawn.trip_files import TripsFile, check_covariances, read_trips, written_trips
 from crowdbench.spawn.ways import BEND, STOP, Ways
 from crowdbench.spawn.weights import check_origin, hint
 from crowdbench.trajectories.blocks import SPLITS
@@ -31,7 +31,7 @@ class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     offset_slope: list[float]
     offset_covariance: list[list[float]]
     group_log_speed: float
-    walks: WalksFile
+    trips: TripsFile
     ways: dict[str, Any]
     """The other arrays of `Ways` by name, as nested lists."""
     fastest_mps: float
@@ -55,7 +55,7 @@ def write_plans(folder: Path, fits: Mapping[str, PlannedAreas]) -> None:
             offset_slope=fit.links.slope.tolist(),
             offset_covariance=fit.links.covariance.tolist(),
             group_log_speed=fit.links.group_log_speed,
-            walks=written_walks(fit.ways.walks),
+            trips=written_trips(fit.ways.trips),
             ways={name: getattr(fit.ways, name).round(DECIMALS).tolist() for name in _shapes(fit)},
             fastest_mps=fit.ways.fastest_mps,
         )
@@ -110,8 +110,8 @@ def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
     arrays = {name: array(of.ways[name], shape, f"ways.{name}") for name, shape in shapes.items()}
     for name in (name for name in arrays if name.endswith("covariance")):
         check_covariances(arrays[name], f"{where}.ways.{name}", how)
-    walks = read_walks(of.walks, (size, len(areas.goal)), f"{where}.walks", how)
-    ways = Ways(walks, **arrays, longer=np.zeros(size), fastest_mps=of.fastest_mps)
+    trips = read_trips(of.trips, (size, len(areas.goal)), f"{where}.trips", how)
+    ways = Ways(trips, **arrays, longer=np.zeros(size), fastest_mps=of.fastest_mps)
     return PlannedAreas.of(areas, links, ways)
 
 

@@ -7,7 +7,7 @@ from crowdbench.errors import SceneError
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.mixtures import FEWEST, PRIOR, mixed, moments, responsibilities, widened
 from crowdbench.spawn.plans import SLOWEST_MPS, RecordedPlans
-from crowdbench.spawn.walk_fitting import fit_walks
+from crowdbench.spawn.trip_fitting import fit_trips
 from crowdbench.spawn.ways import BEND, OFF_M, STOP, Trips, Ways
 from crowdbench.trajectories.stops import LEAST_S, standing
 from crowdbench.trajectories.table import Trajectories
@@ -66,7 +66,7 @@ def fit_ways(trips: Trips, areas: Areas, seed: int = 0) -> Ways:
     )
     places = _places(trips, shape, seed)
     return Ways(
-        fit_walks(trip, weight, a, g, areas, seed),
+        fit_trips(trips, areas, seed),
         bend_mean,
         bend_covariance,
         _stopping(stops, weight, a, g, shape) * (len(places[0]) > 0),

@@ -2,7 +2,8 @@
 
 Given the spawn area a and the goal area g, which is drawn from the flows of the scene:
 
-- start, goal and log speed are drawn from a mixture of Gaussians (`crowdbench.spawn.walks`).
+- start, goal and log speed are drawn from a mixture of Gaussians, see
+  `crowdbench.spawn.trip_mixtures`.
 - Those who do not stop have a *bend*: the point of their path that is furthest from the straight
   line from start to goal, as the fraction along it and the distance from it. The pairs (a, g) that
   ten people or more have walked have a Gaussian of bends, drawn towards that of all people with the
@@ -29,7 +30,7 @@ from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.mixtures import log_gaussians
 from crowdbench.spawn.plans import SLOWEST_MPS
-from crowdbench.spawn.walks import WALK, Places, Walks
+from crowdbench.spawn.trip_mixtures import TRIP, Places, TripMixtures
 
 BEND = 2
 """Dimensions of a bend: fraction along the straight line, metres to its left."""
@@ -37,7 +38,9 @@ STOP = 3
 """Dimensions of a stop: place, log wait."""
 OFF_M = 0.75
 """Smallest bend that is a via point."""
-_DRAWS = 200
+_DRAWS = 1000
+_DRAWS_IN_PLACE = 50
+"""One in ten has room in the worst place of Grand Central."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +65,9 @@ class Trips:
 
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """Walks, Gaussians of the bends of each pair of areas, and the places of stops."""
+    """Mixtures of trips, Gaussians of the bends of each pair of areas, and the places of stops."""
 
-    walks: Walks
+    trips: TripMixtures
     bend_mean: Float[np.ndarray, "K G 2"]
     bend_covariance: Float[np.ndarray, "K G 2 2"]
     stopping: Float[np.ndarray, "K G"]
@@ -95,7 +98,7 @@ class Ways:
         bend_mean = self.bend_mean.mean(axis=0), self.bend_covariance.mean(axis=0)
         return replace(
             self,
-            walks=Walks.apart(Places.of(areas.spawn), self.walks.goals, speeds),
+            trips=TripMixtures.apart(Places.of(areas.spawn), self.trips.goals, speeds),
             bend_mean=np.broadcast_to(bend_mean[0], (*shape, BEND)),
             bend_covariance=np.broadcast_to(bend_mean[1], (*shape, BEND, BEND)),
             stopping=np.zeros(shape),
@@ -108,7 +111,7 @@ class Ways:
 
         Walls and bounds, at which ways are drawn again, are left out of account.
         """
-        return self.walks.log_density(trips.spawn_area, trips.goal_area, trips.trip)
+        return self.trips.log_density(trips.spawn_area, trips.goal_area, trips.trip)
 
     def log_stopping(self, trips: Trips) -> Float[np.ndarray, " n"]:
         """Log probability that they stop, or that they do not, given the areas."""
@@ -133,18 +136,21 @@ class Ways:
         """A way for each person: start, goal, log speed, via, and log wait.
 
         Via is NaN for those who go straight, log wait for those who do not stop. Ways with a point
-        where a person has no room are drawn again.
+        where a person has no room are drawn again, between the same places: the shares of places,
+        and of people who stop, remain what they are. Only places in which nobody has room, after
+        50 draws, are chosen again.
 
         Raises:
             SceneError: no way with room can be drawn.
         """
         found = np.full((len(spawn_area), 8), np.nan)
+        chosen = self.trips.choose(spawn_area, goal_area, rng)
+        stopping = rng.random(len(found)) < self.stopping[spawn_area, goal_area]
         open_ = np.arange(len(found))
-        for _ in range(_DRAWS):
-            a, g = spawn_area[open_], goal_area[open_]
+        for attempt in range(1, _DRAWS + 1):
+            a, g, stops = spawn_area[open_], goal_area[open_], stopping[open_]
             drawn = np.full((len(open_), 8), np.nan)
-            drawn[:, :WALK] = self.walks.draw(a, g, rng)
-            stops = rng.random(len(open_)) < self.stopping[a, g]
+            drawn[:, :TRIP] = self.trips.draw(chosen[open_], rng)
             drawn[stops, 5:] = self._stops(a[stops], g[stops], rng)
             drawn[~stops, 5:7] = self._bends(a[~stops], g[~stops], drawn[~stops, :4], rng)
             good = self._possible(drawn, scene)
@@ -152,6 +158,8 @@ class Ways:
             open_ = open_[~good]
             if len(open_) == 0:
                 return found
+            if attempt % _DRAWS_IN_PLACE == 0:
+                chosen[open_] = self.trips.choose(spawn_area[open_], goal_area[open_], rng)
         raise SceneError(
             scene.folder,
             got=f"{len(open_)} people for whom no way could be drawn in {_DRAWS} attempts",

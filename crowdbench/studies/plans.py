@@ -26,8 +26,8 @@ from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.links import Links
 from crowdbench.spawn.mixtures import FEWEST, log_gaussians, moments
 from crowdbench.spawn.plan_fitting import Marks, fit_plans, marks_of, trips_alone
-from crowdbench.spawn.walk_fitting import log_speeds
-from crowdbench.spawn.walks import SPEED, Places, Walks
+from crowdbench.spawn.trip_fitting import log_speeds
+from crowdbench.spawn.trip_mixtures import SPEED, Places, TripMixtures
 from crowdbench.spawn.ways import Trips
 from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.table import Trajectories
@@ -102,8 +102,8 @@ def likelihoods(scene: Scene) -> list[Held]:
         )
         learnt, trips = (trips_alone(crowd, m, slower) for m in (known, marks))
         speeds = log_speeds(learnt.trip[:, SPEED], learnt.weight)
-        areas_alone = Walks.apart(Places.of(areas.spawn), Places.of(areas.goal), speeds)
-        apart = replace(fitted.ways, walks=areas_alone)
+        areas_alone = TripMixtures.apart(Places.of(areas.spawn), Places.of(areas.goal), speeds)
+        apart = replace(fitted.ways, trips=areas_alone)
         found.setdefault("start, goal and speed", []).append(
             (
                 len(trips.weight),

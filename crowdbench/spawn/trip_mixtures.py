@@ -1,4 +1,4 @@
-"""Walks: where people start, where they go, and how fast, given the areas of both.
+"""Mixtures of trips: where people start, where they go, and how fast, given both areas.
 
 Areas are wide: people enter one by several doors, and stand at several counters. So
 
@@ -10,7 +10,7 @@ Areas are wide: people enter one by several doors, and stand at several counters
   more walked have a Gaussian of their own. The others have the product of those of both places and
   of all people's log speeds.
 
-`crowdbench.spawn.walk_fitting` fits them.
+`crowdbench.spawn.trip_fitting` fits them.
 """
 
 from dataclasses import dataclass
@@ -23,8 +23,8 @@ from numpy.random import Generator
 from crowdbench.spawn.areas import Gaussians
 from crowdbench.spawn.mixtures import log_gaussians, widened
 
-WALK = 5
-"""Dimensions of a walk: start, goal, log speed."""
+TRIP = 5
+"""Dimensions of a trip: start, goal, log speed."""
 START, GOAL, SPEED = slice(0, 2), slice(2, 4), 4
 _LEAST_VARIANCE = 1e-4
 """Of log speeds."""
@@ -55,7 +55,7 @@ class Places:
 
 
 @dataclass(frozen=True, eq=False)
-class Walks:
+class TripMixtures:
     """Starts, goals and log speeds from `I` places in spawn areas to `J` in goal areas."""
 
     starts: Places
@@ -70,23 +70,25 @@ class Walks:
     covariance: Float[np.ndarray, "T 5 5"]
 
     @classmethod
-    def apart(cls, starts: Places, goals: Places, log_speed: Float[np.ndarray, " 2"]) -> "Walks":
-        """Walks whose starts, goals and log speeds do not depend on each other."""
+    def apart(
+        cls, starts: Places, goals: Places, log_speed: Float[np.ndarray, " 2"]
+    ) -> "TripMixtures":
+        """Trips whose starts, goals and log speeds do not depend on each other."""
         return cls(
             starts,
             goals,
             np.array([log_speed[0], max(float(log_speed[1]), _LEAST_VARIANCE)]),
             np.outer(starts.weight, goals.weight),
             np.zeros((0, 2), dtype=np.int64),
-            np.zeros((0, WALK)),
-            np.zeros((0, WALK, WALK)),
+            np.zeros((0, TRIP)),
+            np.zeros((0, TRIP, TRIP)),
         )
 
     @cached_property
     def gaussians(self) -> tuple[Float[np.ndarray, "I J 5"], Float[np.ndarray, "I J 5 5"]]:
-        """Means and covariances of the walks from each place to each other one."""
+        """Means and covariances of the trips from each place to each other one."""
         shape = (len(self.starts), len(self.goals))
-        mean, covariance = np.zeros((*shape, WALK)), np.zeros((*shape, WALK, WALK))
+        mean, covariance = np.zeros((*shape, TRIP)), np.zeros((*shape, TRIP, TRIP))
         mean[..., START], mean[..., GOAL] = self.starts.mean[:, None], self.goals.mean
         covariance[..., START, START] = self.starts.covariance[:, None]
         covariance[..., GOAL, GOAL] = self.goals.covariance
@@ -107,36 +109,39 @@ class Walks:
         self,
         spawn_area: Int[np.ndarray, " n"],
         goal_area: Int[np.ndarray, " n"],
-        walk: Float[np.ndarray, "n 5"],
+        trip: Float[np.ndarray, "n 5"],
     ) -> Float[np.ndarray, " n"]:
         """Log density of starts, goals and log speeds, given the areas."""
         mean, covariance = self.gaussians
-        found = np.zeros(len(walk))
+        found = np.zeros(len(trip))
         pairs, of_pair = np.unique(
             np.stack([spawn_area, goal_area], axis=1), axis=0, return_inverse=True
         )
         for k, (a, g) in enumerate(pairs.tolist()):
             mine, at = of_pair.reshape(-1) == k, self.between(a, g)
-            each = log_gaussians(walk[mine], mean[at], covariance[at])
+            each = log_gaussians(trip[mine], mean[at], covariance[at])
             with np.errstate(divide="ignore"):  # rounded weights may be 0
                 found[mine] = np.logaddexp.reduce(each + np.log(self.weight[at]), axis=1)
         return found
 
-    def draw(
+    def choose(
         self, spawn_area: Int[np.ndarray, " n"], goal_area: Int[np.ndarray, " n"], rng: Generator
-    ) -> Float[np.ndarray, "n 5"]:
-        """A start, a goal and a log speed for each person."""
+    ) -> Int[np.ndarray, " n"]:
+        """A pair of places for each person, as the number i J + j."""
         number, cumulative = self._choices
         up_to = cumulative[spawn_area, goal_area]
         u = rng.random((len(up_to), 1)) * up_to[:, -1:]
-        chosen = number[spawn_area, goal_area, (u >= up_to).sum(axis=1)]
-        noise = rng.standard_normal((len(chosen), WALK))
-        mean = self.gaussians[0].reshape(-1, WALK)
+        return np.asarray(number[spawn_area, goal_area, (u >= up_to).sum(axis=1)])
+
+    def draw(self, chosen: Int[np.ndarray, " n"], rng: Generator) -> Float[np.ndarray, "n 5"]:
+        """A start, a goal and a log speed for each person, whose places are chosen."""
+        noise = rng.standard_normal((len(chosen), TRIP))
+        mean = self.gaussians[0].reshape(-1, TRIP)
         return mean[chosen] + np.einsum("nij,nj->ni", self._roots[chosen], noise)
 
     @cached_property
     def _roots(self) -> Float[np.ndarray, "pairs 5 5"]:
-        return np.linalg.cholesky(self.gaussians[1].reshape(-1, WALK, WALK))
+        return np.linalg.cholesky(self.gaussians[1].reshape(-1, TRIP, TRIP))
 
     @cached_property
     def _choices(self) -> tuple[Int[np.ndarray, "K G most"], Float[np.ndarray, "K G most"]]:

@@ -1,4 +1,4 @@
-"""Walks as they are written in `plans.json`, and checked when they are read."""
+"""TripMixtures as they are written in `plans.json`, and checked when they are read."""
 
 import msgspec
 import numpy as np
@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from crowdbench.errors import WeightsError
 from crowdbench.spawn.areas import as_array
 from crowdbench.spawn.mixtures import DECIMALS
-from crowdbench.spawn.walks import WALK, Places, Walks
+from crowdbench.spawn.trip_mixtures import TRIP, Places, TripMixtures
 
 
 class _Places(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -17,8 +17,8 @@ class _Places(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     covariance: list[list[list[float]]]
 
 
-class WalksFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Arrays of `Walks`, as nested lists."""
+class TripsFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Arrays of `TripMixtures`, as nested lists."""
 
     starts: _Places
     goals: _Places
@@ -29,8 +29,8 @@ class WalksFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     covariance: list[list[list[float]]]
 
 
-def written_walks(walks: Walks) -> WalksFile:
-    """Walks with rounded numbers, to be written."""
+def written_trips(trips: TripMixtures) -> TripsFile:
+    """TripMixtures with rounded numbers, to be written."""
 
     def rounded(values: np.ndarray) -> list:
         return values.round(DECIMALS).tolist()
@@ -42,21 +42,21 @@ def written_walks(walks: Walks) -> WalksFile:
             mean=rounded(of.mean),
             covariance=rounded(of.covariance),
         )
-        for of in (walks.starts, walks.goals)
+        for of in (trips.starts, trips.goals)
     )
-    return WalksFile(
+    return TripsFile(
         starts=starts,
         goals=goals,
-        log_speed=rounded(walks.log_speed),
-        weight=rounded(walks.weight),
-        own=[(i, j) for i, j in walks.own.tolist()],
-        mean=rounded(walks.mean),
-        covariance=rounded(walks.covariance),
+        log_speed=rounded(trips.log_speed),
+        weight=rounded(trips.weight),
+        own=[(i, j) for i, j in trips.own.tolist()],
+        mean=rounded(trips.mean),
+        covariance=rounded(trips.covariance),
     )
 
 
-def read_walks(file: WalksFile, areas: tuple[int, int], where: str, hint: str) -> Walks:
-    """Walks between so many spawn and goal areas.
+def read_trips(file: TripsFile, areas: tuple[int, int], where: str, hint: str) -> TripMixtures:
+    """TripMixtures between so many spawn and goal areas.
 
     Raises:
         WeightsError: arrays have other shapes than they should, or impossible values.
@@ -68,18 +68,18 @@ def read_walks(file: WalksFile, areas: tuple[int, int], where: str, hint: str) -
     rows = np.stack([weight[starts.area == a].sum(axis=0) for a in range(areas[0])])
     _check_shares(weight, rows, goals.area, f"{where}.weight", hint)
     log_speed = as_array(file.log_speed, (2,), f"{where}.log_speed", hint)
-    _check(log_speed[1] > 0, f"{where}.log_speed", "a mean and a positive variance", hint)
+    _check(float(log_speed[1]) > 0, f"{where}.log_speed", "a mean and a positive variance", hint)
     count = len(file.own)
     known = all(0 <= i < len(starts) and 0 <= j < len(goals) for i, j in file.own)
     different = known and len(set(file.own)) == count
     _check(different, f"{where}.own", "different pairs of places", hint)
     own = np.array(file.own, dtype=np.int64).reshape(-1, 2)
-    mean, covariance = np.zeros((0, WALK)), np.zeros((0, WALK, WALK))
+    mean, covariance = np.zeros((0, TRIP)), np.zeros((0, TRIP, TRIP))
     if count or file.mean or file.covariance:
-        mean = as_array(file.mean, (count, WALK), f"{where}.mean", hint)
-        covariance = as_array(file.covariance, (count, WALK, WALK), f"{where}.covariance", hint)
+        mean = as_array(file.mean, (count, TRIP), f"{where}.mean", hint)
+        covariance = as_array(file.covariance, (count, TRIP, TRIP), f"{where}.covariance", hint)
         check_covariances(covariance, f"{where}.covariance", hint)
-    return Walks(starts, goals, log_speed, weight, own, mean, covariance)
+    return TripMixtures(starts, goals, log_speed, weight, own, mean, covariance)
 
 
 def _read_places(file: _Places, areas: int, where: str, hint: str) -> Places:
@@ -119,7 +119,7 @@ def check_covariances(covariance: Float[np.ndarray, "*n D D"], where: str, hint:
     Raises:
         WeightsError: some are not.
     """
-    symmetric = np.allclose(covariance, covariance.swapaxes(-1, -2))
+    symmetric = bool(np.allclose(covariance, covariance.swapaxes(-1, -2)))
     definite = bool((np.linalg.eigvalsh(covariance) > 0).all()) if covariance.size else True
     _check(symmetric and definite, where, "symmetric, positive definite matrices", hint)
 

@@ -1,10 +1,10 @@
-"""Fitting of walks to complete trips; see `crowdbench.spawn.walks`.
+"""Fitting of mixtures to complete trips; see `crowdbench.spawn.trip_mixtures`.
 
 The places of an area are a mixture of Gaussians that is fitted to the starts, or goals, of its
 people, with the Gaussian of the area itself as one more, which has the weight of `PRIOR` people. If
 one Gaussian is enough, it is that of the area.
 
-The walks between two areas are then adapted from the product of both mixtures by expectation
+The trips between two areas are then adapted from the product of both mixtures by expectation
 maximisation with a prior, as Reynolds, Quatieri and Dunn (2000), "Speaker verification using
 adapted Gaussian mixture models", do: the weights, and the moments of each pair of places, are those
 of the people and of as many as `PRIOR` others together.
@@ -13,7 +13,7 @@ of the people and of as many as `PRIOR` others together.
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from crowdbench.spawn.areas import Areas, Gaussians
 from crowdbench.spawn.mixtures import (
@@ -25,7 +25,8 @@ from crowdbench.spawn.mixtures import (
     responsibilities,
     widened,
 )
-from crowdbench.spawn.walks import GOAL, SPEED, START, Places, Walks
+from crowdbench.spawn.trip_mixtures import GOAL, SPEED, START, Places, TripMixtures
+from crowdbench.spawn.ways import Trips
 
 _LEAST_VARIANCE_M2 = 0.05
 """Of 0.01, 0.02, 0.03, 0.05 and 0.09: with less, held-out people of ETH are 0.05 nats or more less
@@ -34,29 +35,23 @@ _STEPS = 10
 """30 change held-out likelihoods by 0.002 nats."""
 
 
-def fit_walks(
-    walk: Float[np.ndarray, "n 5"],
-    weight: Float[np.ndarray, " n"],
-    spawn_area: Int[np.ndarray, " n"],
-    goal_area: Int[np.ndarray, " n"],
-    areas: Areas,
-    seed: int,
-) -> Walks:
+def fit_trips(trips: Trips, areas: Areas, seed: int) -> TripMixtures:
     """Fit starts, goals and log speeds to those of at least one person."""
-    starts = _places(walk[:, START], weight, spawn_area, areas.spawn, seed)
-    goals = _places(walk[:, GOAL], weight, goal_area, areas.goal, seed)
-    common = Walks.apart(starts, goals, log_speeds(walk[:, SPEED], weight))
+    trip, weight, a, g = trips.trip, trips.weight, trips.spawn_area, trips.goal_area
+    starts = _places(trip[:, START], weight, a, areas.spawn, seed)
+    goals = _places(trip[:, GOAL], weight, g, areas.goal, seed)
+    common = TripMixtures.apart(starts, goals, log_speeds(trip[:, SPEED], weight))
     weights = common.weight.copy()
     own, mean, covariance = [common.own], [common.mean], [common.covariance]
-    for a, g in np.unique(np.stack([spawn_area, goal_area], axis=1), axis=0).tolist():
-        mine = (spawn_area == a) & (goal_area == g)
+    for pair in np.unique(np.stack([a, g], axis=1), axis=0):
+        mine = (a == pair[0]) & (g == pair[1])
         if mine.sum() < FEWEST:
             continue
-        at = common.between(a, g)
-        weights[at], enough, *found = _adapted(common, at, walk[mine], weight[mine])
+        at = common.between(*pair.tolist())
+        weights[at], enough, means, covariances = _adapted(common, at, trip[mine], weight[mine])
         own.append(np.stack(at, axis=1)[enough])
-        mean.append(found[0][enough])
-        covariance.append(found[1][enough])
+        mean.append(means[enough])
+        covariance.append(covariances[enough])
     return replace(
         common,
         weight=weights,
@@ -85,38 +80,38 @@ def _places(
     whole = Places.of(areas)
     found = []
     for k in range(len(areas)):
-        mine = area == k
-        shares = responsibilities(x[mine], seed, _LEAST_VARIANCE_M2)
+        area_mean, area_covariance = whole.mean[k, None], whole.covariance[k, None]
+        shares = responsibilities(x[area == k], seed, _LEAST_VARIANCE_M2)
         if shares.shape[1] == 1:
-            found.append((np.ones(1), whole.mean[k, None], whole.covariance[k, None]))
+            found.append((np.ones(1), area_mean, area_covariance))
             continue
-        weighted = shares * weight[mine, None]
-        each = [moments(x[mine], of) for of in weighted.T]
+        weighted = shares * weight[area == k, None]
+        each = [moments(x[area == k], of) for of in weighted.T]
         total = np.append(weighted.sum(axis=0), PRIOR)
-        found.append(
-            (
-                total / total.sum(),
-                np.stack([*(mean for mean, _ in each), whole.mean[k]]),
-                np.stack([*widened(np.stack([c for _, c in each]), START), whole.covariance[k]]),
-            )
-        )
-    number = [len(of[0]) for of in found]
+        means = np.concatenate([[mean for mean, _ in each], area_mean])
+        covariances = widened(np.stack([covariance for _, covariance in each]), START)
+        found.append((total / total.sum(), means, np.concatenate([covariances, area_covariance])))
     return Places(
-        np.repeat(np.arange(len(areas)), number),
-        *(np.concatenate(x) for x in zip(*found, strict=True)),
+        np.repeat(np.arange(len(areas)), [len(weights) for weights, _, _ in found]),
+        *(np.concatenate(part) for part in zip(*found, strict=True)),
     )
 
 
 def _adapted(
-    common: Walks,
+    common: TripMixtures,
     at: tuple[Int[np.ndarray, " C"], Int[np.ndarray, " C"]],
     x: Float[np.ndarray, "n 5"],
     weight: Float[np.ndarray, " n"],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Weights, which Gaussians stand for enough people, means and covariances; those of `common`,
-    drawn towards the people who walk between these places.
+) -> tuple[
+    Float[np.ndarray, " C"],
+    Bool[np.ndarray, " C"],
+    Float[np.ndarray, "C 5"],
+    Float[np.ndarray, "C 5 5"],
+]:
+    """Draw the mixture between two areas towards the people who walk from one to the other.
 
-    Gaussians of too few people remain as they are.
+    Returns weights, which Gaussians stand for enough people, means and covariances. Gaussians of
+    too few people remain as they are.
     """
     before = common.weight[at]
     usual, spread = (of[at] for of in common.gaussians)
