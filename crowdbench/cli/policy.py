@@ -57,6 +57,27 @@ def add(commands: "Commands") -> None:
         metavar="Z",
         help="standard normal numbers that the network takes per person and step (default: 0)",
     )
+    export.add_argument(
+        "--memory",
+        type=int,
+        default=0,
+        metavar="M",
+        help="size of the state that the network takes and returns (default: 0)",
+    )
+    export.add_argument(
+        "--style",
+        type=int,
+        default=0,
+        metavar="S",
+        help="number of random numbers that are drawn once per person (default: 0)",
+    )
+    export.add_argument(
+        "--interval",
+        type=int,
+        default=1,
+        metavar="FRAMES",
+        help="frames between two decisions for a person (default: 1)",
+    )
     export.add_argument("--command", default="", help="training command, to be stored in the file")
     export.set_defaults(run=_export)
     show = of_policy.add_parser("show", help="check an ONNX file and print its card")
@@ -77,6 +98,9 @@ def _export(args: argparse.Namespace) -> None:
         ray_range_m=args.ray_range_m,
         scene=load_scene(args.scene).id,
         split=args.split,
+        memory=args.memory,
+        style=args.style,
+        interval=args.interval,
         command=args.command,
         revision=revision(Path()),
     )
@@ -129,6 +153,9 @@ def _show(args: argparse.Namespace) -> None:
         f"({card.inputs} numbers)",
         "action": card.action,
         "noise": f"{policy.noise} normal numbers per person and step" if policy.noise else "none",
+        "memory": f"{card.memory} numbers per person" if card.memory else "none",
+        "style": f"{card.style} normal numbers per person" if card.style else "none",
+        "decisions": f"every {card.interval} frames" if card.interval > 1 else "every frame",
         "command": card.command or "not stated",
         "revision": card.revision or "not stated",
         "size": f"{args.file.stat().st_size / 1000:.0f} kB",

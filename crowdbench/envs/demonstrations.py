@@ -21,7 +21,7 @@ from crowdbench.errors import OutputError, SettingError
 from crowdbench.policies import ReplayPolicy
 from crowdbench.recordings.catalogue import source
 from crowdbench.registry import recording_of
-from crowdbench.rollouts.episode import actions_of, begin, check_capacity, generator
+from crowdbench.rollouts.episode import begin, check_capacity, generator
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION
@@ -245,17 +245,16 @@ def demonstrations(
     most = 2 * int(recording.present().max())
     settings = Settings(max_alive=most, rays=rays, ray_range_m=ray_range_m, observation=observation)
     simulation = Simulation(place, settings=settings)
-    walker = ReplayPolicy(recording)
-    begin(
+    actor = begin(
         simulation,
         Replay(recording),
         seed=0,
         frames=recording.frames,
         start="recorded",
-        walker=walker,
+        walker=ReplayPolicy(recording),
         scripted=True,
     )
-    walker.reset(place, generator(0, 0, "policy"))
+    actor.reset(generator(0, 0, "policy"))
     aside = PathPerturbation.of(recording, displaced_m, recovery_s, seed)
     last = recording.offsets[1:] - 1
     step_m = place.dt_s * place.motion.max_speed_mps
@@ -267,7 +266,7 @@ def demonstrations(
     actions: list[np.ndarray] = []
     slots = simulation.slots
     for t in range(recording.frames):
-        actions_now = actions_of(walker, simulation)
+        actions_now = actor.actions()
         if inside[t]:
             there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
             event = slots.event[0, there]

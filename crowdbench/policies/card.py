@@ -5,6 +5,7 @@ import re
 import msgspec
 
 from crowdbench.errors import WeightsError
+from crowdbench.policies.memory import MOST
 from crowdbench.simulation.observations import known_observations, size_of
 from crowdbench.trajectories.blocks import SPLITS
 
@@ -27,6 +28,12 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Number of rays of an observation."""
     ray_range_m: float = 10.0
     """Range of the rays in metres."""
+    memory: int = 0
+    """Size of the state that the network keeps of a person; 0: it remembers nobody."""
+    style: int = 0
+    """Number of random numbers that are drawn once per person."""
+    interval: int = 1
+    """Number of frames between two decisions for a person."""
     action: str = ACTION
     """Version of the action."""
     scene: str
@@ -60,6 +67,9 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             ),
             ("rays", self.rays, 1 <= self.rays <= 1024, "a number from 1 to 1024"),
             ("ray_range_m", self.ray_range_m, 0 < self.ray_range_m <= 1000, "metres up to 1000"),
+            ("memory", self.memory, 0 <= self.memory <= MOST, f"a number from 0 to {MOST}"),
+            ("style", self.style, 0 <= self.style <= MOST, f"a number from 0 to {MOST}"),
+            ("interval", self.interval, 1 <= self.interval <= 1000, "1 to 1000 frames"),
             ("action", self.action, self.action == ACTION, ACTION),
             ("split", self.split, self.split in SPLITS, " or ".join(SPLITS)),
             ("scene", self.scene, _NAME.fullmatch(self.scene), "the id of a scene"),

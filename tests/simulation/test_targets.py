@@ -6,7 +6,8 @@ from given import env_of, run, stand
 from worlds import Person, box, ended, simulate, square, step
 
 from crowdbench.policies import Random, SocialForce, StateView, Straight
-from crowdbench.rollouts.episode import actions_of, generator
+from crowdbench.rollouts.acting import actions_of
+from crowdbench.rollouts.episode import generator
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.reward import PARTS, Reward
