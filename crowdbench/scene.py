@@ -250,6 +250,14 @@ class Scene:
             self.obstacles, points[:, 0], points[:, 1]
         )
 
+    def has_room(self, points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+        """Whether each point lies within the bounds, a person's radius or more from all walls."""
+        import shapely
+
+        circles = shapely.points(points)
+        near = shapely.dwithin(self.obstacles, circles, self.motion.person_radius_m)
+        return self.inside(points) & ~near
+
     def nearest_walkable(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """The points; those outside the bounds or in a wall are moved to the nearest free place."""
         import shapely

@@ -122,6 +122,25 @@ def test_who_stands_in_a_wall_or_outside_is_moved_to_the_nearest_walkable_place(
         assert np.linalg.norm(place - point) <= nearest + 0.0142 + 1e-6
 
 
+@given(PLACES)
+def test_who_has_room_stands_within_the_bounds_a_persons_radius_from_walls(places):
+    points = np.array(places, dtype=np.float64)
+    walls = [shapely.Polygon(wall.corners_m) for wall in WALLED.walls]
+    distance = np.min([shapely.distance(wall, shapely.points(points)) for wall in walls], axis=0)
+    radius = WALLED.motion.person_radius_m
+    clear = np.abs(distance - radius) > 1e-9
+    expected = WALLED.inside(points) & (distance >= radius)
+    room = WALLED.has_room(points)
+    assert (room[clear] == expected[clear]).all()
+    assert (room <= WALLED.walkable(points)).all()
+
+
+def test_bounds_need_no_room_and_scenes_without_walls_have_it_everywhere():
+    just_inside = np.array([[5.999, 0.0], [6.001, 0.0]])
+    for scene in (square(6.0), WALLED):
+        assert scene.has_room(just_inside).tolist() == [True, False]
+
+
 def test_a_scene_without_walls_moves_only_those_outside_its_bounds():
     found = square(6.0).nearest_walkable(np.array([[1.0, 2.0], [9.0, 2.0], [9.0, -9.0]]))
     np.testing.assert_allclose(found, [[1, 2], [5.99, 2], [5.99, -5.99]], atol=1e-9)

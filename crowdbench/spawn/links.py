@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.random import Generator
 
-from crowdbench.spawn.mixtures import responsibilities
-from crowdbench.spawn.ways import moments
+from crowdbench.spawn.mixtures import moments, responsibilities
 from crowdbench.trajectories.companions import ENTRY_S
 
 EDGES_S = (0.0, 1e-6, 1.0, 2.0, 3.0, 4.5, ENTRY_S + 1e-6)
@@ -206,7 +205,7 @@ def _offsets(
     if walked.var() > 1e-6:
         slope = walked @ (folded - folded.mean(axis=0)) / (walked @ walked)
     folded = folded - walked_m[:, None] * slope
-    shares = responsibilities(folded, most=_MOST)
+    shares = responsibilities(folded, 0, 1e-2, _MOST)
     fitted = [moments(folded, each) for each in shares.T]
     covariance = np.stack([c for _, c in fitted]) + 1e-4 * np.eye(OFFSETS)
     return shares.mean(axis=0), np.stack([m for m, _ in fitted]), covariance, slope

@@ -12,8 +12,10 @@ from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, as_array
 from crowdbench.spawn.links import OFFSETS, STAGES, Links
+from crowdbench.spawn.mixtures import DECIMALS
 from crowdbench.spawn.planned import PlannedAreas
-from crowdbench.spawn.ways import BEND, STOP, WALK, Ways
+from crowdbench.spawn.trip_files import TripsFile, check_covariances, read_trips, written_trips
+from crowdbench.spawn.ways import BEND, STOP, Ways
 from crowdbench.spawn.weights import check_origin, hint
 from crowdbench.trajectories.blocks import SPLITS
 
@@ -30,8 +32,9 @@ class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     offset_covariance: list[list[list[float]]]
     offset_slope: list[float]
     group_log_speed: float
+    trips: TripsFile
     ways: dict[str, Any]
-    """Arrays of `Ways` by name, as nested lists."""
+    """The other arrays of `Ways` by name, as nested lists."""
     fastest_mps: float
 
 
@@ -54,13 +57,15 @@ def write_plans(folder: Path, fits: Mapping[str, PlannedAreas]) -> None:
             offset_covariance=fit.links.covariance.tolist(),
             offset_slope=fit.links.slope.tolist(),
             group_log_speed=fit.links.group_log_speed,
-            ways={name: getattr(fit.ways, name).tolist() for name in _shapes(fit)},
+            trips=written_trips(fit.ways.trips),
+            ways={name: getattr(fit.ways, name).round(DECIMALS).tolist() for name in _shapes(fit)},
             fastest_mps=fit.ways.fastest_mps,
         )
         for split, fit in fits.items()
     }
     scene = fits["full"].scene
-    write_json(folder / FILE, _File(schema=SCHEMA, model="plans", scene=scene, splits=splits))
+    file = _File(schema=SCHEMA, model="plans", scene=scene, splits=splits)
+    write_json(folder / FILE, file, compact=True)
 
 
 def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
@@ -98,6 +103,7 @@ def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
         array(of.offset_slope, (OFFSETS,), "offset_slope"),
         of.group_log_speed,
     )
+    check_covariances(links.covariance, f"{where}.offset_covariance", how)
     shapes = _shapes(areas, len(of.ways.get("stop_mean", [])))
     if set(of.ways) != set(shapes):
         raise WeightsError(
@@ -108,14 +114,9 @@ def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
         )
     arrays = {name: array(of.ways[name], shape, f"ways.{name}") for name, shape in shapes.items()}
     for name in (name for name in arrays if name.endswith("covariance")):
-        if arrays[name].size and not (np.linalg.eigvalsh(arrays[name]) > 0).all():
-            raise WeightsError(
-                f"{where}.ways.{name}",
-                got="invalid values",
-                expected="symmetric, positive definite matrices",
-                hint=how,
-            )
-    ways = Ways(**arrays, longer=np.zeros(size), fastest_mps=of.fastest_mps)
+        check_covariances(arrays[name], f"{where}.ways.{name}", how)
+    trips = read_trips(of.trips, (size, len(areas.goal)), f"{where}.trips", how)
+    ways = Ways(trips, **arrays, longer=np.zeros(size), fastest_mps=of.fastest_mps)
     return PlannedAreas.of(areas, links, ways)
 
 
@@ -125,8 +126,6 @@ def _shapes(areas: Areas, stops: int | None = None) -> dict[str, tuple[int, ...]
         stops = len(areas.ways.stop_mean)
     both, count = (len(areas.spawn), len(areas.goal)), stops or 0
     return {
-        "trip_mean": (*both, WALK),
-        "trip_covariance": (*both, WALK, WALK),
         "bend_mean": (*both, BEND),
         "bend_covariance": (*both, BEND, BEND),
         "stopping": both,

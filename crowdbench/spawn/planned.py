@@ -143,7 +143,7 @@ class PlannedAreas(Areas):
                 other = earlier[:, -1]
                 walked = np.exp(ways[other, 4]) * (time_s[open_] - time_s[other])
                 drawn = self._beside(ways[other], walked, scene, rng)
-                free = scene.walkable(drawn[:, :2]) & scene.walkable(drawn[:, 2:4])
+                free = scene.has_room(drawn[:, :2]) & scene.has_room(drawn[:, 2:4])
                 closest, furthest = _distances_m(
                     drawn[:, None], time_s[open_][:, None], ways[earlier], time_s[earlier]
                 )
@@ -173,7 +173,7 @@ class PlannedAreas(Areas):
         found[:, 2:4] += at_goal
         via = found[:, 5:7] + (at_start + at_goal) / 2
         free = np.isfinite(via[:, 0])
-        free[free] = scene.walkable(via[free])
+        free[free] = scene.has_room(via[free])
         found[free, 5:7] = via[free]
         left_m = np.maximum(_length_m(ways) - walked_m, _SHORTEST_M)
         gain = np.log(np.maximum(1 + offset[:, 4] / left_m, 0.5))

@@ -5,21 +5,15 @@ from jaxtyping import Bool, Float, Int
 
 from crowdbench.errors import SceneError
 from crowdbench.spawn.areas import Areas
+from crowdbench.spawn.mixtures import FEWEST, PRIOR, mixed, moments, responsibilities, widened
 from crowdbench.spawn.plans import SLOWEST_MPS, RecordedPlans
-from crowdbench.spawn.ways import BEND, OFF_M, STOP, Trips, Ways, moments, of_areas
+from crowdbench.spawn.trip_fitting import fit_trips
+from crowdbench.spawn.ways import BEND, OFF_M, STOP, Trips, Ways
 from crowdbench.trajectories.stops import LEAST_S, standing
 from crowdbench.trajectories.table import Trajectories
 
-FEWEST = 10.0
-"""Least number of people of a Gaussian."""
-PRIOR = 20.0
-"""Weight of what people have in common with those of other areas, in people.
-
-Of 5, 10, 20, 40 and 80 it gives the highest held-out likelihood of trips in Grand Central, Hotel
-and Zara. In ETH 40 and in the Forum 10 are better, by 0.02 and 0.001 nats per trip."""
-NARROWEST_M = 0.3
-_COMPONENTS = (1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36)
 _FEW_STOPS = 0.5
+_LEAST_VARIANCE = 1e-2
 _SHORT_LOG_WAIT = np.log(10.0), 1.0
 """Mean and variance of the log waits by which those of fewer than ten people are filled up to ten:
 the median stop lasts 9 to 11 s in ETH, Hotel, Zara and the Forum."""
@@ -59,7 +53,6 @@ def fit_ways(trips: Trips, areas: Areas, seed: int = 0) -> Ways:
     weight, a, g = trips.weight, trips.spawn_area, trips.goal_area
     trip, bend, stops = trips.trip, trips.bend, trips.stops
     shape = (len(areas.spawn), len(areas.goal))
-    trip_mean, trip_covariance = _pairs(trip, weight, a, g, *of_areas(areas, trip[:, 4], weight))
     straight = ~stops
     common = np.zeros((*shape, BEND)), np.broadcast_to(np.diag([0.04, 0.25]), (*shape, BEND, BEND))
     if weight[straight].sum() >= FEWEST:
@@ -72,11 +65,8 @@ def fit_ways(trips: Trips, areas: Areas, seed: int = 0) -> Ways:
         bend[straight], weight[straight], a[straight], g[straight], *common
     )
     places = _places(trips, shape, seed)
-    for place in (slice(0, 2), slice(2, 4)):
-        trip_covariance = widened(trip_covariance, place)
     return Ways(
-        trip_mean,
-        trip_covariance,
+        fit_trips(trips, areas, seed),
         bend_mean,
         bend_covariance,
         _stopping(stops, weight, a, g, shape) * (len(places[0]) > 0),
@@ -127,19 +117,12 @@ def _pairs(
     mean, covariance = mean.copy(), covariance.copy()
     for pair in np.unique(np.stack([a, g], axis=1), axis=0):
         mine = (a == pair[0]) & (g == pair[1])
-        total = weight[mine].sum()
         if mine.sum() < FEWEST:
             continue
         at = tuple(pair)
-        own, spread = moments(x[mine], weight[mine])
-        share = total / (total + PRIOR)
-        off = own - mean[at]
-        # Covariance of the people and of as many as PRIOR others together.
-        covariance[at] = (
-            share * spread + (1 - share) * covariance[at] + share * (1 - share) * np.outer(off, off)
-        )
-        mean[at] = share * own + (1 - share) * mean[at]
-    return mean, covariance + 1e-6 * np.eye(x.shape[1])
+        own = moments(x[mine], weight[mine])
+        mean[at], covariance[at] = mixed(own, weight[mine].sum(), (mean[at], covariance[at]))
+    return mean, widened(covariance)
 
 
 def _stopping(
@@ -149,7 +132,11 @@ def _stopping(
     g: Int[np.ndarray, " n"],
     shape: tuple[int, int],
 ) -> Float[np.ndarray, "K G"]:
-    """Share of people who stop, drawn towards that of the spawn area, and this to that of all."""
+    """Share of people who stop, drawn towards that of the spawn area, and this to that of all.
+
+    The odds of all pairs of areas are then multiplied by one factor, so that as many people stop
+    as were seen to: shares are drawn to the middle, more so where few people walk.
+    """
     overall = weight[stops].sum() / weight.sum()
     of_area = np.bincount(a, weight, minlength=shape[0])
     stop_area = np.bincount(a[stops], weight[stops], minlength=shape[0])
@@ -157,7 +144,22 @@ def _stopping(
     both, stop_both = np.zeros(shape), np.zeros(shape)
     np.add.at(both, (a, g), weight)
     np.add.at(stop_both, (a[stops], g[stops]), weight[stops])
-    return np.asarray((stop_both + PRIOR * area[:, None]) / (both + PRIOR))
+    drawn = (stop_both + PRIOR * area[:, None]) / (both + PRIOR)
+    return _with_share(drawn, both / both.sum(), float(overall))
+
+
+def _with_share(
+    p: Float[np.ndarray, "K G"], weight: Float[np.ndarray, "K G"], mean: float
+) -> Float[np.ndarray, "K G"]:
+    """Probabilities whose odds are multiplied by one factor, so that they have this mean."""
+    from scipy.optimize import brentq
+    from scipy.special import expit, logit
+
+    if mean in (0.0, 1.0):  # no factor leads there, and all probabilities are there already
+        return p
+    log_odds = logit(p)
+    factor = brentq(lambda x: (weight * expit(log_odds + x)).sum() - mean, -20.0, 20.0)
+    return np.asarray(expit(log_odds + factor))
 
 
 def _places(
@@ -173,7 +175,7 @@ def _places(
     if len(x) < FEWEST:
         fitted, shares = [_few(trips)], weight[:, None]
     else:
-        shares = _shares(x, seed) * weight[:, None]
+        shares = responsibilities(x, seed, _LEAST_VARIANCE) * weight[:, None]
         fitted = [moments(x, shares[:, c]) for c in range(shares.shape[1])]
     total = shares.sum(axis=0)[:, None] / shares.sum()
     of_spawn = np.stack([np.bincount(a, s, minlength=shape[0]) for s in shares.T])
@@ -207,35 +209,3 @@ def _few(trips: Trips) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"
         share * spread[0, 0] + (1 - share) * variance + share * (1 - share) * (own[0] - usual) ** 2
     )
     return mean, covariance
-
-
-def _shares(x: Float[np.ndarray, "n D"], seed: int) -> Float[np.ndarray, "n C"]:
-    """Responsibilities of the best mixture whose components all stand for enough people."""
-    import warnings
-
-    from sklearn.exceptions import ConvergenceWarning
-    from sklearn.mixture import GaussianMixture
-
-    best: tuple[float, np.ndarray] = np.inf, np.ones((len(x), 1))
-    for count in _COMPONENTS:
-        if count > 1 and len(x) < 2 * FEWEST * count:
-            break
-        mixture = GaussianMixture(
-            count, reg_covar=1e-2, max_iter=60, random_state=seed, init_params="k-means++"
-        )
-        with warnings.catch_warnings():  # the criterion decides, whether it converged or not
-            warnings.simplefilter("ignore", ConvergenceWarning)
-            shares = mixture.fit(x).predict_proba(x)
-        criterion = mixture.bic(x)
-        if shares.sum(axis=0).min() >= FEWEST and criterion < best[0]:
-            best = criterion, shares
-    return best[1]
-
-
-def widened(covariance: Float[np.ndarray, "*pairs D D"], place: slice) -> np.ndarray:
-    """Covariances with a standard deviation of at least 0.3 m in each direction of a place."""
-    found = covariance + 1e-6 * np.eye(covariance.shape[-1])
-    value, vector = np.linalg.eigh(found[..., place, place])
-    wide = np.maximum(value, NARROWEST_M**2)
-    found[..., place, place] = (vector * wide[..., None, :]) @ vector.swapaxes(-1, -2)
-    return np.asarray(found)

@@ -2,20 +2,21 @@
 
 Given the spawn area a and the goal area g, which is drawn from the flows of the scene:
 
-- start, goal and log speed are Gaussian. The pairs (a, g) that ten people or more have walked have
-  a Gaussian of their own, drawn towards the product of those of both areas with the weight of 20
-  people. The others have that product.
+- start, goal and log speed are drawn from a mixture of Gaussians, see
+  `crowdbench.spawn.trip_mixtures`.
 - Those who do not stop have a *bend*: the point of their path that is furthest from the straight
-  line from start to goal, as the fraction along it and the distance from it. Bends are Gaussian
-  for each pair in the same way. A bend of more than 0.75 m becomes a via point.
+  line from start to goal, as the fraction along it and the distance from it. The pairs (a, g) that
+  ten people or more have walked have a Gaussian of bends, drawn towards that of all people with the
+  weight of 20 people. The others have that of all. A bend of more than 0.75 m becomes a via point.
 - Those who stop do so in one of some common places: a mixture of Gaussians over the place and the
   logarithm of the wait, with the number of components chosen by the Bayesian information criterion.
   If fewer than ten people stop, they stop half way, and their waits are mixed with usual ones.
 
-No Gaussian stands for fewer than ten people, and none of places is narrower than 0.3 m, so that
-nothing recorded can be read from it. Only trips whose end was seen are used. They are weighted by
-1 / P(the end of a trip as long as this is seen) (Robins and Rotnitzky 1992), because long trips are
-cut off more often.
+Starts, goals and via points are places where people have room: social forces keep them away from
+walls, so that they would never arrive at others. No Gaussian stands for fewer than ten people, and
+none of places is narrower than 0.3 m, so that nothing recorded can be read from it. Only trips
+whose end was seen are used. They are weighted by 1 / P(the end of a trip as long as this is seen)
+(Robins and Rotnitzky 1992), because long trips are cut off more often.
 """
 
 from dataclasses import dataclass, replace
@@ -27,17 +28,19 @@ from numpy.random import Generator
 from crowdbench.errors import SceneError
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
+from crowdbench.spawn.mixtures import log_gaussians
 from crowdbench.spawn.plans import SLOWEST_MPS
+from crowdbench.spawn.trip_mixtures import TRIP, Places, TripMixtures
 
-WALK = 5
-"""Dimensions of a trip: start, goal, log speed."""
 BEND = 2
 """Dimensions of a bend: fraction along the straight line, metres to its left."""
 STOP = 3
 """Dimensions of a stop: place, log wait."""
 OFF_M = 0.75
 """Smallest bend that is a via point."""
-_DRAWS = 200
+_DRAWS = 1000
+_DRAWS_IN_PLACE = 50
+"""One in ten has room in the worst place of Grand Central."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +65,9 @@ class Trips:
 
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """Gaussians of the trips and bends of each pair of areas, and the places of stops."""
+    """Mixtures of trips, Gaussians of the bends of each pair of areas, and the places of stops."""
 
-    trip_mean: Float[np.ndarray, "K G 5"]
-    trip_covariance: Float[np.ndarray, "K G 5 5"]
+    trips: TripMixtures
     bend_mean: Float[np.ndarray, "K G 2"]
     bend_covariance: Float[np.ndarray, "K G 2 2"]
     stopping: Float[np.ndarray, "K G"]
@@ -91,13 +93,12 @@ class Ways:
     def instead(self, areas: Areas) -> "Ways":
         """Ways from other spawn areas to the same goals, without stops."""
         log_speed = np.log(np.clip(areas.speed_quantiles, SLOWEST_MPS, self.fastest_mps))
-        mean, covariance = of_areas(areas, log_speed, np.ones(len(log_speed)))
+        speeds = np.array([log_speed.mean(), log_speed.var()])
         shape, count = (len(areas.spawn), len(areas.goal)), len(self.stop_mean)
         bend_mean = self.bend_mean.mean(axis=0), self.bend_covariance.mean(axis=0)
         return replace(
             self,
-            trip_mean=mean,
-            trip_covariance=covariance,
+            trips=TripMixtures.apart(Places.of(areas.spawn), self.trips.goals, speeds),
             bend_mean=np.broadcast_to(bend_mean[0], (*shape, BEND)),
             bend_covariance=np.broadcast_to(bend_mean[1], (*shape, BEND, BEND)),
             stopping=np.zeros(shape),
@@ -110,8 +111,7 @@ class Ways:
 
         Walls and bounds, at which ways are drawn again, are left out of account.
         """
-        at = trips.spawn_area, trips.goal_area
-        return log_gaussian(trips.trip, self.trip_mean[at], self.trip_covariance[at])
+        return self.trips.log_density(trips.spawn_area, trips.goal_area, trips.trip)
 
     def log_stopping(self, trips: Trips) -> Float[np.ndarray, " n"]:
         """Log probability that they stop, or that they do not, given the areas."""
@@ -123,12 +123,7 @@ class Ways:
         stops = trips.stops
         x = trips.stop[stops]
         share = self.from_area[:, trips.spawn_area[stops]] * self.to_area[:, trips.goal_area[stops]]
-        each = np.stack(
-            [
-                log_gaussian(x, mean, covariance)
-                for mean, covariance in zip(self.stop_mean, self.stop_covariance, strict=True)
-            ]
-        )
+        each = log_gaussians(x, self.stop_mean, self.stop_covariance).T
         return np.asarray(np.logaddexp.reduce(each + np.log(share / share.sum(axis=0)), axis=0))
 
     def draw(
@@ -141,20 +136,21 @@ class Ways:
         """A way for each person: start, goal, log speed, via, and log wait.
 
         Via is NaN for those who go straight, log wait for those who do not stop. Ways with a point
-        outside the bounds or in a wall are drawn again.
+        where a person has no room are drawn again, between the same places: the shares of places,
+        and of people who stop, remain what they are. Only places in which nobody has room, after
+        50 draws, are chosen again.
 
         Raises:
-            SceneError: no walkable way can be drawn.
+            SceneError: no way with room can be drawn.
         """
         found = np.full((len(spawn_area), 8), np.nan)
-        trips = np.linalg.cholesky(self.trip_covariance)
+        chosen = self.trips.choose(spawn_area, goal_area, rng)
+        stopping = rng.random(len(found)) < self.stopping[spawn_area, goal_area]
         open_ = np.arange(len(found))
-        for _ in range(_DRAWS):
-            a, g = spawn_area[open_], goal_area[open_]
+        for attempt in range(1, _DRAWS + 1):
+            a, g, stops = spawn_area[open_], goal_area[open_], stopping[open_]
             drawn = np.full((len(open_), 8), np.nan)
-            noise = rng.standard_normal((len(open_), WALK))
-            drawn[:, :WALK] = self.trip_mean[a, g] + np.einsum("nij,nj->ni", trips[a, g], noise)
-            stops = rng.random(len(open_)) < self.stopping[a, g]
+            drawn[:, :TRIP] = self.trips.draw(chosen[open_], rng)
             drawn[stops, 5:] = self._stops(a[stops], g[stops], rng)
             drawn[~stops, 5:7] = self._bends(a[~stops], g[~stops], drawn[~stops, :4], rng)
             good = self._possible(drawn, scene)
@@ -162,10 +158,12 @@ class Ways:
             open_ = open_[~good]
             if len(open_) == 0:
                 return found
+            if attempt % _DRAWS_IN_PLACE == 0:
+                chosen[open_] = self.trips.choose(spawn_area[open_], goal_area[open_], rng)
         raise SceneError(
             scene.folder,
             got=f"{len(open_)} people for whom no way could be drawn in {_DRAWS} attempts",
-            expected="ways whose starts, goals and via points lie inside the bounds, outside walls",
+            expected="starts, goals and via points inside the bounds, a person's radius from walls",
             hint="Check the bounds and walls, or fit the scene again.",
         )
 
@@ -202,48 +200,11 @@ class Ways:
         return np.asarray(np.where(np.abs(left)[:, None] > OFF_M, via, np.nan))
 
     def _possible(self, drawn: Float[np.ndarray, "n 8"], scene: Scene) -> Bool[np.ndarray, " n"]:
-        """Whether all points are walkable, and the speed is one of those recorded."""
+        """Whether a person has room at all points, and the speed is one of those recorded."""
         low, high = np.log(SLOWEST_MPS), np.log(self.fastest_mps)
         good = (drawn[:, 4] >= low) & (drawn[:, 4] <= high)
         for columns in (slice(0, 2), slice(2, 4)):
-            good &= scene.walkable(drawn[:, columns])
+            good &= scene.has_room(drawn[:, columns])
         with_via = np.flatnonzero(np.isfinite(drawn[:, 5]))
-        good[with_via] &= scene.walkable(drawn[with_via, 5:7])
+        good[with_via] &= scene.has_room(drawn[with_via, 5:7])
         return np.asarray(good)
-
-
-def moments(
-    x: Float[np.ndarray, "n D"], weight: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, " D"], Float[np.ndarray, "D D"]]:
-    """Weighted mean and covariance."""
-    mean = weight @ x / weight.sum()
-    off = x - mean
-    return mean, (off * weight[:, None]).T @ off / weight.sum()
-
-
-def log_gaussian(
-    x: Float[np.ndarray, "n D"],
-    mean: Float[np.ndarray, "*n D"],
-    covariance: Float[np.ndarray, "*n D D"],
-) -> Float[np.ndarray, " n"]:
-    """Log density of a Gaussian, or of one for each row."""
-    root = np.linalg.cholesky(covariance)
-    off = np.linalg.solve(np.broadcast_to(root, (*x.shape, x.shape[1])), (x - mean)[..., None])
-    half = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
-    constant = 0.5 * x.shape[1] * np.log(2 * np.pi)
-    return np.asarray(-0.5 * (off[..., 0] ** 2).sum(axis=-1) - half - constant)
-
-
-def of_areas(
-    areas: Areas, log_speed: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "K G 5"], Float[np.ndarray, "K G 5 5"]]:
-    """Trips between areas whose starts, goals and speeds do not depend on each other."""
-    shape = (len(areas.spawn), len(areas.goal))
-    mean = np.zeros((*shape, WALK))
-    covariance = np.zeros((*shape, WALK, WALK))
-    mean[..., :2], mean[..., 2:4] = areas.spawn.mean[:, None], areas.goal.mean[None]
-    covariance[..., :2, :2] = areas.spawn.covariance[:, None]
-    covariance[..., 2:4, 2:4] = areas.goal.covariance[None]
-    of_speed, spread = moments(log_speed[:, None], weight)
-    mean[..., 4], covariance[..., 4, 4] = of_speed[0], max(float(spread[0, 0]), 1e-4)
-    return mean, covariance

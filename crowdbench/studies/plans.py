@@ -24,9 +24,11 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.links import STAGES, Links
+from crowdbench.spawn.mixtures import FEWEST, log_gaussians, moments
 from crowdbench.spawn.plan_fitting import Marks, fit_plans, marks_of, trips_alone
-from crowdbench.spawn.way_fitting import FEWEST, widened
-from crowdbench.spawn.ways import Trips, log_gaussian, moments, of_areas
+from crowdbench.spawn.trip_fitting import log_speeds
+from crowdbench.spawn.trip_mixtures import SPEED, Places, TripMixtures
+from crowdbench.spawn.ways import Trips
 from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.table import Trajectories
 
@@ -99,10 +101,9 @@ def likelihoods(scene: Scene) -> list[Held]:
             (len(marks.persons), fitted.links.log_likelihood(*each), same.log_likelihood(*each))
         )
         learnt, trips = (trips_alone(crowd, m, slower) for m in (known, marks))
-        mean, covariance = of_areas(areas, learnt.trip[:, 4], learnt.weight)
-        for place in (slice(0, 2), slice(2, 4)):  # as wide as the model's
-            covariance = widened(covariance, place)
-        apart = replace(fitted.ways, trip_mean=mean, trip_covariance=covariance)
+        speeds = log_speeds(learnt.trip[:, SPEED], learnt.weight)
+        areas_alone = TripMixtures.apart(Places.of(areas.spawn), Places.of(areas.goal), speeds)
+        apart = replace(fitted.ways, trips=areas_alone)
         found.setdefault("start, goal and speed", []).append(
             (
                 len(trips.weight),
@@ -169,7 +170,7 @@ def _same_stopping(learnt: Trips, trips: Trips) -> float:
 def _one_place(learnt: Trips, trips: Trips) -> float:
     mean, covariance = moments(learnt.stop[learnt.stops], learnt.weight[learnt.stops])
     covariance = covariance + 1e-6 * np.eye(len(mean))
-    return float(log_gaussian(trips.stop[trips.stops], mean, covariance).sum())
+    return float(log_gaussians(trips.stop[trips.stops], mean[None], covariance[None]).sum())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,13 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
+from scipy.special import softmax
 
 from crowdbench.cli import main
 from crowdbench.registry import recording_of
 from crowdbench.scene import Scene, load_scene
+from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.mixtures import FEWEST, NARROWEST_M, log_gaussians
 from crowdbench.spawn.plan_files import read_plans
-from crowdbench.spawn.way_fitting import FEWEST, NARROWEST_M
+from crowdbench.spawn.plan_fitting import marks_of, trips_alone
+from crowdbench.spawn.trip_mixtures import TripMixtures
+from crowdbench.spawn.ways import Trips
 from crowdbench.trajectories.blocks import SPLITS
 
 NEAR_M = 1e-3
@@ -87,11 +92,16 @@ def test_a_recorded_point_would_be_found(scene: Scene, tmp_path: Path) -> None:
 
 def test_no_place_is_narrower_than_thirty_centimetres_or_of_few_people(scene: Scene) -> None:
     crowd, areas = recording_of(scene), read_areas(scene)
+    blocks = read_reference(scene).blocks
     for split in SPLITS:
-        ways = read_plans(scene, areas, split).ways
+        plans = read_plans(scene, areas, split)
+        ways, mixtures = plans.ways, plans.ways.trips
+        _, of_trips = mixtures.gaussians
         for covariance in (
-            ways.trip_covariance[..., :2, :2],
-            ways.trip_covariance[..., 2:4, 2:4],
+            of_trips[..., :2, :2],
+            of_trips[..., 2:4, 2:4],
+            mixtures.starts.covariance,
+            mixtures.goals.covariance,
             ways.stop_covariance[..., :2, :2],
         ):
             if covariance.size:
@@ -99,9 +109,44 @@ def test_no_place_is_narrower_than_thirty_centimetres_or_of_few_people(scene: Sc
         if len(ways.stop_mean):
             # `from_area` counts the people of each component, and shares some out evenly.
             assert ways.from_area.sum(axis=1).min() >= FEWEST
-        pairs = np.stack([crowd.spawn_area, crowd.goal_area], axis=1)
-        known = pairs[(pairs >= 0).all(axis=1)]
-        own = (np.abs(ways.trip_mean[..., :2] - areas.spawn.mean[:, None]) > 1e-9).any(axis=-1)
-        assert own.any()
-        for a, g in np.argwhere(own):
-            assert ((known == [a, g]).all(axis=1)).sum() >= FEWEST
+        slower = plans.links.group_log_speed
+        alone = trips_alone(crowd, marks_of(crowd, blocks.training(split)), slower)
+        assert len(mixtures.own)
+        for i, j in mixtures.own:
+            pair = [mixtures.starts.area[i], mixtures.goals.area[j]]
+            assert (areas_of(alone) == pair).all(axis=1).sum() >= FEWEST
+        for people in (of_pairs(mixtures, alone), *of_places(mixtures, alone)):
+            # Gaussians move a little after people are assigned for the last time.
+            assert people.min() >= 0.9 * FEWEST
+
+
+def of_pairs(mixtures: TripMixtures, trips: Trips) -> np.ndarray:
+    """Number of people of each pair of places that has a Gaussian of its own."""
+    people = np.zeros(mixtures.weight.shape)
+    mean, covariance = mixtures.gaussians
+    for a, g in np.unique(areas_of(trips), axis=0).tolist():
+        mine, at = (areas_of(trips) == [a, g]).all(axis=1), mixtures.between(a, g)
+        log = log_gaussians(trips.trip[mine], mean[at], covariance[at])
+        people[at] = softmax(log + np.log(mixtures.weight[at] + 1e-9), axis=1).sum(axis=0)
+    return people[tuple(mixtures.own.T)]
+
+
+def areas_of(trips: Trips) -> np.ndarray:
+    return np.stack([trips.spawn_area, trips.goal_area], axis=1)
+
+
+def of_places(mixtures: TripMixtures, trips: Trips) -> list[np.ndarray]:
+    """Numbers of people of places in areas with several, except that of the area itself."""
+    found = []
+    for places, area, x in (
+        (mixtures.starts, trips.spawn_area, trips.trip[:, :2]),
+        (mixtures.goals, trips.goal_area, trips.trip[:, 2:4]),
+    ):
+        people = [np.array([np.inf])]
+        for k in np.unique(places.area):
+            at = np.flatnonzero(places.area == k)[:-1]  # the last one is the area
+            if len(at):
+                log = log_gaussians(x[area == k], places.mean[at], places.covariance[at])
+                people.append(softmax(log + np.log(places.weight[at]), axis=1).sum(axis=0))
+        found.append(np.concatenate(people))
+    return found

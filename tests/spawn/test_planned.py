@@ -5,19 +5,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
+from scipy.stats import binomtest
 
-from crowdbench.errors import WeightsError
+from crowdbench.errors import SceneError, WeightsError
 from crowdbench.registry import recording_of
 from crowdbench.scene import load_scene
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import blocks_of
+from crowdbench.spawn.mixtures import DECIMALS, NARROWEST_M, moments
 from crowdbench.spawn.plan_calibration import straight_walks
 from crowdbench.spawn.plan_files import FILE, read_plans, write_plans
 from crowdbench.spawn.plan_fitting import _offsets, fit_plans
 from crowdbench.spawn.planned import PlannedAreas, directions, turned
 from crowdbench.spawn.plans import plans_of
-from crowdbench.spawn.way_fitting import NARROWEST_M, bends_of
-from crowdbench.spawn.ways import OFF_M, Ways, moments
+from crowdbench.spawn.trip_mixtures import Places, TripMixtures
+from crowdbench.spawn.way_fitting import bends_of
+from crowdbench.spawn.ways import OFF_M, Ways
 from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.companions import WITHIN_M
 from crowdbench.trajectories.table import Trajectories, from_rows
@@ -59,6 +63,52 @@ def drawn(areas: PlannedAreas, number: int = 3_000, apart_s: float = 1.0):
     return areas.draw(time_s, area, PLAZA, rng), area
 
 
+def test_people_have_room_at_all_points_of_their_ways(fitted: PlannedAreas) -> None:
+    events, _ = drawn(with_stops(fitted))
+    radius = PLAZA.motion.person_radius_m - 1e-4  # numbers are rounded to float32
+    slim = replace(PLAZA, motion=structs.replace(PLAZA.motion, person_radius_m=radius))
+    via = events.via[np.isfinite(events.via[:, 0])]
+    for points in (events.start, events.goal, via):
+        assert slim.has_room(points.astype(np.float64)).all()
+
+
+def between(fitted: PlannedAreas, *goals: tuple[float, float]) -> Ways:
+    """Ways from the first area to these places, all equally likely, in the first area."""
+    trips, count = fitted.ways.trips, len(goals)
+    others = trips.goals.area != 0
+    end = Places(
+        np.concatenate([np.zeros(count, np.int64), trips.goals.area[others]]),
+        np.concatenate([np.full(count, 1 / count), trips.goals.weight[others]]),
+        np.concatenate([np.array(goals), trips.goals.mean[others]]),
+        np.concatenate([np.tile(np.eye(2), (count, 1, 1)), trips.goals.covariance[others]]),
+    )
+    apart = TripMixtures.apart(trips.starts, end, trips.log_speed)
+    return replace(with_stops(fitted).ways, trips=apart)
+
+
+def test_redrawing_changes_neither_the_shares_of_places_nor_of_stops(
+    fitted: PlannedAreas,
+) -> None:
+    """Half of the draws of one of two goals, and of one of two stops, are out of bounds."""
+    number, zeros = 4_000, np.zeros(4_000, np.int64)
+    bounds = PLAZA.bounds
+    ways = between(fitted, (bounds.x_max_m, 10.0), (15.0, 10.0))
+    ways.stop_mean[0, 1] = bounds.y_max_m
+    found = ways.draw(zeros, zeros, PLAZA, np.random.default_rng(0))
+    at_bounds = int((found[:, 2] > (bounds.x_max_m + 15) / 2).sum())
+    assert binomtest(at_bounds, number, 0.5).pvalue > 1e-3
+    assert binomtest(int(np.isfinite(found[:, 7]).sum()), number, 1 / 3).pvalue > 1e-3
+
+
+def test_places_without_room_are_given_up(fitted: PlannedAreas) -> None:
+    zeros, rng = np.zeros(300, np.int64), np.random.default_rng(0)
+    outside = (PLAZA.bounds.x_max_m + 20, 10.0)
+    found = between(fitted, outside, (15.0, 10.0)).draw(zeros, zeros, PLAZA, rng)
+    assert (np.abs(found[:, 2] - 15) < 6).all()
+    with pytest.raises(SceneError, match="no way could be drawn"):
+        between(fitted, outside).draw(zeros, zeros, PLAZA, rng)
+
+
 def test_ways_are_walkable_and_companions_share_them(fitted: PlannedAreas) -> None:
     events, area = drawn(with_stops(fitted))
     np.testing.assert_array_equal(events.spawn_area, area)
@@ -92,8 +142,16 @@ def test_the_file_gives_back_what_was_fitted(fitted: PlannedAreas, tmp_path: Pat
         write_plans(tmp_path, dict.fromkeys(SPLITS, areas))
         place = replace(PLAZA, folder=tmp_path)
         again = read_plans(place, read_areas(PLAZA), "fold1")
-        for name in (f.name for f in fields(Ways)):
-            np.testing.assert_array_equal(getattr(again.ways, name), getattr(areas.ways, name))
+        for kind, read, fit in (
+            (Ways, again.ways, areas.ways),
+            (TripMixtures, again.ways.trips, areas.ways.trips),
+            (Places, again.ways.trips.starts, areas.ways.trips.starts),
+            (Places, again.ways.trips.goals, areas.ways.trips.goals),
+        ):
+            arrays = [f.name for f in fields(kind) if f.name not in ("trips", "starts", "goals")]
+            for name in arrays:
+                expected = np.round(getattr(fit, name), DECIMALS if name != "fastest_mps" else 20)
+                np.testing.assert_array_equal(getattr(read, name), expected)
         for name in (f.name for f in fields(areas.links)):
             np.testing.assert_array_equal(getattr(again.links, name), getattr(areas.links, name))
 
@@ -105,6 +163,11 @@ def test_the_file_gives_back_what_was_fitted(fitted: PlannedAreas, tmp_path: Pat
         ('"fold2"', '"fold9"', "fold9"),
         ('"stopping"', '"stoping"', "stoping"),
         ('"group_log_speed"', '"slow"', "slow"),
+        ('"log_speed":[', '"log_speed":[0.1,', "trips.log_speed"),
+        ('"starts":{"area":[0,', '"starts":{"area":[9,', "trips.starts.area"),
+        ('"starts":{"area":[0,', '"starts":{"area":[0,0,', "trips.starts.weight"),
+        ('"own":[[0,', '"own":[[99,', "trips.own"),
+        ('"own":[[', '"own":[[0,0],[', "trips.own|trips.mean"),
     ],
 )
 def test_broken_files_are_refused(
@@ -118,10 +181,32 @@ def test_broken_files_are_refused(
         read_plans(replace(PLAZA, folder=tmp_path), read_areas(PLAZA), "full")
 
 
-def test_no_gaussian_is_narrower_than_thirty_centimetres(fitted: PlannedAreas) -> None:
-    for block in (slice(0, 2), slice(2, 4)):
-        values = np.linalg.eigvalsh(fitted.ways.trip_covariance[..., block, block])
-        assert (values >= (NARROWEST_M - 1e-6) ** 2).all()
+def test_weights_that_do_not_sum_to_one_are_refused(fitted: PlannedAreas, tmp_path: Path) -> None:
+    trips = fitted.ways.trips
+    for changed, told in (
+        (replace(trips, weight=trips.weight * 1.1), "trips.weight"),
+        (replace(trips, goals=replace(trips.goals, weight=-trips.goals.weight)), "goals.weight"),
+        (replace(trips, covariance=-trips.covariance), "trips.covariance"),
+    ):
+        broken = replace(fitted, ways=replace(fitted.ways, trips=changed))
+        write_plans(tmp_path, dict.fromkeys(SPLITS, broken))
+        with pytest.raises(WeightsError, match=told):
+            read_plans(replace(PLAZA, folder=tmp_path), read_areas(PLAZA), "full")
+
+
+def test_no_gaussian_is_narrower_than_thirty_centimetres(
+    fitted: PlannedAreas, tmp_path: Path
+) -> None:
+    """Not even after it was rounded."""
+    write_plans(tmp_path, dict.fromkeys(SPLITS, fitted))
+    read = read_plans(replace(PLAZA, folder=tmp_path), read_areas(PLAZA), "full")
+    for trips in (fitted.ways.trips, read.ways.trips):
+        covariance = trips.gaussians[1]
+        for block in (slice(0, 2), slice(2, 4)):
+            values = np.linalg.eigvalsh(covariance[..., block, block])
+            assert (values >= NARROWEST_M**2).all()
+        for places in (trips.starts, trips.goals):
+            assert (np.linalg.eigvalsh(places.covariance) >= NARROWEST_M**2).all()
 
 
 def test_a_bend_is_the_furthest_point_from_the_straight_line(crowd: Trajectories) -> None:
