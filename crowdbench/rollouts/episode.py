@@ -88,7 +88,7 @@ def begin(
     simulation.reset(events, horizon=frames, first_frame=-warm_up)
     walker.reset(scene, generator(seed, 0, "warm-up"))
     for _ in range(warm_up):
-        simulation.step(actions_of(walker, simulation))
+        step(simulation, walker)
     if warm_up:
         simulation.number_anew()
 
@@ -108,12 +108,22 @@ def arrivals(
     return check_events(events, spawn.name).shifted(-warm_up * scene.dt_s)
 
 
+def step(simulation: Simulation, policy: Policy) -> None:
+    """Advance every world by one frame in which `policy` moves everyone.
+
+    Raises:
+        ActionError: the policy does not return one finite action per person.
+    """
+    simulation.step(actions_of(policy, simulation), world_frame=policy.sees == "state")
+
+
 def actions_of(
     policy: Policy, simulation: Simulation, who: Bool[np.ndarray, "W N"] | None = None
 ) -> Float32[np.ndarray, "W N 2"]:
     """Actions of a policy for everyone present, or for those of them in `who`; zeros elsewhere.
 
-    A policy that sees the state sees everyone in either case.
+    A policy that sees the state sees everyone in either case, and its actions are in the world
+    frame. Those of other policies are in the frame of the simulation's observation.
 
     Raises:
         ActionError: the policy does not return one finite action per person.

@@ -5,7 +5,7 @@ from typing import Any
 
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, ReplayPolicy
-from crowdbench.rollouts.episode import Recorder, actions_of, begin, check_capacity, generator
+from crowdbench.rollouts.episode import Recorder, begin, check_capacity, generator, step
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn import Replay, SpawnModel
@@ -65,7 +65,7 @@ def rollout(
     recorder = Recorder(simulation)
     recorder.write()
     for _ in range(frames):
-        simulation.step(actions_of(policy, simulation))
+        step(simulation, policy)
         recorder.write()
     check_capacity(simulation)
     provenance: dict[str, Any] = {"spawn": spawn.name, "policy": policy.name, "seed": int(seed)}
