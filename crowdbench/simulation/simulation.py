@@ -68,7 +68,8 @@ class Simulation:
 
     1. Free the slots of people whose trips ended in the previous step.
     2. Advance the clock by one frame and move everyone by the commanded velocity (clipped to
-       [−1, 1]² and to `max_speed`). People stop at walls and slide along them.
+       [−1, 1]² and to `max_speed`). People stop at walls and slide along them. Everyone
+       remembers its heading, the distance walked and the number of steps in which it stood.
     3. End trips: `goal` if the path walked in this step came within the goal radius, else `exit`
        outside the bounds, else `timeout`. People whose recording is cut off leave in its last
        frame. At the horizon all trips end.
@@ -183,7 +184,7 @@ class Simulation:
             )
         np.copyto(self.remaining_before, self.remaining)
         own = self._own
-        if world_frame is not False:
+        if self._version.own_frame and world_frame is not False:
             own = np.ascontiguousarray(own & ~np.asarray(world_frame, bool))
         arguments = (actions, own, self.slots, self._queue, self.clock, self._limits, self._walls)
         # People of one world interact when they enter, so threads run different worlds.

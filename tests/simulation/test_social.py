@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from worlds import Person, box, events, simulate, slot_of, square, standing, step
+from worlds import Person, box, events, poisson, simulate, slot_of, square, standing, step
 
 from crowdbench.errors import ActionError
+from crowdbench.policies import Straight
+from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Scene, Wall
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.free_space import CELL_M, FreeSpace
@@ -119,6 +121,17 @@ def free(scene: Scene, points: np.ndarray) -> np.ndarray:
     return np.clip(np.minimum(bound, wall), 0, 2)
 
 
+def closest(at: np.ndarray, moves: np.ndarray) -> tuple[float, float]:
+    """Time and distance of the closest pass, by search on finer and finer grids."""
+    first, last = 0.0, PASS_S
+    for _ in range(6):
+        times = np.linspace(first, last, 21)
+        apart = np.hypot(*(at[:, None] + moves[:, None] * times))
+        k = int(apart.argmin())
+        first, last = times[max(0, k - 1)], times[min(20, k + 1)]
+    return times[k], apart[k]
+
+
 def others(simulation: Simulation, i: int, own: np.ndarray, people: list[Person]) -> np.ndarray:
     """(8, 8) neighbours of the person in slot i, whose frame has the rows `own`."""
     slots = simulation.slots
@@ -131,15 +144,13 @@ def others(simulation: Simulation, i: int, own: np.ndarray, people: list[Person]
         if np.hypot(*at) >= RANGE_M:
             continue
         moves = slots.velocity[0, j].astype(float) - slots.velocity[0, i]
-        times = np.linspace(0, PASS_S, 10_001)
-        apart = np.hypot(*(at[:, None] + moves[:, None] * times))
-        first = int(apart.argmin())
+        time_s, apart_m = closest(at, moves)
         groups = [people[int(slots.event[0, k])].group for k in (i, j)]
         row = [
             *np.clip(own @ at / RANGE_M, -1, 1),
             *np.clip(own @ moves / FAST, -1, 1),
-            times[first] / PASS_S,
-            min(1.0, apart[first] / PASS_M),
+            time_s / PASS_S,
+            min(1.0, apart_m / PASS_M),
             float(groups[0] == groups[1] >= 0),
             1.0,
         ]
@@ -190,7 +201,7 @@ def test_each_part_is_what_a_slow_reference_says(seed: int) -> None:
                 me[PROBES], free(BLOCKS, points) / 2, atol=CELL_M / np.sqrt(2) / 2
             )
             np.testing.assert_allclose(
-                neighbours_of(me), others(simulation, i, own, people), atol=2e-4
+                neighbours_of(me), others(simulation, i, own, people), atol=1e-4
             )
             ended += slots.ended[0, i] != 0
             stops += stop
@@ -438,6 +449,31 @@ def test_actions_of_another_shape_are_refused_in_either_frame() -> None:
         simulation = simulate(square(), Person(), settings=Settings(observation=name))
         with pytest.raises(ActionError, match="one velocity command per world and slot"):
             simulation.step(np.zeros((1, 3, 2), np.float32))
+
+
+class Onward:
+    """Walks on the path to the target at the preferred speed, in the frame of its observation."""
+
+    name, sees = "onward", "observation"
+
+    def __init__(self, observation: str, direction: slice, speed: slice) -> None:
+        self.observation, self._direction, self._speed = observation, direction, speed
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None: ...
+
+    def act(self, seen: np.ndarray) -> np.ndarray:
+        return seen[:, self._direction] * seen[:, self._speed]
+
+
+def test_a_rollout_acts_in_the_frame_of_the_policy() -> None:
+    world = Onward("lidar-2", GOAL_DIRECTION, SPEED_BEFORE_RAYS)
+    own = Onward("social-1", ROUTE_DIRECTION, PREFERRED_SPEED)
+    one, other = (rollout(BLOCKS, poisson(BLOCKS), p, seed=0, horizon_s=60.0) for p in (world, own))
+    assert other.offsets.tolist() == one.offsets.tolist()
+    np.testing.assert_allclose(other.xy, one.xy, atol=1e-3)
+    state = rollout(BLOCKS, poisson(BLOCKS), Straight(), seed=0, horizon_s=60.0, settings=SOCIAL)
+    plain = rollout(BLOCKS, poisson(BLOCKS), Straight(), seed=0, horizon_s=60.0)
+    assert state.xy.tobytes() == plain.xy.tobytes()
 
 
 def test_the_slices_agree_with_the_person_who_sees_them() -> None:
