@@ -322,9 +322,10 @@ def test_a_heading_without_speed_and_target_is_along_x() -> None:
 def test_the_next_person_in_a_slot_remembers_nothing() -> None:
     simulation = only(
         Person(start=(0, 0), goal=(2, 0)),
-        Person(time_s=3 * DT, start=(0, 3), goal=(0, 5)),
+        Person(time_s=4 * DT, start=(0, 3), goal=(0, 5)),
         max_alive=1,
     )
+    simulation.step(np.zeros((1, 1, 2), np.float32))
     simulation.step(np.full((1, 1, 2), [0.1, 0.0], np.float32))
     simulation.step(np.full((1, 1, 2), [1.0, 0.0], np.float32))
     assert simulation.slots.ended[0, 0]
