@@ -185,7 +185,8 @@ class Simulation:
         np.copyto(self.remaining_before, self.remaining)
         own = self._own
         if self._version.own_frame and world_frame is not False:
-            own = np.ascontiguousarray(own & ~np.asarray(world_frame, bool))
+            others = ~np.broadcast_to(np.asarray(world_frame, bool), own.shape)
+            own = np.ascontiguousarray(own & others)
         arguments = (actions, own, self.slots, self._queue, self.clock, self._limits, self._walls)
         # People of one world interact when they enter, so threads run different worlds.
         self._advance(self.slots.alive.size if self.worlds > 1 else 1, *arguments)
