@@ -41,7 +41,7 @@ def add(commands: "Commands") -> None:
     )
     export.add_argument(
         "--observation",
-        help="observation of the policy: lidar-1, lidar-2 or lidar-3 (default: lidar-2)",
+        help="observation of the policy: lidar-1, lidar-2, lidar-3 or social-1 (default: lidar-2)",
     )
     export.add_argument("--rays", type=int, default=32, help="number of rays (default: 32)")
     export.add_argument(
@@ -147,10 +147,10 @@ def _show(args: argparse.Namespace) -> None:
 
     policy = OnnxPolicy(args.file)
     card = policy.card
+    rays = f", {card.rays} rays of {card.ray_range_m:g} m" if card.with_rays else ""
     facts = {
         "trained on": f"{card.split} of {card.scene}",
-        "observation": f"{card.observation}, {card.rays} rays of {card.ray_range_m:g} m "
-        f"({card.inputs} numbers)",
+        "observation": f"{card.observation}{rays} ({card.inputs} numbers)",
         "action": card.action,
         "noise": f"{policy.noise} normal numbers per person and step" if policy.noise else "none",
         "memory": f"{card.memory} numbers per person" if card.memory else "none",

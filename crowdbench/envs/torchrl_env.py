@@ -74,7 +74,7 @@ class CrowdEnv(EnvBase):
             start: how an episode begins, as in `parallel_env`.
             rays: number of rays of an observation.
             ray_range_m: range of the rays in metres.
-            observation: `lidar-1`, `lidar-2` (default) or `lidar-3`.
+            observation: `lidar-1`, `lidar-2` (default), `lidar-3` or `social-1`.
             reward: weights of the parts of the reward; default: `Reward()`.
             drop: if true, people without a free slot are omitted and counted in `dropped`; if
                 false, they raise a `CapacityError`.

@@ -86,7 +86,7 @@ class CrowdVecEnv(VecEnv):
             start: how an episode of the worlds begins, as in `parallel_env`.
             rays: number of rays of an observation.
             ray_range_m: range of the rays in metres.
-            observation: `lidar-1`, `lidar-2` (default) or `lidar-3`.
+            observation: `lidar-1`, `lidar-2` (default), `lidar-3` or `social-1`.
             reward: weights of the parts of the reward; default: `Reward()`.
             seed: seed of the first episode, from which the seeds of later episodes are drawn;
                 `seed()` also sets it.
@@ -205,7 +205,7 @@ class CrowdVecEnv(VecEnv):
         at = tuple(self._at[:, acting])
         actions = self._actor.actions(~self._taken)
         actions[at] = self._actions[acting]
-        simulation.step(actions)
+        simulation.step(actions, world_frame=~self._taken & self._actor.world_frame)
         check_capacity(simulation)
         simulation.observe()
 

@@ -6,12 +6,13 @@ import msgspec
 
 from crowdbench.errors import WeightsError
 from crowdbench.policies.memory import MOST
-from crowdbench.simulation.observations import known_observations, size_of
+from crowdbench.simulation.observations import known_observations, size_of, version_of
 from crowdbench.trajectories.blocks import SPLITS
 
 SCHEMA = 1
 ACTION = "velocity-1"
-"""Version of the action: a velocity in units of the scene's maximum speed, in [−1, 1]²."""
+"""Version of the action: a velocity in units of the scene's maximum speed, in [−1, 1]², in the
+frame of the observation."""
 HINT = "Export the network again with `crowdbench policy export`."
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,39}")
 
@@ -25,7 +26,7 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     observation: str
     """Version of the observation, see `crowdbench.simulation.observations`."""
     rays: int = 32
-    """Number of rays of an observation."""
+    """Number of rays of an observation; does not apply to `social-1`."""
     ray_range_m: float = 10.0
     """Range of the rays in metres."""
     memory: int = 0
@@ -49,6 +50,11 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     def inputs(self) -> int:
         """Number of values in an observation."""
         return size_of(self.observation, self.rays)
+
+    @property
+    def with_rays(self) -> str:
+        """Words on the rays for messages, ` with 32 rays`; empty if the observation has none."""
+        return f" with {self.rays} rays" if version_of(self.observation).rays else ""
 
     def checked(self, where: object) -> "PolicyCard":
         """This card, after validation; `where` is named in error messages.

@@ -17,7 +17,7 @@ from crowdbench.files import replacing
 from crowdbench.policies.card import PolicyCard
 from crowdbench.policies.network import KEY, MOST_NOISE, OnnxPolicy, check_onnx
 from crowdbench.scene import Scene, load_scene
-from crowdbench.simulation.observations import OBSERVATIONS
+from crowdbench.simulation.observations import OBSERVATIONS, size_of
 
 if TYPE_CHECKING:
     import torch
@@ -101,7 +101,7 @@ def _answer(
             found = network(*inputs)
     except Exception as error:  # a user's network may raise any exception
         takes = _takes(network, inputs)
-        version = {n + card.rays: name for name, n in OBSERVATIONS.items()}.get(takes or -1)
+        version = {size_of(name, card.rays): name for name in OBSERVATIONS}.get(takes or -1)
         others = "".join(f", and {n} of shape {tuple(x.shape)}" for n, x in [*fed.items()][1:])
         raise WeightsError(
             path,
@@ -110,7 +110,7 @@ def _answer(
             else f"a network that raises {type(error).__name__}: "
             + (str(error).splitlines() or [""])[0][:200],
             expected=f"one that takes observations of shape (A, {card.inputs}): {card.observation} "
-            f"has {card.inputs} numbers with {card.rays} rays{others}",
+            f"has {card.inputs} numbers{card.with_rays}{others}",
             hint=f"This is the size of {version}; set it as the observation."
             if version
             else "State the observation and rays that it was trained with."

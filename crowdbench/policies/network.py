@@ -325,7 +325,7 @@ def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
             path,
             got=f"inputs {_written(inputs)}",
             expected=f"float32 {_written(expected)} and optionally noise (A, Z): "
-            f"{card.observation} with {card.rays} rays has {card.inputs} numbers",
+            f"{card.observation}{card.with_rays} has {card.inputs} numbers",
             hint=HINT,
         )
     returned: dict[str, tuple[int | None, ...]] = {"action": (None, 2)}

@@ -117,7 +117,8 @@ Policy = ObservationPolicy | RememberingPolicy | StatePolicy
 """A policy maps a batch of observations, or the state, to a batch of actions.
 
 An action is a velocity in units of the scene's `max_speed_mps`. Components outside [−1, 1] are
-clipped, as in the environments.
+clipped, as in the environments. The actions of a policy that sees observations are in the frame of
+its observation, those of a policy that sees the state in the world frame.
 
 A policy without random draws may have the attribute `deterministic = True`. With recorded arrivals,
 a single rollout of it is then sufficient. A policy with the attribute `interval = k` decides in

@@ -72,7 +72,7 @@ def _observed(scene: Scene, shown: Settings) -> Float32[np.ndarray, "rows obs"]:
         view = StateView.of(simulation)
         actions = np.zeros(simulation.slots.position.shape, np.float32)
         actions[view.world, view.slot] = walker.act(view)
-        simulation.step(actions)
+        simulation.step(actions, world_frame=True)
     if len(rows) == 0:  # nobody entered
         rows = rng.uniform(-1, 1, (1, width)).astype(np.float32)
     return rows[rng.permutation(len(rows))[:ROWS]]

@@ -10,6 +10,7 @@ from crowdbench.errors import ActionError
 from crowdbench.policies import Policy, StateView
 from crowdbench.policies.memory import Memory, Needs
 from crowdbench.simulation import Simulation
+from crowdbench.simulation.social import in_own_frame
 
 
 class Actor:
@@ -45,10 +46,24 @@ class Actor:
         self.policy.reset(self._simulation.scene, rng)
         self._rng = rng
 
+    @property
+    def world_frame(self) -> bool:
+        """Whether the actions are in the world frame, and not in that of the observation."""
+        return self.policy.sees == "state"
+
+    def step(self) -> None:
+        """Advance every world by one frame in which the policy moves everyone.
+
+        Raises:
+            ActionError: see `actions`.
+        """
+        self._simulation.step(self.actions(), world_frame=self.world_frame)
+
     def actions(self, who: Bool[np.ndarray, "W N"] | None = None) -> Float32[np.ndarray, "W N 2"]:
         """Actions for everyone present, or for those of them in `who`; zeros elsewhere.
 
-        A policy that sees the state sees everyone in either case.
+        A policy that sees the state sees everyone in either case, and its actions are in the world
+        frame. Those of other policies are in the frame of the simulation's observation.
 
         Raises:
             ActionError: the policy does not return one finite action per person, or writes states
@@ -84,11 +99,30 @@ class Actor:
             self._style[new] = self._rng.standard_normal(
                 (len(new), self._needs.style), dtype=np.float32
             )
-        deciding = at[self._due(at) | np.isin(at, new)]
+        due = self._due(at) | np.isin(at, new)
+        deciding, others = at[due], at[~due]
         if len(deciding):
-            self._held[deciding] = self._decided(seen.take(deciding, axis=0), deciding, new)
-        flat[at] = self._held[at]
+            flat[deciding] = self._decided(seen.take(deciding, axis=0), deciding, new)
+        if self._needs.interval > 1:
+            flat[others] = self._keeping(others)
+            self._held[deciding] = self._in_world(flat[deciding], deciding)
         return actions
+
+    def _in_world(
+        self, action: Float32[np.ndarray, "n 2"], at: Int[np.ndarray, " n"]
+    ) -> Float32[np.ndarray, "n 2"]:
+        """Actions in the world frame."""
+        if not self._simulation.settings.own_frame:
+            return action
+        back = self._simulation.slots.heading.reshape(-1, 2)[at] * np.array([1, -1])
+        return in_own_frame(action, back)
+
+    def _keeping(self, at: Int[np.ndarray, " n"]) -> Float32[np.ndarray, "n 2"]:
+        """Actions with which people keep their velocities; headings may have changed meanwhile."""
+        held = self._held[at]
+        if not self._simulation.settings.own_frame:
+            return held
+        return in_own_frame(held, self._simulation.slots.heading.reshape(-1, 2)[at])
 
     def _due(self, at: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         """Whose decision is due, by the number of frames since the entry."""

@@ -92,7 +92,7 @@ def begin(
     actor = Actor(walker, simulation)
     actor.reset(generator(seed, 0, "warm-up"))
     for _ in range(warm_up):
-        simulation.step(actor.actions())
+        actor.step()
     if warm_up:
         simulation.number_anew()
     return actor

@@ -65,7 +65,7 @@ def rollout(
     recorder = Recorder(simulation)
     recorder.write()
     for _ in range(frames):
-        simulation.step(actor.actions())
+        actor.step()
         recorder.write()
     check_capacity(simulation)
     provenance: dict[str, Any] = {"spawn": spawn.name, "policy": policy.name, "seed": int(seed)}

@@ -108,6 +108,26 @@ def test_between_decisions_people_keep_their_velocities() -> None:
             np.testing.assert_allclose(steps[k + 1 : k + 3], steps[[k, k]], atol=2e-5)
 
 
+def test_velocities_are_kept_in_the_world_while_headings_turn() -> None:
+    class Turning(Counting):
+        """Walks ahead and to the left, so that the own frame turns with each step."""
+
+        observation = "social-1"
+
+        def act(self, seen: np.ndarray, memory: Memory) -> np.ndarray:
+            super().act(seen, memory)
+            return np.full((len(seen), 2), 0.2, np.float32)
+
+    crowd = walked(Turning(interval=4), start="empty")
+    turned = 0.0
+    for person in range(20):
+        steps = np.diff(crowd.path(person).astype(np.float64), axis=0)
+        for k in range(0, len(steps) - 5, 4):
+            np.testing.assert_allclose(steps[k + 1 : k + 4], steps[[k, k, k]], atol=5e-5)
+            turned += abs(steps[k, 0] * steps[k + 4, 1] - steps[k, 1] * steps[k + 4, 0])
+    assert turned > 1.0
+
+
 def test_other_people_are_walked_without_those_of_a_learner() -> None:
     policy, scene = Counting(), PLAZA
     simulation = Simulation(scene, settings=Settings(max_alive=64))
