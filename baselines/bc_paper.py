@@ -30,7 +30,7 @@ import numpy as np
 from baselines.packages import needs
 from crowdbench import Demonstrations, demonstrations
 from crowdbench.errors import CrowdbenchError
-from crowdbench.simulation.observations import GOAL_DIRECTION, OBSERVATIONS
+from crowdbench.simulation.observations import GOAL_DIRECTION, head_of
 
 with needs("imitation", __name__):
     import torch
@@ -44,7 +44,7 @@ with needs("imitation", __name__):
     from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
 
 OBSERVATION = "lidar-1"
-SELF = OBSERVATIONS[OBSERVATION]
+SELF = head_of(OBSERVATION)
 """Number of values before the rays."""
 NOISE = 2
 """Number of normal numbers per action."""

@@ -17,11 +17,11 @@ from crowdbench.simulation.observations import (
     GOAL_DISTANCE,
     GOAL_RANGE_M,
     OBSERVATION,
-    OBSERVATIONS,
     PREFERRED_SPEED,
+    head_of,
 )
 
-HEAD = OBSERVATIONS[OBSERVATION]
+HEAD = head_of(OBSERVATION)
 STOPPING_S = 0.5  # τ, eq. 2
 
 

@@ -22,6 +22,7 @@ from crowdbench.plugins import register
 from crowdbench.scene import load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import Observation, size_of
+from crowdbench.simulation.social import SIZE
 
 WIDE = {"COLUMNS": "200"}
 PACKAGE = Path(__file__).parent / "extras_package"
@@ -162,6 +163,23 @@ def test_a_metric_is_named_for_one_evaluation(
     ):
         assert main([*asked, name]) == 2
         assert message in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("free")
+def test_an_observation_has_the_frame_of_its_base() -> None:
+    class LonelyAhead(Lonely):
+        base = "social-1"
+
+    register("observations", "lonely-1", LonelyAhead)
+    envs = [crowdbench.parallel_env("plaza-v0", observation=name, horizon_s=60.0)
+            for name in ("lonely-1", "social-1")]  # fmt: skip
+    assert size_of("lonely-1", 32) == SIZE + 1
+    seen, of_base = (env.reset(seed=1)[0] for env in envs)
+    for _ in range(5):
+        for agent, numbers in seen.items():
+            assert numbers[:-1].tolist() == of_base[agent].tolist()
+        seen, of_base = (env.step(dict.fromkeys(env.agents, np.float32([0.2, 0.1])))[0]
+                         for env in envs)  # fmt: skip
 
 
 @pytest.mark.usefixtures("free")

@@ -7,7 +7,7 @@ import numpy as np
 from msgspec import structs
 
 from crowdbench.policies import Policy
-from crowdbench.rollouts.episode import actions_of
+from crowdbench.rollouts.acting import actions_of
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn import Areas, PoissonGMM, SpawnEvents

@@ -41,7 +41,7 @@ def add(commands: "Commands") -> None:
     )
     export.add_argument(
         "--observation",
-        help="observation of the policy: lidar-1, lidar-2 or lidar-3 (default: lidar-2)",
+        help="observation of the policy: lidar-1, lidar-2, lidar-3 or social-1 (default: lidar-2)",
     )
     export.add_argument("--rays", type=int, default=32, help="number of rays (default: 32)")
     export.add_argument(
@@ -56,6 +56,27 @@ def add(commands: "Commands") -> None:
         default=0,
         metavar="Z",
         help="standard normal numbers that the network takes per person and step (default: 0)",
+    )
+    export.add_argument(
+        "--memory",
+        type=int,
+        default=0,
+        metavar="M",
+        help="size of the state that the network takes and returns (default: 0)",
+    )
+    export.add_argument(
+        "--style",
+        type=int,
+        default=0,
+        metavar="S",
+        help="number of random numbers that are drawn once per person (default: 0)",
+    )
+    export.add_argument(
+        "--interval",
+        type=int,
+        default=1,
+        metavar="FRAMES",
+        help="frames between two decisions for a person (default: 1)",
     )
     export.add_argument("--command", default="", help="training command, to be stored in the file")
     export.set_defaults(run=_export)
@@ -77,6 +98,9 @@ def _export(args: argparse.Namespace) -> None:
         ray_range_m=args.ray_range_m,
         scene=load_scene(args.scene).id,
         split=args.split,
+        memory=args.memory,
+        style=args.style,
+        interval=args.interval,
         command=args.command,
         revision=revision(Path()),
     )
@@ -123,12 +147,15 @@ def _show(args: argparse.Namespace) -> None:
 
     policy = OnnxPolicy(args.file)
     card = policy.card
+    rays = f", {card.rays} rays of {card.ray_range_m:g} m" if card.with_rays else ""
     facts = {
         "trained on": f"{card.split} of {card.scene}",
-        "observation": f"{card.observation}, {card.rays} rays of {card.ray_range_m:g} m "
-        f"({card.inputs} numbers)",
+        "observation": f"{card.observation}{rays} ({card.inputs} numbers)",
         "action": card.action,
         "noise": f"{policy.noise} normal numbers per person and step" if policy.noise else "none",
+        "memory": f"{card.memory} numbers per person" if card.memory else "none",
+        "style": f"{card.style} normal numbers per person" if card.style else "none",
+        "decisions": f"every {card.interval} frames" if card.interval > 1 else "every frame",
         "command": card.command or "not stated",
         "revision": card.revision or "not stated",
         "size": f"{args.file.stat().st_size / 1000:.0f} kB",

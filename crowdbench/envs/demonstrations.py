@@ -2,7 +2,8 @@
 
 The recording is replayed in the simulation of the environments. Everyone follows the recorded
 path, and each observation is stored with the action that leads to the next recorded position.
-Observations, walls and the speed limit are therefore the same as in the environments.
+Observations, walls and the speed limit are therefore the same as in the environments. Actions are
+in the frame of the observation.
 """
 
 import shutil
@@ -21,13 +22,15 @@ from crowdbench.errors import OutputError, SettingError
 from crowdbench.policies import ReplayPolicy
 from crowdbench.recordings.catalogue import source
 from crowdbench.registry import recording_of
-from crowdbench.rollouts.episode import actions_of, begin, check_capacity, generator
+from crowdbench.rollouts.episode import begin, check_capacity, generator
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION
+from crowdbench.simulation.social import in_own_frame
 from crowdbench.spawn import Replay
 from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.weights import check_split
+from crowdbench.trajectories.stops import STANDING_MPS
 
 if TYPE_CHECKING:
     from imitation.data.types import Trajectory
@@ -45,7 +48,8 @@ class Demonstrations:
     """Observations of all pieces, R = S + L rows. The last row of each piece is the observation
     after its last action."""
     actions: Float32[np.ndarray, "R 2"]
-    """Velocities in units of the scene's maximum speed; NaN in the last row of each piece."""
+    """Velocities in units of the scene's maximum speed, in the frame of the observation; NaN in the
+    last row of each piece."""
     person: Int[np.ndarray, " L"]
     """Index of the person in the recording."""
     offsets: Int[np.ndarray, " L+1"]
@@ -245,17 +249,16 @@ def demonstrations(
     most = 2 * int(recording.present().max())
     settings = Settings(max_alive=most, rays=rays, ray_range_m=ray_range_m, observation=observation)
     simulation = Simulation(place, settings=settings)
-    walker = ReplayPolicy(recording)
-    begin(
+    actor = begin(
         simulation,
         Replay(recording),
         seed=0,
         frames=recording.frames,
         start="recorded",
-        walker=walker,
+        walker=ReplayPolicy(recording),
         scripted=True,
     )
-    walker.reset(place, generator(0, 0, "policy"))
+    actor.reset(generator(0, 0, "policy"))
     aside = PathPerturbation.of(recording, displaced_m, recovery_s, seed)
     last = recording.offsets[1:] - 1
     step_m = place.dt_s * place.motion.max_speed_mps
@@ -267,7 +270,9 @@ def demonstrations(
     actions: list[np.ndarray] = []
     slots = simulation.slots
     for t in range(recording.frames):
-        actions_now = actions_of(walker, simulation)
+        actions_now = actor.actions()
+        if settings.own_frame:  # also for the step itself, so that it is that of the environment
+            actions_now = in_own_frame(actions_now, slots.heading)
         if inside[t]:
             there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
             event = slots.event[0, there]
@@ -275,6 +280,7 @@ def demonstrations(
             frame.append(np.full(len(there), t))
             now = actions_now[0, there]
             stood, went = slots.position[0, there], slots.velocity[0, there]
+            headed = slots.heading[0, there]
             row = np.minimum(recording.offsets[event] + t - recording.first[event], last[event])
             after = np.minimum(row + 1, last[event])
             here = (stood + aside.now[row]).astype(np.float64)
@@ -282,10 +288,15 @@ def demonstrations(
             moved &= place.walkable(here) & place.walkable(recording.xy[after] + aside.after[row])
             slots.position[0, there[moved]] = here[moved]
             slots.velocity[0, there[moved]] += aside.drift[row[moved]].astype(np.float32)
+            # Distances walked and times stood are those of the recorded path.
+            slots.heading[0, there] = _headings(slots.velocity[0, there], headed, moved)
             observations.append(simulation.observe()[0, there])
+            way = (recording.xy[after] + aside.after[row] - here) / step_m
+            if settings.own_frame:
+                way = in_own_frame(way, slots.heading[0, there])
             slots.position[0, there], slots.velocity[0, there] = stood, went
-            way = recording.xy[after] + aside.after[row] - here
-            now[moved] = (way / step_m).clip(-1, 1)[moved]
+            slots.heading[0, there] = headed
+            now[moved] = way.clip(-1, 1)[moved]
             now[~slots.alive[0, there]] = np.nan
             actions.append(now)
         simulation.step(actions_now)
@@ -314,6 +325,17 @@ def demonstrations(
         np.where(recording.left, recording.last, -1),
         provenance,
     )
+
+
+def _headings(
+    velocity: Float32[np.ndarray, "n 2"],
+    heading: Float32[np.ndarray, "n 2"],
+    moved: Bool[np.ndarray, " n"],
+) -> Float32[np.ndarray, "n 2"]:
+    """Headings of people with displaced velocities; those who stand keep theirs."""
+    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+    turned = moved[:, None] & (speed >= STANDING_MPS)
+    return np.where(turned, velocity / np.maximum(speed, STANDING_MPS), heading)
 
 
 def _cite(name: str) -> str:

@@ -53,9 +53,10 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     the number of `frames_skipped` and, in the last step of a trip, the `outcome`. `agents` is
     therefore empty only when the episode is over.
 
-    - Observation: `lidar-1` to `lidar-3`, see `crowdbench.simulation.observations`.
-    - Action: velocity in units of the scene's maximum speed, Box(−1, 1, (2,)). Values out of range
-      are clipped. NaN, infinity, or missing or unknown agents raise an `ActionError`.
+    - Observation: `lidar-1` to `lidar-3` or `social-1`, see `crowdbench.simulation.observations`.
+    - Action: velocity in units of the scene's maximum speed, Box(−1, 1, (2,)), in the frame of the
+      observation: the world frame, or with `social-1` the own frame. Values out of range are
+      clipped. NaN, infinity, or missing or unknown agents raise an `ActionError`.
     - Reward: progress, arrival, overlap, walls and pace, see `crowdbench.simulation.reward.Reward`.
       `infos` contain the parts as `reward_parts`, in the order of `reward.PARTS`.
     - Rendering: with `render_mode="rgb_array"`, `render` returns an image. With `"human"`, a rerun
@@ -317,7 +318,8 @@ def parallel_env(
         rays: number of rays of an observation.
         ray_range_m: range of the rays in metres.
         observation: `lidar-1`; `lidar-2` (default), which contains the preferred speed and the
-            path around walls; or `lidar-3`, which also contains the distances to the bounds.
+            path around walls; `lidar-3`, which also contains the distances to the bounds; or
+            `social-1`, the nearest people in the person's own frame, without rays.
         max_alive: maximum number of people at the same time; default: 512, or more if a crowd in
             which nobody reaches a goal would be larger.
         max_persons: maximum number of people in an episode and its warm-up, and the length of

@@ -33,7 +33,7 @@ class CrowdEnv(EnvBase):
     - `observation`, `action`: as in `parallel_env`.
     - `mask`: whether the slot is occupied by a person, who acts in the next step. Actions of empty
       slots are ignored. Train only on transitions whose mask is true before the step.
-    - `reward` (W, N, 1) and its parts `reward_parts` (W, N, 5): zero where nobody acted.
+    - `reward` (W, N, 1) and its parts `reward_parts` (W, N, 7): zero where nobody acted.
     - `done`, `terminated`, `truncated` (W, N, 1): whether the person's trip ended in this step, at
       the goal or outside the bounds (terminated), or by a timeout or the horizon (truncated). The
       observation of this step is the last one of the trip; bootstrap the value of a truncated trip
@@ -74,7 +74,7 @@ class CrowdEnv(EnvBase):
             start: how an episode begins, as in `parallel_env`.
             rays: number of rays of an observation.
             ray_range_m: range of the rays in metres.
-            observation: `lidar-1`, `lidar-2` (default) or `lidar-3`.
+            observation: `lidar-1`, `lidar-2` (default), `lidar-3` or `social-1`.
             reward: weights of the parts of the reward; default: `Reward()`.
             drop: if true, people without a free slot are omitted and counted in `dropped`; if
                 false, they raise a `CapacityError`.

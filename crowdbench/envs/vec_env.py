@@ -17,8 +17,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Policy, Straight
 from crowdbench.registry import DEFAULT_SPAWN, spawn_model
+from crowdbench.rollouts.acting import Actor
 from crowdbench.rollouts.episode import (
-    actions_of,
     begin,
     check_capacity,
     check_horizon,
@@ -86,7 +86,7 @@ class CrowdVecEnv(VecEnv):
             start: how an episode of the worlds begins, as in `parallel_env`.
             rays: number of rays of an observation.
             ray_range_m: range of the rays in metres.
-            observation: `lidar-1`, `lidar-2` (default) or `lidar-3`.
+            observation: `lidar-1`, `lidar-2` (default), `lidar-3` or `social-1`.
             reward: weights of the parts of the reward; default: `Reward()`.
             seed: seed of the first episode, from which the seeds of later episodes are drawn;
                 `seed()` also sets it.
@@ -167,7 +167,8 @@ class CrowdVecEnv(VecEnv):
         )
         self._rewarder.begin()
         check_capacity(simulation)
-        self.others.reset(self.scene, generator(seed, 0, "policy"))
+        self._actor = Actor(self.others, simulation)
+        self._actor.reset(generator(seed, 0, "policy"))
         simulation.observe()
         self._waits[:] = True
         self._taken[:] = False
@@ -202,9 +203,9 @@ class CrowdVecEnv(VecEnv):
         simulation = self._simulation
         acting = ~self._waits
         at = tuple(self._at[:, acting])
-        actions = actions_of(self.others, simulation, ~self._taken)
+        actions = self._actor.actions(~self._taken)
         actions[at] = self._actions[acting]
-        simulation.step(actions)
+        simulation.step(actions, world_frame=~self._taken & self._actor.world_frame)
         check_capacity(simulation)
         simulation.observe()
 

@@ -1,18 +1,27 @@
 """Policies: models that move the people of a crowd."""
 
 from crowdbench.policies.card import PolicyCard
+from crowdbench.policies.memory import Memory
 from crowdbench.policies.network import OnnxPolicy
-from crowdbench.policies.policy import ObservationPolicy, Policy, StatePolicy, StateView
+from crowdbench.policies.policy import (
+    ObservationPolicy,
+    Policy,
+    RememberingPolicy,
+    StatePolicy,
+    StateView,
+)
 from crowdbench.policies.social_force import SocialForce
 from crowdbench.policies.walkers import Random, RecordedPaths, ReplayPolicy, Straight
 
 __all__ = [
+    "Memory",
     "ObservationPolicy",
     "OnnxPolicy",
     "Policy",
     "PolicyCard",
     "Random",
     "RecordedPaths",
+    "RememberingPolicy",
     "ReplayPolicy",
     "SocialForce",
     "StatePolicy",

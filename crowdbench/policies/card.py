@@ -5,12 +5,14 @@ import re
 import msgspec
 
 from crowdbench.errors import WeightsError
-from crowdbench.simulation.observations import known_observations, size_of
+from crowdbench.policies.memory import MOST
+from crowdbench.simulation.observations import known_observations, size_of, version_of
 from crowdbench.trajectories.blocks import SPLITS
 
 SCHEMA = 1
 ACTION = "velocity-1"
-"""Version of the action: a velocity in units of the scene's maximum speed, in [−1, 1]²."""
+"""Version of the action: a velocity in units of the scene's maximum speed, in [−1, 1]², in the
+frame of the observation."""
 HINT = "Export the network again with `crowdbench policy export`."
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,39}")
 
@@ -24,9 +26,15 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     observation: str
     """Version of the observation, see `crowdbench.simulation.observations`."""
     rays: int = 32
-    """Number of rays of an observation."""
+    """Number of rays of an observation; does not apply to `social-1`."""
     ray_range_m: float = 10.0
     """Range of the rays in metres."""
+    memory: int = 0
+    """Size of the state that the network keeps of a person; 0: it remembers nobody."""
+    style: int = 0
+    """Number of random numbers that are drawn once per person."""
+    interval: int = 1
+    """Number of frames between two decisions for a person."""
     action: str = ACTION
     """Version of the action."""
     scene: str
@@ -42,6 +50,11 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     def inputs(self) -> int:
         """Number of values in an observation."""
         return size_of(self.observation, self.rays)
+
+    @property
+    def with_rays(self) -> str:
+        """Words on the rays for messages, ` with 32 rays`; empty if the observation has none."""
+        return f" with {self.rays} rays" if version_of(self.observation).rays else ""
 
     def checked(self, where: object) -> "PolicyCard":
         """This card, after validation; `where` is named in error messages.
@@ -60,6 +73,9 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             ),
             ("rays", self.rays, 1 <= self.rays <= 1024, "a number from 1 to 1024"),
             ("ray_range_m", self.ray_range_m, 0 < self.ray_range_m <= 1000, "metres up to 1000"),
+            ("memory", self.memory, 0 <= self.memory <= MOST, f"a number from 0 to {MOST}"),
+            ("style", self.style, 0 <= self.style <= MOST, f"a number from 0 to {MOST}"),
+            ("interval", self.interval, 1 <= self.interval <= 1000, "1 to 1000 frames"),
             ("action", self.action, self.action == ACTION, ACTION),
             ("split", self.split, self.split in SPLITS, " or ".join(SPLITS)),
             ("scene", self.scene, _NAME.fullmatch(self.scene), "the id of a scene"),

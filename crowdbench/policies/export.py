@@ -17,7 +17,7 @@ from crowdbench.files import replacing
 from crowdbench.policies.card import PolicyCard
 from crowdbench.policies.network import KEY, MOST_NOISE, OnnxPolicy, check_onnx
 from crowdbench.scene import Scene, load_scene
-from crowdbench.simulation.observations import OBSERVATIONS
+from crowdbench.simulation.observations import OBSERVATIONS, size_of
 
 if TYPE_CHECKING:
     import torch
@@ -32,8 +32,10 @@ def export_policy(
     """Write a torch network as a policy file and check that the file gives the same actions.
 
     Args:
-        network: takes observations (A, card.inputs) and, if `noise` is positive, standard normal
-            numbers (A, noise); returns actions (A, 2). It is not changed.
+        network: takes observations (A, card.inputs) and, as far as their sizes are positive, in
+            this order: standard normal numbers (A, noise), the states (A, card.memory), and the
+            styles (A, card.style). Returns actions (A, 2), or with a memory actions and next
+            states (A, card.memory). It is not changed.
         path: the file to write; an existing file is replaced.
         card: metadata of the file.
         noise: number Z of random numbers that the network takes per person and step.
@@ -55,20 +57,19 @@ def export_policy(
     import torch
 
     rng = np.random.default_rng(0)
-    tried = [rng.uniform(-1, 1, (7, card.inputs)), rng.standard_normal((7, noise))]
-    fed = tuple(torch.tensor(x, dtype=torch.float32) for x in tried[: 2 if noise else 1])
+    sizes = {"noise": noise, "state": card.memory, "style": card.style}
+    tried = {"observation": rng.uniform(-1, 1, (7, card.inputs))}
+    tried |= {name: rng.standard_normal((7, n)) for name, n in sizes.items() if n}
+    fed = {name: torch.tensor(x, dtype=torch.float32) for name, x in tried.items()}
     training = network.training
     network.eval()
     try:
-        expected = _actions(network, fed, card, path)
+        expected = _answer(network, fed, card, path)
         with replacing(path) as temporary:
             temporary.write_bytes(_onnx(network, fed, card, path))
-            _check_survival(temporary, card, noise, path)
+            _check_survival(temporary, fed, path)
             read = OnnxPolicy(temporary)
-            names = ("observation", "noise")
-            got = read._session.run(
-                ["action"], {n: x.numpy() for n, x in zip(names, fed, strict=False)}
-            )[0]
+            got = read._run({name: x.numpy() for name, x in fed.items()})
             if not np.allclose(got, expected, rtol=0, atol=TOLERANCE):
                 raise WeightsError(
                     path,
@@ -82,22 +83,26 @@ def export_policy(
     return path
 
 
-def _actions(
-    network: "torch.nn.Module", fed: "tuple[torch.Tensor, ...]", card: PolicyCard, path: Path
+def _answer(
+    network: "torch.nn.Module", fed: "dict[str, torch.Tensor]", card: PolicyCard, path: Path
 ) -> np.ndarray:
-    """Actions (A, 2) of the network, before it is traced, because its own errors are clearer.
+    """Actions and next states (A, 2 + M) of the network, before it is traced.
+
+    Its own errors are clearer than those of the export.
 
     Raises:
         WeightsError: the network does not take the inputs of the card or does not return actions.
     """
     import torch
 
+    inputs = tuple(fed.values())
     try:
         with torch.no_grad():
-            found = network(*fed)
+            found = network(*inputs)
     except Exception as error:  # a user's network may raise any exception
-        takes = _takes(network, fed)
-        version = {n + card.rays: name for name, n in OBSERVATIONS.items()}.get(takes or -1)
+        takes = _takes(network, inputs)
+        version = {size_of(name, card.rays): name for name in OBSERVATIONS}.get(takes or -1)
+        others = "".join(f", and {n} of shape {tuple(x.shape)}" for n, x in [*fed.items()][1:])
         raise WeightsError(
             path,
             got=f"a network that takes {takes} numbers"
@@ -105,28 +110,34 @@ def _actions(
             else f"a network that raises {type(error).__name__}: "
             + (str(error).splitlines() or [""])[0][:200],
             expected=f"one that takes observations of shape (A, {card.inputs}): {card.observation} "
-            f"has {card.inputs} numbers with {card.rays} rays"
-            + (f", and noise of shape {tuple(fed[1].shape)}" if len(fed) > 1 else ""),
+            f"has {card.inputs} numbers{card.with_rays}{others}",
             hint=f"This is the size of {version}; set it as the observation."
             if version
             else "State the observation and rays that it was trained with."
             if takes
-            else "State the observation, rays and noise that it was trained with.",
+            else "State the observation, rays, noise, memory and style that it was trained with.",
         ) from error
-    if not isinstance(found, torch.Tensor) or tuple(found.shape) != (len(fed[0]), 2):
+    wanted = [2, card.memory] if card.memory else [2]
+    parts = list(found) if isinstance(found, tuple) and card.memory else [found]
+    persons = len(inputs[0])
+    shapes = [tuple(p.shape) if isinstance(p, torch.Tensor) else type(p).__name__ for p in parts]
+    if shapes != [(persons, size) for size in wanted]:
         got = (
-            f"of shape {tuple(found.shape)}"
-            if isinstance(found, torch.Tensor)
-            else f"a {type(found).__name__}"
+            " and ".join(f"of shape {s}" if isinstance(s, tuple) else f"a {s}" for s in shapes)
+            or "nothing"
         )
         raise WeightsError(
             path,
-            got=f"a network that returns {got} for {len(fed[0])} persons",
-            expected=f"one tensor of actions ({len(fed[0])}, 2)",
-            hint="Wrap it in a module that returns only the actions.",
+            got=f"a network that returns {got} for {persons} persons",
+            expected=f"one tensor of actions ({persons}, 2)"
+            if not card.memory
+            else f"actions ({persons}, 2) and next states ({persons}, {card.memory})",
+            hint="Wrap it in a module that returns only the actions."
+            if not card.memory
+            else "Wrap it in a module that returns both, or set the card's memory to the size of "
+            "the state.",
         )
-    actions: np.ndarray = found.numpy()
-    return actions
+    return np.concatenate([part.numpy() for part in parts], axis=1)
 
 
 def _takes(network: "torch.nn.Module", fed: "tuple[torch.Tensor, ...]") -> int | None:
@@ -144,13 +155,14 @@ def _takes(network: "torch.nn.Module", fed: "tuple[torch.Tensor, ...]") -> int |
     return None
 
 
-def _check_survival(file: Path, card: PolicyCard, noise: int, path: Path) -> None:
+def _check_survival(file: Path, fed: "dict[str, torch.Tensor]", path: Path) -> None:
     """Run the file in a separate process first, because some networks crash onnxruntime.
 
     Raises:
         WeightsError: the process was killed by a signal.
     """
-    command = [sys.executable, "-I", str(TRIAL), str(file), str(card.inputs), str(noise)]
+    sizes = [f"{name}={x.shape[1]}" for name, x in fed.items()]
+    command = [sys.executable, "-I", str(TRIAL), str(file), *sizes]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode < 0:
         raise WeightsError(
@@ -170,7 +182,7 @@ def _scene_of(card: PolicyCard) -> Scene | None:
 
 
 def _onnx(
-    network: "torch.nn.Module", fed: "tuple[torch.Tensor, ...]", card: PolicyCard, path: Path
+    network: "torch.nn.Module", fed: "dict[str, torch.Tensor]", card: PolicyCard, path: Path
 ) -> bytes:
     import torch
 
@@ -180,11 +192,11 @@ def _onnx(
             warnings.simplefilter("ignore")  # torch warns of its own deprecations
             program = torch.onnx.export(
                 network,
-                fed,
+                tuple(fed.values()),
                 dynamo=True,
                 verbose=False,
-                input_names=["observation", "noise"][: len(fed)],
-                output_names=["action"],
+                input_names=list(fed),
+                output_names=["action", "next_state"][: 2 if card.memory else 1],
                 dynamic_shapes=tuple({0: persons} for _ in fed),
             )
     except ImportError as error:

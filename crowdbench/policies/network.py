@@ -3,7 +3,10 @@
 A file has the input `observation`, float32 (A, inputs of the card), and the output `action`,
 float32 (A, 2), where the number of persons A is free. A stochastic policy has a second input
 `noise`, float32 (A, Z): standard normal numbers that the rollout draws for each person and step, so
-that the same seed gives the same crowd. Operators that draw random numbers are rejected. Each
+that the same seed gives the same crowd. A policy that remembers people has the input `state` and
+the output `next_state`, float32 (A, M): zeros when a person enters, then what the network returned
+for it. The input `style`, float32 (A, S), is drawn like noise, but once per person. M and S are in
+the card. Operators that draw random numbers are rejected. Each
 action must be computed from the person's own row, which `crowdbench.policies.rows` tests. The
 metadata contain a `PolicyCard` as JSON under the key `crowdbench`. A file can only contain standard
 ONNX operators, which onnxruntime executes: no pickle, no custom operators and no external data.
@@ -22,6 +25,7 @@ from numpy.random import Generator
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.files import read_bytes
 from crowdbench.policies.card import HINT, PolicyCard
+from crowdbench.policies.memory import Memory
 from crowdbench.policies.rows import ROWS, Watch, check_rows, observed
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings
@@ -64,7 +68,10 @@ class OnnxPolicy:
         self.observation = self.card.observation
         self.rays = self.card.rays
         self.ray_range_m = self.card.ray_range_m
-        self.deterministic = self.noise == 0
+        self.memory = self.card.memory
+        self.style = self.card.style
+        self.interval = self.card.interval
+        self.deterministic = self.noise == self.style == 0
         self._watch = Watch(self.path)
 
     def reset(self, scene: Scene, rng: Generator) -> None:
@@ -72,8 +79,10 @@ class OnnxPolicy:
         self._rng = rng
         self._watch = Watch(self.path)
 
-    def act(self, seen: Float32[np.ndarray, "A obs"]) -> Float32[np.ndarray, "A 2"]:
-        """Actions (A, 2), one per observation.
+    def act(
+        self, seen: Float32[np.ndarray, "A obs"], memory: Memory | None = None
+    ) -> Float32[np.ndarray, "A 2"]:
+        """Actions (A, 2), one per observation; the next states are written to `memory`.
 
         Raises:
             WeightsError: the network cannot be run, or a test found that it mixes rows.
@@ -81,9 +90,13 @@ class OnnxPolicy:
         fed = {"observation": np.ascontiguousarray(seen, dtype=np.float32)}
         if self.noise:
             fed["noise"] = self._rng.standard_normal((len(seen), self.noise), dtype=np.float32)
-        action = self._run(fed)
-        self._watch.look(self._run, fed, action)
-        return action
+        if memory is not None:
+            fed |= {n: a for n, a in _remembered(memory).items() if a.shape[1]}
+        answer = self._run(fed)
+        self._watch.look(self._run, fed, answer)
+        if memory is not None:
+            memory.state[:] = answer[:, 2:]
+        return answer[:, :2]
 
     def check_rows(self, scene: Scene | None, where: object = None) -> None:
         """Check row independence on observations from a scene.
@@ -104,17 +117,32 @@ class OnnxPolicy:
         )
         with suppress(WeightsError):
             seen = seen if scene is None else observed(scene, shown)
-        fed = {"observation": seen}
-        if self.noise:
-            fed["noise"] = rng.standard_normal((len(seen), self.noise), dtype=np.float32)
-        check_rows(where or self.path, self._run, fed)
+        check_rows(
+            where or self.path, self._run, {"observation": seen} | self._drawn(len(seen), rng)
+        )
 
-    def _run(self, fed: dict[str, np.ndarray]) -> Float32[np.ndarray, "A 2"]:
+    def _drawn(self, persons: int, rng: Generator) -> dict[str, np.ndarray]:
+        """Random values of all inputs but the observation."""
+        sizes = {"noise": self.noise, "state": self.memory, "style": self.style}
+        return {
+            name: rng.standard_normal((persons, size), dtype=np.float32)
+            for name, size in sizes.items()
+            if size
+        }
+
+    def _run(self, fed: dict[str, np.ndarray]) -> Float32[np.ndarray, "A _"]:
+        """Actions and, beside them, the next states."""
+        outputs = ["action", "next_state"] if self.memory else ["action"]
         try:
-            action: np.ndarray = self._session.run(["action"], fed)[0]
+            found = self._session.run(outputs, fed)
         except Exception as error:  # onnxruntime's errors have no common base class
             raise _unrunnable(self.path, error) from error
+        action: np.ndarray = found[0] if len(found) == 1 else np.concatenate(found, axis=1)
         return action
+
+
+def _remembered(memory: Memory) -> dict[str, np.ndarray]:
+    return {"state": memory.state, "style": memory.style}
 
 
 def check_onnx() -> None:
@@ -291,19 +319,22 @@ def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
     outputs = {o.name: _shape(o) for o in model.graph.output}
     noise = inputs.pop("noise", None)
     expected: dict[str, tuple[int | None, ...]] = {"observation": (None, card.inputs)}
+    expected |= {n: (None, s) for n, s in (("state", card.memory), ("style", card.style)) if s}
     if inputs != expected:
         raise WeightsError(
             path,
             got=f"inputs {_written(inputs)}",
             expected=f"float32 {_written(expected)} and optionally noise (A, Z): "
-            f"{card.observation} with {card.rays} rays has {card.inputs} numbers",
+            f"{card.observation}{card.with_rays} has {card.inputs} numbers",
             hint=HINT,
         )
-    if outputs != {"action": (None, 2)}:
+    returned: dict[str, tuple[int | None, ...]] = {"action": (None, 2)}
+    returned |= {"next_state": (None, card.memory)} if card.memory else {}
+    if outputs != returned:
         raise WeightsError(
             path,
             got=f"outputs {_written(outputs)}",
-            expected="float32 action (A, 2)",
+            expected=f"float32 {_written(returned)}",
             hint=HINT,
         )
     if noise is None:
@@ -337,21 +368,31 @@ def _written(shapes: dict[str, tuple[int | None, ...]]) -> str:
 
 
 def _try(path: Path, session: Any, card: PolicyCard, noise: int) -> None:
-    """Run the network for one and for three persons and check its actions."""
+    """Run the network for one and for three persons and check what it returns."""
     rng = np.random.default_rng(0)
+    sizes = {"noise": noise, "state": card.memory, "style": card.style}
+    returned = {"action": 2} | ({"next_state": card.memory} if card.memory else {})
     for persons in (1, 3):
         fed = {"observation": rng.uniform(-1, 1, (persons, card.inputs)).astype(np.float32)}
-        if noise:
-            fed["noise"] = rng.standard_normal((persons, noise), dtype=np.float32)
-        action = session.run(["action"], fed)[0]
-        if action.shape != (persons, 2) or action.dtype != np.float32:
-            raise WeightsError(
-                path,
-                got=f"{action.dtype} actions of shape {action.shape} for {persons} persons",
-                expected=f"float32 actions of shape ({persons}, 2)",
-                hint=HINT,
-            )
-        if not np.isfinite(action).all():
-            raise WeightsError(
-                path, got="actions that are not finite", expected="finite numbers", hint=HINT
-            )
+        fed |= {
+            name: rng.standard_normal((persons, size), dtype=np.float32)
+            for name, size in sizes.items()
+            if size
+        }
+        for (name, size), found in zip(
+            returned.items(), session.run(list(returned), fed), strict=True
+        ):
+            if found.shape != (persons, size) or found.dtype != np.float32:
+                raise WeightsError(
+                    path,
+                    got=f"{found.dtype} {name} of shape {found.shape} for {persons} persons",
+                    expected=f"float32 {name} of shape ({persons}, {size})",
+                    hint=HINT,
+                )
+            if not np.isfinite(found).all():
+                raise WeightsError(
+                    path,
+                    got=f"values of {name} that are not finite",
+                    expected="finite numbers",
+                    hint=HINT,
+                )

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 from numpy.random import Generator
 
+from crowdbench.policies.memory import Memory
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.routes import Routes
@@ -87,6 +88,21 @@ class ObservationPolicy(_Named, Protocol):
 
 
 @runtime_checkable
+class RememberingPolicy(_Named, Protocol):
+    """A policy that sees observations and remembers people, by the attribute `memory` or `style`.
+
+    `memory` is the size of a person's state, `style` the number of random numbers that are drawn
+    once per person; both are 0 if the attribute is missing.
+    """
+
+    sees: ClassVar[Literal["observation"]]
+
+    def act(self, seen: Float32[np.ndarray, "A obs"], memory: Memory) -> Float32[np.ndarray, "A 2"]:
+        """Actions for the given observations; the next states are written to `memory.state`."""
+        ...
+
+
+@runtime_checkable
 class StatePolicy(_Named, Protocol):
     """A policy that sees the state; the leaderboard marks it as privileged."""
 
@@ -97,12 +113,14 @@ class StatePolicy(_Named, Protocol):
         ...
 
 
-Policy = ObservationPolicy | StatePolicy
+Policy = ObservationPolicy | RememberingPolicy | StatePolicy
 """A policy maps a batch of observations, or the state, to a batch of actions.
 
 An action is a velocity in units of the scene's `max_speed_mps`. Components outside [−1, 1] are
-clipped, as in the environments.
+clipped, as in the environments. The actions of a policy that sees observations are in the frame of
+its observation, those of a policy that sees the state in the world frame.
 
 A policy without random draws may have the attribute `deterministic = True`. With recorded arrivals,
-a single rollout of it is then sufficient.
+a single rollout of it is then sufficient. A policy with the attribute `interval = k` decides in
+each k-th frame of a person's trip; in between, the person keeps its velocity.
 """

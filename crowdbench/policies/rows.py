@@ -34,7 +34,8 @@ _LONGEST_S = 600.0
 _STEP_S = 5.0  # time between the frames from which observations are taken
 
 Fed = dict[str, np.ndarray]
-Run = Callable[[Fed], Float32[np.ndarray, "A 2"]]
+Run = Callable[[Fed], Float32[np.ndarray, "A _"]]
+"""A network: actions (A, 2) and, beside them, next states (A, M) of the inputs."""
 
 
 _known: dict[tuple[Path, Settings], np.ndarray] = {}
@@ -71,7 +72,7 @@ def _observed(scene: Scene, shown: Settings) -> Float32[np.ndarray, "rows obs"]:
         view = StateView.of(simulation)
         actions = np.zeros(simulation.slots.position.shape, np.float32)
         actions[view.world, view.slot] = walker.act(view)
-        simulation.step(actions)
+        simulation.step(actions, world_frame=True)
     if len(rows) == 0:  # nobody entered
         rows = rng.uniform(-1, 1, (1, width)).astype(np.float32)
     return rows[rng.permutation(len(rows))[:ROWS]]
@@ -104,7 +105,7 @@ class Watch:
         self._calls = self._most = 0
         self._wrong = self._rows = 0
 
-    def look(self, run: Run, fed: Fed, action: Float32[np.ndarray, "A 2"]) -> None:
+    def look(self, run: Run, fed: Fed, action: Float32[np.ndarray, "A _"]) -> None:
         """Evaluate the batch again in two parts, if a test is due.
 
         Raises:
@@ -129,12 +130,23 @@ class Watch:
 
 
 def differing(
-    one: Float32[np.ndarray, "A 2"], other: Float32[np.ndarray, "A 2"]
+    one: Float32[np.ndarray, "A _"], other: Float32[np.ndarray, "A _"]
 ) -> Bool[np.ndarray, " A"]:
-    """Which actions differ, after clipping to [−1, 1] as in a rollout."""
+    """Which rows differ: actions, after clipping to [−1, 1] as in a rollout, and next states."""
+    return _gap(one, other) > TOLERANCE  # false for NaN, which rollouts reject elsewhere
+
+
+def _gap(
+    one: Float32[np.ndarray, "A _"], other: Float32[np.ndarray, "A _"]
+) -> Float32[np.ndarray, " A"]:
+    """Largest difference in each row; states beyond ±1 by their relative difference."""
+    size = np.ones_like(one)
+    size[:, 2:] = np.maximum(1, np.abs(one[:, 2:]))
     with np.errstate(invalid="ignore"):
-        apart = np.abs(one.clip(-1, 1) - other.clip(-1, 1)).max(axis=1)
-    return apart > TOLERANCE  # false for NaN, which rollouts reject elsewhere
+        apart = np.abs(one - other)
+        apart[:, :2] = np.abs(one[:, :2].clip(-1, 1) - other[:, :2].clip(-1, 1))
+        gap: np.ndarray = (apart / size).max(axis=1)
+    return gap
 
 
 def too_many(wrong: int | np.integer, rows: int, one_in: int = 100) -> bool:
@@ -158,11 +170,12 @@ def _mixes(
         among = "alone" if persons == 1 else f"in a batch of {persons}"
         return f"({action[0]:.4g}, {action[1]:.4g}) {among}"
 
-    gap = float(np.abs(one[0].clip(-1, 1) - other[0].clip(-1, 1)).max())
+    gap = float(_gap(one[0][None], other[0][None])[0])
+    of_state = float(_gap(one[0][None, :2], other[0][None, :2])[0]) <= TOLERANCE
     return WeightsError(
         where,
         got=f"a network that mixes rows: the same person gets {told(one)} and {told(other)}, "
-        f"a difference of {gap:.2g}",
+        f"a difference of {gap:.2g}" + " in the next state" * of_state,
         expected=f"the same action within {TOLERANCE:g}, computed from the person's row alone",
         hint="Remove operations over the persons (axis 0): means, sums, softmax, attention, batch "
         "statistics, dynamic quantisation.",

@@ -15,7 +15,7 @@ from crowdbench.policies import (
     SocialForce,
     Straight,
 )
-from crowdbench.registry.own_code import code_of, having, made, own_class
+from crowdbench.registry.own_code import code_of, having, made, own_class, understood
 from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn.weights import check_split
@@ -47,7 +47,9 @@ class PolicySource:
 
     @property
     def per_split(self) -> bool:
-        """Whether there is a network for each split."""
+        """Whether there is a network for each split, or a class that is called with the split."""
+        if self.own:
+            return "split" in understood(self._own_class(), split="full")
         return self.networks is not None and self.networks.suffix != ".onnx"
 
     def network(self, split: str) -> Path | None:
@@ -75,16 +77,19 @@ class PolicySource:
             if self.name in _RECORDED:
                 return _RECORDED[self.name](recording_of(self.scene))
             return _PLAIN[self.name]()
-        shipped, others = trained_policies(self.scene), plugins.names("policies")
-        known = (*POLICIES, *shipped, *others, "an ONNX file, a folder of ONNX files")
-        kind = plugins.part("policies", self.name) or own_class(self.name, "policy", known)
-        policy: Policy = made(kind, self.name)
+        kind = self._own_class()
+        policy: Policy = made(kind, self.name, **understood(kind, scene=self.scene, split=split))
         having(policy, self.name, ("name", "sees", "reset", "act"))
         if policy.sees not in ("observation", "state"):
             raise SettingError(
                 self.name, got=f"sees = {policy.sees!r}", expected="'observation' or 'state'"
             )
         return policy
+
+    def _own_class(self) -> Callable[..., Policy]:
+        shipped, others = trained_policies(self.scene), plugins.names("policies")
+        known = (*POLICIES, *shipped, *others, "an ONNX file, a folder of ONNX files")
+        return plugins.part("policies", self.name) or own_class(self.name, "policy", known)
 
     def dependencies(self, split: str) -> tuple[list[Path], bytes]:
         """Files that its rollouts depend on, and code that is in no file."""
@@ -121,7 +126,8 @@ def policy(named: str | Policy, scene: str | Path | Scene, split: str = "full") 
 
     Args:
         named: a name; an ONNX file; a folder with one ONNX file per split (`full.onnx`,
-            `fold0.onnx`, …); `pkg.module:Class`, which is called without arguments; or a policy.
+            `fold0.onnx`, …); `pkg.module:Class`, which is called with `scene` and `split` if it has
+            parameters of these names; or a policy.
             Policies that ship with a scene are in its folder `policies`.
         scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
         split: one of `blocks.SPLITS`; selects the file in a folder.

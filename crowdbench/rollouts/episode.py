@@ -4,11 +4,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int
+from jaxtyping import Float32, Int
 from numpy.random import Generator, SeedSequence, default_rng
 
-from crowdbench.errors import ActionError, CapacityError, SettingError
-from crowdbench.policies import Policy, StateView
+from crowdbench.errors import CapacityError, SettingError
+from crowdbench.policies import Policy
+from crowdbench.rollouts.acting import Actor
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.state import EXIT, GOAL, HORIZON, RECORDED, TIMEOUT
@@ -42,8 +43,10 @@ def begin(
     start: Start | None,
     walker: Policy,
     scripted: bool = False,
-) -> None:
-    """Begin an episode of `frames` frames in all worlds of a simulation.
+) -> Actor:
+    """Begin an episode of `frames` frames in all worlds of a simulation; return its actor.
+
+    The actor has the policy `walker`, and remembers whom it walked in the warm-up.
 
     Each world has its own arrivals, drawn with its own random generator. `start` defaults to that
     of the spawn model. `stationary`: a discarded warm-up of 60 s or the 99th percentile of dwell
@@ -86,11 +89,13 @@ def begin(
             sample = sample[sample.entered]
         events.append(sample)
     simulation.reset(events, horizon=frames, first_frame=-warm_up)
-    walker.reset(scene, generator(seed, 0, "warm-up"))
+    actor = Actor(walker, simulation)
+    actor.reset(generator(seed, 0, "warm-up"))
     for _ in range(warm_up):
-        simulation.step(actions_of(walker, simulation))
+        actor.step()
     if warm_up:
         simulation.number_anew()
+    return actor
 
 
 def arrivals(
@@ -106,58 +111,6 @@ def arrivals(
     horizon_s = (warm_up + frames) * scene.dt_s
     events = spawn.sample(horizon_s, scene, generator(seed, world, "spawn"))
     return check_events(events, spawn.name).shifted(-warm_up * scene.dt_s)
-
-
-def actions_of(
-    policy: Policy, simulation: Simulation, who: Bool[np.ndarray, "W N"] | None = None
-) -> Float32[np.ndarray, "W N 2"]:
-    """Actions of a policy for everyone present, or for those of them in `who`; zeros elsewhere.
-
-    A policy that sees the state sees everyone in either case.
-
-    Raises:
-        ActionError: the policy does not return one finite action per person.
-    """
-    there = simulation.slots.alive
-    actions = np.zeros(simulation.slots.position.shape, np.float32)
-    who = there if who is None else there & who
-    if not who.any():  # some policies cannot handle empty arrays
-        return actions
-    if policy.sees == "state":
-        view = StateView.of(simulation)
-        at = view.world * there.shape[1] + view.slot
-        actions.reshape(-1, 2)[at] = _checked(policy.act(view), len(view.slot), policy)
-        if who is not there:
-            actions[~who] = 0
-    else:
-        at = np.flatnonzero(who)  # indexing by one index array is faster than by a mask
-        observation = simulation.observe()
-        seen = observation.reshape(-1, observation.shape[-1]).take(at, axis=0)
-        actions.reshape(-1, 2)[at] = _checked(policy.act(seen), len(seen), policy)
-    return actions
-
-
-def _checked(actions: object, persons: int, policy: Policy) -> np.ndarray:
-    """The actions of a policy, clipped to [−1, 1].
-
-    Raises:
-        ActionError: they are not one finite pair of numbers per person.
-    """
-    got = np.asarray(actions)
-    if got.shape != (persons, 2) or got.dtype.kind not in "fiu":
-        raise ActionError(
-            f"policy {policy.name}",
-            got=f"an array of shape {got.shape} and type {got.dtype} from act",
-            expected=f"one action for each of {persons} persons, numbers of shape ({persons}, 2)",
-        )
-    if not np.isfinite(got).all():
-        raise ActionError(
-            f"policy {policy.name}",
-            got=f"{int((~np.isfinite(got)).sum())} values from act that are not finite",
-            expected="finite numbers",
-            hint="Check the policy for a division by zero or a diverged network.",
-        )
-    return got.clip(-1, 1)
 
 
 @dataclass

@@ -5,7 +5,7 @@ from typing import Any
 
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, ReplayPolicy
-from crowdbench.rollouts.episode import Recorder, actions_of, begin, check_capacity, generator
+from crowdbench.rollouts.episode import Recorder, begin, check_capacity, generator
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn import Replay, SpawnModel
@@ -52,7 +52,7 @@ def rollout(
     settings = settings or settings_for(policy)
     simulation = Simulation(scene, settings=settings)
     frames = scene.frames(scene.horizon_s if horizon_s is None else horizon_s)
-    begin(
+    actor = begin(
         simulation,
         spawn,
         seed=seed,
@@ -61,11 +61,11 @@ def rollout(
         walker=policy,
         scripted=replaying,
     )
-    policy.reset(scene, generator(seed, 0, "policy"))
+    actor.reset(generator(seed, 0, "policy"))
     recorder = Recorder(simulation)
     recorder.write()
     for _ in range(frames):
-        simulation.step(actions_of(policy, simulation))
+        actor.step()
         recorder.write()
     check_capacity(simulation)
     provenance: dict[str, Any] = {"spawn": spawn.name, "policy": policy.name, "seed": int(seed)}

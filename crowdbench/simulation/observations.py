@@ -1,6 +1,10 @@
-"""The observation kernel.
+"""The versions of the observation, and the kernel of those with rays.
 
-There are three versions. Each is a float32 vector with values in [−1, 1] and ends with R rays.
+There are four versions. Each is a float32 vector with values in [−1, 1]. Those named `lidar` end
+with R rays and are in the world frame; their kernel is below. `social-1` shows the nearest people
+and is in the person's own frame; its parts and its kernel are in `crowdbench.simulation.social`.
+Actions are in the frame of the observation.
+
 Below, the *goal* is the person's target: its via point until its wait there is over, then its goal
 (see `Simulation`). `lidar-1` contains, by index:
 
@@ -30,7 +34,8 @@ distance 0 in the half-plane towards the centre of that disc.
 
 import math
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from jaxtyping import Float32
@@ -38,21 +43,43 @@ from numba import njit, prange
 
 from crowdbench.errors import SettingError
 from crowdbench.plugins import made, names, part
+from crowdbench.simulation import social
+from crowdbench.simulation.cells import CHUNK, list_persons, neighbours, sort_into_cells
 from crowdbench.simulation.compilation import kernel
 from crowdbench.simulation.walls import CELL_M, cell_of
 
 if TYPE_CHECKING:
     from crowdbench.simulation.simulation import Simulation
 
-OBSERVATIONS = {"lidar-1": 5, "lidar-2": 6, "lidar-3": 10}
-"""Built-in versions of the observation, with the number of values before the rays."""
+
+@dataclass(frozen=True)
+class Version:
+    """What is in a built-in version of the observation."""
+
+    head: int
+    """Number of values before the rays, or of all values if there are no rays."""
+    rays: bool = True
+    """Whether it ends with rays. If not, `Settings.rays` and `ray_range_m` do not apply."""
+    own_frame: bool = False
+    """Whether it and the actions are in the person's own frame: x along its remembered heading, y
+    to its left. If not, they are in the world frame."""
+    around_walls: bool = True
+    """Whether the way to the target leads around walls. If not, it is straight."""
+
+
+OBSERVATIONS = {
+    "lidar-1": Version(5, around_walls=False),
+    "lidar-2": Version(6),
+    "lidar-3": Version(10),
+    "social-1": Version(social.SIZE, rays=False, own_frame=True),
+}
+"""Built-in versions of the observation."""
 OBSERVATION = "lidar-2"
 """Default version."""
-GOAL_RANGE_M = 30.0
+GOAL_RANGE_M = social.ROUTE_RANGE_M
 """Goal distances are clipped at this value."""
 GOAL_DISTANCE, GOAL_DIRECTION, PREFERRED_SPEED = slice(2, 3), slice(3, 5), slice(5, 6)
-"""Slices of an observation. `lidar-1` has no preferred speed."""
-CHUNK = 10  # persons per unit of work of a thread
+"""Slices of an observation with rays. `lidar-1` has no preferred speed."""
 
 
 class Observation(ABC):
@@ -100,52 +127,21 @@ def observation_of(name: str) -> Observation | None:
     return found
 
 
-def head_of(name: str) -> int:
-    """Number of values before the rays."""
+def version_of(name: str) -> Version:
+    """The built-in version of this name, or the one that the registered observation starts with."""
     found = observation_of(name)
     return OBSERVATIONS[name if found is None else found.base]
 
 
+def head_of(name: str) -> int:
+    """Number of values before the rays, or of all built-in values if there are no rays."""
+    return version_of(name).head
+
+
 def size_of(name: str, rays: int) -> int:
     """Number of values in an observation."""
-    found = observation_of(name)
-    return head_of(name) + rays + (0 if found is None else found.extra)
-
-
-class Cells(NamedTuple):
-    """Cell lists: persons sorted by grid cell, for fast neighbour search."""
-
-    origin: np.ndarray
-    """(2,) lower left corner of the grid, in metres."""
-    size: float
-    """Edge length of a cell, in metres."""
-    columns: int
-    rows: int
-    start: np.ndarray
-    """(W, C + 2): cell c of world w has the persons `slot[w, start[w, c]:start[w, c + 1]]`."""
-    xy: np.ndarray
-    """(W, N, 2) float64 positions, sorted by cell, in metres."""
-    slot: np.ndarray
-    """(W, N) slots of the persons, sorted by cell."""
-    person: np.ndarray
-    """(W·N, 2) list of the world and slot of everyone to observe."""
-
-    @classmethod
-    def between(
-        cls, worlds: int, slots: int, lower: np.ndarray, upper: np.ndarray, size_m: float
-    ) -> "Cells":
-        """Empty lists for positions between `lower` and `upper`."""
-        columns, rows = (max(1, int(np.ceil(extent / size_m))) for extent in upper - lower)
-        return cls(
-            origin=lower.astype(np.float64),
-            size=size_m,
-            columns=columns,
-            rows=rows,
-            start=np.zeros((worlds, columns * rows + 2), np.int32),
-            xy=np.zeros((worlds, slots, 2), np.float64),
-            slot=np.zeros((worlds, slots), np.int32),
-            person=np.zeros((worlds * slots, 2), np.int32),
-        )
+    found, version = observation_of(name), version_of(name)
+    return version.head + rays * version.rays + (0 if found is None else found.extra)
 
 
 @kernel
@@ -171,16 +167,11 @@ def observe(
     x_min, x_max, y_min, y_max = bounds[0], bounds[1], bounds[2], bounds[3]
     ray_start, meeting = walls.ray_start, walls.meeting
     for w in prange(alive.shape[0]):
-        _sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_slot)
-    # One flat list of persons, so that the work is distributed evenly over the threads.
-    total = 0
-    for w in range(alive.shape[0]):
-        for at in range(start[w, cells.columns * cells.rows]):
-            person[total, 0] = w
-            person[total, 1] = sorted_slot[w, at]
-            total += 1
+        sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_slot)
+    total = list_persons(cells)
     for chunk in prange((total + CHUNK - 1) // CHUNK):
         near = np.empty((alive.shape[1] + 1, 2), np.float32)
+        who = np.empty(alive.shape[1] + 1, np.int32)
         for at in range(chunk * CHUNK, min(total, (chunk + 1) * CHUNK)):
             w, i = person[at, 0], person[at, 1]
             remaining[w, i] = _see_itself(w, i, position, velocity, target, beyond, max_speed, out)
@@ -196,8 +187,8 @@ def observe(
             rays = out[w, i, head:]
             _see_walls(x, y, cos, sin, lines, ray_start[cell], ray_start[cell + 1], meeting, reach,
                        rays)  # fmt: skip
-            count = _neighbours(w, i, x, y, reach + radius, ended, spawned, grid, start,
-                                sorted_xy, sorted_slot, near)  # fmt: skip
+            count = neighbours(w, i, x, y, reach + radius, ended, spawned, grid, start,
+                               sorted_xy, sorted_slot, near, who)  # fmt: skip
             squared = np.float32(np.inf)
             for k in range(count):
                 gap = near[k, 0] * near[k, 0] + near[k, 1] * near[k, 1]
@@ -206,27 +197,6 @@ def observe(
             nearest[w, i] = math.sqrt(squared)
             for k in range(len(rays)):
                 rays[k] /= np.float32(reach)
-
-
-@njit(error_model="numpy")
-def _sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_slot):
-    """Counting sort of a world's persons by cell, including those who have just ended."""
-    size = start.shape[1]
-    for c in range(size):
-        start[w, c] = 0
-    for i in range(alive.shape[1]):
-        if alive[w, i] or ended[w, i] != 0:
-            start[w, cell_of(position[w, i, 0], position[w, i, 1], grid) + 2] += 1
-    for c in range(2, size):
-        start[w, c] += start[w, c - 1]
-    for i in range(alive.shape[1]):
-        if alive[w, i] or ended[w, i] != 0:
-            c = cell_of(position[w, i, 0], position[w, i, 1], grid) + 1
-            at = start[w, c]
-            sorted_xy[w, at, 0] = position[w, i, 0]
-            sorted_xy[w, at, 1] = position[w, i, 1]
-            sorted_slot[w, at] = i
-            start[w, c] = at + 1
 
 
 @njit(error_model="numpy")
@@ -262,33 +232,6 @@ def _see_walls(x, y, cos, sin, lines, first, stop, meeting, reach, rays):
             t = lines[r, s, 0] + lines[r, s, 1] * across - along
             if 0.0 <= t < rays[r]:
                 rays[r] = t
-
-
-@njit(error_model="numpy")
-def _neighbours(w, i, x, y, far, ended, spawned, grid, start, sorted_xy, sorted_slot, near):
-    """Write the relative positions of people closer than `far` to `near` and return their number.
-
-    A person whose trip has just ended sees the crowd without those who entered in this step. A
-    person who is present does not see those whose trips have just ended.
-    """
-    gone = ended[w, i] != 0
-    columns = grid[3]
-    lowest = cell_of(x - far, y - far, grid)
-    highest = cell_of(x + far, y + far, grid)
-    count = 0
-    for row in range(lowest // columns, highest // columns + 1):
-        first = start[w, row * columns + lowest % columns]
-        stop = start[w, row * columns + highest % columns + 1]
-        for at in range(first, stop):
-            dx, dy = sorted_xy[w, at, 0] - x, sorted_xy[w, at, 1] - y
-            j = sorted_slot[w, at]
-            visible = not spawned[w, j] if gone else ended[w, j] == 0
-            # Always written, but counted only if visible. A branch would be mispredicted half of
-            # the time, which is slower.
-            near[count, 0] = dx
-            near[count, 1] = dy
-            count += (dx * dx + dy * dy < far * far) & (j != i) & visible
-    return count
 
 
 @njit(error_model="numpy")

@@ -1,4 +1,4 @@
-"""The reward of the environments: a weighted sum of five parts.
+"""The reward of the environments: a weighted sum of seven parts.
 
 Its unit is one metre of progress to the target. Walking at the preferred speed is optimal for every
 discount factor; see `Reward`.
@@ -7,15 +7,19 @@ discount factor; see `Reward`.
 from dataclasses import dataclass, fields
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32, Int
 
 from crowdbench.errors import SettingError
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.state import GOAL, TO_GOAL, TO_VIA, WAITING
-from crowdbench.spawn.plans import PASSED_M
+from crowdbench.spawn.plans import PASSED_M, VISIT_M
 
 PACE_MPS = 0.5
 """Deviation from the preferred speed at which the pace cost is half of its maximum."""
+TOGETHER_M = 1.5
+"""Up to this distance from a companion, walking apart costs nothing."""
+APART_M = 1.0
+"""Distance beyond `TOGETHER_M` at which the cost is half of its maximum."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +33,9 @@ class Reward:
 
     Here progress towards the target (the via point, then the goal) is rewarded only up to a
     schedule of v* metres per second since the person entered, where v* is the preferred speed. The
-    schedule pauses, and v* is 0, while the person waits at its via point. An agent that runs gets
-    no more per step but has fewer steps. A slower agent gets the same reward later. Unless people
-    overlap, the costs per second are below v*, so that ending a trip early never pays.
+    schedule pauses while the person waits at its via point. An agent that runs gets no more per
+    step but has fewer steps. A slower agent gets the same reward later. Unless people overlap or
+    touch walls, the costs per second are below v*, so that ending a trip early never pays.
     """
 
     progress: float = 1.0
@@ -47,7 +51,15 @@ class Reward:
     """Per second of contact with a wall."""
     pace: float = -0.8
     """Per second, times v*·x²/(1 + x²), where x is the deviation of the speed from v* in units of
-    `PACE_MPS`. It is 0 at the preferred speed and bounded at other speeds."""
+    `PACE_MPS`. It is 0 at the preferred speed and bounded at other speeds. Not while the person
+    waits."""
+    stop: float = -0.8
+    """Per second of waiting at a via point, times v*·(1 − 1/((1 + x²)(1 + y²))), where x is the
+    speed in units of `PACE_MPS` and y the distance to the via point beyond 1 m, in metres. It is 0
+    for a person who stands there."""
+    companions: float = -0.15
+    """Per second, times v*·z²/(1 + z²), where z is the distance to the nearest companion who is
+    present, beyond `TOGETHER_M` and in units of `APART_M`."""
 
     def __post_init__(self) -> None:
         for name in PARTS:
@@ -77,7 +89,7 @@ class Rewarder:
         self._person[:] = -1
         self._stage[:] = self._simulation.slots.stage
 
-    def parts(self) -> Float32[np.ndarray, "W N 5"]:
+    def parts(self) -> Float32[np.ndarray, "W N 7"]:
         """Weighted parts, in the order of `PARTS`, for everyone who acted in the last step.
 
         Call it once per step, after `observe`, which must also have been called before the step.
@@ -109,14 +121,58 @@ class Rewarder:
         behind = before + due - nearer
         self._behind[at] = behind
         diameter = 2 * scene.motion.person_radius_m
-        preferred = np.where(waiting, np.float32(0), slots.speed[at])
-        x = (np.hypot(*slots.velocity[at].T) - preferred) / np.float32(PACE_MPS)
+        speed = np.hypot(*slots.velocity[at].T)
+        x = (speed - slots.speed[at]) / np.float32(PACE_MPS)
         measured = (
             due - (np.maximum(behind, 0) - np.maximum(before, 0)),
             usual * arrived,
             dt * np.maximum(0, 1 - simulation.nearest[at] / np.float32(diameter)),
             dt * slots.hit_wall[at],
-            usual * x**2 / (1 + x**2),
+            np.where(waiting, np.float32(0), usual * _bounded(x)),
+            usual * self._moving(at[0], at[1], waiting, speed),
+            usual * _bounded(np.maximum(0, self._apart()[at] - TOGETHER_M) / APART_M),
         )
         found[at] += np.stack(measured, axis=1) * self._weights  # added: no −0.0
         return found
+
+    def _moving(
+        self,
+        world: Int[np.ndarray, " n"],
+        slot: Int[np.ndarray, " n"],
+        waiting: Bool[np.ndarray, " n"],
+        speed: Float32[np.ndarray, " n"],
+    ) -> Float32[np.ndarray, " n"]:
+        """How far people who wait are from standing at their via points: 0 to 1."""
+        found = np.zeros(len(waiting), np.float32)
+        if waiting.any():
+            off = self._simulation.to_via(world[waiting], slot[waiting]) - VISIT_M
+            x, y = speed[waiting] / PACE_MPS, np.maximum(0, off) / VISIT_M
+            found[waiting] = 1 - 1 / ((1 + x**2) * (1 + y**2))
+        return found
+
+    def _apart(self) -> Float32[np.ndarray, "W N"]:
+        """Distance of each person to the nearest companion who is present, metres; 0 without."""
+        slots = self._simulation.slots
+        found = np.zeros(slots.alive.shape, np.float32)
+        world, slot = np.nonzero(slots.alive | (slots.ended != 0))
+        group = self._simulation.groups(world, slots.event[world, slot])
+        order = np.flatnonzero(group >= 0)
+        order = order[np.lexsort((group[order], world[order]))]
+        world, slot, group = world[order], slot[order], group[order]
+        position = slots.position[world, slot]
+        nearest = np.full(len(order), np.inf, np.float32)
+        for lag in range(1, len(order)):  # until no group is that large
+            same = (group[lag:] == group[:-lag]) & (world[lag:] == world[:-lag])
+            if not same.any():
+                break
+            gap = np.where(same, np.hypot(*(position[lag:] - position[:-lag]).T), np.inf)
+            nearest[lag:] = np.minimum(nearest[lag:], gap)
+            nearest[:-lag] = np.minimum(nearest[:-lag], gap)
+        found[world, slot] = np.where(np.isfinite(nearest), nearest, 0)
+        return found
+
+
+def _bounded(x: Float32[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
+    """x²/(1 + x²): 0 at 0, half at 1, at most 1."""
+    square = x * x
+    return np.asarray(square / (1 + square), np.float32)

@@ -24,6 +24,18 @@ def command(action_x, action_y, max_speed):
 
 
 @njit(error_model="numpy")
+def to_own_frame(x, y, cos, sin):
+    """The vector (x, y) of the world frame in the own frame of a person with heading (cos, sin)."""
+    return x * cos + y * sin, y * cos - x * sin
+
+
+@njit(error_model="numpy")
+def from_own_frame(x, y, cos, sin):
+    """The vector (x, y) of the own frame of a person with heading (cos, sin) in the world frame."""
+    return x * cos - y * sin, y * cos + x * sin
+
+
+@njit(error_model="numpy")
 def distance_to_segment(px, py, ax, ay, bx, by):
     """Distance from the point p to the segment from a to b, in metres."""
     dx, dy = bx - ax, by - ay

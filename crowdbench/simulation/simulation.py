@@ -4,19 +4,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Bool, Float32, Int
 
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.scene import Scene
+from crowdbench.simulation.cells import Cells
+from crowdbench.simulation.free_space import FreeSpace
 from crowdbench.simulation.observations import (
     OBSERVATION,
-    OBSERVATIONS,
-    Cells,
     observation_of,
     observe,
     size_of,
+    version_of,
 )
 from crowdbench.simulation.routes import Routes
+from crowdbench.simulation.social import RANGE_M, observe_social
 from crowdbench.simulation.state import Clock, Limits, Queue, Slots
 from crowdbench.simulation.step import advance, populate
 from crowdbench.simulation.walls import wall_table
@@ -35,11 +37,11 @@ class Settings:
     max_persons: int = 1_000_000
     """Maximum number of people per world and episode."""
     rays: int = 32
-    """Number of rays of an observation."""
+    """Number of rays of an observation; `social-1` has none."""
     ray_range_m: float = 10.0
     """Range of the rays in metres."""
     observation: str = OBSERVATION
-    """Version of the observation, `lidar-1` to `lidar-3` or a registered one."""
+    """Version of the observation, `lidar-1` to `lidar-3`, `social-1` or a registered one."""
 
     def __post_init__(self) -> None:
         for name in ("max_alive", "max_persons", "rays"):
@@ -52,6 +54,11 @@ class Settings:
             )
         observation_of(self.observation)  # raises an error if it does not exist
 
+    @property
+    def own_frame(self) -> bool:
+        """Whether observations and actions are in each person's own frame, see `Version`."""
+        return version_of(self.observation).own_frame
+
 
 class Simulation:
     """`W` worlds of one scene with `N` slots each, all stepped together.
@@ -61,7 +68,8 @@ class Simulation:
 
     1. Free the slots of people whose trips ended in the previous step.
     2. Advance the clock by one frame and move everyone by the commanded velocity (clipped to
-       [−1, 1]² and to `max_speed`). People stop at walls and slide along them.
+       [−1, 1]² and to `max_speed`). People stop at walls and slide along them. Everyone
+       remembers its heading, the distance walked and the number of steps in which it stood.
     3. End trips: `goal` if the path walked in this step came within the goal radius, else `exit`
        outside the bounds, else `timeout`. People whose recording is cut off leave in its last
        frame. At the horizon all trips end.
@@ -81,6 +89,8 @@ class Simulation:
         self.settings = settings or Settings()
         self.worlds = worlds
         motion, bounds, s = scene.motion, scene.bounds, self.settings
+        self._version = version_of(s.observation)
+        rays = self._version.rays
         step_m = motion.max_speed_mps * scene.dt_s
         lower = np.array([bounds.x_min_m, bounds.y_min_m]) - step_m
         upper = np.array([bounds.x_max_m, bounds.y_max_m]) + step_m
@@ -88,11 +98,13 @@ class Simulation:
             scene.wall_segments,
             lower=tuple(lower),
             upper=tuple(upper),
-            rays=s.rays,
+            rays=s.rays if rays else 0,
             ray_range_m=s.ray_range_m,
             step_m=step_m,
         )
-        self._cells = Cells.between(worlds, s.max_alive, lower, upper, s.ray_range_m / 2)
+        self._free = None if rays else FreeSpace.of(scene)
+        range_m = s.ray_range_m if rays else RANGE_M
+        self._cells = Cells.between(worlds, s.max_alive, lower, upper, range_m / 2)
         self._limits = Limits(
             dt=scene.dt_s,
             max_speed=motion.max_speed_mps,
@@ -108,22 +120,21 @@ class Simulation:
             y_max=bounds.y_max_m,
         )
         self._more = observation_of(s.observation)
-        base = s.observation if self._more is None else self._more.base
-        self._head = OBSERVATIONS[base]
         self._bounds = np.array([bounds.x_min_m, bounds.x_max_m, bounds.y_min_m, bounds.y_max_m])
         self.observation: Float32[np.ndarray, "W N obs"] = np.zeros(
             (worlds, s.max_alive, size_of(s.observation, s.rays)), np.float32
         )
         self._seen = self.observation
         if self._more is not None:
-            shape = (worlds, s.max_alive, self._head + s.rays)
+            shape = (worlds, s.max_alive, size_of(self._more.base, s.rays))
             self._seen = np.zeros(shape, np.float32)  # kernels write contiguous arrays
+        self._own = np.full((worlds, s.max_alive), self._version.own_frame)
         self.nearest: Float32[np.ndarray, "W N"] = np.full(
             (worlds, s.max_alive), np.inf, np.float32
         )
         self.remaining: Float32[np.ndarray, "W N"] = np.zeros((worlds, s.max_alive), np.float32)
         self.remaining_before: Float32[np.ndarray, "W N"] = np.zeros_like(self.remaining)
-        self._routes = Routes.on(scene) if base != "lidar-1" else None
+        self._routes = Routes.on(scene) if self._version.around_walls else None
         self._target = np.zeros((worlds, s.max_alive, 2), np.float32)
         self._beyond = np.zeros((worlds, s.max_alive))
         self.slots = Slots.empty(worlds, s.max_alive)
@@ -131,7 +142,7 @@ class Simulation:
         self.events: list[SpawnEvents] = []
         self._queue = Queue.of([no_events()] * worlds, scene.dt_s)
         self._advance, self._populate, self._observe = (
-            kernel.fresh() for kernel in (advance, populate, observe)
+            kernel.fresh() for kernel in (advance, populate, observe if rays else observe_social)
         )
 
     def reset(self, events: Sequence[SpawnEvents], *, horizon: int, first_frame: int = 0) -> None:
@@ -146,8 +157,18 @@ class Simulation:
         self.clock = Clock.at(self.worlds, first_frame, horizon)
         self._populate(1, self.slots, self._queue, self.clock, self._limits)
 
-    def step(self, actions: Float32[np.ndarray, "W N 2"]) -> None:
+    def step(
+        self,
+        actions: Float32[np.ndarray, "W N 2"],
+        *,
+        world_frame: bool | Bool[np.ndarray, "W N"] = False,
+    ) -> None:
         """Advance every world by one frame; call `observe` for new observations.
+
+        Actions are in the frame of the observation. If that is the own frame, they are relative to
+        the headings that `observe` shows, and `world_frame` says whose actions are in the world
+        frame all the same, such as those of policies that see the state. In either frame, actions
+        are clipped before they are turned.
 
         Raises:
             ActionError: `actions` have another shape.
@@ -162,7 +183,11 @@ class Simulation:
                 expected=f"one velocity command per world and slot, {self.slots.position.shape}",
             )
         np.copyto(self.remaining_before, self.remaining)
-        arguments = (actions, self.slots, self._queue, self.clock, self._limits, self._walls)
+        own = self._own
+        if self._version.own_frame and world_frame is not False:
+            others = ~np.broadcast_to(np.asarray(world_frame, bool), own.shape)
+            own = np.ascontiguousarray(own & others)
+        arguments = (actions, own, self.slots, self._queue, self.clock, self._limits, self._walls)
         # People of one world interact when they enter, so threads run different worlds.
         self._advance(self.slots.alive.size if self.worlds > 1 else 1, *arguments)
 
@@ -174,22 +199,17 @@ class Simulation:
         walls in the other versions. `remaining_before` is the value of `remaining` before the last
         step, if `observe` was called then. All lengths are in metres.
         """
-        arguments = (
-            self.slots,
-            self._towards(),
-            self._beyond,
-            self._head,
-            self._bounds,
-            self._cells,
-            self._walls,
-            self._limits.max_speed,
-            self.scene.motion.person_radius_m,
-            self.settings.ray_range_m,
-            self.remaining,
-            self.nearest,
-            self._seen,
-        )
-        self._observe(int(np.count_nonzero(self.slots.alive)), *arguments)
+        slots, target, beyond = self.slots, self._towards(), self._beyond
+        what: tuple[object, ...]
+        if self._version.rays:
+            radius_m, range_m = self.scene.motion.person_radius_m, self.settings.ray_range_m
+            what = (slots, target, beyond, self._version.head, self._bounds, self._cells,
+                    self._walls, self._limits.max_speed, radius_m, range_m)  # fmt: skip
+        else:
+            what = (slots, self._queue, self.clock, target, beyond, self._cells, self._free,
+                    self._limits)  # fmt: skip
+        results = (self.remaining, self.nearest, self._seen)
+        self._observe(int(np.count_nonzero(slots.alive)), *what, *results)
         if self._more is not None:
             size = self._seen.shape[-1]
             self.observation[..., :size] = self._seen

@@ -29,6 +29,13 @@ class Slots(NamedTuple):
     """Position in metres."""
     velocity: np.ndarray
     """Displacement in this step divided by dt, in m/s."""
+    heading: np.ndarray
+    """Remembered heading: unit vector of the last velocity at which the person did not stand. At
+    entry that of the entry velocity or, if that is too slow, of the way to the target."""
+    walked: np.ndarray
+    """Distance walked since entry, in metres."""
+    stood: np.ndarray
+    """Number of steps since entry in which the person stood, that is, was slower than 0.3 m/s."""
     goal: np.ndarray
     """Position of the goal in metres."""
     target: np.ndarray
@@ -58,6 +65,8 @@ class Slots(NamedTuple):
     def empty(cls, worlds: int, size: int) -> "Slots":
         """Slots of `worlds` worlds with `size` slots each, all empty."""
         shape = (worlds, size)
+        heading = np.zeros((*shape, 2), np.float32)
+        heading[..., 0] = 1.0
         return cls(
             alive=np.zeros(shape, np.bool_),
             ended=np.zeros(shape, np.int8),
@@ -65,6 +74,9 @@ class Slots(NamedTuple):
             hit_wall=np.zeros(shape, np.bool_),
             position=np.zeros((*shape, 2), np.float32),
             velocity=np.zeros((*shape, 2), np.float32),
+            heading=heading,
+            walked=np.zeros(shape, np.float32),
+            stood=np.zeros(shape, np.int32),
             goal=np.zeros((*shape, 2), np.float32),
             target=np.zeros((*shape, 2), np.float32),
             stage=np.zeros(shape, np.int8),

@@ -6,7 +6,13 @@ import numpy as np
 from numba import njit, prange
 
 from crowdbench.simulation.compilation import kernel
-from crowdbench.simulation.rules import AHEAD_M, command, distance_to_segment, walk
+from crowdbench.simulation.rules import (
+    AHEAD_M,
+    command,
+    distance_to_segment,
+    from_own_frame,
+    walk,
+)
 from crowdbench.simulation.state import (
     DROPPED,
     ENTERED,
@@ -22,17 +28,23 @@ from crowdbench.simulation.state import (
 )
 from crowdbench.simulation.walls import CELL_M, cell_of
 from crowdbench.spawn.plans import PASSED_M, VISIT_M
+from crowdbench.trajectories.stops import STANDING_MPS
 
 CLOSER_M = 0.5
 """Least decrease of the distance to a via point that counts as coming closer."""
 
 
 @kernel
-def advance(actions, slots, queue, clock, limits, walls):
-    """Advance every world by one step, as described in `Simulation`; `actions` is (W, N, 2)."""
+def advance(actions, own, slots, queue, clock, limits, walls):
+    """Advance every world by one step, as described in `Simulation`.
+
+    `actions` is (W, N, 2). It is in the own frames of the people in `own` (W, N), that is, relative
+    to their headings before the step, and in the world frame for all others.
+    """
     # Arrays are unpacked once, because access through a bundle costs more than moving a person.
     alive, ended, spawned, hit_wall = slots.alive, slots.ended, slots.spawned, slots.hit_wall
     position, velocity, goal = slots.position, slots.velocity, slots.goal
+    heading, walked, stood = slots.heading, slots.walked, slots.stood
     stage, event, wait = slots.stage, slots.event, queue.wait
     born, leave, scripted = slots.born, slots.leave, slots.scripted
     segments, near, near_start = walls.segments, walls.step_segment, walls.step_start
@@ -54,6 +66,10 @@ def advance(actions, slots, queue, clock, limits, walls):
                 vx, vy = command(
                     np.float64(actions[w, i, 0]), np.float64(actions[w, i, 1]), max_speed
                 )
+                if own[w, i]:
+                    vx, vy = from_own_frame(
+                        vx, vy, np.float64(heading[w, i, 0]), np.float64(heading[w, i, 1])
+                    )
                 cell = cell_of(x, y, grid)
                 first, stop = near_start[cell], near_start[cell + 1]
                 if math.sqrt(vx * vx + vy * vy) * dt + 2 * AHEAD_M < clear[cell]:
@@ -64,6 +80,13 @@ def advance(actions, slots, queue, clock, limits, walls):
                 velocity[w, i, 0] = (to_x - x) / dt
                 velocity[w, i, 1] = (to_y - y) / dt
                 hit_wall[w, i] = hit
+                length = math.sqrt((to_x - x) * (to_x - x) + (to_y - y) * (to_y - y))
+                walked[w, i] = np.float64(walked[w, i]) + length
+                if length < STANDING_MPS * dt:
+                    stood[w, i] += 1
+                else:
+                    heading[w, i, 0] = (to_x - x) / length
+                    heading[w, i, 1] = (to_y - y) / length
                 to_goal = np.inf
                 if stage[w, i] != TO_GOAL:
                     _visit(w, i, frame, x, y, to_x, to_y, slots, queue, limits)
@@ -202,6 +225,15 @@ def _enter(w, i, e, slots, queue, clock):
         slots.stage[w, i] = TO_GOAL
         for k in range(2):
             slots.target[w, i, k] = queue.goal[w, e, k]
+    vx, vy = np.float64(queue.velocity[w, e, 0]), np.float64(queue.velocity[w, e, 1])
+    if math.sqrt(vx * vx + vy * vy) < STANDING_MPS:
+        vx = np.float64(slots.target[w, i, 0]) - np.float64(slots.position[w, i, 0])
+        vy = np.float64(slots.target[w, i, 1]) - np.float64(slots.position[w, i, 1])
+    length = math.sqrt(vx * vx + vy * vy)
+    slots.heading[w, i, 0] = vx / length if length > 0.0 else 1.0
+    slots.heading[w, i, 1] = vy / length if length > 0.0 else 0.0
+    slots.walked[w, i] = 0.0
+    slots.stood[w, i] = 0
     slots.closest[w, i] = np.inf
     slots.nearer[w, i] = clock.frame[w]
     slots.speed[w, i] = queue.speed[w, e]

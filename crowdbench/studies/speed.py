@@ -9,43 +9,39 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
-import msgspec
 import numpy as np
 
 from crowdbench.envs.parallel_env import CrowdParallelEnv
-from crowdbench.errors import SettingError
 from crowdbench.evaluation.judge import draws_of
 from crowdbench.metrics import WALK, metrics_for
 from crowdbench.policies import Policy, SocialForce, Straight
 from crowdbench.registry import fitted_models, has_recording, recording_of, spawn_model
 from crowdbench.registry import policy as named_policy
 from crowdbench.rollouts.rollout import rollout
-from crowdbench.scene import Bounds, Scene, Wall, load_scene
+from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.energy import RESAMPLES, Energy, energy
 from crowdbench.scoring.reference import Reference, read_reference, summarise
 from crowdbench.scoring.score import Score, combined, ranks, score_of
 from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation.observations import OBSERVATION
 from crowdbench.simulation.reward import Reward
-from crowdbench.spawn import Arrivals, SpawnEvents, SpawnModel, arrivals_of
+from crowdbench.spawn import SpawnModel, arrivals_of
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.cox import CoxGMM
-from crowdbench.spawn.events import blocks_of, entering
-from crowdbench.spawn.model import Start
+from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.plan_calibration import calibrated
 from crowdbench.spawn.plan_fitting import fit_plans
 from crowdbench.spawn.planned import PlannedAreas
+from crowdbench.studies.open_square import AtOnce, crowd_at_once, open_square, to_and_fro
 from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.table import Trajectories
 
-PERSONS_PER_M2 = 0.07
-M2_PER_BOX = 300.0
-MARGIN_M = 1.5  # so that nobody leaves the scene during a measurement
 CHUNK_S = 0.05
 MEASURE_S = 2.0
 ENTRIES = 10
@@ -73,6 +69,9 @@ def measure() -> Iterator[Figure]:
     for worlds, persons in ((1, 20), (1, 100), (1, 300), (64, 50)):
         name = f"core with observations, {worlds} × {persons}"
         yield Figure(name, _core(worlds, persons), "agent-steps/s")
+    for worlds, persons in ((1, 100), (64, 50)):
+        name = f"core with social-1, {worlds} × {persons}"
+        yield Figure(name, _core(worlds, persons, "social-1"), "agent-steps/s")
     yield Figure("PettingZoo environment, 20 agents", _pettingzoo(20), "agent-steps/s")
     yield from _torchrl(64, 50)
     scene = load_scene("eth-v0")
@@ -140,81 +139,19 @@ def _viewing(scene: Scene, crowd: Trajectories) -> Iterator[Figure]:
         yield Figure("size of that viewer file", path.stat().st_size / 1e6, "MB")
 
 
-def open_square(persons: int) -> Scene:
-    """A square scene with 0.07 persons/m² and a box of 2 m per 300 m², in which no trip ends."""
-    eth = load_scene("eth-v0")
-    side_m = (persons / PERSONS_PER_M2) ** 0.5
-    rng = np.random.default_rng(persons)
-    corners = rng.random((max(2, round(side_m**2 / M2_PER_BOX)), 2)) * (side_m - 3)
-    walls = tuple(
-        Wall(f"box {k}", ((x, y), (x + 2, y), (x + 2, y + 2), (x, y + 2)))
-        for k, (x, y) in enumerate(corners.tolist())
-    )
-    return replace(
-        eth,
-        bounds=Bounds(0.0, side_m, 0.0, side_m),
-        walls=walls,
-        recording=msgspec.structs.replace(eth.recording, dwell_p99_s=1e6),
-    )
-
-
-def crowd_at_once(scene: Scene, persons: int, seed: int) -> SpawnEvents:
-    """Events of `persons` people who enter in the first frame, with goals far away."""
-    rng = np.random.default_rng(seed)
-    b = scene.bounds
-    lower = np.array([b.x_min_m, b.y_min_m]) + MARGIN_M
-    upper = np.array([b.x_max_m, b.y_max_m]) - MARGIN_M
-    places = np.empty((0, 2))
-    while len(places) < persons:
-        draws = rng.uniform(lower, upper, (persons, 2))
-        places = np.concatenate([places, draws[scene.walkable(draws)]])
-    nowhere = np.zeros(persons, np.int32)
-    return entering(
-        time_s=np.zeros(persons),
-        start=places[:persons],
-        goal=np.full((persons, 2), 1e4),
-        spawn_area=nowhere,
-        goal_area=nowhere,
-        speed=np.ones(persons),
-    )
-
-
-class _AtOnce:
-    """A spawn model in which everyone enters in the first frame."""
-
-    name = "at-once"
-    start: ClassVar[Start] = "empty"
-
-    def __init__(self, persons: int) -> None:
-        self.persons = persons
-
-    def sample(self, horizon_s: float, scene: Scene, rng: np.random.Generator) -> SpawnEvents:
-        return crowd_at_once(scene, self.persons, 0)
-
-    def log_likelihood(self, arrivals: Arrivals) -> float:
-        raise SettingError(
-            self.name, got="a request for a likelihood", expected="a model that has one"
-        )
-
-
-def _to_and_fro(shape: tuple[int, ...]) -> list[np.ndarray]:
-    """Random actions, each followed by its opposite, so that the density stays constant."""
-    rng = np.random.default_rng(0)
-    there = [(rng.standard_normal(shape) * 0.1).astype(np.float32) for _ in range(20)]
-    return [action for a in there for action in (a, -a)]
-
-
-def _core(worlds: int, persons: int) -> float:
+def _core(worlds: int, persons: int, observation: str = OBSERVATION) -> float:
     scene = open_square(persons)
-    simulation = Simulation(scene, worlds=worlds, settings=Settings(max_alive=persons))
+    settings = Settings(max_alive=persons, observation=observation)
+    simulation = Simulation(scene, worlds=worlds, settings=settings)
     events = [crowd_at_once(scene, persons, world) for world in range(worlds)]
     simulation.reset(events, horizon=10**9)
-    actions = _to_and_fro((worlds, persons, 2))
+    actions = to_and_fro((worlds, persons, 2))
 
     def chunk() -> int:
         steps = 0
         for action in actions:
-            simulation.step(action)
+            # In the world frame, because people turn round when they walk back.
+            simulation.step(action, world_frame=True)
             simulation.observe()
             steps += int(simulation.slots.alive.sum())
         return steps
@@ -225,14 +162,14 @@ def _core(worlds: int, persons: int) -> float:
 def _pettingzoo(persons: int) -> float:
     env = CrowdParallelEnv(
         open_square(persons),
-        _AtOnce(persons),
+        AtOnce(persons),
         horizon_s=1e8,
         start=None,
         settings=Settings(max_alive=persons, max_persons=persons),
         on_full="error",
         reward=Reward(),
     )
-    actions = _to_and_fro((persons, 2))
+    actions = to_and_fro((persons, 2))
 
     def chunk() -> int:
         env.reset(seed=0)
@@ -263,7 +200,7 @@ def _torchrl(worlds: int, persons: int) -> Iterator[Figure]:
     for what, policy in (("random", None), ("MLP 32-32", network)):
         env = CrowdEnv(
             open_square(persons),
-            spawn=_AtOnce(persons),
+            spawn=AtOnce(persons),
             worlds=worlds,
             max_alive=persons,
             horizon_s=1e8,

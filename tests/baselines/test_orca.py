@@ -14,7 +14,7 @@ from baselines.orca import BODY_M, NUDGE_MPS, ORCA
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, StateView, Straight
 from crowdbench.registry import policy as named
-from crowdbench.rollouts.episode import actions_of
+from crowdbench.rollouts.acting import actions_of
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.simulation import Settings, Simulation
 

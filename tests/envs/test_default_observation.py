@@ -11,9 +11,9 @@ from crowdbench.policies import PolicyCard
 from crowdbench.rollouts.rollout import settings_for
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings
-from crowdbench.simulation.observations import OBSERVATION, OBSERVATIONS
+from crowdbench.simulation.observations import OBSERVATION, size_of
 
-SIZE = OBSERVATIONS[OBSERVATION] + 32
+SIZE = size_of(OBSERVATION, 32)
 
 
 class Unspecific:

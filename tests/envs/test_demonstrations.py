@@ -9,6 +9,8 @@ from crowdbench import Demonstrations, demonstrations, load_scene, recording
 from crowdbench.envs.perturbation import HOMING_S, PathPerturbation
 from crowdbench.errors import SettingError
 from crowdbench.registry import import_recording, recording_of
+from crowdbench.simulation.observations import GOAL_DISTANCE
+from crowdbench.simulation.social import HEADING, ROUTE_LENGTH, VELOCITY
 from crowdbench.spawn.events import blocks_of
 from crowdbench.trajectories.table import from_rows
 
@@ -48,8 +50,31 @@ def test_actions_are_displacements_in_units_of_the_greatest_speed(shown, recorde
         np.testing.assert_allclose(shown.actions[rows(shown, k)][:-1], expected, atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    "displaced_m", [0.0, pytest.param(0.5, marks=pytest.mark.long)], ids=["recorded", "displaced"]
+)
+def test_actions_are_in_the_frame_of_the_observation(displaced_m: float) -> None:
+    own, world = (
+        demonstrations("plaza-v0", observation=name, rays=8, displaced_m=displaced_m)
+        for name in ("social-1", "lidar-2")
+    )
+    assert own.offsets.tolist() == world.offsets.tolist()
+    (seen, acts), (before, did) = own.pairs(), world.pairs()
+    cos, sin = seen[:, HEADING].T.astype(np.float64)
+    np.testing.assert_allclose(np.hypot(cos, sin), 1, atol=1e-6)
+    turned = np.stack([acts[:, 0] * cos - acts[:, 1] * sin, acts[:, 0] * sin + acts[:, 1] * cos])
+    did = did / np.maximum(1, np.hypot(*did.T))[:, None]  # as a step clips them
+    np.testing.assert_allclose(turned.T, did, atol=2e-5)
+    speed = np.hypot(*before[:, :2].T) * PLAZA.motion.max_speed_mps
+    walks = speed > 0.301  # those who walk head there, wherever they have been displaced to
+    assert walks.mean() > 0.5
+    ahead = seen[walks][:, VELOCITY] * PLAZA.motion.max_speed_mps
+    np.testing.assert_allclose(ahead, np.stack([speed[walks], 0 * speed[walks]], 1), atol=2e-4)
+    assert (seen[:, ROUTE_LENGTH] == before[:, GOAL_DISTANCE]).mean() > 0.9
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("version", ["lidar-1", "lidar-2", "lidar-3"])
+@pytest.mark.parametrize("version", ["lidar-1", "lidar-2", "lidar-3", "social-1"])
 def test_observations_are_those_of_the_environment(version: str, recorded) -> None:
     shown = demonstrations("plaza-v0", observation=version, rays=8)
     of = {int(p): k for k, p in enumerate(shown.person)}

@@ -14,6 +14,7 @@ from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
 from crowdbench.policies import StateView, Straight
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import list_scenes, load_scene
+from crowdbench.simulation.social import SIZE
 from crowdbench.spawn import Replay
 from crowdbench.trajectories.table import OUTCOMES
 
@@ -86,6 +87,14 @@ def test_it_passes_pettingzoos_api_test(scene: str) -> None:
         warnings.simplefilter("error")
         # Ids are unborn at the end of an episode, so its end lies beyond the test's cycles.
         parallel_api_test(endless(scene), num_cycles=cycles(scene, 300))
+
+
+def test_so_it_does_with_the_observation_of_people() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = parallel_env("plaza-v0", horizon_s=400.0, observation="social-1")
+        parallel_api_test(env, num_cycles=100)
+        assert env.observation_space("person_0").shape == (SIZE,)
 
 
 @pytest.mark.parametrize("scene", SCENES)

@@ -15,7 +15,7 @@ from crowdbench.errors import CapacityError, SettingError
 from crowdbench.simulation.reward import PARTS
 
 
-@pytest.mark.parametrize("observation", ["lidar-1", "lidar-2", "lidar-3"])
+@pytest.mark.parametrize("observation", ["lidar-1", "lidar-2", "lidar-3", "social-1"])
 @pytest.mark.parametrize("worlds", [1, 3])
 def test_specs_hold(worlds: int, observation: str) -> None:
     env = CrowdEnv("plaza-v0", worlds=worlds, max_alive=16, horizon_s=20.0, seed=0,
@@ -34,9 +34,10 @@ def walked(env: CrowdEnv, actions: np.ndarray) -> list[TensorDict]:
     return steps
 
 
-def test_it_is_the_crowd_of_the_pettingzoo_view() -> None:
+@pytest.mark.parametrize("observation", ["lidar-2", "social-1"])
+def test_it_is_the_crowd_of_the_pettingzoo_view(observation: str) -> None:
     frames, slots = 100, 40
-    asked = {"max_alive": slots, "horizon_s": frames * 0.4, "rays": 8, "observation": "lidar-2"}
+    asked = {"max_alive": slots, "horizon_s": frames * 0.4, "rays": 8, "observation": observation}
     torchs = CrowdEnv("plaza-v0", worlds=2, seed=7, **asked)
     rng = np.random.default_rng(0)
     actions = rng.uniform(-1, 1, (frames, 2, slots, 2)).astype(np.float32)

@@ -14,14 +14,15 @@ from worlds import Person, square  # noqa: E402
 import crowdbench  # noqa: E402
 from crowdbench.envs.vec_env import CrowdVecEnv  # noqa: E402
 from crowdbench.errors import ActionError, CapacityError, SettingError  # noqa: E402
-from crowdbench.policies import Random  # noqa: E402
+from crowdbench.policies import Random, Straight  # noqa: E402
 from crowdbench.simulation.observations import GOAL_RANGE_M  # noqa: E402
 
 EAST = [1.0, 0.0]
 
 
-def test_it_is_the_crowd_of_the_pettingzoo_view() -> None:
-    asked = {"horizon_s": 40.0, "rays": 8, "observation": "lidar-2"}
+@pytest.mark.parametrize("observation", ["lidar-2", "social-1"])
+def test_it_is_the_crowd_of_the_pettingzoo_view(observation: str) -> None:
+    asked = {"horizon_s": 40.0, "rays": 8, "observation": observation}
     trips = CrowdVecEnv("plaza-v0", 80, worlds=1, seed=7, **asked)
     env = crowdbench.parallel_env("plaza-v0", **asked)
     seen, (observations, _) = trips.reset(), env.reset(seed=7)
@@ -46,6 +47,21 @@ def test_it_is_the_crowd_of_the_pettingzoo_view() -> None:
                 assert infos[k]["TimeLimit.truncated"] == truncated[name]
                 assert (infos[k]["terminal_observation"] == observations[name]).all()
     assert trips.waited > 0
+
+
+def test_others_walk_alike_whatever_the_frame_of_the_observation() -> None:
+    rays, own = (
+        CrowdVecEnv("plaza-v0", 3, worlds=2, seed=1, horizon_s=40.0, observation=name)
+        for name in ("lidar-2", "social-1")
+    )
+    assert isinstance(rays.others, Straight)
+    for env in (rays, own):
+        env.reset()  # after a warm-up with straight walkers
+    for _ in range(50):
+        places, again = (env._simulation.slots.position for env in (rays, own))
+        assert places.tobytes() == again.tobytes()
+        for env in (rays, own):
+            env.step(np.zeros((3, 2)))  # the same in either frame
 
 
 def lives_of(*people: Person, num_envs: int = 1, **changes: object) -> CrowdVecEnv:

@@ -190,6 +190,9 @@ def test_what_a_network_takes_is_told_before_it_is_traced(tmp_path: Path) -> Non
     assert "This is the size of lidar-1" in told
     with pytest.raises(WeightsError, match="a network that takes 36 numbers"):
         export_policy(Net(inputs=36), tmp_path / "no.onnx", card)
+    people = msgspec.structs.replace(CARD, observation="social-1")
+    with pytest.raises(WeightsError, match=r"\(A, 102\): social-1 has 102 numbers\. "):
+        export_policy(Net(inputs=36), tmp_path / "no.onnx", people)
     assert not list(tmp_path.iterdir())
 
 

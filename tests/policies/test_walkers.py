@@ -9,7 +9,7 @@ from worlds import FAR, Person, box, events, ready, simulate, square, walked
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, Random, ReplayPolicy, SocialForce, StateView, Straight
 from crowdbench.policies.social_force import GroupForce, _repulsion, _wall_force
-from crowdbench.rollouts.episode import actions_of
+from crowdbench.rollouts.acting import actions_of
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.trajectories.table import Trajectories, from_rows
 

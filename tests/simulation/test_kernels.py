@@ -4,6 +4,7 @@ import hashlib
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,9 @@ def people(seed: int) -> SpawnEvents:
                 speed=float(rng.uniform(0.5, 2)),
                 leave_frame=leave,
                 scripted=scripted,
+                group=len(crowd) // 5 % 3 - 1,
+                via=(0.0, -3.0) if len(crowd) % 4 == 0 else (np.nan, np.nan),
+                wait_s=1.2,
             )
         )
     return events(*crowd)
@@ -50,9 +54,10 @@ def actions(simulation: Simulation, seeds: tuple[int, ...], number: int) -> np.n
     return (0.3 * np.sign(way) + np.array(noise)).astype(np.float32)
 
 
-def history(*seeds: int) -> list[list[bytes]]:
+def history(*seeds: int, observation: str = "lidar-2") -> list[list[bytes]]:
     """Every array of every world after each step, as bytes."""
-    simulation = Simulation(BLOCKS, worlds=len(seeds), settings=SIZES)
+    settings = replace(SIZES, observation=observation)
+    simulation = Simulation(BLOCKS, worlds=len(seeds), settings=settings)
     simulation.reset([people(seed) for seed in seeds], horizon=FRAMES)
     worlds: list[list[bytes]] = [[] for _ in seeds]
     for number in range(FRAMES):
@@ -76,8 +81,10 @@ def social_force() -> bytes:
 
 
 def digest(worlds: int) -> str:
-    """Of a history, and of what social-force walkers do."""
-    states = [state for world in history(*range(1, worlds + 1)) for state in world]
+    """Of histories with both kernels of observations, and of what social-force walkers do."""
+    seeds = range(1, worlds + 1)
+    worlds_of = [history(*seeds, observation=name) for name in ("lidar-2", "social-1")]
+    states = [state for of_one in worlds_of for world in of_one for state in world]
     return hashlib.sha256(b"".join(states) + social_force()).hexdigest()
 
 
@@ -182,9 +189,11 @@ def test_kernels_run_on_several_threads_where_they_are_asked_for() -> None:
     assert any("_parallel_" in name for name in names)
 
 
-def test_worlds_stepped_together_are_each_world_alone() -> None:
+@pytest.mark.parametrize("observation", ["lidar-2", "social-1"])
+def test_worlds_stepped_together_are_each_world_alone(observation: str) -> None:
     seeds = range(1, MANY + 1)
-    assert history(*seeds) == [history(seed)[0] for seed in seeds]
+    alone = [history(seed, observation=observation)[0] for seed in seeds]
+    assert history(*seeds, observation=observation) == alone
 
 
 def test_worlds_of_other_seeds_differ() -> None:

@@ -18,9 +18,9 @@ from worlds import (
 )
 
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.observations import OBSERVATION, OBSERVATIONS
+from crowdbench.simulation.observations import OBSERVATION, head_of
 
-HEAD = OBSERVATIONS[OBSERVATION]
+HEAD = head_of(OBSERVATION)
 
 DT = 0.4
 RADIUS = 0.3

@@ -5,11 +5,12 @@ import functools
 import numpy as np
 import pytest
 from given import env_of, run, stand
-from worlds import Person, box, square
+from worlds import Person, box, events, square
 
 from crowdbench.envs.parallel_env import CrowdParallelEnv
 from crowdbench.errors import SettingError
-from crowdbench.simulation.reward import PARTS, Reward
+from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation.reward import PARTS, Reward, Rewarder
 
 STEP_S = 0.4
 
@@ -132,9 +133,81 @@ def test_pace_costs_nothing_at_the_preferred_speed_and_is_bounded(
     assert reward == pytest.approx(-cost * 1.4 * STEP_S, abs=2e-3)
 
 
+@pytest.mark.parametrize(
+    ("velocity", "off_m", "cost"),
+    [
+        ((0.0, 0.0), 0.0, 0.0),
+        ((0.0, 0.0), 0.9, 0.0),
+        ((0.0, 0.0), 2.0, 0.5),
+        ((0.5, 0.0), 0.0, 0.5),
+        ((0.5, 0.0), 2.0, 0.75),
+    ],
+)
+def test_who_waits_stands_at_the_stop(
+    velocity: tuple[float, float], off_m: float, cost: float
+) -> None:
+    env = env_of(
+        Person(via=(0.0, 0.0), wait_s=60.0, speed=1.2), reward=only_of(stop=-1.0, pace=-1.0)
+    )
+    env.reset()
+    env._simulation.slots.position[0, 0] = 0.0, off_m
+    action = np.array(velocity, np.float32) / env.scene.motion.max_speed_mps
+    reward = env.step({"person_0": action})[1]["person_0"]
+    assert reward == pytest.approx(-cost * 1.2 * STEP_S, abs=4e-3)
+
+
+@pytest.mark.parametrize(
+    ("gap_m", "cost"), [(0.7, 0.0), (1.5, 0.0), (2.5, 0.5), (3.5, 0.8), (40.0, 0.999)]
+)
+def test_companions_keep_together(gap_m: float, cost: float) -> None:
+    scene = square(60.0)
+    people = (
+        Person(start=(0.0, 0.0), group=3),
+        Person(start=(0.0, gap_m), group=3),
+        Person(start=(1.0, gap_m / 2)),
+        Person(start=(0.0, -45.0), group=4),
+    )
+    env = env_of(*people, scene=scene, reward=only("companions", -1.0))
+    env.reset()
+    rewards = list(env.step(stand(env))[1].values())
+    np.testing.assert_allclose(rewards[:2], [-cost * STEP_S] * 2, atol=2e-3)
+    assert rewards[2:] == [0.0, 0.0]  # nobody is with them
+
+
+def test_the_nearest_companion_counts() -> None:
+    places = [0.0, 1.0, 4.0, 5.0, 5.5, 9.0]
+    people = [Person(start=(0.0, y), group=1) for y in places]
+    scene = square(60.0)
+    env = env_of(*people, scene=scene, reward=only("companions", -1.0))
+    env.reset()
+    rewards = np.array(list(env.step(stand(env))[1].values()))
+    beyond = np.maximum(0, np.array([1.0, 1.0, 1.0, 0.5, 0.5, 3.5]) - 1.5)
+    np.testing.assert_allclose(rewards, -STEP_S * beyond**2 / (1 + beyond**2), atol=1e-5)
+
+
+def test_companions_of_other_worlds_do_not_count() -> None:
+    worlds = [
+        events(Person(start=(0.0, 0.0), group=1), Person(start=(0.0, 9.0), group=1)),
+        events(Person(start=(0.0, 3.0), group=1), Person(start=(0.0, 3.5), group=1)),
+    ]
+    simulation = Simulation(square(60.0), worlds=2, settings=Settings(max_alive=4))
+    simulation.reset(worlds, horizon=10)
+    rewarder = Rewarder(only("companions", -1.0), simulation)
+    rewarder.begin()
+    simulation.observe()
+    simulation.step(np.zeros((2, 4, 2), np.float32))
+    simulation.observe()
+    found = rewarder.parts()[..., PARTS.index("companions")]
+    assert (found[0, :2] < -0.3).all()
+    assert not found[1].any()
+
+
 def test_the_parts_are_told_and_add_up() -> None:
     scene = square(10.0, box(3.0, -5.0, 4.0, 5.0))
-    people = [Person(start=(0.0, 0.2 * k), goal=(0.0, 8.0)) for k in range(5)]
+    people = [
+        Person(start=(0.0, 0.2 * k), goal=(0.0, 8.0), via=(0.0, 0.5), wait_s=4.0, group=k // 2)
+        for k in range(5)
+    ]
     env = env_of(*people, scene=scene)
     env.reset(seed=0)
     rng = np.random.default_rng(0)

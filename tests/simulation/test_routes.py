@@ -14,7 +14,7 @@ from worlds import FAR, Person, Point, box, events, square
 from crowdbench.errors import SettingError
 from crowdbench.policies import SocialForce, StateView, Straight
 from crowdbench.registry import spawn_model
-from crowdbench.rollouts.episode import actions_of
+from crowdbench.rollouts.acting import actions_of
 from crowdbench.scene import Scene, list_scenes, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import GOAL_RANGE_M

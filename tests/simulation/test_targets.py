@@ -6,7 +6,8 @@ from given import env_of, run, stand
 from worlds import Person, box, ended, simulate, square, step
 
 from crowdbench.policies import Random, SocialForce, StateView, Straight
-from crowdbench.rollouts.episode import actions_of, generator
+from crowdbench.rollouts.acting import actions_of
+from crowdbench.rollouts.episode import generator
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.reward import PARTS, Reward
@@ -172,7 +173,7 @@ def test_whoever_stands_while_waiting_loses_nothing_and_whoever_runs_does() -> N
     person = Person(start=(0.0, 0.0), goal=(9.0, 0.0), via=(1.2, 0.0), wait_s=4.0, speed=1.0)
     stood = reward_of(person, [(0.2, 0.0), None, None, None])
     ran = reward_of(person, [(0.2, 0.0), (0.2, 0.0), (-0.2, 0.0), (0.2, 0.0)])
-    at = PARTS.index("progress"), PARTS.index("pace")
+    at = PARTS.index("progress"), PARTS.index("stop")
     for of_step in stood[1:]:
         np.testing.assert_allclose([of_step[k] for k in at], 0.0, atol=1e-6)
     assert all(of_step[at[1]] < -0.2 for of_step in ran[1:])

@@ -19,10 +19,10 @@ from worlds import (
 
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.observations import OBSERVATION, OBSERVATIONS
+from crowdbench.simulation.observations import OBSERVATION, head_of
 from crowdbench.simulation.rules import crossing, walk
 
-HEAD = OBSERVATIONS[OBSERVATION]
+HEAD = head_of(OBSERVATION)
 
 DT = 0.4
 CORNER = square(10.0, box(2, -9, 3, 5), box(-9, 4, 2, 5))  # walls on the right and above

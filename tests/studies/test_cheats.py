@@ -9,7 +9,8 @@ from worlds import Person, simulate, square
 from crowdbench import cli
 from crowdbench.errors import RecordingError
 from crowdbench.registry import import_recording, recording_of
-from crowdbench.rollouts.episode import actions_of, generator
+from crowdbench.rollouts.acting import actions_of
+from crowdbench.rollouts.episode import generator
 from crowdbench.scene import load_scene
 from crowdbench.scoring.scorecard import Row, rows
 from crowdbench.studies.cheats import cheat, cheats_of

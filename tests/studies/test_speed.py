@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from crowdbench.cli import main
+from crowdbench.studies import open_square
 from crowdbench.studies import speed as bench
 
 pytestmark = pytest.mark.long
@@ -15,6 +16,8 @@ NAMES = [
     "core with observations, 1 × 100",
     "core with observations, 1 × 300",
     "core with observations, 64 × 50",
+    "core with social-1, 1 × 100",
+    "core with social-1, 64 × 50",
     "PettingZoo environment, 20 agents",
     "TorchRL collector, 64 × 50, random",
     "TorchRL collector, 64 × 50, MLP 32-32",
@@ -57,7 +60,7 @@ def test_each_figure_is_printed_and_written(
     assert sorted(figures) == sorted(NAMES)
     assert [n for n, figure in figures.items() if not 0 < figure["value"] < float("inf")] == []
     units = {name: figure["unit"] for name, figure in figures.items()}
-    assert units == dict.fromkeys(NAMES[:7], "agent-steps/s") | dict.fromkeys(NAMES[7:], "s")
+    assert units == dict.fromkeys(NAMES[:9], "agent-steps/s") | dict.fromkeys(NAMES[9:], "s")
 
 
 @pytest.mark.parametrize(
@@ -70,8 +73,8 @@ def test_rates_are_written_in_millions_where_they_are_large(value: float, text: 
 
 @pytest.mark.parametrize("persons", [20, 300])
 def test_the_measured_crowd_stands_where_people_can_walk(persons: int) -> None:
-    scene = bench.open_square(persons)
-    crowd = bench.crowd_at_once(scene, persons, seed=0)
+    scene = open_square.open_square(persons)
+    crowd = open_square.crowd_at_once(scene, persons, seed=0)
     assert len(crowd) == persons
     assert scene.walkable(crowd.start.astype(float)).all()
 
@@ -79,9 +82,9 @@ def test_the_measured_crowd_stands_where_people_can_walk(persons: int) -> None:
 def test_nobody_leaves_while_the_core_is_measured() -> None:
     from crowdbench.simulation import Settings, Simulation
 
-    scene = bench.open_square(50)
+    scene = open_square.open_square(50)
     simulation = Simulation(scene, worlds=2, settings=Settings(max_alive=50))
-    simulation.reset([bench.crowd_at_once(scene, 50, w) for w in range(2)], horizon=10**9)
-    for action in bench._to_and_fro((2, 50, 2)) * 3:
+    simulation.reset([open_square.crowd_at_once(scene, 50, w) for w in range(2)], horizon=10**9)
+    for action in open_square.to_and_fro((2, 50, 2)) * 3:
         simulation.step(action)
     assert simulation.slots.alive.all()

@@ -1,0 +1,65 @@
+"""What a policy remembers of each person, from its entry to the end of its trip."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int
+
+from crowdbench.errors import SettingError
+
+MOST = 4096
+"""Largest size of a state and of a style."""
+
+
+@dataclass(eq=False)
+class Memory:
+    """What a policy remembers of the `A` persons who act, in the order of their observations."""
+
+    state: Float32[np.ndarray, "A M"]
+    """State of each person: zeros when it enters. The policy writes the next states here."""
+    style: Float32[np.ndarray, "A S"]
+    """Standard normal numbers, drawn when the person enters; the same for its whole trip."""
+    world: Int[np.ndarray, " A"]
+    """World of each person; always 0 in rollouts."""
+    person: Int[np.ndarray, " A"]
+    """Id of each person in its world."""
+    entered: Bool[np.ndarray, " A"]
+    """Whether the policy sees the person for the first time."""
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a policy asks for, by its attributes `memory`, `style` and `interval`."""
+
+    memory: int = 0
+    """Size M of the state of a person."""
+    style: int = 0
+    """Number S of random numbers of a person."""
+    interval: int = 1
+    """Number of frames between two decisions; the velocity is kept in between."""
+
+    @classmethod
+    def of(cls, policy: object) -> "Needs":
+        """The needs of a policy.
+
+        Raises:
+            SettingError: an attribute is not a whole number in its range.
+        """
+        found = {name: getattr(policy, name, default) for name, default in _DEFAULTS.items()}
+        for name, value in found.items():
+            least, most = _DEFAULTS[name], MOST if name != "interval" else 1_000
+            if not isinstance(value, int | np.integer) or not least <= value <= most:
+                raise SettingError(
+                    f"policy {getattr(policy, 'name', '')}",
+                    got=f"{name} = {value!r}",
+                    expected=f"a whole number from {least} to {most}",
+                )
+        return cls(**found)
+
+    @property
+    def memories(self) -> bool:
+        """Whether `act` is called with a `Memory`."""
+        return self.memory > 0 or self.style > 0
+
+
+_DEFAULTS = {"memory": 0, "style": 0, "interval": 1}
