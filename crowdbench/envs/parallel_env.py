@@ -15,6 +15,8 @@ from jaxtyping import UInt8
 from pettingzoo import ParallelEnv
 
 from crowdbench.envs.actions import commands_of
+from crowdbench.envs.global_state import SIZE as STATE_SIZE
+from crowdbench.envs.global_state import global_state
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import DEFAULT_SPAWN, spawn_model
@@ -57,8 +59,9 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     - Action: velocity in units of the scene's maximum speed, Box(−1, 1, (2,)), in the frame of the
       observation: the world frame, or with `social-1` the own frame. Values out of range are
       clipped. NaN, infinity, or missing or unknown agents raise an `ActionError`.
-    - Reward: progress, arrival, overlap, walls and pace, see `crowdbench.simulation.reward.Reward`.
-      `infos` contain the parts as `reward_parts`, in the order of `reward.PARTS`.
+    - Reward: see `crowdbench.simulation.reward.Reward`. `infos` contain its parts as
+      `reward_parts`, in the order of `reward.PARTS`.
+    - `state()`: everyone's state for a centralised critic, see `crowdbench.envs.global_state`.
     - Rendering: with `render_mode="rgb_array"`, `render` returns an image. With `"human"`, a rerun
       viewer shows each frame. Rendering does not affect the simulation.
     """
@@ -110,6 +113,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         size = self._simulation.observation.shape[-1]
         self._observation_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
         self._action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.state_space = spaces.Box(-1.0, 1.0, (settings.max_alive, STATE_SIZE), np.float32)
         self._recorder: Recorder | None = None
         self._seed = 0
         self._renderer: Renderer | None = None
@@ -125,6 +129,11 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     def action_space(self, agent: str) -> spaces.Box:
         """Action space, the same for each agent."""
         return self._action_space
+
+    def state(self) -> np.ndarray:
+        """State of everyone present by slot, (max_alive, 9); see `envs.global_state`."""
+        state: np.ndarray = global_state(self._simulation)[0]
+        return state
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None

@@ -12,6 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from crowdbench.envs.global_state import global_state
 from crowdbench.errors import SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import DEFAULT_SPAWN, spawn_model
@@ -104,6 +105,13 @@ class CrowdEnv(EnvBase):
         self._rewarder = Rewarder(reward or Reward(), self._simulation)
         self._make_specs(worlds, max_alive, self._simulation.observation.shape[-1])
         self.set_seed(seed)
+
+    def state(self) -> torch.Tensor:
+        """State of everyone present by world and slot, (W, N, 9), for centralised critics.
+
+        See `crowdbench.envs.global_state`.
+        """
+        return torch.from_numpy(global_state(self._simulation))
 
     def _make_specs(self, worlds: int, slots: int, numbers: int) -> None:
         each = (worlds, slots)
