@@ -15,7 +15,8 @@ from conftest import need_imitation
 
 from crowdbench import rollout
 from crowdbench.cli import _parser, main
-from crowdbench.policies import StateView
+from crowdbench.policies import PolicyCard, StateView
+from crowdbench.policies.export import export_policy
 from crowdbench.trajectories.table import OUTCOMES, PERSON_COLUMNS
 
 ROOT = Path(__file__).parents[2]
@@ -86,6 +87,31 @@ def test_a_class_that_sees_the_state_walks_as_fast_as_people_prefer() -> None:
     arrived = crowd.outcome == OUTCOMES.index("goal")
     assert arrived.sum() > 10
     assert 1.0 < np.nanmedian(crowd.mean_speeds()) < 1.6
+
+
+def test_a_class_with_a_memory_walks_people_who_tire() -> None:
+    world: dict[str, Any] = {}
+    exec(compile(pages.block_with(page("training.md"), "class Tired"), "page", "exec"), world)
+    crowd = rollout("plaza-v0", "poisson-gmm", world["Tired"](), seed=0, horizon_s=40.0)
+    assert (crowd.outcome == OUTCOMES.index("goal")).sum() > 5
+
+
+def test_a_recurrent_network_is_exported_as_one_step(tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch")
+    world: dict[str, Any] = {"torch": torch}
+    exec(compile(pages.block_with(page("training.md"), "class Recurrent"), "page", "exec"), world)
+    card = PolicyCard(
+        name="recurrent", observation="lidar-2", scene="plaza-v0", split="full", memory=32
+    )
+    file = export_policy(world["Recurrent"](), tmp_path / "recurrent.onnx", card)
+    crowd = rollout("plaza-v0", "poisson-gmm", str(file), seed=0, horizon_s=20.0)
+    assert len(crowd) > 5
+
+
+def test_a_recurrent_network_learns_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("torch")
+    exec(compile(pages.block_with(page("training.md"), "GRUCell(SIZE"), "page", "exec"), {})
+    assert len(capsys.readouterr().out.splitlines()) == 4
 
 
 def test_the_fields_of_the_state_are_those_that_the_page_lists() -> None:
