@@ -69,6 +69,9 @@ class Links:
     covariance: Float[np.ndarray, "C 5 5"]
     slope: Float[np.ndarray, " 5"]
     """Change of the mean offsets for each metre that the other one has walked meanwhile."""
+    same_side: float = 0.5
+    """P(the third and later people of a group are on the same side of the one before them as that
+    one is of the one before)."""
     group_log_speed: float = 0.0
     """Mean log speed of groups less that of people who are alone."""
 
@@ -113,9 +116,16 @@ class Links:
         return steered((low + high) / 2)
 
     def offsets(
-        self, walked_m: Float[np.ndarray, " n"], rng: Generator
-    ) -> Float[np.ndarray, "n 5"]:
-        """Offsets of persons who join somebody who has walked this far; see `OFFSETS`."""
+        self,
+        walked_m: Float[np.ndarray, " n"],
+        side_before: Float[np.ndarray, " n"],
+        rng: Generator,
+    ) -> tuple[Float[np.ndarray, "n 5"], Float[np.ndarray, " n"]]:
+        """Offsets of persons who join somebody who has walked this far, and their sides, ±1.
+
+        `side_before` is the side of the one whom they join, 0 for the first of a group. See
+        `OFFSETS`.
+        """
         size = len(walked_m)
         component = np.searchsorted(self.share.cumsum(), rng.random(size) * self.share.sum())
         component = component.clip(0, len(self.share) - 1)
@@ -123,9 +133,25 @@ class Links:
         noise = rng.standard_normal((size, OFFSETS))
         drawn = self.mean[component] + np.einsum("nij,nj->ni", root, noise)
         drawn += walked_m[:, None] * self.slope
-        side = np.where(rng.random(size) < 0.5, -1.0, 1.0)
+        usual = np.where(side_before == 0, 0.5, self.same_side)
+        side = np.where(rng.random(size) < usual, 1.0, -1.0)
+        side *= np.where(side_before == 0, 1.0, side_before)
         drawn[:, (1, 3)] *= side[:, None]
-        return drawn
+        return drawn, side
+
+    def with_offsets(
+        self,
+        offsets: Float[np.ndarray, "n 5"],
+        walked_m: Float[np.ndarray, " n"],
+        weight: Float[np.ndarray, " n"],
+    ) -> "Links":
+        """The same links with offsets fitted to these, those of recorded companions.
+
+        They are offsets to persons who have walked `walked_m` before; `weight` is how much each of
+        them counts, 0 to 1.
+        """
+        share, mean, covariance, slope = _offsets(offsets, walked_m, weight)
+        return replace(self, share=share, mean=mean, covariance=covariance, slope=slope)
 
     def log_likelihood(
         self,
@@ -160,14 +186,11 @@ def fit_links(
     time_s: Float[np.ndarray, " E"],
     area: Int[np.ndarray, " E"],
     group: Int[np.ndarray, " E"],
-    offsets: Float[np.ndarray, "n 5"],
-    walked_m: Float[np.ndarray, " n"],
     areas: int,
 ) -> Links:
     """The most likely weights, with a normal prior of the tendencies.
 
-    `group` is −1 for people who are alone; `offsets` are those of recorded companions to persons
-    who have walked `walked_m` before.
+    `group` is −1 for people who are alone. Offsets are those of all scenes together.
     """
     from scipy.optimize import minimize
 
@@ -186,29 +209,41 @@ def fit_links(
     centre = np.concatenate([np.full(6, -3.0), np.zeros(STAGES - 1 + areas)])
     found = minimize(loss, centre, jac=True, method="L-BFGS-B").x
     log_weight, larger, tendency = np.split(found, [6, 5 + STAGES])
-    return Links(log_weight, tendency, larger, *_offsets(offsets, walked_m))
+    none = np.zeros((0, OFFSETS)), np.zeros(0), np.zeros(0)
+    return Links(log_weight, tendency, larger, *_offsets(*none))
 
 
 def _offsets(
-    offsets: Float[np.ndarray, "n 5"], walked_m: Float[np.ndarray, " n"]
+    offsets: Float[np.ndarray, "n 5"],
+    walked_m: Float[np.ndarray, " n"],
+    weight: Float[np.ndarray, " n"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Shares, means and covariances of the mixture of offsets, and their slope."""
-    if len(offsets) < FEWEST:
+    if weight.sum() < FEWEST:
         covariance = np.diag(COMMON_SD**2)
         return np.ones(1), COMMON_MEAN[None], covariance[None], np.zeros(OFFSETS)
-    folded = offsets * np.where(offsets[:, 1:2] < 0, [1, -1, 1, -1, 1], 1)
+    folded = one_sided(offsets)
     middle, walked = np.median(folded, axis=0), walked_m - walked_m.mean()
     spread = np.percentile(folded, [16, 84], axis=0)
     reach = 3 * np.maximum(spread[1] - spread[0], 0.1)
     folded = middle + (folded - middle).clip(-reach, reach)  # against single wild values
     slope = np.zeros(OFFSETS)
     if walked.var() > 1e-6:
-        slope = walked @ (folded - folded.mean(axis=0)) / (walked @ walked)
+        off = folded - folded.mean(axis=0)
+        slope = (weight * walked) @ off / ((weight * walked) @ walked)
     folded = folded - walked_m[:, None] * slope
-    shares = responsibilities(folded, 0, 1e-2, _MOST)
+    shares = responsibilities(folded, 0, 1e-2, _MOST) * weight[:, None]
+    people = shares.sum(axis=0)
+    shares = shares[:, people >= FEWEST] if people.max() >= FEWEST else weight[:, None]
     fitted = [moments(folded, each) for each in shares.T]
     covariance = np.stack([c for _, c in fitted]) + 1e-4 * np.eye(OFFSETS)
-    return shares.mean(axis=0), np.stack([m for m, _ in fitted]), covariance, slope
+    people = shares.sum(axis=0)
+    return people / people.sum(), np.stack([m for m, _ in fitted]), covariance, slope
+
+
+def one_sided(offsets: Float[np.ndarray, "n 5"]) -> Float[np.ndarray, "n 5"]:
+    """Offsets mirrored so that all are to the left at the start."""
+    return offsets * np.where(offsets[:, 1:2] < 0, [1, -1, 1, -1, 1], 1)
 
 
 def _same(pairs: Candidates, group: Int[np.ndarray, " E"]) -> Bool[np.ndarray, " n"]:

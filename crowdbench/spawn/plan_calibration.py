@@ -1,59 +1,126 @@
-"""How models of plans get as many companions as are found in a recording.
+"""How models of plans get as many companions as are found in recordings.
 
 Companions are found by a rule, in recordings as in rollouts (`trajectories.companions`). Where many
 people enter, some of those whom it finds only happen to walk side by side. A model that is fitted
 to all of them would have them twice: those that it sends as companions, and those among the others
-who happen to be. So the weights of its links are changed until people who are drawn at the recorded
-times in the recorded areas, and walk straight, have as many companions as are found in the
-recording, and as large groups.
+who happen to be. So people are drawn at the recorded times in the recorded areas, and walk straight:
+
+- The weights of joining are changed until as many companions are found among them as in the
+  recording, and as large groups.
+- Pairs that are found although they are in different groups show what companions by accident look
+  like. Each recorded pair counts for the offsets with the probability that it is none of those.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
+from numpy.random import Generator
 
 from crowdbench.scene import Scene
 from crowdbench.spawn.events import SpawnEvents
-from crowdbench.spawn.links import Links
-from crowdbench.spawn.plan_fitting import marks_of
+from crowdbench.spawn.links import OFFSETS, Links, one_sided
+from crowdbench.spawn.mixtures import log_gaussians, moments, responsibilities
+from crowdbench.spawn.plan_fitting import (
+    Marks,
+    companion_before,
+    marks_of,
+    offsets_of,
+    pairs_of,
+)
 from crowdbench.spawn.planned import PlannedAreas
 from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.companions import groups_of
 from crowdbench.trajectories.table import Trajectories, from_rows
 
-_ROUNDS = 5
+_ROUNDS = 6
 _PEOPLE = 3_000
 """Number of people drawn in each round; more if the recording has more."""
 _LONGEST_WAIT_S = 600.0
+_FEWEST, _COMPONENTS = 40, 4
 
 
 def calibrated(
     areas: PlannedAreas, crowd: Trajectories, blocks: TimeBlocks, scene: Scene, seed: int = 0
 ) -> PlannedAreas:
-    """The same plans, with as many companions as the people who enter in the time blocks have.
+    """The same plans, with companions like those of the people who enter in the time blocks.
 
-    Two numbers are fitted: one that is added to the log weights of all links, and one to those of
-    people who join two others or more.
+    Two numbers are added to the weights: one to all log weights, and one to those of people who
+    join two others or more.
     """
     marks = marks_of(crowd, blocks)
     if not (marks.group >= 0).any():
         return areas
+    pairs = pairs_of(crowd, marks)
     aim = _log_odds(groups_of(crowd)[marks.persons])
     rng = np.random.default_rng(seed)
-    draws = -(-_PEOPLE // len(marks.persons))
-    links = areas.links
-    for _ in range(_ROUNDS):
-        plans = replace(areas, links=links)
-        groups, offset = [], 0
-        for _ in range(draws):
-            events = plans.draw(marks.time_s, marks.area, scene, rng)
-            found = groups_of(straight_walks(events, scene))
-            groups.append(np.where(found >= 0, found + offset, -1))
-            offset += len(found)
-        more, larger = aim - _log_odds(np.concatenate(groups))
-        links = _shifted(links, more, larger)
-    return replace(areas, links=links)
+    for k in range(_ROUNDS):
+        samples = _samples(areas, marks, scene, rng)
+        more, larger = aim - _log_odds(_together([found for _, _, found in samples]))
+        links = _shifted(areas.links, more, larger)
+        if k == _ROUNDS // 2:
+            weight = _deliberate(pairs.offsets, samples)
+            links = links.with_offsets(pairs.offsets, pairs.walked_m, weight)
+        areas = replace(areas, links=links)
+    return areas
+
+
+_Sample = tuple[SpawnEvents, Trajectories, Int[np.ndarray, " n"]]
+"""Plans, the people who walk them, and the groups that are found among these."""
+
+
+def _samples(areas: PlannedAreas, marks: Marks, scene: Scene, rng: Generator) -> list[_Sample]:
+    samples = []
+    for _ in range(-(-_PEOPLE // len(marks.persons))):
+        events = areas.draw(marks.time_s, marks.area, scene, rng)
+        walked = straight_walks(events, scene)
+        samples.append((events, walked, groups_of(walked)))
+    return samples
+
+
+def _together(groups: Sequence[Int[np.ndarray, " _"]]) -> Int[np.ndarray, " n"]:
+    """The groups of several samples, numbered apart."""
+    offset = np.cumsum([0, *(len(group) for group in groups)])
+    each = zip(groups, offset[:-1].tolist(), strict=True)
+    return np.concatenate([np.where(group >= 0, group + first, -1) for group, first in each])
+
+
+def _deliberate(
+    offsets: Float[np.ndarray, "n 5"], samples: Sequence[_Sample]
+) -> Float[np.ndarray, " n"]:
+    """Probability that recorded pairs with these offsets are no companions by accident.
+
+    That is 1 − a f(x) / r(x), where a is the share of companions by accident among those found in
+    samples, f the density of their offsets, and r that of the recorded offsets.
+    """
+    found, number = [np.empty((0, OFFSETS))], 0
+    for events, walked, group in samples:
+        before = companion_before(events.time_s, events.spawn_area.astype(np.int64), group)
+        later = np.flatnonzero(before >= 0)
+        number += len(later)
+        apart = (events.group[later] < 0) | (events.group[later] != events.group[before[later]])
+        found.append(offsets_of(walked, later[apart], before[later[apart]]))
+    accidental, recorded = one_sided(np.concatenate(found)), one_sided(offsets)
+    if min(len(accidental), len(recorded)) < _FEWEST:
+        return np.ones(len(offsets))
+    share = len(accidental) / number
+    off = np.exp(_log_density(recorded, accidental) - _log_density(recorded, recorded))
+    return np.asarray((1 - share * off).clip(0, 1))
+
+
+def _log_density(
+    at: Float[np.ndarray, "n 5"], sample: Float[np.ndarray, "m 5"]
+) -> Float[np.ndarray, " n"]:
+    """Log density of a mixture fitted to a sample."""
+    shares = responsibilities(sample, 0, 1e-2, _COMPONENTS)
+    fitted = [moments(sample, share) for share in shares.T]
+    each = log_gaussians(
+        at,
+        np.stack([mean for mean, _ in fitted]),
+        np.stack([covariance for _, covariance in fitted]) + 1e-2 * np.eye(OFFSETS),
+    )
+    return np.asarray(np.logaddexp.reduce(each + np.log(shares.mean(axis=0)), axis=1))
 
 
 def _shifted(links: Links, more: float, larger: float) -> Links:

@@ -31,6 +31,7 @@ class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     offset_mean: list[list[float]]
     offset_covariance: list[list[list[float]]]
     offset_slope: list[float]
+    same_side: float
     group_log_speed: float
     trips: TripsFile
     ways: dict[str, Any]
@@ -56,6 +57,7 @@ def write_plans(folder: Path, fits: Mapping[str, PlannedAreas]) -> None:
             offset_mean=fit.links.mean.tolist(),
             offset_covariance=fit.links.covariance.tolist(),
             offset_slope=fit.links.slope.tolist(),
+            same_side=fit.links.same_side,
             group_log_speed=fit.links.group_log_speed,
             trips=written_trips(fit.ways.trips),
             ways={name: getattr(fit.ways, name).round(DECIMALS).tolist() for name in _shapes(fit)},
@@ -101,6 +103,7 @@ def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
         array(of.offset_mean, (mixed, OFFSETS), "offset_mean"),
         array(of.offset_covariance, (mixed, OFFSETS, OFFSETS), "offset_covariance"),
         array(of.offset_slope, (OFFSETS,), "offset_slope"),
+        of.same_side,
         of.group_log_speed,
     )
     check_covariances(links.covariance, f"{where}.offset_covariance", how)

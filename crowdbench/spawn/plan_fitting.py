@@ -29,13 +29,7 @@ def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedA
         SceneError: no trip is complete.
     """
     marks, plans = marks_of(crowd, blocks), plans_of(crowd)
-    persons, earlier = marks.persons, marks.earlier
-    later = np.flatnonzero(earlier >= 0)
-    known = np.isfinite(plans.speed[persons]) & crowd.left[persons]
-    later = later[known[later] & known[earlier[later]]]
-    pairs = persons[later], persons[earlier[later]]
-    offsets = _offsets(crowd, *pairs)
-    walked_m = plans.speed[pairs[1]] * (crowd.spawn_s[pairs[0]] - crowd.spawn_s[pairs[1]])
+    pairs = pairs_of(crowd, marks)
     first, in_group = marks.first(crowd), marks.in_group(crowd)
     log_speed = np.log(plans.speed)
     walks = first & np.isfinite(log_speed)
@@ -43,9 +37,10 @@ def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedA
     if min((walks & in_group).sum(), (walks & ~in_group).sum()) >= FEWEST:
         slower = float(log_speed[walks & in_group].mean() - log_speed[walks & ~in_group].mean())
     links = replace(
-        fit_links(marks.time_s, marks.area, marks.group, offsets, walked_m, len(areas.spawn)),
+        fit_links(marks.time_s, marks.area, marks.group, len(areas.spawn)),
+        same_side=pairs.same_side(),
         group_log_speed=slower,
-    )
+    ).with_offsets(pairs.offsets, pairs.walked_m, np.ones(len(pairs.walked_m)))
     return PlannedAreas.of(areas, links, fit_ways(trips_alone(crowd, marks, slower), areas))
 
 
@@ -74,6 +69,36 @@ class Marks:
         return found
 
 
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Companions, and those who came before them in their groups."""
+
+    later: Int[np.ndarray, " n"]
+    earlier: Int[np.ndarray, " n"]
+    offsets: Float[np.ndarray, "n 5"]
+    """See `links.OFFSETS`."""
+    walked_m: Float[np.ndarray, " n"]
+    """How far the earlier one had walked when the later one entered, metres."""
+
+    def same_side(self) -> float:
+        """Share of those who are on the same side as the one before; half without anybody."""
+        side = dict(zip(self.later.tolist(), self.offsets[:, 1].tolist(), strict=True))
+        known = [k for k, j in enumerate(self.earlier.tolist()) if j in side]
+        same = [self.offsets[k, 1] * side[int(self.earlier[k])] > 0 for k in known]
+        return float((sum(same) + 1) / (len(same) + 2))
+
+
+def pairs_of(crowd: Trajectories, marks: Marks) -> Pairs:
+    """The companions among these people who were seen to walk and to leave."""
+    speed, persons = plans_of(crowd).speed, marks.persons
+    later = np.flatnonzero(marks.earlier >= 0)
+    known = np.isfinite(speed[persons]) & crowd.left[persons]
+    later = later[known[later] & known[marks.earlier[later]]]
+    i, j = persons[later], persons[marks.earlier[later]]
+    walked_m = speed[j] * (crowd.spawn_s[i] - crowd.spawn_s[j])
+    return Pairs(i, j, offsets_of(crowd, i, j), walked_m)
+
+
 def marks_of(crowd: Trajectories, blocks: TimeBlocks) -> Marks:
     """The companions of the people who enter in the time blocks, in areas of their own."""
     persons, _, _ = blocks.of_arrivals(crowd)
@@ -82,7 +107,7 @@ def marks_of(crowd: Trajectories, blocks: TimeBlocks) -> Marks:
     time_s = crowd.spawn_s[persons]
     area = crowd.spawn_area[persons].astype(np.int64)
     group = groups_of(crowd)[persons].astype(np.int64)
-    return Marks(persons, time_s, area, group, _companion(time_s, area, group))
+    return Marks(persons, time_s, area, group, companion_before(time_s, area, group))
 
 
 def trips_alone(crowd: Trajectories, marks: Marks, group_log_speed: float) -> Trips:
@@ -95,7 +120,7 @@ def trips_alone(crowd: Trajectories, marks: Marks, group_log_speed: float) -> Tr
     return trips_of(crowd, replace(plans, speed=alone), marks.first(crowd))
 
 
-def _companion(
+def companion_before(
     time_s: Float[np.ndarray, " E"], area: Int[np.ndarray, " E"], group: Int[np.ndarray, " E"]
 ) -> Int[np.ndarray, " E"]:
     """The last person of the same group who entered the same area before each person; else −1."""
@@ -106,7 +131,7 @@ def _companion(
     return found
 
 
-def _offsets(
+def offsets_of(
     crowd: Trajectories,
     later: Int[np.ndarray, " n"],
     earlier: Int[np.ndarray, " n"],

@@ -135,6 +135,7 @@ class PlannedAreas(Areas):
         groups, of_group = np.unique(leader, return_inverse=True)
         members = np.full((len(groups), int(rank.max(initial=0)) + 1), -1)
         members[of_group, rank] = np.arange(len(leader))
+        side = np.zeros(len(leader))
         for place in range(1, members.shape[1]):
             open_ = members[:, place]
             open_ = open_[open_ >= 0]
@@ -142,15 +143,14 @@ class PlannedAreas(Areas):
                 earlier = members[of_group[open_], :place]
                 other = earlier[:, -1]
                 walked = np.exp(ways[other, 4]) * (time_s[open_] - time_s[other])
-                drawn = self._beside(ways[other], walked, scene, rng)
+                drawn, sides = self._beside(ways[other], walked, side[other], scene, rng)
                 free = scene.has_room(drawn[:, :2]) & scene.has_room(drawn[:, 2:4])
                 closest, furthest = _distances_m(
                     drawn[:, None], time_s[open_][:, None], ways[earlier], time_s[earlier]
                 )
-                good = free & (closest[:, -1] >= scene.motion.person_radius_m)
-                good &= (closest[:, :-1] >= 2 * scene.motion.person_radius_m).all(axis=1)
+                good = free & (closest >= scene.motion.person_radius_m).all(axis=1)
                 good &= furthest[:, -1] <= WITHIN_M
-                ways[open_[free]] = drawn[free]
+                ways[open_[free]], side[open_[free]] = drawn[free], sides[free]
                 open_ = open_[~good]
                 if len(open_) == 0:
                     break
@@ -161,11 +161,12 @@ class PlannedAreas(Areas):
         self,
         ways: Float[np.ndarray, "n 8"],
         walked_m: Float[np.ndarray, " n"],
+        side_before: Float[np.ndarray, " n"],
         scene: Scene,
         rng: Generator,
-    ) -> Float[np.ndarray, "n 8"]:
-        """Ways of people who join those with these ways, who have walked this far."""
-        offset = self.links.offsets(walked_m, rng)
+    ) -> tuple[Float[np.ndarray, "n 8"], Float[np.ndarray, " n"]]:
+        """Ways of people who join those with these ways, who have walked this far; their sides."""
+        offset, side = self.links.offsets(walked_m, side_before, rng)
         ahead = directions(ways[:, 2:4] - ways[:, :2])
         at_start, at_goal = turned(ahead, offset[:, :2]), turned(ahead, offset[:, 2:4])
         found = ways.copy()
@@ -178,7 +179,7 @@ class PlannedAreas(Areas):
         left_m = np.maximum(_length_m(ways) - walked_m, _SHORTEST_M)
         gain = np.log(np.maximum(1 + offset[:, 4] / left_m, 0.5))
         found[:, 4] = self._possible_speed(found[:, 4] + gain)
-        return found
+        return found, side
 
     def _possible_speed(self, log_speed: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         return np.clip(log_speed, *np.log([SLOWEST_MPS, self.ways.fastest_mps]))
