@@ -3,7 +3,8 @@
 Companions are found by a rule, in recordings as in rollouts (`trajectories.companions`). Where many
 people enter, some of those whom it finds only happen to walk side by side. A model that is fitted
 to all of them would have them twice: those that it sends as companions, and those among the others
-who happen to be. So people are drawn at the recorded times in the recorded areas, and walk straight:
+who happen to be. So people are drawn at the recorded times in the recorded areas, and walk
+straight:
 
 - The weights of joining are changed until as many companions are found among them as in the
   recording, and as large groups.
@@ -38,7 +39,9 @@ _ROUNDS = 6
 _PEOPLE = 3_000
 """Number of people drawn in each round; more if the recording has more."""
 _LONGEST_WAIT_S = 600.0
-_FEWEST, _COMPONENTS = 40, 4
+_FEWEST = 40
+"""With fewer pairs, recorded or by accident, all recorded pairs count fully."""
+_COMPONENTS = 4
 
 
 def calibrated(
@@ -66,7 +69,7 @@ def calibrated(
     return areas
 
 
-_Sample = tuple[SpawnEvents, Trajectories, Int[np.ndarray, " n"]]
+_Sample = tuple[SpawnEvents, Trajectories, Int[np.ndarray, " _"]]
 """Plans, the people who walk them, and the groups that are found among these."""
 
 
@@ -89,11 +92,7 @@ def _together(groups: Sequence[Int[np.ndarray, " _"]]) -> Int[np.ndarray, " n"]:
 def _deliberate(
     offsets: Float[np.ndarray, "n 5"], samples: Sequence[_Sample]
 ) -> Float[np.ndarray, " n"]:
-    """Probability that recorded pairs with these offsets are no companions by accident.
-
-    That is 1 − a f(x) / r(x), where a is the share of companions by accident among those found in
-    samples, f the density of their offsets, and r that of the recorded offsets.
-    """
+    """Probability that recorded pairs with these offsets are no companions by accident."""
     found, number = [np.empty((0, OFFSETS))], 0
     for events, walked, group in samples:
         before = companion_before(events.time_s, events.spawn_area.astype(np.int64), group)
@@ -101,12 +100,23 @@ def _deliberate(
         number += len(later)
         apart = (events.group[later] < 0) | (events.group[later] != events.group[before[later]])
         found.append(offsets_of(walked, later[apart], before[later[apart]]))
-    accidental, recorded = one_sided(np.concatenate(found)), one_sided(offsets)
-    if min(len(accidental), len(recorded)) < _FEWEST:
+    accidental = np.concatenate(found)
+    return _unlikely_by_accident(offsets, accidental, len(accidental) / max(number, 1))
+
+
+def _unlikely_by_accident(
+    offsets: Float[np.ndarray, "n 5"], accidental: Float[np.ndarray, "m 5"], share: float
+) -> Float[np.ndarray, " n"]:
+    """1 − a f(x) / r(x) for recorded offsets x, at least 0.
+
+    a is the `share` of companions by accident among all that are found, f the density of their
+    offsets, and r that of the recorded offsets.
+    """
+    if min(len(accidental), len(offsets)) < _FEWEST:
         return np.ones(len(offsets))
-    share = len(accidental) / number
-    off = np.exp(_log_density(recorded, accidental) - _log_density(recorded, recorded))
-    return np.asarray((1 - share * off).clip(0, 1))
+    recorded = one_sided(offsets)
+    off = _log_density(recorded, one_sided(accidental)) - _log_density(recorded, recorded)
+    return np.asarray((1 - share * np.exp(off)).clip(0, 1))
 
 
 def _log_density(

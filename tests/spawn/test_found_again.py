@@ -46,7 +46,7 @@ def groups_drawn(links: Links, time_s: np.ndarray, area: np.ndarray) -> np.ndarr
 def test_group_sizes_are_found_again_from_the_true_groups() -> None:
     events = TRUTH.sample(36_000.0, SCENE, np.random.default_rng(0))
     area, group = events.spawn_area.astype(np.int64), events.group.astype(np.int64)
-    links = fit_links(events.time_s, area, group, np.zeros((0, 5)), np.zeros(0), 4)
+    links = fit_links(events.time_s, area, group, 4)
     found, mean = shares(groups_drawn(links, events.time_s, area))
     np.testing.assert_allclose(found, expected_shares(), atol=0.03)
     assert mean == pytest.approx(MEAN_SIZE, abs=0.04)
@@ -84,6 +84,7 @@ def test_companions_offsets_and_speeds_are_found_again() -> None:
     links = fit_plans(walked, blocks_of(walked, SCENE), areas).links
     mean, abreast = links.share @ links.mean, plaza_plans.ABREAST_M
     np.testing.assert_allclose(mean, [0, abreast, 0, abreast, 0], atol=0.05)
+    assert links.same_side > 0.85  # they stand in a line; strangers are taken for companions, too
     assert np.exp(links.group_log_speed) == pytest.approx(plaza_plans.SLOWER, abs=0.02)
 
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import approx_fprime
 
 from crowdbench.spawn.links import (
+    COMMON_MEAN,
     EDGES_S,
     Links,
     _likelihood,
@@ -108,7 +109,7 @@ def test_the_fit_finds_the_weights_again_and_those_who_join_nobody() -> None:
     offsets[::2, [1, 3]] *= -1
     walked = np.random.default_rng(6).exponential(1.0, 200)
     offsets[:, 0] += 0.3 * walked
-    found = fit_links(time_s, area, group, offsets, walked, 2)
+    found = fit_links(time_s, area, group, 2).with_offsets(offsets, walked, np.ones(len(walked)))
     # The weights and the tendencies are determined together only.
     for a in (0, 1):
         np.testing.assert_allclose(
@@ -121,7 +122,7 @@ def test_the_fit_finds_the_weights_again_and_those_who_join_nobody() -> None:
     mean = found.share @ found.mean
     np.testing.assert_allclose(mean, [0, 0.7, 0, 0.6, 0], atol=0.06)
     np.testing.assert_allclose(found.slope, [0.3, 0, 0, 0, 0], atol=0.06)
-    nobody = fit_links(time_s, area, np.full(6_000, -1), offsets[:3], walked[:3], 2)
+    nobody = fit_links(time_s, area, np.full(6_000, -1), 2)
     assert (nobody.draw(time_s, area, np.random.default_rng(0)) >= 0).mean() < 0.01
 
 
@@ -130,12 +131,16 @@ def test_offsets_lie_on_both_sides_and_on_the_same_at_start_and_end() -> None:
     mean = np.array([0.0, 0.7, 0.0, 0.6, 0.1])
     covariance = 0.001 * np.eye(5)[None]
     none = np.zeros(6), np.zeros(1), np.zeros(3)
-    model = Links(*none, np.ones(1), mean[None], covariance, slope)
-    drawn = model.offsets(np.full(2_000, 2.0), np.random.default_rng(0))
+    model = Links(*none, np.ones(1), mean[None], covariance, slope, same_side=0.9)
+    rng = np.random.default_rng(0)
+    drawn, side = model.offsets(np.full(2_000, 2.0), np.zeros(2_000), rng)
     assert drawn[:, 0].mean() == pytest.approx(1.0, abs=0.01)
     assert (drawn[:, 1] > 0).mean() == pytest.approx(0.5, abs=0.05)
     assert (np.sign(drawn[:, 1]) == np.sign(drawn[:, 3])).all()
     assert drawn[:, 4].mean() == pytest.approx(0.1, abs=0.01)
+    assert (np.sign(drawn[:, 1]) == side).all()
+    _, again = model.offsets(np.full(2_000, 2.0), side, rng)
+    assert (again == side).mean() == pytest.approx(0.9, abs=0.03)
 
 
 def test_offsets_are_those_of_one_kind_of_companions_or_the_other() -> None:
@@ -143,16 +148,27 @@ def test_offsets_are_those_of_one_kind_of_companions_or_the_other() -> None:
     kinds = np.array([[0.0, 0.7, 0.0, 0.7, 0.0], [-1.5, 0.2, -1.5, 0.2, 0.0]])
     of = (rng.random(600) < 0.25).astype(np.int64)
     offsets = kinds[of] + 0.1 * rng.standard_normal((600, 5))
-    time_s, area = arrivals(10)
-    found = fit_links(time_s, area, np.full(10, -1), offsets, np.zeros(600), 2)
+    found = links().with_offsets(offsets, np.zeros(600), np.ones(600))
     order = np.argsort(-found.share)
     np.testing.assert_allclose(found.share[order], [0.75, 0.25], atol=0.05)
     np.testing.assert_allclose(found.mean[order], kinds, atol=0.05)
-    drawn = found.offsets(np.zeros(4_000), rng)
+    drawn, _ = found.offsets(np.zeros(4_000), np.zeros(4_000), rng)
     drawn[:, (1, 3)] *= np.sign(drawn[:, 1:2])
     behind = drawn[:, 0] < -0.75
     assert behind.mean() == pytest.approx(0.25, abs=0.03)
     np.testing.assert_allclose(drawn[behind].mean(axis=0), kinds[1], atol=0.05)
+
+
+def test_pairs_count_by_their_weights() -> None:
+    rng = np.random.default_rng(0)
+    offsets = np.array([0.0, 0.7, 0.0, 0.7, 0.0]) + 0.1 * rng.standard_normal((400, 5))
+    offsets[:200, 0] += 3.0
+    weight = np.repeat([0.0, 1.0], 200)
+    found = links().with_offsets(offsets, np.zeros(400), weight)
+    assert found.share.tolist() == [1.0]
+    np.testing.assert_allclose(found.mean[0], [0, 0.7, 0, 0.7, 0], atol=0.03)
+    none = links().with_offsets(offsets, np.zeros(400), np.full(400, 0.01))
+    np.testing.assert_array_equal(none.mean[0], COMMON_MEAN)
 
 
 def test_a_stage_is_the_size_of_the_group_that_has_come_so_far() -> None:

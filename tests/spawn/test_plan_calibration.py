@@ -7,6 +7,7 @@ import pytest
 
 from crowdbench.registry import recording_of
 from crowdbench.scene import load_scene
+from crowdbench.spawn import plan_calibration
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import SpawnEvents, blocks_of, entering
 from crowdbench.spawn.plan_calibration import calibrated, straight_walks
@@ -94,6 +95,22 @@ def test_as_many_companions_are_found_as_in_the_recording(
     assert found(far, crowd, blocks)[0] > recorded[0] + 0.05
     again = found(calibrated(far, crowd, blocks, PLAZA), crowd, blocks)
     np.testing.assert_allclose(again, recorded, atol=0.04)
+
+
+def test_companions_by_accident_do_not_teach_how_companions_walk() -> None:
+    """Recorded pairs are half deliberate, 0.6 m abreast, and half accidental, behind each other."""
+    rng = np.random.default_rng(0)
+
+    def pairs(along_m: float, across_m: float, number: int) -> np.ndarray:
+        found = np.array([along_m, across_m, along_m, across_m, 0.0])
+        return found + 0.1 * rng.standard_normal((number, 5))
+
+    recorded = np.concatenate([pairs(0.0, 0.6, 150), pairs(-1.5, 0.3, 150)])
+    weight = plan_calibration._unlikely_by_accident(recorded, pairs(-1.5, 0.3, 200), 0.5)
+    assert weight[:150].min() > 0.9
+    assert weight[150:].mean() < 0.25
+    few = plan_calibration._unlikely_by_accident(recorded, pairs(-1.5, 0.3, 39), 0.5)
+    assert (few == 1).all()
 
 
 def test_the_same_seed_gives_the_same_links(crowd: Trajectories, blocks: TimeBlocks) -> None:

@@ -16,7 +16,7 @@ from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.mixtures import DECIMALS, NARROWEST_M, moments
 from crowdbench.spawn.plan_calibration import straight_walks
 from crowdbench.spawn.plan_files import FILE, read_plans, write_plans
-from crowdbench.spawn.plan_fitting import _offsets, fit_plans
+from crowdbench.spawn.plan_fitting import fit_plans, offsets_of
 from crowdbench.spawn.planned import PlannedAreas, directions, turned
 from crowdbench.spawn.plans import plans_of
 from crowdbench.spawn.trip_mixtures import Places, TripMixtures
@@ -265,14 +265,14 @@ def test_companions_are_as_far_apart_as_they_are_while_they_walk() -> None:
     # At the ends they come close to each other; on the way they are 0.8 m abreast.
     across = np.full(40, 0.8)
     across[[0, -1]] = 0.1
-    found = _offsets(pair(np.column_stack([np.zeros(40), across])), np.array([1]), np.array([0]))
+    found = offsets_of(pair(np.column_stack([np.zeros(40), across])), np.array([1]), np.array([0]))
     np.testing.assert_allclose(found, [[0, 0.8, 0, 0.8, 0]], atol=0.05)
 
 
 def test_a_companion_who_catches_up_gains_on_the_other_one() -> None:
     along = np.linspace(-1.5, -0.5, 40)
     crowd = pair(np.column_stack([along, np.full(40, -0.6)]), delay=2)
-    found = _offsets(crowd, np.array([1]), np.array([0]))[0]
+    found = offsets_of(crowd, np.array([1]), np.array([0]))[0]
     assert found[4] == pytest.approx(along[-1] - along[2], abs=0.01)
     assert found[0] == pytest.approx(2 * 0.5 + along[2], abs=1e-5)  # where it enters, late
     np.testing.assert_allclose(found[[1, 3]], -0.6, atol=1e-5)
@@ -281,7 +281,7 @@ def test_a_companion_who_catches_up_gains_on_the_other_one() -> None:
 def test_companions_who_change_sides_do_not_count_as_near() -> None:
     across = np.where(np.arange(40) < 28, 0.8, -0.8)
     crowd = pair(np.column_stack([np.zeros(40), across]))
-    found = _offsets(crowd, np.array([1]), np.array([0]))[0]
+    found = offsets_of(crowd, np.array([1]), np.array([0]))[0]
     np.testing.assert_allclose(found[[1, 3]], 0.8, atol=0.05)
 
 
