@@ -87,7 +87,7 @@ def _stored(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     except Exception as error:  # each of the readers has errors of its own
         raise WeightsError(
             path,
-            got=f"a file that cannot be read ({_first_line(error)})",
+            got=f"a file that cannot be read ({_short(error)})",
             expected="a zip written by `model.save` of Stable-Baselines3",
             hint=AGAIN,
         ) from error
@@ -113,10 +113,11 @@ def _unpickled(path: Path, name: str, item: Any) -> Any:
     try:
         return cloudpickle.loads(base64.b64decode(item[":serialized:"]))
     except Exception as error:  # a pickle may raise any exception
-        module = error.name if isinstance(error, ModuleNotFoundError) else None
+        missing = error.name if isinstance(error, ModuleNotFoundError) else None
+        module = (missing or "").split(".")[0]
         raise WeightsError(
             path,
-            got=f"a {name} that cannot be read ({_first_line(error)})",
+            got=f"a {name} that cannot be read ({_short(error)})",
             expected=f"the package {module} to be installed"
             if module
             else "one that the installed packages can read",
@@ -162,16 +163,23 @@ def _policy(path: Path, data: dict[str, Any], use_sde: bool, weights: dict[str, 
     arguments = {k: v for k, v in (data["policy_kwargs"] or {}).items() if k != "device"}
     if use_sde:  # algorithms without such noise have policies that do not take it
         arguments["use_sde"] = True
+    kind = data["policy_class"]
     try:
-        policy = data["policy_class"](
-            data["observation_space"], data["action_space"], lambda _: 0.0, **arguments
+        policy = kind(
+            data["observation_space"],
+            data["action_space"],
+            lr_schedule=lambda _: 0.0,
+            **arguments,
         )
-        policy.load_state_dict(weights)
     except Exception as error:  # a policy class may be a user's own
+        raise _unsupported(path, kind, f", which cannot be made ({_short(error)})") from error
+    try:
+        policy.load_state_dict(weights)
+    except Exception as error:
         raise WeightsError(
             path,
-            got=f"a {_name(data['policy_class'])} that cannot be made ({_first_line(error)})",
-            expected="the policy of an algorithm of Stable-Baselines3 or sb3-contrib",
+            got=f"weights that do not fit ({_short(error)})",
+            expected=f"those of its {_name(kind)}",
             hint=AGAIN,
         ) from error
     policy.set_training_mode(False)
@@ -190,7 +198,7 @@ def _network(path: Path, policy: Any, noise: int) -> "Sb3Network":
     try:
         network = Sb3Network(policy, noise)
     except (LookupError, AttributeError) as error:
-        raise _unsupported(path, policy) from error
+        raise _unsupported(path, type(policy)) from error
     if noise and network.deviation is None:
         raise SettingError(
             "noise",
@@ -228,9 +236,9 @@ def _check_actions(path: Path, policy: Any, network: "Sb3Network", inputs: int) 
         found = torch.cat(answer, dim=1) if isinstance(answer, tuple) else answer
         alike = np.allclose(found.numpy(), expected, rtol=0, atol=TOLERANCE)
     except Exception as error:  # what a user's own class does is not known
-        raise _unsupported(path, policy) from error
+        raise _unsupported(path, type(policy)) from error
     if not alike:
-        raise _unsupported(path, policy)
+        raise _unsupported(path, type(policy))
 
 
 def flat(states: np.ndarray) -> np.ndarray:
@@ -239,10 +247,10 @@ def flat(states: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(states, 2, 0).reshape(persons, -1))
 
 
-def _unsupported(path: Path, policy: Any) -> WeightsError:
+def _unsupported(path: Path, kind: Any, reason: str = "") -> WeightsError:
     return WeightsError(
         path,
-        got=f"a policy of the class {_name(type(policy))}",
+        got=f"a policy of the class {_name(kind)}{reason}",
         expected="an ActorCriticPolicy (PPO, A2C, TRPO), a RecurrentActorCriticPolicy "
         "(RecurrentPPO), or a policy with the actor of SAC, TQC, TD3 or DDPG",
         hint="Wrap it in a torch.nn.Module that returns its actions, and name that instead of the "
@@ -254,6 +262,5 @@ def _name(of: Any) -> str:
     return str(getattr(of, "__name__", of))
 
 
-def _first_line(error: Exception) -> str:
-    lines = str(error).splitlines() or [""]
-    return f"{type(error).__name__}: {lines[0]}"[:200]
+def _short(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())[:200]

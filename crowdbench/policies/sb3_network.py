@@ -41,7 +41,11 @@ class Sb3Network(nn.Module):
             if isinstance(policy.log_std, nn.Parameter) and not policy.use_sde:
                 self.deviation = _Constant(policy.log_std)
         elif hasattr(actor, "latent_pi"):  # SAC and its kin
-            self.features, self.body, self.mean = actor.features_extractor, actor.latent_pi, actor.mu
+            self.features, self.body, self.mean = (
+                actor.features_extractor,
+                actor.latent_pi,
+                actor.mu,
+            )
             self.squashed = True
             if not actor.use_sde:
                 self.deviation = _OfState(actor.log_std)
