@@ -29,7 +29,7 @@ class Sb3Network(nn.Module):
             LookupError: the policy has other parts.
         """
         super().__init__()
-        actor = getattr(policy, "actor", None)
+        actor: Any = getattr(policy, "actor", None)
         self.features: nn.Module
         self.body: nn.Module = nn.Identity()
         self.deviation: nn.Module | None = None
@@ -82,7 +82,7 @@ class Sb3Network(nn.Module):
 
     def _remembered(self, latent: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """One step of the LSTM. A state has the outputs of all layers, then their cell states."""
-        parts = state.split(self.units, dim=1)
+        parts = state.chunk(2 * len(self.cells), dim=1)
         outputs, insides = [], []
         for k, cell in enumerate(self.cells):
             latent, inside = cell(latent, (parts[k], parts[len(self.cells) + k]))

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from conftest import need_imitation
+from conftest import need_sb3
 
-need_imitation()
+need_sb3()
 
 from given import Given  # noqa: E402
+from sb3_contrib import RecurrentPPO  # noqa: E402
 from stable_baselines3 import PPO  # noqa: E402
 from stable_baselines3.common.callbacks import BaseCallback  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
@@ -194,9 +195,6 @@ def test_no_advantage_passes_between_a_waiting_step_and_a_trip(recurrent: bool) 
     asked = {"n_steps": 40, "batch_size": 80, "n_epochs": 1, "seed": 0, "device": "cpu"}
     asked["policy_kwargs"] = {"log_std_init": -4.0}
     if recurrent:
-        pytest.importorskip("sb3_contrib")
-        from sb3_contrib import RecurrentPPO
-
         model = RecurrentPPO("MlpLstmPolicy", env, **asked)
     else:
         model = PPO("MlpPolicy", env, **asked)

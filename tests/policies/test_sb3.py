@@ -15,7 +15,7 @@ need_sb3()
 import stable_baselines3 as sb3  # noqa: E402
 import torch  # noqa: E402
 from gymnasium import spaces  # noqa: E402
-from sb3_contrib import ARS, TQC, RecurrentPPO  # noqa: E402
+from sb3_contrib import ARS, TQC, TRPO, RecurrentPPO  # noqa: E402
 from stable_baselines3.common.policies import ActorCriticPolicy  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize  # noqa: E402
 
@@ -126,7 +126,7 @@ def test_a_file_walks_as_the_model_does_while_people_come_and_go(make: Any, tmp_
     np.testing.assert_allclose(alone.xy, crowd.xy, atol=1e-2)
 
 
-@pytest.mark.parametrize("algorithm", [sb3.A2C, sb3.SAC, TQC, sb3.TD3, sb3.DDPG])
+@pytest.mark.parametrize("algorithm", [sb3.A2C, TRPO, sb3.SAC, TQC, sb3.TD3, sb3.DDPG])
 def test_other_algorithms_are_read_without_being_named(algorithm: Any, tmp_path: Path) -> None:
     model = model_of(algorithm)
     model.save(tmp_path / "model.zip")
