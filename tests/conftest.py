@@ -60,11 +60,21 @@ def need(part: object, what: str) -> None:
 
 def need_imitation() -> None:
     """Skip a test, or a whole file of them, of what `imitation` does where it cannot be."""
-    if find_spec("imitation"):
+    _need_extra("imitation", "imitation")
+
+
+def need_sb3() -> None:
+    """The same for what Stable-Baselines3 and sb3-contrib do."""
+    _need_extra("sb3", "stable_baselines3", "sb3_contrib")
+
+
+def _need_extra(extra: str, *packages: str) -> None:
+    """Skip where packages are missing which the environment of `imitation` has."""
+    if all(map(find_spec, packages)):
         return
     if REQUIRE_ALL and metadata.version("gymnasium").startswith("0."):
-        pytest.fail("the extra imitation is missing, and CROWDBENCH_REQUIRE_ALL is set")
-    pytest.skip("imitation is missing; it needs gymnasium 0.29", allow_module_level=True)
+        pytest.fail(f"the extra {extra} is missing, and CROWDBENCH_REQUIRE_ALL is set")
+    pytest.skip(f"the extra {extra} is missing", allow_module_level=True)
 
 
 @pytest.fixture(scope="session")

@@ -23,8 +23,10 @@ def add(commands: "Commands") -> None:
     export = of_policy.add_parser("export", help="write a torch network as an ONNX file")
     export.add_argument(
         "network",
-        metavar="pkg.module:NAME",
-        help="a torch.nn.Module, or a class or function without arguments that returns one",
+        metavar="pkg.module:NAME|MODEL.zip",
+        help="a torch.nn.Module, or a class or function without arguments that returns one; or a "
+        "zip that Stable-Baselines3 or sb3-contrib saved. Reading a zip runs code of its pickles: "
+        "only export your own",
     )
     export.add_argument("file", type=Path, metavar="FILE.onnx", help="file to write")
     export.add_argument("--name", required=True, help="name of the policy in tables")
@@ -55,14 +57,15 @@ def add(commands: "Commands") -> None:
         type=int,
         default=0,
         metavar="Z",
-        help="standard normal numbers that the network takes per person and step (default: 0)",
+        help="standard normal numbers that the network takes per person and step (default: 0). "
+        "For a zip: 0 for the mean action, 2 to sample it",
     )
     export.add_argument(
         "--memory",
         type=int,
         default=0,
         metavar="M",
-        help="size of the state that the network takes and returns (default: 0)",
+        help="size of the state that the network takes and returns (default: 0). Found in a zip",
     )
     export.add_argument(
         "--style",
@@ -91,6 +94,7 @@ def _export(args: argparse.Namespace) -> None:
     from crowdbench.scene import load_scene
     from crowdbench.simulation.observations import OBSERVATION
 
+    network = _network(args)
     card = PolicyCard(
         name=args.name,
         observation=args.observation or OBSERVATION,
@@ -105,11 +109,42 @@ def _export(args: argparse.Namespace) -> None:
         revision=revision(Path()),
     )
     card.checked(args.file)
-    export_policy(_network(args.network), args.file, card, noise=args.noise)
+    export_policy(network, args.file, card, noise=args.noise)
     print(f"written to {args.file}")
 
 
-def _network(path: str) -> Any:
+def _network(args: argparse.Namespace) -> Any:
+    """Network that the command names. That of a zip sets the size of the memory.
+
+    Raises:
+        SettingError: a package is not installed, or options do not fit the network.
+        WeightsError: a zip is not that of a policy that can be exported.
+    """
+    sys.path.insert(0, os.getcwd())  # a zip may name classes of the user's own
+    if not args.network.endswith(".zip"):
+        return _imported(args.network)
+    from crowdbench.policies.sb3 import read_sb3
+
+    for name in ("memory", "style"):
+        if getattr(args, name):
+            raise SettingError(
+                f"--{name}",
+                got=str(getattr(args, name)),
+                expected="no such option for a zip of Stable-Baselines3",
+                hint="The size of a memory is found in the zip; styles are not known there.",
+            )
+    network = read_sb3(Path(args.network), noise=args.noise)
+    args.memory = network.memory
+    if network.normalized:
+        print(
+            "crowdbench: the model was trained in a VecNormalize, whose statistics are not in the "
+            "zip. If it normalised observations, the file will not walk as the model does.",
+            file=sys.stderr,
+        )
+    return network
+
+
+def _imported(path: str) -> Any:
     """Network named by `pkg.module:NAME`.
 
     Raises:
@@ -124,7 +159,6 @@ def _network(path: str) -> Any:
             expected="torch to be installed",
             hint='Run in the clone: pip install -e ".[fit]".',
         ) from error
-    sys.path.insert(0, os.getcwd())
     module, _, name = path.partition(":")
     try:
         found = getattr(importlib.import_module(module), name)

@@ -5,6 +5,7 @@ adds the selection of persons and a reward to `Simulation`; all physics is in `S
 """
 
 import math
+import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from jaxtyping import Float32, Int
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from crowdbench.errors import ActionError, SettingError
@@ -47,11 +49,16 @@ class CrowdVecEnv(VecEnv):
 
     - Episodes differ in length. They end at the goal or outside the bounds (`TimeLimit.truncated`
       is false), or by a timeout or the horizon (true). Their last info contains
-      `terminal_observation` and `outcome`.
+      `terminal_observation`, `outcome` and, as that of a `Monitor`, `episode`: the reward `r` and
+      the steps `l` of the controlled trip, and the seconds `t` since the environment was made.
+      Stable-Baselines3 logs their means as `ep_rew_mean` and `ep_len_mean`.
     - `infos` contain the `person_id`, `world` and `reward_parts` of the transition.
-    - If no person is free, a sub-environment waits. Each waiting step is an episode with an
-      all-zero observation, reward 0 and `waiting` in its info. `waited` counts these steps. More
-      `worlds` reduce them.
+    - If no person is free, a sub-environment waits. Each waiting step is an episode of its own with
+      an all-zero observation, reward 0 and `waiting`, but no `episode`, in its info. In a rollout
+      buffer such a step is a row whose advantage is minus the value of the all-zero observation.
+      That is the same for all actions, and soon 0. No advantage passes to a trip before or after
+      it, and recurrent policies begin each trip with an empty state. `waited` counts these steps:
+      their share is `waited / (num_envs * steps)`. More `worlds` reduce it.
     - All worlds end together at the horizon and restart with new arrivals in the same step.
     """
 
@@ -122,6 +129,9 @@ class CrowdVecEnv(VecEnv):
         self._actions = np.zeros((num_envs, 2), np.float32)
         self._at = np.zeros((2, num_envs), np.int64)  # world and slot of each person
         self._waits = np.ones(num_envs, bool)
+        self._collected = np.zeros(num_envs)  # rewards and steps of each trip so far
+        self._steps = np.zeros(num_envs, np.int64)
+        self._made = time.monotonic()
         self._taken = np.zeros((worlds, max_alive), bool)
         size = self._simulation.observation.shape[-1]
         super().__init__(
@@ -172,6 +182,8 @@ class CrowdVecEnv(VecEnv):
         simulation.observe()
         self._waits[:] = True
         self._taken[:] = False
+        self._collected[:] = 0
+        self._steps[:] = 0
         self._choose()
         return self._seen()
 
@@ -213,6 +225,8 @@ class CrowdVecEnv(VecEnv):
         rewards = np.zeros(self.num_envs, np.float32)
         parts = self._rewarder.parts()[at]
         rewards[acting] = parts.sum(axis=1)
+        self._collected += rewards
+        self._steps += acting
         ended = np.zeros(self.num_envs, np.int8)
         ended[acting] = simulation.slots.ended[at]
         whose = zip(
@@ -225,12 +239,18 @@ class CrowdVecEnv(VecEnv):
         for k, person, world, of_person in whose:
             infos[k] = {"person_id": person, "world": world, "reward_parts": of_person}
         before = self._seen()
+        seconds = time.monotonic() - self._made
         for k in np.flatnonzero(ended).tolist():
             how = int(ended[k])
             infos[k] |= {
                 "outcome": OUTCOMES[how],
                 "TimeLimit.truncated": how not in TERMINAL,
                 "terminal_observation": before[k],
+                "episode": {
+                    "r": float(self._collected[k]),
+                    "l": int(self._steps[k]),
+                    "t": round(seconds, 6),
+                },
             }
         for k in np.flatnonzero(self._waits).tolist():
             infos[k] = {
@@ -246,6 +266,8 @@ class CrowdVecEnv(VecEnv):
         over = ended != 0
         self._taken[tuple(self._at[:, over])] = False
         self._waits |= over
+        self._collected[over] = 0
+        self._steps[over] = 0
         self._choose()
         return self._seen(), rewards, dones, infos
 
@@ -300,8 +322,11 @@ class CrowdVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None
     ) -> list[bool]:
-        """False for each sub-environment."""
-        return [False] * len(self._indices(indices))
+        """True for `Monitor`, because infos contain what it would add, and else false.
+
+        Evaluations of Stable-Baselines3 then count trips and no waiting steps.
+        """
+        return [wrapper_class is Monitor] * len(self._indices(indices))
 
     def _indices(self, indices: int | Iterable[int] | None) -> list[int]:
         return list(self._get_indices(indices))

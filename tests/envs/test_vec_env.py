@@ -2,13 +2,15 @@
 
 import numpy as np
 import pytest
-from conftest import need_imitation
+from conftest import need_sb3
 
-need_imitation()
+need_sb3()
 
 from given import Given  # noqa: E402
+from sb3_contrib import RecurrentPPO  # noqa: E402
 from stable_baselines3 import PPO  # noqa: E402
-from stable_baselines3.common.vec_env import VecMonitor  # noqa: E402
+from stable_baselines3.common.callbacks import BaseCallback  # noqa: E402
+from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from worlds import Person, square  # noqa: E402
 
 import crowdbench  # noqa: E402
@@ -130,6 +132,99 @@ def test_who_finds_nobody_waits_and_learns_nothing_of_it() -> None:
     assert env.waited == 2
 
 
+def test_infos_sum_up_trips_and_no_waiting_steps() -> None:
+    env = CrowdVecEnv("plaza-v0", 40, worlds=1, horizon_s=40.0, seed=0)
+    env.reset()
+    rewards, steps = np.zeros(40), np.zeros(40, np.int64)
+    trips, waited = [], 0
+    rng = np.random.default_rng(0)
+    for _ in range(250):  # two and a half episodes of the world
+        _, gained, dones, infos = env.step(rng.uniform(-1, 1, (40, 2)))
+        rewards, steps = rewards + gained, steps + 1
+        for k in np.flatnonzero(dones):
+            if "waiting" in infos[k]:
+                assert "episode" not in infos[k]
+                waited += 1
+            else:
+                trips.append(infos[k]["episode"])
+                assert trips[-1]["r"] == pytest.approx(rewards[k], abs=1e-4)
+                assert trips[-1]["l"] == steps[k]
+            rewards[k] = steps[k] = 0
+        assert not any("episode" in infos[k] for k in np.flatnonzero(~dones))
+    assert len(trips) > 20
+    assert waited == env.waited > 0
+    seconds = [trip["t"] for trip in trips]
+    assert 0 < seconds[0] <= seconds[-1]
+
+
+def test_evaluations_count_trips_and_no_waiting_steps() -> None:
+    class Still:
+        def predict(self, seen: np.ndarray, **_: object) -> tuple[np.ndarray, None]:
+            return np.zeros((len(seen), 2)), None
+
+    env = lives_of(Person(), Person(time_s=4.0, start=(0.0, 5.0)), num_envs=2)
+    # It would warn of episodes that are not those of a Monitor.
+    _, steps = evaluate_policy(Still(), env, n_eval_episodes=4, return_episode_rewards=True)  # type: ignore[arg-type]
+    assert sorted(steps) == [10, 10, 20, 20]
+
+
+class Buffered(BaseCallback):
+    """Keeps what a rollout buffer contains when advantages are known, and who waited."""
+
+    def _on_training_start(self) -> None:
+        self.waits: list[list[bool]] = []
+
+    def _on_step(self) -> bool:
+        self.waits.append(["waiting" in info for info in self.locals["infos"]])
+        return True
+
+    def _on_rollout_end(self) -> None:
+        buffer = self.locals["rollout_buffer"]
+        names = ("observations", "rewards", "values", "advantages", "episode_starts")
+        self.kept = {name: getattr(buffer, name).copy() for name in names}
+
+
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_no_advantage_passes_between_a_waiting_step_and_a_trip(recurrent: bool) -> None:
+    env = lives_of(
+        Person(start=(0.0, 0.0), goal=(0.1, 0.0)),  # arrives at once
+        Person(time_s=3.2, start=(0.0, 5.0), goal=(9.0, 5.0)),
+        Person(time_s=4.0, start=(0.0, -5.0), goal=(0.1, -5.0)),
+        num_envs=2,
+    )
+    asked = {"n_steps": 40, "batch_size": 80, "n_epochs": 1, "seed": 0, "device": "cpu"}
+    asked["policy_kwargs"] = {"log_std_init": -4.0}
+    if recurrent:
+        model = RecurrentPPO("MlpLstmPolicy", env, **asked)
+    else:
+        model = PPO("MlpPolicy", env, **asked)
+    seen = Buffered()
+    model.learn(80, callback=seen)  # twice until the horizon
+    kept, waits = seen.kept, np.array(seen.waits)
+    assert env.waited == waits.sum() > 20
+    np.testing.assert_allclose(kept["advantages"][waits], -kept["values"][waits], atol=1e-6)
+    assert np.ptp(kept["advantages"][waits]) < 1e-6  # all see the same, and the action is the same
+    assert not kept["observations"][waits].any()
+    assert not kept["rewards"][waits].any()
+    trips = 0
+    for k in range(2):
+        starts = np.flatnonzero(kept["episode_starts"][:, k])
+        for first, end in zip(starts, [*starts[1:], 40], strict=True):
+            if waits[first, k]:
+                assert end == first + 1
+                continue
+            trips += 1
+            alone = 0.0
+            following = 0.0  # value of the next step of this trip
+            for t in range(end - 1, first - 1, -1):
+                value = kept["values"][t, k]
+                gap = kept["rewards"][t, k] + model.gamma * following - value
+                alone = gap + model.gamma * model.gae_lambda * alone
+                assert kept["advantages"][t, k] == pytest.approx(alone, abs=1e-5)
+                following = value
+    assert trips == 6
+
+
 def test_the_horizon_truncates_all_and_begins_anew() -> None:
     env = lives_of(Person(), horizon_s=0.8)
     env.reset()
@@ -175,7 +270,7 @@ def test_what_does_not_fit_is_said() -> None:
 
 
 def test_stable_baselines_trains_in_it() -> None:
-    env = VecMonitor(CrowdVecEnv("plaza-v0", 16, horizon_s=120.0, rays=8, seed=0))
+    env = CrowdVecEnv("plaza-v0", 16, horizon_s=120.0, rays=8, seed=0)
     model = PPO("MlpPolicy", env, n_steps=128, batch_size=512, n_epochs=4, learning_rate=1e-3,
                 gamma=0.95, seed=0, device="cpu")  # fmt: skip
     model.learn(2048)
