@@ -127,8 +127,9 @@ def test_a_timeout_and_the_horizon_truncate() -> None:
 
 
 def test_parts_add_up_to_the_reward() -> None:
-    env = CrowdEnv("plaza-v0", worlds=2, horizon_s=20.0, seed=0)
-    steps = env.rollout(30)
+    # Its people have companions and stop.
+    env = CrowdEnv("plaza-v0", spawn="cox-plans", worlds=2, horizon_s=60.0, seed=0)
+    steps = env.rollout(60)
     after = steps["next", "agents"]
     torch.testing.assert_close(after["reward_parts"].sum(-1, keepdim=True), after["reward"])
     acted = steps["agents", "mask"]
