@@ -27,9 +27,10 @@ def add(commands: "Commands") -> None:
         nargs="+",
         default=["poisson-gmm", "renewal-gmm", "ntpp-gmm"],
         metavar="MODEL",
-        help="spawn models: poisson-gmm, poisson-groups, renewal-gmm, ntpp-gmm, block-replay, "
-        "replay, a folder with the fits of one model, or pkg.module:Class (default: poisson-gmm "
-        "renewal-gmm ntpp-gmm)",
+        help="spawn models: poisson-gmm, poisson-groups, renewal-gmm, ntpp-gmm, cox-gmm, "
+        "poisson-paper and ntpp-paper (single people); poisson-plans, ntpp-plans and cox-plans "
+        "(people with companions and stops); block-replay, replay; a folder with the fits of one "
+        "model, or pkg.module:Class (default: poisson-gmm renewal-gmm ntpp-gmm)",
     )
     evaluate.add_argument(
         "--policy",

@@ -16,6 +16,7 @@ from crowdbench import __version__, recording_of, rollout
 from crowdbench.cli import main
 from crowdbench.crowds import score
 from crowdbench.recordings.catalogue import SOURCES
+from crowdbench.registry.spawn_models import SPAWN_MODELS
 from crowdbench.scene import list_scenes, load_scene
 from crowdbench.spawn.plaza_plans import STOPPING
 from crowdbench.trajectories.storage import read, write_csv
@@ -292,3 +293,10 @@ def test_tables_that_cannot_be_scored_are_named(tmp_path: Path, capsys: Printed)
     assert "far.csv: got 100% of the positions outside plaza-v0" in err
     assert main(["score", "plaza-v0", str(fine), str(fine)]) == 2
     assert "a file that is named twice" in capsys.readouterr().err
+
+
+def test_the_help_of_evaluate_names_all_spawn_models(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["evaluate", "--help"])
+    words = set(capsys.readouterr().out.replace(",", " ").replace(";", " ").split())
+    assert set(SPAWN_MODELS) <= words
