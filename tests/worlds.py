@@ -7,7 +7,7 @@ import numpy as np
 from msgspec import structs
 
 from crowdbench.policies import Policy
-from crowdbench.rollouts.acting import actions_of
+from crowdbench.rollouts.acting import Actor
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn import Areas, PoissonGMM, SpawnEvents
@@ -171,6 +171,11 @@ def ready(policy: Policy, scene: Scene, seed: int = 0) -> Policy:
     """The policy, about to act in the scene."""
     policy.reset(scene, np.random.default_rng(seed))
     return policy
+
+
+def actions_of(policy: Policy, simulation: Simulation, who: np.ndarray | None = None) -> np.ndarray:
+    """(W, N, 2) actions of a policy that remembers nobody, for everyone or for those in `who`."""
+    return Actor(policy, simulation).actions(who)
 
 
 def walked(policy: Policy, scene: Scene, *people: Person, frames: int) -> np.ndarray:

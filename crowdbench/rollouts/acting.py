@@ -91,7 +91,8 @@ class Actor:
             flat[at] = _checked(act(seen.take(at, axis=0)), len(at), policy)
             return actions
         event = simulation.slots.event.ravel()
-        new = at[self._event[at] != event[at]]
+        entered = self._event[at] != event[at]
+        new = at[entered]
         self._event[new] = event[new]
         self._state[new] = 0.0
         if self._needs.style:
@@ -99,10 +100,10 @@ class Actor:
             self._style[new] = self._rng.standard_normal(
                 (len(new), self._needs.style), dtype=np.float32
             )
-        due = self._due(at) | np.isin(at, new)
+        due = self._due(at) | entered
         deciding, others = at[due], at[~due]
         if len(deciding):
-            flat[deciding] = self._decided(seen.take(deciding, axis=0), deciding, new)
+            flat[deciding] = self._decided(seen.take(deciding, axis=0), deciding, entered[due])
         if self._needs.interval > 1:
             flat[others] = self._keeping(others)
             self._held[deciding] = self._in_world(flat[deciding], deciding)
@@ -135,7 +136,7 @@ class Actor:
         self,
         seen: Float32[np.ndarray, "n obs"],
         at: Int[np.ndarray, " n"],
-        new: Int[np.ndarray, " m"],
+        entered: Bool[np.ndarray, " n"],
     ) -> Float32[np.ndarray, "n 2"]:
         policy = self.policy
         act: Any = policy.act
@@ -146,7 +147,7 @@ class Actor:
             style=self._style[at],
             world=at // self._simulation.slots.alive.shape[1],
             person=self._simulation.slots.person.ravel()[at],
-            entered=np.isin(at, new),
+            entered=entered,
         )
         found = _checked(act(seen, memory), len(seen), policy)
         state = np.asarray(memory.state)
@@ -163,13 +164,6 @@ class Actor:
             )
         self._state[at] = state
         return found
-
-
-def actions_of(
-    policy: Policy, simulation: Simulation, who: Bool[np.ndarray, "W N"] | None = None
-) -> Float32[np.ndarray, "W N 2"]:
-    """Actions of a policy that remembers nobody; see `Actor.actions`."""
-    return Actor(policy, simulation).actions(who)
 
 
 def _checked(actions: object, persons: int, policy: Policy) -> Float32[np.ndarray, "A 2"]:

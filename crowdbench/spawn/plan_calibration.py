@@ -49,8 +49,8 @@ def calibrated(
 ) -> PlannedAreas:
     """The same plans, with companions like those of the people who enter in the time blocks.
 
-    Two numbers are added to the weights: one to all log weights, and one to those of people who
-    join two others or more.
+    Two numbers are found: how much is added to all log weights, and how much more to those of
+    joining a group; see `_shifted`.
     """
     marks = marks_of(crowd, blocks)
     if not (marks.group >= 0).any():
@@ -134,7 +134,11 @@ def _log_density(
 
 
 def _shifted(links: Links, more: float, larger: float) -> Links:
-    """Links with these numbers added to all log weights, and to those of joining two or more."""
+    """Links with `more` added to all log weights.
+
+    `larger` is added to those of joining three people or more, and half of it to those of joining
+    two.
+    """
     of_larger = links.larger + np.where(np.arange(len(links.larger)) > 0, larger, larger / 2)
     return replace(links, log_weight=links.log_weight + more, larger=of_larger)
 

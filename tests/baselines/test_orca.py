@@ -8,13 +8,24 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from worlds import FAR, Person, alive, box, events, poisson, ready, simulate, square, walked
+from worlds import (
+    FAR,
+    Person,
+    actions_of,
+    alive,
+    box,
+    events,
+    poisson,
+    ready,
+    simulate,
+    square,
+    walked,
+)
 
 from baselines.orca import BODY_M, NUDGE_MPS, ORCA
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, StateView, Straight
 from crowdbench.registry import policy as named
-from crowdbench.rollouts.acting import actions_of
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.simulation import Settings, Simulation
 

@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from worlds import FAR, Person, box, events, ready, simulate, square, walked
+from worlds import FAR, Person, actions_of, box, events, ready, simulate, square, walked
 
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, Random, ReplayPolicy, SocialForce, StateView, Straight
 from crowdbench.policies.social_force import GroupForce, _repulsion, _wall_force
-from crowdbench.rollouts.acting import actions_of
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.trajectories.table import Trajectories, from_rows
 

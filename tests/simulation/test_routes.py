@@ -9,12 +9,11 @@ import shapely
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import dijkstra
-from worlds import FAR, Person, Point, box, events, square
+from worlds import FAR, Person, Point, actions_of, box, events, square
 
 from crowdbench.errors import SettingError
 from crowdbench.policies import SocialForce, StateView, Straight
 from crowdbench.registry import spawn_model
-from crowdbench.rollouts.acting import actions_of
 from crowdbench.scene import Scene, list_scenes, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import GOAL_RANGE_M

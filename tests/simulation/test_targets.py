@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from given import env_of, run, stand
-from worlds import Person, box, ended, simulate, square, step
+from worlds import Person, actions_of, box, ended, simulate, square, step
 
 from crowdbench.policies import Random, SocialForce, StateView, Straight
-from crowdbench.rollouts.acting import actions_of
 from crowdbench.rollouts.episode import generator
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation

@@ -4,12 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from worlds import Person, simulate, square
+from worlds import Person, actions_of, simulate, square
 
 from crowdbench import cli
 from crowdbench.errors import RecordingError
 from crowdbench.registry import import_recording, recording_of
-from crowdbench.rollouts.acting import actions_of
 from crowdbench.rollouts.episode import generator
 from crowdbench.scene import load_scene
 from crowdbench.scoring.scorecard import Row, rows
