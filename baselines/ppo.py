@@ -59,7 +59,7 @@ class Settings:
     batch_frames: int = 6400
     """Number of frames between two updates, summed over all worlds."""
     horizon_s: float = 120.0
-    epochs: int = 4
+    epochs: int = 3
     minibatch: int = 4096
     """Number of steps of single persons in a minibatch."""
     learning_rate: float = 1e-3

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from baselines import ppo
-from crowdbench import evaluate
+from crowdbench import evaluate, load_scene
 from crowdbench.scoring.scorecard import Row, rows
 
 OBSERVATIONS = ("lidar-2", "social-1")
@@ -49,7 +49,6 @@ def main() -> None:
     parser.add_argument("--scene", default="eth-v0")
     parser.add_argument("--spawn", default="cox-plans")
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--rollouts", type=int, default=2)
     parser.add_argument("--out", type=Path, required=True)
     args, more = parser.parse_known_args()
     paths = {
@@ -57,8 +56,9 @@ def main() -> None:
         for observation in OBSERVATIONS
         for seed in range(args.seeds)
     }
+    rollouts = 2 * load_scene(args.scene).protocol.fits  # the fewest that walk is scored with
     card = evaluate(
-        args.scene, spawn="replay", policy=[*paths], seeds=args.rollouts, workers=1,
+        args.scene, spawn="replay", policy=[*paths], seeds=rollouts, workers=1,
         out=args.out / "evaluation",
     )  # fmt: skip
     found: dict[str, list[float]] = {observation: [] for observation in OBSERVATIONS}
@@ -69,6 +69,8 @@ def main() -> None:
         print(f"{observation}, seed {seed}: {line(row)}")
         if row.walk is not None:
             found[observation].append(row.walk.value)
+    if not all(found.values()):
+        sys.exit("No walk scores: import the scene's recording, see docs/data.md.")
     for observation, walks in found.items():
         print(f"{observation}: mean walk {np.mean(walks):.3f}, each {np.round(walks, 3).tolist()}")
 
