@@ -67,7 +67,7 @@ class Settings:
     gamma: float = 0.98
     lmbda: float = 0.95
     clip: float = 0.2
-    std: float = 0.1
+    std: float = 0.03
     """Initial standard deviation of actions."""
     hidden: int = 64
     seed: int = 0
