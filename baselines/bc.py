@@ -16,7 +16,6 @@ import argparse
 import copy
 import math
 import sys
-import time
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -37,6 +36,7 @@ with needs("imitation", __name__):
 
     from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
     from baselines.mixture import NEAR_GOAL_M, NOISE, MixturePolicy, Sampler
+    from baselines.progress import Progress
 
 OBSERVATIONS = ("lidar-3", "lidar-2")
 """Observations that a policy can be cloned on. If goals are close to the bounds, a policy needs
@@ -150,8 +150,10 @@ def everything(lots: list[Demonstrations], settings: Settings) -> Batches:
     return Batches({"obs": seen, "acts": did}, min(settings.batch_size, len(did)), rng)
 
 
-def clone(lots: list[Demonstrations], settings: Settings) -> tuple[MixturePolicy, float, int]:
-    """Clone a policy.
+def clone(
+    lots: list[Demonstrations], settings: Settings, progress: Progress | None = None
+) -> tuple[MixturePolicy, float, int]:
+    """Clone a policy; `progress`, if given, is told of each epoch.
 
     Returns the policy of the best epoch, its held-out log-likelihood in nats per action, and the
     number of that epoch.
@@ -187,7 +189,6 @@ def clone(lots: list[Demonstrations], settings: Settings) -> tuple[MixturePolicy
         custom_logger=logger.configure(format_strs=[]),
     )
     best, best_epoch, weights = -np.inf, 0, copy.deepcopy(policy.state_dict())
-    began = time.monotonic()
     for epoch in range(1, settings.epochs + 1):
         for group in trainer.optimizer.param_groups:
             group["lr"] = settings.learning_rate * _decay((epoch - 1) / settings.epochs)
@@ -197,12 +198,8 @@ def clone(lots: list[Demonstrations], settings: Settings) -> tuple[MixturePolicy
         likelihood = _likelihood(policy, *held_out)
         if likelihood > best:
             best, best_epoch, weights = likelihood, epoch, copy.deepcopy(policy.state_dict())
-        if epoch % 10 == 0 or epoch == 1:
-            print(
-                f"epoch {epoch:4d}  held out {likelihood:.4f} nats per action, best {best:.4f}  "
-                f"{time.monotonic() - began:.0f} s",
-                flush=True,
-            )
+        if progress is not None:
+            progress(epoch, len(a), {"nats per action held out": likelihood, "best": best})
         if epoch - best_epoch >= settings.patience:
             break
     policy.load_state_dict(weights)
@@ -270,7 +267,9 @@ def main(arguments: list[str] | None = None) -> int:
         check(settings)
         command = Command.of("bc", asked.scene, asked.splits, asked.out, arguments)
         for split in asked.splits:
-            policy, likelihood, epochs = clone(shown(asked.scene, split, settings), settings)
+            lots = shown(asked.scene, split, settings)
+            with command.progress(split, settings.epochs, "epochs", "samples") as progress:
+                policy, likelihood, epochs = clone(lots, settings, progress)
             path = command.write(
                 split, Sampler(policy), observation=settings.observation, noise=NOISE
             )

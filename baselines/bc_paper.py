@@ -21,7 +21,6 @@ picture. People who hardly move, and those with short or long trips, are not lef
 import argparse
 import math
 import sys
-import time
 import warnings
 from dataclasses import dataclass
 
@@ -42,6 +41,7 @@ with needs("imitation", __name__):
 
     from baselines.bc import Batches
     from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
+    from baselines.progress import Progress
 
 OBSERVATION = "lidar-1"
 SELF = head_of(OBSERVATION)
@@ -104,8 +104,11 @@ class Sampler(nn.Module):
         return drawn
 
 
-def clone(shown: Demonstrations, settings: Settings) -> Sampler:
-    """Clone a policy from demonstrations with the observation `lidar-1`."""
+def clone(shown: Demonstrations, settings: Settings, progress: Progress | None = None) -> Sampler:
+    """Clone a policy from demonstrations with the observation `lidar-1`.
+
+    `progress`, if given, is told of each epoch.
+    """
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
     pairs, did = shown.pairs()
@@ -128,20 +131,20 @@ def clone(shown: Demonstrations, settings: Settings) -> Sampler:
         device="cpu",
         custom_logger=logger.configure(format_strs=[]),
     )
-    began, epoch = time.monotonic(), 0
+    epoch = 0
 
-    def print_progress() -> None:
+    def report() -> None:
         nonlocal epoch
         epoch += 1
-        if epoch % max(1, settings.epochs // 10) == 0:
-            took = time.monotonic() - began
-            print(f"epoch {epoch:4d} of {settings.epochs}  {took:.0f} s", flush=True)
+        if progress is not None:
+            std = float(policy.log_std.detach().exp().mean())
+            progress(epoch, len(did), {"standard deviation": std})
 
     with warnings.catch_warnings():  # imitation logs tensors with gradients
         warnings.filterwarnings("ignore", message="Converting a tensor")
         trainer.train(
             n_epochs=settings.epochs,
-            on_epoch_end=print_progress,
+            on_epoch_end=report,
             progress_bar=False,
             log_interval=10**9,
         )
@@ -165,7 +168,8 @@ def main(arguments: list[str] | None = None) -> int:
         command = Command.of("bc-paper", asked.scene, asked.splits, asked.out, arguments)
         for split in asked.splits:
             shown = demonstrations(asked.scene, split=split, observation=OBSERVATION)
-            sampler = clone(shown, settings)
+            with command.progress(split, settings.epochs, "epochs", "samples") as progress:
+                sampler = clone(shown, settings, progress)
             path = command.write(split, sampler, observation=OBSERVATION, noise=NOISE)
             deviation = ", ".join(f"{s:.3f}" for s in (sampler.std * sampler.reach).tolist())
             print(f"{path}: standard deviations {deviation} of the maximum speed")

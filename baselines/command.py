@@ -10,20 +10,19 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import nn
 
-from crowdbench import load_scene, rollout
+from baselines.progress import Progress
+from baselines.walked import Walked, walked
+from crowdbench import load_scene, spawn_model
 from crowdbench.errors import SettingError
 from crowdbench.files import unwritable
 from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy, revision
 from crowdbench.registry import DEFAULT_SPAWN
 from crowdbench.scene import Scene
-from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.weights import check_split
-from crowdbench.trajectories.table import OUTCOMES
 
 WALKED_S = 600.0
 """Length of the rollout that tests a trained policy."""
@@ -150,18 +149,14 @@ class Command:
         )
         return export_policy(network, self.out / f"{split}.onnx", card, noise=noise)
 
-    def walk(self, path: Path, spawn: str = DEFAULT_SPAWN) -> str:
-        """Roll out an exported policy for ten minutes; return a line on speeds and arrivals.
+    def progress(self, run: str, total: int, unit: str, counted: str) -> Progress:
+        """Progress of a training, whose log is `tensorboard/RUN` in the output folder.
 
-        The speed is the mean over persons of `Trajectories.mean_speeds`.
+        See `Progress` for the other arguments.
         """
-        crowd = rollout(self.scene, spawn, OnnxPolicy(path), seed=0, horizon_s=WALKED_S)
-        over = crowd.left & (crowd.last > crowd.first)
-        if not over.any():
-            return f"no trip ended within {WALKED_S:.0f} s"
-        recorded = float(np.mean(read_areas(self.scene).speed_quantiles))
-        arrived = crowd.outcome[over] == OUTCOMES.index("goal")
-        return (
-            f"rollout of {WALKED_S:.0f} s: mean speed {crowd.mean_speeds()[over].mean():.2f} m/s "
-            f"(recorded {recorded:.2f}), {arrived.mean():.1%} of {len(arrived)} persons arrive"
-        )
+        return Progress(total, unit, counted, self.out / "tensorboard" / run)
+
+    def walk(self, path: Path, spawn: str = DEFAULT_SPAWN) -> Walked:
+        """Figures of a rollout of ten minutes with an exported policy."""
+        crowd = spawn_model(spawn, self.scene)
+        return walked(self.scene, crowd, OnnxPolicy(path), horizon_s=WALKED_S)

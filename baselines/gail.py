@@ -24,7 +24,6 @@ also be trained on recorded people between the rounds, as in cloning (`--reminde
 import argparse
 import csv
 import sys
-import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -53,6 +52,7 @@ with needs("imitation", __name__):
     from baselines import bc
     from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
     from baselines.mixture import BOUNDS, NOISE, MixturePolicy, Sampler
+    from baselines.progress import Progress
     from crowdbench.envs.vec_env import CrowdVecEnv
 
 CHANGES = 10.0
@@ -85,6 +85,16 @@ class Settings:
     discriminator_rate: float = 1e-3
     discriminator_updates: int = 8
     discriminator_batch: int = 512
+
+    @property
+    def per_round(self) -> int:
+        """Number of training steps between two updates."""
+        return self.round_steps * self.persons
+
+    @property
+    def rounds(self) -> int:
+        """Number of updates."""
+        return max(1, self.steps // self.per_round)
 
 
 class Discriminator(RewardNet):
@@ -217,7 +227,7 @@ def train(
         seed=seed,
     )
     venv = Outcomes(trips)
-    per_round = settings.round_steps * settings.persons
+    per_round = settings.per_round
     generator = PPO(
         MixturePolicy,
         venv,
@@ -253,7 +263,7 @@ def train(
         custom_logger=logger.configure(format_strs=[]),
         allow_variable_horizon=True,
     )
-    for k in range(max(1, settings.steps // per_round)):
+    for k in range(settings.rounds):
         venv.ended.clear()
         venv.speeds.clear()
         trainer.train_gen(per_round)
@@ -315,10 +325,16 @@ def main(arguments: list[str] | None = None) -> int:
             lots = bc.shown(asked.scene, split, first)
             # Reminders would undo the narrowing of the clone, so with them it is done at the end.
             width = first.width if settings.reminders else 1.0
-            policy, _, _ = bc.clone(lots, replace(first, width=first.width / width))
+            cloning = replace(first, width=first.width / width)
+            with command.progress(
+                f"{split}/cloning", cloning.epochs, "epochs", "samples"
+            ) as progress:
+                policy, _, _ = bc.clone(lots, cloning, progress)
             lessons = chain.from_iterable(repeat(bc.everything(lots, first)))
             rounds = train(asked.scene, split, policy, settings, asked.seed, lessons)
-            curves = _watched(rounds)
+            total = settings.rounds * settings.per_round
+            with command.progress(split, total, "steps", "agent-steps") as progress:
+                curves = _watched(rounds, progress)
             policy.narrow(width)
             path = command.write(
                 split, Sampler(policy), observation=settings.observation, noise=NOISE
@@ -331,15 +347,13 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _watched(rounds: Iterator[dict[str, float]]) -> list[dict[str, float]]:
-    curves, began, said = [], time.monotonic(), -np.inf
+def _watched(rounds: Iterator[dict[str, float]], progress: Progress) -> list[dict[str, float]]:
+    curves, before = [], 0
     for row in rounds:
         curves.append(row)
-        took = time.monotonic() - began
-        if took - said > 10:
-            said = took
-            figures = "  ".join(f"{name} {v:.2f}" for name, v in row.items() if name != "steps")
-            print(f"{row['steps']:9,} steps  {figures}  {row['steps'] / took:,.0f}/s", flush=True)
+        steps = int(row["steps"])
+        progress(steps, steps - before, {k: v for k, v in row.items() if k != "steps"})
+        before = steps
     return curves
 
 

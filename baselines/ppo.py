@@ -14,8 +14,7 @@ bootstrapped from its own last observation, not from that of the next person in 
 
 import argparse
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
 from baselines.packages import needs
@@ -26,23 +25,25 @@ from crowdbench.registry import DEFAULT_SPAWN
 with needs("torchrl", __name__):
     import torch
     from tensordict import TensorDict, TensorDictBase
-    from tensordict.nn import (
-        NormalParamExtractor,
-        ProbabilisticTensorDictSequential,
-        TensorDictModule,
-    )
+    from tensordict.nn import NormalParamExtractor, TensorDictModule
     from torch import Tensor, nn
     from torchrl.collectors import Collector
-    from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
+    from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
     from torchrl.objectives import ClipPPOLoss
-    from torchrl.objectives.value.functional import vec_generalized_advantage_estimate
+    from torchrl.objectives.value.functional import generalized_advantage_estimate
 
     from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
     from crowdbench.envs.torchrl_env import CrowdEnv
-    from crowdbench.simulation.observations import GOAL_DIRECTION, OBSERVATION, PREFERRED_SPEED
+    from crowdbench.simulation import observations, social
+    from crowdbench.simulation.observations import OBSERVATION, version_of
+    from crowdbench.spawn.plans import VISIT_M
 
 NOISE = 2
 """Number of normal numbers per action."""
+OBSERVATIONS = ("lidar-2", "lidar-3", "social-1")
+"""Observations that a policy can be trained on: those with the preferred speed."""
+VELOCITY = slice(0, 2)
+"""Velocity / max_speed, in all of them."""
 
 
 @dataclass(frozen=True)
@@ -50,40 +51,51 @@ class Settings:
     """Settings of the training; those in `SETTABLE` are described there."""
 
     spawn: str = DEFAULT_SPAWN
-    worlds: int = 16
+    observation: str = OBSERVATION
+    worlds: int = 64
     max_alive: int = 50
-    frames: int = 320_000
+    frames: int = 640_000
     """Number of training frames, summed over all worlds."""
-    batch_frames: int = 1600
+    batch_frames: int = 6400
     """Number of frames between two updates, summed over all worlds."""
     horizon_s: float = 120.0
-    epochs: int = 4
-    minibatch: int = 2048
+    epochs: int = 3
+    minibatch: int = 4096
     """Number of steps of single persons in a minibatch."""
     learning_rate: float = 1e-3
+    """Initial learning rate of Adam; it decreases to 0."""
     gamma: float = 0.98
     lmbda: float = 0.95
     clip: float = 0.2
-    entropy: float = 1e-3
+    std: float = 0.03
+    """Initial standard deviation of actions."""
     hidden: int = 64
     seed: int = 0
 
 
 class Around(nn.Module):
-    """Distribution of actions: walking straight to the goal plus the correction of a network."""
+    """Distribution of actions: walking straight to the target plus the correction of a network."""
 
-    def __init__(self, numbers: int, hidden: int) -> None:
+    def __init__(self, observation: str, numbers: int, hidden: int, std: float) -> None:
         super().__init__()
+        self.social = version_of(observation).own_frame
         self.layers = _layers(numbers, hidden, 4)
         for parameter in self.layers[-1].parameters():
             nn.init.zeros_(parameter)
-        self.split = NormalParamExtractor(scale_mapping="biased_softplus_0.15")
+        self.split = NormalParamExtractor(scale_mapping=f"biased_softplus_{std}")
 
     def forward(self, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """Location (before tanh) and scale of the actions, each (…, 2)."""
-        location, scale = self.split(self.layers(seen))
-        straight = seen[..., GOAL_DIRECTION] * seen[..., PREFERRED_SPEED]
-        return location + torch.atanh(straight.clamp(-0.99, 0.99)), scale
+        """Mean and standard deviation of the actions, each (…, 2)."""
+        correction, scale = self.split(self.layers(seen))
+        return self.straight(seen) + correction, scale
+
+    def straight(self, seen: Tensor) -> Tensor:
+        """Actions (…, 2) that walk to the target at the preferred speed, and stand at stops."""
+        if not self.social:
+            return seen[..., observations.GOAL_DIRECTION] * seen[..., observations.PREFERRED_SPEED]
+        near = seen[..., social.ROUTE_LENGTH] * social.ROUTE_RANGE_M <= VISIT_M
+        walks = 1 - seen[..., social.STOP] * near
+        return walks * seen[..., social.ROUTE_DIRECTION] * seen[..., social.PREFERRED_SPEED]
 
 
 class Sampler(nn.Module):
@@ -95,13 +107,27 @@ class Sampler(nn.Module):
 
     def forward(self, seen: Tensor, noise: Tensor) -> Tensor:
         """Sampled actions (A, 2)."""
-        location, scale = self.network(seen)
-        return torch.tanh(location + scale * noise)
+        mean, std = self.network(seen)
+        return mean + std * noise
+
+
+class OfPresent(nn.Module):
+    """Samples actions of the people in occupied slots, few of which are on most scenes."""
+
+    def __init__(self, network: Around) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, seen: Tensor, mask: Tensor) -> Tensor:
+        """Actions (W, N, 2) for observations (W, N, obs); 0 in empty slots."""
+        actions = seen.new_zeros((*mask.shape, 2))
+        actions[mask] = torch.normal(*self.network(seen[mask]))
+        return actions
 
 
 def _layers(numbers: int, hidden: int, out: int) -> nn.Sequential:
     return nn.Sequential(
-        nn.Linear(numbers, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh(),
+        nn.Linear(numbers, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU(),
         nn.Linear(hidden, out),
     )  # fmt: skip
 
@@ -110,24 +136,95 @@ def advantages(
     batch: TensorDictBase, critic: Callable[[Tensor], Tensor], gamma: float, lmbda: float
 ) -> tuple[Tensor, Tensor]:
     """Advantages and value targets, each (W, T, N, 1), of a batch (W, T) of `CrowdEnv`."""
-    after = batch["next", "agents"]
+    acted, after = batch["agents", "mask"], batch["next", "agents"]
+    value = torch.zeros_like(after["reward"])
+    following = torch.zeros_like(value)
     with torch.no_grad():
-        value = critic(batch["agents", "observation"])
-        # In `CrowdEnv`, the next observation of a slot is always that of the same person.
-        following = critic(after["observation"])
-    by_slot = [
-        x.transpose(1, 2)  # (W, N, T, 1)
-        for x in (value, following, after["reward"], after["done"], after["terminated"])
-    ]
-    found = vec_generalized_advantage_estimate(gamma, lmbda, *by_slot, time_dim=-2)
-    advantage, target = (x.transpose(1, 2) for x in found)
+        value[acted] = critic(batch["agents", "observation"][acted])
+        # Whoever acts next in a slot is the same person, unless its trip has ended.
+        following[:, :-1] = value[:, 1:]
+        last = after["truncated"][..., 0].clone()
+        last[:, -1] = True
+        last &= acted
+        following[last] = critic(after["observation"][last])
+    # TorchRL's vectorised estimate took most of the training, because many trips end in a batch.
+    advantage, target = generalized_advantage_estimate(
+        gamma, lmbda, value, following, after["reward"], after["done"], after["terminated"],
+        time_dim=1,
+    )  # fmt: skip
     return advantage, target
+
+
+@dataclass(frozen=True)
+class Round:
+    """A batch of steps and the update of the network by it."""
+
+    network: Around
+    frames: int
+    """Number of frames so far, summed over all worlds."""
+    steps: int
+    """Number of steps of single persons in the batch."""
+    figures: dict[str, float]
+    """Means over the batch: reward per step, share of trips that end at the goal, and speeds."""
+
+
+class Learner:
+    """Network, critic and optimizer."""
+
+    def __init__(self, numbers: int, settings: Settings) -> None:
+        self.settings = settings
+        self.network = Around(settings.observation, numbers, settings.hidden, settings.std)
+        self.actor = ProbabilisticActor(
+            TensorDictModule(self.network, ["observation"], ["loc", "scale"]),
+            in_keys=["loc", "scale"],
+            out_keys=["action"],
+            distribution_class=IndependentNormal,
+            return_log_prob=True,
+            log_prob_key="log_prob",
+        )
+        critic = ValueOperator(_layers(numbers, settings.hidden, 1), in_keys=["observation"])
+        self.critic = critic.module
+        self.loss = ClipPPOLoss(
+            self.actor,
+            critic,
+            clip_epsilon=settings.clip,
+            entropy_bonus=False,
+            normalize_advantage=True,
+            loss_critic_type="smooth_l1",
+        )
+        self.loss.set_keys(sample_log_prob="log_prob")
+        self.optimizer = torch.optim.Adam(
+            self.loss.parameters(), settings.learning_rate, fused=True
+        )
+
+    def learn(self, batch: TensorDictBase, progress: float) -> int:
+        """Update the networks by a batch, and return the number of steps of single persons in it.
+
+        `progress` is the share of the training that is done, 0 to 1.
+        """
+        settings = self.settings
+        for group in self.optimizer.param_groups:
+            group["lr"] = settings.learning_rate * (1 - progress)
+        found = advantages(batch, self.critic, settings.gamma, settings.lmbda)
+        steps = steps_of(batch, *found)
+        with torch.no_grad():
+            steps["log_prob"] = self.actor.get_dist(steps).log_prob(steps["action"])
+        # Shuffled once, because gathering rows takes about as long as learning from them.
+        steps = steps[torch.randperm(len(steps))]
+        for _ in range(settings.epochs):
+            for some in steps.split(settings.minibatch):
+                losses = self.loss(some)
+                self.optimizer.zero_grad()
+                (losses["loss_objective"] + losses["loss_critic"]).backward()
+                nn.utils.clip_grad_norm_(self.loss.parameters(), 1.0)
+                self.optimizer.step()
+        return len(steps)
 
 
 def train(
     scene: str, settings: Settings, reward: Reward | None = None, split: str = "full"
-) -> Iterator[tuple[Around, dict[str, float]]]:
-    """Train a network; yield it and statistics of the last batch after each update."""
+) -> Generator[Round, None, None]:
+    """Train a network; yield it after each update, with figures of the last batch."""
     torch.manual_seed(settings.seed)
     env = CrowdEnv(
         scene,
@@ -135,87 +232,45 @@ def train(
         worlds=settings.worlds,
         max_alive=settings.max_alive,
         horizon_s=settings.horizon_s,
-        observation=OBSERVATION,
+        observation=settings.observation,
         reward=reward,
         seed=settings.seed,
     )
-    numbers = env.observation_spec["agents", "observation"].shape[-1]
-    network = Around(numbers, settings.hidden)
-    keys = {"in_keys": ["loc", "scale"], "distribution_class": TanhNormal}
-    of_slots: ProbabilisticTensorDictSequential = ProbabilisticActor(
-        TensorDictModule(network, [("agents", "observation")], ["loc", "scale"]),
-        out_keys=[("agents", "action")],
-        return_log_prob=True,
-        log_prob_key="log_prob",
-        **keys,
-    )
-    actor = ProbabilisticActor(
-        TensorDictModule(network, ["observation"], ["loc", "scale"]),
-        out_keys=["action"],
-        return_log_prob=True,
-        log_prob_key="log_prob",
-        **keys,
-    )
-    critic = ValueOperator(_layers(numbers, settings.hidden, 1), in_keys=["observation"])
-    loss = ClipPPOLoss(
-        actor,
-        critic,
-        clip_epsilon=settings.clip,
-        entropy_coeff=settings.entropy,
-        normalize_advantage=True,
-        loss_critic_type="smooth_l1",
-    )
-    loss.set_keys(sample_log_prob="log_prob")
-    optimizer = torch.optim.Adam(loss.parameters(), settings.learning_rate)
+    learner = Learner(env.observation_spec["agents", "observation"].shape[-1], settings)
+    seen = [("agents", "observation"), ("agents", "mask")]
     collector = Collector(
         env,
-        of_slots,
+        TensorDictModule(OfPresent(learner.network), seen, [("agents", "action")]),
         frames_per_batch=settings.batch_frames,
         total_frames=settings.frames,
         auto_register_policy_transforms=False,
+        track_traj_ids=False,  # a world is not a trip
+        return_same_td=True,  # no copies, because each batch is used before the next one
     )
-    began = time.monotonic()
+    frames = 0
     for batch in collector:
-        collected_s = time.monotonic() - began
-        steps = _steps(batch, *advantages(batch, critic.module, settings.gamma, settings.lmbda))
-        began = time.monotonic()
-        for _ in range(settings.epochs):
-            for rows in torch.randperm(len(steps)).split(settings.minibatch):
-                losses = loss(steps[rows])
-                total = sum(value for name, value in losses.items() if name.startswith("loss_"))
-                optimizer.zero_grad()
-                total.backward()
-                nn.utils.clip_grad_norm_(loss.parameters(), 1.0)
-                optimizer.step()
-        trained_s = time.monotonic() - began
-        after = batch["next", "agents"]
-        ended = batch["agents", "mask"] & after["done"][..., 0]
-        yield (
-            network,
-            {
-                "reward": float(steps["reward"].mean()),
-                "at goal": float(after["terminated"][..., 0][ended].float().mean()),
-                **_speeds(batch, env.scene.motion.max_speed_mps),
-                "agent-steps/s collected": len(steps) / collected_s,
-                "agent-steps/s trained": settings.epochs * len(steps) / trained_s,
-            },
-        )
-        began = time.monotonic()
+        steps = learner.learn(batch, frames / settings.frames)
+        frames += batch.numel()
+        figures = _figures(batch, settings.observation, env.scene.motion.max_speed_mps)
+        yield Round(learner.network, frames, steps, figures)
     collector.shutdown()
 
 
-def _speeds(batch: TensorDictBase, max_speed_mps: float) -> dict[str, float]:
-    """Mean speed and mean preferred speed of everyone who acted, in m/s."""
-    acted = batch["agents", "mask"]
-    walked = batch["next", "agents", "observation"][acted][:, :2].norm(dim=1)
-    preferred = batch["agents", "observation"][acted][:, PREFERRED_SPEED]
+def _figures(batch: TensorDictBase, observation: str, max_speed_mps: float) -> dict[str, float]:
+    acted, after = batch["agents", "mask"], batch["next", "agents"]
+    ended = acted & after["done"][..., 0]
+    wish = social if version_of(observation).own_frame else observations
+    speed = after["observation"][..., VELOCITY].norm(dim=-1)[acted]
+    preferred = batch["agents", "observation"][..., wish.PREFERRED_SPEED][acted]
     return {
-        "m/s": float(walked.mean()) * max_speed_mps,
+        "reward": float(after["reward"][acted].mean()),
+        "at goal": float(after["terminated"][..., 0][ended].float().mean()),
+        "m/s": float(speed.mean()) * max_speed_mps,
         "m/s preferred": float(preferred.mean()) * max_speed_mps,
     }
 
 
-def _steps(batch: TensorDictBase, advantage: Tensor, target: Tensor) -> TensorDict:
+def steps_of(batch: TensorDictBase, advantage: Tensor, target: Tensor) -> TensorDict:
     """The steps in which someone acted, as one flat batch."""
     acted = batch["agents", "mask"]
     agents = batch["agents"]
@@ -223,10 +278,8 @@ def _steps(batch: TensorDictBase, advantage: Tensor, target: Tensor) -> TensorDi
         {
             "observation": agents["observation"][acted],
             "action": agents["action"][acted],
-            "log_prob": batch["log_prob"][acted],
             "advantage": advantage[acted],
             "value_target": target[acted],
-            "reward": batch["next", "agents", "reward"][acted],
         },
         batch_size=[int(acted.sum())],
     )
@@ -234,12 +287,13 @@ def _steps(batch: TensorDictBase, advantage: Tensor, target: Tensor) -> TensorDi
 
 SETTABLE = {
     "spawn": "spawn model",
+    "std": "initial standard deviation of actions, in units of the maximum speed",
     "worlds": "number of parallel worlds",
     "max_alive": "maximum number of people at the same time per world",
     "frames": "number of training frames, summed over all worlds",
     "batch_frames": "number of frames between two updates, summed over all worlds",
     "horizon_s": "length of an episode in seconds",
-    "learning_rate": "learning rate of Adam",
+    "learning_rate": "initial learning rate of Adam; it decreases to 0",
 }
 """Settings with a command line option, and the help texts of the options."""
 
@@ -247,6 +301,13 @@ SETTABLE = {
 def command_line() -> argparse.ArgumentParser:
     """Argument parser of this script."""
     parser = new_parser("ppo", __doc__)
+    parser.add_argument(
+        "--observation",
+        choices=OBSERVATIONS,
+        default=OBSERVATION,
+        help="observation of the policy; social-1 shows stops and companions, which the spawn "
+        "models cox-plans and ntpp-plans send (default: %(default)s)",
+    )
     add_settings(parser, Settings(), SETTABLE)
     return parser
 
@@ -255,19 +316,18 @@ def main(arguments: list[str] | None = None) -> int:
     """Train and write a policy for each split; return the exit code."""
     asked = command_line().parse_args(arguments)
     use_one_thread()
-    settings = Settings(**{name: getattr(asked, name) for name in (*SETTABLE, "seed")})
+    settings = Settings(
+        **{name: getattr(asked, name) for name in (*SETTABLE, "observation", "seed")}
+    )
     try:
-        check_numbers(settings, or_zero=("gamma", "lmbda", "entropy", "seed"))
+        check_numbers(settings, or_zero=("gamma", "lmbda", "seed"))
         command = Command.of("ppo", asked.scene, asked.splits, asked.out, arguments)
         for split in asked.splits:
-            network = None
-            rounds = train(asked.scene, settings, split=split)
-            for k, (network, figures) in enumerate(rounds, 1):  # noqa: B007
-                if k % 20 == 1:
-                    said = "  ".join(f"{name} {value:,.3g}" for name, value in figures.items())
-                    print(f"{k * settings.batch_frames:9,} frames  {said}", flush=True)
-            assert network is not None
-            path = command.write(split, Sampler(network), observation=OBSERVATION, noise=NOISE)
+            with command.progress(split, settings.frames, "frames", "agent-steps") as progress:
+                for last in train(asked.scene, settings, split=split):
+                    progress(last.frames, last.steps, last.figures)
+            network = Sampler(last.network)
+            path = command.write(split, network, observation=settings.observation, noise=NOISE)
             print(f"{path}: {command.walk(path, settings.spawn)}", flush=True)
     except CrowdbenchError as error:
         print(f"baselines.ppo: {error}", file=sys.stderr)

@@ -74,6 +74,7 @@ def measure() -> Iterator[Figure]:
         yield Figure(name, _core(worlds, persons, "social-1"), "agent-steps/s")
     yield Figure("PettingZoo environment, 20 agents", _pettingzoo(20), "agent-steps/s")
     yield from _torchrl(64, 50)
+    yield from _training()
     scene = load_scene("eth-v0")
     for name in fitted_models(scene):
         spawn = spawn_model(name, scene)
@@ -220,6 +221,32 @@ def _torchrl(worlds: int, persons: int) -> Iterator[Figure]:
 
         yield Figure(f"{where}, {what}", _best_rate(chunk), "agent-steps/s")
         collector.shutdown()
+
+
+def _training() -> Iterator[Figure]:
+    """Figure of training with `baselines.ppo` on the plaza; none without its packages.
+
+    What counts is the whole time of an iteration: collecting a batch, beginning episodes included,
+    and all epochs of learning from it.
+    """
+    if find_spec("torchrl") is None or find_spec("baselines") is None:
+        return
+    import torch
+
+    from baselines import ppo
+    from baselines.command import use_one_thread
+
+    threads = torch.get_num_threads()
+    use_one_thread()  # as the command does
+    settings = ppo.Settings()
+    scene = load_scene("plaza-v0")
+    rounds = ppo.train(scene.id, settings)
+    batches = round(scene.frames(settings.horizon_s) * settings.worlds / settings.batch_frames)
+    rate = _best_rate(lambda: sum(next(rounds).steps for _ in range(batches)))  # of an episode
+    rounds.close()
+    torch.set_num_threads(threads)
+    name = f"PPO with TorchRL on {scene.id}, {settings.worlds} worlds, MLP 64-64"
+    yield Figure(name, rate, "agent-steps/s")
 
 
 def _rolling(scene: Scene, spawn: SpawnModel, policy: Policy) -> Callable[[], object]:

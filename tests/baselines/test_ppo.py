@@ -12,9 +12,11 @@ from torch import Tensor
 from worlds import Person, square
 
 from baselines import ppo
-from crowdbench import Reward
+from baselines.walked import walked
+from crowdbench import Reward, load_scene, spawn_model
 from crowdbench.envs.torchrl_env import CrowdEnv
 from crowdbench.policies import OnnxPolicy
+from crowdbench.simulation import social
 
 pytestmark = pytest.mark.long
 
@@ -89,10 +91,19 @@ def test_a_wrong_bootstrap_gives_another_number(batch: TensorDict, forgotten: st
 
 
 def test_only_steps_of_people_are_learned_from(batch: TensorDict) -> None:
-    batch["log_prob"] = torch.zeros(1, 10, 1)
-    steps = ppo._steps(batch, *ppo.advantages(batch, critic, GAMMA, LMBDA))
+    steps = ppo.steps_of(batch, *ppo.advantages(batch, critic, GAMMA, LMBDA))
     assert len(steps) == int(batch["agents", "mask"].sum())
     assert len(steps) < 10
+
+
+def test_only_people_act() -> None:
+    network = ppo.Around("lidar-2", 38, 16, std=0.1)
+    seen, mask = torch.rand(2, 3, 38), torch.tensor([[True, False, True], [False, False, True]])
+    actions = ppo.OfPresent(network)(seen, mask)
+    assert (actions[~mask] == 0).all()
+    assert (actions[mask] != 0).all()
+    mean, _ = network(seen)
+    assert (actions - mean)[mask].abs().max() < 0.6  # six standard deviations
 
 
 def test_it_trains_and_its_file_acts_as_it_does(
@@ -102,24 +113,63 @@ def test_it_trains_and_its_file_acts_as_it_does(
     small = ["--frames", "400", "--batch-frames", "200", "--worlds", "2", "--horizon-s", "20"]
     assert ppo.main([*asked, *small, "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
-    assert "agent-steps/s collected" in printed
+    assert "400 of 400 frames" in printed
+    assert "agent-steps/s  0 s left" in printed
     assert "at goal" in printed
+    assert "of the preferred speed" in printed
     policy = OnnxPolicy(tmp_path / "full.onnx")
     assert policy.card.command.startswith("python -m baselines.ppo --scene plaza-v0")
     assert policy.noise == ppo.NOISE
 
 
 def test_the_untrained_network_walks_towards_the_goal() -> None:
-    network = ppo.Around(38, 16)
+    network = ppo.Around("lidar-2", 38, 16, std=0.1)
     seen = torch.rand(100, 38) * 0.4
     acted = ppo.Sampler(network)(seen, torch.zeros(100, ppo.NOISE))
     torch.testing.assert_close(acted, seen[:, 3:5] * seen[:, 5:6])
+    noise = torch.ones(100, ppo.NOISE)
+    torch.testing.assert_close(ppo.Sampler(network)(seen, noise), acted + 0.1)
 
 
-def test_training_improves_the_reward() -> None:
-    settings = ppo.Settings(worlds=4, frames=48_000, batch_frames=800, horizon_s=80.0)
-    rewards = [figures["reward"] for _, figures in ppo.train("plaza-v0", settings)]
+def test_in_the_own_frame_it_stands_at_stops() -> None:
+    network = ppo.Around("social-1", social.SIZE, 16, std=0.1)
+    seen = torch.zeros(4, social.SIZE)
+    seen[:, social.ROUTE_DIRECTION] = torch.tensor([0.6, -0.8])
+    seen[:, social.PREFERRED_SPEED] = 0.25
+    stop, near_m = torch.tensor([1.0, 1.0, 0.0, 0.0]), torch.tensor([0.5, 1.5, 0.5, 1.5])
+    seen[:, social.STOP.start] = stop
+    seen[:, social.ROUTE_LENGTH.start] = near_m / social.ROUTE_RANGE_M
+    mean, _ = network(seen)
+    walks = torch.tensor([0.15, -0.2])
+    torch.testing.assert_close(mean, torch.stack([torch.zeros(2), walks, walks, walks]))
+
+
+@pytest.mark.parametrize("observation", ["lidar-2", "social-1"])
+def test_training_improves_the_reward(observation: str) -> None:
+    # A wide Gaussian leaves more to be learned.
+    settings = ppo.Settings(
+        observation=observation,
+        worlds=16,
+        frames=48_000,
+        batch_frames=1600,
+        minibatch=2048,
+        std=0.1,
+    )
+    rewards = [one.figures["reward"] for one in ppo.train("plaza-v0", settings)]
     assert np.mean(rewards[-5:]) > np.mean(rewards[:5]) + 0.03
+
+
+def test_with_plans_people_keep_their_speeds_stops_and_companions(tmp_path: Path) -> None:
+    asked = "--scene eth-v0 --observation social-1 --spawn cox-plans --frames 128000"
+    assert ppo.main([*asked.split(), "--out", str(tmp_path)]) == 0
+    scene = load_scene("eth-v0")
+    found = walked(
+        scene, spawn_model("cox-plans", scene), OnnxPolicy(tmp_path / "full.onnx"), horizon_s=600.0
+    )
+    assert found.speed_mps == pytest.approx(found.preferred_mps, rel=0.1)
+    assert found.arrived >= 0.95
+    assert found.stood >= 0.8
+    assert found.apart_m == pytest.approx(found.recorded_apart_m, abs=0.3)
 
 
 def test_unknown_scenes_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,6 +21,7 @@ NAMES = [
     "PettingZoo environment, 20 agents",
     "TorchRL collector, 64 × 50, random",
     "TorchRL collector, 64 × 50, MLP 32-32",
+    "PPO with TorchRL on plaza-v0, 64 worlds, MLP 64-64",
     "poisson-gmm, sampling 10,000 frames of ETH",
     "poisson-groups, sampling 10,000 frames of ETH",
     "renewal-gmm, sampling 10,000 frames of ETH",
@@ -60,7 +61,7 @@ def test_each_figure_is_printed_and_written(
     assert sorted(figures) == sorted(NAMES)
     assert [n for n, figure in figures.items() if not 0 < figure["value"] < float("inf")] == []
     units = {name: figure["unit"] for name, figure in figures.items()}
-    assert units == dict.fromkeys(NAMES[:9], "agent-steps/s") | dict.fromkeys(NAMES[9:], "s")
+    assert units == dict.fromkeys(NAMES[:10], "agent-steps/s") | dict.fromkeys(NAMES[10:], "s")
 
 
 @pytest.mark.parametrize(
