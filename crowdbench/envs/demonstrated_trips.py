@@ -45,27 +45,35 @@ class Demonstrations:
     def __len__(self) -> int:
         return len(self.person)
 
-    def pairs(self) -> tuple[Float32[np.ndarray, "S obs"], Float32[np.ndarray, "S 2"]]:
-        """Observations (S, obs) and the actions (S, 2) taken in them, of all pieces."""
-        acted = ~np.isnan(self.actions[:, 0])
-        return self.observations[acted], self.actions[acted]
+    def pairs(
+        self, within_m: float = np.inf
+    ) -> tuple[Float32[np.ndarray, "S obs"], Float32[np.ndarray, "S 2"]]:
+        """Observations (S, obs) and the actions (S, 2) taken in them, of all pieces.
+
+        Without the actions of people who are `within_m` or more from their recorded positions.
+        """
+        shown = ~np.isnan(self.actions[:, 0]) & (self.deviation_m < within_m)
+        return self.observations[shown], self.actions[shown]
 
     def padded(
-        self,
+        self, within_m: float = np.inf
     ) -> tuple[
         Float32[np.ndarray, "L T obs"], Float32[np.ndarray, "L T 2"], Bool[np.ndarray, "L T"]
     ]:
-        """Observations, actions, and where they are, by piece and step, for recurrent networks.
+        """Observations, actions and a mask by piece and step, for recurrent networks.
 
-        T is the number of actions in the longest piece. Shorter pieces are followed by zeros. To
-        save memory, take a batch of pieces first: `shown.take(batch).padded()`.
+        T is the number of actions in the longest piece. Shorter pieces are followed by zeros. The
+        mask is true where there is an action, unless the person is `within_m` or more from its
+        recorded position. To save memory, take a batch of pieces first:
+        `shown.take(batch).padded()`.
         """
         steps = np.diff(self.offsets) - 1
         there = np.arange(steps.max(initial=0)) < steps[:, None]
-        seen, acts = self.pairs()
-        observations = np.zeros((*there.shape, seen.shape[1]), np.float32)
+        acted = ~np.isnan(self.actions[:, 0])
+        observations = np.zeros((*there.shape, self.observations.shape[1]), np.float32)
         actions = np.zeros((*there.shape, 2), np.float32)
-        observations[there], actions[there] = seen, acts
+        observations[there], actions[there] = self.observations[acted], self.actions[acted]
+        there[there] = self.deviation_m[acted] < within_m
         return observations, actions, there
 
     def take(self, pieces: Sequence[int] | Int[np.ndarray, " l"]) -> "Demonstrations":

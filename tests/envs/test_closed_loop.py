@@ -239,6 +239,22 @@ def test_a_file_with_noise_and_a_memory_walks_near_the_recording(
     assert 0.02 < held.deviation_m.mean() < 0.7 * free.deviation_m.mean()
 
 
+def test_actions_of_people_who_are_far_away_can_be_left_out(scene: Scene) -> None:
+    shown = closed(scene, Noisy())
+    limit = float(np.median(shown.deviation_m))
+    seen, acts = shown.pairs(within_m=limit)
+    assert 0.3 * len(shown.observations) < len(seen) < 0.6 * len(shown.observations)
+    observations, actions, near = shown.padded(within_m=limit)
+    np.testing.assert_array_equal(observations[near], seen)
+    np.testing.assert_array_equal(actions[near], acts)
+    whole = shown.padded()  # states of networks need all observations
+    np.testing.assert_array_equal(observations, whole[0])
+    assert (near <= whole[2]).all()
+    off = np.concatenate([shown.deviation_m[shown.offsets[k] :][: whole[2][k].sum()]
+                          for k in range(len(shown))])  # fmt: skip
+    assert near[whole[2]].tolist() == (off < limit).tolist()
+
+
 def test_people_who_would_be_left_behind_walk_back(scene: Scene) -> None:
     class Standing(Noisy):
         def act(self, seen: np.ndarray) -> np.ndarray:
