@@ -99,8 +99,8 @@ def home(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPat
     return folder
 
 
-ONE_WORKER = ("test_create", "test_demonstrations", "test_gallery", "test_paper",
-              "test_results", "test_verification")  # fmt: skip
+ONE_WORKER = ("test_create", "test_demonstrations", "test_demonstrations_of_decisions",
+              "test_gallery", "test_paper", "test_results", "test_verification")  # fmt: skip
 """Modules whose fixtures take long: with `--dist loadgroup` one worker runs all of their tests."""
 
 

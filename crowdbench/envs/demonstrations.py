@@ -1,201 +1,43 @@
 """Demonstrations: observations and actions of recorded people, for imitation learning.
 
-The recording is replayed in the simulation of the environments. Everyone follows the recorded
-path, and each observation is stored with the action that leads to the next recorded position.
-Observations, walls and the speed limit are therefore the same as in the environments. Actions are
-in the frame of the observation.
+The recording is replayed in the simulation of the environments. Everyone follows the recorded path,
+or is moved by a policy that stays near it, and each observation is stored with the action that
+leads to the next recorded position. Observations, walls and the speed limit are therefore the same
+as in the environments, and so are companions, stops and preferred speeds, which are those of the
+spawn model `replay`. Actions are in the frame of the observation.
 """
 
-import shutil
-import warnings
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int
 
-from crowdbench import __version__
+from crowdbench import __version__, registry
+from crowdbench.envs.closed_loop import NearestCandidate
+from crowdbench.envs.demonstrated_trips import Demonstrations, Rows
 from crowdbench.envs.perturbation import PathPerturbation
-from crowdbench.errors import OutputError, SettingError
-from crowdbench.policies import ReplayPolicy
+from crowdbench.envs.recorded_paths import RecordedContinuation
+from crowdbench.errors import SettingError
+from crowdbench.policies import Policy
+from crowdbench.policies.memory import Needs
 from crowdbench.recordings.catalogue import source
-from crowdbench.registry import recording_of
 from crowdbench.rollouts.episode import begin, check_capacity, generator
+from crowdbench.rollouts.rollout import settings_for
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.observations import OBSERVATION
+from crowdbench.simulation.observations import OBSERVATION, version_of
 from crowdbench.simulation.social import in_own_frame
 from crowdbench.spawn import Replay
 from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.weights import check_split
 from crowdbench.trajectories.stops import STANDING_MPS
 
-if TYPE_CHECKING:
-    from imitation.data.types import Trajectory
-    from minari import MinariDataset
+__all__ = ["Demonstrations", "demonstrations"]
 
-
-@dataclass(frozen=True, eq=False)
-class Demonstrations:
-    """`L` pieces (trips or parts of trips) with `S` observation-action pairs in total.
-
-    Trips are cut at the ends of the time blocks on which a split of the recording is fitted.
-    """
-
-    observations: Float32[np.ndarray, "R obs"]
-    """Observations of all pieces, R = S + L rows. The last row of each piece is the observation
-    after its last action."""
-    actions: Float32[np.ndarray, "R 2"]
-    """Velocities in units of the scene's maximum speed, in the frame of the observation; NaN in the
-    last row of each piece."""
-    person: Int[np.ndarray, " L"]
-    """Index of the person in the recording."""
-    offsets: Int[np.ndarray, " L+1"]
-    """Piece k has the rows offsets[k] … offsets[k + 1] − 1."""
-    first: Int[np.ndarray, " L"]
-    """Frame of each piece's first row."""
-    complete: Bool[np.ndarray, " L"]
-    """True if the piece ends where the person left the scene, false if it is cut off."""
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-    """The recording, the paper to cite, and all settings of the demonstrations."""
-
-    def __len__(self) -> int:
-        return len(self.person)
-
-    def pairs(self) -> tuple[Float32[np.ndarray, "S obs"], Float32[np.ndarray, "S 2"]]:
-        """Observations (S, obs) and the actions (S, 2) taken in them, of all pieces."""
-        acted = ~np.isnan(self.actions[:, 0])
-        return self.observations[acted], self.actions[acted]
-
-    def take(self, pieces: Sequence[int] | Int[np.ndarray, " l"]) -> "Demonstrations":
-        """The pieces with the given indices."""
-        chosen = np.asarray(pieces, dtype=np.int64)
-        length = np.diff(self.offsets)[chosen]
-        offsets = np.concatenate([[0], np.cumsum(length)])
-        within = np.arange(offsets[-1]) - np.repeat(offsets[:-1], length)
-        rows = np.repeat(self.offsets[:-1][chosen], length) + within
-        return Demonstrations(
-            self.observations[rows],
-            self.actions[rows],
-            self.person[chosen],
-            offsets,
-            self.first[chosen],
-            self.complete[chosen],
-            self.provenance,
-        )
-
-    def split(self, share: float, seed: int) -> tuple["Demonstrations", "Demonstrations"]:
-        """Two disjoint sets of persons, the second with about `share` of them."""
-        persons = np.unique(self.person)
-        chosen = np.random.default_rng(seed).random(len(persons)) < share
-        second = np.isin(self.person, persons[chosen])
-        return self.take(np.flatnonzero(~second)), self.take(np.flatnonzero(second))
-
-    def to_imitation(self) -> "list[Trajectory]":
-        """The pieces as trajectories of `imitation`; needs the extra `imitation`."""
-        from imitation.data.types import Trajectory
-
-        return [
-            Trajectory(
-                obs=self.observations[start:stop],
-                acts=self.actions[start : stop - 1],
-                infos=None,
-                terminal=bool(complete),
-            )
-            for start, stop, complete in zip(
-                self.offsets[:-1].tolist(), self.offsets[1:].tolist(), self.complete, strict=True
-            )
-        ]
-
-    def to_minari(self, dataset_id: str) -> "MinariDataset":
-        """Write the pieces as a Minari dataset and return it; needs the extra `minari`.
-
-        The dataset is written to Minari's folder: `MINARI_DATASETS_PATH`, by default
-        `~/.minari/datasets`. Each piece is an episode with one more observation than actions. The
-        episode is terminated if the person left the scene and truncated if the piece is cut off.
-        Its metadata contain `person` and `first_frame`. All rewards are zero, because recordings
-        contain none. The dataset's metadata contain `provenance` under the key `crowdbench`.
-
-        A dataset made from a recording remains subject to the terms of the recording's owners. It
-        is for your own use and must not be published.
-
-        Args:
-            dataset_id: a Minari id such as `crowdbench/eth-full-v0`.
-
-        Raises:
-            SettingError: there are no pieces, or Minari does not accept the id.
-            OutputError: a dataset with this id exists, or it cannot be written.
-        """
-        from minari.dataset.minari_dataset import parse_dataset_id
-        from minari.storage import get_dataset_path
-
-        if not len(self):
-            raise SettingError("to_minari", got="no demonstrations", expected="at least one")
-        try:
-            parse_dataset_id(dataset_id)
-        except (TypeError, ValueError) as error:  # TypeError: an id without a version
-            raise SettingError(
-                "dataset_id", got=repr(dataset_id), expected="an id like crowdbench/eth-full-v0"
-            ) from error
-        try:
-            folder = get_dataset_path(dataset_id)
-            if folder.exists():
-                raise OutputError(
-                    folder,
-                    got="a dataset that already exists",
-                    expected="a new id",
-                    hint=f"Increase its version, or run `minari delete {dataset_id}`.",
-                )
-            try:
-                return self._write_minari(dataset_id)
-            except (FileExistsError, ValueError):  # another process has created it meanwhile
-                raise
-            except BaseException:  # an incomplete dataset would look like a complete one
-                shutil.rmtree(folder, ignore_errors=True)
-                raise
-        except OSError as error:
-            raise OutputError(
-                dataset_id,
-                got=str(error),
-                expected="a writable folder",
-                hint="Set MINARI_DATASETS_PATH to one.",
-            ) from error
-
-    def _write_minari(self, dataset_id: str) -> "MinariDataset":
-        from gymnasium.spaces import Box
-        from minari import create_dataset_from_buffers
-        from minari.data_collector import EpisodeBuffer
-
-        episodes, notes = [], []
-        for k, complete in enumerate(self.complete.tolist()):
-            start, stop = self.offsets[k : k + 2].tolist()
-            last = np.arange(start + 1, stop) == stop - 1
-            episodes.append(
-                EpisodeBuffer(
-                    observations=self.observations[start:stop],
-                    actions=self.actions[start : stop - 1],
-                    rewards=np.zeros(len(last), np.float32),
-                    terminations=last & complete,
-                    truncations=last & (not complete),
-                )
-            )
-            notes.append({"person": int(self.person[k]), "first_frame": int(self.first[k])})
-        with warnings.catch_warnings():
-            # Minari warns if a dataset has no author, e-mail address or Gymnasium environment.
-            warnings.filterwarnings("ignore", ".* is set to None|env_spec is None", UserWarning)
-            dataset = create_dataset_from_buffers(
-                dataset_id,
-                episodes,
-                observation_space=Box(-1.0, 1.0, self.observations.shape[1:], np.float32),
-                action_space=Box(-1.0, 1.0, self.actions.shape[1:], np.float32),
-                algorithm_name="recorded persons",
-                description=_description(self.provenance),
-            )
-        dataset.storage.update_episode_metadata(notes)
-        dataset.storage.update_metadata({"crowdbench": dict(self.provenance)})
-        return dataset
+CANDIDATES = 3
+"""Default number of actions that a policy draws for each person and decision."""
 
 
 def demonstrations(
@@ -205,21 +47,37 @@ def demonstrations(
     observation: str = OBSERVATION,
     rays: int = 32,
     ray_range_m: float = 10.0,
+    interval: int | None = None,
+    policy: str | Policy | None = None,
+    candidates: int = CANDIDATES,
     displaced_m: float = 0.0,
     recovery_s: float = 1.5,
     seed: int = 0,
 ) -> Demonstrations:
     """Demonstrations of a scene's recording, from the time blocks on which `split` is fitted.
 
-    A cloned policy drifts away from the recorded paths into states without demonstrations. To show
-    how to return, a random half of the persons can be displaced repeatedly: each displacement
-    starts at an offset δ from the recorded path with an additional velocity ε, and decays like a
-    critically damped spring with time constant τ. At time t the person is
-    (δ + (ε + δ/τ) t) exp(−t/τ) away from the recorded position. (Laskey et al. 2017, DART, CoRL,
-    disturb the demonstrator for the same reason.) The displaced motion is as smooth as the
-    recorded one; a return in a single step would look like restless motion. In their last 2 s,
-    displaced people walk straight to the last recorded position. People who stand still are not
-    displaced.
+    With an `interval` of k frames, people decide in their first frame and in every k-th frame after
+    it, as in a rollout of a policy with this interval. There is a row for each decision. Its action
+    is the mean velocity until the next decision, and people keep this velocity in between.
+
+    A cloned policy drifts away from the recorded paths into states without demonstrations. There
+    are two ways to show how to return:
+
+    - `policy`: everyone is moved by a policy, in closed loop. In each decision the policy draws
+      `candidates` actions for each person. The person walks the one that ends nearest to its
+      recorded position at the next decision; the action that is shown leads from where the person
+      is to that position, at most at the maximum speed (Zhang et al. 2025, CVPR, arXiv:2412.05334).
+      Everyone enters and leaves when recorded. `deviation_m` tells how far people are from their
+      recorded positions. Those who are farther than 3 m walk back, whatever the policy does. Train
+      on these demonstrations together with those of the recording.
+    - `displaced_m`: a random half of the persons is displaced repeatedly: each displacement starts
+      at an offset δ from the recorded path with an additional velocity ε, and decays like a
+      critically damped spring with time constant τ. At time t the person is
+      (δ + (ε + δ/τ) t) exp(−t/τ) away from the recorded position. (Laskey et al. 2017, DART, CoRL,
+      disturb the demonstrator for the same reason.) The displaced motion is as smooth as the
+      recorded one; a return in a single step would look like restless motion. In their last 2 s,
+      displaced people walk straight to the last recorded position. People who stand still are not
+      displaced.
 
     Args:
         scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
@@ -228,14 +86,22 @@ def demonstrations(
         observation: version of the observation, as in `parallel_env`.
         rays: number of rays.
         ray_range_m: range of the rays in metres.
+        interval: number of frames between two decisions; default: that of the policy, or 1.
+        policy: a policy that moves everyone, as in `crowdbench.policy`, trained on `split` if there
+            is one for each split. If it sees observations, they must be those asked for.
+        candidates: number of actions that the policy draws. It is called once for all of them: each
+            person is in so many rows of the batch.
         displaced_m: standard deviation σ of each component of δ in metres; each component of ε has
             σ/τ. 0: no displacements.
         recovery_s: τ in seconds. Each displacement lasts for 4 τ and is followed by another one.
-        seed: random seed of the displacements.
+        seed: random seed of the displacements, or of the policy.
 
     Raises:
         RecordingError: the recording is not imported.
-        SceneError, SettingError: the scene, split or observation does not exist.
+        SceneError, SettingError: the scene, split, observation or policy does not exist, the policy
+            has another observation or interval, or a number is out of range.
+        WeightsError: the file of the policy is missing or invalid.
+        ActionError: the policy does not return one finite action per row.
     """
     place = load_scene(scene)
     check_split(split, 0)
@@ -244,63 +110,28 @@ def demonstrations(
             raise SettingError(
                 name, got=str(value), expected=f"a finite number of at least {least:g}"
             )
-    recording = recording_of(place)
+    for name, count in (("interval", interval), ("candidates", candidates)):
+        if count is not None and (not isinstance(count, int | np.integer) or count < 1):
+            raise SettingError(name, got=repr(count), expected="a whole number, 1 or more")
+    if policy is not None and displaced_m > 0:
+        raise SettingError("demonstrations", got="displaced_m and a policy", expected="one of them")
+    recording = registry.recording_of(place)
     # A slot becomes free only in the frame after the last, when others have already entered.
     most = 2 * int(recording.present().max())
     settings = Settings(max_alive=most, rays=rays, ray_range_m=ray_range_m, observation=observation)
+    walker = None if policy is None else registry.policy(policy, place, split)
+    if walker is not None:
+        interval = _interval(walker, settings, interval)
     simulation = Simulation(place, settings=settings)
-    actor = begin(
-        simulation,
-        Replay(recording),
-        seed=0,
-        frames=recording.frames,
-        start="recorded",
-        walker=ReplayPolicy(recording),
-        scripted=True,
-    )
-    actor.reset(generator(0, 0, "policy"))
-    aside = PathPerturbation.of(recording, displaced_m, recovery_s, seed)
-    last = recording.offsets[1:] - 1
-    step_m = place.dt_s * place.motion.max_speed_mps
-    inside = _trained_on(blocks_of(recording, place).training(split).frames, recording.frames)
-
-    person: list[np.ndarray] = []
-    frame: list[np.ndarray] = []
-    observations: list[np.ndarray] = []
-    actions: list[np.ndarray] = []
-    slots = simulation.slots
-    for t in range(recording.frames):
-        actions_now = actor.actions()
-        if settings.own_frame:  # also for the step itself, so that it is that of the environment
-            actions_now = in_own_frame(actions_now, slots.heading)
-        if inside[t]:
-            there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
-            event = slots.event[0, there]
-            person.append(event)
-            frame.append(np.full(len(there), t))
-            now = actions_now[0, there]
-            stood, went = slots.position[0, there], slots.velocity[0, there]
-            headed = slots.heading[0, there]
-            row = np.minimum(recording.offsets[event] + t - recording.first[event], last[event])
-            after = np.minimum(row + 1, last[event])
-            here = (stood + aside.now[row]).astype(np.float64)
-            moved = aside.now[row].any(axis=1) | aside.after[row].any(axis=1)
-            moved &= place.walkable(here) & place.walkable(recording.xy[after] + aside.after[row])
-            slots.position[0, there[moved]] = here[moved]
-            slots.velocity[0, there[moved]] += aside.drift[row[moved]].astype(np.float32)
-            # Distances walked and times stood are those of the recorded path.
-            slots.heading[0, there] = _headings(slots.velocity[0, there], headed, moved)
-            observations.append(simulation.observe()[0, there])
-            way = (recording.xy[after] + aside.after[row] - here) / step_m
-            if settings.own_frame:
-                way = in_own_frame(way, slots.heading[0, there])
-            slots.position[0, there], slots.velocity[0, there] = stood, went
-            slots.heading[0, there] = headed
-            now[moved] = way.clip(-1, 1)[moved]
-            now[~slots.alive[0, there]] = np.nan
-            actions.append(now)
-        simulation.step(actions_now)
-    check_capacity(simulation)
+    recorded = RecordedContinuation(recording, place.motion.max_speed_mps, interval or 1)
+    mover: Any = recorded  # of one of three protocols
+    if walker is not None:
+        mover = NearestCandidate(walker, candidates, simulation, recorded)
+    aside = None
+    if displaced_m > 0:
+        aside = PathPerturbation.of(recording, displaced_m, recovery_s, seed, recorded.interval)
+    watched = _Watched(simulation, recorded, aside)
+    watched.replay(mover, split, seed)
     provenance = {
         "version": __version__,
         "scene": place.id,
@@ -313,18 +144,133 @@ def demonstrations(
         "observation": observation,
         "rays": rays,
         "ray_range_m": ray_range_m,
+        "interval": int(recorded.interval),
         "displaced_m": displaced_m,
         "recovery_s": recovery_s,
         "seed": seed,
     }
-    return _pieces(
-        np.concatenate(person),
-        np.concatenate(frame),
-        np.concatenate(observations),
-        np.concatenate(actions),
-        np.where(recording.left, recording.last, -1),
-        provenance,
-    )
+    if walker is not None:
+        provenance |= {"policy": walker.name, "candidates": int(candidates)}
+    left = np.where(recording.left, recording.last, -1)
+    return watched.rows.pieces(recording.first, left, provenance)
+
+
+def _interval(policy: Policy, settings: Settings, interval: int | None) -> int:
+    """The interval of a policy, whose observation and interval must be those asked for."""
+    where, own = f"policy {policy.name}", 1
+    if policy.sees == "observation":
+        own = Needs.of(policy).interval
+        names = ["observation"]
+        names += ["rays", "ray_range_m"] if version_of(settings.observation).rays else []
+        theirs = settings_for(policy)
+        for name in names:
+            got, asked = getattr(theirs, name), getattr(settings, name)
+            if got != asked:
+                raise SettingError(
+                    where,
+                    got=f"{name} = {got!r}",
+                    expected=f"{asked!r}, as in the demonstrations",
+                    hint=f"Ask for demonstrations with {name}={got!r}.",
+                )
+    if interval not in (None, own):
+        raise SettingError(
+            where,
+            got=f"decisions every {own} frames",
+            expected=f"every {interval}, as in the demonstrations",
+            hint=f"Ask for demonstrations with interval={own}.",
+        )
+    return own
+
+
+@dataclass(frozen=True, eq=False)
+class _Watched:
+    """Everyone in a simulation of recorded people, and the rows that were written of them."""
+
+    simulation: Simulation
+    recorded: RecordedContinuation
+    aside: PathPerturbation | None
+    rows: Rows = field(default_factory=Rows)
+
+    def replay(self, mover: Any, split: str, seed: int) -> None:
+        """Let a policy move the recorded people; write the rows on which `split` is trained."""
+        simulation, recording = self.simulation, self.recorded.recording
+        actor = begin(
+            simulation,
+            Replay(recording),
+            seed=0,
+            frames=recording.frames,
+            start="recorded",
+            walker=mover,
+            scripted=True,
+        )
+        actor.reset(generator(seed, 0, "policy"))
+        blocks = blocks_of(recording, simulation.scene).training(split)
+        inside = np.zeros(recording.frames, dtype=bool)
+        for start, stop in blocks.frames.tolist():
+            inside[start:stop] = True
+        for frame in range(recording.frames):
+            actions = actor.actions()
+            if actor.world_frame and simulation.settings.own_frame:  # rounded as in environments
+                actions = in_own_frame(actions, simulation.slots.heading)
+            if inside[frame]:
+                self.write(frame, seen=not actor.world_frame)
+            simulation.step(actions)
+        check_capacity(simulation)
+
+    def write(self, frame: int, *, seen: bool) -> None:
+        """Write a row for everyone who decides in this frame or has just left.
+
+        `seen`: the observations of those who are present have just been computed.
+        """
+        simulation, recorded, slots = self.simulation, self.recorded, self.simulation.slots
+        there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
+        person, alive = slots.event[0, there], slots.alive[0, there]
+        age = frame - slots.born[0, there]
+        position, beside = slots.position[0, there], np.zeros((len(there), 2))
+        before = [state[0, there] for state in (slots.position, slots.velocity, slots.heading)]
+        if self.aside is not None:
+            position, beside = self._displace(self.aside, frame, there)
+        if self.aside is not None or not (seen and alive.any()):
+            simulation.observe()
+        actions = recorded.action(person, frame, position, beside)
+        if simulation.settings.own_frame:
+            actions = in_own_frame(actions, slots.heading[0, there])
+        actions = actions.clip(-1, 1)
+        actions[~alive] = np.nan
+        slots.position[0, there], slots.velocity[0, there], slots.heading[0, there] = before
+        due = ~alive | (age % recorded.interval == 0)
+        self.rows.add(
+            frame=frame,
+            person=person[due],
+            step=-(-age[due] // recorded.interval),  # rounded up
+            observations=simulation.observation[0, there[due]],
+            actions=actions[due],
+            deviation_m=recorded.deviation_m(person, frame, position)[due],
+        )
+
+    def _displace(
+        self, aside: PathPerturbation, frame: int, there: Int[np.ndarray, " n"]
+    ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+        """Displace the people in these slots.
+
+        Returns where they are now, and by how much their actions lead beside their recorded
+        positions. Distances walked and times stood remain those of the recorded path.
+        """
+        slots, place, recorded = self.simulation.slots, self.simulation.scene, self.recorded
+        person = slots.event[0, there]
+        row, (following, frames) = recorded.row(person, frame), recorded.following(person, frame)
+        now, after = aside.now[row], aside.after[row]
+        beside = after + (frames - 1)[:, None] * (after - now)
+        stood = slots.position[0, there]
+        here = (stood + now).astype(np.float64)
+        moved = now.any(axis=1) | after.any(axis=1)
+        moved &= place.walkable(here) & place.walkable(recorded.recording.xy[following] + beside)
+        slots.position[0, there[moved]] = here[moved]
+        slots.velocity[0, there[moved]] += aside.drift[row[moved]].astype(np.float32)
+        slots.heading[0, there] = _headings(
+            slots.velocity[0, there], slots.heading[0, there], moved
+        )
+        return np.where(moved[:, None], here, stood), np.where(moved[:, None], beside, 0.0)
 
 
 def _headings(
@@ -344,53 +290,3 @@ def _cite(name: str) -> str:
         return source(name).cite
     except SettingError:
         return ""
-
-
-def _description(provenance: Mapping[str, Any]) -> str:
-    """Description of a dataset in Minari's lists."""
-    words = "Observations and actions of pedestrians. An episode is a trip or a part of one. "
-    words += "All rewards are zero."
-    if name := provenance.get("recording"):
-        words += f" Made by crowdbench from the recording {name}, scene {provenance['scene']}."
-    if cite := provenance.get("cite"):
-        words += f" For your own use only, subject to the terms of its owners. Cite: {cite}."
-    return words
-
-
-def _trained_on(blocks: Int[np.ndarray, "B 2"], frames: int) -> Bool[np.ndarray, " frames"]:
-    inside = np.zeros(frames, dtype=bool)
-    for start, stop in blocks.tolist():
-        inside[start:stop] = True
-    return inside
-
-
-def _pieces(
-    person: Int[np.ndarray, " n"],
-    frame: Int[np.ndarray, " n"],
-    observations: Float32[np.ndarray, "n obs"],
-    actions: Float32[np.ndarray, "n 2"],
-    last: Int[np.ndarray, " P"],
-    provenance: Mapping[str, Any],
-) -> Demonstrations:
-    """Demonstrations from unsorted rows: runs of consecutive frames of one person.
-
-    Runs of a single row are dropped, because they contain no action.
-    """
-    order = np.lexsort((frame, person))
-    person, frame = person[order], frame[order]
-    begins = (np.diff(person, prepend=-1) != 0) | (np.diff(frame, prepend=-2) != 1)
-    run = np.cumsum(begins) - 1
-    length = np.bincount(run)
-    kept = length[run] > 1
-    order, begins = order[kept], begins[kept]
-    person, frame = person[kept], frame[kept]
-    length = length[length > 1]
-    offsets = np.concatenate([[0], np.cumsum(length)])
-    observations, actions = observations[order], actions[order]
-    actions[offsets[1:] - 1] = np.nan
-    whose = person[begins].astype(np.int64)
-    ends = frame[offsets[1:] - 1]
-    complete = ends == last[whose]
-    return Demonstrations(
-        observations, actions, whose, offsets, frame[begins], complete, provenance
-    )

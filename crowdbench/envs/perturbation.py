@@ -36,9 +36,18 @@ class PathPerturbation:
 
     @classmethod
     def of(
-        cls, recording: Trajectories, displaced_m: float, recovery_s: float, seed: int
+        cls,
+        recording: Trajectories,
+        displaced_m: float,
+        recovery_s: float,
+        seed: int,
+        interval: int = 1,
     ) -> "PathPerturbation":
-        """Displace a random half of the persons, each with a new spring every 4 τ."""
+        """Displace a random half of the persons, each with a new spring every 4 τ.
+
+        They change their velocities in the annotated frames or, if `interval` is above 1, in each
+        `interval`-th frame of their trips.
+        """
         shape = (len(recording.xy), 2)
         found = cls(np.zeros(shape), np.zeros(shape), np.zeros(shape))
         rng = np.random.default_rng(seed)
@@ -46,12 +55,13 @@ class PathPerturbation:
         if displaced_m == 0:
             return found
         dt_s = recording.dt_s
-        knot = max(1, round(recording.grid_s / dt_s))
+        knot = interval if interval > 1 else max(1, round(recording.grid_s / dt_s))
         every = max(1, round(4 * recovery_s / (knot * dt_s)))
         for person in np.flatnonzero(chosen).tolist():
             rows = slice(*recording.offsets[person : person + 2].tolist())
             length = rows.stop - rows.start
-            at, within = np.divmod(recording.first[person] + np.arange(length), knot)
+            since = 0 if interval > 1 else recording.first[person]
+            at, within = np.divmod(since + np.arange(length), knot)
             k, step = np.divmod(at - at[0] + int(rng.integers(every)), every)
             delta, epsilon = rng.normal(0.0, displaced_m, (2, k[-1] + 1, 2))[:, k]
             velocity = epsilon / recovery_s

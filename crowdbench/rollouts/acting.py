@@ -80,7 +80,7 @@ class Actor:
         if policy.sees == "state":
             view = StateView.of(simulation)
             at = view.world * there.shape[1] + view.slot
-            flat[at] = _checked(act(view), len(view.slot), policy)
+            flat[at] = checked_actions(act(view), len(view.slot), policy)
             if who is not there:
                 actions[~who] = 0
             return actions
@@ -88,7 +88,7 @@ class Actor:
         observation = simulation.observe()
         seen = observation.reshape(-1, observation.shape[-1])
         if not self._keeps:
-            flat[at] = _checked(act(seen.take(at, axis=0)), len(at), policy)
+            flat[at] = checked_actions(act(seen.take(at, axis=0)), len(at), policy)
             return actions
         event = simulation.slots.event.ravel()
         entered = self._event[at] != event[at]
@@ -141,7 +141,7 @@ class Actor:
         policy = self.policy
         act: Any = policy.act
         if not self._needs.memories:
-            return _checked(act(seen), len(seen), policy)
+            return checked_actions(act(seen), len(seen), policy)
         memory = Memory(
             state=self._state[at],
             style=self._style[at],
@@ -149,24 +149,33 @@ class Actor:
             person=self._simulation.slots.person.ravel()[at],
             entered=entered,
         )
-        found = _checked(act(seen, memory), len(seen), policy)
-        state = np.asarray(memory.state)
-        if state.shape != (len(at), self._needs.memory) or not np.isfinite(state).all():
-            raise ActionError(
-                f"policy {policy.name}",
-                got=f"next states of shape {state.shape}"
-                if state.shape != (len(at), self._needs.memory)
-                else f"{int((~np.isfinite(state)).sum())} values of next states that are not "
-                "finite",
-                expected=f"finite numbers of shape ({len(at)}, {self._needs.memory}) in "
-                "memory.state",
-                hint="Write into the array: memory.state[:] = …",
-            )
-        self._state[at] = state
+        found = checked_actions(act(seen, memory), len(seen), policy)
+        self._state[at] = checked_states(memory, len(at), self._needs.memory, policy)
         return found
 
 
-def _checked(actions: object, persons: int, policy: Policy) -> Float32[np.ndarray, "A 2"]:
+def checked_states(
+    memory: Memory, persons: int, size: int, policy: Policy
+) -> Float32[np.ndarray, "A M"]:
+    """The next states that a policy wrote.
+
+    Raises:
+        ActionError: they are not finite numbers of shape (`persons`, `size`).
+    """
+    state = np.asarray(memory.state)
+    if state.shape != (persons, size) or not np.isfinite(state).all():
+        raise ActionError(
+            f"policy {policy.name}",
+            got=f"next states of shape {state.shape}"
+            if state.shape != (persons, size)
+            else f"{int((~np.isfinite(state)).sum())} values of next states that are not finite",
+            expected=f"finite numbers of shape ({persons}, {size}) in memory.state",
+            hint="Write into the array: memory.state[:] = …",
+        )
+    return state.astype(np.float32, copy=False)
+
+
+def checked_actions(actions: object, persons: int, policy: Policy) -> Float32[np.ndarray, "A 2"]:
     """The actions of a policy, clipped to [−1, 1].
 
     Raises:

@@ -124,11 +124,20 @@ def test_the_fields_of_the_state_are_those_that_the_page_lists() -> None:
 @pytest.mark.filterwarnings("ignore:Converting a tensor with requires_grad")
 def test_the_imitation_example_trains(capsys: pytest.CaptureFixture[str]) -> None:
     need_imitation()
-    exec(
-        compile(pages.block_with(page("training.md"), "demonstrations("), "training.md", "exec"), {}
-    )
+    block = pages.block_with(page("training.md"), "imitation.algorithms")
+    exec(compile(block, "training.md", "exec"), {})
     reward = float(capsys.readouterr().out.split()[0])
     assert reward > 5  # metres nearer to the goal
+
+
+def test_the_example_in_closed_loop_walks_near_the_recording(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("torch")
+    exec(compile(pages.block_with(page("training.md"), "candidates=3"), "training.md", "exec"), {})
+    loss, metres = re.findall(r"-?\d+\.\d+", capsys.readouterr().out)
+    assert float(loss) < -1.5
+    assert 0 < float(metres) < 1.5
 
 
 @pytest.mark.long

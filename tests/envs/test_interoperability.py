@@ -214,6 +214,7 @@ def test_minari_gives_back_the_pieces_bit_for_bit(shown: Demonstrations, dataset
     notes = list(dataset.storage.get_episode_metadata(range(len(shown))))
     assert [int(note["person"]) for note in notes] == shown.person.tolist()
     assert [int(note["first_frame"]) for note in notes] == shown.first.tolist()
+    assert [bool(note["entered"]) for note in notes] == shown.entered.tolist()
 
 
 def test_a_dataset_tells_how_it_was_made(shown: Demonstrations, datasets: Path) -> None:
@@ -233,6 +234,7 @@ def test_a_dataset_tells_how_it_was_made(shown: Demonstrations, datasets: Path) 
         "observation": "lidar-2",
         "rays": 8,
         "ray_range_m": 10.0,
+        "interval": 1,
         "displaced_m": 0.0,
         "recovery_s": 1.5,
         "seed": 7,

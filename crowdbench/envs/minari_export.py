@@ -1,0 +1,103 @@
+"""Writing of demonstrations as Minari datasets."""
+
+import shutil
+import warnings
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from crowdbench.errors import OutputError, SettingError
+
+if TYPE_CHECKING:
+    from minari import MinariDataset
+
+    from crowdbench.envs.demonstrated_trips import Demonstrations
+
+
+def write_minari(shown: "Demonstrations", dataset_id: str) -> "MinariDataset":
+    """Write demonstrations as a dataset; see `Demonstrations.to_minari`."""
+    from minari.dataset.minari_dataset import parse_dataset_id
+    from minari.storage import get_dataset_path
+
+    if not len(shown):
+        raise SettingError("to_minari", got="no demonstrations", expected="at least one")
+    try:
+        parse_dataset_id(dataset_id)
+    except (TypeError, ValueError) as error:  # TypeError: an id without a version
+        raise SettingError(
+            "dataset_id", got=repr(dataset_id), expected="an id like crowdbench/eth-full-v0"
+        ) from error
+    try:
+        folder = get_dataset_path(dataset_id)
+        if folder.exists():
+            raise OutputError(
+                folder,
+                got="a dataset that already exists",
+                expected="a new id",
+                hint=f"Increase its version, or run `minari delete {dataset_id}`.",
+            )
+        try:
+            return _write(shown, dataset_id)
+        except (FileExistsError, ValueError):  # another process has created it meanwhile
+            raise
+        except BaseException:  # an incomplete dataset would look like a complete one
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+    except OSError as error:
+        raise OutputError(
+            dataset_id,
+            got=str(error),
+            expected="a writable folder",
+            hint="Set MINARI_DATASETS_PATH to one.",
+        ) from error
+
+
+def _write(shown: "Demonstrations", dataset_id: str) -> "MinariDataset":
+    from gymnasium.spaces import Box
+    from minari import create_dataset_from_buffers
+    from minari.data_collector import EpisodeBuffer
+
+    episodes, notes = [], []
+    for k, complete in enumerate(shown.complete.tolist()):
+        start, stop = shown.offsets[k : k + 2].tolist()
+        last = np.arange(start + 1, stop) == stop - 1
+        episodes.append(
+            EpisodeBuffer(
+                observations=shown.observations[start:stop],
+                actions=shown.actions[start : stop - 1],
+                rewards=np.zeros(len(last), np.float32),
+                terminations=last & complete,
+                truncations=last & (not complete),
+            )
+        )
+        notes.append({
+            "person": int(shown.person[k]),
+            "first_frame": int(shown.first[k]),
+            "entered": bool(shown.entered[k]),
+        })  # fmt: skip
+    with warnings.catch_warnings():
+        # Minari warns if a dataset has no author, e-mail address or Gymnasium environment.
+        warnings.filterwarnings("ignore", ".* is set to None|env_spec is None", UserWarning)
+        dataset = create_dataset_from_buffers(
+            dataset_id,
+            episodes,
+            observation_space=Box(-1.0, 1.0, shown.observations.shape[1:], np.float32),
+            action_space=Box(-1.0, 1.0, shown.actions.shape[1:], np.float32),
+            algorithm_name="recorded persons",
+            description=_description(shown.provenance),
+        )
+    dataset.storage.update_episode_metadata(notes)
+    dataset.storage.update_metadata({"crowdbench": dict(shown.provenance)})
+    return dataset
+
+
+def _description(provenance: Mapping[str, Any]) -> str:
+    """Description of a dataset in Minari's lists."""
+    words = "Observations and actions of pedestrians. An episode is a trip or a part of one. "
+    words += "All rewards are zero."
+    if name := provenance.get("recording"):
+        words += f" Made by crowdbench from the recording {name}, scene {provenance['scene']}."
+    if cite := provenance.get("cite"):
+        words += f" For your own use only, subject to the terms of its owners. Cite: {cite}."
+    return words
