@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from crowdbench import __version__, registry
 from crowdbench.envs.closed_loop import NearestCandidate
 from crowdbench.envs.demonstrated_trips import Demonstrations, Rows
-from crowdbench.envs.perturbation import PathPerturbation
+from crowdbench.envs.perturbation import HOMING_S, PathPerturbation
 from crowdbench.envs.recorded_paths import RecordedContinuation
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy
@@ -32,12 +32,15 @@ from crowdbench.simulation.social import in_own_frame
 from crowdbench.spawn import Replay
 from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.weights import check_split
+from crowdbench.trajectories.smoothing import smoothed
 from crowdbench.trajectories.stops import STANDING_MPS
 
 __all__ = ["Demonstrations", "demonstrations"]
 
 CANDIDATES = 3
 """Default number of actions that a policy draws for each person and decision."""
+RECOVERY_S = 1.5
+"""Default time constant of displacements, seconds."""
 
 
 def demonstrations(
@@ -50,8 +53,9 @@ def demonstrations(
     interval: int | None = None,
     policy: str | Policy | None = None,
     candidates: int = CANDIDATES,
+    smoothing_s: float = 0.0,
     displaced_m: float = 0.0,
-    recovery_s: float = 1.5,
+    recovery_s: float | None = None,
     seed: int = 0,
 ) -> Demonstrations:
     """Demonstrations of a scene's recording, from the time blocks on which `split` is fitted.
@@ -67,6 +71,8 @@ def demonstrations(
       `candidates` actions for each person. The person walks the one that ends nearest to its
       recorded position at the next decision; the action that is shown leads from where the person
       is to that position, at most at the maximum speed (Zhang et al. 2025, CVPR, arXiv:2412.05334).
+      With `recovery_s` = τ it leads back more smoothly: the deviation decays by the share dt/τ in a
+      decision of dt seconds, except in the last 2 s, in which it leads to the last position.
       Everyone enters and leaves when recorded. `deviation_m` tells how far people are from their
       recorded positions. Those who are farther than 3 m walk back, whatever the policy does. Train
       on these demonstrations together with those of the recording.
@@ -91,9 +97,13 @@ def demonstrations(
             is one for each split. If it sees observations, they must be those asked for.
         candidates: number of actions that the policy draws. It is called once for all of them: each
             person is in so many rows of the batch.
+        smoothing_s: window in which recorded positions are smoothed, in seconds, as in
+            `crowdbench.trajectories.smoothing.smoothed`; 0: not at all. Without it, actions contain
+            the noise of annotations, and sampled walkers tremble.
         displaced_m: standard deviation σ of each component of δ in metres; each component of ε has
             σ/τ. 0: no displacements.
-        recovery_s: τ in seconds. Each displacement lasts for 4 τ and is followed by another one.
+        recovery_s: τ in seconds. Each displacement lasts for 4 τ and is followed by another one;
+            default: 1.5, or 0 with a policy.
         seed: random seed of the displacements, or of the policy.
 
     Raises:
@@ -105,7 +115,14 @@ def demonstrations(
     """
     place = load_scene(scene)
     check_split(split, 0)
-    for name, value, least in (("displaced_m", displaced_m, 0), ("recovery_s", recovery_s, 1e-3)):
+    if recovery_s is None:
+        recovery_s = 0.0 if policy is not None else RECOVERY_S
+    least_s = 0 if policy is not None else 1e-3
+    for name, value, least in (
+        ("smoothing_s", smoothing_s, 0),
+        ("displaced_m", displaced_m, 0),
+        ("recovery_s", recovery_s, least_s),
+    ):
         if not (np.isfinite(value) and value >= least):
             raise SettingError(
                 name, got=str(value), expected=f"a finite number of at least {least:g}"
@@ -115,7 +132,7 @@ def demonstrations(
             raise SettingError(name, got=repr(count), expected="a whole number, 1 or more")
     if policy is not None and displaced_m > 0:
         raise SettingError("demonstrations", got="displaced_m and a policy", expected="one of them")
-    recording = registry.recording_of(place)
+    recording = smoothed(registry.recording_of(place), smoothing_s)
     # A slot becomes free only in the frame after the last, when others have already entered.
     most = 2 * int(recording.present().max())
     settings = Settings(max_alive=most, rays=rays, ray_range_m=ray_range_m, observation=observation)
@@ -130,7 +147,7 @@ def demonstrations(
     aside = None
     if displaced_m > 0:
         aside = PathPerturbation.of(recording, displaced_m, recovery_s, seed, recorded.interval)
-    watched = _Watched(simulation, recorded, aside)
+    watched = _Watched(simulation, recorded, aside, recovery_s if walker is not None else 0.0)
     watched.replay(mover, split, seed)
     provenance = {
         "version": __version__,
@@ -145,6 +162,7 @@ def demonstrations(
         "rays": rays,
         "ray_range_m": ray_range_m,
         "interval": int(recorded.interval),
+        "smoothing_s": smoothing_s,
         "displaced_m": displaced_m,
         "recovery_s": recovery_s,
         "seed": seed,
@@ -189,6 +207,8 @@ class _Watched:
     simulation: Simulation
     recorded: RecordedContinuation
     aside: PathPerturbation | None
+    recovery_s: float
+    """Time constant with which actions lead back to recorded positions; 0: at once."""
     rows: Rows = field(default_factory=Rows)
 
     def replay(self, mover: Any, split: str, seed: int) -> None:
@@ -230,6 +250,8 @@ class _Watched:
         before = [state[0, there] for state in (slots.position, slots.velocity, slots.heading)]
         if self.aside is not None:
             position, beside = self._displace(self.aside, frame, there)
+        elif self.recovery_s > 0:
+            beside = self._recovering(person, frame, position)
         if self.aside is not None or not (seen and alive.any()):
             simulation.observe()
         actions = recorded.action(person, frame, position, beside)
@@ -247,6 +269,19 @@ class _Watched:
             actions=actions[due],
             deviation_m=recorded.deviation_m(person, frame, position)[due],
         )
+
+    def _recovering(
+        self, person: Int[np.ndarray, " n"], frame: int, position: Float32[np.ndarray, "n 2"]
+    ) -> Float[np.ndarray, "n 2"]:
+        """What is left of the deviations from the recorded positions at the next decisions."""
+        recorded = self.recorded
+        recording, row = recorded.recording, recorded.row(person, frame)
+        frames = recorded.following(person, frame)[1]
+        left = np.maximum(0, 1 - frames * recording.dt_s / self.recovery_s)
+        to_end = recording.offsets[person + 1] - 1 - row
+        left[to_end * recording.dt_s <= HOMING_S] = 0
+        off: np.ndarray = position.astype(np.float64) - recording.xy[row]
+        return off * left[:, None]
 
     def _displace(
         self, aside: PathPerturbation, frame: int, there: Int[np.ndarray, " n"]

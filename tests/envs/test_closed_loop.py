@@ -1,6 +1,7 @@
 """Demonstrations in which a policy moves the recorded people."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -313,3 +314,45 @@ def test_actions_that_are_no_numbers_are_refused(scene: Scene) -> None:
         closed(scene, Diverged())
     with pytest.raises(ActionError, match="next states of shape"):
         closed(scene, Forgetful(0.1, 1, 3))
+
+
+@pytest.mark.parametrize("recovery_s", [1.0, 4.0])
+def test_with_a_recovery_time_deviations_decay_until_the_end_is_near(
+    scene: Scene, crowd: Trajectories, recovery_s: float
+) -> None:
+    at_once, slowly = (
+        closed(scene, Noisy(), candidates=1, recovery_s=time) for time in (0.0, recovery_s)
+    )
+    np.testing.assert_array_equal(at_once.observations, slowly.observations)
+    length = np.diff(at_once.offsets)
+    step = np.arange(length.sum()) - np.repeat(at_once.offsets[:-1], length)
+    to_end = np.repeat(crowd.last[at_once.person] - at_once.first, length) - step
+    far = np.flatnonzero((to_end * DT > 2.0) & (at_once.deviation_m < 1.0))
+    near = np.flatnonzero((to_end * DT <= 2.0) & (to_end > 0))
+    less_m = np.linalg.norm(at_once.actions - slowly.actions, axis=1) * MAX_MPS * DT
+    expected = at_once.deviation_m * (1 - DT / recovery_s)
+    assert expected[far].max() > 0.1
+    np.testing.assert_allclose(less_m[far], expected[far], atol=1e-4)
+    assert not less_m[near].any()
+
+
+def test_smoothed_paths_lose_noise_but_not_people(crowd: Trajectories) -> None:
+    rng = np.random.default_rng(0)
+    noisy = replace(crowd, xy=crowd.xy + rng.normal(0, 0.05, crowd.xy.shape).astype(np.float32))
+    with recording_is(noisy) as place:
+        rough, smooth = (
+            demonstrations(place, observation="social-1", smoothing_s=window)
+            for window in (0.0, 3.2)
+        )
+    assert rough.offsets.tolist() == smooth.offsets.tolist()
+    assert smooth.provenance["smoothing_s"] == 3.2
+    spread = [float(np.std(shown.pairs()[1][:, 1])) for shown in (rough, smooth)]
+    assert spread[1] < 0.5 * spread[0]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"smoothing_s": -1.0}, {"smoothing_s": np.nan}, {"recovery_s": -1.0}]
+)
+def test_bad_times_are_errors(scene: Scene, wrong: dict[str, float]) -> None:
+    with pytest.raises(SettingError, match=next(iter(wrong))):
+        closed(scene, Noisy(), **wrong)

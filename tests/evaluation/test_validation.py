@@ -1,0 +1,65 @@
+"""The walk score on training blocks, with which settings of policies are chosen."""
+
+import numpy as np
+import pytest
+
+from crowdbench.errors import SettingError
+from crowdbench.evaluation import validation
+from crowdbench.evaluation.validation import validate
+from crowdbench.policies import Straight
+from crowdbench.registry import policy
+from crowdbench.scene import load_scene
+
+PLAZA = load_scene("plaza-v0")
+
+
+class Slow(Straight):
+    """Walks straight at half of the preferred speed."""
+
+    name = "slow"
+
+    def act(self, seen):
+        return 0.5 * super().act(seen)
+
+
+def test_recorded_people_score_about_1_and_straight_walkers_0() -> None:
+    recorded = validate(PLAZA, policy("recorded-paths", PLAZA), "fold1")
+    assert recorded.walk > 0.9
+    assert recorded.passes
+    assert recorded.speed_mps == pytest.approx(recorded.recorded_speed_mps, rel=0.02)
+    straight = validate(PLAZA, Straight(), "fold1")
+    assert set(straight.scores.values()) == {0.0}
+    assert straight.walk == 0.0
+
+
+def test_who_does_not_pass_the_gate_has_no_positive_score() -> None:
+    found = validate("plaza-v0", Slow(), "full")
+    assert not found.passes
+    assert found.walk <= 0
+    assert found.speed_mps < 0.7 * found.recorded_speed_mps
+
+
+def test_the_blocks_that_a_fold_is_scored_on_do_not_count(monkeypatch) -> None:
+    plain = validate(PLAZA, Slow(), "fold0")
+    blocks = validation.reference_of(PLAZA).blocks
+    scored = blocks.in_split("fold0")
+    seen = validation._seen
+
+    def disturbed(scene, reference, crowd, metrics):
+        found = seen(scene, reference, crowd, metrics)
+        for statistics in found.values():
+            for values in statistics.values():
+                values[scored] = 17 * np.arange(1, values.shape[1] + 1)
+        return found
+
+    monkeypatch.setattr(validation, "_seen", disturbed)
+    validation._straight.cache_clear()
+    assert validate(PLAZA, Slow(), "fold0") == plain
+    assert validate(PLAZA, Slow(), "full") != plain
+    validation._straight.cache_clear()
+
+
+@pytest.mark.parametrize("wrong", [{"rollouts": 0}, {"split": "fold9"}])
+def test_bad_settings(wrong: dict) -> None:
+    with pytest.raises(SettingError):
+        validate(PLAZA, Straight(), **wrong)
