@@ -134,7 +134,15 @@ class Command:
             raise unwritable(folder, error) from error
         return cls(name, place, folder, sys.argv[1:] if arguments is None else arguments)
 
-    def write(self, split: str, network: nn.Module, *, observation: str, noise: int) -> Path:
+    def write(
+        self,
+        split: str,
+        network: nn.Module,
+        *,
+        observation: str,
+        noise: int,
+        interval: int = 1,
+    ) -> Path:
         """Export the policy of a split and return its path; see `export_policy`.
 
         The card contains the command line of this call.
@@ -142,6 +150,7 @@ class Command:
         card = PolicyCard(
             name=self.name,
             observation=observation,
+            interval=interval,
             scene=self.scene.id,
             split=split,
             command=f"python -m {_module(self.name)} {shlex.join(self.given)}",

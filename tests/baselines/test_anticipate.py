@@ -1,0 +1,144 @@
+"""Walkers that anticipate: the guide, the mirrored samples, and a file that does the same."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from given import Given
+from worlds import Person, square
+
+from baselines import anticipate
+from baselines.anticipate import NOISE, Guide, Sampler, Walker, mirrored
+from crowdbench.evaluation.validation import validate
+from crowdbench.policies import OnnxPolicy, Straight
+from crowdbench.rollouts.episode import begin
+from crowdbench.simulation import Settings, Simulation, social
+
+WALKING = 1.3 / 5.0
+"""Speed of the people in these tests, in units of the maximum speed of 5 m/s."""
+CANDIDATES = torch.tensor([[[WALKING, 0.0], [0.9 * WALKING, 0.4 * WALKING], [0.0, 0.0]]])
+"""Straight on, to the left, and standing."""
+
+
+@pytest.fixture
+def seen() -> torch.Tensor:
+    """The observation (1, 102) of somebody who walks alone in the open, far from the target."""
+    found = torch.zeros(1, social.SIZE)
+    found[:, social.VELOCITY.start] = WALKING
+    found[:, social.ROUTE_DIRECTION.start] = 1.0
+    found[:, social.ROUTE_LENGTH] = 0.5
+    found[:, social.PROBES] = 1.0
+    return found
+
+
+@pytest.fixture
+def sampler() -> Sampler:
+    torch.manual_seed(0)
+    return Sampler(Walker(5.0, 16), Guide(), radius_m=0.3)
+
+
+def meet(seen: torch.Tensor, *, companion: bool = False) -> torch.Tensor:
+    """Somebody comes towards the person from 3 m ahead."""
+    found = seen.clone()
+    other = found[:, social.NEIGHBOURS.start : social.NEIGHBOURS.start + social.FEATURES]
+    other[:, social.OFFSET.start] = 3.0 / social.RANGE_M
+    other[:, social.APPROACH.start] = -2 * WALKING
+    other[:, social.COMPANION] = float(companion)
+    other[:, social.PRESENT] = 1.0
+    return found
+
+
+def test_close_passes_of_strangers_cost(seen, sampler: Sampler) -> None:
+    nobody, _ = sampler.passes(seen, CANDIDATES)
+    assert not nobody.any()
+    close, overlap = sampler.passes(meet(seen), CANDIDATES)
+    straight, left, stand = close[0].tolist()
+    assert straight == pytest.approx(1.0, abs=1e-3)  # they would meet
+    assert 0 < left < straight
+    assert stand == pytest.approx(1.0, abs=1e-3)  # it would be run into
+    assert overlap[0, 0] > overlap[0, 1]
+    companions, touch = sampler.passes(meet(seen, companion=True), CANDIDATES)
+    assert not companions.any()
+    assert touch[0, 0] == overlap[0, 0]
+
+
+def test_walls_cost_where_the_candidate_leads(seen, sampler: Sampler) -> None:
+    assert not sampler.walls(seen, CANDIDATES).any()
+    ahead = np.flatnonzero(social.PROBE_POINTS[:, 0] > 0.9)
+    seen[:, social.PROBES.start + ahead] = 0.0
+    straight, left, stand = sampler.walls(seen, CANDIDATES)[0].tolist()
+    assert straight > left > stand
+
+
+def test_missing_a_near_target_costs_its_distance(seen, sampler: Sampler) -> None:
+    assert not sampler.misses(seen, CANDIDATES).any()  # too far away
+    seen[:, social.ROUTE_LENGTH] = 2.0 / social.ROUTE_RANGE_M
+    seen[:, social.ROUTE_DIRECTION] = torch.tensor([0.6, 0.8])
+    straight, left, stand = sampler.misses(seen, CANDIDATES)[0].tolist()
+    assert straight == pytest.approx(1.6, abs=1e-4)
+    assert left < straight
+    assert stand == pytest.approx(2.0, abs=1e-4)
+
+
+def test_with_a_guide_people_pass_strangers_at_a_greater_distance(seen, sampler: Sampler) -> None:
+    many = meet(seen).repeat(2000, 1)
+    noise = torch.randn(2000, NOISE, generator=torch.Generator().manual_seed(1))
+    passed = []
+    for avoid in (0.0, 30.0):
+        guide = Guide(avoid=avoid, wall=0.0, home=0.0).tensor()
+        with torch.no_grad():
+            actions = sampler(many, noise, guide)
+        passed.append(float(sampler.passes(many, actions[:, None])[0].mean()))
+    assert passed[1] < 0.9 * passed[0]
+
+
+def test_mirrored_observations_are_those_of_a_mirrored_world() -> None:
+    people = [
+        Person(start=(0.0, 0.0), goal=(8.0, 3.0), speed=1.2),
+        Person(start=(2.0, 1.5), goal=(-8.0, -2.0), speed=1.0),
+        Person(start=(-1.0, -2.5), goal=(7.0, -7.0), speed=1.4),
+        Person(start=(9.0, 9.2), goal=(9.0, -9.0), speed=1.1),
+    ]
+    across = [
+        Person(
+            start=(p.start[0], -p.start[1]), goal=(p.goal[0], -p.goal[1]), speed=p.speed
+        )
+        for p in people
+    ]  # fmt: skip
+    each = []
+    for crowd in (people, across):
+        simulation = Simulation(square(), settings=Settings(max_alive=8, observation="social-1"))
+        begin(simulation, Given(*crowd), seed=0, frames=20, start="empty", walker=Straight())
+        for _ in range(4):
+            simulation.step(np.full(simulation.slots.position.shape, [0.2, 0.0], np.float32))
+        each.append(simulation.observe()[0, :4].copy())
+    here, there = each
+    np.testing.assert_allclose(mirrored(here), there, atol=1e-5)
+    np.testing.assert_array_equal(mirrored(mirrored(here)), here)
+    assert not np.allclose(here, there, atol=0.1)
+
+
+@pytest.mark.long
+def test_it_trains_chooses_a_guide_and_writes_a_policy_that_arrives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(anticipate, "GRID", {"avoid": (0.0, 8.0), "wall": (4.0, 36.0)})
+    arguments = ["--scene", "plaza-v0", "--splits", "fold1", "--samples", "200000"]
+    more = ["--rollouts", "1", "--rounds", "1", "--out", str(tmp_path)]
+    assert anticipate.main(arguments + more) == 0
+    said = capsys.readouterr().out
+    assert "round 1, held out" in said
+    assert said.count(": walk ") == 3  # of 0, 8 and 36; 4 is the default of walls
+    assert "fold1: chosen: Guide(" in said
+    policy = OnnxPolicy(tmp_path / "fold1.onnx")
+    assert (policy.card.split, policy.card.interval, policy.noise) == ("fold1", 1, NOISE)
+    assert "--samples 200000" in policy.card.command
+    found = validate("plaza-v0", policy, "fold1")
+    assert found.at_goal > 0.9
+    assert 0.6 < found.speed_mps / found.recorded_speed_mps < 1.15
+
+
+def test_bad_settings_are_an_error_that_says_which(capsys: pytest.CaptureFixture[str]) -> None:
+    assert anticipate.main(["--scene", "plaza-v0", "--samples", "0"]) == 2
+    assert "samples" in capsys.readouterr().err
