@@ -16,8 +16,8 @@ class SlotEnv(CrowdEnv):
     It has the same arguments. All tensors of the group `agents` are at the root: `observation`,
     `action`, `mask`, `reward` (W, N, 1), `done` (W, N, 1) and so on. When a person has ended its
     trip, its slot waits for the next person. The wait is an episode too, which ends (`terminated`)
-    in the step in which that person enters. Its observations and rewards are zero and its `mask` is
-    false; do not train on it.
+    in the step in which that person enters. Its rewards are zero and its `mask` is false: leave it
+    out of losses.
 
     So whatever TorchRL does where an environment is done, it does for each person: `InitTracker`
     marks the first step of each person in `is_init`, with which `GRUModule` and `LSTMModule` begin
