@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Int
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
@@ -43,7 +44,16 @@ class CrowdEnv(EnvBase):
       ends.
     - `person_id`: −1 in empty slots. `just_spawned`: whether the person entered in this step.
 
-    All worlds begin and end together, at the horizon. Each world has its own arrivals.
+    Each world has its own arrivals. All worlds begin together and end together at the horizon,
+    unless worlds are reset singly, by the mask `_reset` (W, 1) of TorchRL. A world that is reset
+    does not disturb the others, whose episodes go on. The k-th episode of world w is the same
+    whenever it begins: its seed is the k-th that is drawn from `seed`.
+
+    Tensors are on `device`. The simulation runs on the CPU: in each step the actions are copied
+    there, and what it returns is copied back once.
+
+    For recurrent networks, and for everything else in TorchRL that begins anew where an
+    environment is done, see `SlotEnv`.
     """
 
     batch_locked = True
@@ -63,6 +73,7 @@ class CrowdEnv(EnvBase):
         reward: Reward | None = None,
         drop: bool = True,
         seed: int | None = None,
+        device: torch.device | str = "cpu",
     ) -> None:
         """Create the environment.
 
@@ -80,6 +91,7 @@ class CrowdEnv(EnvBase):
             drop: if true, people without a free slot are omitted and counted in `dropped`; if
                 false, they raise a `CapacityError`.
             seed: seed of the first episode, from which the seeds of later episodes are drawn.
+            device: device of all tensors.
 
         Raises:
             SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or
@@ -87,7 +99,7 @@ class CrowdEnv(EnvBase):
         """
         if worlds < 1:
             raise SettingError("worlds", got=str(worlds), expected="a whole number, 1 or more")
-        super().__init__(device="cpu", batch_size=torch.Size([worlds]))
+        super().__init__(device=device, batch_size=self._batch(worlds, max_alive))
         self.scene = load_scene(scene)
         self.spawn = spawn_model(spawn, self.scene)
         horizon_s = self.scene.horizon_s if horizon_s is None else horizon_s
@@ -95,15 +107,14 @@ class CrowdEnv(EnvBase):
         self.frames = self.scene.frames(horizon_s)
         self._start = start
         self._drop = drop
-        self._simulation = Simulation(
-            self.scene,
-            worlds=worlds,
-            settings=Settings(
-                max_alive=max_alive, rays=rays, ray_range_m=ray_range_m, observation=observation
-            ),
+        settings = Settings(
+            max_alive=max_alive, rays=rays, ray_range_m=ray_range_m, observation=observation
         )
+        self._simulation = Simulation(self.scene, worlds=worlds, settings=settings)
         self._rewarder = Rewarder(reward or Reward(), self._simulation)
-        self._make_specs(worlds, max_alive, self._simulation.observation.shape[-1])
+        specs = self._specs(worlds, max_alive, self._simulation.observation.shape[-1])
+        for name, spec in specs.items():
+            setattr(self, name, spec)
         self.set_seed(seed)
 
     def state(self) -> torch.Tensor:
@@ -111,9 +122,13 @@ class CrowdEnv(EnvBase):
 
         See `crowdbench.envs.global_state`.
         """
-        return torch.from_numpy(global_state(self._simulation))
+        return torch.from_numpy(global_state(self._simulation)).to(self.device)
 
-    def _make_specs(self, worlds: int, slots: int, numbers: int) -> None:
+    @staticmethod
+    def _batch(worlds: int, slots: int) -> torch.Size:
+        return torch.Size([worlds])
+
+    def _specs(self, worlds: int, slots: int, numbers: int) -> dict[str, Composite]:
         each = (worlds, slots)
 
         def box(*shape: int) -> Bounded:
@@ -126,52 +141,82 @@ class CrowdEnv(EnvBase):
             agents = Composite(specs, shape=each)
             return Composite({"agents": agents}, shape=(worlds,))
 
-        self.observation_spec = of_agents(
-            observation=box(numbers),
-            mask=flags(),
-            person_id=Unbounded(shape=each, dtype=torch.int64),
-            just_spawned=flags(),
-            reward_parts=Unbounded(shape=(*each, len(PARTS)), dtype=torch.float32),
-        )
-        self.action_spec = of_agents(action=box(2))
-        self.reward_spec = of_agents(reward=Unbounded(shape=(*each, 1), dtype=torch.float32))
         done = of_agents(done=flags(1), terminated=flags(1), truncated=flags(1))
         for name in ("done", "terminated", "truncated"):
             done[name] = Binary(n=1, shape=(worlds, 1), dtype=torch.bool)
-        self.done_spec = done
+        return {
+            "observation_spec": of_agents(
+                observation=box(numbers),
+                mask=flags(),
+                person_id=Unbounded(shape=each, dtype=torch.int64),
+                just_spawned=flags(),
+                reward_parts=Unbounded(shape=(*each, len(PARTS)), dtype=torch.float32),
+            ),
+            "action_spec": of_agents(action=box(2)),
+            "reward_spec": of_agents(reward=Unbounded(shape=(*each, 1), dtype=torch.float32)),
+            "done_spec": done,
+        }
 
     def _set_seed(self, seed: int | None) -> None:
-        self._seeds = np.random.default_rng(seed)
-        self._next_seed = seed
+        self._rng = np.random.default_rng(seed)
+        self._seeds = [] if seed is None else [seed]
+        self._episodes = np.zeros(self._simulation.worlds, np.int64)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
         asked = None if tensordict is None else tensordict.get("_reset", None)
-        if asked is not None and not asked.all():
-            raise SettingError(
-                "reset", got="some of the worlds", expected="all worlds, which end together"
-            )
-        seed = int(self._seeds.integers(2**31)) if self._next_seed is None else self._next_seed
-        self._next_seed = None
+        worlds = np.arange(self._simulation.worlds)
+        if asked is not None:
+            worlds = worlds[asked.reshape(len(worlds), -1).any(dim=1).cpu().numpy()]
+        self._begin(worlds)
+        return self._present().to(self.device)
+
+    def _begin(self, worlds: Int[np.ndarray, " n"]) -> None:
+        """Begin the next episodes of these worlds."""
+        seeds = [self._seed_of(int(k)) for k in self._episodes[worlds]]
+        self._episodes[worlds] += 1
+        simulation = self._simulation
+        if len(worlds) == simulation.worlds and len(set(seeds)) == 1:
+            self._fill(simulation, seeds[0], first_world=0)
+        else:
+            alone = Simulation(self.scene, settings=simulation.settings)
+            for world, seed in zip(worlds.tolist(), seeds, strict=True):
+                self._fill(alone, seed, first_world=world)
+                simulation.copy_world(world, alone)
+        self._rewarder.begin(worlds)
+        self._check_capacity()
+        simulation.observe()
+
+    def _fill(self, simulation: Simulation, seed: int, first_world: int) -> None:
         begin(
-            self._simulation,
+            simulation,
             self.spawn,
             seed=seed,
             frames=self.frames,
             start=self._start,
             walker=Straight(),
+            first_world=first_world,
         )
-        self._rewarder.begin()
-        self._check_capacity()
-        self._simulation.observe()
+
+    def _seed_of(self, episode: int) -> int:
+        while len(self._seeds) <= episode:
+            self._seeds.append(int(self._rng.integers(2**31)))
+        return self._seeds[episode]
+
+    def _present(self) -> TensorDict:
+        """Tensors at the beginning of an episode, when nobody has acted; on the CPU."""
         shape = self._simulation.slots.alive.shape
         found = self._seen(np.zeros((*shape, len(PARTS)), np.float32))
         found.update(self._ended(np.zeros(shape, bool)))
         return found
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return self._after(tensordict["agents", "action"]).to(self.device)
+
+    def _after(self, action: torch.Tensor) -> TensorDict:
+        """Tensors after a step with these actions (W, N, 2); on the CPU."""
         simulation = self._simulation
         acted = simulation.slots.alive.copy()
-        actions = tensordict["agents", "action"].detach().numpy()
+        actions = action.detach().cpu().numpy()
         actions = np.where(acted[..., None], actions, 0).astype(np.float32)
         if not np.isfinite(actions).all():
             raise SettingError(
@@ -203,7 +248,7 @@ class CrowdEnv(EnvBase):
         }
         return TensorDict(
             {"agents": TensorDict(agents, batch_size=slots.alive.shape)},
-            batch_size=self.batch_size,
+            batch_size=[len(slots.alive)],
         )
 
     def _ended(self, nobody: np.ndarray) -> TensorDict:
@@ -228,7 +273,7 @@ class CrowdEnv(EnvBase):
                 "terminated": torch.zeros_like(over),
                 "truncated": over.clone(),
             },
-            batch_size=self.batch_size,
+            batch_size=[len(ended)],
         )
 
     @property

@@ -43,12 +43,14 @@ def begin(
     start: Start | None,
     walker: Policy,
     scripted: bool = False,
+    first_world: int = 0,
 ) -> Actor:
     """Begin an episode of `frames` frames in all worlds of a simulation; return its actor.
 
     The actor has the policy `walker`, and remembers whom it walked in the warm-up.
 
-    Each world has its own arrivals, drawn with its own random generator. `start` defaults to that
+    Each world has its own arrivals, drawn with its own random generator: world k of the simulation
+    with that of the world `first_world` + k. `start` defaults to that
     of the spawn model. `stationary`: a discarded warm-up of 60 s or the 99th percentile of dwell
     times, whichever is longer, with the policy `walker`. `recorded`: with the recorded initial
     population (replay only). `empty`: with nobody. If `scripted`, people leave when they left in
@@ -74,7 +76,7 @@ def begin(
     if start == "stationary":
         warm_up = scene.frames(warm_up_s(scene))
     events = []
-    for world in range(simulation.worlds):
+    for world in range(first_world, first_world + simulation.worlds):
         sample = arrivals(spawn, scene, seed=seed, world=world, warm_up=warm_up, frames=frames)
         outside = sample.entered & ~scene.inside(sample.start.astype(np.float64))
         if outside.any():

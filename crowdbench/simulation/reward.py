@@ -84,10 +84,10 @@ class Rewarder:
         self._behind = np.zeros(shape, np.float32)
         self._stage = np.full(shape, TO_GOAL, np.int8)
 
-    def begin(self) -> None:
-        """Begin an episode with everyone on schedule."""
-        self._person[:] = -1
-        self._stage[:] = self._simulation.slots.stage
+    def begin(self, worlds: Int[np.ndarray, " n"] | slice = slice(None)) -> None:
+        """Begin an episode of these worlds, or of all, with everyone on schedule."""
+        self._person[worlds] = -1
+        self._stage[worlds] = self._simulation.slots.stage[worlds]
 
     def parts(self) -> Float32[np.ndarray, "W N 7"]:
         """Weighted parts, in the order of `PARTS`, for everyone who acted in the last step.

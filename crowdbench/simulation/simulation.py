@@ -139,8 +139,8 @@ class Simulation:
         self._beyond = np.zeros((worlds, s.max_alive))
         self.slots = Slots.empty(worlds, s.max_alive)
         self.clock = Clock.at(worlds, 0, 0)
-        self.events: list[SpawnEvents] = []
-        self._queue = Queue.of([no_events()] * worlds, scene.dt_s)
+        self.events: list[SpawnEvents] = [no_events()] * worlds
+        self._queue = Queue.of(self.events, scene.dt_s)
         self._advance, self._populate, self._observe = (
             kernel.fresh() for kernel in (advance, populate, observe if rays else observe_social)
         )
@@ -156,6 +156,20 @@ class Simulation:
         self.slots = Slots.empty(self.worlds, self.settings.max_alive)
         self.clock = Clock.at(self.worlds, first_frame, horizon)
         self._populate(1, self.slots, self._queue, self.clock, self._limits)
+
+    def copy_world(self, world: int, alone: "Simulation") -> None:
+        """Let a world go on from the state of `alone`, and all other worlds from their own.
+
+        `alone` has one world of the same scene, with as many slots.
+        """
+        for mine, its in zip((*self.slots, *self.clock), (*alone.slots, *alone.clock), strict=True):
+            mine[world] = its[0]
+        self.events[world] = alone.events[0]
+        status = self._queue.status
+        self._queue = Queue.of(self.events, self.scene.dt_s)
+        for w, events in enumerate(self.events):
+            before = alone._queue.status[0] if w == world else status[w]
+            self._queue.status[w, : len(events)] = before[: len(events)]
 
     def step(
         self,

@@ -15,8 +15,7 @@ from conftest import need_imitation, need_sb3
 
 from crowdbench import rollout
 from crowdbench.cli import _parser, main
-from crowdbench.policies import PolicyCard, StateView
-from crowdbench.policies.export import export_policy
+from crowdbench.policies import StateView
 from crowdbench.trajectories.table import OUTCOMES, PERSON_COLUMNS
 
 ROOT = Path(__file__).parents[2]
@@ -96,22 +95,36 @@ def test_a_class_with_a_memory_walks_people_who_tire() -> None:
     assert (crowd.outcome == OUTCOMES.index("goal")).sum() > 5
 
 
-def test_a_recurrent_network_is_exported_as_one_step(tmp_path: Path) -> None:
-    torch = pytest.importorskip("torch")
-    world: dict[str, Any] = {"torch": torch}
-    exec(compile(pages.block_with(page("training.md"), "class Recurrent"), "page", "exec"), world)
-    card = PolicyCard(
-        name="recurrent", observation="lidar-2", scene="plaza-v0", split="full", memory=32
-    )
-    file = export_policy(world["Recurrent"](), tmp_path / "recurrent.onnx", card)
-    crowd = rollout("plaza-v0", "poisson-gmm", str(file), seed=0, horizon_s=20.0)
+@pytest.mark.parametrize(
+    ("words", "package", "settings"),
+    [
+        ("parallel_env(", "torch", ('"full", 20', '"full", 2')),
+        ("SlotEnv(", "torchrl", ('"full", 40', '"full", 2')),
+    ],
+)
+def test_a_recurrent_network_is_trained_and_exported(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: str,
+    package: str,
+    settings: tuple[str, str],
+) -> None:
+    pytest.importorskip(package)
+    monkeypatch.chdir(tmp_path)
+    world: dict[str, Any] = {}
+    example = pages.block_with(page("training.md"), words)
+    assert settings[0] in example
+    blocks = [
+        pages.block_with(page("training.md"), "class Recurrent"),
+        example.replace(*settings),
+        pages.block_with(page("training.md"), "export_policy("),
+    ]
+    for block in blocks:
+        exec(compile(block, "training.md", "exec"), world)
+    assert len(capsys.readouterr().out.splitlines()) == 2
+    crowd = rollout("plaza-v0", "poisson-gmm", "results/gru/full.onnx", seed=0, horizon_s=20.0)
     assert len(crowd) > 5
-
-
-def test_a_recurrent_network_learns_by_name(capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("torch")
-    exec(compile(pages.block_with(page("training.md"), "GRUCell(SIZE"), "page", "exec"), {})
-    assert len(capsys.readouterr().out.splitlines()) == 4
 
 
 def test_the_fields_of_the_state_are_those_that_the_page_lists() -> None:

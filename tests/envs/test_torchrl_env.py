@@ -77,6 +77,80 @@ def test_worlds_have_arrivals_of_their_own() -> None:
     assert not torch.equal(first, env.reset()["agents", "observation"])  # the next episode
 
 
+def walk_on(env: CrowdEnv, now: TensorDict, frames: int, seed: int) -> TensorDict:
+    """Steps (W, T) from `now` on, in which slot i of every world does the same."""
+    rng, steps = np.random.default_rng(seed), []
+    worlds, slots = now["agents", "mask"].shape
+    for _ in range(frames):
+        action = torch.from_numpy(rng.uniform(-1, 1, (slots, 2)).astype(np.float32))
+        now["agents", "action"] = action.expand(worlds, slots, 2)
+        steps.append(env.step(now))
+        now = env.step_mdp(steps[-1])
+    return torch.stack(steps, dim=1)
+
+
+def same_bytes(one: TensorDict, other: TensorDict) -> bool:
+    """Whether they have the same tensors, but for actions, which resets do not have."""
+    one, other = (steps.exclude(("agents", "action")) for steps in (one, other))
+    names = set(one.keys(True, True))
+    return names == set(other.keys(True, True)) and all(
+        torch.equal(one[name], other[name]) for name in names
+    )
+
+
+@pytest.mark.parametrize("observation", ["lidar-2", "social-1"])
+@pytest.mark.parametrize("start", ["stationary", "empty"])
+def test_a_world_reset_alone_is_that_reset_with_all(start: str, observation: str) -> None:
+    asked = {"spawn": "cox-plans", "start": start, "observation": observation, "rays": 8}
+    asked |= {"worlds": 3, "max_alive": 24, "horizon_s": 24.0, "seed": 5}
+    singly, together = CrowdEnv("plaza-v0", **asked), CrowdEnv("plaza-v0", **asked)
+    before = walk_on(singly, singly.reset(), 20, seed=1)
+    assert same_bytes(before, walk_on(together, together.reset(), 20, seed=1))
+
+    now = singly.step_mdp(before[:, -1])
+    kept, now["_reset"] = now.clone(), torch.tensor([[False], [True], [False]])
+    now = singly.reset(now)
+    begun, after = now.clone(), walk_on(singly, now, 40, seed=2)
+    undisturbed = walk_on(together, kept.clone(), 40, seed=2)
+    second = together.reset()  # is the second episode of all worlds
+    of_all = walk_on(together, second.clone(), 40, seed=2)
+    for world in (0, 2):
+        assert same_bytes(begun[world], kept[world])
+        assert same_bytes(after[world], undisturbed[world])
+    assert same_bytes(begun[1], second[1])
+    assert same_bytes(after[1], of_all[1])
+    assert after["agents", "mask"][1].any()
+    assert after["next", "done"][:, -1].flatten().tolist() == [True, False, True]
+
+    now = singly.maybe_reset(singly.step_mdp(after[:, -1]))  # the others have reached the horizon
+    for world in (0, 2):
+        assert same_bytes(now[world], second[world])
+    assert not same_bytes(begun[0], second[0])
+
+
+def test_rollouts_reset_worlds_that_end_at_different_times() -> None:
+    env = CrowdEnv("plaza-v0", worlds=2, max_alive=8, horizon_s=8.0, seed=0, rays=4)
+    now = env.step_mdp(walk_on(env, env.reset(), 5, seed=0)[:, -1])
+    now["_reset"] = torch.tensor([[True], [False]])
+    steps = env.rollout(60, auto_reset=False, tensordict=env.reset(now), break_when_any_done=False)
+    ends = [row.flatten().nonzero().flatten().tolist() for row in steps["next", "done"]]
+    assert ends == [[19, 39, 59], [14, 34, 54]]
+
+
+DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(
+    not torch.cuda.is_available(), reason="no CUDA"))]  # fmt: skip
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_all_tensors_are_on_the_device(device: str) -> None:
+    env = CrowdEnv("plaza-v0", worlds=2, max_alive=8, horizon_s=8.0, seed=0, rays=4, device=device)
+    check_env_specs(env)
+    steps = env.rollout(30, break_when_any_done=False)
+    specs = [*env.input_spec.values(True, True), *env.output_spec.values(True, True)]
+    for part in (env, steps, env.state(), *specs, *steps.values(True, True)):
+        assert part.device.type == device
+
+
 def two_after_each_other(**changes: object) -> CrowdEnv:
     """One slot: someone who is at the goal after a step, and someone who comes later."""
     people = (

@@ -1,0 +1,192 @@
+"""The three documented ways to a policy with a memory lead to people who arrive, and to an entry.
+
+The examples of docs/training.md are run as they stand there, for each fold of the plaza.
+"""
+
+import hashlib
+import json
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pages
+import pytest
+import torch
+from conftest import need_sb3
+from submissions import FOLDS, PLAZA, fill_in
+from torch import Tensor, nn
+
+from crowdbench import rollout, spawn_model
+from crowdbench.cli import main
+from crowdbench.evaluation.rollout_jobs import SPLITS
+from crowdbench.leaderboard.verification.entry import read_entry
+from crowdbench.policies import Memory, OnnxPolicy, PolicyCard
+from crowdbench.policies.export import export_policy
+from crowdbench.registry import import_recording
+from crowdbench.scene import Scene
+from crowdbench.trajectories.storage import read_own
+from crowdbench.trajectories.table import Trajectories
+
+pytestmark = pytest.mark.long
+
+PAGE = (pages.ROOT / "docs" / "training.md").read_text()
+ROUTES = {"plain": "parallel_env(", "torchrl": "SlotEnv(", "sb3": "RecurrentPPO("}
+"""The words by which the page's example of each way is found."""
+ENOUGH = 0.95
+WIDTH = 0.05
+Trained = tuple[Path, dict[str, tuple[nn.Module, int]]]
+
+
+class Sampler(nn.Module):
+    """A network that draws its actions, as those are drawn that it has been trained with."""
+
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, seen: Tensor, noise: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        action, state = self.network(seen, state)
+        return action + WIDTH * noise, state
+
+
+class InTorch:
+    """The policy of a torch network, which gets the same noise as a file does."""
+
+    name, sees, observation = "in torch", "observation", "social-1"
+
+    def __init__(self, network: nn.Module, memory: int) -> None:
+        self.network, self.memory = network, memory
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        self.rng = rng
+
+    def act(self, seen: np.ndarray, memory: Memory) -> np.ndarray:
+        noise = self.rng.standard_normal((len(seen), 2), dtype=np.float32)
+        with torch.no_grad():
+            action, state = self.network(*map(torch.tensor, (seen, noise, memory.state)))
+        memory.state[:] = state.numpy()
+        return action.numpy()
+
+
+def train(route: str, split: str) -> tuple[nn.Module, int]:
+    """Network of an example, trained for a fold, and its memory; writes it to `results/gru`."""
+    world: dict[str, Any] = {"spawn_model": spawn_model}
+
+    def run(words: str, old: str = "", new: str = "") -> None:
+        code = pages.block_with(PAGE, words)
+        assert old in code
+        exec(compile(code.replace(old, new), "training.md", "exec"), world)
+
+    if route == "sb3":
+        from crowdbench.policies.sb3 import read_sb3
+
+        spawn = f'spawn=spawn_model("ntpp-gmm", "plaza-v0", "{split}")'
+        run(ROUTES[route], '"plaza-v0", 32', f'"plaza-v0", 32, {spawn}')
+        (command,) = (c for c in pages.commands(PAGE) if "recurrent.zip recurrent.onnx" in c)
+        asked = shlex.split(command.replace("recurrent.onnx", f"results/gru/{split}.onnx"))[1:]
+        assert main([*asked, "--split", split]) == 0
+        found = read_sb3(Path("recurrent.zip"))
+        return found, found.memory
+    run("class Recurrent")
+    run(ROUTES[route], '"full"', f'"{split}"')
+    run("export_policy(")
+    return world["walker"], world["card"].memory
+
+
+@pytest.fixture(scope="module", params=ROUTES)
+def trained(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Trained]:
+    """The networks of a route, one for each fold, and the folder where they were evaluated."""
+    if request.param == "sb3":
+        need_sb3()
+    else:
+        pytest.importorskip("torchrl")
+    folder = tmp_path_factory.mktemp(request.param)
+    threads = torch.get_num_threads()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CROWDBENCH_HOME", str(folder / "home"))
+        patch.chdir(folder)
+        import_recording("plaza")
+        torch.set_num_threads(1)
+        networks = {split: train(request.param, split) for split in FOLDS}
+        asked = "plaza-v0 --policy results/gru --spawn ntpp-gmm --protocol heldout --out out"
+        assert main(["evaluate", *asked.split(), "--seeds", "1", "--workers", "1"]) == 0
+        yield folder, networks
+        torch.set_num_threads(threads)
+
+
+def evaluated(folder: Path) -> dict[str, Any]:
+    """What the evaluation says of the networks, by spawn model."""
+    entries = json.loads((folder / "out" / "scorecard.json").read_text())["entries"]
+    return {entry["spawn"]: entry for entry in entries if entry["policy"].endswith("gru")}
+
+
+def test_everyone_arrives_where_it_is_evaluated(trained: Trained) -> None:
+    folder, _ = trained
+    found = evaluated(folder)
+    assert set(found) == {"ntpp-gmm", "replay"}
+    assert min(entry["at_goal"] for entry in found.values()) >= ENOUGH
+    # The evaluation's crowds, made by other processes, are those of the process that trained.
+    for split in FOLDS:
+        (file,) = (folder / "out" / "rollouts").glob(f"ntpp-gmm_results-gru*_{split}_0.parquet")
+        told = read_own(file)
+        spawn = spawn_model("ntpp-gmm", PLAZA, split, fit=int(told.provenance["fit"]))
+        seed = int(told.provenance["seed"]) * len(SPLITS) + SPLITS.index(split)
+        here = rollout(
+            PLAZA, spawn, OnnxPolicy(folder / "results" / "gru" / f"{split}.onnx"), seed=seed
+        )
+        assert same_bytes(here, told)
+
+
+def same_bytes(one: Trajectories, other: Trajectories) -> bool:
+    return one.xy.tobytes() == other.xy.tobytes() and bool((one.offsets == other.offsets).all())
+
+
+def test_noise_is_drawn_alike_in_torch_and_in_the_file(trained: Trained) -> None:
+    folder, networks = trained
+    network, memory = networks["fold0"]
+    sampler = Sampler(network)
+    card = PolicyCard(
+        name="noisy", scene="plaza-v0", split="fold0", observation="social-1", memory=memory
+    )
+    file = export_policy(sampler, folder / "noisy.onnx", card, noise=2)
+    asked = {"seed": 0, "horizon_s": 120.0}
+    spawn = spawn_model("ntpp-gmm", PLAZA, "fold0")
+    crowd = rollout(PLAZA, spawn, OnnxPolicy(file), **asked)
+    in_torch = rollout(PLAZA, spawn, InTorch(sampler, memory), **asked)
+    assert crowd.offsets.tolist() == in_torch.offsets.tolist()
+    # torch and onnxruntime add in another order: actions differ by up to 2e-7 in each step.
+    np.testing.assert_allclose(crowd.xy, in_torch.xy, atol=1e-3)
+    calm = rollout(PLAZA, spawn, OnnxPolicy(folder / "results" / "gru" / "fold0.onnx"), **asked)
+    assert len(calm.xy) != len(crowd.xy) or np.abs(calm.xy - crowd.xy).max() > 0.1
+    # The file itself gives the same bytes in every process.
+    code = (
+        "from crowdbench import rollout, spawn_model; import hashlib; "
+        f"crowd = rollout('plaza-v0', spawn_model('ntpp-gmm', 'plaza-v0', 'fold0'), {str(file)!r}, "
+        "seed=0, horizon_s=120.0); print(hashlib.sha256(crowd.xy.tobytes()).hexdigest())"
+    )
+    other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert other.stdout.strip() == hashlib.sha256(crowd.xy.tobytes()).hexdigest()
+
+
+def test_it_becomes_an_entry(trained: Trained) -> None:
+    folder, _ = trained
+    submit = ["submit", "init", "mine", "--track", "walk", "--policy", "results/gru"]
+    assert main(submit) == 0
+    fill_in(folder / "mine")
+    assert main(["submit", "check", "mine"]) == 0
+    assert main(["leaderboard", "verify", "mine", "--out", "entries", "--workers", "1"]) == 0
+    (file,) = (folder / "entries").glob("*[!n].json")
+    entry = read_entry(file)
+    assert entry.status == "ranked"
+    in_sandbox, outside = entry.scenes["plaza-v0"], evaluated(folder)["replay"]
+    assert in_sandbox.rollouts == 1  # of each fold, because its actions are not drawn
+    assert in_sandbox.at_goal is not None
+    assert in_sandbox.at_goal >= ENOUGH
+    for name in ("at_goal", "speed_mps", "persons", "outcomes"):
+        assert getattr(in_sandbox, name) == outside[name]
