@@ -1,0 +1,75 @@
+"""What does it cost to drop a part of the reward? A check to run by hand.
+
+    python tests/without_reward_parts.py --scene eth-v0
+
+trains `baselines.ppo` with the observation `social-1`, with the default reward and with each part
+dropped, under arrivals with stops and companions. Each trained policy then walks in new worlds. A
+row has the mean of each part there, with the default weights, in 1/1000 per step of a person, its
+speed divided by its preferred speed, and the share of trips that end at the goal.
+"""
+
+import argparse
+from dataclasses import replace
+
+import torch
+
+from baselines import ppo
+from baselines.command import use_one_thread
+from crowdbench import Reward, spawn_model
+from crowdbench.envs.torchrl_env import CrowdEnv
+from crowdbench.simulation import social
+from crowdbench.simulation.reward import PARTS
+
+WORLDS, SEED = 16, 1_000
+
+
+def row(network: ppo.Around, scene: str, settings: ppo.Settings) -> str:
+    """Means over all steps in new worlds, as a row of a table."""
+    env = CrowdEnv(
+        scene,
+        spawn=spawn_model(settings.spawn, scene),
+        worlds=WORLDS,
+        max_alive=settings.max_alive,
+        horizon_s=settings.horizon_s,
+        observation=settings.observation,
+        seed=SEED,
+    )
+    act = ppo.OfPresent(network)
+    parts, ratio, goals = [], [], []
+    now = env.reset()
+    with torch.no_grad():
+        for _ in range(env.frames):
+            seen, mask = now["agents", "observation"], now["agents", "mask"]
+            now["agents", "action"] = act(seen, mask)
+            now = env.step(now)["next"]
+            after = now["agents"]
+            parts.append(after["reward_parts"][mask])
+            moving = mask & (seen[..., social.WAIT_LEFT][..., 0] == 0)
+            speed = after["observation"][..., social.VELOCITY].norm(dim=-1)
+            ratio.append((speed / seen[..., social.PREFERRED_SPEED][..., 0])[moving])
+            goals.append(after["terminated"][..., 0][mask & after["done"][..., 0]])
+    mean = 1000 * torch.cat(parts).mean(dim=0)
+    arrived = torch.cat(goals).float().mean()
+    numbers = " | ".join(f"{x:.1f}" for x in mean.tolist())
+    return f"{numbers} | {torch.cat(ratio).mean():.2f} | {arrived:.1%}"
+
+
+def main() -> None:
+    """Train, walk and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scene", default="eth-v0")
+    parser.add_argument("--spawn", default="cox-plans")
+    parser.add_argument("--frames", type=int, default=ppo.Settings.frames)
+    args = parser.parse_args()
+    use_one_thread()
+    settings = ppo.Settings(observation="social-1", spawn=args.spawn, frames=args.frames)
+    print(f"| dropped | {' | '.join(PARTS)} | speed / preferred | at goal |")
+    print("|---" * (len(PARTS) + 3) + "|")
+    for name in ("", *PARTS):
+        reward = replace(Reward(), **{name: 0.0}) if name else Reward()
+        *_, last = ppo.train(args.scene, settings, reward)
+        print(f"| {name or 'nothing'} | {row(last.network, args.scene, settings)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
