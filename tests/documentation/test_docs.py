@@ -153,6 +153,15 @@ def test_the_example_in_closed_loop_walks_near_the_recording(
     assert 0 < float(metres) < 1.5
 
 
+def test_the_example_of_a_score_on_training_blocks_runs(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    exec(compile(pages.block_with(page("training.md"), "validate("), "training.md", "exec"), {})
+    walk, arrive, _ = capsys.readouterr().out.split(",")
+    assert -1 <= float(walk) <= 1
+    assert float(arrive.split("%")[0]) > 50
+
+
 @pytest.mark.long
 def test_the_recurrent_example_trains_and_walks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
