@@ -245,7 +245,7 @@ def _training() -> Iterator[Figure]:
     rate = _best_rate(lambda: sum(next(rounds).steps for _ in range(batches)))  # of an episode
     rounds.close()
     torch.set_num_threads(threads)
-    name = f"PPO with TorchRL on {scene.id}, {settings.worlds} worlds, MLP 64-64"
+    name = f"PPO on {scene.id}, {settings.worlds} worlds, MLP 64-64"
     yield Figure(name, rate, "agent-steps/s")
 
 

@@ -235,6 +235,7 @@ def test_a_dataset_tells_how_it_was_made(shown: Demonstrations, datasets: Path) 
         "rays": 8,
         "ray_range_m": 10.0,
         "interval": 1,
+        "smoothing_s": 0.0,
         "displaced_m": 0.0,
         "recovery_s": 1.5,
         "seed": 7,

@@ -21,7 +21,7 @@ NAMES = [
     "PettingZoo environment, 20 agents",
     "TorchRL collector, 64 × 50, random",
     "TorchRL collector, 64 × 50, MLP 32-32",
-    "PPO with TorchRL on plaza-v0, 64 worlds, MLP 64-64",
+    "PPO on plaza-v0, 64 worlds, MLP 64-64",
     "poisson-gmm, sampling 10,000 frames of ETH",
     "poisson-groups, sampling 10,000 frames of ETH",
     "renewal-gmm, sampling 10,000 frames of ETH",
