@@ -156,7 +156,9 @@ class TestPage:
                 assert float(deviation) == pytest.approx(np.std(values, ddof=1), rel=0.06)
 
     def test_the_pictures_are_there_and_small(self, made: Study) -> None:
-        links = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", made.page.read_text(encoding="utf-8"))
+        text = made.page.read_text(encoding="utf-8")
+        assert "in 2 rollouts of each model" in " ".join(text.split())  # as many as were made
+        links = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text)
         assert len(links) == len(set(links)) == 8
         for link in links:
             data = (made.page.parent / link).read_bytes()

@@ -114,7 +114,8 @@ def _at_lags(plot: PlotData) -> str:
 
 def _present(plot: PlotData, walkers: str) -> str:
     """Caption of the picture of agents over time."""
-    rollouts = f"{SHOWN} rollouts of each model, one of them highlighted"
+    shown = min(SHOWN, max(len(group.crowds) for group in plot.groups))
+    rollouts = f"{shown} rollouts of each model, one of them highlighted"
     if not in_blocks(plot):
         return (
             f"Number of people present in {rollouts}. Black: mean of the recording in each time "
