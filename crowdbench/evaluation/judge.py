@@ -12,7 +12,8 @@ from crowdbench.errors import SettingError
 from crowdbench.evaluation.recorded_arrivals import recognised
 from crowdbench.evaluation.rollout_jobs import Job, RolloutSummary, splits_of
 from crowdbench.metrics import WALK, Metric, Statistics, blamed
-from crowdbench.metrics.motion import STANDING_MPS, Speed
+from crowdbench.metrics.metric import in_blocks
+from crowdbench.metrics.motion import Speed
 from crowdbench.registry import recording_of
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import RESAMPLES, Draws, FloorDraws, energy, floor, mean_of
@@ -118,7 +119,7 @@ def floors(scene: Scene, reference: Reference, protocol: str) -> dict[str, Energ
             blocks = reference.blocks.scored(split)
             if metric.applies(blocks):
                 recording = reference.statistics[metric.name]
-                recorded = _rows(recording, reference.blocks.in_split(split))
+                recorded = in_blocks(recording, reference.blocks.in_split(split))
                 of_floor = FloorDraws.of(draws[split], everyone)
                 each.append(floor(metric, recording, recorded, blocks, of_floor))
         known = [e for e in each if e is not None]
@@ -142,10 +143,6 @@ def entries_of(
         )
         for pair in pairs
     ]
-
-
-def _rows(statistics: Statistics, inside: np.ndarray) -> Statistics:
-    return {name: values[inside] for name, values in statistics.items()}
 
 
 def _entry(
@@ -179,13 +176,10 @@ def _walking_speed(rolled: dict[Job, RolloutSummary]) -> float | None:
     """Mean speed of people who walk, m/s, over all rollouts; None if nobody does."""
     speed = Speed()
     each = [what.of(speed)["counts"].sum(axis=0) for what in rolled.values()]
-    counts = np.zeros(max(map(len, each)), dtype=np.int64)
-    for of_rollout in each:
-        counts[: len(of_rollout)] += of_rollout
-    cm_per_s = np.arange(len(counts))
-    counts[cm_per_s < 100 * STANDING_MPS] = 0
-    number = int(counts.sum())
-    return float(counts @ cm_per_s) / number / 100 if number else None
+    counts = np.zeros((len(each), max(map(len, each))), dtype=np.int64)
+    for row, of_rollout in zip(counts, each, strict=True):
+        row[: len(of_rollout)] = of_rollout
+    return speed.walking_mps({"counts": counts})
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +208,7 @@ def seen_in(
         if not metric.applies(blocks):
             continue
         crowds = {
-            job: _rows(what.of(metric), inside)
+            job: in_blocks(what.of(metric), inside)
             for job, what in rolled.items()
             if whole_recording or job.split == split
         }
@@ -222,7 +216,7 @@ def seen_in(
         yield MetricSlice(
             split,
             blocks,
-            _rows(reference.statistics[metric.name], inside),
+            in_blocks(reference.statistics[metric.name], inside),
             list(crowds.values()),
             [[c for job, c in crowds.items() if job.fit == fit] for fit in fits],
         )

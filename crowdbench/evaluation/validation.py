@@ -4,16 +4,17 @@ Settings of a policy, such as the width of its samples, must not be chosen on th
 scored on. `validate` gives the walk score of a policy on the training blocks of a split instead.
 """
 
-import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from crowdbench.errors import SettingError
+from crowdbench.evaluation.judge import FINISHED
 from crowdbench.evaluation.references import reference_of
-from crowdbench.metrics import WALK, Metric, Statistics
-from crowdbench.metrics.motion import STANDING_MPS, Speed
+from crowdbench.metrics import WALK
+from crowdbench.metrics.metric import in_blocks
+from crowdbench.metrics.motion import Speed
 from crowdbench.policies import Policy, Straight
 from crowdbench.registry import spawn_model
 from crowdbench.rollouts.rollout import rollout
@@ -22,10 +23,10 @@ from crowdbench.scoring.reference import Reference, summarise
 from crowdbench.scoring.score import LOWEST
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.weights import check_split
-from crowdbench.trajectories.blocks import TimeBlocks
 from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
-_FINISHED = tuple(OUTCOMES.index(name) for name in ("goal", "exit", "timeout"))
+_SEEDS = 1_000_000
+"""First seed of the rollouts, far from those of evaluations."""
 
 
 @dataclass(frozen=True)
@@ -78,91 +79,49 @@ def validate(
     if rollouts < 1:
         raise SettingError("rollouts", got=str(rollouts), expected="1 or more")
     arrivals = spawn_model("replay", place)
-    reference = reference_of(place)
     crowds = [rollout(place, arrivals, policy, seed=_SEEDS + k) for k in range(rollouts)]
-    distances = _distances(place, reference, split, crowds)
-    straight = _straight(place.id if isinstance(scene, Scene) else str(scene), split)
+    straight = rollout(place, arrivals, Straight(), seed=_SEEDS)
+    reference = reference_of(place)
+    distances, speed, recorded = _compared(place, reference, split, crowds)
+    anchor = _compared(place, reference, split, [straight])[0]
     scores = {
-        name: max(LOWEST, 1 - d / straight[name])
-        for name, d in distances.items()
-        if straight[name] > 0
+        name: max(LOWEST, 1 - d / anchor[name]) for name, d in distances.items() if anchor[name] > 0
     }
-    family = {m.name: m.family for m in reference.metrics}
-    families: dict[str, float] = {
-        f: float(np.mean([s for name, s in scores.items() if family[name] == f]))
-        for f in WALK
-        if any(family[name] == f for name in scores)
-    }
+    each: dict[str, list[float]] = {family: [] for family in WALK}
+    for m in reference.metrics:
+        if m.name in scores:
+            each[m.family].append(scores[m.name])
+    families = {family: float(np.mean(found)) for family, found in each.items() if found}
     if not families:
         raise SettingError(
             f"scene {place.id}", got="no metric of walking that is scored", expected="at least one"
         )
     ended = np.sum([np.bincount(c.outcome, minlength=len(OUTCOMES)) for c in crowds], axis=0)
-    at_goal = float(ended[_FINISHED[0]] / max(1, ended[list(_FINISHED)].sum()))
-    speed, recorded = _speeds(place, reference, split, crowds)
+    at_goal = float(ended[FINISHED[0]] / max(1, ended[list(FINISHED)].sum()))
     passes = abs(speed / recorded - 1) <= place.gate.speed and at_goal >= place.gate.arrivals
     return Validation(scores, families, speed, recorded, at_goal, passes)
 
 
-_SEEDS = 1_000_000
-"""First seed of these rollouts, far from those of evaluations."""
-
-
-@functools.lru_cache(maxsize=16)
-def _straight(scene: str, split: str) -> dict[str, float]:
-    """Distances of straight walkers, the anchor of the walk score."""
-    place = load_scene(scene)
-    walked = rollout(place, spawn_model("replay", place), Straight(), seed=_SEEDS)
-    return _distances(place, reference_of(place), split, [walked])
-
-
-def _distances(
+def _compared(
     scene: Scene, reference: Reference, split: str, crowds: list[Trajectories]
-) -> dict[str, float]:
-    """Mean distance of the crowds in each scored metric of walking, in the training blocks."""
-    inside = _training(reference.blocks, split)
-    blocks = reference.blocks.training(split)
-    metrics = [
-        m
-        for m in reference.metrics
-        if m.family in WALK and m.name in scene.protocol.scored and m.applies(blocks)
-    ]
-    each: dict[str, list[float]] = {m.name: [] for m in metrics}
+) -> tuple[dict[str, float], float, float]:
+    """Compare crowds with the recording in the training blocks.
+
+    Returns the mean distance in each scored metric of walking, and the mean walking speeds of the
+    crowds and of the recording, m/s.
+    """
+    inside = reference.blocks.in_training(split)
+    blocks, speed, areas = reference.blocks.take(inside), Speed(), read_areas(scene)
+    walking = [m for m in reference.metrics if m.family in WALK]
+    scored = [m for m in walking if m.name in scene.protocol.scored and m.applies(blocks)]
+    recorded = {m.name: in_blocks(reference.statistics[m.name], inside) for m in walking}
+    distances: dict[str, list[float]] = {m.name: [] for m in scored}
+    speeds = []
     for crowd in crowds:
-        seen = _seen(scene, reference, crowd, metrics)
-        for m in metrics:
-            recorded = _rows(reference.statistics[m.name], inside)
-            each[m.name].append(m.compare(recorded, _rows(seen[m.name], inside), blocks).distance)
-    return {name: float(np.mean(values)) for name, values in each.items()}
-
-
-def _speeds(
-    scene: Scene, reference: Reference, split: str, crowds: list[Trajectories]
-) -> tuple[float, float]:
-    """Mean walking speeds of the crowds and of the recording in the training blocks, m/s."""
-    inside, speed = _training(reference.blocks, split), Speed()
-    of_crowds = [_seen(scene, reference, crowd, [speed])[speed.name] for crowd in crowds]
-    simulated = [_mean_speed(_rows(seen, inside)) for seen in of_crowds]
-    return float(np.mean(simulated)), _mean_speed(_rows(reference.statistics[speed.name], inside))
-
-
-def _mean_speed(statistics: Statistics) -> float:
-    counts = statistics["counts"].sum(axis=0)
-    cm_per_s = np.arange(len(counts))
-    counts = np.where(cm_per_s < 100 * STANDING_MPS, 0, counts)
-    return float(counts @ cm_per_s) / max(1, int(counts.sum())) / 100
-
-
-def _seen(
-    scene: Scene, reference: Reference, crowd: Trajectories, metrics: list[Metric]
-) -> dict[str, Statistics]:
-    return summarise(read_areas(scene).assign(crowd), reference.blocks, reference.place, metrics)
-
-
-def _training(blocks: TimeBlocks, split: str) -> np.ndarray:
-    """Whether each block is trained on, as `TimeBlocks.training`."""
-    return np.ones(len(blocks), dtype=bool) if split == "full" else ~blocks.in_split(split)
-
-
-def _rows(statistics: Statistics, inside: np.ndarray) -> Statistics:
-    return {name: values[inside] for name, values in statistics.items()}
+        seen = summarise(areas.assign(crowd), reference.blocks, reference.place, walking)
+        here = {name: in_blocks(statistics, inside) for name, statistics in seen.items()}
+        for m in scored:
+            distances[m.name].append(m.compare(recorded[m.name], here[m.name], blocks).distance)
+        speeds.append(speed.walking_mps(here[speed.name]) or 0.0)
+    mean = {name: float(np.mean(each)) for name, each in distances.items()}
+    return mean, float(np.mean(speeds)), speed.walking_mps(recorded[speed.name]) or np.nan

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from crowdbench.scene import Walking
 from crowdbench.trajectories.blocks import TimeBlocks
@@ -85,6 +85,11 @@ class MetricResult:
             f"MetricResult({self.distance:.3f}: recorded {recorded}, simulated {simulated}, "
             f"n = {self.n})"
         )
+
+
+def in_blocks(statistics: Statistics, inside: Bool[np.ndarray, " B"]) -> Statistics:
+    """The statistics of some of the blocks."""
+    return {name: values[inside] for name, values in statistics.items()}
 
 
 class Metric(ABC):

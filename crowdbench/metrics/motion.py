@@ -73,6 +73,15 @@ class Speed(RelativeWasserstein):
         """Lattice step: 0.01 m/s."""
         return 0.01
 
+    @staticmethod
+    def walking_mps(statistics: Statistics) -> float | None:
+        """Mean speed of people who walk, m/s, over all blocks; None if nobody does."""
+        counts = statistics["counts"].sum(axis=0)
+        cm_per_s = np.arange(len(counts))
+        counts = np.where(cm_per_s < 100 * STANDING_MPS, 0, counts)
+        number = int(counts.sum())
+        return float(counts @ cm_per_s) / number / 100 if number else None
+
 
 class Pace(RelativeWasserstein):
     """Difference of a person's speed at each tick from the mean speed of the person's trip.

@@ -59,9 +59,14 @@ class TimeBlocks:
         """The blocks that models fitted for `split` are scored on."""
         return self.take(self.in_split(split))
 
+    def in_training(self, split: str) -> Bool[np.ndarray, " B"]:
+        """Whether models are fitted on each block for `split`."""
+        inside = self.in_split(split)
+        return inside if split == "full" else ~inside
+
     def training(self, split: str) -> "TimeBlocks":
         """The blocks that models are fitted on for `split`."""
-        return self if split == "full" else self.take(~self.in_split(split))
+        return self.take(self.in_training(split))
 
     def take(self, chosen: Bool[np.ndarray, " B"] | Int[np.ndarray, " b"]) -> "TimeBlocks":
         """A subset of the blocks, by mask or by ascending indices."""

@@ -43,20 +43,18 @@ def test_the_blocks_that_a_fold_is_scored_on_do_not_count(monkeypatch) -> None:
     plain = validate(PLAZA, Slow(), "fold0")
     blocks = validation.reference_of(PLAZA).blocks
     scored = blocks.in_split("fold0")
-    seen = validation._seen
+    summarise = validation.summarise
 
-    def disturbed(scene, reference, crowd, metrics):
-        found = seen(scene, reference, crowd, metrics)
+    def disturbed(*arguments):
+        found = summarise(*arguments)
         for statistics in found.values():
             for values in statistics.values():
                 values[scored] = 17 * np.arange(1, values.shape[1] + 1)
         return found
 
-    monkeypatch.setattr(validation, "_seen", disturbed)
-    validation._straight.cache_clear()
+    monkeypatch.setattr(validation, "summarise", disturbed)
     assert validate(PLAZA, Slow(), "fold0") == plain
     assert validate(PLAZA, Slow(), "full") != plain
-    validation._straight.cache_clear()
 
 
 @pytest.mark.parametrize("wrong", [{"rollouts": 0}, {"split": "fold9"}])
