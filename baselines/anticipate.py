@@ -15,7 +15,8 @@ PointNet, CVPR).
 mixture density networks, eqs. 22-27), cloned from recorded people by maximum likelihood.
 
 **Smoothing.** The positions of a recording contain the noise of annotations. A network that is
-cloned on them trembles when it is sampled. So it is cloned on smoothed paths (`smoothing_s`).
+cloned on them trembles when it is sampled. Therefore it is cloned on smoothed paths
+(`--smoothing-s`).
 
 **Guide.** In a rollout, twelve velocities are drawn from the mixture. One of them is drawn with
 weights exp(−cost), where the cost anticipates close passes of strangers, overlaps, walls, and a
@@ -48,11 +49,12 @@ from crowdbench.evaluation.validation import validate
 from crowdbench.simulation import social
 from crowdbench.simulation.free_space import REACH_M
 
-with needs("torchrl", __name__):
+with needs("fit", __name__):
     import torch
     from torch import Tensor, nn
 
     from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
+    from crowdbench.policies.network import check_onnx
 
 OBSERVATION = "social-1"
 COMPONENTS = 10
@@ -67,13 +69,14 @@ NARROWEST_MPS = 0.01
 as between two annotations, would dominate the likelihood."""
 NEAR_M, CLOSE_M = 3.0, 1.0
 """Length scales of near targets and of near people."""
+SOON_S, LATE_S = 5.0, 30.0
+"""Time scales of waits that end soon, and of being early or late."""
 HORIZON_S = 3.0
 """The guide anticipates this time."""
 STRANGERS_M = 1.5
-"""Strangers who pass at this distance or more cost nothing."""
+"""Passing strangers at this distance or more costs nothing."""
 LOOK_S, WALLS_M = 1.5, 1.5
-"""The guide looks for walls where people are after this time; those at this distance or more cost
-nothing."""
+"""Walls count where the person is after this time; at this distance or more they cost nothing."""
 KERNEL_M = 0.4
 """Width of the kernel that interpolates between probes."""
 
@@ -117,14 +120,15 @@ class Guide:
     """Weights of the costs of a candidate, and the width of the mixture."""
 
     avoid: float = 8.0
-    """Of the distances to strangers in their closest passes within `HORIZON_S`: the sum of their
-    lack to `STRANGERS_M`, from 0 to 1 each."""
+    """Weight of close passes: the sum of max(0, 1 − d / `STRANGERS_M`) over strangers, where d is
+    the smallest distance within `HORIZON_S`."""
     wall: float = 4.0
-    """Of the lack of free space after `LOOK_S`, from 0 to 1."""
+    """Weight of walls: max(0, 1 − d / `WALLS_M`), where d is the distance to walls and bounds from
+    where the person is after `LOOK_S`."""
     touch: float = 0.0
-    """Of the depth of the deepest overlap within `HORIZON_S`, from 0 to 1."""
+    """Weight of overlaps: the depth of the deepest one within `HORIZON_S`, from 0 to 1."""
     home: float = 5.0
-    """Of the distance at which a target within `NEAR_M` is missed, in metres."""
+    """Weight of the distance in metres at which a target nearer than `NEAR_M` is passed."""
     width: float = 0.85
     """Factor of the standard deviations of the mixture."""
 
@@ -161,17 +165,18 @@ class Perception(nn.Module):
         """Features (A, size) of observations (A, 102)."""
         scale = self.max_speed_mps / WALKING_MPS
         velocity, speed = scale * seen[:, social.VELOCITY], scale * seen[:, social.PREFERRED_SPEED]
-        way, length_m = seen[:, social.ROUTE_DIRECTION], seen[:, social.ROUTE_LENGTH] * 30.0
+        way, length = seen[:, social.ROUTE_DIRECTION], seen[:, social.ROUTE_LENGTH]
+        length_m = length * social.ROUTE_RANGE_M
         near = (length_m / NEAR_M).clamp(max=1)
         stop, wait = seen[:, social.STOP], seen[:, social.WAIT_LEFT]
         age, walked = seen[:, social.AGE], seen[:, social.WALKED]
         # Whether somebody is early or late: the time that the whole way takes, less the age.
         whole_s = (walked * social.WALKED_M + length_m) / (WALKING_MPS * speed.clamp(min=0.1))
-        late = ((whole_s - age * social.AGE_S) / 30.0).clamp(-1, 1)
+        late = ((whole_s - age * social.AGE_S) / LATE_S).clamp(-1, 1)
         own = [
-            velocity, way * speed - velocity, way, near * way, near, length_m / 30.0, speed, stop,
-            stop * (1 - near), wait, (wait * 12).clamp(max=1), age, walked,
-            seen[:, social.STOOD], late, velocity.norm(dim=1, keepdim=True),
+            velocity, way * speed - velocity, way, near * way, near, length, speed, stop,
+            stop * (1 - near), wait, (wait * social.WAIT_S / SOON_S).clamp(max=1), age,
+            walked, seen[:, social.STOOD], late, velocity.norm(dim=1, keepdim=True),
             1 - seen[:, social.PROBES],
         ]  # fmt: skip
         other = social.neighbours_of(seen)
@@ -278,7 +283,7 @@ class Sampler(nn.Module):
         return close.sum(dim=2), overlap.amax(dim=2)
 
     def walls(self, seen: Tensor, actions: Tensor) -> Tensor:
-        """Lack of free space (A, n) after `LOOK_S`, interpolated between the probes."""
+        """Nearness of walls (A, n), from 0 to 1, interpolated between the probes."""
         after = LOOK_S * self.max_speed_mps * actions
         off = (after[:, :, None] - self.probes).square().sum(dim=3)
         kernel = torch.exp(-0.5 * off / KERNEL_M**2) + 1e-6
@@ -461,7 +466,9 @@ def main(arguments: list[str] | None = None) -> int:
     use_one_thread()
     settings = Settings(**{name: getattr(asked, name) for name in (*SETTABLE, "seed")})
     try:
-        check_numbers(settings, or_zero=("rounds", "smoothing_s", "weight_decay", "seed"))
+        zero = ("rounds", "smoothing_s", "recovery_s", "weight_decay", "seed")
+        check_numbers(settings, or_zero=zero)
+        check_onnx()  # needed for the choice of the guide, after the training
         command = Command.of("anticipate", asked.scene, asked.splits, asked.out, arguments)
         scene = command.scene
         interval = max(1, round(scene.grid_s / scene.dt_s))  # people decide on the annotation grid

@@ -10,6 +10,7 @@ _INSTALL = {
     "imitation": "It pins gymnasium 0.29 and needs a separate environment. Run in the clone: "
     "python -m venv .venv-imitation && "
     '.venv-imitation/bin/pip install -c constraints.txt -e ".[imitation,onnx]".',
+    "fit": 'Run in the clone: pip install -c constraints.txt -e ".[fit,onnx]".',
     "torchrl": 'Run in the clone: pip install -c constraints.txt -e ".[torchrl,onnx]".',
 }
 
