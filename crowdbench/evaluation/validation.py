@@ -6,9 +6,11 @@ scored on. `validate` gives the walk score of a policy on the training blocks of
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from crowdbench import registry
 from crowdbench.errors import SettingError
 from crowdbench.evaluation.judge import FINISHED
 from crowdbench.evaluation.references import reference_of
@@ -16,7 +18,6 @@ from crowdbench.metrics import WALK
 from crowdbench.metrics.metric import in_blocks
 from crowdbench.metrics.motion import Speed
 from crowdbench.policies import Policy, Straight
-from crowdbench.registry import spawn_model
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, summarise
@@ -56,7 +57,7 @@ class Validation:
 
 
 def validate(
-    scene: str | Scene, policy: Policy, split: str = "full", *, rollouts: int = 1
+    scene: str | Path | Scene, policy: str | Policy, split: str = "full", *, rollouts: int = 1
 ) -> Validation:
     """Walk a policy under the recorded arrivals and score it on the training blocks of `split`.
 
@@ -65,21 +66,24 @@ def validate(
 
     Args:
         scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
-        policy: the policy, for example `OnnxPolicy(path)`.
+        policy: a policy, or its name, file or folder as in `crowdbench.policy`; of a folder, the
+            file of `split`.
         split: `full`, or `fold0`, `fold1`, … for the blocks that the fold is *not* scored on.
         rollouts: number of rollouts whose distances are averaged.
 
     Raises:
         RecordingError: the recording is not imported.
-        SceneError, SettingError: the scene or split does not exist, `rollouts` is not positive, or
-            straight walkers cannot be told from the recording in these blocks.
+        SceneError, SettingError: the scene, split or policy does not exist, `rollouts` is not
+            positive, or straight walkers cannot be told from the recording in these blocks.
+        WeightsError: the file of the policy is missing or invalid.
     """
     place = load_scene(scene)
     check_split(split, 0)
     if rollouts < 1:
         raise SettingError("rollouts", got=str(rollouts), expected="1 or more")
-    arrivals = spawn_model("replay", place)
-    crowds = [rollout(place, arrivals, policy, seed=_SEEDS + k) for k in range(rollouts)]
+    arrivals = registry.spawn_model("replay", place)
+    walker = registry.policy(policy, place, split)
+    crowds = [rollout(place, arrivals, walker, seed=_SEEDS + k) for k in range(rollouts)]
     straight = rollout(place, arrivals, Straight(), seed=_SEEDS)
     reference = reference_of(place)
     distances, speed, recorded = _compared(place, reference, split, crowds)

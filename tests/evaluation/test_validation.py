@@ -7,7 +7,6 @@ from crowdbench.errors import SettingError
 from crowdbench.evaluation import validation
 from crowdbench.evaluation.validation import validate
 from crowdbench.policies import Straight
-from crowdbench.registry import policy
 from crowdbench.scene import load_scene
 
 PLAZA = load_scene("plaza-v0")
@@ -23,7 +22,7 @@ class Slow(Straight):
 
 
 def test_recorded_people_score_about_1_and_straight_walkers_0() -> None:
-    recorded = validate(PLAZA, policy("recorded-paths", PLAZA), "fold1")
+    recorded = validate(PLAZA, "recorded-paths", "fold1")
     assert recorded.walk > 0.9
     assert recorded.passes
     assert recorded.speed_mps == pytest.approx(recorded.recorded_speed_mps, rel=0.02)
@@ -57,7 +56,14 @@ def test_the_blocks_that_a_fold_is_scored_on_do_not_count(monkeypatch) -> None:
     assert validate(PLAZA, Slow(), "full") != plain
 
 
-@pytest.mark.parametrize("wrong", [{"rollouts": 0}, {"split": "fold9"}])
-def test_bad_settings(wrong: dict) -> None:
-    with pytest.raises(SettingError):
-        validate(PLAZA, Straight(), **wrong)
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [
+        ({"rollouts": 0}, "rollouts"),
+        ({"split": "fold9"}, "split"),
+        ({"policy": "nobody"}, "policy"),
+    ],
+)
+def test_bad_settings(wrong: dict, named: str) -> None:
+    with pytest.raises(SettingError, match=named):
+        validate(PLAZA, **({"policy": Straight()} | wrong))
