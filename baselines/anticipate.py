@@ -18,6 +18,10 @@ mixture density networks, eqs. 22-27), cloned from recorded people by maximum li
 cloned on them trembles when it is sampled. Therefore it is cloned on smoothed paths
 (`--smoothing-s`).
 
+**Jitter.** Recorded people hardly ever leave the speed and heading that they prefer. A clone does
+not learn how to return to them, and drifts. In training, the network therefore sees the person's
+own velocity with random noise (`--jitter-mps`), and learns to walk the recorded one.
+
 **Guide.** In a rollout, twelve velocities are drawn from the mixture. One of them is drawn with
 weights exp(−cost), where the cost anticipates close passes of strangers, overlaps, walls, and a
 near target that would be missed. There are too few near collisions in recordings for a network to
@@ -91,6 +95,7 @@ class Settings:
     weight_decay: float = 1e-2
     batch_size: int = 256
     smoothing_s: float = 2.4
+    jitter_mps: float = 0.1
     rounds: int = 0
     recovery_s: float = 1.5
     candidates: int = 3
@@ -107,6 +112,8 @@ SETTABLE = {
     "weight_decay": "weight decay of AdamW",
     "batch_size": "number of decisions in a batch",
     "smoothing_s": "window in which recorded paths are smoothed, seconds; 0: none",
+    "jitter_mps": "standard deviation of the noise on a person's own velocity in training, m/s; "
+    "0: none",
     "recovery_s": "time constant with which labels in closed loop return to the recorded paths",
     "rounds": "rounds of training in closed loop, each on half as many decisions as before them",
     "candidates": "number of candidates per decision in closed loop",
@@ -386,12 +393,14 @@ def fit(
 ) -> None:
     """Train a network by maximum likelihood on `count` decisions, with a one-cycle rate."""
     steps = max(1, count // settings.batch_size)
+    jitter = settings.jitter_mps / walker.perception.max_speed_mps
     optimizer = torch.optim.AdamW(
         walker.parameters(), lr=rate, weight_decay=settings.weight_decay, fused=True
     )
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, max_lr=rate, total_steps=steps)
     with command.progress("cloning", steps, "steps", "decisions") as progress:
         for k, (seen, did) in enumerate(samples.batches(steps, settings.batch_size), 1):
+            seen[:, social.VELOCITY] += jitter * torch.randn(len(seen), 2)
             loss = -walker.log_prob(seen, did).mean()
             optimizer.zero_grad()
             loss.backward()
@@ -466,7 +475,7 @@ def main(arguments: list[str] | None = None) -> int:
     use_one_thread()
     settings = Settings(**{name: getattr(asked, name) for name in (*SETTABLE, "seed")})
     try:
-        zero = ("rounds", "smoothing_s", "recovery_s", "weight_decay", "seed")
+        zero = ("rounds", "smoothing_s", "jitter_mps", "recovery_s", "weight_decay", "seed")
         check_numbers(settings, or_zero=zero)
         check_onnx()  # needed for the choice of the guide, after the training
         command = Command.of("anticipate", asked.scene, asked.splits, asked.out, arguments)
