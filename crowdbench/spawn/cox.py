@@ -31,7 +31,7 @@ from crowdbench.spawn.events import Arrivals, SpawnEvents
 from crowdbench.spawn.groups import check_grid
 from crowdbench.spawn.links import EDGES_S
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.waves import STEP_S, Waves, fit_waves, in_steps
+from crowdbench.spawn.waves import STEP_S, Waves, fit_waves, in_steps, mean_correlations
 from crowdbench.spawn.weights import Fits, check_origin, check_split, hint
 from crowdbench.trajectories.blocks import SPLITS
 
@@ -245,7 +245,8 @@ def _excess(arrivals: Arrivals, waves: Waves, most: int) -> Float[np.ndarray, "H
             pairs[h] += len(n) - h
     mean = arrivals.counts().mean(axis=0)
     delay = np.arange(most + 1) * arrivals.grid_s
-    log = waves.correlations(delay) @ np.diagonal(waves.covariance, axis1=1, axis2=2)
+    correlations = waves.correlations(delay) - mean_correlations(waves, arrivals)
+    log = correlations @ np.diagonal(waves.covariance, axis1=1, axis2=2)
     return np.asarray(products / pairs.clip(1)[:, None] - mean**2 * np.exp(np.minimum(log, 5.0)))
 
 

@@ -9,7 +9,10 @@ the same at delays from 2 to 30 s.
 
 The covariances are found by moments. For persons who enter independently of each other given the
 factors, E[n_a(t) n_b(t + h)] = m_a m_b exp(C_ab(h)) for h > 0, with C the covariance of the
-logarithms of the factors (ibid., theorem 1).
+logarithms of the factors (ibid., theorem 1). The means m are those of the recording itself, which
+contain a part of its slow waves. Therefore correlations are lower than exp(C(h)), by a factor of
+about exp(C̄), where C̄ is the mean of C over all pairs of observed times: the integral constraint of
+correlation functions (Peebles 1980, The Large-Scale Structure of the Universe, § 32).
 """
 
 from collections.abc import Sequence
@@ -175,9 +178,25 @@ def fit_waves(arrivals: Arrivals, own: Sequence[Arrivals] = ()) -> Waves:
     slow = recorded.lag_s > LEAST_LAG_S
     excess = ((excess + excess.transpose(0, 2, 1)) / 2)[slow]
     nothing = Waves(tau_s, np.zeros((len(tau_s), arrivals.areas, arrivals.areas)))
-    basis = nothing.correlations(recorded.lag_s[slow])
+    basis = nothing.correlations(recorded.lag_s[slow]) - mean_correlations(nothing, arrivals)
     weight = np.sqrt(recorded.weight[slow])
     return Waves(tau_s, _covariances(excess, basis, weight, recorded.persons))
+
+
+def mean_correlations(waves: Waves, arrivals: Arrivals) -> Float[np.ndarray, " J"]:
+    """Mean autocorrelation of each scale over all pairs of observed times."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    width = max(1, round(STEP_S / arrivals.grid_s))
+    windows = arrivals.windows - arrivals.windows.min()
+    observed = np.zeros(-(-int(windows.max()) // width))
+    for first, last in (windows / width).tolist():
+        observed[round(first) : round(last)] = 1.0
+    size = next_fast_len(2 * len(observed), real=True)
+    pairs = irfft(np.abs(rfft(observed, size)) ** 2, size)[: len(observed)]
+    pairs[1:] *= 2  # both orders
+    lag_s = np.arange(len(observed)) * width * arrivals.grid_s
+    return np.asarray(pairs @ waves.correlations(lag_s) / pairs.sum())
 
 
 def _covariances(

@@ -44,7 +44,7 @@ SHOWN = (
     "autocorrelation",
 )
 """Metrics whose typical values are compared."""
-SEEDS = 5
+SEEDS = 20
 INTRODUCTION = """# How well plans describe people
 
 [Models of plans](spawn-models.md#plans-companions-ways-and-stops) send people with companions, ways
@@ -194,10 +194,10 @@ def statistics(scene: Scene, models: Sequence[str] = MODELS, *, seeds: int = SEE
         RecordingError: its recording has not been imported.
     """
     areas: Areas = read_areas(scene)
-    reference = Reference.of(recording_of(scene), scene, areas)
+    reference, fits = Reference.of(recording_of(scene), scene, areas), scene.protocol.fits
     crowds = {
         name: [
-            rollout(scene, spawn_model(name, scene, fit=seed), Straight(), seed=seed)
+            rollout(scene, spawn_model(name, scene, fit=seed % fits), Straight(), seed=seed)
             for seed in range(seeds)
         ]
         for name in models

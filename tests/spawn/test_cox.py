@@ -13,7 +13,7 @@ from scipy.stats import poisson
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Arrivals, CoxGMM, arrivals_in
 from crowdbench.spawn.cox_kernels import filtered, log_probability
-from crowdbench.spawn.waves import Waves, fit_waves, in_steps, pairs_of
+from crowdbench.spawn.waves import Waves, fit_waves, in_steps, mean_correlations, pairs_of
 
 ETH = load_scene("eth-v0")
 B = np.array([[[0.5, 0.3], [0.3, 0.4]], [[0.2, 0.1], [0.1, 0.3]]])
@@ -174,6 +174,32 @@ def test_pair_correlations_are_those_of_a_direct_count() -> None:
         found.correlation[0], (weight * ratio + 100 * pooled) / (weight + 100), rtol=1e-6
     )
     assert found.lag_s[0] == pytest.approx(0.8)
+
+
+def test_mean_correlations_are_those_of_all_pairs_of_observed_times() -> None:
+    arrivals = replace(sampled(600.0), windows=np.array([[100, 700], [800, 1500]]))
+    seen_s = np.concatenate([np.arange(100, 700, 2), np.arange(800, 1500, 2)]) * GRID_S
+    apart = np.abs(seen_s[:, None] - seen_s).ravel()
+    expected = WAVES.correlations(apart).mean(axis=0)
+    np.testing.assert_allclose(mean_correlations(WAVES, arrivals), expected, rtol=1e-6)
+
+
+def test_waves_are_found_again_from_many_short_recordings() -> None:
+    """Their own means contain a part of the waves, which would be missing without a correction."""
+    one = Waves(np.array([30.0]), np.full((1, 2, 2), 0.4))
+    model = replace(cox(one, np.zeros_like(FOLLOWERS)), rate_per_s=np.array([3.0, 2.0]))
+    found, uncorrected = [], []
+    for seed in range(40):
+        arrivals = sampled(320.0, seed, model)
+        waves = fit_waves(arrivals)
+        total = np.einsum("jab,a,b->j", waves.covariance, [0.6, 0.4], [0.6, 0.4])
+        found.append(waves.correlations(np.array([10.0])) @ total)
+        shortened = waves.correlations(np.array([10.0])) - mean_correlations(waves, arrivals)
+        uncorrected.append(shortened @ total)
+    truth = 0.4 * one.correlations(np.array([10.0])).item()
+    error = np.std(found) / np.sqrt(len(found))
+    assert abs(np.mean(found) - truth) < 2 * error
+    assert np.mean(uncorrected) < truth - 2 * error
 
 
 def test_too_short_a_recording_has_no_waves() -> None:
