@@ -19,6 +19,8 @@ pytestmark = pytest.mark.long
 ROOT = Path(__file__).parents[2] / "leaderboard"
 ENTRIES = sorted((ROOT / "entries").glob("*.json"))
 SUBMISSIONS = sorted(folder for folder in (ROOT / "submissions").iterdir() if folder.is_dir())
+UNVERIFIED = {("gc-v0", "bc-paper")}
+"""Trained, but not yet in an entry."""
 
 
 def test_all_that_is_shipped_is_an_entry() -> None:
@@ -31,13 +33,11 @@ def test_all_that_is_shipped_is_an_entry() -> None:
         (scene, name)
         for scene in ("eth-v0", "gc-v0", "forum-v0")
         for name in trained_policies(load_scene(scene))
-        # What was trained on the whole recording only cannot be scored held out.
-        if (load_scene(scene).folder / "policies" / name / "fold0.onnx").exists()
     }
     walked = {
         (scene, d.shipped_policy) for d in declared if d.track == "walk" for scene in d.scenes
     }
-    assert networks <= walked
+    assert networks - UNVERIFIED <= walked
 
 
 @pytest.mark.parametrize("path", ENTRIES, ids=lambda path: path.stem)
