@@ -188,18 +188,18 @@ def test_waves_are_found_again_from_many_short_recordings() -> None:
     """Their own means contain a part of the waves, which would be missing without a correction."""
     one = Waves(np.array([30.0]), np.full((1, 2, 2), 0.4))
     model = replace(cox(one, np.zeros_like(FOLLOWERS)), rate_per_s=np.array([3.0, 2.0]))
-    found, uncorrected = [], []
+    found, apparent = [], []
     for seed in range(40):
         arrivals = sampled(320.0, seed, model)
         waves = fit_waves(arrivals)
         total = np.einsum("jab,a,b->j", waves.covariance, [0.6, 0.4], [0.6, 0.4])
         found.append(waves.correlations(np.array([10.0])) @ total)
         shortened = waves.correlations(np.array([10.0])) - mean_correlations(waves, arrivals)
-        uncorrected.append(shortened @ total)
+        apparent.append(shortened @ total)
     truth = 0.4 * one.correlations(np.array([10.0])).item()
     error = np.std(found) / np.sqrt(len(found))
     assert abs(np.mean(found) - truth) < 2 * error
-    assert np.mean(uncorrected) < truth - 2 * error
+    assert np.mean(apparent) < truth - 2 * error
 
 
 def test_too_short_a_recording_has_no_waves() -> None:
