@@ -1,6 +1,6 @@
 # make evaluate   the environment and the main job
 # make test       the environment and the fast tests
-# make test-all   these and the long ones
+# make test-all   these and the long ones, in one run, so that what they share is made once
 # make coverage   the fast tests, and which share of the lines they run
 # make lint       format, lint and types
 #
@@ -23,8 +23,8 @@ ARGS ?= -n auto --dist loadgroup
 test: $(VENV)/dev.stamp
 	$(BIN)/python -m pytest $(ARGS)
 
-test-all: test
-	$(BIN)/python -m pytest $(ARGS) -m long
+test-all: $(VENV)/dev.stamp
+	$(BIN)/python -m pytest $(ARGS) -m "not slow"
 
 coverage: $(VENV)/dev.stamp
 	$(BIN)/python -m pytest $(ARGS) --cov --cov-report=term:skip-covered

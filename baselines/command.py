@@ -16,10 +16,11 @@ from torch import nn
 from baselines.progress import Progress
 from baselines.walked import Walked, walked
 from crowdbench import load_scene, spawn_model
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, WeightsError
 from crowdbench.files import unwritable
 from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy, revision
+from crowdbench.policies.network import read_card
 from crowdbench.registry import DEFAULT_SPAWN
 from crowdbench.scene import Scene
 from crowdbench.spawn.weights import check_split
@@ -56,14 +57,29 @@ def check_numbers(settings: Any, *, or_zero: Sequence[str] = ()) -> None:
                 )
 
 
-def new_parser(name: str, description: str | None) -> argparse.ArgumentParser:
-    """Argument parser of `python -m baselines.NAME` with the options that all scripts have."""
+def new_parser(
+    name: str, description: str | None, *, several: bool = False
+) -> argparse.ArgumentParser:
+    """Argument parser of `python -m baselines.NAME` with the options that all scripts have.
+
+    With `several`, it also has `--scenes` and `--leave-out`.
+    """
     parser = argparse.ArgumentParser(
         prog=f"python -m {_module(name)}",
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--scene", required=True, help="id of a scene, or its folder")
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--scene", help="id of a scene, or its folder")
+    if several:
+        where.add_argument(
+            "--scenes", nargs="+", metavar="SCENE", help="train one policy on all these scenes"
+        )
+        parser.add_argument(
+            "--leave-out",
+            metavar="SCENE",
+            help="one of --scenes: do not train on it, and validate the policy on it",
+        )
     parser.add_argument(
         "--splits",
         nargs="+",
@@ -108,6 +124,13 @@ class Command:
     scene: Scene
     out: Path
     given: Sequence[str]
+    further: Sequence[Scene] = ()
+    """Other scenes that the same policy is trained on."""
+
+    @property
+    def scenes(self) -> tuple[Scene, ...]:
+        """All scenes that it trains on."""
+        return (self.scene, *self.further)
 
     @classmethod
     def of(
@@ -125,14 +148,107 @@ class Command:
             OutputError: the folder cannot be created.
         """
         place = load_scene(scene)
+        return cls._checked(name, [place], splits, out, f"{name}-{place.id}", arguments)
+
+    @classmethod
+    def of_asked(
+        cls, name: str, asked: argparse.Namespace, arguments: Sequence[str] | None
+    ) -> "Command":
+        """The command of a parser with `several`.
+
+        Raises:
+            SceneError, SettingError, OutputError: see `of` and `of_several`.
+        """
+        if asked.scenes is not None:
+            return cls.of_several(
+                name, asked.scenes, asked.leave_out, asked.splits, asked.out, arguments
+            )
+        if asked.leave_out is not None:
+            raise SettingError(
+                "--leave-out",
+                got="--scene",
+                expected="--scenes with several scenes, of which it is one",
+            )
+        return cls.of(name, asked.scene, asked.splits, asked.out, arguments)
+
+    @classmethod
+    def of_several(
+        cls,
+        name: str,
+        scenes: Sequence[str],
+        left_out: str | None,
+        splits: Sequence[str],
+        out: Path | None,
+        arguments: Sequence[str] | None,
+    ) -> "Command":
+        """Load all scenes but the one left out; the policy is called NAME-any.
+
+        The output folder is by default `results/NAME-any` or `results/NAME-any-without-SCENE`.
+
+        Raises:
+            SceneError, SettingError: a scene or a split does not exist, the scenes have different
+                maximum speeds, or there are none but the one left out.
+            OutputError: the folder cannot be created.
+        """
+        places = list({place.id: place for place in map(load_scene, scenes)}.values())
+        folder = f"{name}-any"
+        if left_out is not None:
+            other = load_scene(left_out).id
+            if other not in [place.id for place in places]:
+                raise SettingError(
+                    "--leave-out", got=other, expected="one of the scenes named in --scenes"
+                )
+            places = [place for place in places if place.id != other]
+            folder = f"{folder}-without-{other}"
+        if len(places) < 2:
+            raise SettingError(
+                "--scenes",
+                got=f"{len(places)} to train on",
+                expected="two or more",
+                hint="Use --scene to train on one.",
+            )
+        fastest = {place.id: place.motion.max_speed_mps for place in places}
+        if len(set(fastest.values())) > 1:
+            raise SettingError(
+                "--scenes",
+                got=", ".join(f"{scene} with {speed:g} m/s" for scene, speed in fastest.items()),
+                expected="scenes with the same maximum speed",
+            )
+        return cls._checked(f"{name}-any", places, splits, out, folder, arguments)
+
+    @classmethod
+    def _checked(
+        cls,
+        name: str,
+        places: Sequence[Scene],
+        splits: Sequence[str],
+        out: Path | None,
+        usual: str,
+        arguments: Sequence[str] | None,
+    ) -> "Command":
         for split in splits:
             check_split(split, 0)
-        folder = out or Path("results") / f"{name}-{place.id}"
+        folder = out or Path("results") / usual
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise unwritable(folder, error) from error
-        return cls(name, place, folder, sys.argv[1:] if arguments is None else arguments)
+        given = sys.argv[1:] if arguments is None else arguments
+        return cls(name, places[0], folder, given, places[1:])
+
+    @property
+    def line(self) -> str:
+        """The command line of this call."""
+        module = _module(self.name.removesuffix("-any"))
+        return f"python -m {module} {shlex.join(self.given)}"
+
+    def has_written(self, split: str) -> bool:
+        """Whether the file of a split is there, written by the same command and code."""
+        try:
+            card = read_card(self.out / f"{split}.onnx")
+        except WeightsError:
+            return False
+        return (card.revision, card.command) == (revision(Path(__file__).parent), self.line)
 
     def write(
         self,
@@ -151,9 +267,10 @@ class Command:
             name=self.name,
             observation=observation,
             interval=interval,
-            scene=self.scene.id,
+            scene="+".join(place.id for place in self.scenes),
             split=split,
-            command=f"python -m {_module(self.name)} {shlex.join(self.given)}",
+            max_speed_mps=self.scene.motion.max_speed_mps if self.further else None,
+            command=self.line,
             revision=revision(Path(__file__).parent),
         )
         return export_policy(network, self.out / f"{split}.onnx", card, noise=noise)

@@ -195,8 +195,8 @@ def evaluate(
 
     Writes `scorecard.json`, `run.json`, `report.html`, `rollouts/*.parquet` and the figures into
     `out`. Existing rollouts are kept if nothing that they depend on has changed.
-    `progress(done, total)` is called before the first and after each rollout. `workers` is the
-    number of processes, by default one per core.
+    `progress(done, total)` is called before the first and after each batch of rollouts.
+    `workers` is the number of processes, by default one per core.
 
     Returns the scorecard.
 

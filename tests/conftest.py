@@ -4,12 +4,14 @@ import atexit
 import os
 import shutil
 import tempfile
+from functools import cache
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
 import jaxtyping
 import pytest
+from checked_calls import check_again
 from hypothesis import settings
 
 # No deadline: a first call may compile, and how long a test takes is not what it tests.
@@ -37,7 +39,7 @@ def _checked() -> list[str]:
     return [n for n in others if not any(k.startswith(f"{n}.") for k in kernels)]
 
 
-_hook = jaxtyping.install_import_hook(_checked(), "beartype.beartype")
+_hook = jaxtyping.install_import_hook(_checked(), "checked_calls.check_first_calls")
 
 # Tests run side by side: threads that wait for work must not keep others from theirs.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
@@ -86,6 +88,12 @@ def opentraj() -> Path:
 
 
 @pytest.fixture(autouse=True)
+def checks() -> None:
+    """Each test checks the types and shapes in the first calls of each function."""
+    check_again()
+
+
+@pytest.fixture(autouse=True)
 def no_width(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is printed is as wide as it needs to be, whatever the tests are run from."""
     monkeypatch.delenv("COLUMNS", raising=False)
@@ -99,12 +107,36 @@ def home(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPat
     return folder
 
 
-ONE_WORKER = ("test_create", "test_demonstrations", "test_demonstrations_of_decisions",
-              "test_gallery", "test_paper", "test_results", "test_verification")  # fmt: skip
-"""Modules whose fixtures take long: with `--dist loadgroup` one worker runs all of their tests."""
+@pytest.fixture
+def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evaluations in this process write no report, which takes longer than their rollouts."""
+    monkeypatch.setattr("crowdbench.report.html.publish", lambda *of: None)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        if item.path.stem in ONE_WORKER:
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+@pytest.fixture
+def uncalibrated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits of plans skip the calibration, which takes longest; `test_plan_calibration` is of it."""
+    monkeypatch.setattr("crowdbench.scene_building.fit.calibrated", lambda areas, *of: areas)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """With `--dist loadgroup` one worker runs all tests of a module that has fixtures of its own.
+
+    Marks do not do: pytest 9.2 takes no other name of a test, by which pytest-xdist 3.8 groups.
+    """
+    if config.getvalue("dist") != "loadgroup":
+        return None
+    from xdist.scheduler import LoadScopeScheduling
+
+    class OfModules(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            path = nodeid.partition("::")[0]
+            return path if _has_fixtures(config.rootpath / path) else nodeid
+
+    return OfModules(config, log)
+
+
+@cache
+def _has_fixtures(path: Path) -> bool:
+    return 'scope="module"' in path.read_text("utf-8")

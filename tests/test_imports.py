@@ -152,8 +152,9 @@ def loaded_by(code: str, cwd: Path | None = None) -> set[str]:
     """Names of the modules that a fresh interpreter has loaded after running the code."""
     code += "\nimport sys; print('\\n'.join(sys.modules))"
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=cwd
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=cwd
     )
+    assert done.returncode == 0, done.stderr
     return set(done.stdout.splitlines())
 
 

@@ -61,7 +61,7 @@ def test_an_installed_package_is_evaluated_with_its_metric_spawn_model_policy_an
     installed: Path, tmp_path: Path
 ) -> None:
     asked = ["evaluate", "plaza-v0", "--spawn", "clockwork", "--policy", "dawdler", "straight"]
-    printed = ran(installed, tmp_path, "-m", "crowdbench", *asked, "--seeds", "2", "--workers", "2",
+    printed = ran(installed, tmp_path, "-m", "crowdbench", *asked, "--seeds", "1", "--workers", "2",
                   "--out", "out")  # fmt: skip
     assert "clockwork × dawdler" in printed
     assert "path length" in printed
@@ -130,7 +130,7 @@ class Eastward:
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("free")
+@pytest.mark.usefixtures("free", "no_report")
 def test_what_a_program_registers_is_known_to_it_and_to_its_workers(tmp_path: Path) -> None:
     register("policies", "eastward", Eastward)
     assert "eastward" in crowdbench.list_policies("plaza-v0")
@@ -142,7 +142,7 @@ def test_what_a_program_registers_is_known_to_it_and_to_its_workers(tmp_path: Pa
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("free")
+@pytest.mark.usefixtures("free", "no_report")
 def test_a_metric_is_named_for_one_evaluation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

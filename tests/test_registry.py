@@ -157,6 +157,7 @@ def test_a_folder_holds_the_fits_of_one_model(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("no_report")
 def test_evaluate_takes_a_folder_of_fits_and_sees_that_they_changed(tmp_path: Path) -> None:
     folder = tmp_path / "rates"
     folder.mkdir()

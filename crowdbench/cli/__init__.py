@@ -23,6 +23,7 @@ from crowdbench.cli import (
     cheats,
     convert,
     data,
+    encounters,
     evaluate,
     figures,
     fit,
@@ -88,8 +89,8 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in (
         evaluate, score, view, areas, steer, policy, scene, fit, spawn, anchors, power, results,
-        walks, cheats, paper, figures, submit, leaderboard, data, convert, arrivals, scenes,
-        metrics, bench,
+        walks, cheats, paper, figures, encounters, submit, leaderboard, data, convert, arrivals,
+        scenes, metrics, bench,
     ):  # fmt: skip
         command.add(commands)
     return parser

@@ -37,9 +37,10 @@ def add(commands: "Commands") -> None:
         nargs="+",
         metavar="POLICY",
         default=["straight", "social-force"],
-        help="policies: straight, social-force, random, replay and recorded-paths (these two with "
-        "the spawn model replay), FILE.onnx, a folder with such a file for each fold, or "
-        "pkg.module:Class (default: straight social-force)",
+        help="policies: straight, social-force, random, anticipate-any, replay and recorded-paths "
+        "(these two with the spawn model replay), those that come with the scene, FILE.onnx, a "
+        "folder with such a file for each fold, or pkg.module:Class (default: straight "
+        "social-force)",
     )
     evaluate.add_argument(
         "--metric",

@@ -88,6 +88,7 @@ def _timed(what: str) -> "Iterator[Progress]":
 
 def _create(args: argparse.Namespace) -> None:
     from crowdbench.recordings.describe import describe
+    from crowdbench.registry import ANY_PLACE
     from crowdbench.scene import load_scene
     from crowdbench.scene_building import check_new, create_like, create_scene
 
@@ -128,8 +129,8 @@ def _create(args: argparse.Namespace) -> None:
     print_facts(f"recording {crowd.scene}", mended(crowd, args) | describe(crowd))
     print_facts(scene.id, created.facts)
     whole = (scene.folder / "ntpp-gmm.safetensors").exists()
-    models = "" if whole else " --spawn renewal-gmm"
-    print(f"Check place.png and time.png there. Next: crowdbench evaluate {scene.asked}{models}")
+    models = f"--policy social-force {ANY_PLACE}" + ("" if whole else " --spawn renewal-gmm")
+    print(f"Check place.png and time.png there. Next: crowdbench evaluate {scene.asked} {models}")
     if not whole:
         print('This scene has no ntpp-gmm, the default of environments: pass spawn="renewal-gmm".')
 

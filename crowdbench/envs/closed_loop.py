@@ -48,6 +48,7 @@ class NearestCandidate:
         # At least 1, because only policies with a memory are told who decides.
         self.memory = max(1, self._needs.memory)
         self.style, self.interval = self._needs.style, self._needs.interval
+        self.noise = self.candidates * self._needs.noise
         self._simulation, self._continuation = simulation, continuation
 
     def reset(self, scene: Scene, rng: Generator) -> None:
@@ -93,6 +94,7 @@ class NearestCandidate:
             each = Memory(
                 state=np.tile(memory.state[:, : self._needs.memory], (count, 1)),
                 style=np.tile(memory.style, (count, 1)),
+                noise=_by_candidate(memory.noise, count),
                 world=np.tile(memory.world, count),
                 person=np.tile(memory.person, count),
                 entered=np.tile(memory.entered, count),
@@ -124,3 +126,12 @@ class NearestCandidate:
         far = self._continuation.deviation_m(person, frame, position) > FAR_M
         walked[far] = in_own_frame(back, heading)[far]
         return walked, best
+
+
+def _by_candidate(
+    noise: Float32[np.ndarray, "A CZ"], candidates: int
+) -> Float32[np.ndarray, "CA Z"]:
+    """Random numbers of all candidates, in the order of the batch: candidate, then person."""
+    persons = len(noise)
+    each = noise.reshape(persons, candidates, -1).swapaxes(0, 1)
+    return np.ascontiguousarray(each).reshape(candidates * persons, -1)

@@ -1,7 +1,12 @@
 """Rollouts as jobs: which rollouts are needed, and which of them exist already.
 
-Each rollout is a separate job. It is written as Parquet with a fingerprint of everything that it
-depends on, so that interrupted work can continue and outdated rollouts are never reused.
+Each rollout is a job. It is written as Parquet with a fingerprint of everything that it depends on,
+so that interrupted work can continue and outdated rollouts are never reused.
+
+Up to `BATCH` rollouts of the same models are made at once, if the policy allows it. The results of
+a network depend on the size of its batch in the last bits. Therefore the rollouts of a batch are
+determined by the jobs, never by the number of workers or by what exists already, and they are part
+of the fingerprint: if one of them is missing, all are made again.
 """
 
 import functools
@@ -25,7 +30,7 @@ from crowdbench.files import sha256
 from crowdbench.metrics import Metric, Statistics
 from crowdbench.plugins import told
 from crowdbench.policies import OnnxPolicy, Policy
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.rollouts.rollout import batchable, rollouts
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, summarise
 from crowdbench.spawn import SpawnModel
@@ -40,6 +45,8 @@ RECORDED_PER_FIT = 2
 """Maximum number of rollouts per fit under the recorded arrivals. They differ little, because
 everyone enters as recorded, and are scored by their mean distance: on ETH, the walk score of `bc`
 differs by 0.02 between two sets of ten, and its interval is 0.2 wide."""
+BATCH = 10
+"""Maximum number of rollouts that are made at once."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +62,10 @@ class Job:
     path: Path
     fingerprint: str
     """Hash of everything that the rollout depends on."""
+    batch: int = 0
+    """Number of the batch, of those with the same models."""
+    exact: bool = True
+    """Whether the rollout is the same in any batch."""
 
     def __str__(self) -> str:
         return f"rollout {self.seed} of {self.spawn} × {self.policy} on {self.scene} ({self.split})"
@@ -136,24 +147,42 @@ def plan(
             pair.spawn.model(split)  # raises an error if it cannot be made
             fingerprint = pair.fingerprint(split)
             most = RECORDED_PER_FIT * fits if recorded else seeds
-            for seed in range(1 if certain else min(seeds, most)):
+            number = 1 if certain else min(seeds, most)
+            size = BATCH if batchable(walker) else 1
+            exact = size == 1 or walker.sees == "state"
+            for seed in range(number):
                 name = f"{_plain(s)}_{_plain(p)}_{split}_{seed}.parquet"
-                jobs.append(Job(scene, s, p, split, seed % fits, seed, folder / name, fingerprint))
+                batch = seed // size
+                several = "" if exact else f"-{min(size, number - batch * size)}"
+                of = fingerprint + several
+                jobs.append(
+                    Job(scene, s, p, split, seed % fits, seed, folder / name, of, batch, exact)
+                )
     return jobs
+
+
+def batches(jobs: Sequence[Job]) -> list[tuple[Job, ...]]:
+    """The jobs whose rollouts are made at once."""
+    of: dict[tuple[object, ...], list[Job]] = {}
+    for job in jobs:
+        key = (job.scene, job.spawn, job.policy, job.split, job.path.parent, job.batch)
+        of.setdefault(key, []).append(job)
+    return [tuple(each) for each in of.values()]
 
 
 def _check_unseen(policy: str, walker: Policy, place: Scene, split: str) -> None:
     """Check that a policy was not trained on data that it is scored on.
 
     Raises:
-        SettingError: it was trained on the scene, but for another split.
+        SettingError: it was trained on the scene, but for another split or on other scenes too.
     """
     if split == "full" or not isinstance(walker, OnnxPolicy):
         return
-    if walker.card.scene == place.id and walker.card.split != split:
+    card = walker.card
+    if place.id in card.scenes and (card.scene, card.split) != (place.id, split):
         raise SettingError(
             f"policy {policy}",
-            got=f"a network trained on {walker.card.split} of {place.id}",
+            got=f"a network trained on {card.split} of {' and '.join(card.scenes)}",
             expected=f"a network that has not seen the data that {split} is scored on",
             hint="Train one network for each fold and name the folder with fold0.onnx, fold1.onnx, "
             "…, or evaluate with --protocol full.",
@@ -165,16 +194,17 @@ def roll_out(
 ) -> dict[Job, RolloutSummary]:
     """Make all missing rollouts; returns the summary of each, in the order of the jobs.
 
-    `progress(done, total)` is called before the first and after each rollout. `workers` is the
-    number of processes, by default one per core.
+    `progress(done, total)` is called before the first and after each batch of rollouts.
+    `workers` is the number of processes, by default one per core.
     """
     rolled: dict[Job, RolloutSummary] = {}
     _remove_halves(jobs)
     progress(0, len(jobs))
+    each = batches(jobs)
     # Closing ends the worker processes even if this function is left early.
-    with closing(_each(_roll_out, jobs, workers, reference)) as done:
+    with closing(_each(_roll_out, each, workers, reference)) as done:
         for k, what in done:
-            rolled[jobs[k]] = what
+            rolled |= zip(each[k], what, strict=True)
             progress(len(rolled), len(jobs))
     return {job: rolled[job] for job in jobs}
 
@@ -183,21 +213,31 @@ def make(jobs: list[Job], workers: int | None, progress: Progress) -> None:
     """Make all missing rollouts like `roll_out`, without summaries."""
     _remove_halves(jobs)
     progress(0, len(jobs))
-    with closing(_each(_make, jobs, workers)) as each:
-        for done, _ in enumerate(each, 1):
-            progress(done, len(jobs))
+    each, made = batches(jobs), 0
+    with closing(_each(_make, each, workers)) as done:
+        for k, _ in done:
+            made += len(each[k])
+            progress(made, len(jobs))
 
 
 def _each(
-    function: Callable[..., Result], jobs: list[Job], workers: int | None, *common: object
+    function: Callable[..., Result],
+    batched: Sequence[tuple[Job, ...]],
+    workers: int | None,
+    *common: object,
 ) -> Generator[tuple[int, Result], None, None]:
     return call_each(
         function,
-        [(job,) for job in jobs],
+        [(batch,) for batch in batched],
         checked_workers(workers),
         common=common,
-        name=str,
+        name=_told,
     )
+
+
+def _told(batch: tuple[Job, ...]) -> str:
+    first, last = batch[0], batch[-1]
+    return str(first) if first is last else f"{first} to {last.seed}"
 
 
 def _remove_halves(jobs: list[Job]) -> None:
@@ -207,17 +247,40 @@ def _remove_halves(jobs: list[Job]) -> None:
             half.unlink(missing_ok=True)
 
 
-def _make(job: Job) -> None:
-    _made(job)
+def _make(batch: tuple[Job, ...]) -> None:
+    _made(batch)
 
 
-def _roll_out(job: Job, reference: Reference) -> RolloutSummary:
-    return RolloutSummary.of_crowd(_made(job), reference)
+def _roll_out(batch: tuple[Job, ...], reference: Reference) -> list[RolloutSummary]:
+    return [RolloutSummary.of_crowd(crowd, reference) for crowd in _made(batch)]
 
 
-def _made(job: Job) -> Trajectories:
-    """The rollout, read from its file if that belongs to this job, otherwise made and written."""
-    provenance = {
+def _made(batch: tuple[Job, ...]) -> list[Trajectories]:
+    """The rollouts, read from files that belong to the jobs, otherwise made and written."""
+    crowds = {job: crowd for job in batch if (crowd := _kept(job)) is not None}
+    missing = [job for job in batch if job not in crowds]
+    if missing and not batch[0].exact:
+        missing = list(batch)
+    if missing:
+        crowds |= zip(missing, _rolled_out(missing), strict=True)
+    for job in missing:
+        write_parquet(crowds[job], job.path)
+    return [crowds[job] for job in batch]
+
+
+def _kept(job: Job) -> Trajectories | None:
+    """The rollout in the file of a job, if it belongs to it."""
+    if not job.path.exists():
+        return None
+    try:
+        crowd = read_own(job.path)
+    except RecordingError:  # not a valid rollout: it is overwritten
+        return None
+    return crowd if dict(crowd.provenance) == _provenance(job) else None
+
+
+def _provenance(job: Job) -> dict[str, object]:
+    return {
         "spawn": job.spawn,
         "policy": job.policy,
         "split": job.split,
@@ -225,22 +288,19 @@ def _made(job: Job) -> Trajectories:
         "seed": job.seed,
         "made_from": job.fingerprint,
     }
-    crowd = None
-    if job.path.exists():
-        try:
-            crowd = read_own(job.path)
-        except RecordingError:  # not a valid rollout: it is overwritten
-            crowd = None
-    if crowd is None or dict(crowd.provenance) != provenance:
-        with _named(job):
-            of_job = (job.scene, job.spawn, job.policy)
-            scene = _resolved(*of_job, job.fingerprint).scene
-            spawn, policy = _models(*of_job, job.split, job.fit, job.fingerprint)
-            # Rollouts of different splits must not share their random numbers.
-            seed = job.seed * len(SPLITS) + SPLITS.index(job.split)
-            crowd = replace(rollout(scene, spawn, policy, seed=seed), provenance=provenance)
-        write_parquet(crowd, job.path)
-    return crowd
+
+
+def _rolled_out(jobs: Sequence[Job]) -> list[Trajectories]:
+    """The rollouts of jobs with the same models and split."""
+    first = jobs[0]
+    with _named(first):
+        of_all = (first.scene, first.spawn, first.policy)
+        scene = _resolved(*of_all, first.fingerprint).scene
+        models = [_models(*of_all, j.split, j.fit, j.fingerprint) for j in jobs]
+        # Rollouts of different splits must not share their random numbers.
+        seeds = [j.seed * len(SPLITS) + SPLITS.index(j.split) for j in jobs]
+        crowds = rollouts(scene, [spawn for spawn, _ in models], models[0][1], seeds=seeds)
+    return [replace(c, provenance=_provenance(j)) for c, j in zip(crowds, jobs, strict=True)]
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from crowdbench.metrics.metric import in_blocks
 from crowdbench.metrics.motion import Speed
 from crowdbench.policies import Policy, Straight
 from crowdbench.rollouts.rollout import rollout
+from crowdbench.rollouts.rollout import rollouts as roll_out
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, summarise
 from crowdbench.scoring.score import LOWEST
@@ -77,33 +78,57 @@ def validate(
             positive, or straight walkers cannot be told from the recording in these blocks.
         WeightsError: the file of the policy is missing or invalid.
     """
-    place = load_scene(scene)
-    check_split(split, 0)
-    if rollouts < 1:
-        raise SettingError("rollouts", got=str(rollouts), expected="1 or more")
-    arrivals = registry.spawn_model("replay", place)
-    walker = registry.policy(policy, place, split)
-    crowds = [rollout(place, arrivals, walker, seed=_SEEDS + k) for k in range(rollouts)]
-    straight = rollout(place, arrivals, Straight(), seed=_SEEDS)
-    reference = reference_of(place)
-    distances, speed, recorded = _compared(place, reference, split, crowds)
-    anchor = _compared(place, reference, split, [straight])[0]
-    scores = {
-        name: max(LOWEST, 1 - d / anchor[name]) for name, d in distances.items() if anchor[name] > 0
-    }
-    each: dict[str, list[float]] = {family: [] for family in WALK}
-    for m in reference.metrics:
-        if m.name in scores:
-            each[m.family].append(scores[m.name])
-    families = {family: float(np.mean(found)) for family, found in each.items() if found}
-    if not families:
-        raise SettingError(
-            f"scene {place.id}", got="no metric of walking that is scored", expected="at least one"
-        )
-    ended = np.sum([np.bincount(c.outcome, minlength=len(OUTCOMES)) for c in crowds], axis=0)
-    at_goal = float(ended[FINISHED[0]] / max(1, ended[list(FINISHED)].sum()))
-    passes = abs(speed / recorded - 1) <= place.gate.speed and at_goal >= place.gate.arrivals
-    return Validation(scores, families, speed, recorded, at_goal, passes)
+    return Validator(scene, split).validate(policy, rollouts=rollouts)
+
+
+class Validator:
+    """Validates several policies on the same scene and split, as `validate` does one.
+
+    Straight walkers, which all are compared with, are walked only once.
+    """
+
+    def __init__(self, scene: str | Path | Scene, split: str = "full") -> None:
+        """Raises RecordingError, SceneError, SettingError: see `validate`."""
+        check_split(split, 0)
+        self.scene, self.split = load_scene(scene), split
+        self._arrivals = registry.spawn_model("replay", self.scene)
+        self._reference = reference_of(self.scene)
+        straight = rollout(self.scene, self._arrivals, Straight(), seed=_SEEDS)
+        self._anchor = self._compared([straight])[0]
+        if not any(self._anchor.values()):
+            raise SettingError(
+                f"scene {self.scene.id}",
+                got="no metric of walking that is scored",
+                expected="at least one",
+            )
+
+    def validate(self, policy: str | Policy, *, rollouts: int = 1) -> Validation:
+        """See the function `validate`."""
+        if rollouts < 1:
+            raise SettingError("rollouts", got=str(rollouts), expected="1 or more")
+        place, arrivals = self.scene, self._arrivals
+        walker = registry.policy(policy, place, self.split)
+        seeds = [_SEEDS + k for k in range(rollouts)]
+        crowds = roll_out(place, [arrivals] * rollouts, walker, seeds=seeds)
+        distances, speed, recorded = self._compared(crowds)
+        anchor = self._anchor
+        scores = {
+            name: max(LOWEST, 1 - d / anchor[name])
+            for name, d in distances.items()
+            if anchor[name] > 0
+        }
+        each: dict[str, list[float]] = {family: [] for family in WALK}
+        for m in self._reference.metrics:
+            if m.name in scores:
+                each[m.family].append(scores[m.name])
+        families = {family: float(np.mean(found)) for family, found in each.items() if found}
+        ended = np.sum([np.bincount(c.outcome, minlength=len(OUTCOMES)) for c in crowds], axis=0)
+        at_goal = float(ended[FINISHED[0]] / max(1, ended[list(FINISHED)].sum()))
+        passes = abs(speed / recorded - 1) <= place.gate.speed and at_goal >= place.gate.arrivals
+        return Validation(scores, families, speed, recorded, at_goal, passes)
+
+    def _compared(self, crowds: list[Trajectories]) -> tuple[dict[str, float], float, float]:
+        return _compared(self.scene, self._reference, self.split, crowds)
 
 
 def _compared(

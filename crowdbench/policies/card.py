@@ -3,6 +3,7 @@
 import re
 
 import msgspec
+import numpy as np
 
 from crowdbench.errors import WeightsError
 from crowdbench.policies.memory import MOST
@@ -37,14 +38,22 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Number of frames between two decisions for a person."""
     action: str = ACTION
     """Version of the action."""
+    max_speed_mps: float | None = None
+    """Unit of its velocities, if they are to be converted on scenes with another maximum speed;
+    only with the observation `social-1`."""
     scene: str
-    """Id of the scene it was trained on."""
+    """Id of the scene it was trained on; of several, their ids joined by `+`."""
     split: str
     """Split of the recording it was trained on, one of `blocks.SPLITS`."""
     command: str = ""
     """Command that trained it."""
     revision: str = ""
     """Git revision of the training code."""
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Ids of the scenes it was trained on."""
+        return tuple(self.scene.split("+"))
 
     @property
     def inputs(self) -> int:
@@ -77,8 +86,15 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             ("style", self.style, 0 <= self.style <= MOST, f"a number from 0 to {MOST}"),
             ("interval", self.interval, 1 <= self.interval <= 1000, "1 to 1000 frames"),
             ("action", self.action, self.action == ACTION, ACTION),
+            (
+                "max_speed_mps",
+                self.max_speed_mps,
+                self.max_speed_mps is None
+                or (0 < self.max_speed_mps < np.inf and self.observation == "social-1"),
+                "a positive number, and only with social-1",
+            ),
             ("split", self.split, self.split in SPLITS, " or ".join(SPLITS)),
-            ("scene", self.scene, _NAME.fullmatch(self.scene), "the id of a scene"),
+            ("scene", self.scene, all(map(_NAME.fullmatch, self.scenes)), "the id of a scene"),
             ("command", "", _plain(self.command), "plain text of up to 1000 characters"),
             ("revision", "", _plain(self.revision), "plain text of up to 1000 characters"),
         )

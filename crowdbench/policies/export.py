@@ -174,9 +174,9 @@ def _check_survival(file: Path, fed: "dict[str, torch.Tensor]", path: Path) -> N
 
 
 def _scene_of(card: PolicyCard) -> Scene | None:
-    """The scene that a network was trained on; None if it is not available."""
+    """A scene that a network was trained on; None if it is not available."""
     try:
-        return load_scene(card.scene)
+        return load_scene(card.scenes[0])
     except SceneError:
         return None
 

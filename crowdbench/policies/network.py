@@ -6,10 +6,10 @@ float32 (A, 2), where the number of persons A is free. A stochastic policy has a
 that the same seed gives the same crowd. A policy that remembers people has the input `state` and
 the output `next_state`, float32 (A, M): zeros when a person enters, then what the network returned
 for it. The input `style`, float32 (A, S), is drawn like noise, but once per person. M and S are in
-the card. Operators that draw random numbers are rejected. Each
-action must be computed from the person's own row, which `crowdbench.policies.rows` tests. The
-metadata contain a `PolicyCard` as JSON under the key `crowdbench`. A file can only contain standard
-ONNX operators, which onnxruntime executes: no pickle, no custom operators and no external data.
+the card. Operators that draw random numbers are rejected. Each action must be computed from the
+person's own row, which `crowdbench.policies.rows` tests. The metadata contain a `PolicyCard` as
+JSON under the key `crowdbench`. A file can only contain standard ONNX operators, which onnxruntime
+executes: no pickle, no custom operators and no external data.
 """
 
 from collections.abc import Iterator
@@ -29,6 +29,7 @@ from crowdbench.policies.memory import Memory
 from crowdbench.policies.rows import ROWS, Watch, check_rows, observed
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings
+from crowdbench.simulation.social import with_velocities_times
 
 if TYPE_CHECKING:
     from onnx import (
@@ -54,6 +55,7 @@ class OnnxPolicy:
     """A policy from an ONNX file; needs the extra `onnx`."""
 
     sees: ClassVar[Literal["observation"]] = "observation"
+    many_worlds: ClassVar[bool] = True
 
     def __init__(self, path: str | Path) -> None:
         """Read and check the file.
@@ -64,18 +66,18 @@ class OnnxPolicy:
         """
         self.path = Path(path)
         self.card, self.noise, self._session = _read(self.path)
-        self.name = self.card.name
-        self.observation = self.card.observation
-        self.rays = self.card.rays
-        self.ray_range_m = self.card.ray_range_m
-        self.memory = self.card.memory
-        self.style = self.card.style
-        self.interval = self.card.interval
+        card = self.card
+        self.name, self.observation = card.name, card.observation
+        self.rays, self.ray_range_m = card.rays, card.ray_range_m
+        self.memory, self.style, self.interval = card.memory, card.style, card.interval
         self.deterministic = self.noise == self.style == 0
         self._watch = Watch(self.path)
+        self._unit = 1.0
 
     def reset(self, scene: Scene, rng: Generator) -> None:
         """Begin an episode whose noise is drawn from `rng`."""
+        own = self.card.max_speed_mps
+        self._unit = 1.0 if own is None else scene.motion.max_speed_mps / own
         self._rng = rng
         self._watch = Watch(self.path)
 
@@ -84,19 +86,23 @@ class OnnxPolicy:
     ) -> Float32[np.ndarray, "A 2"]:
         """Actions (A, 2), one per observation; the next states are written to `memory`.
 
+        Noise that `memory` does not have is drawn from the generator of `reset`.
+
         Raises:
             WeightsError: the network cannot be run, or a test found that it mixes rows.
         """
-        fed = {"observation": np.ascontiguousarray(seen, dtype=np.float32)}
-        if self.noise:
+        own = seen if self._unit == 1 else with_velocities_times(self._unit, seen)
+        fed = {"observation": np.ascontiguousarray(own, dtype=np.float32)}
+        if self.noise and (memory is None or memory.noise.size == 0):
             fed["noise"] = self._rng.standard_normal((len(seen), self.noise), dtype=np.float32)
         if memory is not None:
-            fed |= {n: a for n, a in _remembered(memory).items() if a.shape[1]}
+            each = {"state": memory.state, "style": memory.style, "noise": memory.noise}
+            fed |= {name: values for name, values in each.items() if values.shape[1]}
         answer = self._run(fed)
         self._watch.look(self._run, fed, answer)
         if memory is not None:
             memory.state[:] = answer[:, 2:]
-        return answer[:, :2]
+        return answer[:, :2] / np.float32(self._unit)
 
     def check_rows(self, scene: Scene | None, where: object = None) -> None:
         """Check row independence on observations from a scene.
@@ -139,10 +145,6 @@ class OnnxPolicy:
             raise _unrunnable(self.path, error) from error
         action: np.ndarray = found[0] if len(found) == 1 else np.concatenate(found, axis=1)
         return action
-
-
-def _remembered(memory: Memory) -> dict[str, np.ndarray]:
-    return {"state": memory.state, "style": memory.style}
 
 
 def check_onnx() -> None:

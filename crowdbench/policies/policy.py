@@ -89,10 +89,11 @@ class ObservationPolicy(_Named, Protocol):
 
 @runtime_checkable
 class RememberingPolicy(_Named, Protocol):
-    """A policy that sees observations and remembers people, by the attribute `memory` or `style`.
+    """A policy that remembers people or is given random numbers.
 
-    `memory` is the size of a person's state, `style` the number of random numbers that are drawn
-    once per person; both are 0 if the attribute is missing.
+    It has one of the attributes `memory`, the size of a person's state, `style`, the number of
+    random numbers that are drawn once per person, and `noise`, the number of those that are drawn
+    for each decision; they are 0 if missing.
     """
 
     sees: ClassVar[Literal["observation"]]
@@ -123,4 +124,8 @@ its observation, those of a policy that sees the state in the world frame.
 A policy without random draws may have the attribute `deterministic = True`. With recorded arrivals,
 a single rollout of it is then sufficient. A policy with the attribute `interval = k` decides in
 each k-th frame of a person's trip; in between, the person keeps its velocity.
+
+A class with the attribute `many_worlds = True`, which subclasses do not inherit, treats all persons
+alike, whatever their world, and draws no random numbers itself. Several rollouts then call it
+together, which is faster.
 """

@@ -1,9 +1,8 @@
 """Test of row independence: a network must compute each person's action from that person's row.
 
 The file alone does not show this, so it is tested by running the network. Before rollouts, actions
-of single rows are compared with those of batches of many sizes and orders, up to the largest batch
-of a rollout. During rollouts, the batch is regularly split into two parts and evaluated again, also
-whenever it is larger than before.
+of single rows are compared with those of batches of many sizes and orders. During rollouts, the
+batch is regularly split into two parts and evaluated again, also whenever it is larger than before.
 """
 
 from collections.abc import Callable
@@ -27,7 +26,7 @@ in another order than for a single row, which changes the actions of shipped net
 EVERY = 16
 """Interval between two tests in a rollout, in steps."""
 SIZES = (2, 3, 4, 5, 8, 13, 34, 100, 1000, 4096)
-"""Sizes of the tested batches; no rollout has more people at the same time."""
+"""Sizes of the batches that are tested before rollouts; larger ones are tested when they occur."""
 ROWS = 256
 """Number of observations to test."""
 _LONGEST_S = 600.0

@@ -41,6 +41,7 @@ class SocialForce:
     name = "social-force"
     sees: ClassVar[Literal["state"]] = "state"
     deterministic: ClassVar[bool] = True
+    many_worlds: ClassVar[bool] = True
 
     def reset(self, scene: Scene, rng: Generator) -> None:
         """Load the walls of `scene`."""

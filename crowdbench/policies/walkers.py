@@ -22,6 +22,7 @@ class Straight:
     name = "straight"
     sees: ClassVar[Literal["state"]] = "state"
     deterministic: ClassVar[bool] = True
+    many_worlds: ClassVar[bool] = True
 
     def reset(self, scene: Scene, rng: Generator) -> None:
         """Load the walls of `scene`; there are no random draws."""

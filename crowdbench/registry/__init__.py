@@ -2,6 +2,7 @@
 
 from crowdbench.registry.own_code import add_metric
 from crowdbench.registry.policies import (
+    ANY_PLACE,
     POLICIES,
     PolicySource,
     list_policies,
@@ -32,6 +33,7 @@ from crowdbench.registry.spawn_models import (
 )
 
 __all__ = [
+    "ANY_PLACE",
     "DEFAULT_SPAWN",
     "FITTED",
     "GENERATED",

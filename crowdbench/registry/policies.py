@@ -17,7 +17,7 @@ from crowdbench.policies import (
 )
 from crowdbench.registry.own_code import code_of, having, made, own_class, understood
 from crowdbench.registry.recordings import has_recording, recording_of
-from crowdbench.scene import Scene, load_scene
+from crowdbench.scene import Scene, load_scene, scenes_folder
 from crowdbench.spawn.weights import check_split
 from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.table import Trajectories
@@ -32,6 +32,8 @@ _RECORDED: dict[str, Callable[[Trajectories], Policy]] = {
     "recorded-paths": RecordedPaths,
 }
 POLICIES = (*_PLAIN, *_RECORDED)
+ANY_PLACE = "anticipate-any"
+"""The network that walks on any scene."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,8 @@ def _networks(name: str, scene: Scene) -> Path | None:
         return None
     own = Path(name)
     folder = own if len(own.parts) > 1 else scene.folder / "policies" / name
+    if name == ANY_PLACE and not folder.is_dir():
+        return scenes_folder() / f"{ANY_PLACE}.onnx"
     return folder if folder.is_dir() else None
 
 
@@ -150,7 +154,8 @@ def list_policies(scene: str | Path | Scene) -> list[str]:
     """
     place = load_scene(scene)
     plain = [name for name in POLICIES if name in _PLAIN or has_recording(place)]
-    return [*plain, *trained_policies(place), *plugins.names("policies", POLICIES)]
+    shipped = dict.fromkeys([*trained_policies(place), ANY_PLACE])
+    return [*plain, *shipped, *plugins.names("policies", POLICIES)]
 
 
 def trained_policies(scene: Scene) -> list[str]:

@@ -1,6 +1,8 @@
 """Recordings by name: imported ones, and generated ones."""
 
 import importlib
+from copy import deepcopy
+from functools import cache
 from pathlib import Path
 
 from crowdbench.recordings import catalogue
@@ -69,6 +71,12 @@ def has_recording(scene: Scene) -> bool:
 
 
 def _generated(name: str) -> Trajectories:
+    """Generated once in each process; everyone gets a copy of their own."""
+    return deepcopy(_simulated(name))
+
+
+@cache
+def _simulated(name: str) -> Trajectories:
     module, _, function = GENERATED[name].partition(":")
     crowd: Trajectories = getattr(importlib.import_module(module), function)()
     return crowd

@@ -30,7 +30,7 @@ class Actor:
         self.policy = policy
         self._simulation = simulation
         self._needs = Needs.of(policy)
-        self._rng: Generator | None = None
+        self._rngs: tuple[Generator, ...] = ()
         size = simulation.slots.alive.size if self._keeps else 0
         self._state = np.zeros((size, self._needs.memory), np.float32)
         self._style = np.zeros((size, self._needs.style), np.float32)
@@ -41,10 +41,13 @@ class Actor:
     def _keeps(self) -> bool:
         return self._needs.memories or self._needs.interval > 1
 
-    def reset(self, rng: Generator) -> None:
-        """Let the policy draw from `rng` from now on. People who are present are remembered."""
-        self.policy.reset(self._simulation.scene, rng)
-        self._rng = rng
+    def reset(self, *rngs: Generator) -> None:
+        """Let the policy draw from one generator, or from one per world, from now on.
+
+        People who are present are remembered.
+        """
+        self.policy.reset(self._simulation.scene, rngs[0])
+        self._rngs = rngs
 
     @property
     def world_frame(self) -> bool:
@@ -95,11 +98,7 @@ class Actor:
         new = at[entered]
         self._event[new] = event[new]
         self._state[new] = 0.0
-        if self._needs.style:
-            assert self._rng is not None  # `reset` comes first
-            self._style[new] = self._rng.standard_normal(
-                (len(new), self._needs.style), dtype=np.float32
-            )
+        self._style[new] = self._drawn(new, self._needs.style)
         due = self._due(at) | entered
         deciding, others = at[due], at[~due]
         if len(deciding):
@@ -108,6 +107,22 @@ class Actor:
             flat[others] = self._keeping(others)
             self._held[deciding] = self._in_world(flat[deciding], deciding)
         return actions
+
+    def _drawn(self, at: Int[np.ndarray, " n"], width: int) -> Float32[np.ndarray, "n _"]:
+        """Standard normal numbers of persons, drawn from the generators of their worlds."""
+        if width == 0:
+            return np.empty((len(at), 0), np.float32)
+        if len(self._rngs) == 1:
+            return self._rngs[0].standard_normal((len(at), width), dtype=np.float32)
+        persons = np.bincount(
+            at // self._simulation.slots.alive.shape[1], minlength=len(self._rngs)
+        )
+        return np.concatenate(
+            [
+                rng.standard_normal((n, width), dtype=np.float32)
+                for rng, n in zip(self._rngs, persons.tolist(), strict=True)
+            ]
+        )
 
     def _in_world(
         self, action: Float32[np.ndarray, "n 2"], at: Int[np.ndarray, " n"]
@@ -145,6 +160,7 @@ class Actor:
         memory = Memory(
             state=self._state[at],
             style=self._style[at],
+            noise=self._drawn(at, self._needs.noise),
             world=at // self._simulation.slots.alive.shape[1],
             person=self._simulation.slots.person.ravel()[at],
             entered=entered,

@@ -1,5 +1,6 @@
 """Start and recording of episodes, shared by rollouts and environments."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -47,12 +48,68 @@ def begin(
 ) -> Actor:
     """Begin an episode of `frames` frames in all worlds of a simulation; return its actor.
 
-    The actor has the policy `walker`, and remembers whom it walked in the warm-up.
+    World k draws its arrivals with the random generator of the world `first_world` + k. See `draw`
+    for the start, and `Drawn.begin` for the actor.
 
-    Each world has its own arrivals, drawn with its own random generator: world k of the simulation
-    with that of the world `first_world` + k. `start` defaults to that
-    of the spawn model. `stationary`: a discarded warm-up of 60 s or the 99th percentile of dwell
-    times, whichever is longer, with the policy `walker`. `recorded`: with the recorded initial
+    Raises:
+        SettingError: see `draw`.
+    """
+    worlds = [World(spawn, seed, first_world + k) for k in range(simulation.worlds)]
+    drawn = draw(simulation.scene, worlds, frames=frames, start=start, scripted=scripted)
+    return drawn.begin(simulation, walker)
+
+
+@dataclass(frozen=True)
+class World:
+    """The spawn model of a world, and what its random generators are made of."""
+
+    spawn: SpawnModel
+    seed: int
+    number: int = 0
+
+    def generator(self, purpose: str) -> Generator:
+        """Its random generator for one of `PURPOSES`."""
+        return generator(self.seed, self.number, purpose)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """The arrivals of an episode in all its worlds."""
+
+    worlds: Sequence[World]
+    events: list[SpawnEvents]
+    warm_up: int
+    """Number of frames of the warm-up, which come before the `frames` of the episode."""
+    frames: int
+
+    def begin(self, simulation: Simulation, walker: Policy) -> Actor:
+        """Begin the episode in a simulation with as many worlds, after the warm-up.
+
+        The actor that is returned has the policy `walker`, and remembers whom it walked in the
+        warm-up.
+        """
+        simulation.reset(self.events, horizon=self.frames, first_frame=-self.warm_up)
+        actor = Actor(walker, simulation)
+        actor.reset(*(world.generator("warm-up") for world in self.worlds))
+        for _ in range(self.warm_up):
+            actor.step()
+        if self.warm_up:
+            simulation.number_anew()
+        return actor
+
+
+def draw(
+    scene: Scene,
+    worlds: Sequence[World],
+    *,
+    frames: int,
+    start: Start | None,
+    scripted: bool = False,
+) -> Drawn:
+    """Draw the arrivals of an episode of `frames` frames in each of several worlds.
+
+    `start` defaults to that of the spawn models. `stationary`: after a discarded warm-up of 60 s or
+    the 99th percentile of dwell times, whichever is longer. `recorded`: with the recorded initial
     population (replay only). `empty`: with nobody. If `scripted`, people leave when they left in
     the recording (replay only).
 
@@ -60,7 +117,7 @@ def begin(
         SettingError: `recorded` without recorded arrivals, `stationary` with them, or people start
             outside the bounds.
     """
-    scene = simulation.scene
+    spawn = worlds[0].spawn
     start = start or spawn.start
     recorded = spawn.start == "recorded"
     if start not in ("stationary", "recorded", "empty"):
@@ -76,8 +133,11 @@ def begin(
     if start == "stationary":
         warm_up = scene.frames(warm_up_s(scene))
     events = []
-    for world in range(first_world, first_world + simulation.worlds):
-        sample = arrivals(spawn, scene, seed=seed, world=world, warm_up=warm_up, frames=frames)
+    for world in worlds:
+        spawn = world.spawn
+        sample = arrivals(
+            spawn, scene, seed=world.seed, world=world.number, warm_up=warm_up, frames=frames
+        )
         outside = sample.entered & ~scene.inside(sample.start.astype(np.float64))
         if outside.any():
             raise SettingError(
@@ -90,14 +150,7 @@ def begin(
         if start == "empty":
             sample = sample[sample.entered]
         events.append(sample)
-    simulation.reset(events, horizon=frames, first_frame=-warm_up)
-    actor = Actor(walker, simulation)
-    actor.reset(generator(seed, 0, "warm-up"))
-    for _ in range(warm_up):
-        actor.step()
-    if warm_up:
-        simulation.number_anew()
-    return actor
+    return Drawn(worlds, events, warm_up, frames)
 
 
 def arrivals(
@@ -117,10 +170,14 @@ def arrivals(
 
 @dataclass
 class Recorder:
-    """Records the trajectories of a simulation with one world, frame by frame."""
+    """Records the trajectories in all worlds of a simulation, frame by frame.
+
+    The clocks of all worlds show the same frame.
+    """
 
     simulation: Simulation
     _frame: list[int] = field(default_factory=list)
+    _world: list[np.ndarray] = field(default_factory=list)
     _person: list[np.ndarray] = field(default_factory=list)
     _xy: list[np.ndarray] = field(default_factory=list)
     _event: list[np.ndarray] = field(default_factory=list)
@@ -132,42 +189,66 @@ class Recorder:
     def write(self) -> None:
         """Record everyone present or just ended. The horizon's frame is dropped later."""
         slots, clock = self.simulation.slots, self.simulation.clock
-        if not self._frame or self._some_ended or clock.changed[0]:
-            self._there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
-            ended = slots.ended[0, self._there]
+        if not self._frame or self._some_ended or clock.changed.any():
+            self._there = np.flatnonzero(slots.alive | (slots.ended != 0))
+            ended = slots.ended.take(self._there)
             self._some_ended = bool(ended.any())
-            self._person.append(slots.person[0, self._there])
-            self._event.append(slots.event[0, self._there])
-            self._born.append(slots.born[0, self._there])
+            world = self._there // slots.alive.shape[1]
+            self._world.append(world.astype(np.int16))  # as long as all rows, but never large
+            self._person.append(slots.person.take(self._there))
+            self._event.append(slots.event.take(self._there))
+            self._born.append(slots.born.take(self._there))
             self._ended.append(ended)
         else:  # the same people as in the previous frame
-            for column in (self._person, self._event, self._born, self._ended):
+            for column in (self._world, self._person, self._event, self._born, self._ended):
                 column.append(column[-1])
-        self._xy.append(slots.position[0].take(self._there, axis=0))
+        self._xy.append(slots.position.reshape(-1, 2).take(self._there, axis=0))
         self._frame.append(int(clock.frame[0]))
 
     def latest(self, frames: int) -> list[tuple[Int[np.ndarray, " _"], Float32[np.ndarray, "_ 2"]]]:
         """Ids and positions of the people in each of the last `frames` recorded frames, in order.
 
-        Empty frames may be missing.
+        Of a simulation with one world. Empty frames may be missing.
         """
         return list(zip(self._person[-frames:], self._xy[-frames:], strict=True))
 
     def trajectories(self, provenance: dict[str, Any]) -> Trajectories:
-        """Trajectories of the frames recorded so far.
+        """Trajectories in the first world in the frames recorded so far.
 
         Raises:
             RecordingError: nobody has entered.
         """
+        return self.all_trajectories([provenance])[0]
+
+    def all_trajectories(self, provenance: Sequence[dict[str, Any]]) -> list[Trajectories]:
+        """Trajectories in each of the first worlds in the frames recorded so far.
+
+        Raises:
+            RecordingError: nobody has entered one of the worlds.
+        """
+        frame = np.repeat(np.array(self._frame), [len(person) for person in self._person])
+        columns = (self._person, self._event, self._born, self._ended, self._xy)
+        rows = (frame, *map(np.concatenate, columns))
+        world = np.concatenate(self._world)
+        return [
+            self._trajectories(k, asked, *(of[world == k] for of in rows))
+            for k, asked in enumerate(provenance)
+        ]
+
+    def _trajectories(
+        self,
+        world: int,
+        provenance: dict[str, Any],
+        frame: Int[np.ndarray, " R"],
+        person: Int[np.ndarray, " R"],
+        event: Int[np.ndarray, " R"],
+        born: Int[np.ndarray, " R"],
+        ended: Int[np.ndarray, " R"],
+        xy: Float32[np.ndarray, "R 2"],
+    ) -> Trajectories:
         scene = self.simulation.scene
-        events = self.simulation.events[0]
-        horizon = int(self.simulation.clock.horizon[0])
-        count = [len(person) for person in self._person]
-        frame = np.repeat(np.array(self._frame), count)
-        person = np.concatenate(self._person)
-        event = np.concatenate(self._event)
-        born = np.concatenate(self._born)
-        ended = np.concatenate(self._ended)
+        events = self.simulation.events[world]
+        horizon = int(self.simulation.clock.horizon[world])
         outcome = np.zeros(int(person.max(initial=-1)) + 1, np.int8)
         inside = frame < horizon
         # The horizon's frame is not part of the table. Trips that end in it therefore have the
@@ -176,7 +257,7 @@ class Recorder:
         outcome[person[final]] = np.where(inside[final], ended[final], HORIZON)
         how = outcome[person]
         left = np.isin(how, (GOAL, EXIT, TIMEOUT, RECORDED)) & ~events.censored[event]
-        waited_s = self.simulation.waited(0, event, born) * scene.dt_s
+        waited_s = self.simulation.waited(world, event, born) * scene.dt_s
         requested_s = events.time_s[event]
         persons = {
             "spawn_area": events.spawn_area[event],
@@ -197,7 +278,7 @@ class Recorder:
             frames=horizon,
             person_id=person[inside].astype(np.int64),
             frame=frame[inside],
-            xy=np.concatenate(self._xy)[inside],
+            xy=xy[inside],
             persons={name: values[inside] for name, values in persons.items()},
             provenance=provenance,
             where=" × ".join(str(provenance.get(k, "")) for k in ("spawn", "policy"))
@@ -206,14 +287,18 @@ class Recorder:
 
 
 def slots_for(events: SpawnEvents, scene: Scene) -> int:
-    """Number of slots that suffices for crowds like this one, even if nobody reaches a goal."""
-    return max(LEAST_SLOTS, 3 * _most_at_once(events, scene) // 2)
+    """Number of slots for an environment whose episodes have arrivals like these."""
+    return max(LEAST_SLOTS, 3 * most_at_once(events, scene) // 2)
 
 
-def _most_at_once(events: SpawnEvents, scene: Scene) -> int:
-    """Maximum number of people at the same time if all stay until the scene's timeout."""
-    gone = np.searchsorted(events.time_s, events.time_s + scene.timeout_s)
-    return int((gone - np.arange(len(events))).max(initial=0))
+def most_at_once(events: SpawnEvents, scene: Scene) -> int:
+    """Number of slots that suffices for these people, even if nobody reaches a goal."""
+    dt_s = scene.dt_s
+    last_s = events.time_s + events.wait_s + scene.spawning.patience_s + scene.timeout_s
+    last_s = np.where(events.scripted, events.leave_frame * dt_s, last_s)
+    gone_s = np.sort(last_s + 4 * dt_s)  # times are rounded to frames, and slots are freed later
+    entered = np.arange(1, len(events) + 1)
+    return int((entered - np.searchsorted(gone_s, events.time_s)).max(initial=0))
 
 
 def check_horizon(horizon_s: float) -> None:

@@ -1,18 +1,26 @@
 """`rollout`: simulate a crowd of a spawn model and a policy."""
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, ReplayPolicy
-from crowdbench.rollouts.episode import Recorder, begin, check_capacity, generator
+from crowdbench.policies.memory import Needs
+from crowdbench.rollouts.episode import (
+    Recorder,
+    World,
+    check_capacity,
+    draw,
+    most_at_once,
+)
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn import Replay, SpawnModel
 from crowdbench.spawn.model import Start
 from crowdbench.trajectories.table import Trajectories
 
-MAX_ALIVE = 4096
+MOST_REMEMBERED = 512
+"""Numbers per person, beyond which crowds are not simulated together."""
 
 
 def rollout(
@@ -39,6 +47,51 @@ def rollout(
         CapacityError: there are more people than slots.
         RecordingError: nobody entered.
     """
+    return _simulated(
+        scene, [World(spawn, seed)], policy, horizon_s=horizon_s, start=start, settings=settings
+    )[0]
+
+
+def rollouts(
+    scene: Scene, spawn: Sequence[SpawnModel], policy: Policy, *, seeds: Sequence[int]
+) -> list[Trajectories]:
+    """Simulate one crowd for each spawn model and seed, each as `rollout` does.
+
+    A policy with `many_worlds` is called for all crowds at once. The results of a network depend on
+    the size of its batch in the last bits, so its crowds differ from those of `rollout`; the same
+    models and seeds give the same crowds.
+
+    Raises:
+        SettingError, ActionError, CapacityError, RecordingError: see `rollout`.
+    """
+    worlds = [World(*of) for of in zip(spawn, seeds, strict=True)]
+    if batchable(policy):
+        return _simulated(scene, worlds, policy)
+    return [_simulated(scene, [world], policy)[0] for world in worlds]
+
+
+def batchable(policy: Policy) -> bool:
+    """Whether several rollouts may call this policy at once.
+
+    A large memory is needed for each slot, and `many_worlds` is not inherited, because subclasses
+    may draw random numbers or have a state of their own.
+    """
+    needs = Needs.of(policy)
+    return needs.memory + needs.style <= MOST_REMEMBERED and bool(
+        vars(type(policy)).get("many_worlds", False)
+    )
+
+
+def _simulated(
+    scene: Scene,
+    worlds: Sequence[World],
+    policy: Policy,
+    *,
+    horizon_s: float | None = None,
+    start: Start | None = None,
+    settings: Settings | None = None,
+) -> list[Trajectories]:
+    spawn = worlds[0].spawn
     # The type is tested, not the name, because the file of a network may have any name.
     if isinstance(policy, ReplayPolicy) and (not isinstance(spawn, Replay) or start == "empty"):
         raise SettingError(
@@ -49,32 +102,31 @@ def rollout(
         )
     # Its subclass `RecordedPaths` follows recorded paths, but leaves as all other policies do.
     replaying = type(policy) is ReplayPolicy
-    settings = settings or settings_for(policy)
-    simulation = Simulation(scene, settings=settings)
     frames = scene.frames(scene.horizon_s if horizon_s is None else horizon_s)
-    actor = begin(
-        simulation,
-        spawn,
-        seed=seed,
-        frames=frames,
-        start=start,
-        walker=policy,
-        scripted=replaying,
-    )
-    actor.reset(generator(seed, 0, "policy"))
+    drawn = draw(scene, worlds, frames=frames, start=start, scripted=replaying)
+    if settings is None:
+        slots = max(most_at_once(events, scene) for events in drawn.events)
+        settings = replace(settings_for(policy), max_alive=max(1, slots))
+    simulation = Simulation(scene, worlds=len(worlds), settings=settings)
+    actor = drawn.begin(simulation, policy)
+    actor.reset(*(world.generator("policy") for world in worlds))
     recorder = Recorder(simulation)
     recorder.write()
     for _ in range(frames):
         actor.step()
         recorder.write()
     check_capacity(simulation)
-    provenance: dict[str, Any] = {"spawn": spawn.name, "policy": policy.name, "seed": int(seed)}
-    return recorder.trajectories(provenance)
+    return recorder.all_trajectories(
+        [
+            {"spawn": world.spawn.name, "policy": policy.name, "seed": int(world.seed)}
+            for world in worlds
+        ]
+    )
 
 
 def settings_for(policy: Policy) -> Settings:
     """Settings of a simulation with the observation of a policy, by default `lidar-2`."""
-    default = Settings(max_alive=MAX_ALIVE)
+    default = Settings(max_alive=4096)
     if policy.sees == "state":
         return default
     asked = {

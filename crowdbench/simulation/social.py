@@ -85,6 +85,17 @@ _AHEAD, _LEFT = (np.ascontiguousarray(along) for along in PROBE_POINTS.T)
 _PROBES, _NEIGHBOURS = PROBES.start, NEIGHBOURS.start
 
 
+def with_velocities_times(
+    factor: float, seen: Float32[np.ndarray, "A _"]
+) -> Float32[np.ndarray, "A _"]:
+    """Observations (A, 102) whose velocities and speeds are multiplied by a factor."""
+    found = seen.copy()
+    found[:, VELOCITY] *= factor
+    found[:, PREFERRED_SPEED] *= factor
+    neighbours_of(found)[..., APPROACH] *= factor
+    return found
+
+
 def neighbours_of(seen: Array) -> Array:
     """The neighbours (…, 8, 8) in observations (…, obs), numpy arrays or torch tensors."""
     part = seen[..., NEIGHBOURS]  # type: ignore[index]

@@ -213,14 +213,7 @@ def _distances_m(
 
     The least one is infinite, and the largest one 0, for those who are never there together.
     """
-
-    def moves(way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        direction = way[..., 2:4] - way[..., :2]
-        length = np.maximum(np.linalg.norm(direction, axis=-1), 1e-9)
-        speed = np.exp(way[..., 4])
-        return direction / length[..., None] * speed[..., None], length / speed
-
-    (v, life), (w, other_life) = moves(one), moves(other)
+    (v, life), (w, other_life) = _moves(one), _moves(other)
     begin = np.maximum(one_s, other_s)
     end = np.minimum(one_s + life, other_s + other_life)
     gap = (
@@ -235,6 +228,16 @@ def _distances_m(
     )
     there = end >= begin
     return np.where(there, least, np.inf), np.where(there, np.maximum(first, last), 0.0)
+
+
+def _moves(
+    way: Float[np.ndarray, "n m 8"],
+) -> tuple[Float[np.ndarray, "n m 2"], Float[np.ndarray, "n m"]]:
+    """Velocities on straight ways, and how long they last, seconds."""
+    direction = way[..., 2:4] - way[..., :2]
+    length = np.maximum(np.linalg.norm(direction, axis=-1), 1e-9)
+    speed = np.exp(way[..., 4])
+    return direction / length[..., None] * speed[..., None], length / speed
 
 
 def _length_m(ways: Float[np.ndarray, "n 8"]) -> Float[np.ndarray, " n"]:

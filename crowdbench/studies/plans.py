@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from crowdbench.errors import CrowdbenchError, SettingError
+from crowdbench.evaluation.rollout_jobs import BATCH
 from crowdbench.metrics import METRICS, Metric
-from crowdbench.policies import Straight
-from crowdbench.registry import recording_of, spawn_model
+from crowdbench.registry import list_policies, policy, recording_of, spawn_model
 from crowdbench.report.text.markdown import table
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.rollouts.rollout import rollouts
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.spawn.areas import Areas, read_areas
@@ -32,7 +32,14 @@ from crowdbench.spawn.ways import Trips
 from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.table import Trajectories
 
-MODELS = ("ntpp-gmm", "ntpp-plans", "cox-plans")
+Pair = tuple[str, str]
+"""A spawn model and a policy."""
+PAIRS: tuple[Pair, ...] = (
+    ("ntpp-gmm", "straight"),
+    ("ntpp-plans", "straight"),
+    ("cox-plans", "straight"),
+    ("cox-plans", "anticipate"),
+)
 SHOWN = (
     "companion_share",
     "group_size",
@@ -58,10 +65,11 @@ and that of a simpler model, fitted to the same people. Models of single people 
 and no stops; so the simpler models are the simplest ones that have them. Higher is better.
 
 **Samples.** The second table compares samples with the recording. Models are fitted to all of it,
-walkers are straight, values are means of {seeds} rollouts. Brackets contain 95 % of the values of
-recordings whose time blocks are resampled; ! marks values outside. Companions are found by the same
-rule in recordings and rollouts. `ntpp-gmm` sends people without companions: those that it has
-happen to walk together.
+walkers are straight, or those of `anticipate` where it comes with the scene; values are means of
+{seeds} rollouts. Brackets contain 95 % of the values of recordings whose time blocks are resampled;
+! marks values outside. Companions are found by the same rule in recordings and rollouts. `ntpp-gmm`
+sends people without companions: those that it has happen to walk together. So do strangers among
+straight walkers, who do not make way for each other.
 """
 _RESAMPLES = 1000
 
@@ -175,18 +183,24 @@ def _one_place(learnt: Trips, trips: Trips) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """A statistic of the recording and of samples with straight walkers."""
+    """A statistic of the recording and of samples."""
 
     metric: str
     recorded: float
     low: float
     high: float
     """Central 95 % of the recording's value, its time blocks resampled."""
-    sampled: dict[str, list[float]]
-    """Values of the samples of each model."""
+    sampled: dict[Pair, list[float]]
+    """Values of the samples of each pair."""
 
 
-def statistics(scene: Scene, models: Sequence[str] = MODELS, *, seeds: int = SEEDS) -> list[Shown]:
+def pairs_of(scene: Scene) -> list[Pair]:
+    """The pairs whose policies the scene has."""
+    known = list_policies(scene)
+    return [pair for pair in PAIRS if pair[1] in known]
+
+
+def statistics(scene: Scene, pairs: Sequence[Pair], *, seeds: int = SEEDS) -> list[Shown]:
     """Compare samples of models fitted to the whole recording with it.
 
     Raises:
@@ -195,18 +209,19 @@ def statistics(scene: Scene, models: Sequence[str] = MODELS, *, seeds: int = SEE
     """
     areas: Areas = read_areas(scene)
     reference, fits = Reference.of(recording_of(scene), scene, areas), scene.protocol.fits
-    crowds = {
-        name: [
-            rollout(scene, spawn_model(name, scene, fit=seed % fits), Straight(), seed=seed)
-            for seed in range(seeds)
-        ]
-        for name in models
-    }
+    crowds: dict[Pair, list[Trajectories]] = {}
+    for spawn, walker in pairs:
+        models = [spawn_model(spawn, scene, fit=seed % fits) for seed in range(seeds)]
+        found = crowds[spawn, walker] = []
+        for k in range(0, seeds, BATCH):
+            some = models[k : k + BATCH]
+            numbers = range(k, k + len(some))
+            found += rollouts(scene, some, policy(walker, scene), seeds=numbers)
     metrics = [m for m in METRICS if m.name in SHOWN and m.name in reference.statistics]
     return [_shown(metric, crowds, reference) for metric in metrics]
 
 
-def _shown(metric: Metric, crowds: dict[str, list[Trajectories]], reference: Reference) -> Shown:
+def _shown(metric: Metric, crowds: dict[Pair, list[Trajectories]], reference: Reference) -> Shown:
     recorded, blocks = reference.statistics[metric.name], reference.blocks
     (own,), support = metric.aligned([recorded], blocks)
     rng = np.random.default_rng(0)
@@ -218,21 +233,22 @@ def _shown(metric: Metric, crowds: dict[str, list[Trajectories]], reference: Ref
     low, high = np.nanpercentile(drawn, [2.5, 97.5])
     place = reference.place
     results = {
-        name: [metric.compare(recorded, metric.summarise(c, blocks, place), blocks) for c in some]
-        for name, some in crowds.items()
+        pair: [metric.compare(recorded, metric.summarise(c, blocks, place), blocks) for c in some]
+        for pair, some in crowds.items()
     }
     return Shown(
         metric=metric.name,
         recorded=next(iter(results.values()))[0].recorded,
         low=float(low),
         high=float(high),
-        sampled={name: [r.simulated for r in some] for name, some in results.items()},
+        sampled={pair: [r.simulated for r in some] for pair, some in results.items()},
     )
 
 
-def tables(scene: str | Path, models: Sequence[str] = MODELS, *, seeds: int = SEEDS) -> str:
+def tables(scene: str | Path, *, seeds: int = SEEDS) -> str:
     """Both tables of a scene, as Markdown."""
     place = load_scene(scene)
+    pairs = pairs_of(place)
     first = table(
         ["held out", "people", "nats per person", "simpler model", "which is"],
         [
@@ -241,21 +257,21 @@ def tables(scene: str | Path, models: Sequence[str] = MODELS, *, seeds: int = SE
         ],
     )
     second = table(
-        ["statistic", "recorded [95 %]", *models],
+        ["statistic", "recorded [95 %]", *(f"{spawn}, {walker}" for spawn, walker in pairs)],
         [
             [
                 s.metric.replace("_", " "),
                 f"{_number(s.recorded)} [{_number(s.low)}, {_number(s.high)}]",
-                *(_value(s, name) for name in models),
+                *(_value(s, pair) for pair in pairs),
             ]
-            for s in statistics(place, models, seeds=seeds)
+            for s in statistics(place, pairs, seeds=seeds)
         ],
     )
     return f"## {place.id}\n\n{first}\n\n{second}\n"
 
 
-def _value(shown: Shown, name: str) -> str:
-    value = float(np.mean(shown.sampled[name]))
+def _value(shown: Shown, pair: Pair) -> str:
+    value = float(np.mean(shown.sampled[pair]))
     mark = "" if shown.low <= value <= shown.high else " !"
     return f"{_number(value)}{mark}"
 

@@ -9,7 +9,15 @@ from given import Given
 from worlds import Person, square
 
 from baselines import anticipate
-from baselines.anticipate import NOISE, Guide, Sampler, Walker, mirrored
+from baselines.anticipate import (
+    ABREAST_M,
+    LOOK_S,
+    NOISE,
+    Guide,
+    Sampler,
+    Walker,
+    mirrored,
+)
 from crowdbench.evaluation.validation import validate
 from crowdbench.policies import OnnxPolicy, Straight
 from crowdbench.rollouts.episode import begin
@@ -35,7 +43,7 @@ def seen() -> torch.Tensor:
 @pytest.fixture
 def sampler() -> Sampler:
     torch.manual_seed(0)
-    return Sampler(Walker(5.0, 16), Guide(), radius_m=0.3)
+    return Sampler(Walker(5.0, 16), Guide())
 
 
 def meet(seen: torch.Tensor, *, companion: bool = False) -> torch.Tensor:
@@ -50,17 +58,27 @@ def meet(seen: torch.Tensor, *, companion: bool = False) -> torch.Tensor:
 
 
 def test_close_passes_of_strangers_cost(seen, sampler: Sampler) -> None:
-    nobody, _ = sampler.passes(seen, CANDIDATES)
-    assert not nobody.any()
-    close, overlap = sampler.passes(meet(seen), CANDIDATES)
-    straight, left, stand = close[0].tolist()
+    apart = torch.tensor(1.5)
+    assert not sampler.passes(seen, CANDIDATES, apart).any()
+    straight, left, stand = sampler.passes(meet(seen), CANDIDATES, apart)[0].tolist()
     assert straight == pytest.approx(1.0, abs=1e-3)  # they would meet
     assert 0 < left < straight
     assert stand == pytest.approx(1.0, abs=1e-3)  # it would be run into
-    assert overlap[0, 0] > overlap[0, 1]
-    companions, touch = sampler.passes(meet(seen, companion=True), CANDIDATES)
-    assert not companions.any()
-    assert touch[0, 0] == overlap[0, 0]
+    assert not sampler.passes(meet(seen, companion=True), CANDIDATES, apart).any()
+    nearer = sampler.passes(meet(seen), CANDIDATES, torch.tensor(0.7))[0].tolist()
+    assert nearer[0] == pytest.approx(1.0, abs=1e-3)
+    assert 0 <= nearer[1] < left
+
+
+def test_delay_costs_except_at_a_stop(seen, sampler: Sampler) -> None:
+    seen[:, social.PREFERRED_SPEED] = WALKING
+    straight, left, stand = sampler.delays(seen, CANDIDATES)[0].tolist()
+    assert (straight, stand) == (pytest.approx(0.0, abs=1e-6), 1.0)
+    assert left == pytest.approx(0.1)
+    seen[:, social.STOP] = 1.0
+    assert sampler.delays(seen, CANDIDATES)[0, 2] == 1.0  # still on the way to it
+    seen[:, social.ROUTE_LENGTH] = 0.9 / social.ROUTE_RANGE_M
+    assert not sampler.delays(seen, CANDIDATES).any()
 
 
 def test_walls_cost_where_the_candidate_leads(seen, sampler: Sampler) -> None:
@@ -69,6 +87,24 @@ def test_walls_cost_where_the_candidate_leads(seen, sampler: Sampler) -> None:
     seen[:, social.PROBES.start + ahead] = 0.0
     straight, left, stand = sampler.walls(seen, CANDIDATES)[0].tolist()
     assert straight > left > stand
+
+
+def test_leaving_a_companion_costs_the_distance_beyond_a_metre(seen, sampler: Sampler) -> None:
+    assert not sampler.partings(meet(seen), CANDIDATES).any()  # a stranger
+    walks = meet(seen, companion=True)
+    ahead = walks[:, social.NEIGHBOURS.start + social.APPROACH.start]
+    ahead[:] = 0.0  # the companion walks as fast, 3 m ahead
+    costs = sampler.partings(walks, CANDIDATES)[0].numpy()
+    gap = np.array([3.0, 0.0]) + LOOK_S * 5.0 * (CANDIDATES[0, 0] - CANDIDATES[0]).numpy()
+    np.testing.assert_allclose(costs, np.hypot(*gap.T) - ABREAST_M, atol=1e-4)
+    beside = walks.clone()
+    beside[:, social.NEIGHBOURS.start + social.OFFSET.start] = 0.8 / social.RANGE_M
+    assert sampler.partings(beside, CANDIDATES)[0, 0] == 0.0
+    both = walks.clone()  # another companion beside the person halves the mean
+    second = both[:, social.NEIGHBOURS.start + social.FEATURES :]
+    second[:, social.OFFSET.start] = 0.8 / social.RANGE_M
+    second[:, social.COMPANION] = second[:, social.PRESENT] = 1.0
+    assert sampler.partings(both, CANDIDATES)[0, 0] == pytest.approx(1.0, abs=1e-4)
 
 
 def test_missing_a_near_target_costs_its_distance(seen, sampler: Sampler) -> None:
@@ -86,10 +122,10 @@ def test_with_a_guide_people_pass_strangers_at_a_greater_distance(seen, sampler:
     noise = torch.randn(2000, NOISE, generator=torch.Generator().manual_seed(1))
     passed = []
     for avoid in (0.0, 30.0):
-        guide = Guide(avoid=avoid, wall=0.0, home=0.0).tensor()
+        guide = Guide(avoid=avoid, apart=1.5, wall=0.0, delay=0.0, home=0.0).tensor()
         with torch.no_grad():
             actions = sampler(many, noise, guide)
-        passed.append(float(sampler.passes(many, actions[:, None])[0].mean()))
+        passed.append(float(sampler.passes(many, actions[:, None], torch.tensor(1.5)).mean()))
     assert passed[1] < 0.9 * passed[0]
 
 
@@ -123,22 +159,22 @@ def test_mirrored_observations_are_those_of_a_mirrored_world() -> None:
 def test_it_trains_chooses_a_guide_and_writes_a_policy_that_arrives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(anticipate, "GRID", {"avoid": (0.0, 8.0), "wall": (4.0, 36.0)})
-    arguments = ["--scene", "plaza-v0", "--splits", "fold1", "--samples", "200000"]
-    more = ["--rollouts", "1", "--rounds", "1", "--out", str(tmp_path)]
+    monkeypatch.setattr(anticipate, "GRID", {"avoid": (0.0, 16.0), "wall": (6.0, 18.0)})
+    arguments = ["--scene", "plaza-v0", "--splits", "fold1", "--steps", "800"]
+    more = ["--people", "1", "--rounds", "1", "--out", str(tmp_path)]
     assert anticipate.main(arguments + more) == 0
     said = capsys.readouterr().out
     assert "round 1, held out" in said
-    assert said.count(": walk ") == 3  # of 0, 8 and 36; 4 is the default of walls
+    assert said.count(": walk ") == 3  # of 0, 16 and 18; 6 is the default of walls
     assert "fold1: chosen: Guide(" in said
     policy = OnnxPolicy(tmp_path / "fold1.onnx")
     assert (policy.card.split, policy.card.interval, policy.noise) == ("fold1", 1, NOISE)
-    assert "--samples 200000" in policy.card.command
+    assert "--steps 800" in policy.card.command
     found = validate("plaza-v0", policy, "fold1")
     assert found.at_goal > 0.9
     assert 0.6 < found.speed_mps / found.recorded_speed_mps < 1.15
 
 
 def test_bad_settings_are_an_error_that_says_which(capsys: pytest.CaptureFixture[str]) -> None:
-    assert anticipate.main(["--scene", "plaza-v0", "--samples", "0"]) == 2
-    assert "samples" in capsys.readouterr().err
+    assert anticipate.main(["--scene", "plaza-v0", "--steps", "0"]) == 2
+    assert "steps" in capsys.readouterr().err

@@ -102,6 +102,7 @@ def test_crowds_that_do_not_fit_are_rejected(crowds: list[Trajectories]) -> None
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("no_report")
 def test_an_evaluation_of_policies_alone_ranks_them_by_walk(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -143,7 +143,10 @@ BAD = {
     ),
     "no folder": (["data", "import", "eth"], "CROWDBENCH_DATA"),
     "unknown policy": (["evaluate", "eth-v0", "--policy", "crawl"], "one of straight"),
-    "unknown spawn model": (["evaluate", "eth-v0", "--spawn", "x:Y"], "No module named 'x'"),
+    "unknown spawn model": (
+        ["evaluate", "eth-v0", "--spawn", "no_such_module:Model"],
+        "No module named 'no_such_module'",
+    ),
     "no seeds": (["evaluate", "eth-v0", "--seeds", "0"], "seeds: got 0"),
     "no workers": (["evaluate", "eth-v0", "--workers", "0"], "workers: got 0"),
     "replayed strangers": (["evaluate", "eth-v0", "--policy", "replay"], "spawn model replay"),

@@ -15,6 +15,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "scenes.md").read_text()
 SMALL = ["--fits", "1", "--rollouts-per-fit", "2"]
 
 
+@pytest.mark.usefixtures("no_report")  # the README's commands write it
 def test_every_command_runs_in_the_order_of_the_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

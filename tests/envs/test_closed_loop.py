@@ -34,13 +34,13 @@ class Noisy:
     name, sees, observation = "noisy", "observation", "social-1"
 
     def __init__(self, noise: float = 0.1, interval: int = 1) -> None:
-        self.noise, self.interval = noise, interval
+        self.scale, self.interval = noise, interval
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
         self.rng = rng
 
     def act(self, seen: np.ndarray) -> np.ndarray:
-        noise = self.rng.normal(0, self.noise, (len(seen), 2))
+        noise = self.rng.normal(0, self.scale, (len(seen), 2))
         return seen[:, PREFERRED_SPEED] * seen[:, ROUTE_DIRECTION] + noise
 
 

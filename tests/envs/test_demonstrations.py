@@ -1,5 +1,9 @@
 """Demonstrations: what the environment would have shown, and what the recording did next."""
 
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from conftest import need_imitation
@@ -8,13 +12,48 @@ import crowdbench
 from crowdbench import Demonstrations, demonstrations, load_scene, recording
 from crowdbench.envs.perturbation import HOMING_S, PathPerturbation
 from crowdbench.errors import SettingError
+from crowdbench.recordings.catalogue import cached
 from crowdbench.registry import import_recording, recording_of
 from crowdbench.simulation.observations import GOAL_DISTANCE
 from crowdbench.simulation.social import HEADING, ROUTE_LENGTH, VELOCITY
 from crowdbench.spawn.events import blocks_of
-from crowdbench.trajectories.table import from_rows
+from crowdbench.trajectories.preprocessing import only
+from crowdbench.trajectories.storage import write_parquet
+from crowdbench.trajectories.table import Trajectories, from_rows
 
 PLAZA = load_scene("plaza-v0")
+FRAMES = 1500
+
+
+@pytest.fixture(scope="module", autouse=True)
+def imported(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A home with the first ten of the plaza's thirty minutes."""
+    folder = tmp_path_factory.mktemp("imported")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CROWDBENCH_HOME", str(folder))
+        write_parquet(begun(recording("plaza")), cached("plaza"))
+        yield folder
+
+
+@pytest.fixture(autouse=True)
+def home(imported: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("CROWDBENCH_HOME", str(imported))
+    return imported
+
+
+def begun(crowd: Trajectories) -> Trajectories:
+    """The first frames of a recording."""
+    some = only(crowd, crowd.first < FRAMES - 1)
+    rows = some.row_frame() < FRAMES
+    size = np.bincount(some.row_person()[rows])
+    return replace(
+        some,
+        frames=FRAMES,
+        observed=np.array([[0, FRAMES]]),
+        offsets=np.concatenate([[0], np.cumsum(size)]),
+        xy=some.xy[rows],
+        left=some.left & (some.last < FRAMES - 1),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +62,7 @@ def shown() -> Demonstrations:
 
 
 @pytest.fixture(scope="module")
-def recorded() -> crowdbench.Trajectories:
+def recorded() -> Trajectories:
     return recording("plaza")
 
 

@@ -171,12 +171,13 @@ def test_walking_to_the_goal_is_nearer_to_the_recording_than_walking_at_random(
     assert dwell["straight"] < dwell["random"]
 
 
-def test_progress_is_told_before_the_first_and_after_each_rollout(
+def test_progress_is_told_before_the_first_and_after_each_batch_of_rollouts(
     card: Scorecard, told: list[tuple[int, int]]
 ) -> None:
-    assert told == [(done, 4) for done in range(5)]
+    assert told == [(done, 4) for done in (0, 2, 3, 4)]  # straight walkers are walked together
 
 
+@pytest.mark.usefixtures("no_report")
 def test_models_and_policies_of_ones_own_are_walked_by_workers(tmp_path: Path) -> None:
     card = evaluate(
         "eth-v0", spawn=["given:OneByOne"], policy=["given:Announcing"], seeds=2, workers=2,
@@ -258,12 +259,8 @@ def made_of(out: Path) -> dict[str, bytes]:
     }
 
 
-def test_what_is_there_is_kept_and_what_is_missing_is_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # The report takes longer than the rollouts.
-    monkeypatch.setattr("crowdbench.report.html.publish", lambda *of: None)
-
+@pytest.mark.usefixtures("no_report")
+def test_what_is_there_is_kept_and_what_is_missing_is_made(tmp_path: Path) -> None:
     def run() -> dict[str, bytes]:
         evaluate(
             "eth-v0", spawn=["poisson-gmm"], policy=["straight"], seeds=2, workers=1, out=tmp_path
@@ -286,6 +283,7 @@ def test_what_is_there_is_kept_and_what_is_missing_is_made(
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("no_report")
 def test_folds_are_rolled_out_with_their_own_fits_and_random_numbers(tmp_path: Path) -> None:
     card = evaluate(
         "eth-v0", spawn=["renewal-gmm"], policy=["straight"], protocol="heldout", seeds=1,
@@ -299,6 +297,7 @@ def test_folds_are_rolled_out_with_their_own_fits_and_random_numbers(tmp_path: P
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("no_report")
 def test_recorded_arrivals_are_walked_where_the_recording_is_at_hand(tmp_path: Path) -> None:
     card = evaluate(
         "plaza-v0", spawn=["poisson-gmm"], policy=["straight"], seeds=10, workers=2, out=tmp_path
@@ -318,6 +317,7 @@ def test_recorded_arrivals_are_walked_where_the_recording_is_at_hand(tmp_path: P
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("no_report")
 def test_without_the_recording_walking_has_no_score(tmp_path: Path) -> None:
     card = evaluate(
         "eth-v0", spawn=["poisson-gmm"], policy=["straight"], seeds=10, workers=2, out=tmp_path
@@ -335,6 +335,7 @@ def test_a_folder_in_which_another_evaluation_is_at_work_is_refused(tmp_path: Pa
     assert not (tmp_path / ".lock").exists()
 
 
+@pytest.mark.usefixtures("no_report")
 def test_a_lock_that_nobody_holds_is_no_hindrance(tmp_path: Path) -> None:
     (tmp_path / ".lock").write_text("99999999")
     evaluate("eth-v0", spawn=["poisson-gmm"], policy=["straight"], seeds=1, workers=1, out=tmp_path)
@@ -342,6 +343,7 @@ def test_a_lock_that_nobody_holds_is_no_hindrance(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("no_report")
 def test_what_lies_beside_an_own_class_is_part_of_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -368,6 +370,7 @@ def test_what_lies_beside_an_own_class_is_part_of_it(
     assert slow > 1.5 * fast
 
 
+@pytest.mark.usefixtures("no_report")
 def test_an_own_spawn_model_is_told_what_to_be_fitted_for(tmp_path: Path) -> None:
     evaluate(
         "eth-v0", spawn=["given:PerFold"], policy=["straight"], protocol="heldout", seeds=1,

@@ -140,6 +140,7 @@ def test_a_spawn_model_that_raises_is_told_likewise(
     assert "got ValueError: nobody comes (mine.py:60, sample)" in line
 
 
+@pytest.mark.usefixtures("no_report")
 @pytest.mark.parametrize(
     ("name", "message"),
     [("Act", "ZeroDivisionError: division by zero (mine.py:28, helped)"),

@@ -113,6 +113,7 @@ def test_it_is_shown_the_observation_that_its_card_names(tmp_path: Path) -> None
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("no_report")
 def test_evaluate_takes_a_file_and_a_folder_of_them(plain: Path, tmp_path: Path) -> None:
     card = crowdbench.evaluate(
         "plaza-v0", spawn=["poisson-gmm"], policy=[str(plain)], seeds=2, out=tmp_path / "full"

@@ -19,8 +19,7 @@ from crowdbench.files import sha256
 from crowdbench.leaderboard.submission.submission import open_submission
 from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy
-from crowdbench.policies.rows import SIZES, TOLERANCE, Watch, too_many
-from crowdbench.rollouts.rollout import MAX_ALIVE
+from crowdbench.policies.rows import TOLERANCE, Watch, too_many
 from crowdbench.scene import list_scenes, load_scene
 
 PLAZA = load_scene("plaza-v0")
@@ -166,10 +165,6 @@ def test_what_a_rollout_looks_at_changes_nothing(
     monkeypatch.setattr(Watch, "look", lambda *of: None)
     plain = rollout(PLAZA, spawn, OnnxPolicy(file), seed=0, horizon_s=120.0)
     assert looked.xy.tobytes() == plain.xy.tobytes()
-
-
-def test_batches_as_large_as_any_in_a_rollout_are_tried() -> None:
-    assert max(SIZES) == MAX_ALIVE
 
 
 def test_an_action_that_is_chosen_may_turn_over_now_and_then_and_no_more() -> None:

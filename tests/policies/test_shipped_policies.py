@@ -17,6 +17,7 @@ def test_there_are_some() -> None:
     each = {(f"{scene}-v0", "bc") for scene in ("eth", "gc", "forum")}
     each |= {(f"{scene}-v0", "gail") for scene in ("eth", "gc", "forum")}
     each |= {(f"{scene}-v0", "bc-paper") for scene in ("eth", "gc", "forum")}
+    each |= {(f"{scene}-v0", "anticipate") for scene in ("eth", "hotel", "zara1", "gc", "forum")}
     assert each | {("eth-v0", "ppo")} <= set(SHIPPED)
 
 

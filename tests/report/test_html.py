@@ -31,6 +31,8 @@ REFERENCE = read_reference(ETH)
 EVIL = '<script>alert("&")</script>'
 LONG = "a_package.with_a.very_long_module_name:AClassWhoseNameDoesNotFitOnAnyPhoneWhateverItsSize"
 SIZES = [(390, 844), (1280, 900)]
+UNDRAWN: Crowds = {}
+"""No rollouts: pages without pictures, which take longest."""
 
 
 @pytest.fixture(scope="module")
@@ -200,18 +202,18 @@ def test_burstiness_and_memory_are_shown_of_the_crowds_that_were_drawn(scored: s
     assert re.fullmatch(r".*pictures\.0\.\d\d(−?0\.\d\d){2}–\s*", line)
 
 
-def test_crowds_that_cannot_be_told_apart_are_marked(crowds: Crowds, tmp_path: Path) -> None:
+def test_crowds_that_cannot_be_told_apart_are_marked(tmp_path: Path) -> None:
     same = anchor("poisson-gmm", "straight")
-    html = page(card_of(same, msgspec.structs.replace(same, spawn="twin")), crowds, tmp_path)
+    html = page(card_of(same, msgspec.structs.replace(same, spawn="twin")), UNDRAWN, tmp_path)
     for name in ("poisson-gmm × straight", "twin × straight"):
         assert row_of(html, name).startswith("1\u202f=")
     assert "Rank 1: <b>poisson-gmm × straight</b>" in html
     assert "; <b>twin × straight</b>" in html
 
 
-def test_without_a_recording_walking_reads_needs_recording(crowds: Crowds, tmp_path: Path) -> None:
+def test_without_a_recording_walking_reads_needs_recording(tmp_path: Path) -> None:
     card = card_of(anchor("poisson-gmm", "straight"), anchor("block-replay", "straight"))
-    html = page(card, crowds, tmp_path)
+    html = page(card, UNDRAWN, tmp_path)
     assert row_of(html, "block-replay × straight").count("needs recording") == 4
     assert "No recording imported." in html
     assert "needs recording" not in row_of(html, "replay × replay")
@@ -226,9 +228,9 @@ def test_a_single_crowd_without_scores(crowds: Crowds, tmp_path: Path) -> None:
     assert "d 0." in html
 
 
-def test_a_scene_without_scored_metrics(crowds: Crowds, tmp_path: Path) -> None:
+def test_a_scene_without_scored_metrics(tmp_path: Path) -> None:
     card = msgspec.structs.replace(card_of(anchor("poisson-gmm", "straight")), scored=[])
-    assert "No metric of this scene is scored yet" in page(card, crowds, tmp_path)
+    assert "No metric of this scene is scored yet" in page(card, UNDRAWN, tmp_path)
 
 
 def test_only_recorded_arrivals(crowds: Crowds, tmp_path: Path) -> None:
@@ -288,12 +290,14 @@ def browse(html: Path, *asked: str, size: tuple[int, int]) -> str:
     return done.stdout
 
 
-@pytest.fixture
-def long_names(crowds: Crowds, tmp_path: Path) -> str:
+@pytest.fixture(scope="module")
+def long_names(crowds: Crowds, tmp_path_factory: pytest.TempPathFactory) -> str:
     """A page whose names do not fit."""
     entry = msgspec.structs.replace(anchor("poisson-gmm", "straight"), spawn=LONG, policy=LONG)
     drawn = {(LONG, LONG, seed): crowds["poisson-gmm", "straight", seed] for seed in (0, 1)}
-    return page(card_of(entry, anchor("replay", "straight")), drawn, tmp_path)
+    return page(
+        card_of(entry, anchor("replay", "straight")), drawn, tmp_path_factory.mktemp("long")
+    )
 
 
 @pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}px")

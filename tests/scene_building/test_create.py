@@ -151,7 +151,8 @@ def test_it_tells_times_and_what_was_left_out(made: Made) -> None:
         assert any(line.startswith(step) and line.endswith(" s") for line in made.out.splitlines())
     assert "left out: fitting needs torch" in made.out
     assert "fano 60 s: the time blocks are too short" in made.out
-    assert "crowdbench evaluate yard-v0 --spawn renewal-gmm" in made.out
+    policies = "--policy social-force anticipate-any"
+    assert f"crowdbench evaluate yard-v0 {policies} --spawn renewal-gmm" in made.out
 
 
 @pytest.mark.long
@@ -297,6 +298,7 @@ def test_what_cannot_be_made_leaves_nothing(
     assert remains(tmp_path) == []
 
 
+@pytest.mark.usefixtures("uncalibrated")
 def test_what_breaks_on_the_way_leaves_nothing(
     yard: Trajectories, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from baselines.anticipate import Settings, Walker
 from crowdbench.leaderboard.submission.schema import Declared
 from crowdbench.leaderboard.submission.submission import open_submission
 from crowdbench.leaderboard.submission.template import _parameters
@@ -19,7 +20,7 @@ from crowdbench.trajectories.blocks import SPLITS
 ROOT = Path(__file__).parents[2]
 SCENES = list_scenes()
 WITH_NTPP = ("ntpp-gmm", "ntpp-gmm-bc", "ntpp-gmm-social-force")
-LEARNED = (*WITH_NTPP, "ntpp-paper", "bc", "bc-paper", "gail")
+LEARNED = (*WITH_NTPP, "ntpp-paper", "bc", "bc-paper", "gail", "anticipate")
 MODELS = {"ntpp-gmm": NtppGMM, "ntpp-paper": NtppPaper}
 
 
@@ -83,6 +84,8 @@ def test_submissions_count_what_was_learned(name: str) -> None:
         for split in SPLITS[1:]:
             walker = network / f"{split}.onnx"
             own = _parameters(walker) if walker.is_file() else 0
+            if declared.shipped_policy == "anticipate":  # its file also has constants of the guide
+                own = sum(p.numel() for p in Walker(1.0, Settings.hidden).parameters())
             if declared.shipped_spawn:
                 model = MODELS[declared.shipped_spawn]
                 # The paper's model has one fit, as the declaration says.

@@ -5,7 +5,9 @@ from pathlib import Path
 import pytest
 
 from crowdbench.cli import main
-from crowdbench.scene import load_scene
+from crowdbench.registry import import_recording
+from crowdbench.scene import Scene, load_scene
+from crowdbench.scene_building import spawn_diagnostics
 from crowdbench.scene_building.fit import MODELS
 from crowdbench.scene_building.spawn_diagnostics import Checked, check_models
 
@@ -17,10 +19,12 @@ def plaza() -> dict[str, Checked]:
     return {c.model: c for c in check_models(load_scene("plaza-v0"))}
 
 
-@pytest.fixture
-def eth(opentraj: Path) -> dict[str, Checked]:
-    assert main(["data", "import", "eth", "--source", str(opentraj)]) == 0
-    return {c.model: c for c in check_models(load_scene("eth-v0"))}
+@pytest.fixture(scope="module")
+def eth(opentraj: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Checked]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CROWDBENCH_HOME", str(tmp_path_factory.mktemp("imported")))
+        import_recording("eth", opentraj)
+        return {c.model: c for c in check_models(load_scene("eth-v0"))}
 
 
 def test_the_neural_model_comes_near_the_truth_on_fresh_data(plaza: dict[str, Checked]) -> None:
@@ -93,7 +97,16 @@ def test_most_of_what_eths_models_gain_over_poisson_is_groups(eth: dict[str, Che
     assert (groups - poisson) / (ntpp - poisson) > 0.9
 
 
-def test_the_command_prints_a_row_per_model(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_a_row_per_model(
+    plaza: dict[str, Checked],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def known(scene: Scene) -> list[Checked]:
+        assert scene.id == "plaza-v0"
+        return list(plaza.values())
+
+    monkeypatch.setattr(spawn_diagnostics, "check_models", known)
     assert main(["spawn", "plaza-v0"]) == 0
     printed = capsys.readouterr().out
     for name in ("plaza-truth", *MODELS):

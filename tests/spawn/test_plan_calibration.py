@@ -64,6 +64,16 @@ def blocks(crowd: Trajectories) -> TimeBlocks:
     return blocks_of(crowd, PLAZA)
 
 
+@pytest.fixture(scope="module")
+def fitted(crowd: Trajectories, blocks: TimeBlocks) -> PlannedAreas:
+    return fit_plans(crowd, blocks, read_areas(PLAZA))
+
+
+@pytest.fixture(scope="module")
+def made(fitted: PlannedAreas, crowd: Trajectories, blocks: TimeBlocks) -> PlannedAreas:
+    return calibrated(fitted, crowd, blocks, PLAZA)
+
+
 def found(areas: PlannedAreas, crowd: Trajectories, blocks: TimeBlocks) -> tuple[float, float]:
     """Share of people with a companion, and that of three or more among them; of ten samples."""
     marks, rng = marks_of(crowd, blocks), np.random.default_rng(7)
@@ -82,13 +92,10 @@ def numbers(group: np.ndarray) -> tuple[float, float]:
 
 
 def test_as_many_companions_are_found_as_in_the_recording(
-    crowd: Trajectories, blocks: TimeBlocks
+    fitted: PlannedAreas, made: PlannedAreas, crowd: Trajectories, blocks: TimeBlocks
 ) -> None:
     recorded = numbers(groups_of(crowd)[marks_of(crowd, blocks).persons])
-    fitted = fit_plans(crowd, blocks, read_areas(PLAZA))
-    np.testing.assert_allclose(
-        found(calibrated(fitted, crowd, blocks, PLAZA), crowd, blocks), recorded, atol=0.04
-    )
+    np.testing.assert_allclose(found(made, crowd, blocks), recorded, atol=0.04)
     # From far away, too.
     links = replace(fitted.links, log_weight=fitted.links.log_weight + 1.5)
     far = replace(fitted, links=links)
@@ -113,17 +120,15 @@ def test_companions_by_accident_do_not_teach_how_companions_walk() -> None:
     assert (few == 1).all()
 
 
-def test_the_same_seed_gives_the_same_links(crowd: Trajectories, blocks: TimeBlocks) -> None:
-    fitted = fit_plans(crowd, blocks, read_areas(PLAZA))
-    one, other = (calibrated(fitted, crowd, blocks, PLAZA).links for _ in range(2))
+def test_the_same_seed_gives_the_same_links(
+    fitted: PlannedAreas, made: PlannedAreas, crowd: Trajectories, blocks: TimeBlocks
+) -> None:
+    one, other = made.links, calibrated(fitted, crowd, blocks, PLAZA).links
     np.testing.assert_array_equal(one.log_weight, other.log_weight)
     np.testing.assert_array_equal(one.larger, other.larger)
 
 
-def test_where_nobody_has_a_companion_nothing_changes(
-    crowd: Trajectories, blocks: TimeBlocks
-) -> None:
-    fitted = fit_plans(crowd, blocks, read_areas(PLAZA))
+def test_where_nobody_has_a_companion_nothing_changes(fitted: PlannedAreas) -> None:
     ones = np.ones(50)
     alone = straight_walks(
         walker(

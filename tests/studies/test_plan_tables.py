@@ -37,16 +37,20 @@ def test_as_many_are_held_out_as_have_plans(held: dict[str, plans.Held]) -> None
 
 
 def test_samples_are_compared_with_the_recording() -> None:
-    shown = {s.metric: s for s in plans.statistics(PLAZA, ["ntpp-gmm", "cox-plans"], seeds=2)}
+    single, planned = ("ntpp-gmm", "straight"), ("cox-plans", "straight")
+    shown = {s.metric: s for s in plans.statistics(PLAZA, [single, planned], seeds=2)}
     assert set(shown) == set(plans.SHOWN)
     for each in shown.values():
         assert each.low <= each.recorded <= each.high
-        assert {name: len(values) for name, values in each.sampled.items()} == {
-            "ntpp-gmm": 2,
-            "cox-plans": 2,
-        }
+        found = {pair: len(values) for pair, values in each.sampled.items()}
+        assert found == {single: 2, planned: 2}
     standing = shown["standing_share"]
-    assert max(standing.sampled["ntpp-gmm"]) < standing.low < min(standing.sampled["cox-plans"])
+    assert max(standing.sampled[single]) < standing.low < min(standing.sampled[planned])
+
+
+def test_walkers_are_those_that_the_scene_has() -> None:
+    assert plans.pairs_of(PLAZA) == list(plans.PAIRS[:3])
+    assert plans.pairs_of(load_scene("eth-v0")) == list(plans.PAIRS)
 
 
 def test_no_scene_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:

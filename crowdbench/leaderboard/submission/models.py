@@ -79,7 +79,7 @@ def _seen_too_much(name: str, card: PolicyCard, declared: Declared) -> Iterator[
     if (
         (card.scene, card.split) == (scene, split)
         if of_split
-        else card.scene not in declared.scenes
+        else not set(card.scenes) & set(declared.scenes)
     ):
         return
     if of_split:
@@ -91,7 +91,7 @@ def _seen_too_much(name: str, card: PolicyCard, declared: Declared) -> Iterator[
     else:
         expected = "one trained on no recording of the submission's scenes"
         hint = 'Train one on other scenes, or one for each fold with training.protocol "heldout".'
-    got = f"a network trained on {card.split} of {card.scene}"
+    got = f"a network trained on {card.split} of {' and '.join(card.scenes)}"
     yield RefusedError(name, got=got, expected=expected, hint=hint)
 
 

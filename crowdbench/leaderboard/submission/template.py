@@ -101,13 +101,13 @@ def start_submission(
     if not name.isprintable():
         raise SettingError("--name", got=ascii(name), expected="printable characters")
     files, read = _networks(policies, track)
-    known = dict.fromkeys(policy.card.scene for policy in read)
+    known = dict.fromkeys(scene for policy in read for scene in policy.card.scenes)
     one = read[0].card if NETWORK in files else None
     chosen = [load_scene(scene).id for scene in scenes or ([] if one else known)] or list(SCENES)
-    if one and one.scene in chosen:
+    if one and set(one.scenes) & set(chosen):
         raise SettingError(
             "--policy",
-            got=f"a network trained on {one.split} of {one.scene}",
+            got=f"a network trained on {one.split} of {' and '.join(one.scenes)}",
             expected=f"a folder with one network per fold, or a file trained on none of "
             f"{', '.join(chosen)}",
             hint="Use --scene to choose other scenes.",

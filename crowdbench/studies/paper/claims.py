@@ -200,7 +200,11 @@ def _windows(of: Evidence) -> Claim:
         verdicts[model] = _window_verdict(closed, improved) if gap > 0 else NOTHING
         shown = [f"{_whole(100 * low)} to {_whole(100 * high)} %" for low, high in closed]
         lines.append(
-            [name, *(shown if gap > 0 else [NOTHING] * len(shown)), f"{sum(improved)} of 4"]
+            [
+                name,
+                *(shown if gap > 0 else [NOTHING] * len(shown)),
+                f"{sum(improved)} of {len(improved)}",
+            ]
         )
     head = ["model", *(f"gap closed, {shortest}/{o}" for o in STRIDES_FRAMES), "longer better"]
     short_of = (

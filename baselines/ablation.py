@@ -1,0 +1,233 @@
+"""What each part of `anticipate` contributes: it is trained and scored without it, held out.
+
+    python -m baselines.ablation --scene eth-v0 > ablation.md
+
+For each variant and fold, the network is trained and its guide chosen anew, on the training blocks
+of the fold. Then all variants are scored together, so that their differences have intervals. Files
+of an earlier call of the same command and code are kept.
+"""
+
+import argparse
+import contextlib
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from baselines.packages import needs
+from crowdbench.errors import CrowdbenchError
+from crowdbench.evaluation.evaluate import evaluate  # without its report
+from crowdbench.evaluation.parallel import call_each, checked_workers
+from crowdbench.report.text.markdown import table
+from crowdbench.report.text.words import interval
+from crowdbench.scene import Scene
+from crowdbench.scoring.score import Score
+from crowdbench.scoring.scorecard import Row, rows
+from crowdbench.simulation import social
+from crowdbench.trajectories.blocks import SPLITS
+
+with needs("fit", __name__):
+    import torch
+    from torch import Tensor
+
+    from baselines.anticipate import (
+        NOISE,
+        OBSERVATION,
+        PLAIN,
+        Guide,
+        Perception,
+        Sampler,
+        Settings,
+        Walker,
+        decision_frames,
+        guided,
+        train,
+    )
+    from baselines.command import Command, use_one_thread
+
+NEIGHBOURS = np.arange(social.NEIGHBOURS.start, social.NEIGHBOURS.stop).reshape(
+    social.NEAREST, social.FEATURES
+)
+
+
+USUAL = Settings()
+
+
+def _columns(*parts: slice) -> tuple[int, ...]:
+    return tuple(k for part in parts for k in range(part.start, part.stop))
+
+
+def _of_neighbours(*parts: slice) -> tuple[int, ...]:
+    return tuple(int(k) for part in parts for k in NEIGHBOURS[:, part].ravel())
+
+
+@dataclass(frozen=True)
+class Variant:
+    """`anticipate` with one part changed."""
+
+    name: str
+    what: str
+    """Description in the table."""
+    settings: Settings = USUAL
+    unseen: tuple[int, ...] = ()
+    """Columns of the observation that the network sees as zeros."""
+    intervals: int = 1
+    """Decision interval, as a multiple of the usual one."""
+    guide: bool = True
+
+
+VARIANTS = (
+    Variant("all", "all parts"),
+    Variant("no-guide", "one candidate, no guide", guide=False),
+    Variant("no-others", "the network sees nobody else", unseen=_columns(social.NEIGHBOURS)),
+    Variant(
+        "no-velocities",
+        "it sees where others are, not how they move",
+        unseen=_of_neighbours(social.APPROACH, social.PASS_TIME, social.PASS_DISTANCE),
+    ),
+    Variant(
+        "no-memory",
+        "it remembers neither age, distance walked nor time stood",
+        unseen=_columns(social.AGE, social.WALKED, social.STOOD),
+    ),
+    Variant("no-smoothing", "cloned on recorded paths as they are", Settings(smoothing_s=0.0)),
+    Variant("no-jitter", "cloned without jitter", Settings(jitter_mps=0.0)),
+    Variant("closed-loop", "one round of training in closed loop", Settings(rounds=1)),
+    Variant("slower", "decisions half as often", intervals=2),
+)
+"""The first one is compared with the others."""
+
+INTRODUCTION = """# What each part of anticipate contributes
+
+`anticipate` is trained and scored on {scene} with one part changed at a time. For each variant and
+fold, the network is trained and its guide chosen anew on the training blocks. The scores are those
+of walking under the recorded arrivals on held-out blocks, with 95 % intervals. The last column is
+the difference of *walk* to the first row. Its interval is narrower than those of the scores,
+because all variants are compared on the same resampled blocks. This page is the output of
+"""
+
+
+class Blind(Perception):
+    """A perception that sees some columns of the observation as zeros."""
+
+    visible: Tensor
+
+    def __init__(self, max_speed_mps: float, unseen: Sequence[int]) -> None:
+        super().__init__(max_speed_mps)
+        visible = torch.ones(social.SIZE)
+        visible[list(unseen)] = 0
+        self.register_buffer("visible", visible)
+
+    def forward(self, seen: Tensor, jitter: Tensor) -> Tensor:
+        """Features of what it sees."""
+        return super().forward(seen * self.visible, jitter)
+
+
+def walker_of(variant: Variant, scene: Scene) -> Walker:
+    """A new network of a variant."""
+    walker = Walker(scene.motion.max_speed_mps, variant.settings.hidden)
+    if variant.unseen:
+        walker.perception = Blind(scene.motion.max_speed_mps, variant.unseen)
+    return walker
+
+
+def write(variant: Variant, split: str, command: Command) -> None:
+    """Train a variant and write its file, unless this command and code have written it."""
+    if command.has_written(split):
+        return
+    use_one_thread()
+    with contextlib.redirect_stdout(sys.stderr):
+        every = variant.intervals * decision_frames(command.scene)
+        torch.manual_seed(variant.settings.seed)
+        walker = walker_of(variant, command.scene)
+        train(command, split, variant.settings, every, walker)
+        sampler = Sampler(walker, Guide())
+        chosen = PLAIN
+        if variant.guide:
+            chosen = guided(sampler, command.scenes, split, every, variant.settings)
+        sampler.weights.copy_(chosen.tensor())
+        command.write(split, sampler, observation=OBSERVATION, noise=NOISE, interval=every)
+
+
+def lines(found: Sequence[Row]) -> list[list[str]]:
+    """The table: one row per variant, in the order of `VARIANTS`."""
+    first = found[0].walk
+    return [
+        [
+            variant.what,
+            *(interval(score) for score in (row.walk, row.families.get("motion"))),
+            interval(row.families.get("interaction")),
+            "" if row.walk is first else difference(row.walk, first),
+        ]
+        for variant, row in zip(VARIANTS, found, strict=True)
+    ]
+
+
+def difference(one: Score | None, other: Score | None) -> str:
+    """The difference of two scores of the same resampled blocks, with its interval."""
+    if one is None or other is None:
+        return "–"
+    return interval(
+        replace(one, value=one.value - other.value, resampled=one.resampled - other.resampled)
+    )
+
+
+def command_line() -> argparse.ArgumentParser:
+    """Argument parser of this script."""
+    parser = argparse.ArgumentParser(
+        prog="python -m baselines.ablation",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--scene", required=True, help="id of a scene, or its folder")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="output folder (default: results/ablation-SCENE)"
+    )
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="number of processes (default: one per core)"
+    )
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Train and score all variants and print the page; return the exit code."""
+    given = sys.argv[1:] if arguments is None else arguments
+    asked = command_line().parse_args(given)
+    folds = SPLITS[1:]
+    try:
+        workers = checked_workers(asked.workers)
+        whole = Command.of("ablation", asked.scene, folds, asked.out, given)
+        commands = [
+            Command.of("ablation", asked.scene, folds, whole.out / v.name, given) for v in VARIANTS
+        ]
+        tasks = [
+            (variant, fold, command)
+            for fold in folds
+            for variant, command in zip(VARIANTS, commands, strict=True)
+        ]
+        for done, _ in enumerate(call_each(write, tasks, workers), 1):
+            print(f"{done} of {len(tasks)} policies trained", file=sys.stderr)
+        folders = [str(command.out) for command in commands]
+        card = evaluate(
+            asked.scene,
+            spawn="replay",
+            policy=folders,
+            protocol="heldout",
+            workers=workers,
+            out=whole.out / "evaluation",
+        )
+    except CrowdbenchError as error:
+        print(f"baselines.ablation: {error}", file=sys.stderr)
+        return 2
+    by_policy = {row.policy: row for row in rows(card) if row.kind == "entry"}
+    head = ["variant", "walk", "motion", "interaction", "difference"]
+    print(INTRODUCTION.format(scene=whole.scene.id))
+    print(f"    {whole.line}\n")
+    print(table(head, lines([by_policy[folder] for folder in folders])))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,209 @@
+"""Walkers of several scenes: what they are trained on, and how they are kept from being scored on
+it.
+"""
+
+from collections import Counter
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from baselines import across, anticipate
+from baselines.anticipate import DECISION_S, Samples, Settings, decision_frames, pooled
+from baselines.command import Command
+from crowdbench import load_scene, policy, rollout, spawn_model
+from crowdbench.errors import SettingError
+from crowdbench.evaluation.evaluate import evaluate
+from crowdbench.policies import OnnxPolicy, PolicyCard
+from crowdbench.policies.export import export_policy
+from crowdbench.registry import ANY_PLACE, import_recording
+from crowdbench.scene import list_scenes
+from crowdbench.simulation import social
+from crowdbench.simulation.social import with_velocities_times
+
+PLAZA, ETH, HOTEL = load_scene("plaza-v0"), load_scene("eth-v0"), load_scene("hotel-v0")
+
+
+def samples(first: float, number: int) -> Samples:
+    return Samples(torch.full((number, 3), first), torch.zeros(number, 2))
+
+
+def test_scenes_count_as_the_roots_of_their_numbers_of_samples() -> None:
+    both = pooled([samples(1.0, 100), samples(2.0, 1600)])
+    count = Counter(both.seen[:, 0].tolist())
+    assert count == {1.0: 340, 2.0: 1360}
+    assert len(both.did) == 1700
+
+
+def test_of_one_scene_each_sample_is_used_once() -> None:
+    one = Samples(torch.arange(10.0)[:, None], torch.zeros(10, 2))
+    assert sorted(pooled([one]).seen[:, 0].tolist()) == list(range(10))
+
+
+def test_samples_of_a_small_scene_are_used_about_equally_often() -> None:
+    one = Samples(torch.arange(4.0)[:, None], torch.zeros(4, 2))
+    assert set(Counter(one.shared(10).seen[:, 0].tolist()).values()) == {2, 3}
+
+
+def test_decisions_on_several_scenes_are_as_far_apart_in_time() -> None:
+    assert decision_frames(ETH) == 1
+    assert decision_frames(ETH, HOTEL) == round(DECISION_S / ETH.dt_s)
+
+
+def test_a_scene_is_left_out(tmp_path: Path) -> None:
+    scenes = ["eth-v0", "hotel-v0", "zara1-v0"]
+    command = Command.of_several("anticipate", scenes, "hotel-v0", ["full"], tmp_path, ["--x"])
+    assert [scene.id for scene in command.scenes] == ["eth-v0", "zara1-v0"]
+    assert command.name == "anticipate-any"
+    assert command.line == "python -m baselines.anticipate --x"
+
+
+@pytest.mark.parametrize(
+    ("scenes", "left_out", "message"),
+    [
+        (["eth-v0", "hotel-v0"], "gc-v0", "--leave-out: got gc-v0; expected one of the scenes"),
+        (["eth-v0", "hotel-v0"], "hotel-v0", "--scenes: got 1 to train on; expected two or more"),
+        (["eth-v0", "eth-v0"], None, "--scenes: got 1 to train on"),
+        (["eth-v0", "plaza-v0"], None, "eth-v0 with 5 m/s, plaza-v0 with 3 m/s"),
+    ],
+)
+def test_scenes_that_cannot_be_pooled_are_refused(
+    scenes: list[str], left_out: str | None, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(SettingError) as error:
+        Command.of_several("anticipate", scenes, left_out, ["full"], tmp_path, [])
+    assert message in str(error.value)
+
+
+def test_leave_out_needs_several_scenes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert anticipate.main(["--scene", "plaza-v0", "--leave-out", "eth-v0"]) == 2
+    assert "--leave-out: got --scene; expected --scenes" in capsys.readouterr().err
+
+
+class Constant(nn.Module):
+    """Walks straight at 1 m/s, in units of 5 m/s."""
+
+    def forward(self, seen: Tensor) -> Tensor:
+        return 0.2 * seen[:, social.ROUTE_DIRECTION]
+
+
+def of_both(tmp_path: Path, **more: float) -> Path:
+    card = PolicyCard(
+        name="of-both", observation="social-1", scene="eth-v0+plaza-v0", split="full", **more
+    )
+    return export_policy(Constant(), tmp_path / "net.onnx", card)
+
+
+def test_speeds_are_converted_where_the_maximum_speed_differs(tmp_path: Path) -> None:
+    network = OnnxPolicy(of_both(tmp_path, max_speed_mps=5.0))
+    spawn = spawn_model("poisson-gmm", PLAZA)
+    crowd = rollout(PLAZA, spawn, network, seed=0, horizon_s=60.0)
+    steps = np.linalg.norm(np.diff(crowd.xy, axis=0), axis=1)[np.diff(crowd.row_person()) == 0]
+    assert np.median(steps) / crowd.dt_s == pytest.approx(1.0, abs=1e-3)
+    as_it_is = OnnxPolicy(of_both(tmp_path))
+    slower = rollout(PLAZA, spawn, as_it_is, seed=0, horizon_s=60.0)
+    steps = np.linalg.norm(np.diff(slower.xy, axis=0), axis=1)[np.diff(slower.row_person()) == 0]
+    assert np.median(steps) / crowd.dt_s == pytest.approx(0.6, abs=1e-3)
+
+
+def test_observed_speeds_are_converted() -> None:
+    seen = np.random.default_rng(0).uniform(-1, 1, (4, social.SIZE)).astype(np.float32)
+    before = seen.copy()
+    found = with_velocities_times(0.5, seen)
+    changed = np.zeros(social.SIZE, bool)
+    for part in (social.VELOCITY, social.PREFERRED_SPEED):
+        changed[part] = True
+    changed[social.NEIGHBOURS].reshape(8, 8)[:, social.APPROACH] = True
+    np.testing.assert_array_equal(found, np.where(changed, 0.5 * before, before))
+    np.testing.assert_array_equal(seen, before)
+
+
+def test_a_policy_of_several_scenes_is_not_scored_on_them(tmp_path: Path) -> None:
+    file = of_both(tmp_path)
+    with pytest.raises(SettingError, match="a network trained on full of eth-v0 and plaza-v0"):
+        evaluate(
+            "plaza-v0",
+            spawn="poisson-gmm",
+            policy=str(file),
+            protocol="heldout",
+            out=tmp_path / "out",
+        )
+
+
+def test_the_policy_for_any_place_is_found_on_each_scene() -> None:
+    shipped = policy(ANY_PLACE, PLAZA)
+    assert isinstance(shipped, OnnxPolicy)
+    assert set(shipped.card.scenes) == set(list_scenes()) - {"plaza-v0"}
+    assert shipped.path.stat().st_size < 1e6
+
+
+@pytest.mark.long
+def test_it_trains_on_two_scenes_and_validates_on_the_third(
+    opentraj: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for name in ("eth", "hotel", "zara01"):
+        import_recording(name, opentraj)
+    monkeypatch.setattr(anticipate, "GRID", {"avoid": (8.0,), "width": (1.0, 0.85)})
+    given = ["--scenes", "eth-v0", "hotel-v0", "zara1-v0", "--leave-out", "zara1-v0"]
+    more = ["--steps", "50", "--people", "1", "--rounds", "1", "--out", str(tmp_path)]
+    assert anticipate.main(given + more) == 0
+    said = capsys.readouterr().out
+    assert said.count("eth-v0 ") == said.count("hotel-v0 ") == 1  # widths are not tried
+    assert "on zara1-v0" in said
+    card = OnnxPolicy(tmp_path / "full.onnx").card
+    assert (card.scene, card.interval, card.max_speed_mps) == ("eth-v0+hotel-v0", 2, 5.0)
+
+
+def test_the_page_trains_without_each_scene_and_with_all(tmp_path: Path) -> None:
+    commands = across.commands_of(["eth-v0", "hotel-v0", "zara1-v0"], tmp_path)
+    assert [len(command.scenes) for command in commands] == [2, 2, 2, 3]
+    assert [c.out.name for c in commands][2:] == ["without-zara1-v0", "anticipate-any"]
+    assert commands[0].line == (
+        "python -m baselines.anticipate --scenes eth-v0 hotel-v0 zara1-v0 --leave-out eth-v0"
+    )
+
+
+@pytest.mark.long
+def test_the_page_has_a_row_for_each_scene_and_files_are_kept(
+    opentraj: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for name in ("eth", "hotel", "zara01"):
+        import_recording(name, opentraj)
+
+    def constant(command: Command, split: str, settings: Settings) -> Path:
+        return command.write(split, Constant(), observation="social-1", noise=0)
+
+    monkeypatch.setattr(across, "learn", constant)
+    monkeypatch.setattr(across, "OTHERS", ("straight", "social-force"))
+    monkeypatch.setattr(across, "evaluate", partial(evaluate, seeds=1))
+    scenes = ["eth-v0", "hotel-v0", "zara1-v0"]
+    arguments = ["--scenes", *scenes, "--workers", "1", "--out", str(tmp_path)]
+    assert across.main(arguments) == 0
+    page = capsys.readouterr().out
+    assert "python -m baselines.across --scenes eth-v0 hotel-v0" in page
+    found = [line.split(" | ") for line in page.splitlines()[-3:]]
+    assert [cells[0] for cells in found] == [f"| {scene}" for scene in scenes]
+    assert {len(cells) for cells in found} == {len(across.HEAD)}
+    assert OnnxPolicy(tmp_path / "without-eth-v0/full.onnx").card.scene == "hotel-v0+zara1-v0"
+    monkeypatch.setattr(across, "learn", None)  # nothing is trained again
+    for command in across.commands_of(scenes, tmp_path):
+        across.write(command)
+
+
+def test_what_is_missing_is_said_before_the_trainings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("CROWDBENCH_HOME", str(tmp_path))
+    monkeypatch.setattr(across, "learn", None)
+    arguments = ["--scenes", "eth-v0", "hotel-v0", "zara1-v0", "--out", str(tmp_path / "out")]
+    assert across.main(arguments) == 2
+    assert "baselines.across: recording eth: got no imported table" in capsys.readouterr().err
