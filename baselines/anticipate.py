@@ -29,12 +29,14 @@ recorded one (as in conditioning augmentation; Ho et al. 2022, Cascaded diffusio
 In a rollout there is no noise. The strength that the network is then told is a setting: the greater
 it is, the faster people return to velocities that are usual in the recording.
 
-**Guide.** In a rollout, twelve velocities are drawn from the mixture. One of them is drawn with
-weights exp(−cost), where the cost anticipates close passes of strangers, companions who are left,
-walls, delay, and a near target that would be missed. There are too few near collisions in
-recordings for a network to learn this from them. The weights of passes, walls and delay, the width
-of the mixture and the strength of the jitter are chosen on the training blocks, by the walk score
-that `validate` measures there.
+**Guide.** In a rollout, twelve velocities are drawn from the mixture. A thirteenth one is what the
+plan asks for: to walk along the way at the preferred speed, or to stand at a stop. One of them is
+drawn with weights exp(−cost), where the cost anticipates close passes of strangers, companions who
+are left, walls, delay, and a near target that would be missed. There are too few near collisions in
+recordings for a network to learn this from them. The thirteenth velocity costs more (`resume`). It
+is for people whom a wall or a crowd has stopped: a clone who stands goes on standing. Most weights,
+the width of the mixture and the strength of the jitter are chosen on the training blocks, by the
+walk score that `validate` measures there.
 
 **Closed loop.** Optionally (`--rounds`) the policy draws three candidates in each decision of a
 recorded person, who walks the one nearest to its recorded next position; the states near targets
@@ -93,7 +95,7 @@ HORIZON_S = 8.0
 """The guide anticipates this time."""
 LOOK_S, WALLS_M = 1.5, 1.5
 """Walls count where the person is after this time; at this distance or more they cost nothing."""
-ABREAST_M = 1.0
+ABREAST_M = 1.2
 """Companions at this distance or less cost nothing."""
 KERNEL_M = 0.4
 """Width of the kernel that interpolates between probes."""
@@ -157,29 +159,35 @@ class Guide:
     """Passing strangers at this distance in metres or more costs nothing."""
     wall: float = 6.0
     """Weight of walls: max(0, 1 − d / `WALLS_M`), where d is the distance to walls and bounds from
-    where the person is after `LOOK_S`."""
+    where the person is after `LOOK_S`. It decreases to 0 from `NEAR_M` to the target, because many
+    stops and goals are at walls."""
     delay: float = 1.0
     """Weight of delay: max(0, 1 − v / v*), where v is the speed along the way and v* the preferred
     speed; at most 1, and 0 at a stop."""
     home: float = 5.0
     """Weight of the distance in metres at which a target nearer than `NEAR_M` is passed."""
-    keep: float = 3.0
+    keep: float = 4.0
     """Weight of the distance in metres beyond `ABREAST_M` at which companions are after `LOOK_S`,
     their mean."""
+    resume: float = 4.0
+    """Cost of the velocity that the plan asks for, besides all other costs."""
 
     def tensor(self) -> Tensor:
-        """The eight numbers."""
+        """The nine numbers."""
         return torch.tensor(astuple(self), dtype=torch.float32)
 
 
-PLAIN = Guide(jitter=0.0, avoid=0.0, wall=0.0, delay=0.0, home=0.0, keep=0.0)
+PLAIN = Guide(
+    jitter=0.0, avoid=0.0, wall=0.0, delay=0.0, home=0.0, keep=0.0, resume=1e3
+)  # fmt: skip
 """No guide."""
 GRID: Mapping[str, tuple[float, ...]] = {
     "avoid": (8.0, 16.0, 32.0),
-    "wall": (2.0, 6.0, 18.0),
+    "wall": (2.0, 6.0, 12.0, 24.0),
     "width": (1.0, 0.85),
     "delay": (0.0, 1.0, 2.0),
     "jitter": (0.1, 0.2),
+    "resume": (2.0, 4.0),
 }
 """Values that are tried, one setting after the other, in this order."""
 TRIED_ON_SEVERAL = ("avoid", "wall")
@@ -273,10 +281,20 @@ def _taken(of: Tensor, at: Tensor) -> Tensor:
     return of.gather(1, at[..., None].expand(-1, -1, 2))
 
 
+def _length_m(seen: Tensor) -> Tensor:
+    """Remaining lengths (A, 1) of the ways to the targets, metres."""
+    return seen[:, social.ROUTE_LENGTH] * social.ROUTE_RANGE_M
+
+
+def _at_stop(seen: Tensor) -> Tensor:
+    """1 for people who are at the stop they walk to, else 0 (A, 1)."""
+    return seen[:, social.STOP] * (_length_m(seen) < VISIT_M).float()
+
+
 class Sampler(nn.Module):
     """Draws actions (A, 2) with observations (A, 102) and normal numbers (A, 37).
 
-    Of 12 candidates, one is drawn by the costs of the guide.
+    One of 13 candidates is drawn by the costs of the guide: 12 of the network, and `planned`.
     """
 
     probes: Tensor
@@ -289,23 +307,31 @@ class Sampler(nn.Module):
         self.register_buffer("weights", guide.tensor())
 
     def forward(self, seen: Tensor, noise: Tensor, weights: Tensor | None = None) -> Tensor:
-        """Sampled actions (A, 2). `weights` (8,) replace those of the guide."""
+        """Sampled actions (A, 2). `weights` (9,) replace those of the guide."""
         chosen = self.weights if weights is None else weights
-        jitter, width, avoid, apart, wall, delay, home, keep = chosen.unbind()
-        mean, std, log_weight = self.walker(seen, jitter * torch.ones_like(seen[:, :1]))
+        jitter, width, avoid, apart, wall, delay, home, keep, resume = chosen.unbind()
+        one = torch.ones_like(seen[:, :1])
+        mean, std, log_weight = self.walker(seen, jitter * one)
         drawn = noise[:, :-1].unflatten(1, (CANDIDATES, 3))
         at = _chosen(log_weight.exp(), drawn[..., 0])
         actions = _taken(mean, at) + width * _taken(std, at) * drawn[..., 1:]
         actions = actions / actions.norm(dim=2, keepdim=True).clamp(min=1)
+        actions = torch.cat([actions, self.planned(seen)], dim=1)
         cost = avoid * self.passes(seen, actions, apart) + wall * self.walls(seen, actions)
         cost = cost + delay * self.delays(seen, actions) + home * self.misses(seen, actions)
         cost = cost + keep * self.partings(seen, actions)
+        cost = cost + torch.cat([torch.zeros_like(drawn[..., 0]), resume * one], dim=1)
         return _taken(actions, _chosen(torch.softmax(-cost, dim=1), noise[:, -1:]))[:, 0]
 
     @property
     def max_speed_mps(self) -> float:
         """The unit of velocities."""
         return self.walker.perception.max_speed_mps
+
+    def planned(self, seen: Tensor) -> Tensor:
+        """Velocities (A, 1, 2) along the way at the preferred speed; none at a stop."""
+        speed = seen[:, social.PREFERRED_SPEED] * (1 - _at_stop(seen))
+        return (speed * seen[:, social.ROUTE_DIRECTION])[:, None]
 
     def passes(self, seen: Tensor, actions: Tensor, apart: Tensor) -> Tensor:
         """Sum of the nearness of strangers who are passed (A, n), of candidates (A, n, 2).
@@ -345,26 +371,28 @@ class Sampler(nn.Module):
         return (beyond @ companion)[..., 0] / number
 
     def walls(self, seen: Tensor, actions: Tensor) -> Tensor:
-        """Nearness of walls (A, n), from 0 to 1, interpolated between the probes."""
+        """Nearness of walls (A, n), from 0 to 1, interpolated between the probes.
+
+        It counts less near the target.
+        """
         after = LOOK_S * self.max_speed_mps * actions
         off = after.square().sum(dim=2, keepdim=True) - 2 * after @ self.probes.T
         kernel = torch.exp((off + self.probes.square().sum(dim=1)) * (-0.5 / KERNEL_M**2)) + 1e-6
         free = seen[:, social.PROBES, None]
         weighed = kernel @ torch.cat([free, torch.ones_like(free)], dim=2)  # (A, n, 2)
         free_m = weighed[..., 0] / weighed[..., 1] * REACH_M
-        return (1 - free_m / WALLS_M).clamp(min=0)
+        near = (_length_m(seen) / NEAR_M).clamp(max=1)
+        return near * (1 - free_m / WALLS_M).clamp(min=0)
 
     def delays(self, seen: Tensor, actions: Tensor) -> Tensor:
         """Lack of speed (A, n) along the way, relative to the preferred speed, from 0 to 1."""
         along = (seen[:, None, social.ROUTE_DIRECTION] * actions).sum(dim=2)
         slower = 1 - along / seen[:, social.PREFERRED_SPEED].clamp(min=0.1 / self.max_speed_mps)
-        length_m = seen[:, social.ROUTE_LENGTH] * social.ROUTE_RANGE_M
-        at_stop = seen[:, social.STOP] * (length_m < VISIT_M).float()
-        return slower.clamp(0, 1) * (1 - at_stop)
+        return slower.clamp(0, 1) * (1 - _at_stop(seen))
 
     def misses(self, seen: Tensor, actions: Tensor) -> Tensor:
         """Distance (A, n) in metres at which a near target is passed straight on."""
-        length_m = seen[:, social.ROUTE_LENGTH] * social.ROUTE_RANGE_M
+        length_m = _length_m(seen)
         target = (length_m * seen[:, social.ROUTE_DIRECTION])[:, None]
         velocity = self.max_speed_mps * actions
         ahead = (target * velocity).sum(dim=2) / velocity.square().sum(dim=2).clamp(min=1e-2)

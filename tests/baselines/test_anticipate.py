@@ -87,9 +87,13 @@ def test_walls_cost_where_the_candidate_leads(seen, sampler: Sampler) -> None:
     seen[:, social.PROBES.start + ahead] = 0.0
     straight, left, stand = sampler.walls(seen, CANDIDATES)[0].tolist()
     assert straight > left > stand
+    seen[:, social.ROUTE_LENGTH] = 0.3 / social.ROUTE_RANGE_M  # a target at the wall
+    assert sampler.walls(seen, CANDIDATES)[0, 0] == pytest.approx(0.1 * straight, rel=1e-4)
 
 
-def test_leaving_a_companion_costs_the_distance_beyond_a_metre(seen, sampler: Sampler) -> None:
+def test_leaving_a_companion_costs_the_distance_beyond_that_of_companions(
+    seen, sampler: Sampler
+) -> None:
     assert not sampler.partings(meet(seen), CANDIDATES).any()  # a stranger
     walks = meet(seen, companion=True)
     ahead = walks[:, social.NEIGHBOURS.start + social.APPROACH.start]
@@ -104,7 +108,9 @@ def test_leaving_a_companion_costs_the_distance_beyond_a_metre(seen, sampler: Sa
     second = both[:, social.NEIGHBOURS.start + social.FEATURES :]
     second[:, social.OFFSET.start] = 0.8 / social.RANGE_M
     second[:, social.COMPANION] = second[:, social.PRESENT] = 1.0
-    assert sampler.partings(both, CANDIDATES)[0, 0] == pytest.approx(1.0, abs=1e-4)
+    assert sampler.partings(both, CANDIDATES)[0, 0] == pytest.approx(
+        (3.0 - ABREAST_M) / 2, abs=1e-4
+    )
 
 
 def test_missing_a_near_target_costs_its_distance(seen, sampler: Sampler) -> None:
@@ -127,6 +133,32 @@ def test_with_a_guide_people_pass_strangers_at_a_greater_distance(seen, sampler:
             actions = sampler(many, noise, guide)
         passed.append(float(sampler.passes(many, actions[:, None], torch.tensor(1.5)).mean()))
     assert passed[1] < 0.9 * passed[0]
+
+
+def test_those_who_stand_walk_on_as_planned_and_stand_at_a_stop(seen, sampler: Sampler) -> None:
+    with torch.no_grad():
+        sampler.walker.layers[-1].weight.zero_()
+        sampler.walker.layers[-1].bias.zero_()
+        sampler.walker.layers[-1].bias[2::5] = sampler.walker.layers[-1].bias[3::5] = -9.0
+    seen[:, social.VELOCITY] = 0.0  # all candidates of the network stand, too
+    seen[:, social.PREFERRED_SPEED] = WALKING
+    many = seen.repeat(2000, 1)
+    noise = torch.randn(2000, NOISE, generator=torch.Generator().manual_seed(1))
+
+    def share(resume: float) -> float:
+        guide = Guide(delay=2.0, home=0.0, resume=resume).tensor()
+        with torch.no_grad():
+            acted = sampler(many, noise, guide)
+        walks = acted[:, 0] > WALKING / 2
+        np.testing.assert_allclose(acted[walks], many[walks, social.ROUTE_DIRECTION] * WALKING)
+        return float(walks.float().mean())
+
+    odds = np.exp([2.0, -2.0, -1000.0]) / 12  # delay less resume, of one candidate in 13
+    np.testing.assert_allclose([share(0.0), share(4.0), share(1e3)], odds / (1 + odds), atol=0.02)
+    many[:, social.STOP] = 1.0
+    many[:, social.ROUTE_LENGTH] = 0.5 / social.ROUTE_RANGE_M
+    assert share(-10.0) == 0.0
+    assert not sampler.planned(many).any()
 
 
 def test_mirrored_observations_are_those_of_a_mirrored_world() -> None:
