@@ -192,6 +192,8 @@ GRID: Mapping[str, tuple[float, ...]] = {
 """Values that are tried, one setting after the other, in this order."""
 TRIED_ON_SEVERAL = ("avoid", "wall")
 """The settings that are chosen if there are several scenes, on which each choice takes longer."""
+BOTH = 0.1
+"""Weight of the mean of motion and interaction in the choice, beside *walk*."""
 DECISION_S = 0.8
 """Time between decisions of a policy for several scenes."""
 
@@ -584,7 +586,8 @@ def guided(
 ) -> Guide:
     """Choose the guide by the walk score on the training blocks, one setting after the other.
 
-    Of several scenes, the mean score counts.
+    Of several scenes, the mean score counts. Since *walk* is the lesser of two families, it is blind
+    to the other one; therefore `BOTH` of the mean of the families is added.
     """
     guide = replace(Guide(), jitter=min(Guide.jitter, settings.jitter_mps))
     tried: dict[Guide, float] = {}
@@ -602,8 +605,10 @@ def guided(
             found = [
                 v.validate(policy, rollouts=n) for v, n in zip(validators, rollouts, strict=True)
             ]
-            tried[one] = float(np.mean([each.walk for each in found]))
-            print(f"{split}: {one}: walk {tried[one]:.3f} ({_parts(scenes, found)})", flush=True)
+            walk = float(np.mean([each.walk for each in found]))
+            families = [float(np.mean(list(each.families.values()))) for each in found]
+            tried[one] = walk + BOTH * float(np.mean(families))
+            print(f"{split}: {one}: walk {walk:.3f} ({_parts(scenes, found)})", flush=True)
         guide = max(tried, key=lambda g: tried[g])
     return guide
 
