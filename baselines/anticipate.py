@@ -586,8 +586,8 @@ def guided(
 ) -> Guide:
     """Choose the guide by the walk score on the training blocks, one setting after the other.
 
-    Of several scenes, the mean score counts. Since *walk* is the lesser of two families, it is blind
-    to the other one; therefore `BOTH` of the mean of the families is added.
+    Of several scenes, the mean score counts. Since *walk* is the lesser of two families, it is
+    blind to the other one; therefore `BOTH` of the mean of the families is added.
     """
     guide = replace(Guide(), jitter=min(Guide.jitter, settings.jitter_mps))
     tried: dict[Guide, float] = {}
