@@ -189,7 +189,8 @@ GRID: Mapping[str, tuple[float, ...]] = {
     "jitter": (0.1, 0.2),
     "resume": (2.0, 4.0),
 }
-"""Values that are tried, one setting after the other, in this order."""
+"""Values that are tried, one setting after the other, in this order, twice: how close people may
+pass walls depends on how straight they walk."""
 TRIED_ON_SEVERAL = ("avoid", "wall")
 """The settings that are chosen if there are several scenes, on which each choice takes longer."""
 BOTH = 0.1
@@ -595,9 +596,8 @@ def guided(
     validators = [Validator(scene, split) for scene in scenes]
     people = settings.people / len(scenes)
     rollouts = [math.ceil(people / max(1, len(registry.recording_of(scene)))) for scene in scenes]
-    for name, values in GRID.items():
-        if len(scenes) > 1 and name not in TRIED_ON_SEVERAL:
-            continue
+    settable = GRID if len(scenes) == 1 else {name: GRID[name] for name in TRIED_ON_SEVERAL}
+    for name, values in 2 * list(settable.items()):
         for one in (replace(guide, **{name: value}) for value in values):
             if one in tried or one.jitter > settings.jitter_mps:  # not trained with as much
                 continue
