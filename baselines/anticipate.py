@@ -596,8 +596,8 @@ def guided(
     validators = [Validator(scene, split) for scene in scenes]
     people = settings.people / len(scenes)
     rollouts = [math.ceil(people / max(1, len(registry.recording_of(scene)))) for scene in scenes]
-    settable = GRID if len(scenes) == 1 else {name: GRID[name] for name in TRIED_ON_SEVERAL}
-    for name, values in 2 * list(settable.items()):
+    settable = [s for s in GRID.items() if len(scenes) == 1 or s[0] in TRIED_ON_SEVERAL]
+    for name, values in 2 * settable:
         for one in (replace(guide, **{name: value}) for value in values):
             if one in tried or one.jitter > settings.jitter_mps:  # not trained with as much
                 continue
