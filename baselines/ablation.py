@@ -10,8 +10,8 @@ of an earlier call of the same command and code are kept.
 import argparse
 import contextlib
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,18 +32,15 @@ with needs("fit", __name__):
     import torch
     from torch import Tensor
 
-    from baselines.anticipate import (
+    from baselines.anticipate import Settings, decision_frames, guided, train
+    from baselines.anticipation import (
         NOISE,
         OBSERVATION,
         PLAIN,
         Guide,
         Perception,
         Sampler,
-        Settings,
         Walker,
-        decision_frames,
-        guided,
-        train,
     )
     from baselines.command import Command, use_one_thread
 
@@ -76,11 +73,14 @@ class Variant:
     intervals: int = 1
     """Decision interval, as a multiple of the usual one."""
     guide: bool = True
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    """Settings of the guide that are not chosen."""
 
 
 VARIANTS = (
     Variant("all", "all parts"),
     Variant("no-guide", "one candidate, no guide", guide=False),
+    Variant("no-plan", "no candidate that the plan asks for", fixed={"resume": PLAIN.resume}),
     Variant("no-others", "the network sees nobody else", unseen=_columns(social.NEIGHBOURS)),
     Variant(
         "no-velocities",
@@ -146,7 +146,7 @@ def write(variant: Variant, split: str, command: Command) -> None:
         sampler = Sampler(walker, Guide())
         chosen = PLAIN
         if variant.guide:
-            chosen = guided(sampler, command.scenes, split, every, variant.settings)
+            chosen = guided(sampler, command.scenes, split, every, variant.settings, variant.fixed)
         sampler.weights.copy_(chosen.tensor())
         command.write(split, sampler, observation=OBSERVATION, noise=NOISE, interval=every)
 

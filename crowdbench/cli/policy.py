@@ -183,7 +183,7 @@ def _show(args: argparse.Namespace) -> None:
     card = policy.card
     rays = f", {card.rays} rays of {card.ray_range_m:g} m" if card.with_rays else ""
     facts = {
-        "trained on": f"{card.split} of {' and '.join(card.scenes)}",
+        "trained on": card.trained_on,
         "observation": f"{card.observation}{rays} ({card.inputs} numbers)",
         "action": card.action,
         "noise": f"{policy.noise} normal numbers per person and step" if policy.noise else "none",

@@ -182,7 +182,7 @@ def _check_unseen(policy: str, walker: Policy, place: Scene, split: str) -> None
     if place.id in card.scenes and (card.scene, card.split) != (place.id, split):
         raise SettingError(
             f"policy {policy}",
-            got=f"a network trained on {card.split} of {' and '.join(card.scenes)}",
+            got=f"a network trained on {card.trained_on}",
             expected=f"a network that has not seen the data that {split} is scored on",
             hint="Train one network for each fold and name the folder with fold0.onnx, fold1.onnx, "
             "…, or evaluate with --protocol full.",

@@ -56,6 +56,11 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return tuple(self.scene.split("+"))
 
     @property
+    def trained_on(self) -> str:
+        """The split and the scenes it was trained on, for messages."""
+        return f"{self.split} of {', '.join(self.scenes)}"
+
+    @property
     def inputs(self) -> int:
         """Number of values in an observation."""
         return size_of(self.observation, self.rays)

@@ -123,7 +123,7 @@ def test_observed_speeds_are_converted() -> None:
 
 def test_a_policy_of_several_scenes_is_not_scored_on_them(tmp_path: Path) -> None:
     file = of_both(tmp_path)
-    with pytest.raises(SettingError, match="a network trained on full of eth-v0 and plaza-v0"):
+    with pytest.raises(SettingError, match="a network trained on full of eth-v0, plaza-v0"):
         evaluate(
             "plaza-v0",
             spawn="poisson-gmm",

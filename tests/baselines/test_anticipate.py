@@ -9,15 +9,8 @@ from given import Given
 from worlds import Person, square
 
 from baselines import anticipate
-from baselines.anticipate import (
-    ABREAST_M,
-    LOOK_S,
-    NOISE,
-    Guide,
-    Sampler,
-    Walker,
-    mirrored,
-)
+from baselines.anticipate import mirrored
+from baselines.anticipation import ABREAST_M, LOOK_S, NOISE, Guide, Sampler, Walker
 from crowdbench.evaluation.validation import validate
 from crowdbench.policies import OnnxPolicy, Straight
 from crowdbench.rollouts.episode import begin

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from baselines.anticipate import Settings, Walker
+from baselines.anticipate import Settings
+from baselines.anticipation import Walker
 from crowdbench.leaderboard.submission.schema import Declared
 from crowdbench.leaderboard.submission.submission import open_submission
 from crowdbench.leaderboard.submission.template import _parameters

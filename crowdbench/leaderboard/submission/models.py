@@ -91,7 +91,7 @@ def _seen_too_much(name: str, card: PolicyCard, declared: Declared) -> Iterator[
     else:
         expected = "one trained on no recording of the submission's scenes"
         hint = 'Train one on other scenes, or one for each fold with training.protocol "heldout".'
-    got = f"a network trained on {card.split} of {' and '.join(card.scenes)}"
+    got = f"a network trained on {card.trained_on}"
     yield RefusedError(name, got=got, expected=expected, hint=hint)
 
 

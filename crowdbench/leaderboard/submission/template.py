@@ -107,7 +107,7 @@ def start_submission(
     if one and set(one.scenes) & set(chosen):
         raise SettingError(
             "--policy",
-            got=f"a network trained on {one.split} of {' and '.join(one.scenes)}",
+            got=f"a network trained on {one.trained_on}",
             expected=f"a folder with one network per fold, or a file trained on none of "
             f"{', '.join(chosen)}",
             hint="Use --scene to choose other scenes.",

@@ -1,0 +1,333 @@
+"""The policy that `baselines.anticipate` trains: what it sees, its network and its guide."""
+
+import logging
+import math
+import warnings
+from dataclasses import astuple, dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from baselines.packages import needs
+from crowdbench import Scene
+from crowdbench.policies.memory import Memory
+from crowdbench.simulation import social
+from crowdbench.simulation.free_space import REACH_M
+from crowdbench.spawn.plans import VISIT_M
+
+with needs("fit", __name__):
+    import torch
+    from torch import Tensor, nn
+
+OBSERVATION = "social-1"
+COMPONENTS = 10
+CANDIDATES = 12
+NOISE = 3 * CANDIDATES + 1
+"""Normal numbers per decision: of each candidate, one chooses the component and two the deviation;
+the last one chooses the candidate."""
+WALKING_MPS = 1.3
+"""Speed that velocities are divided by."""
+NARROWEST_MPS = 0.01
+"""Lower limit of standard deviations. With a smaller one, people who keep their velocity exactly,
+as between two annotations, would dominate the likelihood."""
+NEAR_M, CLOSE_M = 3.0, 1.0
+"""Length scales of near targets and of near people."""
+JITTER_MPS = 0.1
+"""Scale of jitter."""
+SOON_S, LATE_S = 5.0, 30.0
+"""Time scales of waits that end soon, and of being early or late."""
+HORIZON_S = 8.0
+"""The guide anticipates this time."""
+LOOK_S, WALLS_M = 1.5, 1.5
+"""Walls count where the person is after this time; at this distance or more they cost nothing."""
+ABREAST_M = 1.2
+"""Companions at this distance or less cost nothing."""
+KERNEL_M = 0.4
+"""Width of the kernel that interpolates between probes."""
+
+
+@dataclass(frozen=True)
+class Guide:
+    """Settings of the sampling.
+
+    Those in `GRID` of `baselines.anticipate` are chosen on the training blocks, the others are the
+    same everywhere.
+    """
+
+    jitter: float = 0.1
+    """Standard deviation of the jitter that the network is told of, m/s."""
+    width: float = 1.0
+    """Factor of the standard deviations of the mixture."""
+    avoid: float = 16.0
+    """Weight of close passes: the sum of max(0, 1 − d / `apart`) over strangers, where d is the
+    smallest distance within `HORIZON_S`."""
+    apart: float = 1.0
+    """Passing strangers at this distance in metres or more costs nothing."""
+    wall: float = 6.0
+    """Weight of walls: max(0, 1 − d / `WALLS_M`), where d is the distance to walls and bounds from
+    where the person is after `LOOK_S`. It decreases to 0 from `NEAR_M` to the target, because many
+    stops and goals are at walls."""
+    delay: float = 1.0
+    """Weight of delay: max(0, 1 − v / v*), where v is the speed along the way and v* the preferred
+    speed; at most 1, and 0 at a stop."""
+    home: float = 5.0
+    """Weight of the distance in metres at which a target nearer than `NEAR_M` is passed."""
+    keep: float = 4.0
+    """Weight of the distance in metres beyond `ABREAST_M` at which companions are after `LOOK_S`,
+    their mean."""
+    resume: float = 4.0
+    """Cost of the velocity that the plan asks for, besides all other costs."""
+
+    def tensor(self) -> Tensor:
+        """The nine numbers."""
+        return torch.tensor(astuple(self), dtype=torch.float32)
+
+
+PLAIN = Guide(
+    jitter=0.0, avoid=0.0, wall=0.0, delay=0.0, home=0.0, keep=0.0, resume=1e3
+)  # fmt: skip
+"""No guide."""
+
+
+class Perception(nn.Module):
+    """Features of the observation `social-1`, scaled to about −1 to 1."""
+
+    OWN, OTHER, CODE = 46, 10, 32
+
+    def __init__(self, max_speed_mps: float) -> None:
+        super().__init__()
+        self.max_speed_mps = max_speed_mps
+        self.others = nn.Sequential(
+            nn.Linear(self.OTHER, self.CODE), nn.SiLU(), nn.Linear(self.CODE, self.CODE), nn.SiLU()
+        )
+        self.size = self.OWN + 2 * self.CODE
+
+    def forward(self, seen: Tensor, jitter: Tensor) -> Tensor:
+        """Features (A, size) of observations (A, 102) with jitter (A, 1), m/s."""
+        scale = self.max_speed_mps / WALKING_MPS
+        velocity, speed = scale * seen[:, social.VELOCITY], scale * seen[:, social.PREFERRED_SPEED]
+        way, length = seen[:, social.ROUTE_DIRECTION], seen[:, social.ROUTE_LENGTH]
+        length_m = _length_m(seen)
+        near = (length_m / NEAR_M).clamp(max=1)
+        stop, wait = seen[:, social.STOP], seen[:, social.WAIT_LEFT]
+        age, walked = seen[:, social.AGE], seen[:, social.WALKED]
+        # Whether somebody is early or late: the time that the whole way takes, less the age.
+        whole_s = (walked * social.WALKED_M + length_m) / (WALKING_MPS * speed.clamp(min=0.1))
+        late = ((whole_s - age * social.AGE_S) / LATE_S).clamp(-1, 1)
+        own = [
+            velocity, way * speed - velocity, way, near * way, near, length, speed, stop,
+            stop * (1 - near), wait, (wait * social.WAIT_S / SOON_S).clamp(max=1), age,
+            walked, seen[:, social.STOOD], late, velocity.norm(dim=1, keepdim=True),
+            1 - seen[:, social.PROBES], jitter / JITTER_MPS,
+        ]  # fmt: skip
+        other = social.neighbours_of(seen)
+        offset_m = other[..., social.OFFSET] * social.RANGE_M
+        distance_m = offset_m.norm(dim=-1, keepdim=True)
+        here = other[..., social.PRESENT]
+        code = here * self.others(torch.cat([
+            offset_m / NEAR_M, scale * other[..., social.APPROACH],
+            torch.exp(-distance_m / CLOSE_M), other[..., social.PASS_TIME],
+            other[..., social.PASS_DISTANCE],
+            (1 - other[..., social.PASS_DISTANCE]) * (1 - other[..., social.PASS_TIME]),
+            other[..., social.COMPANION], here,
+        ], dim=-1))  # fmt: skip
+        return torch.cat([*own, code.sum(dim=1), code.amax(dim=1)], dim=1)
+
+
+class Walker(nn.Module):
+    """Mixture of Gaussians of the next velocity, in units of the maximum speed."""
+
+    def __init__(self, max_speed_mps: float, hidden: int) -> None:
+        super().__init__()
+        self.perception = Perception(max_speed_mps)
+        self.layers = nn.Sequential(
+            nn.Linear(self.perception.size, hidden), nn.SiLU(), nn.Linear(hidden, hidden),
+            nn.SiLU(), nn.Linear(hidden, 5 * COMPONENTS),
+        )  # fmt: skip
+        self.unit = WALKING_MPS / max_speed_mps
+        self.narrowest = math.log(NARROWEST_MPS / WALKING_MPS)
+
+    def forward(self, seen: Tensor, jitter: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Means, standard deviations (A, K, 2) and log weights (A, K) of the components."""
+        p = self.layers(self.perception(seen, jitter)).unflatten(1, (COMPONENTS, 5))
+        mean = seen[:, None, social.VELOCITY] + self.unit * p[..., :2]
+        std = self.unit * (p[..., 2:4] - 2.0).clamp(self.narrowest, 1.0).exp()
+        return mean, std, torch.log_softmax(p[..., 4], dim=1)
+
+    def log_prob(self, seen: Tensor, jitter: Tensor, did: Tensor) -> Tensor:
+        """Log-densities (A,) of actions (A, 2), in units of the walking speed."""
+        mean, std, log_weight = self(seen, jitter)
+        z = (did[:, None] - mean) / std
+        each = -(0.5 * z * z + (std / self.unit).log()).sum(dim=2) - math.log(2 * math.pi)
+        return torch.logsumexp(each + log_weight, dim=1)
+
+
+def _chosen(weight: Tensor, normal: Tensor) -> Tensor:
+    """Indices (A, n) drawn with weights (A, K) that sum to 1, by normal numbers (A, n)."""
+    uniform = 0.5 * (1 + torch.erf(normal / math.sqrt(2)))
+    below = torch.cumsum(weight, dim=1)[:, None] < uniform[..., None]
+    return below.sum(dim=2).clamp(max=weight.shape[1] - 1)
+
+
+def _taken(of: Tensor, at: Tensor) -> Tensor:
+    """Vectors (A, n, 2) of (A, K, 2) at indices (A, n)."""
+    return of.gather(1, at[..., None].expand(-1, -1, 2))
+
+
+def _length_m(seen: Tensor) -> Tensor:
+    """Remaining lengths (A, 1) of the ways to the targets, metres."""
+    return seen[:, social.ROUTE_LENGTH] * social.ROUTE_RANGE_M
+
+
+def _at_stop(seen: Tensor) -> Tensor:
+    """1 for people who are at the stop they walk to, else 0 (A, 1)."""
+    return seen[:, social.STOP] * (_length_m(seen) < VISIT_M).float()
+
+
+class Sampler(nn.Module):
+    """Draws actions (A, 2) with observations (A, 102) and normal numbers (A, 37).
+
+    One of 13 candidates is drawn by the costs of the guide: 12 of the network, and `planned`.
+    """
+
+    probes: Tensor
+    weights: Tensor
+
+    def __init__(self, walker: Walker, guide: Guide) -> None:
+        super().__init__()
+        self.walker = walker
+        self.register_buffer("probes", torch.tensor(social.PROBE_POINTS, dtype=torch.float32))
+        self.register_buffer("weights", guide.tensor())
+
+    def forward(self, seen: Tensor, noise: Tensor, weights: Tensor | None = None) -> Tensor:
+        """Sampled actions (A, 2). `weights` (9,) replace those of the guide."""
+        chosen = self.weights if weights is None else weights
+        jitter, width, avoid, apart, wall, delay, home, keep, resume = chosen.unbind()
+        one = torch.ones_like(seen[:, :1])
+        mean, std, log_weight = self.walker(seen, jitter * one)
+        drawn = noise[:, :-1].unflatten(1, (CANDIDATES, 3))
+        at = _chosen(log_weight.exp(), drawn[..., 0])
+        actions = _taken(mean, at) + width * _taken(std, at) * drawn[..., 1:]
+        actions = actions / actions.norm(dim=2, keepdim=True).clamp(min=1)
+        actions = torch.cat([actions, self.planned(seen)], dim=1)
+        cost = avoid * self.passes(seen, actions, apart) + wall * self.walls(seen, actions)
+        cost = cost + delay * self.delays(seen, actions) + home * self.misses(seen, actions)
+        cost = cost + keep * self.partings(seen, actions)
+        cost = cost + torch.cat([torch.zeros_like(drawn[..., 0]), resume * one], dim=1)
+        return _taken(actions, _chosen(torch.softmax(-cost, dim=1), noise[:, -1:]))[:, 0]
+
+    @property
+    def max_speed_mps(self) -> float:
+        """The unit of velocities."""
+        return self.walker.perception.max_speed_mps
+
+    def planned(self, seen: Tensor) -> Tensor:
+        """Velocities (A, 1, 2) along the way at the preferred speed; none at a stop."""
+        speed = seen[:, social.PREFERRED_SPEED] * (1 - _at_stop(seen))
+        return (speed * seen[:, social.ROUTE_DIRECTION])[:, None]
+
+    def passes(self, seen: Tensor, actions: Tensor, apart: Tensor) -> Tensor:
+        """Sum of the nearness of strangers who are passed (A, n), of candidates (A, n, 2).
+
+        Squares are expanded, so that the vectors to 8 people for 12 candidates are never written.
+        """
+        other = social.neighbours_of(seen)  # (A, 8, 8)
+        here, companion = other[..., social.PRESENT], other[..., social.COMPANION]
+        offset = other[..., social.OFFSET] * social.RANGE_M
+        theirs = other[..., social.APPROACH] + seen[:, None, social.VELOCITY]
+        theirs, own = self.max_speed_mps * theirs, self.max_speed_mps * actions
+        along = own @ torch.cat([offset, theirs], dim=1).transpose(1, 2)  # (A, n, 16)
+        squared = torch.cat([offset * theirs, offset * offset, theirs * theirs], dim=1).sum(dim=2)[
+            :, None
+        ]  # (A, 1, 24)
+        strangers = offset.shape[1]
+        with_offset, with_theirs = along.split(strangers, dim=2)
+        approaching, far, fast = squared.split(strangers, dim=2)
+        closing = with_offset - approaching  # −offset · approach
+        speed = fast - 2 * with_theirs + own.square().sum(dim=2, keepdim=True)
+        time_s = (closing / speed.clamp(min=1e-6)).clamp(min=0).clamp(max=HORIZON_S)
+        passed_m = (far + time_s * (time_s * speed - 2 * closing)).clamp(min=0).sqrt()
+        counted = (here * (1 - companion)).transpose(1, 2)
+        return (counted * (1 - passed_m / apart).clamp(min=0)).sum(dim=2)
+
+    def partings(self, seen: Tensor, actions: Tensor) -> Tensor:
+        """Mean distance (A, n) in metres by which companions are farther than `ABREAST_M`."""
+        other = social.neighbours_of(seen)
+        companion = other[..., social.COMPANION]  # (A, 8, 1)
+        theirs = other[..., social.APPROACH] + seen[:, None, social.VELOCITY]
+        after = other[..., social.OFFSET] * social.RANGE_M + LOOK_S * self.max_speed_mps * theirs
+        own = LOOK_S * self.max_speed_mps * actions
+        squared = own.square().sum(dim=2, keepdim=True) - 2 * own @ after.transpose(1, 2)
+        squared = squared + after.square().sum(dim=2)[:, None]  # (A, n, 8)
+        beyond = (squared.clamp(min=0).sqrt() - ABREAST_M).clamp(min=0)
+        number = companion.sum(dim=1).clamp(min=1)  # (A, 1)
+        return (beyond @ companion)[..., 0] / number
+
+    def walls(self, seen: Tensor, actions: Tensor) -> Tensor:
+        """Nearness of walls (A, n), from 0 to 1, interpolated between the probes.
+
+        It counts less near the target.
+        """
+        after = LOOK_S * self.max_speed_mps * actions
+        off = after.square().sum(dim=2, keepdim=True) - 2 * after @ self.probes.T
+        kernel = torch.exp((off + self.probes.square().sum(dim=1)) * (-0.5 / KERNEL_M**2)) + 1e-6
+        free = seen[:, social.PROBES, None]
+        weighed = kernel @ torch.cat([free, torch.ones_like(free)], dim=2)  # (A, n, 2)
+        free_m = weighed[..., 0] / weighed[..., 1] * REACH_M
+        near = (_length_m(seen) / NEAR_M).clamp(max=1)
+        return near * (1 - free_m / WALLS_M).clamp(min=0)
+
+    def delays(self, seen: Tensor, actions: Tensor) -> Tensor:
+        """Lack of speed (A, n) along the way, relative to the preferred speed, from 0 to 1."""
+        along = (seen[:, None, social.ROUTE_DIRECTION] * actions).sum(dim=2)
+        slower = 1 - along / seen[:, social.PREFERRED_SPEED].clamp(min=0.1 / self.max_speed_mps)
+        return slower.clamp(0, 1) * (1 - _at_stop(seen))
+
+    def misses(self, seen: Tensor, actions: Tensor) -> Tensor:
+        """Distance (A, n) in metres at which a near target is passed straight on."""
+        length_m = _length_m(seen)
+        target = (length_m * seen[:, social.ROUTE_DIRECTION])[:, None]
+        velocity = self.max_speed_mps * actions
+        ahead = (target * velocity).sum(dim=2) / velocity.square().sum(dim=2).clamp(min=1e-2)
+        missed_m = (target - ahead.clamp(min=0)[..., None] * velocity).norm(dim=2)
+        return missed_m * (length_m < NEAR_M).float()
+
+
+class InProcess:
+    """A sampler as a policy whose guide can be changed, for training."""
+
+    name = "anticipate"
+    sees: ClassVar[Literal["observation"]] = "observation"
+    many_worlds: ClassVar[bool] = True
+    observation = OBSERVATION
+    noise = NOISE
+
+    def __init__(self, sampler: Sampler, interval: int) -> None:
+        import onnxruntime
+
+        self.interval, self.weights = interval, sampler.weights.numpy()
+        fed = (torch.rand(7, social.SIZE), torch.randn(7, NOISE), sampler.weights)
+        persons = torch.export.Dim("A", min=1)
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of unused packages
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # torch warns of its own deprecations
+            program = torch.onnx.export(
+                sampler.eval(), fed, dynamo=True, verbose=False,
+                input_names=["seen", "noise", "weights"],
+                dynamic_shapes=({0: persons}, {0: persons}, None),
+            )  # fmt: skip
+        assert program is not None
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        self.session = onnxruntime.InferenceSession(
+            program.model_proto.SerializeToString(), options, providers=["CPUExecutionProvider"]
+        )
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Begin an episode; the noise is drawn by the rollout."""
+
+    def act(self, seen: np.ndarray, memory: Memory) -> np.ndarray:
+        """Actions (A, 2) of observations (A, 102)."""
+        fed = {"seen": seen, "noise": memory.noise, "weights": self.weights}
+        acted: np.ndarray = self.session.run(None, fed)[0]
+        return acted
