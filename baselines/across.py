@@ -15,7 +15,7 @@ from pathlib import Path
 
 from baselines.packages import needs
 from crowdbench import load_scene, registry
-from crowdbench.errors import CrowdbenchError
+from crowdbench.errors import CrowdbenchError, SettingError
 from crowdbench.evaluation.evaluate import evaluate  # without its report
 from crowdbench.evaluation.parallel import call_each, checked_workers
 from crowdbench.report.text.markdown import table
@@ -94,6 +94,12 @@ def command_line() -> argparse.ArgumentParser:
 
 def commands_of(scenes: Sequence[str], out: Path) -> list[Command]:
     """The trainings without each scene, and the one with all."""
+    if len(set(scenes)) < 3:
+        raise SettingError(
+            "--scenes",
+            got=" ".join(scenes),
+            expected="three or more: two to train on, and one that is left out",
+        )
     found = []
     for left_out in (*scenes, None):
         given = ["--scenes", *scenes] + ([] if left_out is None else ["--leave-out", left_out])

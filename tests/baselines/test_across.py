@@ -207,3 +207,8 @@ def test_what_is_missing_is_said_before_the_trainings(
     arguments = ["--scenes", "eth-v0", "hotel-v0", "zara1-v0", "--out", str(tmp_path / "out")]
     assert across.main(arguments) == 2
     assert "baselines.across: recording eth: got no imported table" in capsys.readouterr().err
+
+
+def test_fewer_than_three_scenes_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert across.main(["--scenes", "eth-v0", "hotel-v0"]) == 2
+    assert "--scenes: got eth-v0 hotel-v0; expected three or more" in capsys.readouterr().err

@@ -164,3 +164,8 @@ def test_the_command_draws_and_measures_each_kind(
 def test_a_scene_without_encounters_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("crowdbench.studies.encounters.typical_encounters", lambda *of: [])
     assert main(["encounters", "plaza-v0", "--policy", "straight"]) == 2
+
+
+def test_a_negative_seed_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["encounters", "plaza-v0", "--policy", "straight", "--seed", "-1"]) == 2
+    assert "seed: got -1; expected 0 or more" in capsys.readouterr().err

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from crowdbench.errors import RecordingError
+from crowdbench.errors import RecordingError, SettingError
 from crowdbench.evaluation.references import reference_of
 from crowdbench.files import replacing, write_json
 from crowdbench.registry import policy_source, recording_of
@@ -36,9 +36,12 @@ def write_encounters(
 
     Raises:
         RecordingError: the recording has not been imported, or has no encounter.
-        SceneError, SettingError, WeightsError: the scene or the policy does not exist.
+        SceneError, SettingError, WeightsError: the scene or the policy does not exist, or the seed
+            is negative.
         OutputError: `out` cannot be written.
     """
+    if seed < 0:
+        raise SettingError("seed", got=str(seed), expected="0 or more")
     place = load_scene(scene)
     source = policy_source(policy, place)
     crowd = with_companions(recording_of(place))
