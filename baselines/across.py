@@ -144,4 +144,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # Worker processes find functions in modules that they can import, which `__main__` is not.
+    from baselines.across import main as imported_main
+
+    sys.exit(imported_main())

@@ -1,6 +1,7 @@
 """The commands of the baselines say what is wrong before they train anything."""
 
 import importlib
+import runpy
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -114,3 +115,13 @@ def test_every_option_is_told(name: str) -> None:
     assert [a.dest for a in parser._actions if not a.help] == []
     assert "%(" not in parser.format_help()
     assert "(default: results/" in parser.format_help()
+
+
+@pytest.mark.parametrize("name", ["ablation", "across"])
+def test_scripts_call_what_worker_processes_can_import(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = importlib.import_module(f"baselines.{name}")
+    monkeypatch.setattr(module, "main", lambda: 7)
+    with pytest.raises(SystemExit, match="7"):
+        runpy.run_path(str(module.__file__), run_name="__main__")
