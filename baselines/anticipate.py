@@ -132,6 +132,9 @@ GRID: Mapping[str, tuple[float, ...]] = {
 }
 """Values that are tried, one setting after the other, in this order. There are two passes, because
 the best value of one setting depends on the others."""
+ROOM = (0.0, 4.0, 8.0, 16.0)
+"""Values of `room` that are tried at last. The one is chosen for which companions are as far apart
+as recorded ones, because *walk* is blind to them."""
 TRIED_ON_SEVERAL = ("avoid", "wall")
 """The settings that are chosen if there are several scenes, on which each choice takes longer."""
 BOTH = 0.1
@@ -290,30 +293,43 @@ def guided(
     """Choose the guide by the walk score on the training blocks, one setting after the other.
 
     Of several scenes, the mean score counts. Since *walk* is the lesser of two families, it is
-    blind to the other one; therefore `BOTH` times the mean of both is added. `fixed` settings keep
-    their values.
+    blind to the other one; therefore `BOTH` times the mean of both is added. At last `room` is
+    chosen by the distances of companions. `fixed` settings keep their values.
     """
-    guide = replace(Guide(), jitter=min(Guide.jitter, settings.jitter_mps), **fixed)
+    known = {"jitter": min(Guide.jitter, settings.jitter_mps), **fixed}
+    guide = replace(Guide(), **known)
     tried: dict[Guide, float] = {}
     policy = InProcess(sampler, interval)
     validators = [Validator(scene, split) for scene in scenes]
     people = settings.people / len(scenes)
     rollouts = [math.ceil(people / max(1, len(registry.recording_of(scene)))) for scene in scenes]
+
+    def validated(one: Guide) -> list[Validation]:
+        policy.weights = one.tensor().numpy()
+        return [v.validate(policy, rollouts=n) for v, n in zip(validators, rollouts, strict=True)]
+
     names = GRID if len(scenes) == 1 else TRIED_ON_SEVERAL
     for name in 2 * [name for name in GRID if name in names and name not in fixed]:
         for one in (replace(guide, **{name: value}) for value in GRID[name]):
             if one in tried or one.jitter > settings.jitter_mps:  # not trained with as much
                 continue
-            policy.weights = one.tensor().numpy()
-            found = [
-                v.validate(policy, rollouts=n) for v, n in zip(validators, rollouts, strict=True)
-            ]
+            found = validated(one)
             walk = float(np.mean([each.walk for each in found]))
             families = [float(np.mean(list(each.families.values()))) for each in found]
             tried[one] = walk + BOTH * float(np.mean(families))
             print(f"{split}: {one}: walk {walk:.3f} ({_parts(scenes, found)})", flush=True)
         guide = max(tried, key=lambda g: tried[g])
-    return guide
+    off: dict[Guide, float] = {}
+    for one in (replace(guide, room=value) for value in ROOM if "room" not in fixed):
+        found = validated(one)
+        off[one] = float(np.mean([abs(math.log(v.companions)) for v in found]))
+        print(f"{split}: {one}: companions apart {_apart(scenes, found)}", flush=True)
+    return min(off, key=lambda g: off[g], default=guide)
+
+
+def _apart(scenes: Sequence[Scene], found: Sequence[Validation]) -> str:
+    """How far apart companions are, relative to the recorded ones."""
+    return ", ".join(f"{s.id} {v.companions:.2f}" for s, v in zip(scenes, found, strict=True))
 
 
 def _parts(scenes: Sequence[Scene], found: Sequence[Validation]) -> str:

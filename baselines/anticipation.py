@@ -42,6 +42,8 @@ LOOK_S, WALLS_M = 1.5, 1.5
 """Walls count where the person is after this time; at this distance or more they cost nothing."""
 ABREAST_M = 1.2
 """Companions at this distance or less cost nothing."""
+ARM_M = 0.7
+"""Companions who are nearer are too near."""
 KERNEL_M = 0.4
 """Width of the kernel that interpolates between probes."""
 
@@ -77,9 +79,12 @@ class Guide:
     their mean."""
     resume: float = 4.0
     """Cost of the velocity that the plan asks for, besides all other costs."""
+    room: float = 0.0
+    """Weight of the distance in metres by which companions are nearer than `ARM_M` after `LOOK_S`,
+    their mean."""
 
     def tensor(self) -> Tensor:
-        """The nine numbers."""
+        """The ten numbers."""
         return torch.tensor(astuple(self), dtype=torch.float32)
 
 
@@ -200,9 +205,9 @@ class Sampler(nn.Module):
         self.register_buffer("weights", guide.tensor())
 
     def forward(self, seen: Tensor, noise: Tensor, weights: Tensor | None = None) -> Tensor:
-        """Sampled actions (A, 2). `weights` (9,) replace those of the guide."""
+        """Sampled actions (A, 2). `weights` (10,) replace those of the guide."""
         chosen = self.weights if weights is None else weights
-        jitter, width, avoid, apart, wall, delay, home, keep, resume = chosen.unbind()
+        jitter, width, avoid, apart, wall, delay, home, keep, resume, room = chosen.unbind()
         one = torch.ones_like(seen[:, :1])
         mean, std, log_weight = self.walker(seen, jitter * one)
         drawn = noise[:, :-1].unflatten(1, (CANDIDATES, 3))
@@ -212,7 +217,7 @@ class Sampler(nn.Module):
         actions = torch.cat([actions, self.planned(seen)], dim=1)
         cost = avoid * self.passes(seen, actions, apart) + wall * self.walls(seen, actions)
         cost = cost + delay * self.delays(seen, actions) + home * self.misses(seen, actions)
-        cost = cost + keep * self.partings(seen, actions)
+        cost = cost + self.partings(seen, actions, keep, room)
         cost = cost + torch.cat([torch.zeros_like(drawn[..., 0]), resume * one], dim=1)
         return _taken(actions, _chosen(torch.softmax(-cost, dim=1), noise[:, -1:]))[:, 0]
 
@@ -250,8 +255,8 @@ class Sampler(nn.Module):
         counted = (here * (1 - companion)).transpose(1, 2)
         return (counted * (1 - passed_m / apart).clamp(min=0)).sum(dim=2)
 
-    def partings(self, seen: Tensor, actions: Tensor) -> Tensor:
-        """Mean distance (A, n) in metres by which companions are farther than `ABREAST_M`."""
+    def partings(self, seen: Tensor, actions: Tensor, keep: Tensor, room: Tensor) -> Tensor:
+        """Mean cost (A, n) of companions who are too far or too near."""
         other = social.neighbours_of(seen)
         companion = other[..., social.COMPANION]  # (A, 8, 1)
         theirs = other[..., social.APPROACH] + seen[:, None, social.VELOCITY]
@@ -259,9 +264,10 @@ class Sampler(nn.Module):
         own = LOOK_S * self.max_speed_mps * actions
         squared = own.square().sum(dim=2, keepdim=True) - 2 * own @ after.transpose(1, 2)
         squared = squared + after.square().sum(dim=2)[:, None]  # (A, n, 8)
-        beyond = (squared.clamp(min=0).sqrt() - ABREAST_M).clamp(min=0)
+        distance_m = squared.clamp(min=0).sqrt()
+        too_far, too_near = (distance_m - ABREAST_M).clamp(min=0), (ARM_M - distance_m).clamp(min=0)
         number = companion.sum(dim=1).clamp(min=1)  # (A, 1)
-        return (beyond @ companion)[..., 0] / number
+        return ((keep * too_far + room * too_near) @ companion)[..., 0] / number
 
     def walls(self, seen: Tensor, actions: Tensor) -> Tensor:
         """Nearness of walls (A, n), from 0 to 1, interpolated between the probes.

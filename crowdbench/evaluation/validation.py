@@ -15,6 +15,7 @@ from crowdbench.errors import SettingError
 from crowdbench.evaluation.judge import FINISHED
 from crowdbench.evaluation.references import reference_of
 from crowdbench.metrics import WALK
+from crowdbench.metrics.groups import CompanionDistance
 from crowdbench.metrics.metric import in_blocks
 from crowdbench.metrics.motion import Speed
 from crowdbench.policies import Policy, Straight
@@ -46,6 +47,8 @@ class Validation:
     """The same in the recording."""
     at_goal: float
     """Share of those who finished their trips, in all blocks, who reached the goal."""
+    companions: float
+    """Mean distance of companions, relative to that of recorded ones; NaN without companions."""
     passes: bool
     """Whether speed and arrivals are within the limits of the scene's gate. The standard is the
     recording, where all reach their goals."""
@@ -110,7 +113,7 @@ class Validator:
         walker = registry.policy(policy, place, self.split)
         seeds = [_SEEDS + k for k in range(rollouts)]
         crowds = roll_out(place, [arrivals] * rollouts, walker, seeds=seeds)
-        distances, speed, recorded = self._compared(crowds)
+        distances, speed, recorded, companions = self._compared(crowds)
         anchor = self._anchor
         scores = {
             name: max(LOWEST, 1 - d / anchor[name])
@@ -125,32 +128,38 @@ class Validator:
         ended = np.sum([np.bincount(c.outcome, minlength=len(OUTCOMES)) for c in crowds], axis=0)
         at_goal = float(ended[FINISHED[0]] / max(1, ended[list(FINISHED)].sum()))
         passes = abs(speed / recorded - 1) <= place.gate.speed and at_goal >= place.gate.arrivals
-        return Validation(scores, families, speed, recorded, at_goal, passes)
+        return Validation(scores, families, speed, recorded, at_goal, companions, passes)
 
-    def _compared(self, crowds: list[Trajectories]) -> tuple[dict[str, float], float, float]:
+    def _compared(self, crowds: list[Trajectories]) -> tuple[dict[str, float], float, float, float]:
         return _compared(self.scene, self._reference, self.split, crowds)
 
 
 def _compared(
     scene: Scene, reference: Reference, split: str, crowds: list[Trajectories]
-) -> tuple[dict[str, float], float, float]:
+) -> tuple[dict[str, float], float, float, float]:
     """Compare crowds with the recording in the training blocks.
 
-    Returns the mean distance in each scored metric of walking, and the mean walking speeds of the
-    crowds and of the recording, m/s.
+    Returns the mean distance in each scored metric of walking, the mean walking speeds of the
+    crowds and of the recording, m/s, and the distance of companions relative to the recorded one.
     """
     inside = reference.blocks.in_training(split)
-    blocks, speed, areas = reference.blocks.take(inside), Speed(), read_areas(scene)
+    blocks, areas = reference.blocks.take(inside), read_areas(scene)
+    speed, together = Speed(), CompanionDistance()
     walking = [m for m in reference.metrics if m.family in WALK]
     scored = [m for m in walking if m.name in scene.protocol.scored and m.applies(blocks)]
+    walking += [m for m in reference.metrics if m.name == together.name]
     recorded = {m.name: in_blocks(reference.statistics[m.name], inside) for m in walking}
     distances: dict[str, list[float]] = {m.name: [] for m in scored}
-    speeds = []
+    speeds, apart = [], []
     for crowd in crowds:
         seen = summarise(areas.assign(crowd), reference.blocks, reference.place, walking)
         here = {name: in_blocks(statistics, inside) for name, statistics in seen.items()}
         for m in scored:
             distances[m.name].append(m.compare(recorded[m.name], here[m.name], blocks).distance)
         speeds.append(speed.walking_mps(here[speed.name]) or 0.0)
+        if together.name in here:
+            result = together.compare(recorded[together.name], here[together.name], blocks)
+            apart.append(result.simulated / result.recorded)
     mean = {name: float(np.mean(each)) for name, each in distances.items()}
-    return mean, float(np.mean(speeds)), speed.walking_mps(recorded[speed.name]) or np.nan
+    recorded_mps = speed.walking_mps(recorded[speed.name]) or np.nan
+    return mean, float(np.mean(speeds)), recorded_mps, float(np.mean(apart)) if apart else np.nan

@@ -1,5 +1,7 @@
 """Walkers that anticipate: the guide, the mirrored samples, and a file that does the same."""
 
+import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,7 @@ from worlds import Person, square
 
 from baselines import anticipate
 from baselines.anticipate import mirrored
-from baselines.anticipation import ABREAST_M, LOOK_S, NOISE, Guide, Sampler, Walker
+from baselines.anticipation import ABREAST_M, ARM_M, LOOK_S, NOISE, Guide, Sampler, Walker
 from crowdbench.evaluation.validation import validate
 from crowdbench.policies import OnnxPolicy, Straight
 from crowdbench.rollouts.episode import begin
@@ -87,23 +89,40 @@ def test_walls_cost_where_the_candidate_leads(seen, sampler: Sampler) -> None:
 def test_leaving_a_companion_costs_the_distance_beyond_that_of_companions(
     seen, sampler: Sampler
 ) -> None:
-    assert not sampler.partings(meet(seen), CANDIDATES).any()  # a stranger
+
+    def partings(of: torch.Tensor) -> torch.Tensor:
+        return sampler.partings(of, CANDIDATES, torch.tensor(2.0), torch.tensor(0.0)) / 2
+
+    assert not partings(meet(seen)).any()  # a stranger
     walks = meet(seen, companion=True)
     ahead = walks[:, social.NEIGHBOURS.start + social.APPROACH.start]
     ahead[:] = 0.0  # the companion walks as fast, 3 m ahead
-    costs = sampler.partings(walks, CANDIDATES)[0].numpy()
+    costs = partings(walks)[0].numpy()
     gap = np.array([3.0, 0.0]) + LOOK_S * 5.0 * (CANDIDATES[0, 0] - CANDIDATES[0]).numpy()
     np.testing.assert_allclose(costs, np.hypot(*gap.T) - ABREAST_M, atol=1e-4)
     beside = walks.clone()
     beside[:, social.NEIGHBOURS.start + social.OFFSET.start] = 0.8 / social.RANGE_M
-    assert sampler.partings(beside, CANDIDATES)[0, 0] == 0.0
+    assert partings(beside)[0, 0] == 0.0
     both = walks.clone()  # another companion beside the person halves the mean
     second = both[:, social.NEIGHBOURS.start + social.FEATURES :]
     second[:, social.OFFSET.start] = 0.8 / social.RANGE_M
     second[:, social.COMPANION] = second[:, social.PRESENT] = 1.0
-    assert sampler.partings(both, CANDIDATES)[0, 0] == pytest.approx(
-        (3.0 - ABREAST_M) / 2, abs=1e-4
+    assert partings(both)[0, 0] == pytest.approx((3.0 - ABREAST_M) / 2, abs=1e-4)
+
+
+def test_companions_who_come_too_near_cost_what_they_lack_in_distance(
+    seen, sampler: Sampler
+) -> None:
+    beside = meet(seen, companion=True)
+    other = beside[:, social.NEIGHBOURS.start :]
+    other[:, social.OFFSET.start] = 0.3 / social.RANGE_M  # 0.3 m ahead, and as fast
+    other[:, social.APPROACH.start] = 0.0
+    keep, room = torch.tensor(0.0), torch.tensor(3.0)
+    assert sampler.partings(beside, CANDIDATES, keep, room)[0, 0] == pytest.approx(
+        3.0 * (ARM_M - 0.3), abs=1e-3
     )
+    other[:, social.OFFSET.start] = (ARM_M + 0.1) / social.RANGE_M
+    assert sampler.partings(beside, CANDIDATES, keep, room)[0, 0] == 0.0
 
 
 def test_missing_a_near_target_costs_its_distance(seen, sampler: Sampler) -> None:
@@ -185,13 +204,19 @@ def test_it_trains_chooses_a_guide_and_writes_a_policy_that_arrives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(anticipate, "GRID", {"avoid": (0.0, 16.0), "wall": (6.0, 18.0)})
+    monkeypatch.setattr(anticipate, "ROOM", (0.0, 16.0))
     arguments = ["--scene", "plaza-v0", "--splits", "fold1", "--steps", "800"]
     more = ["--people", "1", "--rounds", "1", "--out", str(tmp_path)]
     assert anticipate.main(arguments + more) == 0
     said = capsys.readouterr().out
     assert "round 1, held out" in said
     assert said.count(": walk ") == 3  # of 0, 16 and 18; 6 is the default of walls
-    assert "fold1: chosen: Guide(" in said
+    apart = {
+        room: abs(math.log(float(ratio)))
+        for room, ratio in re.findall(r"room=([\d.]+)\): companions apart plaza-v0 ([\d.]+)", said)
+    }
+    assert set(apart) == {"0.0", "16.0"}
+    assert re.search(rf"fold1: chosen: Guide\(.*room={min(apart, key=apart.__getitem__)}\)", said)
     policy = OnnxPolicy(tmp_path / "fold1.onnx")
     assert (policy.card.split, policy.card.interval, policy.noise) == ("fold1", 1, NOISE)
     assert "--steps 800" in policy.card.command
