@@ -113,7 +113,7 @@ def _large() -> Iterator[Figure]:
     crowds = []
     policies: list[Policy] = [Straight(), SocialForce()]
     if find_spec("onnx") and find_spec("onnxruntime"):
-        policies.append(named_policy("gail", scene))
+        policies += [named_policy(name, scene) for name in ("gail", "anticipate")]
     for policy in policies:
         rollout(scene, spawn, policy, seed=0, horizon_s=4.0, start="empty")  # compiles
         began = time.perf_counter()

@@ -42,6 +42,7 @@ NAMES = [
     "rollout of GC, straight",
     "rollout of GC, social-force",
     "rollout of GC, gail",
+    "rollout of GC, anticipate",
     "scoring a rollout of GC, all metrics",
     "import crowdbench",
 ]
