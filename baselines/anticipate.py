@@ -133,8 +133,8 @@ GRID: Mapping[str, tuple[float, ...]] = {
 """Values that are tried, one setting after the other, in this order. There are two passes, because
 the best value of one setting depends on the others."""
 ROOM = (0.0, 4.0, 8.0, 16.0)
-"""Values of `room` that are tried at last. The one is chosen for which companions are as far apart
-as recorded ones, because *walk* is blind to them."""
+"""Values of `room`, which is chosen last: by the mean distance of companions, which *walk* does not
+measure."""
 TRIED_ON_SEVERAL = ("avoid", "wall")
 """The settings that are chosen if there are several scenes, on which each choice takes longer."""
 BOTH = 0.1
@@ -293,8 +293,8 @@ def guided(
     """Choose the guide by the walk score on the training blocks, one setting after the other.
 
     Of several scenes, the mean score counts. Since *walk* is the lesser of two families, it is
-    blind to the other one; therefore `BOTH` times the mean of both is added. At last `room` is
-    chosen by the distances of companions. `fixed` settings keep their values.
+    blind to the other one; therefore `BOTH` times the mean of both is added. `room` is chosen last,
+    by the mean distance of companions. `fixed` settings keep their values.
     """
     known = {"jitter": min(Guide.jitter, settings.jitter_mps), **fixed}
     guide = replace(Guide(), **known)
@@ -322,14 +322,16 @@ def guided(
     off: dict[Guide, float] = {}
     for one in (replace(guide, room=value) for value in ROOM if "room" not in fixed):
         found = validated(one)
-        off[one] = float(np.mean([abs(math.log(v.companions)) for v in found]))
-        print(f"{split}: {one}: companions apart {_apart(scenes, found)}", flush=True)
+        off[one] = float(np.mean([abs(math.log(v.companion_distance)) for v in found]))
+        print(f"{split}: {one}: companion distance {_apart(scenes, found)}", flush=True)
     return min(off, key=lambda g: off[g], default=guide)
 
 
 def _apart(scenes: Sequence[Scene], found: Sequence[Validation]) -> str:
-    """How far apart companions are, relative to the recorded ones."""
-    return ", ".join(f"{s.id} {v.companions:.2f}" for s, v in zip(scenes, found, strict=True))
+    """The mean distance of companions in each scene, divided by the recorded one."""
+    return ", ".join(
+        f"{s.id} {v.companion_distance:.2f}" for s, v in zip(scenes, found, strict=True)
+    )
 
 
 def _parts(scenes: Sequence[Scene], found: Sequence[Validation]) -> str:

@@ -41,9 +41,9 @@ HORIZON_S = 8.0
 LOOK_S, WALLS_M = 1.5, 1.5
 """Walls count where the person is after this time; at this distance or more they cost nothing."""
 ABREAST_M = 1.2
-"""Companions at this distance or less cost nothing."""
-ARM_M = 0.7
-"""Companions who are nearer are too near."""
+"""Companions at this distance or less, down to `TOO_NEAR_M`, cost nothing."""
+TOO_NEAR_M = 0.7
+"""Companions at this distance or more, up to `ABREAST_M`, cost nothing."""
 KERNEL_M = 0.4
 """Width of the kernel that interpolates between probes."""
 
@@ -80,8 +80,8 @@ class Guide:
     resume: float = 4.0
     """Cost of the velocity that the plan asks for, besides all other costs."""
     room: float = 0.0
-    """Weight of the distance in metres by which companions are nearer than `ARM_M` after `LOOK_S`,
-    their mean."""
+    """Weight of the distance in metres by which companions are nearer than `TOO_NEAR_M` after
+    `LOOK_S`, their mean."""
 
     def tensor(self) -> Tensor:
         """The ten numbers."""
@@ -217,7 +217,7 @@ class Sampler(nn.Module):
         actions = torch.cat([actions, self.planned(seen)], dim=1)
         cost = avoid * self.passes(seen, actions, apart) + wall * self.walls(seen, actions)
         cost = cost + delay * self.delays(seen, actions) + home * self.misses(seen, actions)
-        cost = cost + self.partings(seen, actions, keep, room)
+        cost = cost + self.together(seen, actions, keep, room)
         cost = cost + torch.cat([torch.zeros_like(drawn[..., 0]), resume * one], dim=1)
         return _taken(actions, _chosen(torch.softmax(-cost, dim=1), noise[:, -1:]))[:, 0]
 
@@ -255,7 +255,7 @@ class Sampler(nn.Module):
         counted = (here * (1 - companion)).transpose(1, 2)
         return (counted * (1 - passed_m / apart).clamp(min=0)).sum(dim=2)
 
-    def partings(self, seen: Tensor, actions: Tensor, keep: Tensor, room: Tensor) -> Tensor:
+    def together(self, seen: Tensor, actions: Tensor, keep: Tensor, room: Tensor) -> Tensor:
         """Mean cost (A, n) of companions who are too far or too near."""
         other = social.neighbours_of(seen)
         companion = other[..., social.COMPANION]  # (A, 8, 1)
@@ -265,7 +265,8 @@ class Sampler(nn.Module):
         squared = own.square().sum(dim=2, keepdim=True) - 2 * own @ after.transpose(1, 2)
         squared = squared + after.square().sum(dim=2)[:, None]  # (A, n, 8)
         distance_m = squared.clamp(min=0).sqrt()
-        too_far, too_near = (distance_m - ABREAST_M).clamp(min=0), (ARM_M - distance_m).clamp(min=0)
+        too_far = (distance_m - ABREAST_M).clamp(min=0)
+        too_near = (TOO_NEAR_M - distance_m).clamp(min=0)
         number = companion.sum(dim=1).clamp(min=1)  # (A, 1)
         return ((keep * too_far + room * too_near) @ companion)[..., 0] / number
 

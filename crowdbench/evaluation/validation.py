@@ -7,6 +7,7 @@ scored on. `validate` gives the walk score of a policy on the training blocks of
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,8 +48,9 @@ class Validation:
     """The same in the recording."""
     at_goal: float
     """Share of those who finished their trips, in all blocks, who reached the goal."""
-    companions: float
-    """Mean distance of companions, relative to that of recorded ones; NaN without companions."""
+    companion_distance: float
+    """Mean distance of companions, divided by that of recorded ones. A crowd without companions
+    counts as one whose companions are 5 m apart; NaN if the scene has no statistics of them."""
     passes: bool
     """Whether speed and arrivals are within the limits of the scene's gate. The standard is the
     recording, where all reach their goals."""
@@ -97,7 +99,7 @@ class Validator:
         self._arrivals = registry.spawn_model("replay", self.scene)
         self._reference = reference_of(self.scene)
         straight = rollout(self.scene, self._arrivals, Straight(), seed=_SEEDS)
-        self._anchor = self._compared([straight])[0]
+        self._anchor = self._compared([straight]).distances
         if not any(self._anchor.values()):
             raise SettingError(
                 f"scene {self.scene.id}",
@@ -113,35 +115,48 @@ class Validator:
         walker = registry.policy(policy, place, self.split)
         seeds = [_SEEDS + k for k in range(rollouts)]
         crowds = roll_out(place, [arrivals] * rollouts, walker, seeds=seeds)
-        distances, speed, recorded, companions = self._compared(crowds)
-        anchor = self._anchor
+        found, anchor = self._compared(crowds), self._anchor
         scores = {
             name: max(LOWEST, 1 - d / anchor[name])
-            for name, d in distances.items()
+            for name, d in found.distances.items()
             if anchor[name] > 0
         }
         each: dict[str, list[float]] = {family: [] for family in WALK}
         for m in self._reference.metrics:
             if m.name in scores:
                 each[m.family].append(scores[m.name])
-        families = {family: float(np.mean(found)) for family, found in each.items() if found}
+        families = {family: float(np.mean(some)) for family, some in each.items() if some}
         ended = np.sum([np.bincount(c.outcome, minlength=len(OUTCOMES)) for c in crowds], axis=0)
         at_goal = float(ended[FINISHED[0]] / max(1, ended[list(FINISHED)].sum()))
-        passes = abs(speed / recorded - 1) <= place.gate.speed and at_goal >= place.gate.arrivals
-        return Validation(scores, families, speed, recorded, at_goal, companions, passes)
+        off = abs(found.speed_mps / found.recorded_speed_mps - 1)
+        return Validation(
+            scores,
+            families,
+            found.speed_mps,
+            found.recorded_speed_mps,
+            at_goal,
+            found.companion_distance,
+            passes=off <= place.gate.speed and at_goal >= place.gate.arrivals,
+        )
 
-    def _compared(self, crowds: list[Trajectories]) -> tuple[dict[str, float], float, float, float]:
+    def _compared(self, crowds: list[Trajectories]) -> "_Compared":
         return _compared(self.scene, self._reference, self.split, crowds)
+
+
+class _Compared(NamedTuple):
+    """Crowds beside the recording; see `Validation`."""
+
+    distances: dict[str, float]
+    """Mean distance in each scored metric of walking."""
+    speed_mps: float
+    recorded_speed_mps: float
+    companion_distance: float
 
 
 def _compared(
     scene: Scene, reference: Reference, split: str, crowds: list[Trajectories]
-) -> tuple[dict[str, float], float, float, float]:
-    """Compare crowds with the recording in the training blocks.
-
-    Returns the mean distance in each scored metric of walking, the mean walking speeds of the
-    crowds and of the recording, m/s, and the distance of companions relative to the recorded one.
-    """
+) -> _Compared:
+    """Compare crowds with the recording in the training blocks."""
     inside = reference.blocks.in_training(split)
     blocks, areas = reference.blocks.take(inside), read_areas(scene)
     speed, together = Speed(), CompanionDistance()
@@ -162,4 +177,5 @@ def _compared(
             apart.append(result.simulated / result.recorded)
     mean = {name: float(np.mean(each)) for name, each in distances.items()}
     recorded_mps = speed.walking_mps(recorded[speed.name]) or np.nan
-    return mean, float(np.mean(speeds)), recorded_mps, float(np.mean(apart)) if apart else np.nan
+    relative = float(np.mean(apart)) if apart else np.nan
+    return _Compared(mean, float(np.mean(speeds)), recorded_mps, relative)

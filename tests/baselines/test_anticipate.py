@@ -12,7 +12,7 @@ from worlds import Person, square
 
 from baselines import anticipate
 from baselines.anticipate import mirrored
-from baselines.anticipation import ABREAST_M, ARM_M, LOOK_S, NOISE, Guide, Sampler, Walker
+from baselines.anticipation import ABREAST_M, LOOK_S, NOISE, TOO_NEAR_M, Guide, Sampler, Walker
 from crowdbench.evaluation.validation import validate
 from crowdbench.policies import OnnxPolicy, Straight
 from crowdbench.rollouts.episode import begin
@@ -91,7 +91,7 @@ def test_leaving_a_companion_costs_the_distance_beyond_that_of_companions(
 ) -> None:
 
     def partings(of: torch.Tensor) -> torch.Tensor:
-        return sampler.partings(of, CANDIDATES, torch.tensor(2.0), torch.tensor(0.0)) / 2
+        return sampler.together(of, CANDIDATES, torch.tensor(2.0), torch.tensor(0.0)) / 2
 
     assert not partings(meet(seen)).any()  # a stranger
     walks = meet(seen, companion=True)
@@ -118,11 +118,11 @@ def test_companions_who_come_too_near_cost_what_they_lack_in_distance(
     other[:, social.OFFSET.start] = 0.3 / social.RANGE_M  # 0.3 m ahead, and as fast
     other[:, social.APPROACH.start] = 0.0
     keep, room = torch.tensor(0.0), torch.tensor(3.0)
-    assert sampler.partings(beside, CANDIDATES, keep, room)[0, 0] == pytest.approx(
-        3.0 * (ARM_M - 0.3), abs=1e-3
+    assert sampler.together(beside, CANDIDATES, keep, room)[0, 0] == pytest.approx(
+        3.0 * (TOO_NEAR_M - 0.3), abs=1e-3
     )
-    other[:, social.OFFSET.start] = (ARM_M + 0.1) / social.RANGE_M
-    assert sampler.partings(beside, CANDIDATES, keep, room)[0, 0] == 0.0
+    other[:, social.OFFSET.start] = (TOO_NEAR_M + 0.1) / social.RANGE_M
+    assert sampler.together(beside, CANDIDATES, keep, room)[0, 0] == 0.0
 
 
 def test_missing_a_near_target_costs_its_distance(seen, sampler: Sampler) -> None:
@@ -213,7 +213,9 @@ def test_it_trains_chooses_a_guide_and_writes_a_policy_that_arrives(
     assert said.count(": walk ") == 3  # of 0, 16 and 18; 6 is the default of walls
     apart = {
         room: abs(math.log(float(ratio)))
-        for room, ratio in re.findall(r"room=([\d.]+)\): companions apart plaza-v0 ([\d.]+)", said)
+        for room, ratio in re.findall(
+            r"room=([\d.]+)\): companion distance plaza-v0 ([\d.]+)", said
+        )
     }
     assert set(apart) == {"0.0", "16.0"}
     assert re.search(rf"fold1: chosen: Guide\(.*room={min(apart, key=apart.__getitem__)}\)", said)

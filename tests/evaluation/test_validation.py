@@ -32,7 +32,7 @@ def test_recorded_people_score_about_1_and_straight_walkers_0() -> None:
     assert recorded.walk > 0.9
     assert recorded.passes
     assert recorded.speed_mps == pytest.approx(recorded.recorded_speed_mps, rel=0.02)
-    assert recorded.companions == pytest.approx(1.0, abs=0.05)
+    assert recorded.companion_distance == pytest.approx(1.0, abs=0.05)
     straight = validate(PLAZA, Straight(), "fold1")
     assert set(straight.scores.values()) == {0.0}
     assert straight.walk == 0.0
