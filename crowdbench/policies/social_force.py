@@ -100,35 +100,31 @@ def _walk(world, position, velocity, goal, speed, segments, walls, substeps, dt,
     heading = np.zeros((size, 2))
     force = np.zeros((size, 2))
     near, count = _walls_near(position, speed, segments, dt)
+    others, begins = _people_near(world, position, speed, group, dt)
     for _ in range(substeps):
         for a in range(size):
             gx, gy = goal[a, 0] - position[a, 0], goal[a, 1] - position[a, 1]
             distance = math.sqrt(gx * gx + gy * gy)
             if distance > 0.0:
                 heading[a, 0], heading[a, 1] = gx / distance, gy / distance
-        first = 0
         for a in range(size):
-            if world[a] != world[first]:
-                first = a
             fx = (speed[a] * heading[a, 0] - velocity[a, 0]) / RELAXATION_S
             fy = (speed[a] * heading[a, 1] - velocity[a, 1]) / RELAXATION_S
             mx, my, members = 0.0, 0.0, 1  # sum of the vectors to the companions
-            b = first
-            while b < size and world[b] == world[a]:
+            for b in others[begins[a] : begins[a + 1]]:
                 rx, ry = position[a, 0] - position[b, 0], position[a, 1] - position[b, 1]
-                if b != a and group[a] >= 0 and group[a] == group[b]:
+                if group[a] >= 0 and group[a] == group[b]:
                     mx, my, members = mx - rx, my - ry, members + 1
                     r = math.sqrt(rx * rx + ry * ry)
                     if 0.0 < r < SEPARATE_M:
                         fx, fy = fx + SEPARATION * rx / r, fy + SEPARATION * ry / r
-                elif b != a and rx * rx + ry * ry < REACH_M * REACH_M:
+                elif rx * rx + ry * ry < REACH_M * REACH_M:
                     px, py = _repulsion(rx, ry, velocity[b, 0] * STEP_S, velocity[b, 1] * STEP_S)
                     toward = -(heading[a, 0] * px + heading[a, 1] * py)
                     seen = toward >= math.sqrt(px * px + py * py) * COS_OF_VIEW
                     weight = 1.0 if seen else BEHIND
                     fx += weight * px
                     fy += weight * py
-                b += 1
             away = math.sqrt(mx * mx + my * my) / members
             if away > 0.5 * (members - 1):
                 fx += GATHERING * mx / (members * away)
@@ -162,6 +158,62 @@ def _repulsion(rx, ry, sx, sy):
         return 0.0, 0.0  # same position, or on the line of the step: the direction is undefined
     strength = REPULSION / REPULSION_RANGE_M * math.exp(-b / REPULSION_RANGE_M) * both / (4.0 * b)
     return strength * (rx / r + tx / t), strength * (ry / r + ty / t)
+
+
+@njit(cache=True, error_model="numpy")
+def _people_near(world, position, speed, group, dt):
+    """The others in the same world who can act on each person in the frame, in ascending order.
+
+    Those of person a are `others[begins[a] : begins[a + 1]]`: companions, and whoever can come
+    within reach. They are found among those who are near along the x-axis.
+    """
+    size = len(world)
+    fastest = 0.0
+    for a in range(size):
+        fastest = max(fastest, speed[a])
+    by_x = np.empty(size, np.int64)
+    rank = np.empty(size, np.int64)
+    first = 0
+    while first < size:
+        last = first
+        while last < size and world[last] == world[first]:
+            last += 1
+        by_x[first:last] = first + np.argsort(position[first:last, 0])
+        first = last
+    for k in range(size):
+        rank[by_x[k]] = k
+    others = np.empty(16 * size, np.int64)
+    begins = np.zeros(size + 1, np.int64)
+    found = np.empty(size, np.int64)
+    for a in range(size):
+        reach = REACH_M + FASTEST * (speed[a] + fastest) * dt
+        count = 0
+        for step in (-1, 1):
+            k = rank[a] + step
+            while 0 <= k < size and world[by_x[k]] == world[a]:
+                b = by_x[k]
+                dx, dy = position[a, 0] - position[b, 0], position[a, 1] - position[b, 1]
+                if abs(dx) > reach:
+                    break
+                if dx * dx + dy * dy <= reach * reach and not (
+                    group[a] >= 0 and group[a] == group[b]
+                ):
+                    found[count] = b
+                    count += 1
+                k += step
+        if group[a] >= 0:
+            for b in range(size):
+                if b != a and world[b] == world[a] and group[b] == group[a]:
+                    found[count] = b
+                    count += 1
+        end = begins[a] + count
+        if end > len(others):
+            longer = np.empty(2 * end, np.int64)
+            longer[: begins[a]] = others[: begins[a]]
+            others = longer
+        others[begins[a] : end] = np.sort(found[:count])
+        begins[a + 1] = end
+    return others, begins
 
 
 @njit(cache=True, error_model="numpy")
