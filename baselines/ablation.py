@@ -19,7 +19,7 @@ import numpy as np
 from baselines.packages import needs
 from crowdbench.errors import CrowdbenchError
 from crowdbench.evaluation.evaluate import evaluate  # without its report
-from crowdbench.evaluation.parallel import call_each, checked_workers
+from crowdbench.evaluation.parallel import add_workers, call_each, checked_workers, engine
 from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import interval
 from crowdbench.scene import Scene
@@ -151,6 +151,11 @@ def write(variant: Variant, split: str, command: Command) -> None:
         command.write(split, sampler, observation=OBSERVATION, noise=NOISE, interval=every)
 
 
+def files_of(variant: Variant, split: str, command: Command) -> list[Path]:
+    """The file that `write` writes."""
+    return [command.path(split)]
+
+
 def lines(found: Sequence[Row]) -> list[list[str]]:
     """The table: one row per variant, in the order of `VARIANTS`."""
     first = found[0].walk
@@ -185,47 +190,55 @@ def command_line() -> argparse.ArgumentParser:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="output folder (default: results/ablation-SCENE)"
     )
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="number of processes (default: one per core)"
-    )
+    add_workers(parser)
     return parser
+
+
+def page(asked: argparse.Namespace, given: list[str]) -> str:
+    """Train and score all variants; return the page."""
+    folds = SPLITS[1:]
+    workers = checked_workers(asked.workers)
+    whole = Command.of("ablation", asked.scene, folds, asked.out, given)
+    commands = [
+        Command.of("ablation", asked.scene, folds, whole.out / v.name, given) for v in VARIANTS
+    ]
+    tasks = [
+        (variant, fold, command)
+        for fold in folds
+        for variant, command in zip(VARIANTS, commands, strict=True)
+    ]
+    for done, _ in enumerate(call_each(write, tasks, workers, files=files_of), 1):
+        print(f"{done} of {len(tasks)} policies trained", file=sys.stderr)
+    folders = [str(command.out) for command in commands]
+    card = evaluate(
+        asked.scene,
+        spawn="replay",
+        policy=folders,
+        protocol="heldout",
+        workers=workers,
+        out=whole.out / "evaluation",
+    )
+    by_policy = {row.policy: row for row in rows(card) if row.kind == "entry"}
+    head = ["variant", "walk", "motion", "interaction", "difference"]
+    return "\n".join(
+        [
+            INTRODUCTION.format(scene=whole.scene.id),
+            f"    {whole.line}\n",
+            table(head, lines([by_policy[folder] for folder in folders])),
+        ]
+    )
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Train and score all variants and print the page; return the exit code."""
     given = sys.argv[1:] if arguments is None else arguments
     asked = command_line().parse_args(given)
-    folds = SPLITS[1:]
     try:
-        workers = checked_workers(asked.workers)
-        whole = Command.of("ablation", asked.scene, folds, asked.out, given)
-        commands = [
-            Command.of("ablation", asked.scene, folds, whole.out / v.name, given) for v in VARIANTS
-        ]
-        tasks = [
-            (variant, fold, command)
-            for fold in folds
-            for variant, command in zip(VARIANTS, commands, strict=True)
-        ]
-        for done, _ in enumerate(call_each(write, tasks, workers), 1):
-            print(f"{done} of {len(tasks)} policies trained", file=sys.stderr)
-        folders = [str(command.out) for command in commands]
-        card = evaluate(
-            asked.scene,
-            spawn="replay",
-            policy=folders,
-            protocol="heldout",
-            workers=workers,
-            out=whole.out / "evaluation",
-        )
+        with engine(asked.engine):
+            print(page(asked, given))
     except CrowdbenchError as error:
         print(f"baselines.ablation: {error}", file=sys.stderr)
         return 2
-    by_policy = {row.policy: row for row in rows(card) if row.kind == "entry"}
-    head = ["variant", "walk", "motion", "interaction", "difference"]
-    print(INTRODUCTION.format(scene=whole.scene.id))
-    print(f"    {whole.line}\n")
-    print(table(head, lines([by_policy[folder] for folder in folders])))
     return 0
 
 

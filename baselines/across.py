@@ -17,7 +17,7 @@ from baselines.packages import needs
 from crowdbench import load_scene, registry
 from crowdbench.errors import CrowdbenchError, SettingError
 from crowdbench.evaluation.evaluate import evaluate  # without its report
-from crowdbench.evaluation.parallel import call_each, checked_workers
+from crowdbench.evaluation.parallel import add_workers, call_each, checked_workers, engine
 from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import interval
 from crowdbench.scoring.scorecard import Row, rows
@@ -42,6 +42,11 @@ score is *walk*, the lesser of motion and interaction; both are shown for the po
 elsewhere. The last two columns are its score minus those of the other two policies. Brackets are
 95 % intervals. This page is the output of
 """
+
+
+def files_of(command: Command) -> list[Path]:
+    """The file that `write` writes."""
+    return [command.path(SPLIT)]
 
 
 def write(command: Command) -> None:
@@ -86,9 +91,7 @@ def command_line() -> argparse.ArgumentParser:
     parser.add_argument(
         "--out", type=Path, default=Path("results/across"), metavar="DIR", help="output folder"
     )
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="number of processes (default: one per core)"
-    )
+    add_workers(parser)
     return parser
 
 
@@ -108,38 +111,43 @@ def commands_of(scenes: Sequence[str], out: Path) -> list[Command]:
     return found
 
 
+def page(asked: argparse.Namespace, given: list[str]) -> str:
+    """Train and score all policies; return the page."""
+    workers = checked_workers(asked.workers)
+    commands = commands_of(asked.scenes, asked.out)
+    for scene in asked.scenes:  # what is missing is said before the trainings
+        registry.recording_of(load_scene(scene))
+        registry.policy(OTHERS[0], scene, SPLITS[1])
+    tasks = [(command,) for command in commands]
+    for done, _ in enumerate(call_each(write, tasks, workers, files=files_of), 1):
+        print(f"{done} of {len(tasks)} policies trained", file=sys.stderr)
+    lines = []
+    for scene, command in zip(asked.scenes, commands, strict=False):
+        elsewhere = str(command.path(SPLIT))
+        card = evaluate(
+            scene,
+            spawn="replay",
+            policy=[elsewhere, *OTHERS],
+            protocol="heldout",
+            workers=workers,
+            out=asked.out / "evaluation" / command.out.name,
+        )
+        found = {row.policy: row for row in rows(card) if row.kind == "entry"}
+        lines.append(line(scene, found, elsewhere))
+    call = f"    python -m baselines.across {' '.join(given)}".rstrip()
+    return "\n".join([INTRODUCTION, f"{call}\n", table(list(HEAD), lines)])
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Train and score all policies and print the page; return the exit code."""
     given = sys.argv[1:] if arguments is None else arguments
     asked = command_line().parse_args(given)
     try:
-        workers = checked_workers(asked.workers)
-        commands = commands_of(asked.scenes, asked.out)
-        for scene in asked.scenes:  # what is missing is said before the trainings
-            registry.recording_of(load_scene(scene))
-            registry.policy(OTHERS[0], scene, SPLITS[1])
-        tasks = [(command,) for command in commands]
-        for done, _ in enumerate(call_each(write, tasks, workers), 1):
-            print(f"{done} of {len(tasks)} policies trained", file=sys.stderr)
-        lines = []
-        for scene, command in zip(asked.scenes, commands, strict=False):
-            elsewhere = str(command.out / f"{SPLIT}.onnx")
-            card = evaluate(
-                scene,
-                spawn="replay",
-                policy=[elsewhere, *OTHERS],
-                protocol="heldout",
-                workers=workers,
-                out=asked.out / "evaluation" / command.out.name,
-            )
-            found = {row.policy: row for row in rows(card) if row.kind == "entry"}
-            lines.append(line(scene, found, elsewhere))
+        with engine(asked.engine):
+            print(page(asked, given))
     except CrowdbenchError as error:
         print(f"baselines.across: {error}", file=sys.stderr)
         return 2
-    print(INTRODUCTION)
-    print(f"    python -m baselines.across {' '.join(given)}".rstrip() + "\n")
-    print(table(list(HEAD), lines))
     return 0
 
 

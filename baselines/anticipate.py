@@ -78,7 +78,14 @@ with needs("fit", __name__):
         Sampler,
         Walker,
     )
-    from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
+    from baselines.command import (
+        Command,
+        add_settings,
+        check_numbers,
+        new_parser,
+        train_each,
+        use_one_thread,
+    )
     from crowdbench.policies.network import check_onnx
 
 
@@ -355,6 +362,16 @@ def learn(command: Command, split: str, settings: Settings) -> Path:
     return command.write(split, sampler, observation=OBSERVATION, noise=NOISE, interval=interval)
 
 
+def learn_and_walk(split: str, command: Command, settings: Settings, left_out: str | None) -> str:
+    """The same; return lines about how the policy walks, also in the scene that was left out."""
+    path = learn(command, split, settings)
+    lines = [str(command.walk(path, "ntpp-gmm"))]
+    if left_out is not None:
+        other = Validator(left_out).validate(OnnxPolicy(path))
+        lines.append(f"walk {other.walk:.3f} on {left_out}")
+    return "\n".join(lines)
+
+
 def command_line() -> argparse.ArgumentParser:
     """Argument parser of this script."""
     parser = new_parser("anticipate", __doc__, several=True)
@@ -373,12 +390,7 @@ def main(arguments: list[str] | None = None) -> int:
         check_numbers(settings, or_zero=zero)
         check_onnx()  # needed for the choice of the guide, after the training
         command = Command.of_asked("anticipate", asked, arguments)
-        for split in asked.splits:
-            path = learn(command, split, settings)
-            print(f"{path}: {command.walk(path, 'ntpp-gmm')}", flush=True)
-            if asked.leave_out is not None:
-                other = Validator(asked.leave_out).validate(OnnxPolicy(path))
-                print(f"{path}: walk {other.walk:.3f} on {asked.leave_out}", flush=True)
+        train_each(learn_and_walk, command, asked, settings, asked.leave_out)
     except CrowdbenchError as error:
         print(f"baselines.anticipate: {error}", file=sys.stderr)
         return 2
@@ -386,4 +398,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # Worker processes find functions in modules that they can import, which `__main__` is not.
+    from baselines.anticipate import main as imported_main
+
+    sys.exit(imported_main())

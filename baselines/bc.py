@@ -26,6 +26,7 @@ import numpy as np
 from baselines.packages import needs
 from crowdbench import Demonstrations, demonstrations
 from crowdbench.errors import CrowdbenchError
+from crowdbench.scene import Scene
 from crowdbench.simulation.observations import GOAL_RANGE_M
 
 with needs("imitation", __name__):
@@ -34,7 +35,14 @@ with needs("imitation", __name__):
     from imitation.algorithms import bc
     from imitation.util import logger
 
-    from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
+    from baselines.command import (
+        Command,
+        add_settings,
+        check_numbers,
+        new_parser,
+        train_each,
+        use_one_thread,
+    )
     from baselines.mixture import NEAR_GOAL_M, NOISE, MixturePolicy, Sampler
     from baselines.progress import Progress
 
@@ -129,7 +137,7 @@ class Batches:
         return len(self.columns["acts"])
 
 
-def shown(scene: str, split: str, settings: Settings) -> list[Demonstrations]:
+def shown(scene: str | Scene, split: str, settings: Settings) -> list[Demonstrations]:
     """Demonstrations to learn from, one set for each copy of the recording."""
     return [
         demonstrations(
@@ -258,23 +266,26 @@ def command_line() -> argparse.ArgumentParser:
     return parser
 
 
+def learn(split: str, command: Command, settings: Settings) -> str:
+    """Clone and write the policy of a split; return lines about it."""
+    use_one_thread()
+    lots = shown(command.scene, split, settings)
+    with command.progress(split, settings.epochs, "epochs", "samples") as progress:
+        policy, likelihood, epochs = clone(lots, settings, progress)
+    path = command.write(split, Sampler(policy), observation=settings.observation, noise=NOISE)
+    return (
+        f"{likelihood:.4f} nats per action after {epochs} epochs\n{command.walk(path, 'ntpp-gmm')}"
+    )
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Clone and write a policy for each split; return the exit code."""
     asked = command_line().parse_args(arguments)
-    use_one_thread()
     settings = replace(settings_from(asked), observation=asked.observation, seed=asked.seed)
     try:
         check(settings)
         command = Command.of("bc", asked.scene, asked.splits, asked.out, arguments)
-        for split in asked.splits:
-            lots = shown(asked.scene, split, settings)
-            with command.progress(split, settings.epochs, "epochs", "samples") as progress:
-                policy, likelihood, epochs = clone(lots, settings, progress)
-            path = command.write(
-                split, Sampler(policy), observation=settings.observation, noise=NOISE
-            )
-            print(f"{path}: {likelihood:.4f} nats per action after {epochs} epochs")
-            print(f"{path}: {command.walk(path, 'ntpp-gmm')}", flush=True)
+        train_each(learn, command, asked, settings)
     except CrowdbenchError as error:
         print(f"baselines.bc: {error}", file=sys.stderr)
         return 2
@@ -282,4 +293,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # Worker processes find functions in modules that they can import, which `__main__` is not.
+    from baselines.bc import main as imported_main
+
+    sys.exit(imported_main())

@@ -40,7 +40,14 @@ with needs("imitation", __name__):
     from torch import Tensor, nn
 
     from baselines.bc import Batches
-    from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
+    from baselines.command import (
+        Command,
+        add_settings,
+        check_numbers,
+        new_parser,
+        train_each,
+        use_one_thread,
+    )
     from baselines.progress import Progress
 
 OBSERVATION = "lidar-1"
@@ -158,22 +165,25 @@ def command_line() -> argparse.ArgumentParser:
     return parser
 
 
+def learn(split: str, command: Command, settings: Settings) -> str:
+    """Clone and write the policy of a split; return lines about it."""
+    use_one_thread()
+    shown = demonstrations(command.scene, split=split, observation=OBSERVATION)
+    with command.progress(split, settings.epochs, "epochs", "samples") as progress:
+        sampler = clone(shown, settings, progress)
+    path = command.write(split, sampler, observation=OBSERVATION, noise=NOISE)
+    deviation = ", ".join(f"{s:.3f}" for s in (sampler.std * sampler.reach).tolist())
+    return f"standard deviations {deviation} of the maximum speed\n{command.walk(path, 'ntpp-gmm')}"
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Clone and write a policy for each split; return the exit code."""
     asked = command_line().parse_args(arguments)
-    use_one_thread()
     settings = Settings(seed=asked.seed, **{name: getattr(asked, name) for name in SETTABLE})
     try:
         check_numbers(settings, or_zero=("seed",))
         command = Command.of("bc-paper", asked.scene, asked.splits, asked.out, arguments)
-        for split in asked.splits:
-            shown = demonstrations(asked.scene, split=split, observation=OBSERVATION)
-            with command.progress(split, settings.epochs, "epochs", "samples") as progress:
-                sampler = clone(shown, settings, progress)
-            path = command.write(split, sampler, observation=OBSERVATION, noise=NOISE)
-            deviation = ", ".join(f"{s:.3f}" for s in (sampler.std * sampler.reach).tolist())
-            print(f"{path}: standard deviations {deviation} of the maximum speed")
-            print(f"{path}: {command.walk(path, 'ntpp-gmm')}", flush=True)
+        train_each(learn, command, asked, settings)
     except CrowdbenchError as error:
         print(f"baselines.bc_paper: {error}", file=sys.stderr)
         return 2
@@ -181,4 +191,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # Worker processes find functions in modules that they can import, which `__main__` is not.
+    from baselines.bc_paper import main as imported_main
+
+    sys.exit(imported_main())

@@ -5,8 +5,9 @@ import math
 import os
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from baselines.progress import Progress
 from baselines.walked import Walked, walked
 from crowdbench import load_scene, spawn_model
 from crowdbench.errors import SettingError, WeightsError
+from crowdbench.evaluation.parallel import add_workers, call_each, checked_workers, engine
 from crowdbench.files import unwritable
 from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy, revision
@@ -94,7 +96,41 @@ def new_parser(
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help=f"output folder (default: results/{name}-SCENE)"
     )
+    add_workers(parser, default=1, of="splits")
     return parser
+
+
+def train_each(
+    learn: Callable[..., str],
+    command: "Command",
+    asked: argparse.Namespace,
+    *settings: object,
+    also: Sequence[str] = (),
+) -> None:
+    """Call `learn(split, command, *settings)` for each split and print the lines that it returns.
+
+    The calls run on the engine that the command line names. `also` are suffixes of files that
+    `learn` writes beside that of the policy.
+
+    Raises:
+        CrowdbenchError: any error of `learn`.
+    """
+    with engine(asked.engine):
+        tasks = [(split, command) for split in asked.splits]
+        done = call_each(
+            learn,
+            tasks,
+            checked_workers(asked.workers),
+            common=settings,
+            name=lambda split, command: f"the training on {split}",
+            files=lambda split, command: [
+                command.path(split).with_suffix(suffix) for suffix in (".onnx", *also)
+            ],
+        )
+        with closing(done):
+            for k, told in done:
+                for line in told.splitlines():
+                    print(f"{command.path(asked.splits[k])}: {line}", flush=True)
 
 
 def _module(name: str) -> str:
@@ -126,6 +162,8 @@ class Command:
     given: Sequence[str]
     further: Sequence[Scene] = ()
     """Other scenes that the same policy is trained on."""
+    revision: str = field(default_factory=lambda: revision(Path(__file__).parent))
+    """That of the code, which is not under version control on the nodes of a cluster."""
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
@@ -242,13 +280,17 @@ class Command:
         module = _module(self.name.removesuffix("-any"))
         return f"python -m {module} {shlex.join(self.given)}"
 
+    def path(self, split: str) -> Path:
+        """The policy file of a split."""
+        return self.out / f"{split}.onnx"
+
     def has_written(self, split: str) -> bool:
         """Whether the file of a split is there, written by the same command and code."""
         try:
-            card = read_card(self.out / f"{split}.onnx")
+            card = read_card(self.path(split))
         except WeightsError:
             return False
-        return (card.revision, card.command) == (revision(Path(__file__).parent), self.line)
+        return (card.revision, card.command) == (self.revision, self.line)
 
     def write(
         self,
@@ -271,9 +313,9 @@ class Command:
             split=split,
             max_speed_mps=self.scene.motion.max_speed_mps if self.further else None,
             command=self.line,
-            revision=revision(Path(__file__).parent),
+            revision=self.revision,
         )
-        return export_policy(network, self.out / f"{split}.onnx", card, noise=noise)
+        return export_policy(network, self.path(split), card, noise=noise)
 
     def progress(self, run: str, total: int, unit: str, counted: str) -> Progress:
         """Progress of a training, whose log is `tensorboard/RUN` in the output folder.

@@ -50,7 +50,14 @@ with needs("imitation", __name__):
     from torch import Tensor, nn
 
     from baselines import bc
-    from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
+    from baselines.command import (
+        Command,
+        add_settings,
+        check_numbers,
+        new_parser,
+        train_each,
+        use_one_thread,
+    )
     from baselines.mixture import BOUNDS, NOISE, MixturePolicy, Sampler
     from baselines.progress import Progress
     from crowdbench.envs.vec_env import CrowdVecEnv
@@ -204,7 +211,7 @@ def remind(policy: MixturePolicy, lessons: Iterator[Mapping[str, Tensor]], times
 
 
 def train(
-    scene: str,
+    scene: str | Scene,
     split: str,
     policy: MixturePolicy,
     settings: Settings,
@@ -308,10 +315,29 @@ def command_line() -> argparse.ArgumentParser:
     return parser
 
 
+def learn(split: str, command: Command, settings: Settings, first: bc.Settings, seed: int) -> str:
+    """Clone, train and write the policy of a split; return a line about it."""
+    use_one_thread()
+    lots = bc.shown(command.scene, split, first)
+    # Reminders would undo the narrowing of the clone, so with them it is done at the end.
+    width = first.width if settings.reminders else 1.0
+    cloning = replace(first, width=first.width / width)
+    with command.progress(f"{split}/cloning", cloning.epochs, "epochs", "samples") as progress:
+        policy, _, _ = bc.clone(lots, cloning, progress)
+    lessons = chain.from_iterable(repeat(bc.everything(lots, first)))
+    rounds = train(command.scene, split, policy, settings, seed, lessons)
+    total = settings.rounds * settings.per_round
+    with command.progress(split, total, "steps", "agent-steps") as progress:
+        curves = _watched(rounds, progress)
+    policy.narrow(width)
+    path = command.write(split, Sampler(policy), observation=settings.observation, noise=NOISE)
+    _write(curves, path.with_suffix(".csv"))
+    return str(command.walk(path, settings.spawn))
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Clone, train and write a policy for each split; return the exit code."""
     asked = command_line().parse_args(arguments)
-    use_one_thread()
     names = (*SETTABLE, "observation")
     settings = Settings(**{name: getattr(asked, name) for name in names})
     first = bc.settings_from(asked, "cloning_")
@@ -321,26 +347,7 @@ def main(arguments: list[str] | None = None) -> int:
         bc.check(first)
         command = Command.of("gail", asked.scene, asked.splits, asked.out, arguments)
         spawn_model(settings.spawn, command.scene)  # raises errors early, before the cloning
-        for split in asked.splits:
-            lots = bc.shown(asked.scene, split, first)
-            # Reminders would undo the narrowing of the clone, so with them it is done at the end.
-            width = first.width if settings.reminders else 1.0
-            cloning = replace(first, width=first.width / width)
-            with command.progress(
-                f"{split}/cloning", cloning.epochs, "epochs", "samples"
-            ) as progress:
-                policy, _, _ = bc.clone(lots, cloning, progress)
-            lessons = chain.from_iterable(repeat(bc.everything(lots, first)))
-            rounds = train(asked.scene, split, policy, settings, asked.seed, lessons)
-            total = settings.rounds * settings.per_round
-            with command.progress(split, total, "steps", "agent-steps") as progress:
-                curves = _watched(rounds, progress)
-            policy.narrow(width)
-            path = command.write(
-                split, Sampler(policy), observation=settings.observation, noise=NOISE
-            )
-            _write(curves, path.with_suffix(".csv"))
-            print(f"{path}: {command.walk(path, settings.spawn)}", flush=True)
+        train_each(learn, command, asked, settings, first, asked.seed, also=[".csv"])
     except CrowdbenchError as error:
         print(f"baselines.gail: {error}", file=sys.stderr)
         return 2
@@ -365,4 +372,7 @@ def _write(curves: list[dict[str, float]], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # Worker processes find functions in modules that they can import, which `__main__` is not.
+    from baselines.gail import main as imported_main
+
+    sys.exit(imported_main())

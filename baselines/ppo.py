@@ -10,29 +10,44 @@ Each slot of a world is used by many persons in turn. Training therefore uses th
 of trips in `CrowdEnv`. It only learns from steps in which someone acted. An advantage sums the
 rewards of a single trip. If a trip is truncated by a timeout or the horizon, its value is
 bootstrapped from its own last observation, not from that of the next person in the slot.
+
+`--device cuda` keeps observations and networks on a GPU; the simulation runs on the CPU, with as
+many threads as `NUMBA_NUM_THREADS` says. `--collectors 4` divides the worlds among four processes,
+in each of which a copy of the network acts on the CPU.
 """
 
 import argparse
 import sys
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
 
 from baselines.packages import needs
 from crowdbench import Reward, spawn_model
-from crowdbench.errors import CrowdbenchError
+from crowdbench.errors import CrowdbenchError, SettingError
 from crowdbench.registry import DEFAULT_SPAWN
+from crowdbench.scene import Scene
 
 with needs("torchrl", __name__):
     import torch
     from tensordict import TensorDict, TensorDictBase
     from tensordict.nn import NormalParamExtractor, TensorDictModule
     from torch import Tensor, nn
-    from torchrl.collectors import Collector
+    from torchrl.collectors import BaseCollector, Collector, MultiSyncCollector
     from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
     from torchrl.objectives import ClipPPOLoss
     from torchrl.objectives.value.functional import generalized_advantage_estimate
 
-    from baselines.command import Command, add_settings, check_numbers, new_parser, use_one_thread
+    from baselines.command import (
+        Command,
+        add_settings,
+        check_numbers,
+        new_parser,
+        train_each,
+        use_one_thread,
+    )
     from crowdbench.envs.torchrl_env import CrowdEnv
     from crowdbench.simulation import observations, social
     from crowdbench.simulation.observations import OBSERVATION, version_of
@@ -70,6 +85,9 @@ class Settings:
     std: float = 0.03
     """Initial standard deviation of actions."""
     hidden: int = 64
+    device: str = "cpu"
+    collectors: int = 1
+    """Number of processes that collect batches; 1: this process does."""
     seed: int = 0
 
 
@@ -174,6 +192,7 @@ class Learner:
     def __init__(self, numbers: int, settings: Settings) -> None:
         self.settings = settings
         self.network = Around(settings.observation, numbers, settings.hidden, settings.std)
+        self.network.to(settings.device)
         self.actor = ProbabilisticActor(
             TensorDictModule(self.network, ["observation"], ["loc", "scale"]),
             in_keys=["loc", "scale"],
@@ -182,7 +201,8 @@ class Learner:
             return_log_prob=True,
             log_prob_key="log_prob",
         )
-        critic = ValueOperator(_layers(numbers, settings.hidden, 1), in_keys=["observation"])
+        layers = _layers(numbers, settings.hidden, 1).to(settings.device)
+        critic = ValueOperator(layers, in_keys=["observation"])
         self.critic = critic.module
         self.loss = ClipPPOLoss(
             self.actor,
@@ -210,7 +230,7 @@ class Learner:
         with torch.no_grad():
             steps["log_prob"] = self.actor.get_dist(steps).log_prob(steps["action"])
         # Shuffled once, because gathering rows takes about as long as learning from them.
-        steps = steps[torch.randperm(len(steps))]
+        steps = steps[torch.randperm(len(steps), device=steps.device)]
         for _ in range(settings.epochs):
             for some in steps.split(settings.minibatch):
                 losses = self.loss(some)
@@ -222,38 +242,90 @@ class Learner:
 
 
 def train(
-    scene: str, settings: Settings, reward: Reward | None = None, split: str = "full"
+    scene: str | Scene, settings: Settings, reward: Reward | None = None, split: str = "full"
 ) -> Generator[Round, None, None]:
     """Train a network; yield it after each update, with figures of the last batch."""
+    check_device(settings.device)
+    if settings.worlds % settings.collectors:
+        raise SettingError(
+            "collectors",
+            got=f"{settings.collectors}, which do not share {settings.worlds} worlds equally",
+            expected="a divisor of the number of worlds",
+        )
     torch.manual_seed(settings.seed)
-    env = CrowdEnv(
+    make = partial(_environment, scene, settings, reward, split)
+    # The seed of the only collector is that of the settings, those of several are drawn from it.
+    seeds = np.random.SeedSequence(settings.seed).generate_state(settings.collectors).tolist()
+    env = make(settings.seed if settings.collectors == 1 else seeds[0])
+    learner = Learner(env.observation_spec["agents", "observation"].shape[-1], settings)
+    seen = [("agents", "observation"), ("agents", "mask")]
+    policy = TensorDictModule(OfPresent(learner.network), seen, [("agents", "action")])
+    common = {
+        "frames_per_batch": settings.batch_frames,
+        "total_frames": settings.frames,
+        "auto_register_policy_transforms": False,
+    }
+    collector: BaseCollector
+    if settings.collectors == 1:
+        collector = Collector(
+            env,
+            policy,
+            track_traj_ids=False,  # a world is not a trip
+            return_same_td=True,  # no copies, because each batch is used before the next one
+            **common,
+        )
+    else:
+        collector = MultiSyncCollector(
+            [partial(make, seed) for seed in seeds],
+            policy,
+            policy_device="cpu",
+            use_buffers=True,
+            cat_results=0,  # the worlds of all processes are one batch
+            update_at_each_batch=True,
+            **common,
+        )
+    frames = 0
+    try:
+        for collected in collector:
+            batch = collected.to(settings.device)
+            steps = learner.learn(batch, frames / settings.frames)
+            frames += batch.numel()
+            figures = _figures(batch, settings.observation, env.scene.motion.max_speed_mps)
+            yield Round(learner.network, frames, steps, figures)
+    finally:
+        collector.shutdown()
+
+
+def _environment(
+    scene: str | Scene, settings: Settings, reward: Reward | None, split: str, seed: int
+) -> CrowdEnv:
+    """The environment of one collector, with its share of the worlds."""
+    return CrowdEnv(
         scene,
         spawn=spawn_model(settings.spawn, scene, split),
-        worlds=settings.worlds,
+        worlds=settings.worlds // settings.collectors,
         max_alive=settings.max_alive,
         horizon_s=settings.horizon_s,
         observation=settings.observation,
         reward=reward,
-        seed=settings.seed,
+        seed=seed,
+        device=settings.device if settings.collectors == 1 else "cpu",
     )
-    learner = Learner(env.observation_spec["agents", "observation"].shape[-1], settings)
-    seen = [("agents", "observation"), ("agents", "mask")]
-    collector = Collector(
-        env,
-        TensorDictModule(OfPresent(learner.network), seen, [("agents", "action")]),
-        frames_per_batch=settings.batch_frames,
-        total_frames=settings.frames,
-        auto_register_policy_transforms=False,
-        track_traj_ids=False,  # a world is not a trip
-        return_same_td=True,  # no copies, because each batch is used before the next one
-    )
-    frames = 0
-    for batch in collector:
-        steps = learner.learn(batch, frames / settings.frames)
-        frames += batch.numel()
-        figures = _figures(batch, settings.observation, env.scene.motion.max_speed_mps)
-        yield Round(learner.network, frames, steps, figures)
-    collector.shutdown()
+
+
+def check_device(device: str) -> None:
+    """Check that torch can use a device.
+
+    Raises:
+        SettingError: torch does not know it, or has no access to it.
+    """
+    try:
+        torch.zeros(1, device=device)
+    except Exception as error:  # torch raises many kinds
+        told = str(error).splitlines()[0]
+        raise SettingError(
+            "device", got=f"{device!r} ({told})", expected="cpu, or cuda with a GPU"
+        ) from error
 
 
 def _figures(batch: TensorDictBase, observation: str, max_speed_mps: float) -> dict[str, float]:
@@ -292,8 +364,11 @@ SETTABLE = {
     "max_alive": "maximum number of people at the same time per world",
     "frames": "number of training frames, summed over all worlds",
     "batch_frames": "number of frames between two updates, summed over all worlds",
+    "minibatch": "number of steps of single persons in a minibatch",
     "horizon_s": "length of an episode in seconds",
     "learning_rate": "initial learning rate of Adam; it decreases to 0",
+    "collectors": "number of processes that collect batches, each with its share of the worlds",
+    "device": "device of observations and networks: cpu or cuda",
 }
 """Settings with a command line option, and the help texts of the options."""
 
@@ -312,23 +387,31 @@ def command_line() -> argparse.ArgumentParser:
     return parser
 
 
+def learn(split: str, command: Command, settings: Settings) -> str:
+    """Train and write the policy of a split; return a line about it."""
+    use_one_thread()
+    with command.progress(split, settings.frames, "frames", "agent-steps") as progress:
+        for last in train(command.scene, settings, split=split):
+            progress(last.frames, last.steps, last.figures)
+    network = Sampler(last.network).to("cpu")
+    path = command.write(split, network, observation=settings.observation, noise=NOISE)
+    return str(command.walk(path, settings.spawn))
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Train and write a policy for each split; return the exit code."""
     asked = command_line().parse_args(arguments)
-    use_one_thread()
     settings = Settings(
         **{name: getattr(asked, name) for name in (*SETTABLE, "observation", "seed")}
     )
     try:
         check_numbers(settings, or_zero=("gamma", "lmbda", "seed"))
         command = Command.of("ppo", asked.scene, asked.splits, asked.out, arguments)
-        for split in asked.splits:
-            with command.progress(split, settings.frames, "frames", "agent-steps") as progress:
-                for last in train(asked.scene, settings, split=split):
-                    progress(last.frames, last.steps, last.figures)
-            network = Sampler(last.network)
-            path = command.write(split, network, observation=settings.observation, noise=NOISE)
-            print(f"{path}: {command.walk(path, settings.spawn)}", flush=True)
+        if settings.collectors > 1 and asked.workers > 1:
+            raise SettingError(
+                "workers", got=f"{asked.workers} with several collectors", expected="1 of either"
+            )
+        train_each(learn, command, asked, settings)
     except CrowdbenchError as error:
         print(f"baselines.ppo: {error}", file=sys.stderr)
         return 2
@@ -336,4 +419,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # Worker processes find functions in modules that they can import, which `__main__` is not.
+    from baselines.ppo import main as imported_main
+
+    sys.exit(imported_main())

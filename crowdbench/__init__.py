@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from crowdbench.envs.demonstrations import Demonstrations, demonstrations
     from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
     from crowdbench.errors import CrowdbenchError
+    from crowdbench.evaluation.parallel import engine
     from crowdbench.metrics import METRICS, MetricResult, distance
     from crowdbench.plugins import register
     from crowdbench.registry import (
@@ -47,6 +48,7 @@ _HOME = {
     "envs.demonstrations": ("Demonstrations", "demonstrations"),
     "envs.parallel_env": ("CrowdParallelEnv", "parallel_env"),
     "errors": ("CrowdbenchError",),
+    "evaluation.parallel": ("engine",),
     "metrics": ("METRICS", "MetricResult", "distance"),
     "plugins": ("register",),
     "registry": (
@@ -71,6 +73,7 @@ __all__ = [
     "Trajectories",
     "demonstrations",
     "distance",
+    "engine",
     "evaluate",
     "list_policies",
     "list_scenes",

@@ -1,8 +1,8 @@
 """The command line.
 
 Main commands: `crowdbench evaluate | score | view | steer | areas | policy | submit | leaderboard |
-data | convert | arrivals | scenes | metrics | bench`. Commands for making a scene and its pages:
-`scene | fit | spawn | anchors | power | results | walks | cheats | figures | paper`.
+data | convert | arrivals | scenes | metrics | bench | growth`. Commands for making a scene and its
+pages: `scene | fit | spawn | anchors | power | results | walks | cheats | figures | paper`.
 
 Exit codes: 2 after an error of the user (one message), 130 after an interrupt, 143 after SIGTERM,
 and 1, without a message, if the reader of the output closes it (`crowdbench … | head`).
@@ -27,6 +27,7 @@ from crowdbench.cli import (
     evaluate,
     figures,
     fit,
+    growth,
     leaderboard,
     metrics,
     paper,
@@ -43,7 +44,7 @@ from crowdbench.cli import (
     walks,
 )
 from crowdbench.errors import CrowdbenchError
-from crowdbench.evaluation.parallel import Stopped, stopping_in_order
+from crowdbench.evaluation.parallel import LOCAL, Stopped, engine, stopping_in_order
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -62,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     args = _parser().parse_args(arguments)
     try:
-        with stopping_in_order():
+        with stopping_in_order(), engine(getattr(args, "engine", LOCAL)):
             args.run(args)
     except CrowdbenchError as error:
         print(f"crowdbench: {error}", file=sys.stderr)
@@ -90,7 +91,7 @@ def _parser() -> argparse.ArgumentParser:
     for command in (
         evaluate, score, view, areas, steer, policy, scene, fit, spawn, anchors, power, results,
         walks, cheats, paper, figures, encounters, submit, leaderboard, data, convert, arrivals,
-        scenes, metrics, bench,
+        scenes, metrics, bench, growth,
     ):  # fmt: skip
         command.add(commands)
     return parser

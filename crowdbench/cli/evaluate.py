@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from crowdbench.cli.printing import add_json_option, json_written, print_facts, progress_bar
 from crowdbench.cli.score_tables import print_card
+from crowdbench.evaluation.parallel import add_workers
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -69,7 +70,7 @@ def add(commands: "Commands") -> None:
         "two rollouts per fit. With the usual 5 fits, use 10, 15, 20, …; fewer give only plain "
         "distances (default: as in the scene's protocol, 15 to 50)",
     )
-    evaluate.add_argument("--workers", type=int, help="worker processes (default: one per core)")
+    add_workers(evaluate)
     evaluate.add_argument(
         "--out", type=Path, help="output folder (default: results/SCENE-DATE-TIME)"
     )

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crowdbench.cli.printing import progress_bar
+from crowdbench.evaluation.parallel import add_workers
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -39,7 +40,7 @@ def add(commands: "Commands") -> None:
     figures.add_argument(
         "--seeds", type=int, default=5, help="rollouts of each spawn model (default: 5)"
     )
-    figures.add_argument("--workers", type=int, help="worker processes (default: one per core)")
+    add_workers(figures)
     figures.add_argument(
         "--out",
         type=Path,

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crowdbench.cli.printing import print_facts, progress_bar
+from crowdbench.evaluation.parallel import add_workers
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -48,7 +49,7 @@ def add(commands: "Commands") -> None:
     network.add_argument(
         "--shared", action="store_true", help="train one network of ntpp-gmm for all areas"
     )
-    fit.add_argument("--workers", type=int, help="worker processes (default: one per core)")
+    add_workers(fit)
     fit.add_argument("--out", type=Path, help="output folder (default: the scene's folder)")
     fit.set_defaults(run=_fit)
 

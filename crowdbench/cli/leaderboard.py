@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from crowdbench.cli.printing import new_console, new_table, progress_bar
 from crowdbench.errors import CrowdbenchError, SettingError
+from crowdbench.evaluation.parallel import add_workers, is_local
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -40,6 +41,7 @@ def _add_verify(commands: "Commands") -> None:
         "--out", type=Path, required=True, metavar="DIR",
         help="output folder of ID.json, ID.run.json and the rollouts (work/)",
     )  # fmt: skip
+    add_workers(verify)
     _add_limits(verify)
     verify.set_defaults(run=_verify)
 
@@ -73,12 +75,14 @@ def _add_rescore(commands: "Commands") -> None:
         "--out", type=Path, default=Path("results/leaderboard"), metavar="DIR",
         help="output folder of ID.run.json and the rollouts (default: results/leaderboard)",
     )  # fmt: skip
+    rescore.add_argument(
+        "--workers", type=int, metavar="N", help="worker processes (default: one per core)"
+    )
     _add_limits(rescore)
     rescore.set_defaults(run=_rescore)
 
 
 def _add_limits(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--workers", type=int, help="worker processes (default: one per core)")
     parser.add_argument(
         "--hours",
         type=float,
@@ -110,7 +114,9 @@ def _verify(args: argparse.Namespace) -> None:
     from crowdbench.leaderboard.verification.verify import verify
 
     limits = _limits(args)
-
+    if not is_local():
+        _verify_on_cluster(args, limits)
+        return
     made: set[str] = set()
 
     def one(submission: Path, progress: "Progress") -> "Entry":
@@ -128,6 +134,27 @@ def _verify(args: argparse.Namespace) -> None:
         return entry
 
     _each(args.submission, one)
+    print(f"entries written to {args.out}")
+
+
+def _verify_on_cluster(args: argparse.Namespace, limits: "Limits") -> None:
+    """Verify all submissions at once, each by one process of the cluster."""
+    from crowdbench.leaderboard.verification.cluster import verify_each
+
+    refused = []
+    with progress_bar("submissions") as progress:
+        found = list(
+            verify_each(
+                args.submission, args.out, workers=args.workers, limits=limits, progress=progress
+            )
+        )
+    for submission, verified in found:
+        if isinstance(verified, CrowdbenchError):
+            print(f"crowdbench: {verified}", file=sys.stderr)
+            refused.append(f"{submission}")
+        else:
+            _print_entry(verified[0])
+    _check_refused(refused, len(found))
     print(f"entries written to {args.out}")
 
 
@@ -184,10 +211,14 @@ def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> 
             refused.append(f"{name}")
         else:
             _print_entry(entry)
+    _check_refused(refused, len(named))
+
+
+def _check_refused(refused: Sequence[str], total: int) -> None:
     if refused:
         raise SettingError(
             "leaderboard",
-            got=f"{len(refused)} of {len(named)} rejected ({', '.join(refused)})",
+            got=f"{len(refused)} of {total} rejected ({', '.join(refused)})",
             expected="none",
             hint="The reasons are listed above.",
         )

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crowdbench.cli.printing import progress_bar
+from crowdbench.evaluation.parallel import add_workers
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -25,7 +26,7 @@ def add(commands: "Commands") -> None:
         help="output folder of the overview, paper.md, and of the pages and pictures of scenes in "
         "paper/ (default: docs)",
     )
-    paper.add_argument("--workers", type=int, help="worker processes (default: one per core)")
+    add_workers(paper)
     paper.set_defaults(run=_paper)
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crowdbench.cli.printing import progress_bar
+from crowdbench.evaluation.parallel import add_workers
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -23,7 +24,7 @@ def add(commands: "Commands") -> None:
         metavar="DIR",
         help="output folder of the page and its pictures (default: docs/results)",
     )
-    results.add_argument("--workers", type=int, help="worker processes (default: one per core)")
+    add_workers(results)
     results.add_argument(
         "--seeds",
         type=int,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from crowdbench.cli.data import add_mending, fetch_and_import, is_imported, mended
 from crowdbench.cli.printing import new_console, new_table, print_facts, progress_bar
 from crowdbench.errors import SceneError, SettingError
+from crowdbench.evaluation.parallel import add_workers
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -70,7 +71,7 @@ def add(commands: "Commands") -> None:
         help="rollouts per fit in the protocol (default: 3 to 10, depending on the length of the "
         "recording)",
     )
-    create.add_argument("--workers", type=int, help="worker processes (default: one per core)")
+    add_workers(create)
     create.set_defaults(run=_create)
 
     check = of_scene.add_parser("check", help="list the parts of a scene and their problems")

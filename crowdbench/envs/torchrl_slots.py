@@ -46,19 +46,19 @@ class SlotEnv(CrowdEnv):
             over &= asked.reshape(len(over), -1).any(dim=1).cpu().numpy()
         if over.any():
             self._begin(over.nonzero()[0])
-        found: TensorDict = self._present()["agents"]
+        found: TensorDict = self._present()["agents"].to(self.device)
         there = found["mask"]  # without those whose trips have just ended
         found["observation"] *= there[..., None]
         found["person_id"][~there] = -1
         for name in ("done", "terminated", "truncated"):
             found[name][:] = False
-        return found.to(self.device)
+        return found
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        after = self._after(tensordict["action"])
+        after = self._after(tensordict["action"]).to(self.device)
         found: TensorDict = after["agents"]
         waiting = (found["person_id"] < 0)[..., None]
         found["terminated"] &= ~waiting
         found["truncated"] |= waiting & after["done"][:, None]
         found["done"] = found["terminated"] | found["truncated"]
-        return found.to(self.device)
+        return found

@@ -1,5 +1,6 @@
-"""Parallel work in processes that always end together with the process that started them."""
+"""Parallel work: in processes that end with the one that started them, or on a Ray cluster."""
 
+import argparse
 import ctypes
 import multiprocessing
 import os
@@ -12,8 +13,10 @@ import traceback
 import types
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from multiprocessing.connection import Connection, Pipe, wait
 from multiprocessing.reduction import ForkingPickler
+from pathlib import Path
 from typing import Any, TypeVar
 
 from crowdbench import leftovers, plugins
@@ -28,6 +31,63 @@ _THREADS = (
 )  # fmt: skip
 
 
+LOCAL = "local"
+_engine: ContextVar[str] = ContextVar("engine", default=LOCAL)
+
+
+@contextmanager
+def engine(name: str) -> Iterator[None]:
+    """Run parallel work elsewhere: `local`, `ray`, or `ray://HOST:PORT`.
+
+    `local` are processes of this machine. `ray` is the Ray cluster that this process is connected
+    to, or that `RAY_ADDRESS` names, or that runs on this machine; if there is none, one is started
+    here. The results are the same.
+
+        with crowdbench.engine("ray"):
+            crowdbench.evaluate("eth-v0", spawn="ntpp-gmm", policy="social-force", out="results")
+
+    Raises:
+        SettingError: there is no such engine, no Ray, or no cluster.
+    """
+    from crowdbench.evaluation import ray_engine
+
+    if name not in (LOCAL, ray_engine.NAME) and not name.startswith(ray_engine.CLIENT):
+        raise SettingError(
+            "engine", got=repr(name), expected="local, ray, or the address ray://HOST:PORT"
+        )
+    if name != LOCAL:
+        ray_engine.connect(name)
+    before = _engine.set(name)
+    try:
+        yield
+    finally:
+        _engine.reset(before)
+
+
+def is_local() -> bool:
+    """Whether parallel work runs in processes of this machine."""
+    return _engine.get() == LOCAL
+
+
+def add_workers(
+    parser: argparse.ArgumentParser, *, default: int | None = None, of: str = ""
+) -> None:
+    """Add the options `--workers` and `--engine`; `of` is what the processes divide."""
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=default,
+        metavar="N",
+        help=f"worker processes{of and f' for {of}'} (default: {default or 'one per core'})",
+    )
+    parser.add_argument(
+        "--engine",
+        default=LOCAL,
+        help="where they run: local, ray, or the address ray://HOST:PORT of a Ray cluster "
+        "(default: local)",
+    )
+
+
 def checked_workers(asked: int | None) -> int:
     """The number of processes: `asked`, or one per core if it is None.
 
@@ -36,7 +96,15 @@ def checked_workers(asked: int | None) -> int:
     """
     if asked is not None and asked < 1:
         raise SettingError("workers", got=str(asked), expected="1 or more")
+    if asked is None and not is_local():
+        from crowdbench.evaluation import ray_engine
+
+        return ray_engine.cpus(_engine.get())
     return asked or os.cpu_count() or 1
+
+
+def _no_files(*task: object) -> Sequence[Path]:
+    return ()
 
 
 def call_each(
@@ -46,17 +114,36 @@ def call_each(
     *,
     common: tuple[object, ...] = (),
     name: Callable[..., str] = lambda *task: "a task",
+    files: Callable[..., Sequence[Path]] = _no_files,
+    reads: Callable[..., Sequence[Path]] = _no_files,
 ) -> Generator[tuple[int, Result], None, None]:
     """Call `function(*task, *common)` for each task; yields the index and result of each call.
 
     Results are yielded as soon as they are available. With one worker the calls run in this
-    process, otherwise in `workers` processes with one thread each. `common` is sent to each
-    process once.
+    process, otherwise in `workers` processes with one thread each, or on the cluster of `engine`.
+    `common` is sent to each process once.
+
+    On a cluster, files are copied. `files(*task)` are those that the call may read and write, by
+    paths that the task contains. `reads(*task)` are others that it reads.
 
     Raises:
         WorkerError: a process died; `name(*task)` describes the task in the message.
         Exception: any exception that a call raised.
     """
+    if _engine.get() != LOCAL:
+        from crowdbench.evaluation import ray_engine
+
+        yield from ray_engine.call_each(
+            _engine.get(),
+            function,
+            tasks,
+            workers,
+            common=common,
+            name=name,
+            files=files,
+            reads=reads,
+        )
+        return
     workers = min(workers, len(tasks))
     if workers <= 1:
         for index, task in enumerate(tasks):
@@ -205,10 +292,10 @@ def _work(connection: Connection, sweeper: Connection | None, registered: bytes)
         function, common = pickle.loads(connection.recv_bytes())
         while True:
             task = pickle.loads(connection.recv_bytes())
-            connection.send_bytes(_outcome(function, (*task, *common)))
+            connection.send_bytes(outcome_of(function, (*task, *common)))
 
 
-def _outcome(function: Callable[..., object], arguments: tuple[object, ...]) -> Any:
+def outcome_of(function: Callable[..., object], arguments: tuple[object, ...]) -> Any:
     """The result of a call, or the exception that it raised, pickled."""
     try:
         return ForkingPickler.dumps((True, function(*arguments), ""))

@@ -31,7 +31,7 @@ from crowdbench.metrics import Metric, Statistics
 from crowdbench.plugins import told
 from crowdbench.policies import OnnxPolicy, Policy
 from crowdbench.rollouts.rollout import batchable, rollouts
-from crowdbench.scene import Scene, load_scene
+from crowdbench.scene import Scene, load_scene, scenes_folder
 from crowdbench.scoring.reference import Reference, summarise
 from crowdbench.spawn import SpawnModel
 from crowdbench.trajectories.blocks import SPLITS
@@ -232,7 +232,19 @@ def _each(
         checked_workers(workers),
         common=common,
         name=_told,
+        files=lambda batch: [job.path for job in batch],
+        reads=_own_files,
     )
+
+
+def _own_files(batch: tuple[Job, ...]) -> list[Path]:
+    """Files of the models of a batch that do not come with crowdbench."""
+    first = batch[0]
+    pair = _resolved(first.scene, first.spawn, first.policy, first.fingerprint)
+    named = [pair.policy.network(first.split), pair.spawn.scenario, pair.spawn.fits]
+    if not pair.scene.folder.is_relative_to(scenes_folder()):
+        named += sorted(path for path in pair.scene.folder.rglob("*") if path.is_file())
+    return [p for p in named if p is not None and not p.is_relative_to(scenes_folder())]
 
 
 def _told(batch: tuple[Job, ...]) -> str:

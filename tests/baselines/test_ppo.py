@@ -15,6 +15,7 @@ from baselines import ppo
 from baselines.walked import walked
 from crowdbench import Reward, load_scene, spawn_model
 from crowdbench.envs.torchrl_env import CrowdEnv
+from crowdbench.errors import SettingError
 from crowdbench.policies import OnnxPolicy
 from crowdbench.simulation import social
 
@@ -175,3 +176,26 @@ def test_with_plans_people_keep_their_speeds_stops_and_companions(tmp_path: Path
 def test_unknown_scenes_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert ppo.main(["--scene", "moon-v0", "--out", str(tmp_path)]) == 2
     assert "moon-v0" in capsys.readouterr().err
+
+
+def test_several_processes_act_by_the_network_as_it_is_now() -> None:
+    settings = ppo.Settings(
+        worlds=8, frames=3200, batch_frames=800, collectors=2, learning_rate=1e-12, gamma=0.5
+    )
+    rounds = ppo.train("plaza-v0", settings)
+    first = next(rounds)
+    assert first.figures["m/s"] == pytest.approx(first.figures["m/s preferred"], rel=0.2)
+    with torch.no_grad():  # everyone walks backwards as fast as possible
+        first.network.layers[-1].bias[0] = -10.0
+    next(rounds)  # may have been collected already
+    assert next(rounds).figures["m/s"] > 1.4 * first.figures["m/s"]
+    rounds.close()
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"), [({"collectors": 3}, "divisor"), ({"device": "cuda:99"}, "device")]
+)
+def test_what_cannot_be_trained_with_is_said(changes: dict[str, object], told: str) -> None:
+    settings = ppo.Settings(worlds=8, **changes)  # type: ignore[arg-type]
+    with pytest.raises(SettingError, match=told):
+        next(ppo.train("plaza-v0", settings))

@@ -50,7 +50,7 @@ def verify(
             something it needs, such as a recording, is missing.
     """
     with swept():
-        owners = _owners(out) | {name: [] for name in taken}
+        owners = owners_of(out) | {name: [] for name in taken}
         entry, ran = entry_of(submission, out / "work", workers, limits, progress, owners)
         # The child has checked this before the first rollout, but its answer is not trusted.
         check_unused(submission, entry.id, entry.declared.authors, owners)
@@ -59,7 +59,7 @@ def verify(
     return entry, ran
 
 
-def _owners(out: Path) -> dict[str, list[str]]:
+def owners_of(out: Path) -> dict[str, list[str]]:
     """Authors of the entries in a folder, by id; a broken entry has none and may be overwritten."""
     found = {}
     for path in sorted(out.glob("*.json")):

@@ -184,6 +184,7 @@ def make_fits(
         workers,
         common=(scene, arrivals, areas),
         name=lambda fit: f"fit {fit.path.stem}",
+        files=lambda fit: [fit.path],
     ):
         done += 1
         progress(done, len(fits))

@@ -93,6 +93,12 @@ class Job:
         return self.path.with_name(f"{self.path.stem}_{policy}.parquet")
 
 
+def files_of(job: Job) -> list[Path]:
+    """The files that a sample is made from or that it writes."""
+    fit = [] if job.fit is None else [job.fit.path]
+    return [*fit, job.path, *map(job.crowd, job.policies)]
+
+
 def walker_of(scene: Scene) -> str:
     """The policy of the rollouts that are compared with the recording."""
     return WALKER if WALKER in trained_policies(scene) else "straight"
@@ -139,7 +145,12 @@ def make(
     tasks = [(job,) for job in missing]
     common = (scene, recording.observed, arrivals, areas)
     for k, sample in call_each(
-        _sample, tasks, workers, common=common, name=lambda job: f"sample {job.path.stem}"
+        _sample,
+        tasks,
+        workers,
+        common=common,
+        name=lambda job: f"sample {job.path.stem}",
+        files=files_of,
     ):
         found[missing[k]] = sample
         progress(len(found), len(jobs))

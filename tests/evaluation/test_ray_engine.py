@@ -1,0 +1,169 @@
+"""The engine `ray`: the same results, own code, files there and back, dead nodes and interrupts."""
+
+import os
+import shlex
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pages
+import pytest
+from conftest import need
+
+from crowdbench import cli
+from crowdbench.errors import SettingError
+from crowdbench.evaluation import parallel
+
+ROOT = Path(__file__).parents[2]
+
+OWN = '''
+"""Tasks, and a policy, of a user."""
+import os, time
+from pathlib import Path
+import numpy as np
+
+def half(number, out, by):
+    """Append to a file of the task; 13 is bad luck."""
+    if number == 13:
+        raise ValueError("thirteen")
+    time.sleep(0.2)
+    path = out / f"{number}.txt"
+    before = path.read_text() if path.exists() else ""
+    path.write_text(before + f"{number / by}")
+    return number / by, str(path), Path("given.txt").read_text(), os.environ["CROWDBENCH_HOME"]
+
+class Slow:
+    """Walks slowly to the target."""
+    name, sees = "slow", "observation"
+    def reset(self, scene, rng):
+        pass
+    def act(self, seen):
+        return (0.5 * seen[:, 2:4]).astype(np.float32)
+'''
+
+CLUSTER = """
+import threading, time
+import ray
+from ray.cluster_utils import Cluster
+cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
+ray.init(address=cluster.address, log_to_driver=False)
+"""
+
+
+def run(script: str, folder: Path) -> str:
+    """Output of a script that runs in a folder with a module `own` of the user."""
+    need(find_spec("ray"), "the extra ray")
+    (folder / "own.py").write_text(OWN)
+    (folder / "given.txt").write_text("given")
+    (folder / "script.py").write_text(script)
+    done = subprocess.run(
+        [sys.executable, "script.py"], cwd=folder, capture_output=True, text=True, timeout=400,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.long
+def test_a_dead_node_an_error_and_an_interrupt(tmp_path: Path) -> None:
+    out = run(
+        CLUSTER
+        + """
+from contextlib import closing
+from pathlib import Path
+import crowdbench, own
+from crowdbench.evaluation.parallel import call_each, checked_workers
+out = Path("out")
+out.mkdir()
+(out / "2.txt").write_text("before ")
+given = dict(files=lambda n, out: [out / f"{n}.txt"], reads=lambda n, out: [Path("given.txt")])
+with crowdbench.engine("ray"):
+    assert checked_workers(None) == 3
+    found = {}
+    for k, result in call_each(own.half, [(n, out) for n in range(12)], 3, common=(2,), **given):
+        found[k] = result
+        if len(found) == 2:
+            cluster.remove_node(nodes[0], allow_graceful=False)
+    assert sorted(found) == list(range(12))
+    for k, (number, path, text, home) in found.items():
+        assert (number, text) == (k / 2, "given")
+        assert "crowdbench-home" in home
+        assert not Path(path).exists() or out not in Path(path).parents
+        assert (out / f"{k}.txt").read_text() == ("before 1.0" if k == 2 else f"{k / 2}")
+    try:
+        list(call_each(own.half, [(13, out)], 1, common=(2,), **given))
+    except ValueError as error:
+        assert "thirteen" in str(error)
+        assert "own.py" in error.__notes__[0]
+    with closing(call_each(own.half, [(n, out) for n in range(50)], 2, common=(2,), **given)) as c:
+        next(c)
+    for _ in range(300):
+        free, alive = ray.available_resources().get("CPU"), sum(n["Alive"] for n in ray.nodes())
+        if (free, alive) == (2, 2):
+            break
+        time.sleep(0.1)
+    print("free:", free, "alive:", alive, flush=True)
+ray.shutdown()
+cluster.shutdown()
+""",
+        tmp_path,
+    )
+    assert "free: 2.0 alive: 2" in out
+
+
+@pytest.mark.long
+def test_an_evaluation_has_the_bytes_of_one_core(tmp_path: Path) -> None:
+    out = run(
+        """
+import filecmp, shutil
+from pathlib import Path
+import ray
+import crowdbench
+from crowdbench.scene import scenes_folder
+shutil.copytree(scenes_folder() / "plaza-v0", "mine")
+shutil.copy(scenes_folder() / "eth-v0" / "policies" / "bc" / "full.onnx", "walker.onnx")
+what = dict(spawn=["poisson-gmm", "replay"], policy=["own:Slow", "walker.onnx"], seeds=2)
+crowdbench.evaluate("mine", **what, workers=1, out="here")
+ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False)
+with crowdbench.engine("ray"):
+    for _ in range(2):  # once more, from the files that are there
+        crowdbench.evaluate("mine", **what, out="there")
+names = sorted(str(path.relative_to("here")) for path in Path("here").glob("rollouts/*.parquet"))
+different = filecmp.cmpfiles("here", "there", ["scorecard.json", *names], shallow=False)[1:]
+print(len(names), "same" if not any(different) else different)
+""",
+        tmp_path,
+    )
+    assert out.split()[-1] == "same", out
+
+
+def test_the_commands_of_the_page_exist() -> None:
+    commands = pages.commands((ROOT / "docs" / "cluster.md").read_text())
+    assert len(commands) >= 3
+    for command in commands:
+        asked = cli._parser().parse_args(shlex.split(command)[1:])
+        assert asked.engine in ("local", "ray")
+
+
+def test_an_unknown_engine_is_named() -> None:
+    with pytest.raises(SettingError, match="ray://HOST:PORT"), parallel.engine("slurm"):
+        pass
+
+
+def test_no_cluster_at_the_address() -> None:
+    need(find_spec("ray"), "the extra ray")
+    done = subprocess.run(
+        [sys.executable, "-m", "crowdbench", "anchors", "plaza-v0", "--engine", "ray://127.0.0.1:1"],
+        capture_output=True, text=True, cwd=ROOT, timeout=120,
+        env=os.environ | {"RAY_CLIENT_RECONNECT_GRACE_PERIOD": "1"},
+    )  # fmt: skip
+    assert done.returncode == 2, done.stderr
+    assert "ray start --head" in done.stderr
+
+
+def test_the_engine_ends_with_the_block() -> None:
+    with parallel.engine("local"):
+        assert parallel.is_local()
+        assert parallel.checked_workers(3) == 3
