@@ -9,7 +9,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
 from crowdbench.metrics.lattice import counted, histograms, rounded
@@ -114,10 +114,8 @@ class CompanionOffset(_OfPairs):
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, d]`: number of pairs and ticks in block b that are d · 5 cm abreast."""
         pairs = pairs_of(crowd, blocks, place.walking.tick_frames)
-        speed = np.hypot(*pairs.velocity.T)
-        walks = speed >= SLOW_MPS
-        (x, y), (vx, vy) = pairs.gap[walks].T, pairs.velocity[walks].T
-        across = np.minimum(np.abs(x * vy - y * vx) / speed[walks], APART_M)
+        walks, gap = pairs.abreast()
+        across = np.minimum(np.abs(gap[:, 1]), APART_M)
         return {"counts": histograms(rounded(across, STEP_M), pairs.block[walks], len(blocks))}
 
 
@@ -129,6 +127,14 @@ class Pairs(NamedTuple):
     velocity: Float[np.ndarray, "n 2"]
     """Mean velocity of both from the tick before to the tick after, m/s; 0 where one is missing."""
     block: Int[np.ndarray, " n"]
+
+    def abreast(self) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, "m 2"]]:
+        """Who walks, and the gaps of those along and across the direction in which both walk."""
+        speed = np.hypot(*self.velocity.T)
+        walks = speed >= SLOW_MPS
+        (x, y), (vx, vy) = self.gap[walks].T, self.velocity[walks].T
+        along, across = x * vx + y * vy, x * vy - y * vx
+        return walks, np.column_stack([along, across]) / speed[walks, None]
 
 
 @lru_cache(maxsize=1)  # two metrics use the pairs of the same crowd

@@ -106,7 +106,7 @@ class SpawnSource:
             holding = replace(scene, folder=self.fits.parent)
             areas = read_areas(scene)
             if self.base in PLANNED:
-                areas = read_plans(scene, areas, split)
+                areas = read_plans(scene, areas, split, WEIGHTS[self.fits.name])
             fitted = FITTED[WEIGHTS[self.fits.name]].read(holding, areas, split, fit)
             return replace(fitted, name=self.base) if self.base in PLANNED else fitted
         if self.own:

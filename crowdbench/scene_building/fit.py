@@ -12,8 +12,9 @@ from msgspec import structs
 from crowdbench.errors import SceneError, SettingError
 from crowdbench.evaluation.parallel import call_each, checked_workers
 from crowdbench.files import unwritable, write_text
-from crowdbench.registry import FITTED
+from crowdbench.registry import FITTED, PLANNED, fitted_models
 from crowdbench.scene import Scene
+from crowdbench.scene_building.plan_calibration import adjustment, calibrated
 from crowdbench.scene_building.toml import with_default_clustering, with_recording
 from crowdbench.scoring.reference import Reference, write_reference
 from crowdbench.spawn import (
@@ -29,10 +30,11 @@ from crowdbench.spawn import (
     fit_areas,
 )
 from crowdbench.spawn.areas import write_areas
-from crowdbench.spawn.plan_calibration import calibrated
+from crowdbench.spawn.links import Adjustment
 from crowdbench.spawn.plan_files import write_plans
 from crowdbench.spawn.plan_fitting import fit_plans
-from crowdbench.trajectories.blocks import SPLITS
+from crowdbench.spawn.planned import PlannedAreas
+from crowdbench.trajectories.blocks import SPLITS, TimeBlocks
 from crowdbench.trajectories.preprocessing import paper_preprocessed
 from crowdbench.trajectories.stops import standing
 from crowdbench.trajectories.table import OUTCOMES, Trajectories
@@ -121,13 +123,9 @@ def fit_scene(
     toml = with_default_clustering(with_recording(toml, scene.recording), clustering)
     write_text(place.folder / "scene.toml", toml)
     write_areas(areas, place.folder / "areas.json")
-    plans = {
-        split: calibrated(fit_plans(crowd, training, areas), crowd, training, place)
-        for split, training in ((split, blocks.training(split)) for split in SPLITS)
-    }
-    write_plans(place.folder, plans)
     for name in models:
         FITTED[name].write(place.folder, fitted[name])
+    _write_plans(crowd, blocks, areas, place)
     write_reference(reference, place)
     full = arrivals["full"]
     return {
@@ -166,6 +164,21 @@ def _preprocessed(
         scene.recording, preprocess="paper", dwell_p99_s=round(dwell_p99_s(recording), 6)
     )
     return replace(scene, recording=of), recording, counts.facts(scene.recording.name)
+
+
+def _write_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: Scene) -> None:
+    """Fit plans, and adjust them to the models in the scene's folder that have plans."""
+    plans: dict[str, PlannedAreas] = {}
+    adjustments: dict[str, dict[str, Adjustment]] = {}
+    sending = [name for name in PLANNED.values() if name in fitted_models(scene)]
+    for split in SPLITS:
+        training = blocks.training(split)
+        plans[split] = calibrated(fit_plans(crowd, training, areas), crowd, training, scene)
+        adjustments[split] = {}
+        for name in sending:
+            model: Any = FITTED[name].read(scene, areas, split, 0)
+            adjustments[split][name] = adjustment(model, plans[split], crowd, training, scene)
+    write_plans(scene.folder, plans, adjustments)
 
 
 def _check_models(models: Sequence[str]) -> None:

@@ -51,6 +51,20 @@ class Candidates:
     """Bin of the delay."""
 
 
+@dataclass(frozen=True)
+class Adjustment:
+    """By how much links are changed, so that a model has as many companions as the recording."""
+
+    more: float = 0.0
+    """Added to all log weights."""
+    larger: float = 0.0
+    """Added to the log weights of joining three people or more; half of it to those of two."""
+    along: float = 1.0
+    """Factor of the offsets along the way."""
+    across: float = 1.0
+    """Factor of the offsets across the way."""
+
+
 @dataclass(frozen=True, eq=False)
 class Links:
     """The model of companions for `K` areas."""
@@ -138,6 +152,18 @@ class Links:
         side *= np.where(side_before == 0, 1.0, side_before)
         drawn[:, (1, 3)] *= side[:, None]
         return drawn, side
+
+    def adjusted(self, by: Adjustment) -> "Links":
+        """The same links, adjusted to the times of a model."""
+        of_larger = self.larger + np.where(np.arange(len(self.larger)) > 0, 1.0, 0.5) * by.larger
+        factor = np.array([by.along, by.across, by.along, by.across, 1.0])
+        return replace(
+            self,
+            log_weight=self.log_weight + by.more,
+            larger=of_larger,
+            mean=self.mean * factor,
+            covariance=self.covariance * np.outer(factor, factor),
+        )
 
     def with_offsets(
         self,

@@ -1,17 +1,20 @@
 """The file `plans.json` of a scene: companions and ways, fitted for each split."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
+from msgspec import structs
 
 from crowdbench.errors import WeightsError
 from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, as_array
-from crowdbench.spawn.links import OFFSETS, STAGES, Links
+from crowdbench.spawn.links import OFFSETS, STAGES, Adjustment, Links
 from crowdbench.spawn.mixtures import DECIMALS
 from crowdbench.spawn.planned import PlannedAreas
 from crowdbench.spawn.trip_files import TripsFile, check_covariances, read_trips, written_trips
@@ -20,7 +23,14 @@ from crowdbench.spawn.weights import check_origin, hint
 from crowdbench.trajectories.blocks import SPLITS
 
 FILE = "plans.json"
-SCHEMA = 2
+SCHEMA = 3
+
+
+class _Adjustment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    more: float
+    larger: float
+    along: Annotated[float, msgspec.Meta(gt=0)]
+    across: Annotated[float, msgspec.Meta(gt=0)]
 
 
 class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -37,6 +47,8 @@ class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     ways: dict[str, Any]
     """The other arrays of `Ways` by name, as nested lists."""
     fastest_mps: float
+    adjustments: dict[str, _Adjustment]
+    """By the model that the times are from."""
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -46,8 +58,15 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     splits: dict[str, _Plans]
 
 
-def write_plans(folder: Path, fits: Mapping[str, PlannedAreas]) -> None:
-    """Write the fits of all splits into a scene's folder."""
+def write_plans(
+    folder: Path,
+    fits: Mapping[str, PlannedAreas],
+    adjustments: Mapping[str, Mapping[str, Adjustment]] = MappingProxyType({}),
+) -> None:
+    """Write the fits of all splits into a scene's folder.
+
+    `adjustments` has those of each split, by the model that the times are from.
+    """
     splits = {
         split: _Plans(
             log_weight=fit.links.log_weight.tolist(),
@@ -62,6 +81,9 @@ def write_plans(folder: Path, fits: Mapping[str, PlannedAreas]) -> None:
             trips=written_trips(fit.ways.trips),
             ways={name: getattr(fit.ways, name).round(DECIMALS).tolist() for name in _shapes(fit)},
             fastest_mps=fit.ways.fastest_mps,
+            adjustments={
+                times: _Adjustment(**asdict(by)) for times, by in adjustments.get(split, {}).items()
+            },
         )
         for split, fit in fits.items()
     }
@@ -70,11 +92,12 @@ def write_plans(folder: Path, fits: Mapping[str, PlannedAreas]) -> None:
     write_json(folder / FILE, file, compact=True)
 
 
-def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
-    """The areas with the plans that a scene ships for a split.
+def read_plans(scene: Scene, areas: Areas, split: str, times: str | None = None) -> PlannedAreas:
+    """The areas with the plans that a scene ships for a split, adjusted to the times of a model.
 
     Raises:
-        WeightsError: the file is missing or broken, or belongs to another scene.
+        WeightsError: the file is missing or broken, belongs to another scene, or has no adjustment
+            for this model.
     """
     path, how = scene.folder / FILE, hint(scene)
     file = read_struct(path, _File, WeightsError, how)
@@ -107,6 +130,15 @@ def read_plans(scene: Scene, areas: Areas, split: str) -> PlannedAreas:
         of.group_log_speed,
     )
     check_covariances(links.covariance, f"{where}.offset_covariance", how)
+    if times is not None:
+        if times not in of.adjustments:
+            raise WeightsError(
+                f"{where}.adjustments",
+                got=", ".join(sorted(of.adjustments)) or "nothing",
+                expected=f"{times}, the model that the times are from",
+                hint=how,
+            )
+        links = links.adjusted(Adjustment(**structs.asdict(of.adjustments[times])))
     shapes = _shapes(areas, len(of.ways.get("stop_mean", [])))
     if set(of.ways) != set(shapes):
         raise WeightsError(

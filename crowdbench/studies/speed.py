@@ -25,6 +25,7 @@ from crowdbench.registry import fitted_models, has_recording, recording_of, spaw
 from crowdbench.registry import policy as named_policy
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Scene, load_scene
+from crowdbench.scene_building.plan_calibration import adjustment, calibrated
 from crowdbench.scoring.energy import RESAMPLES, Energy, energy
 from crowdbench.scoring.reference import Reference, read_reference, summarise
 from crowdbench.scoring.score import Score, combined, ranks, score_of
@@ -35,11 +36,11 @@ from crowdbench.spawn import SpawnModel, arrivals_of
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.cox import CoxGMM
 from crowdbench.spawn.events import blocks_of
-from crowdbench.spawn.plan_calibration import calibrated
+from crowdbench.spawn.plan_files import read_plans
 from crowdbench.spawn.plan_fitting import fit_plans
 from crowdbench.spawn.planned import PlannedAreas
 from crowdbench.studies.open_square import AtOnce, crowd_at_once, open_square, to_and_fro
-from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.blocks import SPLITS, TimeBlocks
 from crowdbench.trajectories.table import Trajectories
 
 CHUNK_S = 0.05
@@ -284,12 +285,19 @@ def _fitting_plans() -> Iterator[Figure]:
         for name, fit in (
             ("cox-gmm", partial(CoxGMM.fit, arrivals, areas)),
             ("plans", partial(_fit_plans, crowd, blocks, areas, scene)),
+            ("adjustment of plans to cox-gmm", partial(_adjust_plans, crowd, blocks, areas, scene)),
         ):
             yield Figure(f"{name}, one fit to {scene.id}", _once_s(fit), "s")
 
 
 def _fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: Scene) -> PlannedAreas:
     return calibrated(fit_plans(crowd, blocks, areas), crowd, blocks, scene)
+
+
+def _adjust_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: Scene) -> None:
+    plans = read_plans(scene, areas, SPLITS[0])
+    model: Any = CoxGMM.read(scene, areas)
+    adjustment(model, plans, crowd, blocks, scene)
 
 
 def _scoring(reference: Reference, crowds: list[Trajectories]) -> Callable[[], object]:

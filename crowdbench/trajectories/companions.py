@@ -1,8 +1,10 @@
 """Who walks together, by one rule for recordings and rollouts.
 
-Two people are companions if they enter at most 6 s apart, are within 2 m of each other for at least
-80 % of their common time (4 s or more), and have a mean relative speed of at most 0.5 m/s. Groups
-are the connected components of this relation.
+Two people are companions if they are seen to enter at most 6 s apart, are within 2 m of each other
+for at least 80 % of their common time (4 s or more), and have a mean relative speed of at most
+0.5 m/s. Groups are the connected components of this relation. People who are there when observation
+begins have no companions, because it is not known when they entered: strangers who stand near each
+other then would all be one group.
 """
 
 from dataclasses import replace
@@ -35,7 +37,8 @@ def groups_of(crowd: Trajectories) -> Int[np.ndarray, " P"]:
     from crowdbench.trajectories.neighbour_kernels import companions
 
     size, dt_s = len(crowd), crowd.dt_s
-    order = np.argsort(crowd.first, kind="stable")
+    order = np.flatnonzero(crowd.entered)
+    order = order[np.argsort(crowd.first[order], kind="stable")]
     pairs = companions(
         crowd.xy.astype(np.float64),
         crowd.offsets[:-1][order],

@@ -118,10 +118,11 @@ def side_by_side() -> Trajectories:
 
 def test_companions_of_a_new_place_are_found(tmp_path: Path) -> None:
     crowd = side_by_side()
-    lines = (f"{p},{t},{x},{y}" for p in range(3) for t, (x, y) in enumerate(crowd.path(p)))
+    lines = [f"{p},{t + 5},{x},{y}" for p in range(3) for t, (x, y) in enumerate(crowd.path(p))]
+    lines += [f"3,{t},{0.4 * t},12" for t in range(20)]  # whoever is there at first has none
     (tmp_path / "mine.csv").write_text("\n".join(["person_id,frame,x,y", *lines]))
     found = read_recording(tmp_path / "mine.csv", "csv", name="mine", dt_s=0.4)
-    assert found.group.tolist() == [0, 0, -1]
+    assert found.group.tolist() == [-1, 0, 0, -1]
 
 
 def test_companions_that_a_table_states_are_kept(tmp_path: Path) -> None:

@@ -5,10 +5,10 @@ import pytest
 
 from crowdbench.rollouts.plaza_recording import record
 from crowdbench.scene import load_scene
+from crowdbench.scene_building.plan_calibration import straight_walks
 from crowdbench.spawn import CoxGMM, arrivals_in, fit_areas, plaza, plaza_plans
 from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.links import Links, fit_links
-from crowdbench.spawn.plan_calibration import straight_walks
 from crowdbench.spawn.plan_fitting import fit_plans
 from crowdbench.spawn.planned import PlannedAreas
 from crowdbench.trajectories.table import Trajectories

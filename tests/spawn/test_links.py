@@ -1,6 +1,7 @@
 """Companions as marks on arrivals: likelihood, fit, and samples that follow it."""
 
 import itertools
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy.optimize import approx_fprime
 from crowdbench.spawn.links import (
     COMMON_MEAN,
     EDGES_S,
+    Adjustment,
     Links,
     _likelihood,
     _same,
@@ -204,3 +206,17 @@ def test_groups_that_take_in_nobody_have_two_people() -> None:
 def test_without_arrivals_nobody_joins() -> None:
     none = np.empty(0)
     assert len(links().draw(none, none.astype(np.int64), np.random.default_rng(0))) == 0
+
+
+def test_links_are_adjusted_by_four_numbers() -> None:
+    model = replace(links(), mean=np.array([[1.0, 2.0, 3.0, 4.0, 5.0]]))
+    by = Adjustment(more=0.7, larger=0.4, along=0.5, across=2.0)
+    other = model.adjusted(by)
+    np.testing.assert_allclose(other.log_weight, WEIGHT + 0.7)
+    np.testing.assert_allclose(other.larger, LARGER + np.array([0.2, 0.4, 0.4]))
+    np.testing.assert_allclose(other.mean, [[0.5, 4.0, 1.5, 8.0, 5.0]])
+    sd = np.sqrt(np.diagonal(other.covariance[0]))
+    np.testing.assert_allclose(sd, 0.1 * np.array([0.5, 2.0, 0.5, 2.0, 1.0]))
+    same = model.adjusted(Adjustment())
+    for field in fields(model):
+        np.testing.assert_array_equal(getattr(same, field.name), getattr(model, field.name))

@@ -11,10 +11,11 @@ from scipy.stats import binomtest
 from crowdbench.errors import SceneError, WeightsError
 from crowdbench.registry import recording_of
 from crowdbench.scene import load_scene
+from crowdbench.scene_building.plan_calibration import straight_walks
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import blocks_of
+from crowdbench.spawn.links import Adjustment
 from crowdbench.spawn.mixtures import DECIMALS, NARROWEST_M, moments
-from crowdbench.spawn.plan_calibration import straight_walks
 from crowdbench.spawn.plan_files import FILE, read_plans, write_plans
 from crowdbench.spawn.plan_fitting import fit_plans, offsets_of
 from crowdbench.spawn.planned import PlannedAreas, directions, turned
@@ -156,6 +157,19 @@ def test_the_file_gives_back_what_was_fitted(fitted: PlannedAreas, tmp_path: Pat
             np.testing.assert_array_equal(getattr(again.links, name), getattr(areas.links, name))
 
 
+def test_plans_are_adjusted_to_the_times_of_a_model(fitted: PlannedAreas, tmp_path: Path) -> None:
+    by = Adjustment(more=0.5, larger=-0.25, along=0.75, across=1.5)
+    write_plans(tmp_path, dict.fromkeys(SPLITS, fitted), {"fold1": {"cox-gmm": by}})
+    place = replace(PLAZA, folder=tmp_path)
+    links = read_plans(place, read_areas(PLAZA), "fold1", "cox-gmm").links
+    for field in fields(links):
+        adjusted = getattr(fitted.links.adjusted(by), field.name)
+        np.testing.assert_array_equal(getattr(links, field.name), adjusted)
+    for split, times in (("fold1", "ntpp-gmm"), ("full", "cox-gmm")):
+        with pytest.raises(WeightsError, match=f"{times}, the model that the times are from"):
+            read_plans(place, read_areas(PLAZA), split, times)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
@@ -163,6 +177,7 @@ def test_the_file_gives_back_what_was_fitted(fitted: PlannedAreas, tmp_path: Pat
         ('"fold2"', '"fold9"', "fold9"),
         ('"stopping"', '"stoping"', "stoping"),
         ('"group_log_speed"', '"slow"', "slow"),
+        ('"along":1.0', '"along":-1.0', "along"),
         ('"log_speed":[', '"log_speed":[0.1,', "trips.log_speed"),
         ('"starts":{"area":[0,', '"starts":{"area":[9,', "trips.starts.area"),
         ('"starts":{"area":[0,', '"starts":{"area":[0,0,', "trips.starts.weight"),
@@ -173,7 +188,8 @@ def test_the_file_gives_back_what_was_fitted(fitted: PlannedAreas, tmp_path: Pat
 def test_broken_files_are_refused(
     fitted: PlannedAreas, tmp_path: Path, old: str, new: str, told: str
 ) -> None:
-    write_plans(tmp_path, dict.fromkeys(SPLITS, fitted))
+    nothing = {split: {"cox-gmm": Adjustment()} for split in SPLITS}
+    write_plans(tmp_path, dict.fromkeys(SPLITS, fitted), nothing)
     file = tmp_path / FILE
     text = file.read_text().replace(" ", "").replace("\n", "")
     file.write_text(text.replace(old, new))

@@ -70,8 +70,9 @@ def test_the_median_of_each_kind_is_typical(
 
 def test_a_meeting_needs_a_companion() -> None:
     lone = [pair(20.0 * k - 40, (1.0, 0.0), (-1.0, 0.0), 0.8) for k in range(4)]
+    lone = [[(1, path) for _, path in of] for of in lone]  # companions are seen to enter
     assert "meeting" not in found(recorded(*chain(*lone)))
-    beside = [(0, path - np.array([0.0, 0.7])) for _, path in [of[0] for of in lone]]
+    beside = [(1, path - np.array([0.0, 0.7])) for _, path in [of[0] for of in lone]]
     assert found(recorded(*chain(*lone), *beside))["meeting"].chosen_from == 8  # with each of both
 
 

@@ -23,7 +23,8 @@ def walk(*pieces: tuple[float, float]) -> np.ndarray:
 
 
 def crowd(*paths: np.ndarray, first: tuple[int, ...] = ()) -> Trajectories:
-    begins = first or (0,) * len(paths)
+    """People who enter in these frames, by default in the second one of an observed interval."""
+    begins = first or (1,) * len(paths)
     trips = [(b, b + len(path) - 1) for b, path in zip(begins, paths, strict=True)]
     return crowd_of(trips, xy=np.concatenate(paths), dt_s=DT)
 
@@ -103,7 +104,14 @@ def test_people_who_part_early_are_no_companions() -> None:
 @pytest.mark.parametrize(("late", "group"), [(15, 0), (16, -1)])
 def test_companions_enter_within_six_seconds(late: int, group: int) -> None:
     slow, after = walk((0.2, 16)), walk((0.2, 16))
-    assert groups_of(crowd(slow, beside(after, 0.5), first=(0, late))).tolist() == [group, group]
+    enter = (1, 1 + late)
+    assert groups_of(crowd(slow, beside(after, 0.5), first=enter)).tolist() == [group, group]
+
+
+def test_people_who_were_there_before_observation_have_no_companions() -> None:
+    path = walk((1.2, 12))
+    others = (path, beside(path, 0.8), beside(path, 1.6), beside(path, 2.4))
+    assert groups_of(crowd(*others, first=(0, 0, 1, 1))).tolist() == [-1, -1, 0, 0]
 
 
 def test_a_glimpse_of_two_people_makes_no_group() -> None:
@@ -138,6 +146,8 @@ def test_companions_are_those_that_comparing_everyone_finds(drawn: Trajectories)
 
 def are_companions(crowd: Trajectories, a: int, b: int) -> bool:
     if abs(int(crowd.first[a]) - int(crowd.first[b])) > 6:
+        return False
+    if not (crowd.entered[a] and crowd.entered[b]):
         return False
     frames = range(
         int(max(crowd.first[a], crowd.first[b])), int(min(crowd.last[a], crowd.last[b])) + 1

@@ -20,7 +20,7 @@ from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import Limit
 
 SCHEMA = 1
-SCORER = 3
+SCORER = 4
 """Version of the scoring. Any change that alters the scores of an entry increases it; then
 `crowdbench leaderboard rescore` scores the entries again."""
 

@@ -1,4 +1,4 @@
-"""How models of plans get as many companions as are found in recordings.
+"""How models of plans get companions like those that are found in recordings.
 
 Companions are found by a rule, in recordings as in rollouts (`trajectories.companions`). Where many
 people enter, some of those whom it finds only happen to walk side by side. A model that is fitted
@@ -10,18 +10,26 @@ straight:
   recording, and as large groups.
 - Pairs that are found although they are in different groups show what companions by accident look
   like. Each recorded pair counts for the offsets with the probability that it is none of those.
+
+The times of a model are not the recorded ones. Where they are more crowded, more people join, and
+more happen to walk side by side. So four numbers are then found for each model, for which its own
+samples have the recorded share of people with companions, sizes of groups, and distances of
+companions along and across their way.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy.random import Generator
 
+from crowdbench.metrics.groups import pairs_of as companions_of
 from crowdbench.scene import Scene
+from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import SpawnEvents
-from crowdbench.spawn.links import OFFSETS, Links, one_sided
+from crowdbench.spawn.links import OFFSETS, Adjustment, one_sided
 from crowdbench.spawn.mixtures import log_gaussians, moments, responsibilities
 from crowdbench.spawn.plan_fitting import (
     Marks,
@@ -31,7 +39,7 @@ from crowdbench.spawn.plan_fitting import (
     pairs_of,
 )
 from crowdbench.spawn.planned import PlannedAreas
-from crowdbench.trajectories.blocks import TimeBlocks
+from crowdbench.trajectories.blocks import TimeBlocks, cut
 from crowdbench.trajectories.companions import groups_of
 from crowdbench.trajectories.table import Trajectories, from_rows
 
@@ -42,6 +50,19 @@ _LONGEST_WAIT_S = 600.0
 _FEWEST = 40
 """With fewer pairs, recorded or by accident, all recorded pairs count fully."""
 _COMPONENTS = 4
+_ADJUSTING = 8
+"""Number of rounds in which plans are adjusted to the times of a model."""
+_ADJUSTED = 6_000
+"""About the number of people drawn in each of these rounds."""
+_FULL_STEPS = 4
+"""Rounds with full steps; later ones are shorter."""
+_FEWEST_COMPANIONS = 10
+_MOST_ODDS = 2.0
+"""Largest change of a log weight."""
+_HARDLY = 0.05
+"""Least distance, and number of people, of which the logarithm is taken."""
+_FACTORS = 0.5, 2.0
+"""Smallest and largest factor of offsets."""
 
 
 def calibrated(
@@ -50,7 +71,7 @@ def calibrated(
     """The same plans, with companions like those of the people who enter in the time blocks.
 
     Two numbers are found: how much is added to all log weights, and how much more to those of
-    joining a group; see `_shifted`.
+    joining a group.
     """
     marks = marks_of(crowd, blocks)
     if not (marks.group >= 0).any():
@@ -61,12 +82,113 @@ def calibrated(
     for k in range(_ROUNDS):
         samples = _samples(areas, marks, scene, rng)
         more, larger = aim - _log_odds(_together([found for _, _, found in samples]))
-        links = _shifted(areas.links, more, larger)
+        links = areas.links.adjusted(Adjustment(more=more, larger=larger))
         if k == _ROUNDS // 2:
             weight = _deliberate(pairs.offsets, samples)
             links = links.with_offsets(pairs.offsets, pairs.walked_m, weight)
         areas = replace(areas, links=links)
     return areas
+
+
+@runtime_checkable  # tests check annotations at run time
+class Times(Protocol):
+    """A model of times that has areas, as those of `registry.PLANNED` have."""
+
+    @property
+    def areas(self) -> Areas:
+        """Areas from which it draws places."""
+        ...
+
+    def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
+        """Sample the people who enter."""
+        ...
+
+
+def adjustment(
+    model: Times,
+    areas: PlannedAreas,
+    crowd: Trajectories,
+    blocks: TimeBlocks,
+    scene: Scene,
+    seed: int = 0,
+) -> Adjustment:
+    """How the links of these plans are changed for the times of a model.
+
+    `areas` are those of `calibrated`. Stochastic approximation (Robbins and Monro 1951, Annals of
+    Mathematical Statistics 22): each round draws new samples, and later rounds move less.
+    """
+    aim = _company(crowd, blocks, scene)
+    if aim.people < _FEWEST_COMPANIONS:
+        return Adjustment()
+    # One long sample instead of several short ones, which take longer.
+    horizon_s = blocks.exposure_s() * max(1, round(_ADJUSTED / aim.people_in_all))
+    whole = cut(
+        np.array([[0, scene.frames(horizon_s)]]),
+        block_s=horizon_s,
+        dt_s=scene.dt_s,
+        grid_s=scene.grid_s,
+    )
+    rng, by = np.random.default_rng(seed), Adjustment()
+    for k in range(_ADJUSTING):
+        adjusted = replace(areas, links=areas.links.adjusted(by))
+        sending = replace(model, areas=adjusted)  # type: ignore[type-var]
+        sample = straight_walks(sending.sample(horizon_s, scene, rng), scene)
+        found = _company(sample, whole, scene)
+        gain = min(1.0, _FULL_STEPS / (k + 1))
+        moved = {
+            name: getattr(by, name) + gain * off
+            for name, off in (
+                ("more", aim.log_odds - found.log_odds),
+                ("larger", aim.log_larger - found.log_larger),
+            )
+        }
+        by = Adjustment(
+            more=float(np.clip(moved["more"], -_MOST_ODDS, _MOST_ODDS)),
+            larger=float(np.clip(moved["larger"], -_MOST_ODDS, _MOST_ODDS)),
+            along=_factor(by.along, gain, aim.along_m, found.along_m),
+            across=_factor(by.across, gain, aim.across_m, found.across_m),
+        )
+    return by
+
+
+def _factor(now: float, gain: float, aim: float, found: float) -> float:
+    return float(np.clip(now * (aim / found) ** gain, *_FACTORS))
+
+
+@dataclass(frozen=True)
+class _Company:
+    """The companions of a crowd."""
+
+    people: int
+    """Number of people with a companion."""
+    people_in_all: int
+    mean_size: float
+    """Mean size of the groups of people with a companion."""
+    along_m: float
+    """Mean distance of companions along the way of both, and across it, metres."""
+    across_m: float
+
+    @property
+    def log_odds(self) -> float:
+        """Log odds that a person has a companion."""
+        return float(np.log((self.people + 0.5) / (self.people_in_all - self.people + 0.5)))
+
+    @property
+    def log_larger(self) -> float:
+        """Log of how many people more than two there are in the groups."""
+        return float(np.log(self.mean_size - 2 + _HARDLY))
+
+
+def _company(crowd: Trajectories, blocks: TimeBlocks, scene: Scene) -> _Company:
+    persons, group = blocks.of_arrivals(crowd)[0], groups_of(crowd)
+    together = group[persons[group[persons] >= 0]]
+    size = np.bincount(group[group >= 0], minlength=1)[together]
+    gap = np.abs(companions_of(crowd, blocks, scene.walking.tick_frames).abreast()[1])
+    along_m, across_m = gap.mean(axis=0).tolist() if len(gap) else (_HARDLY, _HARDLY)
+    mean_size = float(size.mean()) if len(size) else 2.0
+    return _Company(
+        len(together), len(persons), mean_size, max(along_m, _HARDLY), max(across_m, _HARDLY)
+    )
 
 
 _Sample = tuple[SpawnEvents, Trajectories, Int[np.ndarray, " _"]]
@@ -131,16 +253,6 @@ def _log_density(
         np.stack([covariance for _, covariance in fitted]) + 1e-2 * np.eye(OFFSETS),
     )
     return np.asarray(np.logaddexp.reduce(each + np.log(shares.mean(axis=0)), axis=1))
-
-
-def _shifted(links: Links, more: float, larger: float) -> Links:
-    """Links with `more` added to all log weights.
-
-    `larger` is added to those of joining three people or more, and half of it to those of joining
-    two.
-    """
-    of_larger = links.larger + np.where(np.arange(len(links.larger)) > 0, larger, larger / 2)
-    return replace(links, log_weight=links.log_weight + more, larger=of_larger)
 
 
 def _log_odds(group: Int[np.ndarray, " n"]) -> np.ndarray:

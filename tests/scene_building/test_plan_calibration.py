@@ -5,12 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from crowdbench.registry import recording_of
+from crowdbench.registry import FITTED, recording_of
 from crowdbench.scene import load_scene
-from crowdbench.spawn import plan_calibration
+from crowdbench.scene_building import plan_calibration
+from crowdbench.scene_building.plan_calibration import (
+    adjustment,
+    calibrated,
+    straight_walks,
+)
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import SpawnEvents, blocks_of, entering
-from crowdbench.spawn.plan_calibration import calibrated, straight_walks
+from crowdbench.spawn.links import Adjustment
 from crowdbench.spawn.plan_fitting import fit_plans, marks_of
 from crowdbench.spawn.planned import PlannedAreas
 from crowdbench.trajectories.blocks import TimeBlocks
@@ -104,6 +109,35 @@ def test_as_many_companions_are_found_as_in_the_recording(
     np.testing.assert_allclose(again, recorded, atol=0.04)
 
 
+def test_samples_of_a_model_have_companions_like_those_recorded(
+    made: PlannedAreas, crowd: Trajectories, blocks: TimeBlocks
+) -> None:
+    model = FITTED["cox-gmm"].read(PLAZA, made, "full", 0)
+    by = adjustment(model, made, crowd, blocks, PLAZA)
+    horizon_s = 10 * blocks.exposure_s()
+    whole = replace(blocks, frames=np.array([[0, PLAZA.frames(horizon_s)]]), since=np.zeros(1, int))
+
+    def companions(areas: PlannedAreas) -> plan_calibration._Company:
+        events = replace(model, areas=areas).sample(horizon_s, PLAZA, np.random.default_rng(9))
+        return plan_calibration._company(straight_walks(events, PLAZA), whole, PLAZA)
+
+    recorded = plan_calibration._company(crowd, blocks, PLAZA)
+    found = companions(replace(made, links=made.links.adjusted(by)))
+    assert found.log_odds == pytest.approx(recorded.log_odds, abs=0.25)
+    assert found.mean_size == pytest.approx(recorded.mean_size, abs=0.25)
+    assert found.along_m == pytest.approx(recorded.along_m, rel=0.15)
+    assert found.across_m == pytest.approx(recorded.across_m, rel=0.1)
+    # From far away, too.
+    off = Adjustment(more=-1.0, larger=1.0, along=1.5, across=0.6)
+    far = replace(made, links=made.links.adjusted(off))
+    assert companions(far).log_odds < recorded.log_odds - 0.3
+    back = adjustment(model, far, crowd, blocks, PLAZA)
+    again = companions(replace(far, links=far.links.adjusted(back)))
+    assert again.log_odds == pytest.approx(recorded.log_odds, abs=0.25)
+    assert again.mean_size == pytest.approx(recorded.mean_size, abs=0.25)
+    assert again.across_m == pytest.approx(recorded.across_m, rel=0.1)
+
+
 def test_companions_by_accident_do_not_teach_how_companions_walk() -> None:
     """Recorded pairs are half deliberate, 0.6 m abreast, and half accidental, behind each other."""
     rng = np.random.default_rng(0)
@@ -142,4 +176,7 @@ def test_where_nobody_has_a_companion_nothing_changes(fitted: PlannedAreas) -> N
         PLAZA,
     )
     alone = replace(alone, spawn_area=np.zeros(50, np.int32))
-    assert calibrated(fitted, alone, blocks_of(alone, PLAZA), PLAZA) is fitted
+    blocks = blocks_of(alone, PLAZA)
+    assert calibrated(fitted, alone, blocks, PLAZA) is fitted
+    model = FITTED["cox-gmm"].read(PLAZA, fitted, "full", 0)
+    assert adjustment(model, fitted, alone, blocks, PLAZA) == Adjustment()
