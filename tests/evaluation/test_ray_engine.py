@@ -139,6 +139,20 @@ print(len(names), "same" if not any(different) else different)
     assert out.split()[-1] == "same", out
 
 
+@pytest.mark.long
+def test_the_collectors_of_the_page_collect(tmp_path: Path) -> None:
+    (example,) = (
+        block
+        for block in pages.blocks((ROOT / "docs" / "cluster.md").read_text(), "python")
+        if "RayCollector" in block
+    )
+    here = '{"address": "local", "num_cpus": 2, "include_dashboard"'
+    local = example.replace('{"include_dashboard"', here)
+    assert local != example
+    out = run(local, tmp_path)
+    assert out.count(" steps, reward ") == 4
+
+
 def test_the_commands_of_the_page_exist() -> None:
     commands = pages.commands((ROOT / "docs" / "cluster.md").read_text())
     assert len(commands) >= 3
