@@ -285,7 +285,7 @@ def _fitting_plans() -> Iterator[Figure]:
         for name, fit in (
             ("cox-gmm", partial(CoxGMM.fit, arrivals, areas)),
             ("plans", partial(_fit_plans, crowd, blocks, areas, scene)),
-            ("adjustment of plans to cox-gmm", partial(_adjust_plans, crowd, blocks, areas, scene)),
+            ("plans adjusted to cox-gmm", partial(_adjust_plans, crowd, blocks, areas, scene)),
         ):
             yield Figure(f"{name}, one fit to {scene.id}", _once_s(fit), "s")
 

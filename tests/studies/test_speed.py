@@ -32,7 +32,7 @@ NAMES = [
     "ntpp-gmm, one fit to plaza-v0",  # and to eth-v0 and gc-v0, where imported
     "cox-gmm, one fit to plaza-v0",  # and to gc-v0
     "plans, one fit to plaza-v0",
-    "adjustment of plans to cox-gmm, one fit to plaza-v0",
+    "plans adjusted to cox-gmm, one fit to plaza-v0",
     "rollout of ETH, straight",
     "rollout of ETH, social-force",
     "scoring 20 rollouts of ETH, all metrics",
