@@ -10,6 +10,7 @@ from pathlib import Path
 import pages
 import pytest
 from conftest import need
+from submissions import declare
 
 from crowdbench import cli
 from crowdbench.errors import SettingError
@@ -151,6 +152,31 @@ def test_the_collectors_of_the_page_collect(tmp_path: Path) -> None:
     assert local != example
     out = run(local, tmp_path)
     assert out.count(" steps, reward ") == 4
+
+
+@pytest.mark.long
+def test_submissions_are_verified_on_a_cluster(tmp_path: Path) -> None:
+    for name in ("good", "bad"):
+        shipped = 'shipped_policy = "straight"' if name == "good" else 'shipped_policy = "nobody"'
+        declare(tmp_path / name, more=shipped)
+    out = run(
+        """
+import ray
+from pathlib import Path
+import crowdbench
+from crowdbench.leaderboard.verification.cluster import verify_each
+from crowdbench.leaderboard.verification.verify import verify
+ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False)
+with crowdbench.engine("ray"):
+    found = dict(verify_each([Path("good"), Path("bad")], Path("there")))
+print("nobody" in str(found[Path("bad")]), len(list(Path("there").glob("*.json"))))
+entry, _ = verify(Path("good"), Path("here"), workers=1)
+same = Path(f"here/{entry.id}.json").read_bytes() == Path(f"there/{entry.id}.json").read_bytes()
+print("same" if same else "different")
+""",
+        tmp_path,
+    )
+    assert out.split()[-3:] == ["True", "2", "same"], out
 
 
 def test_the_commands_of_the_page_exist() -> None:
