@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from baselines.packages import needs
+from crowdbench.cli.workers import add_engine
 from crowdbench.errors import CrowdbenchError
 from crowdbench.evaluation.evaluate import evaluate  # without its report
-from crowdbench.evaluation.parallel import add_workers, call_each, checked_workers, engine
+from crowdbench.evaluation.parallel import call_each, checked_workers, engine
 from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import interval
 from crowdbench.scene import Scene
@@ -190,7 +191,7 @@ def command_line() -> argparse.ArgumentParser:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="output folder (default: results/ablation-SCENE)"
     )
-    add_workers(parser)
+    add_engine(parser)
     return parser
 
 

@@ -15,9 +15,10 @@ from pathlib import Path
 
 from baselines.packages import needs
 from crowdbench import load_scene, registry
+from crowdbench.cli.workers import add_engine
 from crowdbench.errors import CrowdbenchError, SettingError
 from crowdbench.evaluation.evaluate import evaluate  # without its report
-from crowdbench.evaluation.parallel import add_workers, call_each, checked_workers, engine
+from crowdbench.evaluation.parallel import call_each, checked_workers, engine
 from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import interval
 from crowdbench.scoring.scorecard import Row, rows
@@ -26,7 +27,7 @@ from crowdbench.trajectories.blocks import SPLITS
 with needs("fit", __name__):
     from baselines.ablation import difference
     from baselines.anticipate import Settings, learn
-    from baselines.command import Command
+    from baselines.command import Command, use_one_thread
 
 SCENES = ("eth-v0", "hotel-v0", "zara1-v0", "gc-v0", "forum-v0")
 SPLIT = "full"
@@ -52,6 +53,7 @@ def files_of(command: Command) -> list[Path]:
 def write(command: Command) -> None:
     """Train a policy and write its file, unless this command and code have written it."""
     if not command.has_written(SPLIT):
+        use_one_thread()
         with contextlib.redirect_stdout(sys.stderr):
             learn(command, SPLIT, Settings())
 
@@ -91,7 +93,7 @@ def command_line() -> argparse.ArgumentParser:
     parser.add_argument(
         "--out", type=Path, default=Path("results/across"), metavar="DIR", help="output folder"
     )
-    add_workers(parser)
+    add_engine(parser)
     return parser
 
 

@@ -84,7 +84,6 @@ with needs("fit", __name__):
         check_numbers,
         new_parser,
         train_each,
-        use_one_thread,
     )
     from crowdbench.policies.network import check_onnx
 
@@ -350,7 +349,6 @@ def _parts(scenes: Sequence[Scene], found: Sequence[Validation]) -> str:
 
 def learn(command: Command, split: str, settings: Settings) -> Path:
     """Train a network, choose its guide, and write both; return the file."""
-    use_one_thread()
     interval = decision_frames(*command.scenes)
     torch.manual_seed(settings.seed)
     walker = Walker(command.scene.motion.max_speed_mps, settings.hidden)

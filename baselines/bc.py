@@ -41,7 +41,6 @@ with needs("imitation", __name__):
         check_numbers,
         new_parser,
         train_each,
-        use_one_thread,
     )
     from baselines.mixture import NEAR_GOAL_M, NOISE, MixturePolicy, Sampler
     from baselines.progress import Progress
@@ -268,7 +267,6 @@ def command_line() -> argparse.ArgumentParser:
 
 def learn(split: str, command: Command, settings: Settings) -> str:
     """Clone and write the policy of a split; return lines about it."""
-    use_one_thread()
     lots = shown(command.scene, split, settings)
     with command.progress(split, settings.epochs, "epochs", "samples") as progress:
         policy, likelihood, epochs = clone(lots, settings, progress)

@@ -46,7 +46,6 @@ with needs("imitation", __name__):
         check_numbers,
         new_parser,
         train_each,
-        use_one_thread,
     )
     from baselines.progress import Progress
 
@@ -167,7 +166,6 @@ def command_line() -> argparse.ArgumentParser:
 
 def learn(split: str, command: Command, settings: Settings) -> str:
     """Clone and write the policy of a split; return lines about it."""
-    use_one_thread()
     shown = demonstrations(command.scene, split=split, observation=OBSERVATION)
     with command.progress(split, settings.epochs, "epochs", "samples") as progress:
         sampler = clone(shown, settings, progress)

@@ -17,8 +17,9 @@ from torch import nn
 from baselines.progress import Progress
 from baselines.walked import Walked, walked
 from crowdbench import load_scene, spawn_model
+from crowdbench.cli.workers import add_engine
 from crowdbench.errors import SettingError, WeightsError
-from crowdbench.evaluation.parallel import add_workers, call_each, checked_workers, engine
+from crowdbench.evaluation.parallel import call_each, checked_workers, engine, is_local
 from crowdbench.files import unwritable
 from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy, revision
@@ -96,7 +97,7 @@ def new_parser(
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help=f"output folder (default: results/{name}-SCENE)"
     )
-    add_workers(parser, default=1, of="splits")
+    add_engine(parser, "1, or one per core of a cluster; more train several splits at once")
     return parser
 
 
@@ -109,8 +110,8 @@ def train_each(
 ) -> None:
     """Call `learn(split, command, *settings)` for each split and print the lines that it returns.
 
-    The calls run on the engine that the command line names. `also` are suffixes of files that
-    `learn` writes beside that of the policy.
+    The calls run on the engine that the command line names, and torch uses one thread in each.
+    `also` are suffixes of files that `learn` writes beside that of the policy.
 
     Raises:
         CrowdbenchError: any error of `learn`.
@@ -118,10 +119,10 @@ def train_each(
     with engine(asked.engine):
         tasks = [(split, command) for split in asked.splits]
         done = call_each(
-            learn,
+            _learned,
             tasks,
-            checked_workers(asked.workers),
-            common=settings,
+            1 if asked.workers is None and is_local() else checked_workers(asked.workers),
+            common=(learn, settings),
             name=lambda split, command: f"the training on {split}",
             files=lambda split, command: [
                 command.path(split).with_suffix(suffix) for suffix in (".onnx", *also)
@@ -131,6 +132,28 @@ def train_each(
             for k, told in done:
                 for line in told.splitlines():
                     print(f"{command.path(asked.splits[k])}: {line}", flush=True)
+
+
+def _learned(
+    split: str, command: "Command", learn: Callable[..., str], settings: Sequence[object]
+) -> str:
+    use_one_thread()
+    return learn(split, command, *settings)
+
+
+def check_device(device: str) -> None:
+    """Check that torch can use a device.
+
+    Raises:
+        SettingError: torch does not know it, or has no access to it.
+    """
+    try:
+        torch.zeros(1, device=device)
+    except Exception as error:  # torch raises many kinds
+        told = str(error).splitlines()[0]
+        raise SettingError(
+            "device", got=f"{device!r} ({told})", expected="cpu, or cuda with a GPU"
+        ) from error
 
 
 def _module(name: str) -> str:

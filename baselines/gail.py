@@ -56,7 +56,6 @@ with needs("imitation", __name__):
         check_numbers,
         new_parser,
         train_each,
-        use_one_thread,
     )
     from baselines.mixture import BOUNDS, NOISE, MixturePolicy, Sampler
     from baselines.progress import Progress
@@ -317,7 +316,6 @@ def command_line() -> argparse.ArgumentParser:
 
 def learn(split: str, command: Command, settings: Settings, first: bc.Settings, seed: int) -> str:
     """Clone, train and write the policy of a split; return a line about it."""
-    use_one_thread()
     lots = bc.shown(command.scene, split, first)
     # Reminders would undo the narrowing of the clone, so with them it is done at the end.
     width = first.width if settings.reminders else 1.0

@@ -43,10 +43,10 @@ with needs("torchrl", __name__):
     from baselines.command import (
         Command,
         add_settings,
+        check_device,
         check_numbers,
         new_parser,
         train_each,
-        use_one_thread,
     )
     from crowdbench.envs.torchrl_env import CrowdEnv
     from crowdbench.simulation import observations, social
@@ -313,21 +313,6 @@ def _environment(
     )
 
 
-def check_device(device: str) -> None:
-    """Check that torch can use a device.
-
-    Raises:
-        SettingError: torch does not know it, or has no access to it.
-    """
-    try:
-        torch.zeros(1, device=device)
-    except Exception as error:  # torch raises many kinds
-        told = str(error).splitlines()[0]
-        raise SettingError(
-            "device", got=f"{device!r} ({told})", expected="cpu, or cuda with a GPU"
-        ) from error
-
-
 def _figures(batch: TensorDictBase, observation: str, max_speed_mps: float) -> dict[str, float]:
     acted, after = batch["agents", "mask"], batch["next", "agents"]
     ended = acted & after["done"][..., 0]
@@ -389,7 +374,6 @@ def command_line() -> argparse.ArgumentParser:
 
 def learn(split: str, command: Command, settings: Settings) -> str:
     """Train and write the policy of a split; return a line about it."""
-    use_one_thread()
     with command.progress(split, settings.frames, "frames", "agent-steps") as progress:
         for last in train(command.scene, settings, split=split):
             progress(last.frames, last.steps, last.figures)
@@ -407,9 +391,11 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         check_numbers(settings, or_zero=("gamma", "lmbda", "seed"))
         command = Command.of("ppo", asked.scene, asked.splits, asked.out, arguments)
-        if settings.collectors > 1 and asked.workers > 1:
+        if settings.collectors > 1 and (asked.workers or 1) > 1:
             raise SettingError(
-                "workers", got=f"{asked.workers} with several collectors", expected="1 of either"
+                "workers",
+                got=f"{asked.workers} with {settings.collectors} collectors",
+                expected="several of one of them only",
             )
         train_each(learn, command, asked, settings)
     except CrowdbenchError as error:

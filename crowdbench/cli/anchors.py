@@ -4,7 +4,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from crowdbench.cli.printing import progress_bar
-from crowdbench.evaluation.parallel import add_workers
+from crowdbench.cli.workers import add_engine
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -16,7 +16,7 @@ def add(commands: "Commands") -> None:
         "anchors", help="roll out the crowds that define a scene's score scale (minutes)"
     )
     anchors.add_argument("scene", help="id of a scene, or its folder")
-    add_workers(anchors)
+    add_engine(anchors)
     anchors.set_defaults(run=_anchors)
 
 

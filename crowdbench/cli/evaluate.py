@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from crowdbench.cli.printing import add_json_option, json_written, print_facts, progress_bar
 from crowdbench.cli.score_tables import print_card
-from crowdbench.evaluation.parallel import add_workers
+from crowdbench.cli.workers import add_engine
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -70,7 +70,7 @@ def add(commands: "Commands") -> None:
         "two rollouts per fit. With the usual 5 fits, use 10, 15, 20, …; fewer give only plain "
         "distances (default: as in the scene's protocol, 15 to 50)",
     )
-    add_workers(evaluate)
+    add_engine(evaluate)
     evaluate.add_argument(
         "--out", type=Path, help="output folder (default: results/SCENE-DATE-TIME)"
     )

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crowdbench.cli.printing import progress_bar
-from crowdbench.evaluation.parallel import add_workers
+from crowdbench.cli.workers import add_engine
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -40,7 +40,7 @@ def add(commands: "Commands") -> None:
     figures.add_argument(
         "--seeds", type=int, default=5, help="rollouts of each spawn model (default: 5)"
     )
-    add_workers(figures)
+    add_engine(figures)
     figures.add_argument(
         "--out",
         type=Path,

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crowdbench.cli.printing import print_facts, progress_bar
-from crowdbench.evaluation.parallel import add_workers
+from crowdbench.cli.workers import add_engine
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -49,7 +49,7 @@ def add(commands: "Commands") -> None:
     network.add_argument(
         "--shared", action="store_true", help="train one network of ntpp-gmm for all areas"
     )
-    add_workers(fit)
+    add_engine(fit)
     fit.add_argument("--out", type=Path, help="output folder (default: the scene's folder)")
     fit.set_defaults(run=_fit)
 

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from crowdbench.cli.printing import new_console, new_table, progress_bar
+from crowdbench.cli.workers import add_engine, add_workers
 from crowdbench.errors import CrowdbenchError, SettingError
-from crowdbench.evaluation.parallel import add_workers, is_local
+from crowdbench.evaluation.parallel import is_local
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -41,7 +42,7 @@ def _add_verify(commands: "Commands") -> None:
         "--out", type=Path, required=True, metavar="DIR",
         help="output folder of ID.json, ID.run.json and the rollouts (work/)",
     )  # fmt: skip
-    add_workers(verify)
+    add_engine(verify)
     _add_limits(verify)
     verify.set_defaults(run=_verify)
 
@@ -75,9 +76,7 @@ def _add_rescore(commands: "Commands") -> None:
         "--out", type=Path, default=Path("results/leaderboard"), metavar="DIR",
         help="output folder of ID.run.json and the rollouts (default: results/leaderboard)",
     )  # fmt: skip
-    rescore.add_argument(
-        "--workers", type=int, metavar="N", help="worker processes (default: one per core)"
-    )
+    add_workers(rescore)
     _add_limits(rescore)
     rescore.set_defaults(run=_rescore)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crowdbench.cli.printing import progress_bar
-from crowdbench.evaluation.parallel import add_workers
+from crowdbench.cli.workers import add_engine
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -26,7 +26,7 @@ def add(commands: "Commands") -> None:
         help="output folder of the overview, paper.md, and of the pages and pictures of scenes in "
         "paper/ (default: docs)",
     )
-    add_workers(paper)
+    add_engine(paper)
     paper.set_defaults(run=_paper)
 
 

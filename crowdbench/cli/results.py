@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crowdbench.cli.printing import progress_bar
-from crowdbench.evaluation.parallel import add_workers
+from crowdbench.cli.workers import add_engine
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -24,7 +24,7 @@ def add(commands: "Commands") -> None:
         metavar="DIR",
         help="output folder of the page and its pictures (default: docs/results)",
     )
-    add_workers(results)
+    add_engine(results)
     results.add_argument(
         "--seeds",
         type=int,

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from crowdbench.cli.data import add_mending, fetch_and_import, is_imported, mended
 from crowdbench.cli.printing import new_console, new_table, print_facts, progress_bar
+from crowdbench.cli.workers import add_engine
 from crowdbench.errors import SceneError, SettingError
-from crowdbench.evaluation.parallel import add_workers
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -71,7 +71,7 @@ def add(commands: "Commands") -> None:
         help="rollouts per fit in the protocol (default: 3 to 10, depending on the length of the "
         "recording)",
     )
-    add_workers(create)
+    add_engine(create)
     create.set_defaults(run=_create)
 
     check = of_scene.add_parser("check", help="list the parts of a scene and their problems")

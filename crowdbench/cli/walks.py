@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crowdbench.cli.printing import progress_bar
-from crowdbench.evaluation.parallel import add_workers
+from crowdbench.cli.workers import add_engine
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -31,7 +31,7 @@ def add(commands: "Commands") -> None:
         metavar="DIR",
         help="output folder of walks.md and its pictures (default: docs)",
     )
-    add_workers(walks)
+    add_engine(walks)
     walks.add_argument(
         "--seeds",
         type=int,

@@ -1,6 +1,5 @@
 """Parallel work: in processes that end with the one that started them, or on a Ray cluster."""
 
-import argparse
 import ctypes
 import multiprocessing
 import os
@@ -69,25 +68,6 @@ def is_local() -> bool:
     return _engine.get() == LOCAL
 
 
-def add_workers(
-    parser: argparse.ArgumentParser, *, default: int | None = None, of: str = ""
-) -> None:
-    """Add the options `--workers` and `--engine`; `of` is what the processes divide."""
-    parser.add_argument(
-        "--workers",
-        type=int,
-        default=default,
-        metavar="N",
-        help=f"worker processes{of and f' for {of}'} (default: {default or 'one per core'})",
-    )
-    parser.add_argument(
-        "--engine",
-        default=LOCAL,
-        help="where they run: local, ray, or the address ray://HOST:PORT of a Ray cluster "
-        "(default: local)",
-    )
-
-
 def checked_workers(asked: int | None) -> int:
     """The number of processes: `asked`, or one per core if it is None.
 
@@ -130,7 +110,7 @@ def call_each(
         WorkerError: a process died; `name(*task)` describes the task in the message.
         Exception: any exception that a call raised.
     """
-    if _engine.get() != LOCAL:
+    if not is_local():
         from crowdbench.evaluation import ray_engine
 
         yield from ray_engine.call_each(

@@ -149,6 +149,8 @@ def _begin() -> Callable[..., tuple[bytes, Files]]:
                     except OSError:  # another worker was faster
                         if not root.exists():
                             raise
+            if root.stat().st_uid != os.getuid():
+                raise PermissionError(f"{root} belongs to another user: its code is not run")
             (root / "working").mkdir(exist_ok=True)
             os.chdir(root / "working")
             sys.path[:0] = [str(root), str(root / "working")]
