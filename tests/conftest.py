@@ -114,9 +114,11 @@ def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def uncalibrated(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fits of plans skip the calibration, which takes longest; `test_plan_calibration` is of it."""
-    monkeypatch.setattr("crowdbench.scene_building.fit.calibrated", lambda areas, *of: areas)
+def unadjusted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plans are not adjusted, which takes longest; `test_plan_calibration` tests that."""
+    from crowdbench.spawn.links import Adjustment  # not before annotations are checked
+
+    monkeypatch.setattr("crowdbench.scene_building.fit.adjustment", lambda *of: Adjustment())
 
 
 @pytest.hookimpl(optionalhook=True)

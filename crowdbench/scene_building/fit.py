@@ -14,7 +14,7 @@ from crowdbench.evaluation.parallel import call_each, checked_workers
 from crowdbench.files import unwritable, write_text
 from crowdbench.registry import FITTED, PLANNED, fitted_models
 from crowdbench.scene import Scene
-from crowdbench.scene_building.plan_calibration import adjustment, calibrated
+from crowdbench.scene_building.plan_calibration import adjustment
 from crowdbench.scene_building.toml import with_default_clustering, with_recording
 from crowdbench.scoring.reference import Reference, write_reference
 from crowdbench.spawn import (
@@ -173,7 +173,7 @@ def _write_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: S
     sending = [name for name in PLANNED.values() if name in fitted_models(scene)]
     for split in SPLITS:
         training = blocks.training(split)
-        plans[split] = calibrated(fit_plans(crowd, training, areas), crowd, training, scene)
+        plans[split] = fit_plans(crowd, training, areas)
         adjustments[split] = {}
         for name in sending:
             model: Any = FITTED[name].read(scene, areas, split, 0)

@@ -1,8 +1,16 @@
 """Drawing of companions, compiled."""
 
+import math
+
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numba import njit
+
+LARGEST = 10
+"""Number of people in the largest groups, which is that of the largest recorded one. Without a
+limit, a surge of arrivals could become a single group."""
+STEP_S = 0.5
+"""Step at which two ways are compared."""
 
 
 @njit(cache=True)
@@ -16,21 +24,106 @@ def joined(
     """Whom each person joins, or −1.
 
     Person i may join `earlier[begin[i] : begin[i + 1]]`, with these weights times the factor in
-    `larger` for groups of one, two, three, and four and more; `u` are uniform random numbers.
+    `larger` for groups of one, two, three, and four and more, unless the group is as large as it
+    can be; `u` are uniform random numbers.
     """
     found = np.full(u.size, -1, np.int64)
     leader = np.arange(u.size)
     size = np.ones(u.size, np.int64)
+    each = np.empty(weight.size)
     for i in range(u.size):
         total = 1.0
         for k in range(begin[i], begin[i + 1]):
-            total += weight[k] * larger[min(size[leader[earlier[k]]], larger.size) - 1]
+            now = size[leader[earlier[k]]]
+            each[k] = weight[k] * larger[min(now, larger.size) - 1] if now < LARGEST else 0.0
+            total += each[k]
         aim = u[i] * total
         for k in range(begin[i], begin[i + 1]):
-            aim -= weight[k] * larger[min(size[leader[earlier[k]]], larger.size) - 1]
+            aim -= each[k]
             if aim < 0:
                 found[i] = earlier[k]
                 leader[i] = leader[earlier[k]]
                 size[leader[i]] += 1
                 break
     return found
+
+
+@njit(cache=True, error_model="numpy")
+def not_as_planned(
+    time_s: Float[np.ndarray, " E"],
+    points: Float[np.ndarray, "E 6"],
+    speed: Float[np.ndarray, " E"],
+    wait_s: Float[np.ndarray, " E"],
+    leader: Int[np.ndarray, " E"],
+    moved: Bool[np.ndarray, " E"],
+    entry_s: float,
+    least_s: float,
+    share: float,
+    within_m: float,
+    relative_mps: float,
+) -> Bool[np.ndarray, " E"]:
+    """Leaders of the groups in which other people walk together than planned.
+
+    These are groups with somebody who walks with a stranger of an earlier group, or with none of
+    those who came before in its own group. People enter at ascending times and walk straight from
+    their first point to the second one, wait there, and walk to the third one. The last arguments
+    are the rule of `crowdbench.trajectories.companions`. Only pairs of which one is `moved` are
+    compared.
+    """
+    wrong = np.zeros(speed.size, np.bool_)
+    linked = leader == np.arange(speed.size)
+    first_s = np.hypot(points[:, 2] - points[:, 0], points[:, 3] - points[:, 1]) / speed
+    second_s = np.hypot(points[:, 4] - points[:, 2], points[:, 5] - points[:, 3]) / speed
+    leaves_s = time_s + first_s + wait_s + second_s
+    for i in range(speed.size):
+        for j in range(i + 1, speed.size):
+            if time_s[j] - time_s[i] > entry_s:
+                break
+            same = leader[i] == leader[j]
+            if not (moved[i] or moved[j]) or (same and linked[j]):
+                continue
+            end = min(leaves_s[i], leaves_s[j])
+            steps = int((end - time_s[j]) / STEP_S) + 1
+            if end - time_s[j] < least_s:
+                continue
+            far = steps - math.ceil(share * steps - 1e-9)
+            near, motion = 0, 0.0
+            for k in range(steps):
+                t = time_s[j] + k * STEP_S
+                x, y, vx, vy = _walks(points[i], first_s[i], wait_s[i], second_s[i], t - time_s[i])
+                u, v, ux, uy = _walks(points[j], first_s[j], wait_s[j], second_s[j], t - time_s[j])
+                if (x - u) ** 2 + (y - v) ** 2 > within_m * within_m:
+                    far -= 1
+                    if far < 0:
+                        break
+                    continue
+                near += 1
+                motion += math.hypot(vx - ux, vy - uy)
+            if far >= 0 and motion <= relative_mps * near:
+                if same:
+                    linked[j] = True
+                else:
+                    wrong[max(leader[i], leader[j])] = True
+    for j in range(speed.size):
+        if moved[j] and not linked[j]:
+            wrong[leader[j]] = True
+    return wrong
+
+
+@njit(cache=True, error_model="numpy")
+def _walks(
+    points: Float[np.ndarray, " 6"],
+    first_s: float,
+    wait_s: float,
+    second_s: float,
+    since_s: float,
+) -> tuple[float, float, float, float]:
+    """Where somebody is who came this long ago, and the velocity."""
+    if since_s < first_s:
+        a, begin, lasts = 0, 0.0, first_s
+    elif since_s < first_s + wait_s or second_s == 0.0:
+        return points[2], points[3], 0.0, 0.0
+    else:
+        a, begin, lasts = 2, first_s + wait_s, second_s
+    vx, vy = (points[a + 2] - points[a]) / lasts, (points[a + 3] - points[a + 1]) / lasts
+    return points[a] + vx * (since_s - begin), points[a + 1] + vy * (since_s - begin), vx, vy

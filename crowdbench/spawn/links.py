@@ -1,12 +1,13 @@
 """Companions as marks on arrivals: who walks with whom, whatever model the times come from.
 
 Person i joins an earlier arrival j of the same area, not more than 6 s before, with a probability
-proportional to w(t_i − t_j) exp(u_a + v(n_j)), and nobody with a probability proportional to 1.
-w has a value for each bin of delays. u_a is the tendency of area a to send groups. v is that of the
-group of j to take in one more: n_j = 1, 2, 3, or 4 and more is the number of its people who have
-come so far, and v(1) = 0. Without v, there would be too many large groups, and too few of two. The
-likelihood of the marks does not change that of the arrivals. A person who joins takes the plan of
-the other one, moved by an offset in the direction of the other's way.
+proportional to w(t_i − t_j) exp(u_a + v(n_j)) / m_i^c, and nobody with a probability proportional
+to 1. w has a value for each bin of delays. u_a is the tendency of area a to send groups. v is that
+of the group of j to take in one more: n_j = 1, 2, 3, or 4 and more is the number of its people who
+have come so far, and v(1) = 0. Without v, there would be too many large groups, and too few of two.
+m_i is the number of people whom i may join: without c, too many people would join somebody where
+many enter. The likelihood of the marks does not change that of the arrivals. A person who joins
+takes the plan of the other one, moved by an offset in the direction of the other's way.
 """
 
 from dataclasses import dataclass, replace
@@ -31,6 +32,8 @@ _MOST = 4
 """Largest number of components of the mixture of offsets; more hardly change what is drawn."""
 STAGES = 4
 """Number of values of v; the first one, of people who are alone, is 0."""
+_PARTS = [6, 5 + STAGES, 6 + STAGES]
+"""Where v, c and u begin in the numbers that are fitted; those of w are the first ones."""
 FEWEST = 10
 """With fewer pairs of companions, offsets are those of all scenes together."""
 OFFSETS = 5
@@ -50,6 +53,10 @@ class Candidates:
     bin: Int[np.ndarray, " n"]
     """Bin of the delay."""
 
+    def log_number(self) -> Float[np.ndarray, " n"]:
+        """Log of the number of people whom i may join."""
+        return np.log(np.bincount(self.later, minlength=1)[self.later])
+
 
 @dataclass(frozen=True)
 class Adjustment:
@@ -60,7 +67,7 @@ class Adjustment:
     larger: float = 0.0
     """Added to the log weights of joining three people or more; half of it to those of two."""
     along: float = 1.0
-    """Factor of the offsets along the way."""
+    """Factor of the offsets along the way, and of the gain."""
     across: float = 1.0
     """Factor of the offsets across the way."""
 
@@ -88,6 +95,8 @@ class Links:
     one is of the one before)."""
     group_log_speed: float = 0.0
     """Mean log speed of groups less that of people who are alone."""
+    crowded: float = 0.0
+    """c, by which weights depend on the number of people whom one may join."""
 
     def draw(
         self, time_s: Float[np.ndarray, " E"], area: Int[np.ndarray, " E"], rng: Generator
@@ -96,7 +105,8 @@ class Links:
         from crowdbench.spawn.link_kernels import joined
 
         pairs = candidates(time_s, area)
-        weight = np.exp(self.log_weight[pairs.bin] + self.tendency[area[pairs.later]])
+        log_weight = self.log_weight[pairs.bin] + self.tendency[area[pairs.later]]
+        weight = np.exp(log_weight - self.crowded * pairs.log_number())
         begin = np.searchsorted(pairs.later, np.arange(len(time_s) + 1))
         factor = np.exp([0.0, *self.larger])
         return joined(pairs.earlier, begin, weight, factor, rng.random(len(time_s)))
@@ -156,7 +166,7 @@ class Links:
     def adjusted(self, by: Adjustment) -> "Links":
         """The same links, adjusted to the times of a model."""
         of_larger = self.larger + np.where(np.arange(len(self.larger)) > 0, 1.0, 0.5) * by.larger
-        factor = np.array([by.along, by.across, by.along, by.across, 1.0])
+        factor = np.array([by.along, by.across, by.along, by.across, by.along])
         return replace(
             self,
             log_weight=self.log_weight + by.more,
@@ -169,14 +179,12 @@ class Links:
         self,
         offsets: Float[np.ndarray, "n 5"],
         walked_m: Float[np.ndarray, " n"],
-        weight: Float[np.ndarray, " n"],
     ) -> "Links":
         """The same links with offsets fitted to these, those of recorded companions.
 
-        They are offsets to persons who have walked `walked_m` before; `weight` is how much each of
-        them counts, 0 to 1.
+        They are offsets to persons who have walked `walked_m` before.
         """
-        share, mean, covariance, slope = _offsets(offsets, walked_m, weight)
+        share, mean, covariance, slope = _offsets(offsets, walked_m)
         return replace(self, share=share, mean=mean, covariance=covariance, slope=slope)
 
     def log_likelihood(
@@ -187,7 +195,7 @@ class Links:
     ) -> float:
         """Log-probability of who joins which group, in total, nats."""
         pairs = candidates(time_s, area)
-        x = np.concatenate([self.log_weight, self.larger, self.tendency])
+        x = np.concatenate([self.log_weight, self.larger, [self.crowded], self.tendency])
         return _likelihood(x, pairs, area, _same(pairs, group), _stages(pairs, area, group))[0]
 
 
@@ -228,24 +236,23 @@ def fit_links(
     def loss(x: Float[np.ndarray, " n"]) -> tuple[float, Float[np.ndarray, " n"]]:
         value, slope = _likelihood(x, pairs, area, same, stage)
         # A weak prior keeps weights of bins without pairs finite.
-        spread = np.concatenate([np.full(6, 5.0), np.ones(STAGES - 1), np.full(areas, SPREAD)])
+        spread = np.concatenate([np.full(6, 5.0), np.ones(STAGES), np.full(areas, SPREAD)])
         off = (x - centre) / spread
         return -value + 0.5 * float(off @ off), -slope + off / spread
 
-    centre = np.concatenate([np.full(6, -3.0), np.zeros(STAGES - 1 + areas)])
+    centre = np.concatenate([np.full(6, -3.0), np.zeros(STAGES + areas)])
     found = minimize(loss, centre, jac=True, method="L-BFGS-B").x
-    log_weight, larger, tendency = np.split(found, [6, 5 + STAGES])
-    none = np.zeros((0, OFFSETS)), np.zeros(0), np.zeros(0)
-    return Links(log_weight, tendency, larger, *_offsets(*none))
+    log_weight, larger, crowded, tendency = np.split(found, _PARTS)
+    none = np.zeros((0, OFFSETS)), np.zeros(0)
+    return Links(log_weight, tendency, larger, *_offsets(*none), crowded=float(crowded[0]))
 
 
 def _offsets(
     offsets: Float[np.ndarray, "n 5"],
     walked_m: Float[np.ndarray, " n"],
-    weight: Float[np.ndarray, " n"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Shares, means and covariances of the mixture of offsets, and their slope."""
-    if weight.sum() < FEWEST:
+    if len(offsets) < FEWEST:
         covariance = np.diag(COMMON_SD**2)
         return np.ones(1), COMMON_MEAN[None], covariance[None], np.zeros(OFFSETS)
     folded = one_sided(offsets)
@@ -256,11 +263,11 @@ def _offsets(
     slope = np.zeros(OFFSETS)
     if walked.var() > 1e-6:
         off = folded - folded.mean(axis=0)
-        slope = (weight * walked) @ off / ((weight * walked) @ walked)
+        slope = walked @ off / (walked @ walked)
     folded = folded - walked_m[:, None] * slope
-    shares = responsibilities(folded, 0, 1e-2, _MOST) * weight[:, None]
+    shares = responsibilities(folded, 0, 1e-2, _MOST)
     people = shares.sum(axis=0)
-    shares = shares[:, people >= FEWEST] if people.max() >= FEWEST else weight[:, None]
+    shares = shares[:, people >= FEWEST] if people.max() >= FEWEST else np.ones((len(folded), 1))
     fitted = [moments(folded, each) for each in shares.T]
     covariance = np.stack([c for _, c in fitted]) + 1e-4 * np.eye(OFFSETS)
     people = shares.sum(axis=0)
@@ -301,8 +308,14 @@ def _likelihood(
 ) -> tuple[float, Float[np.ndarray, " n"]]:
     """Log-probability that each person joins its group, or nobody; and its gradient."""
     of_area = area[pairs.later]
-    log_weight, larger, tendency = np.split(x, [6, 5 + STAGES])
-    weight = np.exp(log_weight[pairs.bin] + np.append(0.0, larger)[stage] + tendency[of_area])
+    log_weight, larger, (crowded,), tendency = np.split(x, _PARTS)
+    log_number = pairs.log_number()
+    weight = np.exp(
+        log_weight[pairs.bin]
+        + np.append(0.0, larger)[stage]
+        - crowded * log_number
+        + tendency[of_area]
+    )
     size = len(area)
     total = 1.0 + np.bincount(pairs.later, weight, minlength=size)
     to_group = np.bincount(pairs.later, weight * same, minlength=size)
@@ -314,6 +327,7 @@ def _likelihood(
         [
             np.bincount(pairs.bin, each, minlength=6),
             np.bincount(stage, each, minlength=STAGES)[1:],
+            [-each @ log_number],
             np.bincount(of_area, each, minlength=len(tendency)),
         ]
     )

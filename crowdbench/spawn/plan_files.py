@@ -23,7 +23,7 @@ from crowdbench.spawn.weights import check_origin, hint
 from crowdbench.trajectories.blocks import SPLITS
 
 FILE = "plans.json"
-SCHEMA = 3
+SCHEMA = 4
 
 
 class _Adjustment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -43,6 +43,7 @@ class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     offset_slope: list[float]
     same_side: float
     group_log_speed: float
+    crowded: float
     trips: TripsFile
     ways: dict[str, Any]
     """The other arrays of `Ways` by name, as nested lists."""
@@ -78,6 +79,7 @@ def write_plans(
             offset_slope=fit.links.slope.tolist(),
             same_side=fit.links.same_side,
             group_log_speed=fit.links.group_log_speed,
+            crowded=fit.links.crowded,
             trips=written_trips(fit.ways.trips),
             ways={name: getattr(fit.ways, name).round(DECIMALS).tolist() for name in _shapes(fit)},
             fastest_mps=fit.ways.fastest_mps,
@@ -128,6 +130,7 @@ def read_plans(scene: Scene, areas: Areas, split: str, times: str | None = None)
         array(of.offset_slope, (OFFSETS,), "offset_slope"),
         of.same_side,
         of.group_log_speed,
+        of.crowded,
     )
     check_covariances(links.covariance, f"{where}.offset_covariance", how)
     if times is not None:

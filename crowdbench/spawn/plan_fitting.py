@@ -40,7 +40,7 @@ def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedA
         fit_links(marks.time_s, marks.area, marks.group, len(areas.spawn)),
         same_side=pairs.same_side(),
         group_log_speed=slower,
-    ).with_offsets(pairs.offsets, pairs.walked_m, np.ones(len(pairs.walked_m)))
+    ).with_offsets(pairs.offsets, pairs.walked_m)
     return PlannedAreas.of(areas, links, fit_ways(trips_alone(crowd, marks, slower), areas))
 
 

@@ -8,21 +8,24 @@ of a scene share them.
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy.random import Generator
 
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, Gaussians
 from crowdbench.spawn.events import SpawnEvents, entering
 from crowdbench.spawn.links import STAGES, Links
-from crowdbench.spawn.plans import SLOWEST_MPS
+from crowdbench.spawn.plans import SLOWEST_MPS, turning_points
 from crowdbench.spawn.ways import Ways
-from crowdbench.trajectories.companions import WITHIN_M
+from crowdbench.trajectories.companions import ENTRY_S, LEAST_S, RELATIVE_MPS, SHARE, WITHIN_M
 
 _ALWAYS = 50.0
 """Logarithm of a weight that decides alone."""
-_TRIES = 20
+_TRIES = 30
 """Number of ways that are drawn for a companion until one stays near, and runs into nobody."""
+_MANY, _HARDLY_FEWER = 50, 0.95
+"""Where so many groups are not as planned, and more than this share of them remains so when they
+are drawn again, too many people enter at once: they stay as they are."""
 _SHORTEST_M = 2.0
 """Shortest common way over which a companion gains on the other one, or falls back."""
 
@@ -77,6 +80,7 @@ class PlannedAreas(Areas):
             log_weight=together,
             tendency=np.zeros(len(spawn)),
             larger=np.zeros(STAGES - 1),
+            crowded=0.0,
         )
         return PlannedAreas.of(plain, links, self.ways.instead(plain))
 
@@ -87,7 +91,11 @@ class PlannedAreas(Areas):
         scene: Scene,
         rng: Generator,
     ) -> SpawnEvents:
-        """Draw a plan for each arrival; companions have plans that differ by an offset."""
+        """Draw a plan for each arrival; companions have plans that differ by an offset.
+
+        Ways are drawn again where straight walkers would not have the companions that are planned,
+        by the rule of `crowdbench.trajectories.companions`.
+        """
         order = np.argsort(time_s, kind="stable")
         time_s, area = time_s[order], spawn_area[order]
         joins = self.links.draw(time_s, area, rng)
@@ -98,14 +106,20 @@ class PlannedAreas(Areas):
         u = rng.random((len(cumulative), 1)) * cumulative[:, -1:]
         goal_area[first] = (u >= cumulative).sum(axis=1)
         goal_area = goal_area[leader]
-        ways = np.full((len(time_s), 8), np.nan)
-        ways[first] = self.ways.draw(area[first], goal_area[first], scene, rng)
-        size = np.bincount(leader, minlength=len(joins))
-        together = size[leader] > 1
-        slower = first & together
-        ways[slower, 4] = self._possible_speed(ways[slower, 4] + self.links.group_log_speed)
-        self._place_companions(ways, time_s, leader, scene, rng)
-        number = np.cumsum(size > 1) - 1
+        ways = np.empty((len(time_s), 8))
+        again, before = np.ones(len(time_s), dtype=bool), np.inf
+        for _ in range(_TRIES):
+            chosen = np.flatnonzero(again)
+            own = np.searchsorted(chosen, leader[chosen])
+            ways[chosen] = self._ways(
+                time_s[chosen], area[chosen], goal_area[chosen], own, scene, rng
+            )
+            wrong = _not_as_planned(ways, time_s, leader, again)
+            if not wrong.any() or wrong.sum() > max(_HARDLY_FEWER * before, _MANY):
+                break
+            again, before = wrong[leader], wrong.sum()
+        together = np.bincount(leader, minlength=len(joins))[leader] > 1
+        number = np.cumsum(first & together) - 1
         stops = np.isfinite(ways[:, 7])
         return entering(
             time_s=time_s,
@@ -118,6 +132,24 @@ class PlannedAreas(Areas):
             via=ways[:, 5:7],
             wait_s=np.where(stops, np.exp(np.where(stops, ways[:, 7], 0.0)), 0.0),
         )
+
+    def _ways(
+        self,
+        time_s: Float[np.ndarray, " E"],
+        area: Int[np.ndarray, " E"],
+        goal_area: Int[np.ndarray, " E"],
+        leader: Int[np.ndarray, " E"],
+        scene: Scene,
+        rng: Generator,
+    ) -> Float[np.ndarray, "E 8"]:
+        """Ways of whole groups with these leaders, as `Ways.draw` has them."""
+        first = leader == np.arange(len(leader))
+        ways = np.full((len(time_s), 8), np.nan)
+        ways[first] = self.ways.draw(area[first], goal_area[first], scene, rng)
+        slower = first & (np.bincount(leader, minlength=len(leader)) > 1)
+        ways[slower, 4] = self._possible_speed(ways[slower, 4] + self.links.group_log_speed)
+        self._place_companions(ways, time_s, leader, scene, rng)
+        return ways
 
     def _place_companions(
         self,
@@ -183,6 +215,28 @@ class PlannedAreas(Areas):
 
     def _possible_speed(self, log_speed: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         return np.clip(log_speed, *np.log([SLOWEST_MPS, self.ways.fastest_mps]))
+
+
+def _not_as_planned(
+    ways: Float[np.ndarray, "E 8"],
+    time_s: Float[np.ndarray, " E"],
+    leader: Int[np.ndarray, " E"],
+    moved: Bool[np.ndarray, " E"],
+) -> Bool[np.ndarray, " E"]:
+    """Leaders of the groups to be drawn again, see `not_as_planned`.
+
+    Only pairs of which one is `moved` are looked at.
+    """
+    from crowdbench.spawn.link_kernels import not_as_planned
+
+    start, goal, stops = ways[:, :2], ways[:, 2:4], np.isfinite(ways[:, 7])
+    turn = turning_points(start, ways[:, 5:7], goal, stops)
+    wait_s = np.where(stops, np.exp(np.where(stops, ways[:, 7], 0.0)), 0.0)
+    points = np.concatenate([start, turn, goal], axis=1)
+    return not_as_planned(
+        time_s, points, np.exp(ways[:, 4]), wait_s, leader, moved,
+        ENTRY_S, LEAST_S, SHARE, WITHIN_M, RELATIVE_MPS,
+    )  # fmt: skip
 
 
 def _leaders(joins: Int[np.ndarray, " E"]) -> Int[np.ndarray, " E"]:

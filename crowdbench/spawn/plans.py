@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from crowdbench.scene import Scene
 from crowdbench.trajectories.stops import HALF_S, stops_of
@@ -115,3 +115,22 @@ def _distance(
     along = np.divide((off * way).sum(axis=1), squared, out=np.zeros(len(a)), where=squared > 0)
     off -= np.clip(along, 0, 1)[:, None] * way
     return np.asarray(np.sqrt((off * off).sum(axis=1)))
+
+
+def turning_points(
+    start: Float[np.ndarray, "n 2"],
+    via: Float[np.ndarray, "n 2"],
+    goal: Float[np.ndarray, "n 2"],
+    stops: Bool[np.ndarray, " n"],
+) -> Float[np.ndarray, "n 2"]:
+    """Where straight walkers turn to their goals.
+
+    That is at the via point for those who stop there. Others turn when it is within `VISIT_M`.
+    Without a via point it is half way.
+    """
+    way = via - start
+    length = np.hypot(*way.T)
+    near = np.where(stops, 0.0, np.minimum(VISIT_M / np.maximum(length, 1e-9), 1.0))
+    return np.asarray(
+        np.where(np.isnan(length)[:, None], (start + goal) / 2, via - near[:, None] * way)
+    )

@@ -160,7 +160,9 @@ def _same_for_all(links: Links, known: Marks) -> Links:
     def same(log_weight: float) -> Links:
         one = np.full(len(links.log_weight), log_weight)
         nothing = np.zeros(len(links.tendency))
-        return replace(links, log_weight=one, tendency=nothing, larger=np.zeros(STAGES - 1))
+        return replace(
+            links, log_weight=one, tendency=nothing, larger=np.zeros(STAGES - 1), crowded=0.0
+        )
 
     best = minimize_scalar(
         lambda x: -same(x).log_likelihood(known.time_s, known.area, known.group),

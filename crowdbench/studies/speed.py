@@ -25,7 +25,7 @@ from crowdbench.registry import fitted_models, has_recording, recording_of, spaw
 from crowdbench.registry import policy as named_policy
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Scene, load_scene
-from crowdbench.scene_building.plan_calibration import adjustment, calibrated
+from crowdbench.scene_building.plan_calibration import adjustment
 from crowdbench.scoring.energy import RESAMPLES, Energy, energy
 from crowdbench.scoring.reference import Reference, read_reference, summarise
 from crowdbench.scoring.score import Score, combined, ranks, score_of
@@ -291,7 +291,7 @@ def _fitting_plans() -> Iterator[Figure]:
 
 
 def _fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: Scene) -> PlannedAreas:
-    return calibrated(fit_plans(crowd, blocks, areas), crowd, blocks, scene)
+    return fit_plans(crowd, blocks, areas)
 
 
 def _adjust_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: Scene) -> None:

@@ -298,7 +298,7 @@ def test_what_cannot_be_made_leaves_nothing(
     assert remains(tmp_path) == []
 
 
-@pytest.mark.usefixtures("uncalibrated")
+@pytest.mark.usefixtures("unadjusted")
 def test_what_breaks_on_the_way_leaves_nothing(
     yard: Trajectories, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -132,7 +132,7 @@ def with_fits(fits: int) -> Scene:
 BRIEF = {"epochs": 3, "patience": 1, "calibration_points": 2000}
 
 
-@pytest.mark.usefixtures("uncalibrated")
+@pytest.mark.usefixtures("unadjusted")
 def test_neural_fits_are_made_for_every_part_and_told_of(plaza: Case, tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     found = fit_scene(
@@ -154,7 +154,7 @@ def test_neural_fits_are_made_for_every_part_and_told_of(plaza: Case, tmp_path: 
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("uncalibrated")
+@pytest.mark.usefixtures("unadjusted")
 def test_two_workers_write_what_one_writes(plaza: Case, tmp_path: Path) -> None:
     for workers in (1, 2):
         out = tmp_path / str(workers)
@@ -167,7 +167,7 @@ def test_two_workers_write_what_one_writes(plaza: Case, tmp_path: Path) -> None:
     assert one == two
 
 
-@pytest.mark.usefixtures("uncalibrated")
+@pytest.mark.usefixtures("unadjusted")
 def test_without_torch_nothing_is_done_and_the_way_out_is_said(
     plaza: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -186,7 +186,7 @@ def test_models_that_nobody_fits_are_refused(plaza: Case, tmp_path: Path) -> Non
         fit_scene(PLAZA, plaza.crowd, out=tmp_path, models=["replay"])
 
 
-@pytest.mark.usefixtures("uncalibrated")
+@pytest.mark.usefixtures("unadjusted")
 def test_the_papers_models_are_fitted_as_asked(plaza: Case, tmp_path: Path) -> None:
     asked = {"window_frames": 100, "stride_frames": 100, "epochs": 2, "published_code": True}
     fit_scene(

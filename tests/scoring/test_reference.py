@@ -153,17 +153,17 @@ def alike(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-@pytest.mark.usefixtures("uncalibrated")
+@pytest.mark.usefixtures("unadjusted")
 def test_the_plazas_shipped_files_are_remade(tmp_path: Path, plaza: Trajectories) -> None:
     assert remade(PLAZA, plaza, tmp_path) == []
 
 
-@pytest.mark.usefixtures("uncalibrated")
+@pytest.mark.usefixtures("unadjusted")
 def test_eths_shipped_files_are_remade(tmp_path: Path, raw: Trajectories) -> None:
     assert remade(ETH, raw, tmp_path) == []
 
 
-@pytest.mark.usefixtures("uncalibrated")
+@pytest.mark.usefixtures("unadjusted")
 def test_the_papers_clustering_makes_other_areas(tmp_path: Path, raw: Trajectories) -> None:
     fit_scene(ETH, raw, clustering="paper", models=EXACT, out=tmp_path)
     assert (tmp_path / "areas.json").read_bytes() != (ETH.folder / "areas.json").read_bytes()

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from scipy.optimize import approx_fprime
 
 from crowdbench.spawn.links import (
-    COMMON_MEAN,
     EDGES_S,
     Adjustment,
     Links,
@@ -82,7 +81,7 @@ def test_the_gradient_is_that_of_the_likelihood() -> None:
     group = grouped(links().draw(time_s, area, np.random.default_rng(1)))
     pairs = candidates(time_s, area)
     more = _same(pairs, group), _stages(pairs, area, group)
-    x = np.concatenate([links().log_weight, LARGER, links().tendency])
+    x = np.concatenate([links().log_weight, LARGER, [0.4], links().tendency])
     value, slope = _likelihood(x, pairs, area, *more)
     numeric = approx_fprime(x, lambda y: _likelihood(y, pairs, area, *more)[0], 1e-6)
     assert np.isfinite(value)
@@ -111,7 +110,7 @@ def test_the_fit_finds_the_weights_again_and_those_who_join_nobody() -> None:
     offsets[::2, [1, 3]] *= -1
     walked = np.random.default_rng(6).exponential(1.0, 200)
     offsets[:, 0] += 0.3 * walked
-    found = fit_links(time_s, area, group, 2).with_offsets(offsets, walked, np.ones(len(walked)))
+    found = fit_links(time_s, area, group, 2).with_offsets(offsets, walked)
     # The weights and the tendencies are determined together only.
     for a in (0, 1):
         np.testing.assert_allclose(
@@ -150,7 +149,7 @@ def test_offsets_are_those_of_one_kind_of_companions_or_the_other() -> None:
     kinds = np.array([[0.0, 0.7, 0.0, 0.7, 0.0], [-1.5, 0.2, -1.5, 0.2, 0.0]])
     of = (rng.random(600) < 0.25).astype(np.int64)
     offsets = kinds[of] + 0.1 * rng.standard_normal((600, 5))
-    found = links().with_offsets(offsets, np.zeros(600), np.ones(600))
+    found = links().with_offsets(offsets, np.zeros(600))
     order = np.argsort(-found.share)
     np.testing.assert_allclose(found.share[order], [0.75, 0.25], atol=0.05)
     np.testing.assert_allclose(found.mean[order], kinds, atol=0.05)
@@ -159,18 +158,6 @@ def test_offsets_are_those_of_one_kind_of_companions_or_the_other() -> None:
     behind = drawn[:, 0] < -0.75
     assert behind.mean() == pytest.approx(0.25, abs=0.03)
     np.testing.assert_allclose(drawn[behind].mean(axis=0), kinds[1], atol=0.05)
-
-
-def test_pairs_count_by_their_weights() -> None:
-    rng = np.random.default_rng(0)
-    offsets = np.array([0.0, 0.7, 0.0, 0.7, 0.0]) + 0.1 * rng.standard_normal((400, 5))
-    offsets[:200, 0] += 3.0
-    weight = np.repeat([0.0, 1.0], 200)
-    found = links().with_offsets(offsets, np.zeros(400), weight)
-    assert found.share.tolist() == [1.0]
-    np.testing.assert_allclose(found.mean[0], [0, 0.7, 0, 0.7, 0], atol=0.03)
-    none = links().with_offsets(offsets, np.zeros(400), np.full(400, 0.01))
-    np.testing.assert_array_equal(none.mean[0], COMMON_MEAN)
 
 
 def test_a_stage_is_the_size_of_the_group_that_has_come_so_far() -> None:
@@ -203,6 +190,26 @@ def test_groups_that_take_in_nobody_have_two_people() -> None:
     assert set(np.bincount(group[group >= 0]).tolist()) == {0, 2}
 
 
+def test_fewer_people_join_where_many_enter() -> None:
+    """Of two people who may join the same number of others, with weights divided by 3^c."""
+    rng, area = np.random.default_rng(0), np.zeros(4, dtype=np.int64)
+    none = np.full(6, -30.0)
+    model = replace(links(larger=np.zeros(3)), log_weight=np.where(np.arange(6) == 5, 0.0, none))
+    time_s = np.array([0.0, 0.0, 0.0, 5.0])  # the last one may join each of the others
+    for crowded in (0.0, 1.0):
+        found = replace(model, crowded=crowded)
+        joins = np.mean([found.draw(time_s, area, rng)[3] >= 0 for _ in range(5_000)])
+        weight = 3 * 3**-crowded
+        assert joins == pytest.approx(weight / (1 + weight), abs=0.02)
+
+
+def test_groups_have_at_most_ten_people() -> None:
+    always = replace(links(larger=np.zeros(3)), log_weight=np.full(6, 20.0))
+    time_s, area = np.zeros(30), np.zeros(30, dtype=np.int64)
+    group = grouped(always.draw(time_s, area, np.random.default_rng(0)))
+    assert [n for n in np.bincount(group[group >= 0]).tolist() if n] == [10, 10, 10]
+
+
 def test_without_arrivals_nobody_joins() -> None:
     none = np.empty(0)
     assert len(links().draw(none, none.astype(np.int64), np.random.default_rng(0))) == 0
@@ -214,9 +221,9 @@ def test_links_are_adjusted_by_four_numbers() -> None:
     other = model.adjusted(by)
     np.testing.assert_allclose(other.log_weight, WEIGHT + 0.7)
     np.testing.assert_allclose(other.larger, LARGER + np.array([0.2, 0.4, 0.4]))
-    np.testing.assert_allclose(other.mean, [[0.5, 4.0, 1.5, 8.0, 5.0]])
+    np.testing.assert_allclose(other.mean, [[0.5, 4.0, 1.5, 8.0, 2.5]])
     sd = np.sqrt(np.diagonal(other.covariance[0]))
-    np.testing.assert_allclose(sd, 0.1 * np.array([0.5, 2.0, 0.5, 2.0, 1.0]))
+    np.testing.assert_allclose(sd, 0.1 * np.array([0.5, 2.0, 0.5, 2.0, 0.5]))
     same = model.adjusted(Adjustment())
     for field in fields(model):
         np.testing.assert_array_equal(getattr(same, field.name), getattr(model, field.name))

@@ -24,7 +24,7 @@ from crowdbench.spawn.trip_mixtures import Places, TripMixtures
 from crowdbench.spawn.way_fitting import bends_of
 from crowdbench.spawn.ways import OFF_M, Ways
 from crowdbench.trajectories.blocks import SPLITS
-from crowdbench.trajectories.companions import WITHIN_M
+from crowdbench.trajectories.companions import WITHIN_M, groups_of
 from crowdbench.trajectories.table import Trajectories, from_rows
 
 PLAZA = load_scene("plaza-v0")
@@ -316,3 +316,26 @@ def test_companions_stay_near_each_other_and_none_walks_into_another(
         apart += [np.hypot(*(one[t] - other[t])) for t in one.keys() & other.keys()]
     assert np.mean(np.array(apart) <= WITHIN_M) > 0.9
     assert np.mean(np.array(apart) >= 0.29) > 0.97
+
+
+def test_companions_are_those_who_are_planned(fitted: PlannedAreas) -> None:
+    """The rule that finds companions finds hardly any others among straight walkers."""
+    events, _ = drawn(with_stops(fitted), 3_000)
+    found, planned = groups_of(straight_walks(events, PLAZA)), events.group
+    together = planned >= 0
+    assert 0.2 < together.mean() < 0.8
+    assert (found[together] >= 0).mean() > 0.93
+    assert (found[~together] >= 0).mean() < 0.02
+    sizes = [np.bincount(group[group >= 0]) for group in (planned, found)]
+    planned_size, found_size = ((n * n).sum() / n.sum() for n in sizes)
+    assert found_size == pytest.approx(planned_size, rel=0.03)
+
+
+def test_a_crowd_that_enters_at_once_is_drawn_in_spite_of_companions_by_accident(
+    fitted: PlannedAreas,
+) -> None:
+    time_s, area = np.zeros(400), np.zeros(400, dtype=np.int64)
+    events = fitted.draw(time_s, area, PLAZA, np.random.default_rng(0))
+    assert len(events) == 400
+    assert np.isfinite(events.start).all()
+    assert np.isfinite(events.goal).all()

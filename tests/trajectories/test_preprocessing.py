@@ -54,7 +54,7 @@ def test_the_papers_number_on_eth_is_met(opentraj: Path) -> None:
     assert counts.facts("eth")["paper"] == "258 people on ETH"
 
 
-@pytest.mark.usefixtures("uncalibrated")
+@pytest.mark.usefixtures("unadjusted")
 def test_a_preprocessed_scene_has_the_others_only(tmp_path: Path) -> None:
     plaza, crowd = load_scene("plaza-v0"), recording("plaza")
     with pytest.raises(SettingError, match="no output folder"):
