@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 from jaxtyping import Float, Int, Real
-from numba import njit
+from numba import njit, prange
 from scipy.sparse.csgraph import dijkstra
 
 from crowdbench.scene import Bounds, Scene, Wall
+from crowdbench.simulation.compilation import kernel
 from crowdbench.simulation.rules import distance_to_segment
 from crowdbench.simulation.walls import CELL_M, cell_of, walls_near
 
@@ -28,6 +29,8 @@ NEAR_M = 1.0
 """Distance from a cell up to which walls are listed for it."""
 ROOM_M = 0.25
 """Greatest width of the free corridor that is stored around a line of sight."""
+CHUNK = 16
+"""Number of persons whose ways a thread looks up before it takes the next ones."""
 _ROUNDED_M = 1e-6  # tolerance, far above the rounding of lengths
 
 _GRAPHS: dict[tuple[tuple[Wall, ...], Bounds], "tuple[np.ndarray, np.ndarray, Sight]"] = {}
@@ -54,6 +57,7 @@ class Sight(NamedTuple):
     @classmethod
     def past(cls, segments: Float[np.ndarray, "S 4"], corners: int) -> "Sight":
         """Tables for the given walls and number of corners."""
+        segments = np.ascontiguousarray(segments, np.float64)
         ends = segments.reshape(-1, 2)
         lower = ends.min(axis=0, initial=0.0 if len(ends) == 0 else np.inf) - MARGIN_M
         upper = ends.max(axis=0, initial=0.0 if len(ends) == 0 else -np.inf) + MARGIN_M
@@ -76,8 +80,9 @@ class Routes:
         between: Float[np.ndarray, "C C"],
         sight: Sight | None = None,
     ) -> None:
-        self._corners = corners
-        self._between = between
+        # The kernel is compiled once, for arrays of these types and in this order.
+        self._corners = np.ascontiguousarray(corners, np.float64)
+        self._between = np.ascontiguousarray(between, np.float64)
         self._sight = sight or Sight.past(segments, len(corners))
         self._known = np.empty((0, 0, 2), dtype=np.int64)
         self._goal = np.empty((0, 0, 2))
@@ -108,13 +113,14 @@ class Routes:
         The next point is the goal if it is in sight or cannot be reached, else the next corner of
         the shortest path.
         """
-        target, beyond = goal.astype(np.float64), np.zeros(len(slot))
+        target, beyond = np.array(goal, np.float64, order="C"), np.zeros(len(slot))
         if len(self._sight.segments) and len(slot):
             self._make_room(int(world.max()) + 1, int(slot.max()) + 1)
             _next(
-                world,
-                slot,
-                position.astype(np.float64),
+                len(slot),
+                np.ascontiguousarray(world, np.int64),
+                np.ascontiguousarray(slot, np.int64),
+                np.ascontiguousarray(position, np.float64),
                 target,
                 beyond,
                 self._known,
@@ -180,69 +186,82 @@ def _distances(corners: Float[np.ndarray, "C 2"], scene: Scene) -> Float[np.ndar
     return np.asarray(dijkstra(edges, directed=False))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _next(world, slot, position, goal, beyond, known, of, seen, to_goal, corners, between, sight):
     """Replace hidden goals in `goal` by the next corner; write the path length from it to `beyond`.
 
     Results are cached for the next step: `known` contains the wall that hides a person's goal and
     its next corner, `to_goal` the path lengths from all corners to the goal `of`, and `seen` its
-    line of sight, see `_blocker`.
+    line of sight, see `_blocker`. Threads share `sight.blockers` without locks: these are guesses,
+    which change no result.
     """
-    count = len(corners)
     corner_x, corner_y = corners[:, 0].copy(), corners[:, 1].copy()
-    ways, tried, blockers = np.empty(count), np.empty(count, np.int64), sight.blockers
-    for a in range(len(slot)):
-        x, y = position[a, 0], position[a, 1]
-        w, i = world[a], slot[a]
-        room = seen[w, i]
-        if _still_in_sight(x, y, goal[a, 0], goal[a, 1], room):
-            continue
-        wall = _blocker(x, y, goal[a, 0], goal[a, 1], known[w, i, 0], sight, room)
+    for chunk in prange((len(slot) + CHUNK - 1) // CHUNK):
+        ways, tried = np.empty(len(corners)), np.empty(len(corners), np.int64)
+        for a in range(chunk * CHUNK, min(len(slot), (chunk + 1) * CHUNK)):
+            _next_of(
+                world[a], slot[a], position[a], goal[a], beyond, a, known, of, seen, to_goal,
+                corners, corner_x, corner_y, between, sight, ways, tried,
+            )  # fmt: skip
+
+
+@njit(error_model="numpy")
+def _next_of(
+    w, i, at, goal, beyond, a, known, of, seen, to_goal, corners, corner_x, corner_y, between,
+    sight, ways, tried,
+):  # fmt: skip
+    """The same for one person; `ways` and `tried` are working memory, one number per corner."""
+    count, blockers = len(corners), sight.blockers
+    x, y = at[0], at[1]
+    room = seen[w, i]
+    if _still_in_sight(x, y, goal[0], goal[1], room):
+        return
+    wall = _blocker(x, y, goal[0], goal[1], known[w, i, 0], sight, room)
+    if wall < 0:
+        return
+    known[w, i, 0] = wall
+    own = to_goal[w, i]
+    if of[w, i, 0] != goal[0] or of[w, i, 1] != goal[1]:
+        of[w, i, 0], of[w, i, 1], known[w, i, 1] = goal[0], goal[1], -1
+        _to_goal(goal[0], goal[1], corners, between, sight, own)
+    cell = _cell(x, y, sight)
+    # Usually the next corner is that of the previous step, or one with a shorter path now.
+    last, limit = known[w, i, 1], np.inf
+    if last >= 0:
+        to_x, to_y = corners[last, 0], corners[last, 1]
+        off = math.hypot(to_x - x, to_y - y)
+        if off > _GRAZE_M and (
+            _still_in_sight(x, y, to_x, to_y, room)
+            or _blocker(x, y, to_x, to_y, -1, sight, room) < 0
+        ):
+            limit = off + own[last]
+    for c in range(count):
+        dx, dy = corner_x[c] - x, corner_y[c] - y
+        ways[c] = math.sqrt(dx * dx + dy * dy) + own[c]
+    few = 0
+    for c in range(count):
+        if ways[c] <= limit + _ROUNDED_M and ways[c] < np.inf:
+            off = math.hypot(corner_x[c] - x, corner_y[c] - y)
+            if off > _GRAZE_M:
+                tried[few], ways[few] = c, off + own[c]
+                few += 1
+    # Corners are tested in the order of path length (ties by index). The first one in sight is
+    # on the shortest path.
+    known[w, i, 1] = -1
+    for _ in range(few):
+        k = ways[:few].argmin()
+        best = tried[k]
+        wall = -1
+        if best != last or limit == np.inf:
+            to_x, to_y = corner_x[best], corner_y[best]
+            wall = _blocker(x, y, to_x, to_y, blockers[cell, best], sight, room)
         if wall < 0:
-            continue
-        known[w, i, 0] = wall
-        own = to_goal[w, i]
-        if of[w, i, 0] != goal[a, 0] or of[w, i, 1] != goal[a, 1]:
-            of[w, i, 0], of[w, i, 1], known[w, i, 1] = goal[a, 0], goal[a, 1], -1
-            _to_goal(goal[a, 0], goal[a, 1], corners, between, sight, own)
-        cell = _cell(x, y, sight)
-        # Usually the next corner is that of the previous step, or one with a shorter path now.
-        last, limit = known[w, i, 1], np.inf
-        if last >= 0:
-            to_x, to_y = corners[last, 0], corners[last, 1]
-            off = math.hypot(to_x - x, to_y - y)
-            if off > _GRAZE_M and (
-                _still_in_sight(x, y, to_x, to_y, room)
-                or _blocker(x, y, to_x, to_y, -1, sight, room) < 0
-            ):
-                limit = off + own[last]
-        for c in range(count):
-            dx, dy = corner_x[c] - x, corner_y[c] - y
-            ways[c] = math.sqrt(dx * dx + dy * dy) + own[c]
-        few = 0
-        for c in range(count):
-            if ways[c] <= limit + _ROUNDED_M and ways[c] < np.inf:
-                off = math.hypot(corner_x[c] - x, corner_y[c] - y)
-                if off > _GRAZE_M:
-                    tried[few], ways[few] = c, off + own[c]
-                    few += 1
-        # Corners are tested in the order of path length (ties by index). The first one in sight is
-        # on the shortest path.
-        known[w, i, 1] = -1
-        for _ in range(few):
-            k = ways[:few].argmin()
-            best = tried[k]
-            wall = -1
-            if best != last or limit == np.inf:
-                to_x, to_y = corner_x[best], corner_y[best]
-                wall = _blocker(x, y, to_x, to_y, blockers[cell, best], sight, room)
-            if wall < 0:
-                goal[a, 0], goal[a, 1] = corner_x[best], corner_y[best]
-                beyond[a] = own[best]
-                known[w, i, 1] = best
-                break
-            blockers[cell, best] = wall
-            ways[k] = np.inf
+            goal[0], goal[1] = corner_x[best], corner_y[best]
+            beyond[a] = own[best]
+            known[w, i, 1] = best
+            return
+        blockers[cell, best] = wall
+        ways[k] = np.inf
 
 
 @njit(cache=True, error_model="numpy")
