@@ -38,7 +38,6 @@ from crowdbench.spawn.cox import CoxGMM
 from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.plan_files import read_plans
 from crowdbench.spawn.plan_fitting import fit_plans
-from crowdbench.spawn.planned import PlannedAreas
 from crowdbench.studies.open_square import AtOnce, crowd_at_once, open_square, to_and_fro
 from crowdbench.trajectories.blocks import SPLITS, TimeBlocks
 from crowdbench.trajectories.table import Trajectories
@@ -284,14 +283,10 @@ def _fitting_plans() -> Iterator[Figure]:
         arrivals = arrivals_of(crowd, blocks, len(areas.spawn))
         for name, fit in (
             ("cox-gmm", partial(CoxGMM.fit, arrivals, areas)),
-            ("plans", partial(_fit_plans, crowd, blocks, areas, scene)),
+            ("plans", partial(fit_plans, crowd, blocks, areas)),
             ("plans adjusted to cox-gmm", partial(_adjust_plans, crowd, blocks, areas, scene)),
         ):
             yield Figure(f"{name}, one fit to {scene.id}", _once_s(fit), "s")
-
-
-def _fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: Scene) -> PlannedAreas:
-    return fit_plans(crowd, blocks, areas)
 
 
 def _adjust_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: Scene) -> None:
