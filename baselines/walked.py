@@ -73,7 +73,7 @@ def walked(
     recorder.write()
     slots = simulation.slots
     steps = []
-    for _ in range(frames):
+    for _ in range(frames - 1):  # the first frame is the beginning
         acted = np.flatnonzero(slots.alive[0])
         waits = slots.stage[0, acted] == WAITING
         actor.step()

@@ -2,8 +2,11 @@
 
 import os
 import pickle
+import shutil
 import tempfile
+import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +20,10 @@ Files = dict[str, bytes]
 """Contents of files by name: `0/full.parquet` is in the first folder of those of a task."""
 PLACES: Mapping[str, Callable[[], Path]] = {"scenes": scenes_folder, "working": Path.cwd}
 """Folders that are on all nodes, in different places."""
+
+_TASK = "crowdbench-task-"
+_KEPT_S = 7 * 24 * 3600.0
+"""Time after which code and recordings that nobody uses are removed from a node, seconds."""
 
 _folder = Path()
 """Folder of the files of the task that runs."""
@@ -55,9 +62,10 @@ def work(packed: bytes, sent: Files, given: Given) -> tuple[bytes, Files]:
     """Run a task; return its outcome, pickled, and the files that it wrote."""
     global _folder
     _use_one_thread()
+    _clean()
     _import(*given.recordings)
     _put_in_place(*given.reads)
-    with tempfile.TemporaryDirectory(prefix="crowdbench-task-") as folder:
+    with tempfile.TemporaryDirectory(prefix=f"{_TASK}{os.getpid()}-") as folder:
         _folder = Path(folder)
         for name, data in sent.items():
             (_folder / name).parent.mkdir(exist_ok=True)
@@ -86,6 +94,34 @@ def _unpacked(digest: str, shared: Any) -> tuple[Callable[..., Any], tuple[objec
 
 
 @cache
+def _clean() -> None:
+    """Remove what killed workers have left, and code and recordings of long ago."""
+    root = Path(tempfile.gettempdir())
+    for path in root.glob("crowdbench-*"):
+        with suppress(OSError):
+            if path.stat().st_uid != os.getuid():
+                continue
+            if path.name.startswith(_TASK):
+                number = path.name.removeprefix(_TASK).partition("-")[0]
+                left = number.isdecimal() and not _runs(int(number))
+            else:
+                kept = path.name.startswith(("crowdbench-code-", "crowdbench-home-"))
+                left = kept and time.time() - path.stat().st_mtime > _KEPT_S
+            if left:
+                shutil.rmtree(path, ignore_errors=True)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+@cache
 def _use_one_thread() -> None:
     import numba
 
@@ -102,6 +138,7 @@ def _import(digest: str, recordings: Any) -> None:
         for name, data in ray.get(recordings).items():
             _write(there / "recordings" / name, data)
         _write(there / "complete", b"")
+    os.utime(there)
     os.environ["CROWDBENCH_HOME"] = str(there)
 
 

@@ -8,7 +8,11 @@ node dies, Ray does its tasks again. `node` is what runs there.
 """
 
 import logging
+import os
 import pickle
+import signal
+import socket
+import threading
 import zipfile
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -35,6 +39,8 @@ NAME = "ray"
 CLIENT = "ray://"
 TRIES_AGAIN = 4
 """Number of times that a task is done again if its node or its process dies."""
+_REACHED_S = 20.0
+"""Longest time in which a connection to the cluster is made, seconds."""
 _PACKAGES = ("crowdbench", "baselines")
 _NOT_CODE = ("results", "build", "dist", "node_modules", "site-packages")
 """Folders of the working directory whose Python files are not sent."""
@@ -61,16 +67,28 @@ def connect(address: str) -> Any:
         ) from error
     if not ray.is_initialized():
         where = address if address.startswith(CLIENT) else None
+        stopping = signal.getsignal(signal.SIGTERM)
         try:
+            _check_reachable(where or os.environ.get("RAY_ADDRESS", ""))
             ray.init(address=where, log_to_driver=False, logging_level=logging.ERROR)
         except Exception as error:  # Ray's errors have no common base class
             raise SettingError(
                 "engine",
                 got=f"{address!r} ({type(error).__name__}: {_short(error)})",
                 expected="the address of a Ray cluster that runs",
-                hint="ray start --head starts one.",
+                hint="ray start --head starts one. If it uses tokens, set RAY_AUTH_MODE=token here "
+                "and copy ~/.ray/auth_token from its first node.",
             ) from error
+        if stopping is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, stopping)  # Ray's own handler prints a trace of C++
     return ray
+
+
+def _check_reachable(address: str) -> None:
+    """Check that somebody listens at HOST:PORT, because Ray waits for up to 14 minutes."""
+    host, _, port = address.removeprefix(CLIENT).rpartition(":")
+    if host and port.isdecimal():
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_REACHED_S).close()
 
 
 def cpus(address: str) -> int:
@@ -152,6 +170,7 @@ def _begin() -> Callable[..., tuple[bytes, Files]]:
             if root.stat().st_uid != os.getuid():
                 raise PermissionError(f"{root} belongs to another user: its code is not run")
             (root / "working").mkdir(exist_ok=True)
+            os.utime(root)  # it is in use: `node` removes what has not been used for long
             os.chdir(root / "working")
             sys.path[:0] = [str(root), str(root / "working")]
         from crowdbench.evaluation.node import Given, work
@@ -283,7 +302,7 @@ def _place(path: Path) -> str:
         SettingError: it is somewhere else.
     """
     there = path.resolve()
-    if not there.is_relative_to(Path.cwd()) or path.is_absolute():
+    if not there.is_relative_to(Path.cwd()) or path.is_absolute() or ".." in path.parts:
         raise SettingError(
             "engine ray",
             got=f"the file {path}",

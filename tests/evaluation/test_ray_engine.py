@@ -4,6 +4,8 @@ import os
 import shlex
 import subprocess
 import sys
+import tempfile
+import time
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from submissions import declare
 
 from crowdbench import cli
 from crowdbench.errors import SettingError
-from crowdbench.evaluation import parallel
+from crowdbench.evaluation import node, parallel, ray_engine
 
 ROOT = Path(__file__).parents[2]
 
@@ -201,9 +203,47 @@ def test_no_cluster_at_the_address() -> None:
     )  # fmt: skip
     assert done.returncode == 2, done.stderr
     assert "ray start --head" in done.stderr
+    assert "refused" in done.stderr
 
 
 def test_the_engine_ends_with_the_block() -> None:
     with parallel.engine("local"):
         assert parallel.is_local()
         assert parallel.checked_workers(3) == 3
+
+
+def test_what_killed_workers_left_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    old = time.time() - 8 * 24 * 3600
+    names = {
+        f"crowdbench-task-{ended.pid}-x": False,
+        f"crowdbench-task-{os.getpid()}-x": True,
+        "crowdbench-code-0-old": False,
+        "crowdbench-code-0-new": True,
+        "crowdbench-home-0-old": False,
+        "crowdbench-other-old": True,
+    }
+    for name in names:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").touch()
+        if name.endswith("old"):
+            os.utime(tmp_path / name, (old, old))
+    node._clean.__wrapped__()
+    assert {name: (tmp_path / name).exists() for name in names} == names
+
+
+def test_files_outside_the_working_directory_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    (here / "own.onnx").touch()
+    monkeypatch.chdir(here)
+    assert ray_engine._place(Path("own.onnx")) == "own.onnx"
+    for path in (Path("../here/own.onnx"), here / "own.onnx", Path("../own.onnx")):
+        with pytest.raises(SettingError, match="relative to it"):
+            ray_engine._place(path)
