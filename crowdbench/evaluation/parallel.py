@@ -16,7 +16,7 @@ from contextvars import ContextVar
 from multiprocessing.connection import Connection, Pipe, wait
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from crowdbench import leftovers, plugins
 from crowdbench.errors import SettingError, WorkerError
@@ -314,6 +314,9 @@ def _look_after(parent: int) -> None:
 class Stopped(SystemExit):
     """The process was asked to end, by SIGTERM or by the end of its terminal."""
 
+    last: ClassVar["Stopped | None"] = None
+    """The one that was raised last."""
+
     def __init__(self, number: int) -> None:
         super().__init__(number)
         self.number = number
@@ -329,7 +332,8 @@ def stopping_in_order() -> Iterator[None]:
     """
 
     def stop(number: int, frame: object) -> None:
-        raise Stopped(128 + number)
+        Stopped.last = Stopped(128 + number)
+        raise Stopped.last
 
     changed = []
     if threading.current_thread() is threading.main_thread():

@@ -27,6 +27,7 @@ from crowdbench import plugins
 from crowdbench.errors import SettingError, WorkerError
 from crowdbench.evaluation import node
 from crowdbench.evaluation.node import PLACES, Files, Given
+from crowdbench.evaluation.parallel import Stopped
 from crowdbench.files import home, replacing, sha256
 from crowdbench.scene import scenes_folder
 
@@ -135,6 +136,8 @@ def call_each(
             result, written = _got(ray, done, name(*tasks[index]))
             _write(files(*tasks[index]), written)
             yield index, result
+    except SystemExit as error:  # Ray raises one of its own instead of that of a signal
+        raise Stopped.last or error from None
     finally:
         for left in running:
             ray.cancel(left, force=True)

@@ -247,3 +247,23 @@ def test_files_outside_the_working_directory_are_refused(
     for path in (Path("../here/own.onnx"), here / "own.onnx", Path("../own.onnx")):
         with pytest.raises(SettingError, match="relative to it"):
             ray_engine._place(path)
+
+
+@pytest.mark.long
+def test_whoever_asks_it_to_end_is_answered_in_order(tmp_path: Path) -> None:
+    need(find_spec("ray"), "the extra ray")
+    out = tmp_path / "out"
+    asked = ["evaluate", "plaza-v0", "--spawn", "poisson-gmm", "--policy", "straight"]
+    asked += ["--seeds", "2000", "--engine", "ray", "--out", str(out)]
+    with subprocess.Popen(
+        [sys.executable, "-m", "crowdbench", *asked],
+        stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, cwd=ROOT,
+    ) as running:  # fmt: skip
+        until = time.monotonic() + 240
+        while not list(out.glob("rollouts/*")) and running.poll() is None:
+            assert time.monotonic() < until
+            time.sleep(0.5)
+        running.terminate()
+        _, said = running.communicate(timeout=60)
+    assert running.returncode == 143, said
+    assert "crowdbench: stopped" in said
