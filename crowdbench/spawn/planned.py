@@ -22,7 +22,8 @@ from crowdbench.trajectories.companions import ENTRY_S, LEAST_S, RELATIVE_MPS, S
 _ALWAYS = 50.0
 """Logarithm of a weight that decides alone."""
 _TRIES = 30
-"""Number of ways that are drawn for a companion until one stays near, and runs into nobody."""
+"""Number of ways that are drawn for a companion until one stays near, and runs into nobody; and for
+a group until people have the companions that are planned."""
 _MANY, _HARDLY_FEWER = 50, 0.95
 """Where so many groups are not as planned, and more than this share of them remains so when they
 are drawn again, too many people enter at once: they stay as they are."""
@@ -223,10 +224,7 @@ def _not_as_planned(
     leader: Int[np.ndarray, " E"],
     moved: Bool[np.ndarray, " E"],
 ) -> Bool[np.ndarray, " E"]:
-    """Leaders of the groups to be drawn again, see `not_as_planned`.
-
-    Only pairs of which one is `moved` are looked at.
-    """
+    """Leaders of the groups whose ways are to be drawn again; see `link_kernels.not_as_planned`."""
     from crowdbench.spawn.link_kernels import not_as_planned
 
     start, goal, stops = ways[:, :2], ways[:, 2:4], np.isfinite(ways[:, 7])
