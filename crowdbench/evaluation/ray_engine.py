@@ -68,14 +68,16 @@ def connect(address: str) -> Any:
         ) from error
     if not ray.is_initialized():
         where = address if address.startswith(CLIENT) else None
+        named = os.environ.get("RAY_ADDRESS", "")
         stopping = signal.getsignal(signal.SIGTERM)
         try:
-            _check_reachable(where or os.environ.get("RAY_ADDRESS", ""))
+            _check_reachable(where or named)
             ray.init(address=where, log_to_driver=False, logging_level=logging.ERROR)
         except Exception as error:  # Ray's errors have no common base class
             raise SettingError(
                 "engine",
-                got=f"{address!r} ({type(error).__name__}: {_short(error)})",
+                got=f"{address!r}{f' with RAY_ADDRESS={named}' if named and not where else ''} "
+                f"({type(error).__name__}: {_short(error)})",
                 expected="the address of a Ray cluster that runs",
                 hint="ray start --head starts one. If it uses tokens, set RAY_AUTH_MODE=token here "
                 "and copy ~/.ray/auth_token from its first node.",
