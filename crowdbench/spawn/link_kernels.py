@@ -49,11 +49,56 @@ def joined(
 
 
 @njit(cache=True, error_model="numpy")
+def keep_company(
+    ways: Float[np.ndarray, "n 8"],
+    time_s: Float[np.ndarray, " n"],
+    all_ways: Float[np.ndarray, "E 8"],
+    all_time_s: Float[np.ndarray, " E"],
+    others: Int[np.ndarray, "n m"],
+    apart_m: float,
+    within_m: float,
+) -> Bool[np.ndarray, " n"]:
+    """Whether people with these ways stay near the last of the others, and run into none of them.
+
+    Ways are those of `Ways.draw`, and people walk straight to their goals.
+    """
+    good = np.ones(len(ways), np.bool_)
+    for i in range(len(ways)):
+        v, life = _moves(ways[i])
+        for k in range(others.shape[1]):
+            other = others[i, k]
+            w, other_life = _moves(all_ways[other])
+            begin = max(time_s[i], all_time_s[other])
+            common = min(time_s[i] + life, all_time_s[other] + other_life) - begin
+            if common < 0:  # never there together
+                continue
+            since, other_since = begin - time_s[i], begin - all_time_s[other]
+            x = ways[i, 0] + v[0] * since - all_ways[other, 0] - w[0] * other_since
+            y = ways[i, 1] + v[1] * since - all_ways[other, 1] - w[1] * other_since
+            dx, dy = v[0] - w[0], v[1] - w[1]
+            when = -(x * dx + y * dy) / max(dx * dx + dy * dy, 1e-12)
+            when = min(max(when, 0.0), common)
+            last_m = math.hypot(x + dx * common, y + dy * common)
+            if math.hypot(x + dx * when, y + dy * when) < apart_m or (
+                k == others.shape[1] - 1 and max(math.hypot(x, y), last_m) > within_m
+            ):
+                good[i] = False
+                break
+    return good
+
+
+@njit(cache=True, error_model="numpy")
+def _moves(way: Float[np.ndarray, " 8"]) -> tuple[tuple[float, float], float]:
+    """Velocity from start to goal, and how long it lasts, seconds."""
+    x, y = way[2] - way[0], way[3] - way[1]
+    length, speed = max(math.hypot(x, y), 1e-9), math.exp(way[4])
+    return (x / length * speed, y / length * speed), length / speed
+
+
+@njit(cache=True, error_model="numpy")
 def not_as_planned(
     time_s: Float[np.ndarray, " E"],
-    points: Float[np.ndarray, "E 6"],
-    speed: Float[np.ndarray, " E"],
-    wait_s: Float[np.ndarray, " E"],
+    walks: Float[np.ndarray, "E 8"],
     leader: Int[np.ndarray, " E"],
     moved: Bool[np.ndarray, " E"],
     entry_s: float,
@@ -65,11 +110,12 @@ def not_as_planned(
     """Leaders of the groups in which other people walk together than planned.
 
     These are groups with somebody who walks with a stranger of an earlier group, or with none of
-    those who came before in its own group. People enter at ascending times and walk straight from
-    their first point to the second one, wait there, and walk to the third one. The last arguments
-    are the rule of `crowdbench.trajectories.companions`. Only pairs of which one is `moved` are
-    compared.
+    those who came before in its own group. People enter at ascending times. `walks` are three
+    points, speed and wait: people walk straight from the first point to the second one, wait there,
+    and walk to the third one. The last arguments are the rule of
+    `crowdbench.trajectories.companions`. Only pairs of which one is `moved` are compared.
     """
+    points, speed, wait_s = walks[:, :6], walks[:, 6], walks[:, 7]
     wrong = np.zeros(speed.size, np.bool_)
     linked = leader == np.arange(speed.size)
     first_s = np.hypot(points[:, 2] - points[:, 0], points[:, 3] - points[:, 1]) / speed

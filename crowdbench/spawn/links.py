@@ -11,6 +11,7 @@ takes the plan of the other one, moved by an offset in the direction of the othe
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -98,6 +99,10 @@ class Links:
     crowded: float = 0.0
     """c, by which weights depend on the number of people whom one may join."""
 
+    @cached_property
+    def _roots(self) -> Float[np.ndarray, "C 5 5"]:
+        return np.linalg.cholesky(self.covariance)
+
     def draw(
         self, time_s: Float[np.ndarray, " E"], area: Int[np.ndarray, " E"], rng: Generator
     ) -> Int[np.ndarray, " E"]:
@@ -153,7 +158,7 @@ class Links:
         size = len(walked_m)
         component = np.searchsorted(self.share.cumsum(), rng.random(size) * self.share.sum())
         component = component.clip(0, len(self.share) - 1)
-        root = np.linalg.cholesky(self.covariance)[component]
+        root = self._roots[component]
         noise = rng.standard_normal((size, OFFSETS))
         drawn = self.mean[component] + np.einsum("nij,nj->ni", root, noise)
         drawn += walked_m[:, None] * self.slope

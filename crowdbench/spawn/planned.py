@@ -97,6 +97,8 @@ class PlannedAreas(Areas):
         Ways are drawn again where straight walkers would not have the companions that are planned,
         by the rule of `crowdbench.trajectories.companions`.
         """
+        from crowdbench.spawn.link_kernels import not_as_planned
+
         order = np.argsort(time_s, kind="stable")
         time_s, area = time_s[order], spawn_area[order]
         joins = self.links.draw(time_s, area, rng)
@@ -107,7 +109,7 @@ class PlannedAreas(Areas):
         u = rng.random((len(cumulative), 1)) * cumulative[:, -1:]
         goal_area[first] = (u >= cumulative).sum(axis=1)
         goal_area = goal_area[leader]
-        ways = np.empty((len(time_s), 8))
+        ways, walks = np.empty((len(time_s), 8)), np.empty((len(time_s), 8))
         again, before = np.ones(len(time_s), dtype=bool), np.inf
         for _ in range(_TRIES):
             chosen = np.flatnonzero(again)
@@ -115,7 +117,10 @@ class PlannedAreas(Areas):
             ways[chosen] = self._ways(
                 time_s[chosen], area[chosen], goal_area[chosen], own, scene, rng
             )
-            wrong = _not_as_planned(ways, time_s, leader, again)
+            walks[chosen] = _straight_walks(ways[chosen])
+            wrong = not_as_planned(
+                time_s, walks, leader, again, ENTRY_S, LEAST_S, SHARE, WITHIN_M, RELATIVE_MPS
+            )
             if not wrong.any() or wrong.sum() > max(_HARDLY_FEWER * before, _MANY):
                 break
             again, before = wrong[leader], wrong.sum()
@@ -164,6 +169,8 @@ class PlannedAreas(Areas):
 
         They walk beside the one who came before them.
         """
+        from crowdbench.spawn.link_kernels import keep_company
+
         rank = _ranks(leader)
         groups, of_group = np.unique(leader, return_inverse=True)
         members = np.full((len(groups), int(rank.max(initial=0)) + 1), -1)
@@ -176,13 +183,11 @@ class PlannedAreas(Areas):
                 earlier = members[of_group[open_], :place]
                 other = earlier[:, -1]
                 walked = np.exp(ways[other, 4]) * (time_s[open_] - time_s[other])
-                drawn, sides = self._beside(ways[other], walked, side[other], scene, rng)
-                free = scene.has_room(drawn[:, :2]) & scene.has_room(drawn[:, 2:4])
-                closest, furthest = _distances_m(
-                    drawn[:, None], time_s[open_][:, None], ways[earlier], time_s[earlier]
-                )
-                good = free & (closest >= scene.motion.person_radius_m).all(axis=1)
-                good &= furthest[:, -1] <= WITHIN_M
+                drawn, sides, free = self._beside(ways[other], walked, side[other], scene, rng)
+                good = free & keep_company(
+                    drawn, time_s[open_], ways, time_s, earlier,
+                    scene.motion.person_radius_m, WITHIN_M,
+                )  # fmt: skip
                 ways[open_[free]], side[open_[free]] = drawn[free], sides[free]
                 open_ = open_[~good]
                 if len(open_) == 0:
@@ -197,8 +202,11 @@ class PlannedAreas(Areas):
         side_before: Float[np.ndarray, " n"],
         scene: Scene,
         rng: Generator,
-    ) -> tuple[Float[np.ndarray, "n 8"], Float[np.ndarray, " n"]]:
-        """Ways of people who join those with these ways, who have walked this far; their sides."""
+    ) -> tuple[Float[np.ndarray, "n 8"], Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+        """Ways of people who join those with these ways, who have walked this far.
+
+        Also their sides, and whether there is room at their starts and goals.
+        """
         offset, side = self.links.offsets(walked_m, side_before, rng)
         ahead = directions(ways[:, 2:4] - ways[:, :2])
         at_start, at_goal = turned(ahead, offset[:, :2]), turned(ahead, offset[:, 2:4])
@@ -206,35 +214,27 @@ class PlannedAreas(Areas):
         found[:, :2] += at_start
         found[:, 2:4] += at_goal
         via = found[:, 5:7] + (at_start + at_goal) / 2
-        free = np.isfinite(via[:, 0])
-        free[free] = scene.has_room(via[free])
-        found[free, 5:7] = via[free]
+        with_via = np.flatnonzero(np.isfinite(via[:, 0]))
+        # One call, which takes hardly longer than each of three.
+        points = np.concatenate([found[:, :2], found[:, 2:4], via[with_via]])
+        at_starts, at_goals, at_via = np.split(scene.has_room(points), [len(found), 2 * len(found)])
+        moved = with_via[at_via]
+        found[moved, 5:7] = via[moved]
         left_m = np.maximum(_length_m(ways) - walked_m, _SHORTEST_M)
         gain = np.log(np.maximum(1 + offset[:, 4] / left_m, 0.5))
         found[:, 4] = self._possible_speed(found[:, 4] + gain)
-        return found, side
+        return found, side, at_starts & at_goals
 
     def _possible_speed(self, log_speed: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         return np.clip(log_speed, *np.log([SLOWEST_MPS, self.ways.fastest_mps]))
 
 
-def _not_as_planned(
-    ways: Float[np.ndarray, "E 8"],
-    time_s: Float[np.ndarray, " E"],
-    leader: Int[np.ndarray, " E"],
-    moved: Bool[np.ndarray, " E"],
-) -> Bool[np.ndarray, " E"]:
-    """Leaders of the groups whose ways are to be drawn again; see `link_kernels.not_as_planned`."""
-    from crowdbench.spawn.link_kernels import not_as_planned
-
+def _straight_walks(ways: Float[np.ndarray, "n 8"]) -> Float[np.ndarray, "n 8"]:
+    """Start, turning point, goal, speed and wait (seconds at the turning point) of each way."""
     start, goal, stops = ways[:, :2], ways[:, 2:4], np.isfinite(ways[:, 7])
     turn = turning_points(start, ways[:, 5:7], goal, stops)
     wait_s = np.where(stops, np.exp(np.where(stops, ways[:, 7], 0.0)), 0.0)
-    points = np.concatenate([start, turn, goal], axis=1)
-    return not_as_planned(
-        time_s, points, np.exp(ways[:, 4]), wait_s, leader, moved,
-        ENTRY_S, LEAST_S, SHARE, WITHIN_M, RELATIVE_MPS,
-    )  # fmt: skip
+    return np.column_stack([start, turn, goal, np.exp(ways[:, 4]), wait_s])
 
 
 def _leaders(joins: Int[np.ndarray, " E"]) -> Int[np.ndarray, " E"]:
@@ -253,43 +253,6 @@ def _ranks(leader: Int[np.ndarray, " E"]) -> Int[np.ndarray, " E"]:
     rank = np.empty(len(leader), dtype=np.int64)
     rank[order] = np.arange(len(leader)) - before[leader[order]]
     return rank
-
-
-def _distances_m(
-    one: Float[np.ndarray, "n 1 8"],
-    one_s: Float[np.ndarray, "n 1"],
-    other: Float[np.ndarray, "n m 8"],
-    other_s: Float[np.ndarray, "n m"],
-) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m"]]:
-    """Least and largest distance of straight walkers with these ways while both are there, metres.
-
-    The least one is infinite, and the largest one 0, for those who are never there together.
-    """
-    (v, life), (w, other_life) = _moves(one), _moves(other)
-    begin = np.maximum(one_s, other_s)
-    end = np.minimum(one_s + life, other_s + other_life)
-    gap = (
-        one[..., :2] + v * (begin - one_s)[..., None]
-        - other[..., :2] - w * (begin - other_s)[..., None]
-    )  # fmt: skip
-    drift, common = v - w, np.maximum(end - begin, 0.0)
-    when = -(gap * drift).sum(axis=-1) / np.maximum((drift * drift).sum(axis=-1), 1e-12)
-    least, first, last = (
-        np.linalg.norm(gap + drift * at[..., None], axis=-1)
-        for at in (np.clip(when, 0.0, common), 0 * common, common)
-    )
-    there = end >= begin
-    return np.where(there, least, np.inf), np.where(there, np.maximum(first, last), 0.0)
-
-
-def _moves(
-    way: Float[np.ndarray, "n m 8"],
-) -> tuple[Float[np.ndarray, "n m 2"], Float[np.ndarray, "n m"]]:
-    """Velocities on straight ways, and how long they last, seconds."""
-    direction = way[..., 2:4] - way[..., :2]
-    length = np.maximum(np.linalg.norm(direction, axis=-1), 1e-9)
-    speed = np.exp(way[..., 4])
-    return direction / length[..., None] * speed[..., None], length / speed
 
 
 def _length_m(ways: Float[np.ndarray, "n 8"]) -> Float[np.ndarray, " n"]:

@@ -20,6 +20,7 @@ whose end was seen are used. They are weighted by 1 / P(the end of a trip as lon
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -81,6 +82,14 @@ class Ways:
     longer: Float[np.ndarray, " K"]
     """Added to the log waits of people from each spawn area; 0 unless it is steered."""
     fastest_mps: float
+
+    @cached_property
+    def _bend_roots(self) -> Float[np.ndarray, "K G 2 2"]:
+        return np.linalg.cholesky(self.bend_covariance)
+
+    @cached_property
+    def _stop_roots(self) -> Float[np.ndarray, "C 3 3"]:
+        return np.linalg.cholesky(self.stop_covariance)
 
     def mean_wait_s(self, area: int, flow: Float[np.ndarray, " G"]) -> float:
         """Mean wait of people from an area who stop, for these probabilities of goals."""
@@ -176,7 +185,7 @@ class Ways:
         cumulative = (self.from_area[:, a] * self.to_area[:, g]).cumsum(axis=0)
         u = rng.random(len(a)) * cumulative[-1]
         component = (u >= cumulative).sum(axis=0)
-        root = np.linalg.cholesky(self.stop_covariance)[component]
+        root = self._stop_roots[component]
         noise = rng.standard_normal((len(a), STOP))
         drawn = self.stop_mean[component] + np.einsum("nij,nj->ni", root, noise)
         drawn[:, 2] += self.longer[a]
@@ -190,7 +199,7 @@ class Ways:
         rng: Generator,
     ) -> Float[np.ndarray, "n 2"]:
         """Via points of people who do not stop; NaN for those who go straight."""
-        root = np.linalg.cholesky(self.bend_covariance)[a, g]
+        root = self._bend_roots[a, g]
         noise = rng.standard_normal((len(a), BEND))
         along, left = (self.bend_mean[a, g] + np.einsum("nij,nj->ni", root, noise)).T
         way = ends[:, 2:] - ends[:, :2]
@@ -203,8 +212,9 @@ class Ways:
         """Whether a person has room at all points, and the speed is one of those recorded."""
         low, high = np.log(SLOWEST_MPS), np.log(self.fastest_mps)
         good = (drawn[:, 4] >= low) & (drawn[:, 4] <= high)
-        for columns in (slice(0, 2), slice(2, 4)):
-            good &= scene.has_room(drawn[:, columns])
         with_via = np.flatnonzero(np.isfinite(drawn[:, 5]))
-        good[with_via] &= scene.has_room(drawn[with_via, 5:7])
+        points = np.concatenate([drawn[:, :2], drawn[:, 2:4], drawn[with_via, 5:7]])
+        at_starts, at_goals, at_via = np.split(scene.has_room(points), [len(drawn), 2 * len(drawn)])
+        good &= at_starts & at_goals
+        good[with_via] &= at_via
         return np.asarray(good)
