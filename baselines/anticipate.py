@@ -130,7 +130,7 @@ SETTABLE = {
 
 GRID: Mapping[str, tuple[float, ...]] = {
     "avoid": (8.0, 16.0, 32.0),
-    "wall": (2.0, 6.0, 12.0, 24.0),
+    "wall": (4.0, 8.0, 16.0, 32.0),
     "width": (1.0, 0.85),
     "delay": (0.0, 1.0, 2.0),
     "jitter": (0.1, 0.2),

@@ -38,7 +38,7 @@ SOON_S, LATE_S = 5.0, 30.0
 """Time scales of waits that end soon, and of being early or late."""
 HORIZON_S = 8.0
 """The guide anticipates this time."""
-LOOK_S, WALLS_M = 1.5, 1.5
+LOOK_S, WALLS_M = 1.5, REACH_M
 """Walls count where the person is after this time; at this distance or more they cost nothing."""
 ABREAST_M = 1.2
 """Companions at this distance or less, down to `TOO_NEAR_M`, cost nothing."""
@@ -65,7 +65,7 @@ class Guide:
     smallest distance within `HORIZON_S`."""
     apart: float = 1.0
     """Passing strangers at this distance in metres or more costs nothing."""
-    wall: float = 6.0
+    wall: float = 8.0
     """Weight of walls: max(0, 1 − d / `WALLS_M`), where d is the distance to walls and bounds from
     where the person is after `LOOK_S`. It decreases to 0 from `NEAR_M` to the target, because many
     stops and goals are at walls."""
