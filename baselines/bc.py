@@ -27,7 +27,6 @@ from baselines.packages import needs
 from crowdbench import Demonstrations, demonstrations
 from crowdbench.errors import CrowdbenchError
 from crowdbench.scene import Scene
-from crowdbench.simulation.observations import GOAL_RANGE_M
 
 with needs("imitation", __name__):
     import torch
@@ -42,13 +41,21 @@ with needs("imitation", __name__):
         new_parser,
         train_each,
     )
-    from baselines.mixture import NEAR_GOAL_M, NOISE, MixturePolicy, Sampler
+    from baselines.mixture import (
+        NEAR_GOAL_M,
+        NOISE,
+        MixturePolicy,
+        Sampler,
+        features_of,
+        target_distance_m,
+    )
     from baselines.progress import Progress
 
-OBSERVATIONS = ("lidar-3", "lidar-2")
-"""Observations that a policy can be cloned on. If goals are close to the bounds, a policy needs
-`lidar-3`, with the distances to the bounds, to reach them. Otherwise `lidar-2` is less prone to
-memorising a small recording."""
+OBSERVATIONS = ("lidar-3", "lidar-2", "social-1")
+"""Observations that a policy can be cloned on. Only `social-1` shows stops, companions and how
+others move. If goals are close to the bounds, a policy that sees rays needs `lidar-3`, with the
+distances to the bounds, to reach them. Otherwise `lidar-2` is less prone to memorising a small
+recording."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +71,8 @@ class Settings:
     """Number of epochs without a better held-out likelihood after which training stops."""
     held_out: float = 0.1
     """Share of the persons held out for early stopping."""
+    smoothing_s: float = 0.0
+    """Window in which recorded paths are smoothed, see `crowdbench.demonstrations`."""
     displaced_m: float = 0.5
     """Standard deviation of the displacements, see `crowdbench.demonstrations`."""
     homing: int = 1
@@ -82,6 +91,7 @@ SETTABLE = {
     "batch_size": "number of samples in a batch",
     "epochs": "maximum number of epochs",
     "patience": "number of epochs without a better held-out likelihood after which training stops",
+    "smoothing_s": "window in which recorded paths are smoothed, seconds; 0: none",
     "displaced_m": "standard deviation of displacements from the recorded paths in metres, from "
     "which the samples show how to return; 0: no displacements",
     "homing": "number of times that samples near a goal are repeated",
@@ -97,7 +107,7 @@ def check(settings: Settings) -> None:
     Raises:
         SettingError: a number is out of range.
     """
-    check_numbers(settings, or_zero=("epochs", "patience", "displaced_m", "seed"))
+    check_numbers(settings, or_zero=("epochs", "patience", "smoothing_s", "displaced_m", "seed"))
 
 
 class Clipped(torch.optim.Adam):
@@ -143,6 +153,7 @@ def shown(scene: str | Scene, split: str, settings: Settings) -> list[Demonstrat
             scene,
             split=split,
             observation=settings.observation,
+            smoothing_s=settings.smoothing_s,
             displaced_m=settings.displaced_m,
             seed=settings.seed + k,
         )
@@ -172,7 +183,7 @@ def clone(
     seen, did = (np.concatenate(e) for e in zip(*(h.pairs() for _, h in splits), strict=True))
     held_out = torch.from_numpy(seen), torch.from_numpy(did)
     # Repeated samples change how often situations occur, not the actions in each situation.
-    near = np.flatnonzero(x[:, 2] * GOAL_RANGE_M < NEAR_GOAL_M)
+    near = np.flatnonzero(target_distance_m(x, settings.observation) < NEAR_GOAL_M)
     rows = np.concatenate([np.arange(len(x)), np.tile(near, settings.homing - 1)])
     x, a = x[rows], a[rows]
     policy = MixturePolicy(
@@ -180,6 +191,7 @@ def clone(
         spaces.Box(-1.0, 1.0, (2,), np.float32),
         lambda _: settings.learning_rate,
         net_arch=list(settings.hidden),
+        features_extractor_class=features_of(settings.observation),
     )
     size = min(settings.batch_size, len(a))
     trainer = bc.BC(
@@ -247,7 +259,8 @@ def add_observation(parser: argparse.ArgumentParser) -> None:
         "--observation",
         choices=OBSERVATIONS,
         default=OBSERVATIONS[0],
-        help="observation of the policy; lidar-3 contains the bounds (default: %(default)s)",
+        help="observation of the policy; social-1 shows stops and companions, lidar-3 contains the "
+        "bounds (default: %(default)s)",
     )
 
 

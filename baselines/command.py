@@ -28,6 +28,8 @@ from crowdbench.registry import DEFAULT_SPAWN
 from crowdbench.scene import Scene
 from crowdbench.spawn.weights import check_split
 
+WITHOUT_EFFECT = ("--out", "--workers", "--engine")
+"""Options with one value that do not change the policy."""
 WALKED_S = 600.0
 """Length of the rollout that tests a trained policy."""
 
@@ -299,9 +301,18 @@ class Command:
 
     @property
     def line(self) -> str:
-        """The command line of this call."""
+        """The command line of this call, without the options that do not change the policy."""
         module = _module(self.name.removesuffix("-any"))
-        return f"python -m {module} {shlex.join(self.given)}"
+        kept, skipped = [], False
+        for argument in self.given:
+            option, _, value = argument.partition("=")
+            if option in WITHOUT_EFFECT:
+                skipped = not value
+            elif not skipped:
+                kept.append(argument)
+            else:
+                skipped = False
+        return f"python -m {module} {shlex.join(kept)}"
 
     def path(self, split: str) -> Path:
         """The policy file of a split."""

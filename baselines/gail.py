@@ -60,9 +60,13 @@ with needs("imitation", __name__):
     from baselines.mixture import BOUNDS, NOISE, MixturePolicy, Sampler
     from baselines.progress import Progress
     from crowdbench.envs.vec_env import CrowdVecEnv
+    from crowdbench.simulation.social import PROBES
 
 CHANGES = 10.0
 """Factor by which changes of velocity, which are small, are scaled for the discriminator."""
+OUTSIDE = {"lidar-3": BOUNDS, "social-1": slice(PROBES.start, PROBES.start + 1)}
+"""Values of observations of which one is 0 for people outside the bounds. In `social-1` it is the
+free distance where the person is, which is 0 in walls, too."""
 AGAINST = 10.0
 """Amount subtracted from the log-odds of people who walk out of the bounds."""
 
@@ -112,10 +116,10 @@ class Discriminator(RewardNet):
     """
 
     def __init__(
-        self, observation_space: Any, action_space: Any, hidden: int, *, bounds: bool
+        self, observation_space: Any, action_space: Any, hidden: int, *, bounds: slice | None
     ) -> None:
         super().__init__(observation_space, action_space)
-        self.bounds = bounds
+        self.bounds = bounds  # where the observation is 0 for people who are outside
         numbers = observation_space.shape[0] + 4
         self.layers = nn.Sequential(
             nn.Linear(numbers, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh(),
@@ -126,9 +130,9 @@ class Discriminator(RewardNet):
         """Log-odds (A,) for states (A, obs) and actions (A, 2)."""
         change = CHANGES * (action - state[:, :2])
         odds = self.layers(torch.cat([state, action, change], dim=1))[:, 0]
-        if not self.bounds:
+        if self.bounds is None:
             return odds
-        return odds - AGAINST * (next_state[:, BOUNDS] <= 0).any(dim=1)
+        return odds - AGAINST * (next_state[:, self.bounds] <= 0).any(dim=1)
 
 
 class FairGAIL(GAIL):
@@ -246,7 +250,10 @@ def train(
         ent_coef=0.0,
         seed=seed,
         device="cpu",
-        policy_kwargs={"net_arch": [layer.out_features for layer in _hidden(policy)]},
+        policy_kwargs={
+            "net_arch": [layer.out_features for layer in _hidden(policy)],
+            "features_extractor_class": type(policy.features_extractor),
+        },
     )
     generator.policy.load_state_dict(policy.state_dict())
     trips.others = Learner(generator.policy, settings.observation)
@@ -261,7 +268,7 @@ def train(
             venv.observation_space,
             venv.action_space,
             settings.discriminator,
-            bounds=settings.observation == "lidar-3",
+            bounds=OUTSIDE.get(settings.observation),
         ),
         disc_opt_kwargs={"lr": settings.discriminator_rate},
         gen_replay_buffer_capacity=8 * per_round,

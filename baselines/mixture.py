@@ -12,6 +12,7 @@ train it with PPO. `Sampler` is the part that is exported to an ONNX file.
 import math
 from typing import Any
 
+import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.distributions import Distribution
@@ -19,13 +20,15 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
-from crowdbench.simulation import Settings
+from crowdbench.simulation import Settings, social
 from crowdbench.simulation.observations import (
     GOAL_DIRECTION,
     GOAL_DISTANCE,
     GOAL_RANGE_M,
     PREFERRED_SPEED,
+    version_of,
 )
+from crowdbench.spawn.plans import VISIT_M
 
 SELF = 6
 """Number of values of an observation before the distances to bounds and along rays."""
@@ -48,6 +51,18 @@ smaller one, people who keep their velocity exactly, as between two annotations,
 likelihood, and the policy would not learn to turn to the goal."""
 
 
+def target_distance_m(seen: np.ndarray, observation: str) -> np.ndarray:
+    """Distances (S,) to the targets in observations (S, obs) of this version, metres."""
+    if version_of(observation).own_frame:
+        return np.asarray(seen[:, social.ROUTE_LENGTH.start] * social.ROUTE_RANGE_M)
+    return np.asarray(seen[:, GOAL_DISTANCE.start] * GOAL_RANGE_M)
+
+
+def features_of(observation: str) -> type[BaseFeaturesExtractor]:
+    """The features of observations of this version."""
+    return Social if version_of(observation).own_frame else Scales
+
+
 class Scales(BaseFeaturesExtractor):
     """An observation and derived features that a small network would not learn by itself.
 
@@ -66,6 +81,30 @@ class Scales(BaseFeaturesExtractor):
         change = CHANGES * (towards * seen[:, PREFERRED_SPEED] - seen[:, :2])
         way = (seen[:, GOAL_DISTANCE] * (GOAL_RANGE_M / NEAR_GOAL_M)).clamp(max=1) * towards
         nearness = torch.exp(-seen[:, SELF:] * (RAY_RANGE_M / NEAR_M))
+        return torch.cat([seen, change, way, nearness], dim=1)
+
+
+class Social(BaseFeaturesExtractor):
+    """The observation `social-1` and derived features, as those of `Scales`.
+
+    The change of velocity is the one that follows the plan: it leads to the target at the preferred
+    speed, or to a standstill at a stop.
+    """
+
+    def __init__(self, observation_space: spaces.Box) -> None:
+        super().__init__(observation_space, social.SIZE + 4 + social.NEAREST)
+
+    def forward(self, seen: Tensor) -> Tensor:
+        """Features (A, 114) of observations (A, 102)."""
+        length_m = seen[:, social.ROUTE_LENGTH] * social.ROUTE_RANGE_M
+        towards = seen[:, social.ROUTE_DIRECTION]
+        walks = 1 - seen[:, social.STOP] * (length_m <= VISIT_M)
+        planned = walks * seen[:, social.PREFERRED_SPEED] * towards
+        change = CHANGES * (planned - seen[:, social.VELOCITY])
+        way = (length_m / NEAR_GOAL_M).clamp(max=1) * towards
+        other = social.neighbours_of(seen)
+        distance_m = other[..., social.OFFSET].norm(dim=-1) * social.RANGE_M
+        nearness = other[..., social.PRESENT.start] * torch.exp(-distance_m / NEAR_M)
         return torch.cat([seen, change, way, nearness], dim=1)
 
 

@@ -15,10 +15,19 @@ from gymnasium import spaces  # noqa: E402
 from torch import distributions  # noqa: E402
 
 from baselines import bc  # noqa: E402
-from baselines.mixture import NOISE, Mixture, MixturePolicy, Sampler  # noqa: E402
+from baselines.mixture import (  # noqa: E402
+    CHANGES,
+    NOISE,
+    Mixture,
+    MixturePolicy,
+    Sampler,
+    features_of,
+    target_distance_m,
+)
 from crowdbench import Demonstrations, rollout, spawn_model  # noqa: E402
 from crowdbench.policies import OnnxPolicy  # noqa: E402
 from crowdbench.scene import load_scene  # noqa: E402
+from crowdbench.simulation import social  # noqa: E402
 
 PLAZA = load_scene("plaza-v0")
 
@@ -137,6 +146,33 @@ def test_the_sampler_draws_from_the_policy() -> None:
     torch.testing.assert_close(again, values)
     torch.testing.assert_close(same, log_prob)
     assert entropy is None
+
+
+def test_features_of_social_1_contain_the_change_that_follows_the_plan() -> None:
+    space = spaces.Box(-1.0, 1.0, (social.SIZE,), np.float32)
+    seen = torch.zeros(3, social.SIZE)
+    seen[:, social.VELOCITY] = torch.tensor([0.1, 0.0])
+    seen[:, social.ROUTE_DIRECTION] = torch.tensor([0.0, 1.0])
+    seen[:, social.PREFERRED_SPEED] = 0.3
+    seen[:2, social.STOP] = 1.0
+    seen[:, social.ROUTE_LENGTH] = torch.tensor([[0.5], [5.0], [0.5]]) / social.ROUTE_RANGE_M
+    found = features_of("social-1")(space)(seen)
+    assert found.shape == (3, 114)
+    # The first person is at a stop, the second one on the way to it, the third one at a goal.
+    expected = torch.tensor([[-0.1, 0.0], [-0.1, 0.3], [-0.1, 0.3]]) * CHANGES
+    torch.testing.assert_close(found[:, social.SIZE : social.SIZE + 2], expected)
+    distances = target_distance_m(seen.numpy(), "social-1")
+    np.testing.assert_allclose(distances, [0.5, 5.0, 0.5], rtol=1e-6)
+
+
+def test_a_policy_can_be_cloned_on_what_others_do(tmp_path: Path) -> None:
+    asked = "--scene plaza-v0 --observation social-1 --smoothing-s 2.4 --displaced-m 0"
+    small = f"--epochs 3 --batch-size 512 --learning-rate 1e-3 --out {tmp_path}"
+    assert bc.main([*asked.split(), *small.split()]) == 0
+    policy = OnnxPolicy(tmp_path / "full.onnx")
+    assert policy.observation == "social-1"
+    crowd = rollout(PLAZA, spawn_model("cox-plans", PLAZA), policy, seed=0, horizon_s=60.0)
+    assert len(crowd) > 10
 
 
 def test_a_narrower_policy_does_the_same_more_steadily() -> None:

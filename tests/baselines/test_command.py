@@ -125,3 +125,11 @@ def test_scripts_call_what_worker_processes_can_import(
     monkeypatch.setattr(module, "main", lambda: 7)
     with pytest.raises(SystemExit, match="7"):
         runpy.run_path(str(module.__file__), run_name="__main__")
+
+
+def test_a_card_names_the_options_that_change_the_policy(tmp_path: Path) -> None:
+    given = ["--scene", "plaza-v0", "--out", str(tmp_path), "--workers=2", "--seed", "3"]
+    given += ["--workers", "2", "--splits", "full", "fold0", "--engine", "ray", "--steps=9"]
+    command = Command.of("anticipate", "plaza-v0", ["full"], tmp_path, given)
+    expected = "--scene plaza-v0 --seed 3 --splits full fold0 --steps=9"
+    assert command.line == f"python -m baselines.anticipate {expected}"

@@ -52,7 +52,7 @@ def test_experts_are_the_recorded_transitions() -> None:
 def test_the_reward_is_the_discriminators_log_odds() -> None:
     seen, act = torch.rand(5, 38) - 0.5, torch.rand(5, 2) - 0.5
     space = spaces.Box(-1.0, 1.0, (38,), np.float32), spaces.Box(-1.0, 1.0, (2,), np.float32)
-    net = gail.Discriminator(*space, 8, bounds=False)
+    net = gail.Discriminator(*space, 8, bounds=None)
     logits = net(seen, act, seen, torch.zeros(5))
     d = torch.sigmoid(logits)
     torch.testing.assert_close(logits, torch.log(d) - torch.log(1 - d))
@@ -64,7 +64,7 @@ def test_the_reward_is_the_discriminators_log_odds() -> None:
 
 def test_who_walks_out_of_bounds_that_it_sees_was_not_recorded() -> None:
     space = spaces.Box(-1.0, 1.0, (42,), np.float32), spaces.Box(-1.0, 1.0, (2,), np.float32)
-    net = gail.Discriminator(*space, 8, bounds=True)
+    net = gail.Discriminator(*space, 8, bounds=gail.OUTSIDE["lidar-3"])
     seen, act, over = torch.rand(3, 42), torch.rand(3, 2), torch.zeros(3)
     after = torch.rand(3, 42) + 0.01
     inside = net(seen, act, after, over)

@@ -14,6 +14,7 @@ from crowdbench.scene import load_scene
 from crowdbench.scoring.scorecard import Row, rows
 from crowdbench.studies.cheats import cheat, cheats_of
 from crowdbench.studies.cheats.recordings import shifted, smoothed, with_noise
+from crowdbench.studies.cheats.twins import main, twins
 from crowdbench.studies.cheats.walkers import Creeper, Runner, Wanderer
 from crowdbench.trajectories.table import Trajectories
 
@@ -145,3 +146,22 @@ def test_the_metrics_see_through_the_cheats(opentraj: Path) -> None:
     for name, metric in of["recorded-paths"].entry.metrics.items():
         assert metric.distance is not None, name
         assert metric.distance <= 0.05, name
+
+
+def test_a_policy_without_random_numbers_equals_itself() -> None:
+    found = twins(PLAZA, "social-force", 2)
+    assert {"pace", "avoidance"} <= {t.metric for t in found} <= set(PLAZA.protocol.scored)
+    assert all(t.own == 1 for t in found)
+    assert all(t.recorded < 1 for t in found)
+    assert all(t.number > 0 for t in found)
+
+
+def test_a_policy_that_draws_actions_does_not_equal_itself(capsys) -> None:
+    assert main(["plaza-v0", "--policy", "random", "--rollouts", "2"]) == 0
+    *_, motion, interaction = capsys.readouterr().out.strip().splitlines()
+    assert "**motion**" in motion
+    assert "**interaction**" in interaction
+    recorded, own = (float(cell.replace("−", "-")) for cell in motion.split("|")[4:6])
+    assert recorded < own < 1
+    assert main(["plaza-v0", "--rollouts", "1"]) == 2
+    assert "rollouts" in capsys.readouterr().err
