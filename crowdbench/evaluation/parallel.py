@@ -52,7 +52,12 @@ def engine(name: str) -> Iterator[None]:
 
     if name not in (LOCAL, ray_engine.NAME) and not name.startswith(ray_engine.CLIENT):
         raise SettingError(
-            "engine", got=repr(name), expected="local, ray, or the address ray://HOST:PORT"
+            "engine",
+            got=repr(name),
+            expected="local, ray, or the address ray://HOST:PORT of a Ray client server",
+            hint="For the cluster of a head node, set RAY_ADDRESS=HOST:PORT and choose ray."
+            if ":" in name
+            else "",
         )
     if name != LOCAL:
         ray_engine.connect(name)

@@ -192,6 +192,8 @@ def test_the_commands_of_the_page_exist() -> None:
 def test_an_unknown_engine_is_named() -> None:
     with pytest.raises(SettingError, match="ray://HOST:PORT"), parallel.engine("slurm"):
         pass
+    with pytest.raises(SettingError, match="set RAY_ADDRESS=HOST:PORT"), parallel.engine("a:6379"):
+        pass
 
 
 def test_no_cluster_at_the_address() -> None:
