@@ -305,13 +305,12 @@ class Command:
         module = _module(self.name.removesuffix("-any"))
         kept, skipped = [], False
         for argument in self.given:
-            option, _, value = argument.partition("=")
-            if option in WITHOUT_EFFECT:
-                skipped = not value
-            elif not skipped:
-                kept.append(argument)
-            else:
+            if skipped:  # the value of the option before it
                 skipped = False
+            elif argument.partition("=")[0] in WITHOUT_EFFECT:
+                skipped = "=" not in argument
+            else:
+                kept.append(argument)
         return f"python -m {module} {shlex.join(kept)}"
 
     def path(self, split: str) -> Path:
