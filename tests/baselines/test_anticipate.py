@@ -203,14 +203,14 @@ def test_mirrored_observations_are_those_of_a_mirrored_world() -> None:
 def test_it_trains_chooses_a_guide_and_writes_a_policy_that_arrives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(anticipate, "GRID", {"avoid": (0.0, 16.0), "wall": (6.0, 18.0)})
+    monkeypatch.setattr(anticipate, "GRID", {"avoid": (0.0, 16.0), "wall": (Guide.wall, 18.0)})
     monkeypatch.setattr(anticipate, "ROOM", (0.0, 16.0))
     arguments = ["--scene", "plaza-v0", "--splits", "fold1", "--steps", "800"]
     more = ["--people", "1", "--rounds", "1", "--out", str(tmp_path)]
     assert anticipate.main(arguments + more) == 0
     said = capsys.readouterr().out
     assert "round 1, held out" in said
-    assert said.count(": walk ") == 3  # of 0, 16 and 18; 6 is the default of walls
+    assert said.count(": walk ") == 3  # of 0, 16 and 18
     apart = {
         room: abs(math.log(float(ratio)))
         for room, ratio in re.findall(
