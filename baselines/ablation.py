@@ -33,7 +33,7 @@ with needs("fit", __name__):
     import torch
     from torch import Tensor
 
-    from baselines.anticipate import Settings, decision_frames, guided, train
+    from baselines.anticipate import Settings, frames_ahead, guided, train
     from baselines.anticipation import (
         NOISE,
         OBSERVATION,
@@ -71,8 +71,10 @@ class Variant:
     settings: Settings = USUAL
     unseen: tuple[int, ...] = ()
     """Columns of the observation that the network sees as zeros."""
-    intervals: int = 1
-    """Decision interval, as a multiple of the usual one."""
+    interval: int = 1
+    """Number of frames between two decisions."""
+    ahead: int = 1
+    """The time over which the network learns the mean velocity, as a multiple of the usual one."""
     guide: bool = True
     fixed: Mapping[str, float] = field(default_factory=dict)
     """Settings of the guide that are not chosen."""
@@ -96,7 +98,8 @@ VARIANTS = (
     Variant("no-smoothing", "cloned on recorded paths as they are", Settings(smoothing_s=0.0)),
     Variant("no-jitter", "cloned without jitter", Settings(jitter_mps=0.0)),
     Variant("closed-loop", "one round of training in closed loop", Settings(rounds=1)),
-    Variant("slower", "decisions half as often", intervals=2),
+    Variant("ahead", "it learns the velocity over twice the time", ahead=2),
+    Variant("slower", "the same, and decides half as often", ahead=2, interval=2),
 )
 """The first one is compared with the others."""
 
@@ -140,16 +143,25 @@ def write(variant: Variant, split: str, command: Command) -> None:
         return
     use_one_thread()
     with contextlib.redirect_stdout(sys.stderr):
-        every = variant.intervals * decision_frames(command.scene)
+        ahead = variant.ahead * frames_ahead(command.scene)
         torch.manual_seed(variant.settings.seed)
         walker = walker_of(variant, command.scene)
-        train(command, split, variant.settings, every, walker)
+        train(command, split, variant.settings, ahead, walker)
         sampler = Sampler(walker, Guide())
         chosen = PLAIN
         if variant.guide:
-            chosen = guided(sampler, command.scenes, split, every, variant.settings, variant.fixed)
+            chosen = guided(
+                sampler,
+                command.scenes,
+                split,
+                variant.settings,
+                variant.fixed,
+                interval=variant.interval,
+            )
         sampler.weights.copy_(chosen.tensor())
-        command.write(split, sampler, observation=OBSERVATION, noise=NOISE, interval=every)
+        command.write(
+            split, sampler, observation=OBSERVATION, noise=NOISE, interval=variant.interval
+        )
 
 
 def files_of(variant: Variant, split: str, command: Command) -> list[Path]:

@@ -18,6 +18,10 @@ PointNet, CVPR).
 **Network.** `Walker` predicts a mixture of Gaussians around the present velocity (Bishop 1994,
 mixture density networks, eqs. 22-27), cloned from recorded people by maximum likelihood.
 
+**Decisions.** The network learns the mean velocity until the next annotation (0.4 s; 0.8 s on Grand
+Central, and on several scenes). It decides anew in each frame of 0.4 s, as in receding-horizon
+control.
+
 **Smoothing.** The positions of a recording contain the noise of annotations. A network that is
 cloned on them trembles when it is sampled. Therefore it is cloned on smoothed paths
 (`--smoothing-s`).
@@ -145,8 +149,8 @@ TRIED_ON_SEVERAL = ("avoid", "wall")
 """The settings that are chosen if there are several scenes, on which each choice takes longer."""
 BOTH = 0.1
 """Weight of the mean of motion and interaction in the choice, beside *walk*."""
-DECISION_S = 0.8
-"""Time between decisions of a policy for several scenes."""
+AHEAD_S = 0.8
+"""A network for several scenes learns the mean velocity over this time."""
 
 
 def mirrored(seen: np.ndarray) -> np.ndarray:
@@ -221,13 +225,14 @@ def fit(
             progress(k, len(seen), {"nats per decision": -float(loss.detach())})
 
 
-def decision_frames(*scenes: Scene) -> int:
-    """Number of frames between two decisions: one step of the annotation grid.
+def frames_ahead(*scenes: Scene) -> int:
+    """Number of frames over which the network learns the mean velocity of recorded people.
 
-    On several scenes, as many as make about `DECISION_S`.
+    It is one step of the annotation grid; on several scenes, as many frames as make about
+    `AHEAD_S`.
     """
-    every_s = scenes[0].grid_s if len(scenes) == 1 else DECISION_S
-    return max(1, round(every_s / scenes[0].dt_s))
+    ahead_s = scenes[0].grid_s if len(scenes) == 1 else AHEAD_S
+    return max(1, round(ahead_s / scenes[0].dt_s))
 
 
 def pooled(each: Sequence[Samples]) -> Samples:
@@ -245,14 +250,12 @@ def pooled(each: Sequence[Samples]) -> Samples:
     return Samples(torch.cat([lot.seen for lot in lots]), torch.cat([lot.did for lot in lots]))
 
 
-def train(
-    command: Command, split: str, settings: Settings, interval: int, walker: Walker
-) -> Walker:
+def train(command: Command, split: str, settings: Settings, ahead: int, walker: Walker) -> Walker:
     """Clone a network, then improve it in closed loop; returns it."""
     where: dict[str, Any] = {
         "split": split,
         "observation": OBSERVATION,
-        "interval": interval,
+        "interval": ahead,
         "smoothing_s": settings.smoothing_s,
     }
     people = [
@@ -270,7 +273,7 @@ def train(
         print(f"{split}: round {k}, held out {nats:.3f} nats per decision", flush=True)
         if k == settings.rounds:
             break
-        plain = InProcess(Sampler(walker, PLAIN), interval)
+        plain = InProcess(Sampler(walker, PLAIN), ahead)
         for j, scene in enumerate(command.scenes):
             walked = demonstrations(
                 scene,
@@ -292,15 +295,16 @@ def guided(
     sampler: Sampler,
     scenes: Sequence[Scene],
     split: str,
-    interval: int,
     settings: Settings,
     fixed: Mapping[str, float] = MappingProxyType({}),
+    interval: int = 1,
 ) -> Guide:
     """Choose the guide by the walk score on the training blocks, one setting after the other.
 
     Of several scenes, the mean score counts. Since *walk* is the lesser of two families, it is
     blind to the other one; therefore `BOTH` times the mean of both is added. `room` is chosen last,
-    by the mean distance of companions. `fixed` settings keep their values.
+    by the mean distance of companions. `fixed` settings keep their values. `interval` is the number
+    of frames between decisions.
     """
     known = {"jitter": min(Guide.jitter, settings.jitter_mps), **fixed}
     guide = replace(Guide(), **known)
@@ -349,15 +353,14 @@ def _parts(scenes: Sequence[Scene], found: Sequence[Validation]) -> str:
 
 def learn(command: Command, split: str, settings: Settings) -> Path:
     """Train a network, choose its guide, and write both; return the file."""
-    interval = decision_frames(*command.scenes)
     torch.manual_seed(settings.seed)
     walker = Walker(command.scene.motion.max_speed_mps, settings.hidden)
-    train(command, split, settings, interval, walker)
+    train(command, split, settings, frames_ahead(*command.scenes), walker)
     sampler = Sampler(walker, Guide())
-    guide = guided(sampler, command.scenes, split, interval, settings)
+    guide = guided(sampler, command.scenes, split, settings)
     print(f"{split}: chosen: {guide}", flush=True)
     sampler.weights.copy_(guide.tensor())
-    return command.write(split, sampler, observation=OBSERVATION, noise=NOISE, interval=interval)
+    return command.write(split, sampler, observation=OBSERVATION, noise=NOISE)
 
 
 def learn_and_walk(split: str, command: Command, settings: Settings, left_out: str | None) -> str:

@@ -102,9 +102,9 @@ class Perception(nn.Module):
     def __init__(self, max_speed_mps: float) -> None:
         super().__init__()
         self.max_speed_mps = max_speed_mps
-        self.others = nn.Sequential(
-            nn.Linear(self.OTHER, self.CODE), nn.SiLU(), nn.Linear(self.CODE, self.CODE), nn.SiLU()
-        )
+        self.others = nn.ModuleList([
+            nn.Linear(self.OTHER, self.CODE), nn.Linear(self.CODE, self.CODE)
+        ])  # fmt: skip
         self.size = self.OWN + 2 * self.CODE
 
     def forward(self, seen: Tensor, jitter: Tensor) -> Tensor:
@@ -112,7 +112,7 @@ class Perception(nn.Module):
         scale = self.max_speed_mps / WALKING_MPS
         velocity, speed = scale * seen[:, social.VELOCITY], scale * seen[:, social.PREFERRED_SPEED]
         way, length = seen[:, social.ROUTE_DIRECTION], seen[:, social.ROUTE_LENGTH]
-        length_m = _length_m(seen)
+        length_m = length * social.ROUTE_RANGE_M
         near = (length_m / NEAR_M).clamp(max=1)
         stop, wait = seen[:, social.STOP], seen[:, social.WAIT_LEFT]
         age, walked = seen[:, social.AGE], seen[:, social.WALKED]
@@ -125,18 +125,22 @@ class Perception(nn.Module):
             walked, seen[:, social.STOOD], late, velocity.norm(dim=1, keepdim=True),
             1 - seen[:, social.PROBES], jitter / JITTER_MPS,
         ]  # fmt: skip
-        other = social.neighbours_of(seen)
-        offset_m = other[..., social.OFFSET] * social.RANGE_M
-        distance_m = offset_m.norm(dim=-1, keepdim=True)
-        here = other[..., social.PRESENT]
-        code = here * self.others(torch.cat([
-            offset_m / NEAR_M, scale * other[..., social.APPROACH],
-            torch.exp(-distance_m / CLOSE_M), other[..., social.PASS_TIME],
-            other[..., social.PASS_DISTANCE],
-            (1 - other[..., social.PASS_DISTANCE]) * (1 - other[..., social.PASS_TIME]),
-            other[..., social.COMPANION], here,
-        ], dim=-1))  # fmt: skip
-        return torch.cat([*own, code.sum(dim=1), code.amax(dim=1)], dim=1)
+        other = _neighbours(seen.T)
+        offset_m = other[:, social.OFFSET] * social.RANGE_M
+        distance_m = _length(offset_m, 1)[:, None]
+        here = other[:, social.PRESENT]
+        features = torch.cat([
+            offset_m / NEAR_M, scale * other[:, social.APPROACH],
+            torch.exp(-distance_m / CLOSE_M), other[:, social.PASS_TIME],
+            other[:, social.PASS_DISTANCE],
+            (1 - other[:, social.PASS_DISTANCE]) * (1 - other[:, social.PASS_TIME]),
+            other[:, social.COMPANION], here,
+        ], dim=1)  # fmt: skip
+        for layer in self.others:
+            assert isinstance(layer, nn.Linear)
+            features = nn.functional.silu(layer.weight @ features + layer.bias[:, None])
+        code = here * features
+        return torch.cat([*own, code.sum(dim=0).T, code.amax(dim=0).T], dim=1)
 
 
 class Walker(nn.Module):
@@ -168,31 +172,44 @@ class Walker(nn.Module):
 
 
 def _chosen(weight: Tensor, normal: Tensor) -> Tensor:
-    """Indices (A, n) drawn with weights (A, K) that sum to 1, by normal numbers (A, n)."""
+    """Indices (n, A) drawn with weights (K, A) that sum to 1, by normal numbers (n, A)."""
     uniform = 0.5 * (1 + torch.erf(normal / math.sqrt(2)))
-    below = torch.cumsum(weight, dim=1)[:, None] < uniform[..., None]
-    return below.sum(dim=2).clamp(max=weight.shape[1] - 1)
+    below = torch.cumsum(weight, dim=0) < uniform[:, None]
+    return below.sum(dim=1).clamp(max=weight.shape[0] - 1)
 
 
 def _taken(of: Tensor, at: Tensor) -> Tensor:
-    """Vectors (A, n, 2) of (A, K, 2) at indices (A, n)."""
-    return of.gather(1, at[..., None].expand(-1, -1, 2))
+    """Vectors (2, n, A) of (2, K, A) at indices (n, A)."""
+    return of.gather(1, at.expand(2, -1, -1))
+
+
+def _length(vectors: Tensor, dim: int = 0) -> Tensor:
+    """Lengths of vectors, whose two coordinates are along an axis."""
+    x, y = vectors.select(dim, 0), vectors.select(dim, 1)
+    return (x * x + y * y).sqrt()
+
+
+def _neighbours(seen: Tensor) -> Tensor:
+    """The neighbours (8, 8, A) in observations (102, A): those of each person, their features."""
+    return seen[social.NEIGHBOURS].unflatten(0, (social.NEAREST, social.FEATURES))
 
 
 def _length_m(seen: Tensor) -> Tensor:
-    """Remaining lengths (A, 1) of the ways to the targets, metres."""
-    return seen[:, social.ROUTE_LENGTH] * social.ROUTE_RANGE_M
+    """Remaining lengths (1, A) of the ways to the targets, metres, in observations (102, A)."""
+    return seen[social.ROUTE_LENGTH] * social.ROUTE_RANGE_M
 
 
 def _at_stop(seen: Tensor) -> Tensor:
-    """1 for people who are at the stop they walk to, else 0 (A, 1)."""
-    return seen[:, social.STOP] * (_length_m(seen) < VISIT_M).float()
+    """1 for people who are at the stop they walk to, else 0 (1, A), in observations (102, A)."""
+    return seen[social.STOP] * (_length_m(seen) < VISIT_M).float()
 
 
 class Sampler(nn.Module):
     """Draws actions (A, 2) with observations (A, 102) and normal numbers (A, 37).
 
-    One of 13 candidates is drawn by the costs of the guide: 12 of the network, and `planned`.
+    One of 13 candidates is drawn by the costs of the guide: 12 of the network, and `planned`. For
+    the costs, people are along the last axis: runtimes compute elementwise along it, several times
+    as fast as along an axis of two coordinates.
     """
 
     probes: Tensor
@@ -208,18 +225,19 @@ class Sampler(nn.Module):
         """Sampled actions (A, 2). `weights` (10,) replace those of the guide."""
         chosen = self.weights if weights is None else weights
         jitter, width, avoid, apart, wall, delay, home, keep, resume, room = chosen.unbind()
-        one = torch.ones_like(seen[:, :1])
-        mean, std, log_weight = self.walker(seen, jitter * one)
-        drawn = noise[:, :-1].unflatten(1, (CANDIDATES, 3))
-        at = _chosen(log_weight.exp(), drawn[..., 0])
-        actions = _taken(mean, at) + width * _taken(std, at) * drawn[..., 1:]
-        actions = actions / actions.norm(dim=2, keepdim=True).clamp(min=1)
+        mean, std, log_weight = self.walker(seen, jitter * torch.ones_like(seen[:, :1]))
+        mean, std = (each.permute(2, 1, 0) for each in (mean, std))  # (2, K, A)
+        seen, noise = seen.T, noise.T
+        drawn = noise[:-1].unflatten(0, (CANDIDATES, 3))
+        at = _chosen(log_weight.exp().T, drawn[:, 0])
+        actions = _taken(mean, at) + width * _taken(std, at) * drawn[:, 1:].transpose(0, 1)
+        actions = actions / _length(actions).clamp(min=1)
         actions = torch.cat([actions, self.planned(seen)], dim=1)
         cost = avoid * self.passes(seen, actions, apart) + wall * self.walls(seen, actions)
         cost = cost + delay * self.delays(seen, actions) + home * self.misses(seen, actions)
         cost = cost + self.together(seen, actions, keep, room)
-        cost = cost + torch.cat([torch.zeros_like(drawn[..., 0]), resume * one], dim=1)
-        return _taken(actions, _chosen(torch.softmax(-cost, dim=1), noise[:, -1:]))[:, 0]
+        cost = cost + torch.cat([torch.zeros_like(drawn[:, 0]), resume * torch.ones_like(seen[:1])])
+        return _taken(actions, _chosen(torch.softmax(-cost, dim=0), noise[-1:]))[:, 0].T
 
     @property
     def max_speed_mps(self) -> float:
@@ -227,76 +245,64 @@ class Sampler(nn.Module):
         return self.walker.perception.max_speed_mps
 
     def planned(self, seen: Tensor) -> Tensor:
-        """Velocities (A, 1, 2) along the way at the preferred speed; none at a stop."""
-        speed = seen[:, social.PREFERRED_SPEED] * (1 - _at_stop(seen))
-        return (speed * seen[:, social.ROUTE_DIRECTION])[:, None]
+        """Velocities (2, 1, A) along the way at the preferred speed; none at a stop."""
+        speed = seen[social.PREFERRED_SPEED] * (1 - _at_stop(seen))
+        return (speed * seen[social.ROUTE_DIRECTION])[:, None]
 
     def passes(self, seen: Tensor, actions: Tensor, apart: Tensor) -> Tensor:
-        """Sum of the nearness of strangers who are passed (A, n), of candidates (A, n, 2).
-
-        Squares are expanded, so that the vectors to 8 people for 12 candidates are never written.
-        """
-        other = social.neighbours_of(seen)  # (A, 8, 8)
-        here, companion = other[..., social.PRESENT], other[..., social.COMPANION]
-        offset = other[..., social.OFFSET] * social.RANGE_M
-        theirs = other[..., social.APPROACH] + seen[:, None, social.VELOCITY]
-        theirs, own = self.max_speed_mps * theirs, self.max_speed_mps * actions
-        along = own @ torch.cat([offset, theirs], dim=1).transpose(1, 2)  # (A, n, 16)
-        squared = torch.cat([offset * theirs, offset * offset, theirs * theirs], dim=1).sum(dim=2)[
-            :, None
-        ]  # (A, 1, 24)
-        strangers = offset.shape[1]
-        with_offset, with_theirs = along.split(strangers, dim=2)
-        approaching, far, fast = squared.split(strangers, dim=2)
-        closing = with_offset - approaching  # −offset · approach
-        speed = fast - 2 * with_theirs + own.square().sum(dim=2, keepdim=True)
-        time_s = (closing / speed.clamp(min=1e-6)).clamp(min=0).clamp(max=HORIZON_S)
-        passed_m = (far + time_s * (time_s * speed - 2 * closing)).clamp(min=0).sqrt()
-        counted = (here * (1 - companion)).transpose(1, 2)
-        return (counted * (1 - passed_m / apart).clamp(min=0)).sum(dim=2)
+        """Sum of the nearness of strangers who are passed (n, A), of candidates (2, n, A)."""
+        other = _neighbours(seen)
+        offset = (other[:, social.OFFSET] * social.RANGE_M)[:, :, None]
+        theirs = (other[:, social.APPROACH] + seen[social.VELOCITY])[:, :, None]
+        approach = self.max_speed_mps * (theirs - actions)  # (8, 2, n, A)
+        x, y, u, v = offset[:, 0], offset[:, 1], approach[:, 0], approach[:, 1]
+        time_s = -(x * u + y * v) / (u * u + v * v).clamp(min=1e-6)
+        time_s = time_s.clamp(min=0.0, max=HORIZON_S)
+        x, y = x + time_s * u, y + time_s * v
+        counted = other[:, social.PRESENT] * (1 - other[:, social.COMPANION])  # (8, 1, A)
+        return (counted * (1 - (x * x + y * y).sqrt() / apart).clamp(min=0)).sum(dim=0)
 
     def together(self, seen: Tensor, actions: Tensor, keep: Tensor, room: Tensor) -> Tensor:
-        """Mean cost (A, n) of companions who are too far or too near."""
-        other = social.neighbours_of(seen)
-        companion = other[..., social.COMPANION]  # (A, 8, 1)
-        theirs = other[..., social.APPROACH] + seen[:, None, social.VELOCITY]
-        after = other[..., social.OFFSET] * social.RANGE_M + LOOK_S * self.max_speed_mps * theirs
-        own = LOOK_S * self.max_speed_mps * actions
-        squared = own.square().sum(dim=2, keepdim=True) - 2 * own @ after.transpose(1, 2)
-        squared = squared + after.square().sum(dim=2)[:, None]  # (A, n, 8)
-        distance_m = squared.clamp(min=0).sqrt()
+        """Mean cost (n, A) of companions who are too far or too near."""
+        other = _neighbours(seen)
+        companion = other[:, social.COMPANION]  # (8, 1, A)
+        theirs = (other[:, social.APPROACH] + seen[social.VELOCITY])[:, :, None] - actions
+        offset = (other[:, social.OFFSET] * social.RANGE_M)[:, :, None]
+        distance_m = _length(offset + LOOK_S * self.max_speed_mps * theirs, 1)  # (8, n, A)
         too_far = (distance_m - ABREAST_M).clamp(min=0)
         too_near = (TOO_NEAR_M - distance_m).clamp(min=0)
-        number = companion.sum(dim=1).clamp(min=1)  # (A, 1)
-        return ((keep * too_far + room * too_near) @ companion)[..., 0] / number
+        number = companion.sum(dim=0).clamp(min=1)
+        return (companion * (keep * too_far + room * too_near)).sum(dim=0) / number
 
     def walls(self, seen: Tensor, actions: Tensor) -> Tensor:
-        """Nearness of walls (A, n), from 0 to 1, interpolated between the probes.
+        """Nearness of walls (n, A), from 0 to 1, interpolated between the probes.
 
         It counts less near the target.
         """
-        after = LOOK_S * self.max_speed_mps * actions
-        off = after.square().sum(dim=2, keepdim=True) - 2 * after @ self.probes.T
-        kernel = torch.exp((off + self.probes.square().sum(dim=1)) * (-0.5 / KERNEL_M**2)) + 1e-6
-        free = seen[:, social.PROBES, None]
-        weighed = kernel @ torch.cat([free, torch.ones_like(free)], dim=2)  # (A, n, 2)
-        free_m = weighed[..., 0] / weighed[..., 1] * REACH_M
+        after = LOOK_S / KERNEL_M * self.max_speed_mps * actions
+        probes = self.probes / KERNEL_M
+        along = (probes @ after.flatten(1)).unflatten(1, after.shape[1:])  # (25, n, A)
+        half = 0.5 * (probes * probes).sum(dim=1)[:, None, None]
+        kernel = torch.exp(along - half - 0.5 * (after * after).sum(dim=0)) + 1e-6
+        free = seen[social.PROBES, None]
+        free_m = (kernel * free).sum(dim=0) / kernel.sum(dim=0) * REACH_M
         near = (_length_m(seen) / NEAR_M).clamp(max=1)
         return near * (1 - free_m / WALLS_M).clamp(min=0)
 
     def delays(self, seen: Tensor, actions: Tensor) -> Tensor:
-        """Lack of speed (A, n) along the way, relative to the preferred speed, from 0 to 1."""
-        along = (seen[:, None, social.ROUTE_DIRECTION] * actions).sum(dim=2)
-        slower = 1 - along / seen[:, social.PREFERRED_SPEED].clamp(min=0.1 / self.max_speed_mps)
+        """Lack of speed (n, A) along the way, relative to the preferred speed, from 0 to 1."""
+        x, y = seen[social.ROUTE_DIRECTION]
+        along = x * actions[0] + y * actions[1]
+        slower = 1 - along / seen[social.PREFERRED_SPEED].clamp(min=0.1 / self.max_speed_mps)
         return slower.clamp(0, 1) * (1 - _at_stop(seen))
 
     def misses(self, seen: Tensor, actions: Tensor) -> Tensor:
-        """Distance (A, n) in metres at which a near target is passed straight on."""
+        """Distance (n, A) in metres at which a near target is passed straight on."""
         length_m = _length_m(seen)
-        target = (length_m * seen[:, social.ROUTE_DIRECTION])[:, None]
-        velocity = self.max_speed_mps * actions
-        ahead = (target * velocity).sum(dim=2) / velocity.square().sum(dim=2).clamp(min=1e-2)
-        missed_m = (target - ahead.clamp(min=0)[..., None] * velocity).norm(dim=2)
+        x, y = length_m * seen[social.ROUTE_DIRECTION]
+        u, v = self.max_speed_mps * actions
+        ahead = ((x * u + y * v) / (u * u + v * v).clamp(min=1e-2)).clamp(min=0)
+        missed_m = _length(torch.stack([x - ahead * u, y - ahead * v]))
         return missed_m * (length_m < NEAR_M).float()
 
 

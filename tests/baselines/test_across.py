@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from baselines import across, anticipate
-from baselines.anticipate import DECISION_S, Samples, Settings, decision_frames, pooled
+from baselines.anticipate import AHEAD_S, Samples, Settings, frames_ahead, pooled
 from baselines.command import Command
 from crowdbench import load_scene, policy, rollout, spawn_model
 from crowdbench.errors import SettingError
@@ -48,9 +48,9 @@ def test_samples_of_a_small_scene_are_used_about_equally_often() -> None:
     assert set(Counter(one.shared(10).seen[:, 0].tolist()).values()) == {2, 3}
 
 
-def test_decisions_on_several_scenes_are_as_far_apart_in_time() -> None:
-    assert decision_frames(ETH) == 1
-    assert decision_frames(ETH, HOTEL) == round(DECISION_S / ETH.dt_s)
+def test_a_network_for_several_scenes_looks_as_far_ahead_on_each() -> None:
+    assert frames_ahead(ETH) == 1
+    assert frames_ahead(ETH, HOTEL) == round(AHEAD_S / ETH.dt_s)
 
 
 def test_a_scene_is_left_out(tmp_path: Path) -> None:

@@ -20,8 +20,8 @@ from crowdbench.simulation import Settings, Simulation, social
 
 WALKING = 1.3 / 5.0
 """Speed of the people in these tests, in units of the maximum speed of 5 m/s."""
-CANDIDATES = torch.tensor([[[WALKING, 0.0], [0.9 * WALKING, 0.4 * WALKING], [0.0, 0.0]]])
-"""Straight on, to the left, and standing."""
+CANDIDATES = torch.tensor([[[WALKING], [0.9 * WALKING], [0.0]], [[0.0], [0.4 * WALKING], [0.0]]])
+"""Straight on, to the left, and standing: coordinates, candidates, people."""
 
 
 @pytest.fixture
@@ -54,36 +54,36 @@ def meet(seen: torch.Tensor, *, companion: bool = False) -> torch.Tensor:
 
 def test_close_passes_of_strangers_cost(seen, sampler: Sampler) -> None:
     apart = torch.tensor(1.5)
-    assert not sampler.passes(seen, CANDIDATES, apart).any()
-    straight, left, stand = sampler.passes(meet(seen), CANDIDATES, apart)[0].tolist()
+    assert not sampler.passes(seen.T, CANDIDATES, apart).any()
+    straight, left, stand = sampler.passes(meet(seen).T, CANDIDATES, apart)[:, 0].tolist()
     assert straight == pytest.approx(1.0, abs=1e-3)  # they would meet
     assert 0 < left < straight
     assert stand == pytest.approx(1.0, abs=1e-3)  # it would be run into
-    assert not sampler.passes(meet(seen, companion=True), CANDIDATES, apart).any()
-    nearer = sampler.passes(meet(seen), CANDIDATES, torch.tensor(0.7))[0].tolist()
+    assert not sampler.passes(meet(seen, companion=True).T, CANDIDATES, apart).any()
+    nearer = sampler.passes(meet(seen).T, CANDIDATES, torch.tensor(0.7))[:, 0].tolist()
     assert nearer[0] == pytest.approx(1.0, abs=1e-3)
     assert 0 <= nearer[1] < left
 
 
 def test_delay_costs_except_at_a_stop(seen, sampler: Sampler) -> None:
     seen[:, social.PREFERRED_SPEED] = WALKING
-    straight, left, stand = sampler.delays(seen, CANDIDATES)[0].tolist()
+    straight, left, stand = sampler.delays(seen.T, CANDIDATES)[:, 0].tolist()
     assert (straight, stand) == (pytest.approx(0.0, abs=1e-6), 1.0)
     assert left == pytest.approx(0.1)
     seen[:, social.STOP] = 1.0
-    assert sampler.delays(seen, CANDIDATES)[0, 2] == 1.0  # still on the way to it
+    assert sampler.delays(seen.T, CANDIDATES)[2, 0] == 1.0  # still on the way to it
     seen[:, social.ROUTE_LENGTH] = 0.9 / social.ROUTE_RANGE_M
-    assert not sampler.delays(seen, CANDIDATES).any()
+    assert not sampler.delays(seen.T, CANDIDATES).any()
 
 
 def test_walls_cost_where_the_candidate_leads(seen, sampler: Sampler) -> None:
-    assert not sampler.walls(seen, CANDIDATES).any()
+    assert not sampler.walls(seen.T, CANDIDATES).any()
     ahead = np.flatnonzero(social.PROBE_POINTS[:, 0] > 0.9)
     seen[:, social.PROBES.start + ahead] = 0.0
-    straight, left, stand = sampler.walls(seen, CANDIDATES)[0].tolist()
+    straight, left, stand = sampler.walls(seen.T, CANDIDATES)[:, 0].tolist()
     assert straight > left > stand
     seen[:, social.ROUTE_LENGTH] = 0.3 / social.ROUTE_RANGE_M  # a target at the wall
-    assert sampler.walls(seen, CANDIDATES)[0, 0] == pytest.approx(0.1 * straight, rel=1e-4)
+    assert sampler.walls(seen.T, CANDIDATES)[0, 0] == pytest.approx(0.1 * straight, rel=1e-4)
 
 
 def test_leaving_a_companion_costs_the_distance_beyond_that_of_companions(
@@ -91,14 +91,14 @@ def test_leaving_a_companion_costs_the_distance_beyond_that_of_companions(
 ) -> None:
 
     def partings(of: torch.Tensor) -> torch.Tensor:
-        return sampler.together(of, CANDIDATES, torch.tensor(2.0), torch.tensor(0.0)) / 2
+        return sampler.together(of.T, CANDIDATES, torch.tensor(2.0), torch.tensor(0.0)) / 2
 
     assert not partings(meet(seen)).any()  # a stranger
     walks = meet(seen, companion=True)
     ahead = walks[:, social.NEIGHBOURS.start + social.APPROACH.start]
     ahead[:] = 0.0  # the companion walks as fast, 3 m ahead
-    costs = partings(walks)[0].numpy()
-    gap = np.array([3.0, 0.0]) + LOOK_S * 5.0 * (CANDIDATES[0, 0] - CANDIDATES[0]).numpy()
+    costs = partings(walks)[:, 0].numpy()
+    gap = np.array([3.0, 0.0]) + LOOK_S * 5.0 * (CANDIDATES[:, :1] - CANDIDATES)[..., 0].T.numpy()
     np.testing.assert_allclose(costs, np.hypot(*gap.T) - ABREAST_M, atol=1e-4)
     beside = walks.clone()
     beside[:, social.NEIGHBOURS.start + social.OFFSET.start] = 0.8 / social.RANGE_M
@@ -118,18 +118,18 @@ def test_companions_who_come_too_near_cost_what_they_lack_in_distance(
     other[:, social.OFFSET.start] = 0.3 / social.RANGE_M  # 0.3 m ahead, and as fast
     other[:, social.APPROACH.start] = 0.0
     keep, room = torch.tensor(0.0), torch.tensor(3.0)
-    assert sampler.together(beside, CANDIDATES, keep, room)[0, 0] == pytest.approx(
+    assert sampler.together(beside.T, CANDIDATES, keep, room)[0, 0] == pytest.approx(
         3.0 * (TOO_NEAR_M - 0.3), abs=1e-3
     )
     other[:, social.OFFSET.start] = (TOO_NEAR_M + 0.1) / social.RANGE_M
-    assert sampler.together(beside, CANDIDATES, keep, room)[0, 0] == 0.0
+    assert sampler.together(beside.T, CANDIDATES, keep, room)[0, 0] == 0.0
 
 
 def test_missing_a_near_target_costs_its_distance(seen, sampler: Sampler) -> None:
-    assert not sampler.misses(seen, CANDIDATES).any()  # too far away
+    assert not sampler.misses(seen.T, CANDIDATES).any()  # too far away
     seen[:, social.ROUTE_LENGTH] = 2.0 / social.ROUTE_RANGE_M
     seen[:, social.ROUTE_DIRECTION] = torch.tensor([0.6, 0.8])
-    straight, left, stand = sampler.misses(seen, CANDIDATES)[0].tolist()
+    straight, left, stand = sampler.misses(seen.T, CANDIDATES)[:, 0].tolist()
     assert straight == pytest.approx(1.6, abs=1e-4)
     assert left < straight
     assert stand == pytest.approx(2.0, abs=1e-4)
@@ -143,7 +143,7 @@ def test_with_a_guide_people_pass_strangers_at_a_greater_distance(seen, sampler:
         guide = Guide(avoid=avoid, apart=1.5, wall=0.0, delay=0.0, home=0.0).tensor()
         with torch.no_grad():
             actions = sampler(many, noise, guide)
-        passed.append(float(sampler.passes(many, actions[:, None], torch.tensor(1.5)).mean()))
+        passed.append(float(sampler.passes(many.T, actions.T[:, None], torch.tensor(1.5)).mean()))
     assert passed[1] < 0.9 * passed[0]
 
 
@@ -170,7 +170,7 @@ def test_those_who_stand_walk_on_as_planned_and_stand_at_a_stop(seen, sampler: S
     many[:, social.STOP] = 1.0
     many[:, social.ROUTE_LENGTH] = 0.5 / social.ROUTE_RANGE_M
     assert share(-10.0) == 0.0
-    assert not sampler.planned(many).any()
+    assert not sampler.planned(many.T).any()
 
 
 def test_mirrored_observations_are_those_of_a_mirrored_world() -> None:
