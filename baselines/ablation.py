@@ -99,7 +99,12 @@ VARIANTS = (
     Variant("no-jitter", "cloned without jitter", Settings(jitter_mps=0.0)),
     Variant("closed-loop", "one round of training in closed loop", Settings(rounds=1)),
     Variant("ahead", "it learns the velocity over twice the time", ahead=2),
-    Variant("slower", "the same, and decides half as often", ahead=2, interval=2),
+    Variant(
+        "slower",
+        "it learns the velocity over twice the time, and decides half as often",
+        ahead=2,
+        interval=2,
+    ),
 )
 """The first one is compared with the others."""
 

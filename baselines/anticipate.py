@@ -152,10 +152,10 @@ BOTH = 0.1
 AHEAD_S = 0.8
 """A network for several scenes learns the mean velocity over this time."""
 SEVERAL_WIDTH = 0.85
-"""`width` of a policy for several scenes. The mixture of such a network is also wide because it does
-not know which kind of place it is in; sampled in full, all of this becomes noise of each person. It
-was chosen by training without each of five scenes in turn and walking in that scene, on training
-blocks: the worst walk of the five was 0.35 with 1, 0.45 with 0.85 and 0.43 with 0.7."""
+"""`width` of a policy for several scenes. The mixture of such a network is also wide because it
+does not know which kind of place it is in; sampled in full, this becomes noise of each person. It
+was chosen by training without each of five scenes in turn and walking there, on training blocks:
+the worst walk of the five was 0.35 with a width of 1, 0.45 with 0.85 and 0.43 with 0.7."""
 
 
 def mirrored(seen: np.ndarray) -> np.ndarray:
