@@ -33,7 +33,7 @@ with needs("fit", __name__):
     import torch
     from torch import Tensor
 
-    from baselines.anticipate import Settings, frames_ahead, guided, train
+    from baselines.anticipate import Settings, decision_frames, frames_ahead, guided, train
     from baselines.anticipation import (
         NOISE,
         OBSERVATION,
@@ -72,9 +72,9 @@ class Variant:
     unseen: tuple[int, ...] = ()
     """Columns of the observation that the network sees as zeros."""
     interval: int = 1
-    """Number of frames between two decisions."""
+    """Time between two decisions, as a multiple of the usual one."""
     ahead: int = 1
-    """The time over which the network learns the mean velocity, as a multiple of the usual one."""
+    """Time over which the network learns the mean velocity, as a multiple of the usual one."""
     guide: bool = True
     fixed: Mapping[str, float] = field(default_factory=dict)
     """Settings of the guide that are not chosen."""
@@ -149,20 +149,14 @@ def write(variant: Variant, split: str, command: Command) -> None:
     use_one_thread()
     with contextlib.redirect_stdout(sys.stderr):
         ahead = variant.ahead * frames_ahead(command.scene)
+        every = variant.interval * decision_frames(command.scene)
         torch.manual_seed(variant.settings.seed)
         walker = walker_of(variant, command.scene)
         train(command, split, variant.settings, ahead, walker)
         sampler = Sampler(walker, Guide())
         chosen = PLAIN
         if variant.guide:
-            chosen = guided(
-                sampler,
-                command.scenes,
-                split,
-                variant.settings,
-                variant.fixed,
-                interval=variant.interval,
-            )
+            chosen = guided(sampler, command.scenes, split, every, variant.settings, variant.fixed)
         sampler.weights.copy_(chosen.tensor())
         command.write(
             split, sampler, observation=OBSERVATION, noise=NOISE, interval=variant.interval

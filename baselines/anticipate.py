@@ -19,8 +19,9 @@ PointNet, CVPR).
 mixture density networks, eqs. 22-27), cloned from recorded people by maximum likelihood.
 
 **Decisions.** The network learns the mean velocity until the next annotation (0.4 s; 0.8 s on Grand
-Central, and on several scenes). It decides anew in each frame of 0.4 s, as in receding-horizon
-control.
+Central), and people decide again when that time is over. A network for several scenes learns the
+mean velocity over 0.8 s, and people decide anew in each frame of about 0.4 s, as in
+receding-horizon control: in a place that it was not trained on, walking is then steadier.
 
 **Smoothing.** The positions of a recording contain the noise of annotations. A network that is
 cloned on them trembles when it is sampled. Therefore it is cloned on smoothed paths
@@ -240,6 +241,15 @@ def frames_ahead(*scenes: Scene) -> int:
     return max(1, round(ahead_s / scenes[0].dt_s))
 
 
+def decision_frames(*scenes: Scene) -> int:
+    """Number of frames between two decisions.
+
+    On one scene, people decide when the time of `frames_ahead` is over; on several scenes, in each
+    frame.
+    """
+    return frames_ahead(*scenes) if len(scenes) == 1 else 1
+
+
 def pooled(each: Sequence[Samples]) -> Samples:
     """Samples of several scenes, as many as all have together.
 
@@ -300,16 +310,15 @@ def guided(
     sampler: Sampler,
     scenes: Sequence[Scene],
     split: str,
+    interval: int,
     settings: Settings,
     fixed: Mapping[str, float] = MappingProxyType({}),
-    interval: int = 1,
 ) -> Guide:
     """Choose the guide by the walk score on the training blocks, one setting after the other.
 
     Of several scenes, the mean score counts. Since *walk* is the lesser of two families, it is
     blind to the other one; therefore `BOTH` times the mean of both is added. `room` is chosen last,
-    by the mean distance of companions. `fixed` settings keep their values. `interval` is the number
-    of frames between decisions.
+    by the mean distance of companions. `fixed` settings keep their values.
     """
     width = Guide.width if len(scenes) == 1 else SEVERAL_WIDTH
     known = {"jitter": min(Guide.jitter, settings.jitter_mps), "width": width, **fixed}
@@ -359,14 +368,15 @@ def _parts(scenes: Sequence[Scene], found: Sequence[Validation]) -> str:
 
 def learn(command: Command, split: str, settings: Settings) -> Path:
     """Train a network, choose its guide, and write both; return the file."""
+    interval = decision_frames(*command.scenes)
     torch.manual_seed(settings.seed)
     walker = Walker(command.scene.motion.max_speed_mps, settings.hidden)
     train(command, split, settings, frames_ahead(*command.scenes), walker)
     sampler = Sampler(walker, Guide())
-    guide = guided(sampler, command.scenes, split, settings)
+    guide = guided(sampler, command.scenes, split, interval, settings)
     print(f"{split}: chosen: {guide}", flush=True)
     sampler.weights.copy_(guide.tensor())
-    return command.write(split, sampler, observation=OBSERVATION, noise=NOISE)
+    return command.write(split, sampler, observation=OBSERVATION, noise=NOISE, interval=interval)
 
 
 def learn_and_walk(split: str, command: Command, settings: Settings, left_out: str | None) -> str:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from baselines import across, anticipate
-from baselines.anticipate import AHEAD_S, Samples, Settings, frames_ahead, pooled
+from baselines.anticipate import AHEAD_S, Samples, Settings, decision_frames, frames_ahead, pooled
 from baselines.command import Command
 from crowdbench import load_scene, policy, rollout, spawn_model
 from crowdbench.errors import SettingError
@@ -25,6 +25,7 @@ from crowdbench.simulation import social
 from crowdbench.simulation.social import with_velocities_times
 
 PLAZA, ETH, HOTEL = load_scene("plaza-v0"), load_scene("eth-v0"), load_scene("hotel-v0")
+GC = load_scene("gc-v0")
 
 
 def samples(first: float, number: int) -> Samples:
@@ -48,9 +49,10 @@ def test_samples_of_a_small_scene_are_used_about_equally_often() -> None:
     assert set(Counter(one.shared(10).seen[:, 0].tolist()).values()) == {2, 3}
 
 
-def test_a_network_for_several_scenes_looks_as_far_ahead_on_each() -> None:
-    assert frames_ahead(ETH) == 1
-    assert frames_ahead(ETH, HOTEL) == round(AHEAD_S / ETH.dt_s)
+def test_a_network_for_several_scenes_looks_ahead_farther_than_to_the_next_decision() -> None:
+    assert (frames_ahead(ETH), decision_frames(ETH)) == (1, 1)
+    assert (frames_ahead(GC), decision_frames(GC)) == (2, 2)
+    assert (frames_ahead(ETH, HOTEL), decision_frames(ETH, HOTEL)) == (round(AHEAD_S / ETH.dt_s), 1)
 
 
 def test_a_scene_is_left_out(tmp_path: Path) -> None:
@@ -159,7 +161,7 @@ def test_it_trains_on_two_scenes_and_validates_on_the_third(
     assert said.count("eth-v0 ") == said.count("hotel-v0 ") == 2  # walk, and companions
     assert "on zara1-v0" in said
     card = OnnxPolicy(tmp_path / "full.onnx").card
-    assert (card.scene, card.interval, card.max_speed_mps) == ("eth-v0+hotel-v0", 2, 5.0)
+    assert (card.scene, card.interval, card.max_speed_mps) == ("eth-v0+hotel-v0", 1, 5.0)
 
 
 def test_the_page_trains_without_each_scene_and_with_all(tmp_path: Path) -> None:
