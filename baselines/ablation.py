@@ -158,9 +158,7 @@ def write(variant: Variant, split: str, command: Command) -> None:
         if variant.guide:
             chosen = guided(sampler, command.scenes, split, every, variant.settings, variant.fixed)
         sampler.weights.copy_(chosen.tensor())
-        command.write(
-            split, sampler, observation=OBSERVATION, noise=NOISE, interval=variant.interval
-        )
+        command.write(split, sampler, observation=OBSERVATION, noise=NOISE, interval=every)
 
 
 def files_of(variant: Variant, split: str, command: Command) -> list[Path]:

@@ -70,6 +70,7 @@ def test_variants_are_trained_scored_and_kept(
     few = anticipate.Settings(steps=10, people=1)
     slower = replace(BY_NAME["slower"], settings=few, guide=False)
     monkeypatch.setattr(ablation, "VARIANTS", (slower,))
+    monkeypatch.setattr(ablation, "decision_frames", lambda scene: 3)
     monkeypatch.setattr(ablation, "evaluate", partial(evaluate, seeds=1))
     arguments = ["--scene", "plaza-v0", "--workers", "1", "--out", str(tmp_path)]
     assert ablation.main(arguments) == 0
@@ -78,7 +79,7 @@ def test_variants_are_trained_scored_and_kept(
     assert [line.split(" | ")[0] for line in page.splitlines()[-2:]] == [
         "| ---", f"| {slower.what}",
     ]  # fmt: skip
-    assert read_card(tmp_path / "slower" / "fold1.onnx").interval == 2
+    assert read_card(tmp_path / "slower" / "fold1.onnx").interval == 2 * 3
     monkeypatch.setattr(ablation, "train", None)  # nothing is trained again
     assert ablation.main(arguments) == 0
     assert capsys.readouterr().out == page
