@@ -133,30 +133,32 @@ SETTABLE = {
 """Settings with a command line option, and the help texts of the options."""
 
 
-GRID: Mapping[str, tuple[float, ...]] = {
-    "avoid": (8.0, 16.0, 32.0),
-    "wall": (4.0, 8.0, 16.0, 32.0),
-    "width": (1.0, 0.85),
-    "delay": (0.0, 1.0, 2.0),
+STEPS: Mapping[str, tuple[float, ...]] = {
+    "avoid": (4.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0),
+    "wall": (4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 32.0),
+    "width": (0.6, 0.7, 0.85, 1.0),
+    "delay": (0.0, 1.0, 2.0, 3.0),
     "jitter": (0.1, 0.2),
-    "resume": (2.0, 4.0),
+    "resume": (2.0, 4.0, 8.0),
 }
-"""Values that are tried, one setting after the other, in this order. There are two passes, because
-the best value of one setting depends on the others."""
+"""Values of the settings that are chosen, in this order."""
+PASSES = 3
+"""Number of times that each setting can change by one step. The best value of one setting depends
+on the others: the narrower the mixture, the more walls must count."""
 ROOM = (0.0, 4.0, 8.0, 16.0)
 """Values of `room`, which is chosen last: by the mean distance of companions, which *walk* does not
 measure."""
 TRIED_ON_SEVERAL = ("avoid", "wall")
-"""The settings that are chosen if there are several scenes, on which each choice takes longer."""
+"""The settings that are chosen if there are several scenes, on which each choice takes longer.
+
+The mixture of a network for several scenes is also wide because it does not know which kind of
+place it is in; sampled in full, this becomes noise of each person. `width` was chosen by training
+without each of five scenes in turn and walking there, on training blocks: the worst walk of the
+five was 0.35 with a width of 1, 0.45 with 0.85 and 0.43 with 0.7."""
 BOTH = 0.1
 """Weight of the mean of motion and interaction in the choice, beside *walk*."""
 AHEAD_S = 0.8
 """A network for several scenes learns the mean velocity over this time."""
-SEVERAL_WIDTH = 0.85
-"""`width` of a policy for several scenes. The mixture of such a network is also wide because it
-does not know which kind of place it is in; sampled in full, this becomes noise of each person. It
-was chosen by training without each of five scenes in turn and walking there, on training blocks:
-the worst walk of the five was 0.35 with a width of 1, 0.45 with 0.85 and 0.43 with 0.7."""
 
 
 def mirrored(seen: np.ndarray) -> np.ndarray:
@@ -306,6 +308,13 @@ def train(command: Command, split: str, settings: Settings, ahead: int, walker: 
     return walker
 
 
+def neighbours(name: str, value: float) -> list[float]:
+    """The next lower and the next higher value of a setting."""
+    lower = [x for x in STEPS[name] if x < value]
+    higher = [x for x in STEPS[name] if x > value]
+    return lower[-1:] + higher[:1]
+
+
 def guided(
     sampler: Sampler,
     scenes: Sequence[Scene],
@@ -316,12 +325,12 @@ def guided(
 ) -> Guide:
     """Choose the guide by the walk score on the training blocks, one setting after the other.
 
-    Of several scenes, the mean score counts. Since *walk* is the lesser of two families, it is
-    blind to the other one; therefore `BOTH` times the mean of both is added. `room` is chosen last,
-    by the mean distance of companions. `fixed` settings keep their values.
+    Each setting moves to the next lower or higher value if that scores more, in `PASSES` passes. Of
+    several scenes, the mean score counts. Since *walk* is the lesser of two families, it is blind
+    to the other one; therefore `BOTH` times the mean of both is added. `room` is chosen last, by
+    the mean distance of companions. `fixed` settings keep their values.
     """
-    width = Guide.width if len(scenes) == 1 else SEVERAL_WIDTH
-    known = {"jitter": min(Guide.jitter, settings.jitter_mps), "width": width, **fixed}
+    known = {"jitter": min(Guide.jitter, settings.jitter_mps), **fixed}
     guide = replace(Guide(), **known)
     tried: dict[Guide, float] = {}
     policy = InProcess(sampler, interval)
@@ -333,9 +342,10 @@ def guided(
         policy.weights = one.tensor().numpy()
         return [v.validate(policy, rollouts=n) for v, n in zip(validators, rollouts, strict=True)]
 
-    names = GRID if len(scenes) == 1 else TRIED_ON_SEVERAL
-    for name in 2 * [name for name in GRID if name in names and name not in fixed]:
-        for one in (replace(guide, **{name: value}) for value in GRID[name]):
+    names = STEPS if len(scenes) == 1 else TRIED_ON_SEVERAL
+    for name in PASSES * [name for name in STEPS if name in names and name not in fixed]:
+        values = [getattr(guide, name), *neighbours(name, getattr(guide, name))]
+        for one in (replace(guide, **{name: value}) for value in values):
             if one in tried or one.jitter > settings.jitter_mps:  # not trained with as much
                 continue
             found = validated(one)

@@ -52,20 +52,20 @@ KERNEL_M = 0.4
 class Guide:
     """Settings of the sampling.
 
-    Those in `GRID` of `baselines.anticipate` are chosen on the training blocks, the others are the
+    Those in `STEPS` of `baselines.anticipate` are chosen on the training blocks, the others are the
     same everywhere.
     """
 
     jitter: float = 0.1
     """Standard deviation of the jitter that the network is told of, m/s."""
-    width: float = 1.0
+    width: float = 0.85
     """Factor of the standard deviations of the mixture."""
     avoid: float = 16.0
     """Weight of close passes: the sum of max(0, 1 − d / `apart`) over strangers, where d is the
     smallest distance within `HORIZON_S`."""
     apart: float = 1.0
     """Passing strangers at this distance in metres or more costs nothing."""
-    wall: float = 8.0
+    wall: float = 16.0
     """Weight of walls: max(0, 1 − d / `WALLS_M`), where d is the distance to walls and bounds from
     where the person is after `LOOK_S`. It decreases to 0 from `NEAR_M` to the target, because many
     stops and goals are at walls."""
@@ -88,9 +88,7 @@ class Guide:
         return torch.tensor(astuple(self), dtype=torch.float32)
 
 
-PLAIN = Guide(
-    jitter=0.0, avoid=0.0, wall=0.0, delay=0.0, home=0.0, keep=0.0, resume=1e3
-)  # fmt: skip
+PLAIN = Guide(jitter=0.0, width=1.0, avoid=0.0, wall=0.0, delay=0.0, home=0.0, keep=0.0, resume=1e3)
 """No guide."""
 
 
