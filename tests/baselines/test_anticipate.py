@@ -11,7 +11,7 @@ from given import Given
 from worlds import Person, square
 
 from baselines import anticipate
-from baselines.anticipate import mirrored
+from baselines.anticipate import STEPS, mirrored, neighbours
 from baselines.anticipation import ABREAST_M, LOOK_S, NOISE, TOO_NEAR_M, Guide, Sampler, Walker
 from crowdbench.evaluation.validation import validate
 from crowdbench.policies import OnnxPolicy, Straight
@@ -199,18 +199,30 @@ def test_mirrored_observations_are_those_of_a_mirrored_world() -> None:
     assert not np.allclose(here, there, atol=0.1)
 
 
+def test_a_setting_changes_by_one_step() -> None:
+    assert neighbours("width", 0.85) == [0.7, 1.0]
+    assert neighbours("width", 1.0) == [0.85]
+    assert neighbours("jitter", 0.0) == [0.1]  # a value between or beyond the steps
+    assert neighbours("delay", 1.5) == [1.0, 2.0]
+    assert all(getattr(Guide(), name) in values for name, values in STEPS.items())
+
+
 @pytest.mark.long
 def test_it_trains_chooses_a_guide_and_writes_a_policy_that_arrives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(anticipate, "GRID", {"avoid": (0.0, 16.0), "wall": (Guide.wall, 18.0)})
+    steps = {"avoid": (0.0, Guide.avoid), "wall": (1.0, Guide.wall, 18.0, 99.0)}
+    monkeypatch.setattr(anticipate, "STEPS", steps)
+    monkeypatch.setattr(anticipate, "PASSES", 1)
     monkeypatch.setattr(anticipate, "ROOM", (0.0, 16.0))
     arguments = ["--scene", "plaza-v0", "--splits", "fold1", "--steps", "800"]
     more = ["--people", "1", "--rounds", "1", "--out", str(tmp_path)]
     assert anticipate.main(arguments + more) == 0
     said = capsys.readouterr().out
     assert "round 1, held out" in said
-    assert said.count(": walk ") == 3  # of 0, 16 and 18
+    assert said.count(": walk ") == 4  # first, without `avoid`, and with less and more of `wall`
+    assert "wall=18.0" in said
+    assert "wall=99.0" not in said
     apart = {
         room: abs(math.log(float(ratio)))
         for room, ratio in re.findall(
