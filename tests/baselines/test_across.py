@@ -151,7 +151,7 @@ def test_it_trains_on_two_scenes_and_validates_on_the_third(
 ) -> None:
     for name in ("eth", "hotel", "zara01"):
         import_recording(name, opentraj)
-    monkeypatch.setattr(anticipate, "GRID", {"avoid": (8.0,), "width": (1.0, 0.85)})
+    monkeypatch.setattr(anticipate, "STEPS", {"avoid": (16.0,), "width": (1.0, 0.85)})
     monkeypatch.setattr(anticipate, "ROOM", (0.0,))
     given = ["--scenes", "eth-v0", "hotel-v0", "zara1-v0", "--leave-out", "zara1-v0"]
     more = ["--steps", "50", "--people", "1", "--rounds", "1", "--out", str(tmp_path)]
