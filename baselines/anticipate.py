@@ -142,19 +142,21 @@ STEPS: Mapping[str, tuple[float, ...]] = {
     "resume": (2.0, 4.0, 8.0),
 }
 """Values of the settings that are chosen, in this order."""
-PASSES = 3
-"""Number of times that each setting can change by one step. The best value of one setting depends
-on the others: the narrower the mixture, the more walls must count."""
+SWEEPS = 3
+"""Number of times that all settings are gone through; each time, a setting changes by at most one
+step. The best value of one setting depends on the others: the narrower the mixture, the more walls
+must count."""
 ROOM = (0.0, 4.0, 8.0, 16.0)
 """Values of `room`, which is chosen last: by the mean distance of companions, which *walk* does not
 measure."""
 TRIED_ON_SEVERAL = ("avoid", "wall")
 """The settings that are chosen if there are several scenes, on which each choice takes longer.
 
-The mixture of a network for several scenes is also wide because it does not know which kind of
-place it is in; sampled in full, this becomes noise of each person. `width` was chosen by training
-without each of five scenes in turn and walking there, on training blocks: the worst walk of the
-five was 0.35 with a width of 1, 0.45 with 0.85 and 0.43 with 0.7."""
+`width` is then the default of `Guide`, 0.85. The mixture of a network for several scenes is also
+wide because it does not know which kind of place it is in; sampled in full, this becomes noise of
+each person. Five networks were trained, each without one of five scenes, and walked in the training
+blocks of that scene: the worst walk of the five was 0.35 with a width of 1, 0.45 with 0.85 and 0.43
+with 0.7."""
 BOTH = 0.1
 """Weight of the mean of motion and interaction in the choice, beside *walk*."""
 AHEAD_S = 0.8
@@ -308,7 +310,7 @@ def train(command: Command, split: str, settings: Settings, ahead: int, walker: 
     return walker
 
 
-def neighbours(name: str, value: float) -> list[float]:
+def adjacent(name: str, value: float) -> list[float]:
     """The next lower and the next higher value of a setting."""
     lower = [x for x in STEPS[name] if x < value]
     higher = [x for x in STEPS[name] if x > value]
@@ -325,10 +327,11 @@ def guided(
 ) -> Guide:
     """Choose the guide by the walk score on the training blocks, one setting after the other.
 
-    Each setting moves to the next lower or higher value if that scores more, in `PASSES` passes. Of
-    several scenes, the mean score counts. Since *walk* is the lesser of two families, it is blind
-    to the other one; therefore `BOTH` times the mean of both is added. `room` is chosen last, by
-    the mean distance of companions. `fixed` settings keep their values.
+    A setting changes to the next lower or higher value of `STEPS` if that scores more; all settings
+    are gone through `SWEEPS` times. Of several scenes, the mean score counts. Since *walk* is the
+    lesser of two families, it is blind to the other one; therefore `BOTH` times the mean of both is
+    added. `room` is chosen last, by the mean distance of companions. `fixed` settings keep their
+    values.
     """
     known = {"jitter": min(Guide.jitter, settings.jitter_mps), **fixed}
     guide = replace(Guide(), **known)
@@ -343,8 +346,8 @@ def guided(
         return [v.validate(policy, rollouts=n) for v, n in zip(validators, rollouts, strict=True)]
 
     names = STEPS if len(scenes) == 1 else TRIED_ON_SEVERAL
-    for name in PASSES * [name for name in STEPS if name in names and name not in fixed]:
-        values = [getattr(guide, name), *neighbours(name, getattr(guide, name))]
+    for name in SWEEPS * [name for name in STEPS if name in names and name not in fixed]:
+        values = [getattr(guide, name), *adjacent(name, getattr(guide, name))]
         for one in (replace(guide, **{name: value}) for value in values):
             if one in tried or one.jitter > settings.jitter_mps:  # not trained with as much
                 continue

@@ -11,7 +11,7 @@ from given import Given
 from worlds import Person, square
 
 from baselines import anticipate
-from baselines.anticipate import STEPS, mirrored, neighbours
+from baselines.anticipate import STEPS, adjacent, mirrored
 from baselines.anticipation import ABREAST_M, LOOK_S, NOISE, TOO_NEAR_M, Guide, Sampler, Walker
 from crowdbench.evaluation.validation import validate
 from crowdbench.policies import OnnxPolicy, Straight
@@ -200,10 +200,10 @@ def test_mirrored_observations_are_those_of_a_mirrored_world() -> None:
 
 
 def test_a_setting_changes_by_one_step() -> None:
-    assert neighbours("width", 0.85) == [0.7, 1.0]
-    assert neighbours("width", 1.0) == [0.85]
-    assert neighbours("jitter", 0.0) == [0.1]  # a value between or beyond the steps
-    assert neighbours("delay", 1.5) == [1.0, 2.0]
+    assert adjacent("width", 0.85) == [0.7, 1.0]
+    assert adjacent("width", 1.0) == [0.85]
+    assert adjacent("jitter", 0.0) == [0.1]  # a value between or beyond the steps
+    assert adjacent("delay", 1.5) == [1.0, 2.0]
     assert all(getattr(Guide(), name) in values for name, values in STEPS.items())
 
 
@@ -213,7 +213,7 @@ def test_it_trains_chooses_a_guide_and_writes_a_policy_that_arrives(
 ) -> None:
     steps = {"avoid": (0.0, Guide.avoid), "wall": (1.0, Guide.wall, 18.0, 99.0)}
     monkeypatch.setattr(anticipate, "STEPS", steps)
-    monkeypatch.setattr(anticipate, "PASSES", 1)
+    monkeypatch.setattr(anticipate, "SWEEPS", 1)
     monkeypatch.setattr(anticipate, "ROOM", (0.0, 16.0))
     arguments = ["--scene", "plaza-v0", "--splits", "fold1", "--steps", "800"]
     more = ["--people", "1", "--rounds", "1", "--out", str(tmp_path)]
