@@ -40,9 +40,12 @@ speed, or to stand at a stop. One of them is drawn with weights exp(−cost). Th
 close passes of strangers, companions who are left, walls, delay, and a near target that would be
 missed: recordings have too few near collisions for a network to learn this from them. The last
 candidate costs more (`resume`). It is for people whom a wall or a crowd has stopped, because a
-cloned network that sees a standing person predicts that it stays. Most weights, the width of the
-mixture and the strength of the jitter are chosen on the training blocks, by the scores of walking
-that `validate` measures there.
+cloned network that sees a standing person predicts that it stays.
+
+The guide is adapted to the training blocks. The cost of walls is learned: it is raised at distances
+at which simulated people are more often than recorded ones, and lowered at others (`corrected`).
+The weights of passes and of delay, the width of the mixture and the strength of the jitter are
+chosen by the scores of walking that `validate` measures there.
 
 **Closed loop.** Optionally (`--rounds`) the policy draws three candidates in each decision of a
 recorded person, who walks the one nearest to its recorded next position; the states near targets
@@ -66,6 +69,7 @@ from baselines.packages import needs
 from crowdbench import Demonstrations, Scene, demonstrations, registry
 from crowdbench.errors import CrowdbenchError
 from crowdbench.evaluation.validation import Validation, Validator
+from crowdbench.metrics.interaction import CLEARANCE_M
 from crowdbench.policies import OnnxPolicy
 from crowdbench.simulation import social
 
@@ -74,6 +78,7 @@ with needs("fit", __name__):
     from torch import Tensor, nn
 
     from baselines.anticipation import (
+        KNOTS_M,
         NEAR_M,
         NOISE,
         OBSERVATION,
@@ -108,7 +113,7 @@ class Settings:
     rounds: int = 0
     recovery_s: float = 1.5
     candidates: int = 3
-    people: int = 2_000
+    people: int = 10_000
     held_out: float = 0.1
     """Share of the persons held out, whose likelihood is printed."""
     seed: int = 0
@@ -134,29 +139,39 @@ SETTABLE = {
 
 
 STEPS: Mapping[str, tuple[float, ...]] = {
-    "avoid": (4.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0),
-    "wall": (4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 32.0),
+    "avoid": (4.0, 8.0, 16.0, 32.0, 64.0),
     "width": (0.6, 0.7, 0.85, 1.0),
     "delay": (0.0, 1.0, 2.0, 3.0),
     "jitter": (0.1, 0.2),
-    "resume": (2.0, 4.0, 8.0),
 }
 """Values of the settings that are chosen, in this order."""
-SWEEPS = 3
+SWEEPS = 2
 """Number of times that all settings are gone through; each time, a setting changes by at most one
-step. The best value of one setting depends on the others: the narrower the mixture, the more walls
-must count."""
+step. The best value of one setting depends on the others."""
+MARGIN = 0.02
+"""A setting changes only if the score rises by more than this. Small recordings have few
+encounters, and the scores of two equally good guides differ by about as much by chance."""
+CORRECTIONS, AFTER_CHANGE = 8, 2
+"""Number of times that the cost of walls is corrected at the beginning, and after each change of
+another setting: the narrower the mixture, for example, the more walls must cost."""
+FEWER = 3
+"""Corrections, and the choice of `room`, need fewer people than other choices, by this factor:
+there are many positions, but few encounters."""
+GAIN, FEWEST = 2.0, 0.001
+"""A cost is corrected by `GAIN` times the logarithm of the ratio of two shares. `FEWEST` is added
+to both, because few people are close to walls."""
 ROOM = (0.0, 4.0, 8.0, 16.0)
 """Values of `room`, which is chosen last: by the mean distance of companions, which *walk* does not
 measure."""
-TRIED_ON_SEVERAL = ("avoid", "wall")
-"""The settings that are chosen if there are several scenes, on which each choice takes longer.
+TRIED_ON_SEVERAL = ("avoid",)
+"""The settings that are chosen if there are several scenes, on which each choice takes longer."""
+SEVERAL_WIDTH = 0.85
+"""`width` if there are several scenes.
 
-`width` is then the default of `Guide`, 0.85. The mixture of a network for several scenes is also
-wide because it does not know which kind of place it is in; sampled in full, this becomes noise of
-each person. Five networks were trained, each without one of five scenes, and walked in the training
-blocks of that scene: the worst walk of the five was 0.35 with a width of 1, 0.45 with 0.85 and 0.43
-with 0.7."""
+The mixture of a network for several scenes is also wide because it does not know which kind of
+place it is in; sampled in full, this becomes noise of each person. Five networks were trained, each
+without one of five scenes, and walked in the training blocks of that scene: the worst walk of the
+five was 0.35 with a width of 1, 0.45 with 0.85 and 0.43 with 0.7."""
 BOTH = 0.1
 """Weight of the mean of motion and interaction in the choice, beside *walk*."""
 AHEAD_S = 0.8
@@ -317,6 +332,23 @@ def adjacent(name: str, value: float) -> list[float]:
     return lower[-1:] + higher[:1]
 
 
+def corrected(guide: Guide, found: Sequence[Validation]) -> Guide:
+    """The guide with a cost of walls that is higher where people walk too often.
+
+    This is a step of iterative Boltzmann inversion (Reith et al. 2003, J. Comput. Chem. 24, 1624,
+    eq. 3): the cost at a distance changes by the logarithm of the simulated over the recorded
+    share of positions there. Of several scenes, the mean counts.
+    """
+    change = np.zeros(len(KNOTS_M))
+    for each in found:
+        distances_m = np.linspace(0, CLEARANCE_M, len(each.clearance[0]))
+        near = np.stack([np.interp(distances_m, KNOTS_M, row) for row in np.eye(len(KNOTS_M))])
+        recorded, simulated = (near @ np.array(shares) + FEWEST for shares in each.clearance)
+        change += GAIN * np.log(simulated / recorded) / len(found)
+    wall = np.round(guide.wall + (change - change[-1])[:-1], 2)
+    return replace(guide, wall=tuple(wall.tolist()))
+
+
 def guided(
     sampler: Sampler,
     scenes: Sequence[Scene],
@@ -325,41 +357,56 @@ def guided(
     settings: Settings,
     fixed: Mapping[str, float] = MappingProxyType({}),
 ) -> Guide:
-    """Choose the guide by the walk score on the training blocks, one setting after the other.
+    """Choose the guide on the training blocks.
 
-    A setting changes to the next lower or higher value of `STEPS` if that scores more; all settings
-    are gone through `SWEEPS` times. Of several scenes, the mean score counts. Since *walk* is the
-    lesser of two families, it is blind to the other one; therefore `BOTH` times the mean of both is
-    added. `room` is chosen last, by the mean distance of companions. `fixed` settings keep their
-    values.
+    The cost of walls is `corrected` so that people are as often near walls as recorded ones. The
+    other settings are chosen by the walk score, one after the other: a setting changes to the next
+    lower or higher value of `STEPS` if that scores more by `MARGIN`, with a cost of walls that has
+    been corrected for it. All settings are gone through `SWEEPS` times. Of several scenes, the mean
+    score counts. Since *walk* is the lesser of two families, it is blind to the other one;
+    therefore `BOTH` times the mean of both is added. `room` is chosen last, by the mean distance of
+    companions. `fixed` settings keep their values.
     """
-    known = {"jitter": min(Guide.jitter, settings.jitter_mps), **fixed}
-    guide = replace(Guide(), **known)
-    tried: dict[Guide, float] = {}
+    width = Guide.width if len(scenes) == 1 else SEVERAL_WIDTH
+    known = {"jitter": min(Guide.jitter, settings.jitter_mps), "width": width, **fixed}
+    guide = replace(Guide(), **dict[str, Any](known))
     policy = InProcess(sampler, interval)
     validators = [Validator(scene, split) for scene in scenes]
-    people = settings.people / len(scenes)
-    rollouts = [math.ceil(people / max(1, len(registry.recording_of(scene)))) for scene in scenes]
+    sizes = [len(scenes) * max(1, len(registry.recording_of(scene))) for scene in scenes]
 
-    def validated(one: Guide) -> list[Validation]:
+    def validated(one: Guide, people: float = settings.people) -> list[Validation]:
         policy.weights = one.tensor().numpy()
-        return [v.validate(policy, rollouts=n) for v, n in zip(validators, rollouts, strict=True)]
+        numbers = [math.ceil(people / size) for size in sizes]
+        return [v.validate(policy, rollouts=n) for v, n in zip(validators, numbers, strict=True)]
+
+    def scored(one: Guide) -> float:
+        found = validated(one)
+        walk = float(np.mean([each.walk for each in found]))
+        families = [float(np.mean(list(each.families.values()))) for each in found]
+        print(f"{split}: {one}: walk {walk:.3f} ({_parts(scenes, found)})", flush=True)
+        return walk + BOTH * float(np.mean(families))
+
+    def learned(one: Guide, times: int) -> Guide:
+        for _ in range(times):
+            one = corrected(one, validated(one, settings.people / FEWER))
+        return one
 
     names = STEPS if len(scenes) == 1 else TRIED_ON_SEVERAL
+    guide = learned(guide, CORRECTIONS)
+    score = scored(guide)
     for name in SWEEPS * [name for name in STEPS if name in names and name not in fixed]:
-        values = [getattr(guide, name), *adjacent(name, getattr(guide, name))]
-        for one in (replace(guide, **{name: value}) for value in values):
-            if one in tried or one.jitter > settings.jitter_mps:  # not trained with as much
-                continue
-            found = validated(one)
-            walk = float(np.mean([each.walk for each in found]))
-            families = [float(np.mean(list(each.families.values()))) for each in found]
-            tried[one] = walk + BOTH * float(np.mean(families))
-            print(f"{split}: {one}: walk {walk:.3f} ({_parts(scenes, found)})", flush=True)
-        guide = max(tried, key=lambda g: tried[g])
+        others = [
+            learned(replace(guide, **dict[str, Any]({name: value})), AFTER_CHANGE)
+            for value in adjacent(name, getattr(guide, name))
+            if name != "jitter" or value <= settings.jitter_mps  # trained with as much
+        ]
+        scores = {other: scored(other) for other in others}
+        best = max(scores, key=lambda g: scores[g], default=guide)
+        if scores.get(best, score) > score + MARGIN:
+            guide, score = best, scores[best]
     off: dict[Guide, float] = {}
     for one in (replace(guide, room=value) for value in ROOM if "room" not in fixed):
-        found = validated(one)
+        found = validated(one, settings.people / FEWER)
         off[one] = float(np.mean([abs(math.log(v.companion_distance)) for v in found]))
         print(f"{split}: {one}: companion distance {_apart(scenes, found)}", flush=True)
     return min(off, key=lambda g: off[g], default=guide)

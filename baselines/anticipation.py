@@ -3,7 +3,7 @@
 import logging
 import math
 import warnings
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, fields
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -38,8 +38,12 @@ SOON_S, LATE_S = 5.0, 30.0
 """Time scales of waits that end soon, and of being early or late."""
 HORIZON_S = 8.0
 """The guide anticipates this time."""
-LOOK_S, WALLS_M = 1.5, REACH_M
-"""Walls count where the person is after this time; at this distance or more they cost nothing."""
+LOOK_S = 1.5
+"""Companions count where they and the person are after this time."""
+LOOKS_S = (0.5, 1.0, 1.5)
+"""Walls count where the person is after these times."""
+KNOTS_M = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.25, 1.5, 1.75, REACH_M)
+"""Distances to walls at which their cost is set; it is linear between them, and 0 at the last."""
 ABREAST_M = 1.2
 """Companions at this distance or less, down to `TOO_NEAR_M`, cost nothing."""
 TOO_NEAR_M = 0.7
@@ -48,27 +52,28 @@ KERNEL_M = 0.4
 """Width of the kernel that interpolates between probes."""
 
 
+def sloping(height: float) -> tuple[float, ...]:
+    """A cost of walls at `KNOTS_M` that decreases linearly from `height` at a wall to 0."""
+    return tuple(round(height * (1 - d / REACH_M), 2) for d in KNOTS_M[:-1])
+
+
 @dataclass(frozen=True)
 class Guide:
     """Settings of the sampling.
 
-    Those in `STEPS` of `baselines.anticipate` are chosen on the training blocks, the others are the
-    same everywhere.
+    `wall` is learned on the training blocks, and those in `STEPS` of `baselines.anticipate` and
+    `room` are chosen there. The others are the same everywhere.
     """
 
     jitter: float = 0.1
     """Standard deviation of the jitter that the network is told of, m/s."""
-    width: float = 0.85
+    width: float = 1.0
     """Factor of the standard deviations of the mixture."""
     avoid: float = 16.0
     """Weight of close passes: the sum of max(0, 1 − d / `apart`) over strangers, where d is the
     smallest distance within `HORIZON_S`."""
     apart: float = 1.0
     """Passing strangers at this distance in metres or more costs nothing."""
-    wall: float = 16.0
-    """Weight of walls: max(0, 1 − d / `WALLS_M`), where d is the distance to walls and bounds from
-    where the person is after `LOOK_S`. It decreases to 0 from `NEAR_M` to the target, because many
-    stops and goals are at walls."""
     delay: float = 1.0
     """Weight of delay: max(0, 1 − v / v*), where v is the speed along the way and v* the preferred
     speed; at most 1, and 0 at a stop."""
@@ -82,13 +87,20 @@ class Guide:
     room: float = 0.0
     """Weight of the distance in metres by which companions are nearer than `TOO_NEAR_M` after
     `LOOK_S`, their mean."""
+    wall: tuple[float, ...] = sloping(16.0)
+    """Cost of walls and bounds at the distances `KNOTS_M`, without the last one. It is the mean
+    over where the person is after `LOOKS_S`, and decreases to 0 from `NEAR_M` to the target,
+    because many stops and goals are at walls."""
 
     def tensor(self) -> Tensor:
-        """The ten numbers."""
-        return torch.tensor(astuple(self), dtype=torch.float32)
+        """All numbers: the `SCALARS`, then the cost of walls."""
+        *scalars, wall = astuple(self)
+        return torch.tensor([*scalars, *wall], dtype=torch.float32)
 
 
-PLAIN = Guide(jitter=0.0, width=1.0, avoid=0.0, wall=0.0, delay=0.0, home=0.0, keep=0.0, resume=1e3)
+SCALARS = len(fields(Guide)) - 1
+"""Number of the settings before the cost of walls."""
+PLAIN = Guide(jitter=0.0, avoid=0.0, delay=0.0, home=0.0, keep=0.0, resume=1e3, wall=sloping(0.0))
 """No guide."""
 
 
@@ -210,18 +222,20 @@ class Sampler(nn.Module):
     """
 
     probes: Tensor
+    knots: Tensor
     weights: Tensor
 
     def __init__(self, walker: Walker, guide: Guide) -> None:
         super().__init__()
         self.walker = walker
         self.register_buffer("probes", torch.tensor(social.PROBE_POINTS, dtype=torch.float32))
+        self.register_buffer("knots", torch.tensor(KNOTS_M, dtype=torch.float32))
         self.register_buffer("weights", guide.tensor())
 
     def forward(self, seen: Tensor, noise: Tensor, weights: Tensor | None = None) -> Tensor:
-        """Sampled actions (A, 2). `weights` (10,) replace those of the guide."""
+        """Sampled actions (A, 2). `weights` (18,) replace those of the guide."""
         chosen = self.weights if weights is None else weights
-        jitter, width, avoid, apart, wall, delay, home, keep, resume, room = chosen.unbind()
+        jitter, width, avoid, apart, delay, home, keep, resume, room = chosen[:SCALARS].unbind()
         mean, std, log_weight = self.walker(seen, jitter * torch.ones_like(seen[:, :1]))
         mean, std = (each.permute(2, 1, 0) for each in (mean, std))  # (2, K, A)
         seen, noise = seen.T, noise.T
@@ -230,7 +244,8 @@ class Sampler(nn.Module):
         actions = _taken(mean, at) + width * _taken(std, at) * drawn[:, 1:].transpose(0, 1)
         actions = actions / _length(actions).clamp(min=1)
         actions = torch.cat([actions, self.planned(seen)], dim=1)
-        cost = avoid * self.passes(seen, actions, apart) + wall * self.walls(seen, actions)
+        cost = avoid * self.passes(seen, actions, apart)
+        cost = cost + self.walls(seen, actions, chosen[SCALARS:])
         cost = cost + delay * self.delays(seen, actions) + home * self.misses(seen, actions)
         cost = cost + self.together(seen, actions, keep, room)
         cost = cost + torch.cat([torch.zeros_like(drawn[:, 0]), resume * torch.ones_like(seen[:1])])
@@ -271,20 +286,24 @@ class Sampler(nn.Module):
         number = companion.sum(dim=0).clamp(min=1)
         return (companion * (keep * too_far + room * too_near)).sum(dim=0) / number
 
-    def walls(self, seen: Tensor, actions: Tensor) -> Tensor:
-        """Nearness of walls (n, A), from 0 to 1, interpolated between the probes.
+    def walls(self, seen: Tensor, actions: Tensor, wall: Tensor) -> Tensor:
+        """Cost of walls (n, A), interpolated between the probes. It decreases near the target.
 
-        It counts less near the target.
+        `wall` (9,) contains its values at `KNOTS_M`.
         """
-        after = LOOK_S / KERNEL_M * self.max_speed_mps * actions
-        probes = self.probes / KERNEL_M
-        along = (probes @ after.flatten(1)).unflatten(1, after.shape[1:])  # (25, n, A)
+        height = torch.cat([wall, torch.zeros_like(wall[:1])])
+        gap = self.knots.diff()
+        rise = (REACH_M * seen[social.PROBES, None] - self.knots[:-1, None]).clamp(min=0)
+        rise = torch.minimum(rise, gap[:, None])  # (25, 9, A)
+        cost = height[0] + ((height.diff() / gap)[:, None] * rise).sum(dim=1)
+        after = torch.cat([look * self.max_speed_mps * actions for look in LOOKS_S], dim=1)
+        after, probes = after / KERNEL_M, self.probes / KERNEL_M
+        along = (probes @ after.flatten(1)).unflatten(1, after.shape[1:])  # (25, 3 n, A)
         half = 0.5 * (probes * probes).sum(dim=1)[:, None, None]
         kernel = torch.exp(along - half - 0.5 * (after * after).sum(dim=0)) + 1e-6
-        free = seen[social.PROBES, None]
-        free_m = (kernel * free).sum(dim=0) / kernel.sum(dim=0) * REACH_M
+        there = (kernel * cost[:, None]).sum(dim=0) / kernel.sum(dim=0)
         near = (_length_m(seen) / NEAR_M).clamp(max=1)
-        return near * (1 - free_m / WALLS_M).clamp(min=0)
+        return near * there.unflatten(0, (len(LOOKS_S), actions.shape[1])).mean(dim=0)
 
     def delays(self, seen: Tensor, actions: Tensor) -> Tensor:
         """Lack of speed (n, A) along the way, relative to the preferred speed, from 0 to 1."""

@@ -17,7 +17,8 @@ from crowdbench.evaluation.judge import FINISHED
 from crowdbench.evaluation.references import reference_of
 from crowdbench.metrics import WALK
 from crowdbench.metrics.groups import CompanionDistance
-from crowdbench.metrics.metric import in_blocks
+from crowdbench.metrics.interaction import CLEARANCE_M, WallClearance
+from crowdbench.metrics.metric import Statistics, in_blocks
 from crowdbench.metrics.motion import Speed
 from crowdbench.policies import Policy, Straight
 from crowdbench.rollouts.rollout import rollout
@@ -51,6 +52,9 @@ class Validation:
     companion_distance: float
     """Mean distance of companions, divided by that of recorded ones. A crowd without companions
     counts as one whose companions are 5 m apart; NaN if the scene has no statistics of them."""
+    clearance: tuple[tuple[float, ...], tuple[float, ...]]
+    """Shares (41 each) of positions at each distance to walls, in steps of 5 cm up to 2 m and
+    beyond: of the recording, and of the policy."""
     passes: bool
     """Whether speed and arrivals are within the limits of the scene's gate. The standard is the
     recording, where all reach their goals."""
@@ -136,6 +140,7 @@ class Validator:
             found.recorded_speed_mps,
             at_goal,
             found.companion_distance,
+            found.clearance,
             passes=off <= place.gate.speed and at_goal >= place.gate.arrivals,
         )
 
@@ -151,6 +156,7 @@ class _Compared(NamedTuple):
     speed_mps: float
     recorded_speed_mps: float
     companion_distance: float
+    clearance: tuple[tuple[float, ...], tuple[float, ...]]
 
 
 def _compared(
@@ -159,13 +165,13 @@ def _compared(
     """Compare crowds with the recording in the training blocks."""
     inside = reference.blocks.in_training(split)
     blocks, areas = reference.blocks.take(inside), read_areas(scene)
-    speed, together = Speed(), CompanionDistance()
+    speed, together, walls = Speed(), CompanionDistance(), WallClearance()
     walking = [m for m in reference.metrics if m.family in WALK]
     scored = [m for m in walking if m.name in scene.protocol.scored and m.applies(blocks)]
     walking += [m for m in reference.metrics if m.name == together.name]
     recorded = {m.name: in_blocks(reference.statistics[m.name], inside) for m in walking}
     distances: dict[str, list[float]] = {m.name: [] for m in scored}
-    speeds, apart = [], []
+    speeds, apart, clear = [], [], []
     for crowd in crowds:
         seen = summarise(areas.assign(crowd), reference.blocks, reference.place, walking)
         here = {name: in_blocks(statistics, inside) for name, statistics in seen.items()}
@@ -175,7 +181,17 @@ def _compared(
         if together.name in here:
             result = together.compare(recorded[together.name], here[together.name], blocks)
             apart.append(result.simulated / result.recorded)
+        clear.append(_shares(here[walls.name]))
     mean = {name: float(np.mean(each)) for name, each in distances.items()}
     recorded_mps = speed.walking_mps(recorded[speed.name]) or np.nan
     relative = float(np.mean(apart)) if apart else np.nan
-    return _Compared(mean, float(np.mean(speeds)), recorded_mps, relative)
+    clearance = _shares(recorded[walls.name]), tuple(np.mean(clear, axis=0).tolist())
+    return _Compared(mean, float(np.mean(speeds)), recorded_mps, relative, clearance)
+
+
+def _shares(statistics: Statistics) -> tuple[float, ...]:
+    """Shares of positions at each distance to walls; see `Validation.clearance`."""
+    counts = statistics["counts"].sum(axis=0)
+    found = np.zeros(1 + round(CLEARANCE_M / 0.05))
+    found[: len(counts)] = counts / max(1, counts.sum())
+    return tuple(found.tolist())

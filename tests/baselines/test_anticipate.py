@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,20 @@ from given import Given
 from worlds import Person, square
 
 from baselines import anticipate
-from baselines.anticipate import STEPS, adjacent, mirrored
-from baselines.anticipation import ABREAST_M, LOOK_S, NOISE, TOO_NEAR_M, Guide, Sampler, Walker
-from crowdbench.evaluation.validation import validate
+from baselines.anticipate import FEWEST, GAIN, STEPS, adjacent, corrected, mirrored
+from baselines.anticipation import (
+    ABREAST_M,
+    KNOTS_M,
+    LOOK_S,
+    NOISE,
+    SCALARS,
+    TOO_NEAR_M,
+    Guide,
+    Sampler,
+    Walker,
+    sloping,
+)
+from crowdbench.evaluation.validation import Validation, validate
 from crowdbench.policies import OnnxPolicy, Straight
 from crowdbench.rollouts.episode import begin
 from crowdbench.simulation import Settings, Simulation, social
@@ -77,13 +89,59 @@ def test_delay_costs_except_at_a_stop(seen, sampler: Sampler) -> None:
 
 
 def test_walls_cost_where_the_candidate_leads(seen, sampler: Sampler) -> None:
-    assert not sampler.walls(seen.T, CANDIDATES).any()
+    wall = torch.tensor(sloping(1.0))
+    assert not sampler.walls(seen.T, CANDIDATES, wall).any()
     ahead = np.flatnonzero(social.PROBE_POINTS[:, 0] > 0.9)
     seen[:, social.PROBES.start + ahead] = 0.0
-    straight, left, stand = sampler.walls(seen.T, CANDIDATES)[:, 0].tolist()
+    straight, left, stand = sampler.walls(seen.T, CANDIDATES, wall)[:, 0].tolist()
     assert straight > left > stand
     seen[:, social.ROUTE_LENGTH] = 0.3 / social.ROUTE_RANGE_M  # a target at the wall
-    assert sampler.walls(seen.T, CANDIDATES)[0, 0] == pytest.approx(0.1 * straight, rel=1e-4)
+    near_target = sampler.walls(seen.T, CANDIDATES, wall)[0, 0]
+    assert near_target == pytest.approx(0.1 * straight, rel=1e-4)
+
+
+@pytest.mark.parametrize("distance_m", [0.0, 0.1, 0.5, 0.6, 1.1, 1.9, 2.0])
+def test_the_cost_of_walls_is_linear_between_its_knots(
+    seen, sampler: Sampler, distance_m: float
+) -> None:
+    wall = (9.0, 7.0, 2.0, -1.0, 3.0, 4.0, 2.0, 1.0, 0.5)
+    seen[:, social.PROBES] = distance_m / KNOTS_M[-1]  # the same everywhere
+    costs = sampler.walls(seen.T, CANDIDATES, torch.tensor(wall))
+    np.testing.assert_allclose(costs, np.interp(distance_m, KNOTS_M, [*wall, 0.0]), atol=1e-5)
+
+
+def found(recorded: Sequence[float], simulated: Sequence[float]) -> Validation:
+    """A validation with these shares of positions at 0, 1 and 2 m from walls."""
+    both = np.zeros((2, 41))
+    both[:, [0, 20, 40]] = recorded, simulated
+    return Validation({}, {}, 1.0, 1.0, 1.0, 1.0, (tuple(both[0]), tuple(both[1])), passes=True)
+
+
+def test_walls_cost_more_where_people_walk_too_often() -> None:
+    guide = Guide(wall=sloping(8.0))
+    right = found([0.1, 0.3, 0.6], [0.1, 0.3, 0.6])
+    assert corrected(guide, [right]) == guide
+    off = found([0.1, 0.3, 0.6], [0.3, 0.24, 0.46])
+    change = np.subtract(corrected(guide, [off]).wall, guide.wall)
+    far = np.log((0.6 + FEWEST) / (0.46 + FEWEST))  # where the cost stays 0
+    assert change[0] == pytest.approx(
+        GAIN * (np.log((0.3 + FEWEST) / (0.1 + FEWEST)) + far), abs=0.01
+    )
+    assert change[5] == pytest.approx(
+        GAIN * (np.log((0.24 + FEWEST) / (0.3 + FEWEST)) + far), abs=0.01
+    )
+    # Nobody is anywhere else, which is no reason to go there, nor to avoid it.
+    np.testing.assert_allclose(change[[1, 2, 7]], GAIN * far, atol=0.01)
+    halved = np.subtract(corrected(guide, [off, right]).wall, guide.wall)  # of two scenes
+    np.testing.assert_allclose(halved, change / 2, atol=0.01)
+
+
+def test_a_guide_becomes_numbers_in_the_order_in_which_the_sampler_reads_them() -> None:
+    numbers = Guide(jitter=0.3, room=7.0, wall=sloping(4.0)).tensor()
+    assert len(numbers) == SCALARS + len(KNOTS_M) - 1
+    assert numbers[0] == pytest.approx(0.3)
+    assert numbers[SCALARS - 1] == 7.0
+    assert numbers[SCALARS] == 4.0
 
 
 def test_leaving_a_companion_costs_the_distance_beyond_that_of_companions(
@@ -140,7 +198,7 @@ def test_with_a_guide_people_pass_strangers_at_a_greater_distance(seen, sampler:
     noise = torch.randn(2000, NOISE, generator=torch.Generator().manual_seed(1))
     passed = []
     for avoid in (0.0, 30.0):
-        guide = Guide(avoid=avoid, apart=1.5, wall=0.0, delay=0.0, home=0.0).tensor()
+        guide = Guide(avoid=avoid, apart=1.5, delay=0.0, home=0.0, wall=sloping(0.0)).tensor()
         with torch.no_grad():
             actions = sampler(many, noise, guide)
         passed.append(float(sampler.passes(many.T, actions.T[:, None], torch.tensor(1.5)).mean()))
@@ -211,26 +269,30 @@ def test_a_setting_changes_by_one_step() -> None:
 def test_it_trains_chooses_a_guide_and_writes_a_policy_that_arrives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    steps = {"avoid": (0.0, Guide.avoid), "wall": (1.0, Guide.wall, 18.0, 99.0)}
+    steps = {"avoid": (0.0, Guide.avoid), "delay": (0.5, Guide.delay, 1.5, 99.0)}
     monkeypatch.setattr(anticipate, "STEPS", steps)
     monkeypatch.setattr(anticipate, "SWEEPS", 1)
+    monkeypatch.setattr(anticipate, "CORRECTIONS", 2)
     monkeypatch.setattr(anticipate, "ROOM", (0.0, 16.0))
     arguments = ["--scene", "plaza-v0", "--splits", "fold1", "--steps", "800"]
     more = ["--people", "1", "--rounds", "1", "--out", str(tmp_path)]
     assert anticipate.main(arguments + more) == 0
     said = capsys.readouterr().out
     assert "round 1, held out" in said
-    assert said.count(": walk ") == 4  # first, without `avoid`, and with less and more of `wall`
-    assert "wall=18.0" in said
-    assert "wall=99.0" not in said
+    assert said.count(": walk ") == 4  # first, without `avoid`, and with less and more of `delay`
+    assert "delay=1.5" in said
+    assert "delay=99.0" not in said
+    walls = set(re.findall(r"wall=\(([^)]*)\)", said))
+    assert len(walls) == 4  # corrected for each value of another setting
+    assert str(Guide.wall).strip("()") not in walls
     apart = {
         room: abs(math.log(float(ratio)))
         for room, ratio in re.findall(
-            r"room=([\d.]+)\): companion distance plaza-v0 ([\d.]+)", said
+            r"room=([\d.]+), wall=.*: companion distance plaza-v0 ([\d.]+)", said
         )
     }
     assert set(apart) == {"0.0", "16.0"}
-    assert re.search(rf"fold1: chosen: Guide\(.*room={min(apart, key=apart.__getitem__)}\)", said)
+    assert re.search(rf"fold1: chosen: Guide\(.*room={min(apart, key=apart.__getitem__)},", said)
     policy = OnnxPolicy(tmp_path / "fold1.onnx")
     assert (policy.card.split, policy.card.interval, policy.noise) == ("fold1", 1, NOISE)
     assert "--steps 800" in policy.card.command

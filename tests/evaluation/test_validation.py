@@ -63,6 +63,19 @@ def test_the_blocks_that_a_fold_is_scored_on_do_not_count(full: Validation, monk
     assert plain != full  # nor are they those of all
 
 
+def test_shares_of_distances_to_walls_explain_the_score_of_them() -> None:
+    """The score is that of the Wasserstein distance of the two distributions."""
+    distance_m = {}
+    for policy in ("straight", "social-force"):
+        found = validate(PLAZA, policy, "fold2")
+        np.testing.assert_allclose(np.sum(found.clearance, axis=1), 1.0)
+        recorded, simulated = np.cumsum(found.clearance, axis=1)
+        distance_m[policy] = 0.05 * np.abs(simulated - recorded).sum()
+    assert found.scores["wall_clearance"] == pytest.approx(
+        1 - distance_m["social-force"] / distance_m["straight"], abs=1e-6
+    )
+
+
 @pytest.mark.parametrize(
     ("wrong", "named"),
     [
