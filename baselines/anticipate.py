@@ -138,22 +138,21 @@ SETTABLE = {
 """Settings with a command line option, and the help texts of the options."""
 
 
-STEPS: Mapping[str, tuple[float, ...]] = {
-    "avoid": (4.0, 8.0, 16.0, 32.0, 64.0),
-    "width": (0.6, 0.7, 0.85, 1.0),
-    "delay": (0.0, 1.0, 2.0, 3.0),
+WIDTHS = (1.0, 0.7)
+"""Values of `width`. The other settings are chosen for each of them, because they depend on it: the
+narrower the mixture, the more walls and delay must cost."""
+GRID: Mapping[str, tuple[float, ...]] = {
+    "avoid": (8.0, 16.0, 32.0),
+    "delay": (0.0, 1.0, 2.0),
     "jitter": (0.1, 0.2),
 }
-"""Values of the settings that are chosen, in this order."""
-SWEEPS = 2
-"""Number of times that all settings are gone through; each time, a setting changes by at most one
-step. The best value of one setting depends on the others."""
+"""Values of the other settings that are chosen, in this order."""
 MARGIN = 0.02
 """A setting changes only if the score rises by more than this. Small recordings have few
 encounters, and the scores of two equally good guides differ by about as much by chance."""
-CORRECTIONS, AFTER_CHANGE = 8, 2
+CORRECTIONS, AFTER_CHANGE = 10, 2
 """Number of times that the cost of walls is corrected at the beginning, and after each change of
-another setting: the narrower the mixture, for example, the more walls must cost."""
+another setting."""
 FEWER = 3
 """Corrections, and the choice of `room`, need fewer people than other choices, by this factor:
 there are many positions, but few encounters."""
@@ -325,13 +324,6 @@ def train(command: Command, split: str, settings: Settings, ahead: int, walker: 
     return walker
 
 
-def adjacent(name: str, value: float) -> list[float]:
-    """The next lower and the next higher value of a setting."""
-    lower = [x for x in STEPS[name] if x < value]
-    higher = [x for x in STEPS[name] if x > value]
-    return lower[-1:] + higher[:1]
-
-
 def corrected(guide: Guide, found: Sequence[Validation]) -> Guide:
     """The guide with a cost of walls that is higher where people walk too often.
 
@@ -349,6 +341,12 @@ def corrected(guide: Guide, found: Sequence[Validation]) -> Guide:
     return replace(guide, wall=tuple(wall.tolist()))
 
 
+def best(scores: Sequence[tuple[Guide, float]]) -> tuple[Guide, float]:
+    """The guide with the highest score, if it scores more by `MARGIN` than the first one."""
+    highest = max(scores, key=lambda pair: pair[1])
+    return highest if highest[1] > scores[0][1] + MARGIN else scores[0]
+
+
 def guided(
     sampler: Sampler,
     scenes: Sequence[Scene],
@@ -359,17 +357,15 @@ def guided(
 ) -> Guide:
     """Choose the guide on the training blocks.
 
-    The cost of walls is `corrected` so that people are as often near walls as recorded ones. The
-    other settings are chosen by the walk score, one after the other: a setting changes to the next
-    lower or higher value of `STEPS` if that scores more by `MARGIN`, with a cost of walls that has
-    been corrected for it. All settings are gone through `SWEEPS` times. Of several scenes, the mean
-    score counts. Since *walk* is the lesser of two families, it is blind to the other one;
-    therefore `BOTH` times the mean of both is added. `room` is chosen last, by the mean distance of
-    companions. `fixed` settings keep their values.
+    For each of `WIDTHS`, the cost of walls is `corrected` so that people are as often near walls as
+    recorded ones. Then the settings in `GRID` are chosen by the walk score, one after the other: a
+    setting changes if another value scores more by `MARGIN`, with a cost of walls that has been
+    corrected for it. Of several scenes, the mean score counts. Since *walk* is the lesser of two
+    families, it is blind to the other one; therefore `BOTH` times the mean of both is added. `room`
+    is chosen last, by the mean distance of companions. `fixed` settings keep their values.
     """
-    width = Guide.width if len(scenes) == 1 else SEVERAL_WIDTH
-    known = {"jitter": min(Guide.jitter, settings.jitter_mps), "width": width, **fixed}
-    guide = replace(Guide(), **dict[str, Any](known))
+    known = {"jitter": min(Guide.jitter, settings.jitter_mps), **fixed}
+    first = replace(Guide(), **dict[str, Any](known))
     policy = InProcess(sampler, interval)
     validators = [Validator(scene, split) for scene in scenes]
     sizes = [len(scenes) * max(1, len(registry.recording_of(scene))) for scene in scenes]
@@ -391,19 +387,23 @@ def guided(
             one = corrected(one, validated(one, settings.people / FEWER))
         return one
 
-    names = STEPS if len(scenes) == 1 else TRIED_ON_SEVERAL
-    guide = learned(guide, CORRECTIONS)
-    score = scored(guide)
-    for name in SWEEPS * [name for name in STEPS if name in names and name not in fixed]:
-        others = [
-            learned(replace(guide, **dict[str, Any]({name: value})), AFTER_CHANGE)
-            for value in adjacent(name, getattr(guide, name))
-            if name != "jitter" or value <= settings.jitter_mps  # trained with as much
-        ]
-        scores = {other: scored(other) for other in others}
-        best = max(scores, key=lambda g: scores[g], default=guide)
-        if scores.get(best, score) > score + MARGIN:
-            guide, score = best, scores[best]
+    def chosen(guide: Guide) -> tuple[Guide, float]:
+        names = GRID if len(scenes) == 1 else TRIED_ON_SEVERAL
+        guide = learned(guide, CORRECTIONS)
+        score = scored(guide)
+        for name in (name for name in GRID if name in names and name not in fixed):
+            others = [
+                learned(replace(guide, **dict[str, Any]({name: value})), AFTER_CHANGE)
+                for value in GRID[name]
+                if value != getattr(guide, name)
+                and (name != "jitter" or value <= settings.jitter_mps)  # trained with as much
+            ]
+            guide, score = best([(guide, score), *((other, scored(other)) for other in others)])
+        return guide, score
+
+    widths = WIDTHS if len(scenes) == 1 else (SEVERAL_WIDTH,)
+    starts = [replace(first, width=width) for width in widths] if "width" not in fixed else [first]
+    guide, _ = best([chosen(start) for start in starts])
     off: dict[Guide, float] = {}
     for one in (replace(guide, room=value) for value in ROOM if "room" not in fixed):
         found = validated(one, settings.people / FEWER)

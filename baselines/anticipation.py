@@ -61,8 +61,8 @@ def sloping(height: float) -> tuple[float, ...]:
 class Guide:
     """Settings of the sampling.
 
-    `wall` is learned on the training blocks, and those in `STEPS` of `baselines.anticipate` and
-    `room` are chosen there. The others are the same everywhere.
+    `wall` is learned on the training blocks; `width`, `room` and those in `GRID` of
+    `baselines.anticipate` are chosen there. The others are the same everywhere.
     """
 
     jitter: float = 0.1

@@ -151,13 +151,14 @@ def test_it_trains_on_two_scenes_and_validates_on_the_third(
 ) -> None:
     for name in ("eth", "hotel", "zara01"):
         import_recording(name, opentraj)
-    monkeypatch.setattr(anticipate, "STEPS", {"avoid": (16.0,), "width": (1.0, 0.85)})
+    monkeypatch.setattr(anticipate, "GRID", {"avoid": (16.0,), "delay": (0.0, 1.0)})
+    monkeypatch.setattr(anticipate, "CORRECTIONS", 1)
     monkeypatch.setattr(anticipate, "ROOM", (0.0,))
     given = ["--scenes", "eth-v0", "hotel-v0", "zara1-v0", "--leave-out", "zara1-v0"]
     more = ["--steps", "50", "--people", "1", "--rounds", "1", "--out", str(tmp_path)]
     assert anticipate.main(given + more) == 0
     said = capsys.readouterr().out
-    assert said.count("): walk ") == 1  # widths are not tried
+    assert said.count("): walk ") == 1  # neither widths nor delays are tried
     assert said.count("eth-v0 ") == said.count("hotel-v0 ") == 2  # walk, and companions
     assert "on zara1-v0" in said
     card = OnnxPolicy(tmp_path / "full.onnx").card

@@ -12,7 +12,7 @@ from given import Given
 from worlds import Person, square
 
 from baselines import anticipate
-from baselines.anticipate import FEWEST, GAIN, STEPS, adjacent, corrected, mirrored
+from baselines.anticipate import FEWEST, GAIN, GRID, MARGIN, WIDTHS, best, corrected, mirrored
 from baselines.anticipation import (
     ABREAST_M,
     KNOTS_M,
@@ -257,21 +257,25 @@ def test_mirrored_observations_are_those_of_a_mirrored_world() -> None:
     assert not np.allclose(here, there, atol=0.1)
 
 
-def test_a_setting_changes_by_one_step() -> None:
-    assert adjacent("width", 0.85) == [0.7, 1.0]
-    assert adjacent("width", 1.0) == [0.85]
-    assert adjacent("jitter", 0.0) == [0.1]  # a value between or beyond the steps
-    assert adjacent("delay", 1.5) == [1.0, 2.0]
-    assert all(getattr(Guide(), name) in values for name, values in STEPS.items())
+def test_a_guide_replaces_the_first_one_only_if_it_scores_clearly_more() -> None:
+    first, second, third = (Guide(width=width) for width in (1.0, 0.9, 0.8))
+    little, much = 0.5 * MARGIN, 1.5 * MARGIN
+    assert best([(first, 0.7), (second, 0.7 + little), (third, 0.5)]) == (first, 0.7)
+    assert best([(first, 0.7), (second, 0.7 + much), (third, 0.7 + little)])[0] == second
+    assert best([(first, 0.7)]) == (first, 0.7)
+
+
+def test_the_search_starts_with_values_of_the_grid() -> None:
+    assert all(getattr(Guide(), name) in values for name, values in GRID.items())
+    assert Guide.width == WIDTHS[0]
 
 
 @pytest.mark.long
 def test_it_trains_chooses_a_guide_and_writes_a_policy_that_arrives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    steps = {"avoid": (0.0, Guide.avoid), "delay": (0.5, Guide.delay, 1.5, 99.0)}
-    monkeypatch.setattr(anticipate, "STEPS", steps)
-    monkeypatch.setattr(anticipate, "SWEEPS", 1)
+    monkeypatch.setattr(anticipate, "GRID", {"avoid": (0.0, Guide.avoid)})
+    monkeypatch.setattr(anticipate, "WIDTHS", (Guide.width, 0.3))
     monkeypatch.setattr(anticipate, "CORRECTIONS", 2)
     monkeypatch.setattr(anticipate, "ROOM", (0.0, 16.0))
     arguments = ["--scene", "plaza-v0", "--splits", "fold1", "--steps", "800"]
@@ -279,9 +283,8 @@ def test_it_trains_chooses_a_guide_and_writes_a_policy_that_arrives(
     assert anticipate.main(arguments + more) == 0
     said = capsys.readouterr().out
     assert "round 1, held out" in said
-    assert said.count(": walk ") == 4  # first, without `avoid`, and with less and more of `delay`
-    assert "delay=1.5" in said
-    assert "delay=99.0" not in said
+    tried = re.findall(r"width=([\d.]+), avoid=([\d.]+).*: walk ", said)
+    assert tried == [("1.0", "16.0"), ("1.0", "0.0"), ("0.3", "16.0"), ("0.3", "0.0")]
     walls = set(re.findall(r"wall=\(([^)]*)\)", said))
     assert len(walls) == 4  # corrected for each value of another setting
     assert str(Guide.wall).strip("()") not in walls
