@@ -3,6 +3,7 @@
 import atexit
 import os
 import shutil
+import signal
 import tempfile
 from functools import cache
 from importlib import metadata
@@ -17,6 +18,11 @@ from hypothesis import settings
 # No deadline: a first call may compile, and how long a test takes is not what it tests.
 settings.register_profile("crowdbench", deadline=None, max_examples=50)
 settings.load_profile("crowdbench")
+
+# A shell ignores interrupts for its jobs in the background, and programs that tests start and
+# interrupt would inherit that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 _LOOSE = ("crowdbench.envs.actions", "crowdbench.envs.parallel_env", "crowdbench.plugins")
