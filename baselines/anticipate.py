@@ -42,8 +42,9 @@ missed: recordings have too few near collisions for a network to learn this from
 candidate costs more (`resume`). It is for people whom a wall or a crowd has stopped, because a
 cloned network that sees a standing person predicts that it stays.
 
-The guide is adapted to the training blocks. The cost of walls is learned: it is raised at distances
-at which simulated people are more often than recorded ones, and lowered at others (`corrected`).
+The guide is adapted to the training blocks. The cost of walls is learned. It rises at distances
+from walls where simulated people are found more often than recorded ones, and falls at the others
+(`corrected`).
 The weights of passes and of delay, the width of the mixture and the strength of the jitter are
 chosen by the scores of walking that `validate` measures there.
 
@@ -387,11 +388,12 @@ def guided(
             one = corrected(one, validated(one, settings.people / FEWER))
         return one
 
+    tried = GRID if len(scenes) == 1 else TRIED_ON_SEVERAL
+
     def chosen(guide: Guide) -> tuple[Guide, float]:
-        names = GRID if len(scenes) == 1 else TRIED_ON_SEVERAL
         guide = learned(guide, CORRECTIONS)
         score = scored(guide)
-        for name in (name for name in GRID if name in names and name not in fixed):
+        for name in (name for name in tried if name not in fixed):
             others = [
                 learned(replace(guide, **dict[str, Any]({name: value})), AFTER_CHANGE)
                 for value in GRID[name]
@@ -402,8 +404,9 @@ def guided(
         return guide, score
 
     widths = WIDTHS if len(scenes) == 1 else (SEVERAL_WIDTH,)
-    starts = [replace(first, width=width) for width in widths] if "width" not in fixed else [first]
-    guide, _ = best([chosen(start) for start in starts])
+    if "width" in fixed:
+        widths = (first.width,)
+    guide, _ = best([chosen(replace(first, width=width)) for width in widths])
     off: dict[Guide, float] = {}
     for one in (replace(guide, room=value) for value in ROOM if "room" not in fixed):
         found = validated(one, settings.people / FEWER)

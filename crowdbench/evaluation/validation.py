@@ -17,7 +17,7 @@ from crowdbench.evaluation.judge import FINISHED
 from crowdbench.evaluation.references import reference_of
 from crowdbench.metrics import WALK
 from crowdbench.metrics.groups import CompanionDistance
-from crowdbench.metrics.interaction import CLEARANCE_M, WallClearance
+from crowdbench.metrics.interaction import WallClearance
 from crowdbench.metrics.metric import Statistics, in_blocks
 from crowdbench.metrics.motion import Speed
 from crowdbench.policies import Policy, Straight
@@ -181,17 +181,20 @@ def _compared(
         if together.name in here:
             result = together.compare(recorded[together.name], here[together.name], blocks)
             apart.append(result.simulated / result.recorded)
-        clear.append(_shares(here[walls.name]))
+        clear.append(_shares(here[walls.name], walls.if_empty(blocks)))
     mean = {name: float(np.mean(each)) for name, each in distances.items()}
     recorded_mps = speed.walking_mps(recorded[speed.name]) or np.nan
     relative = float(np.mean(apart)) if apart else np.nan
-    clearance = _shares(recorded[walls.name]), tuple(np.mean(clear, axis=0).tolist())
+    clearance = (
+        _shares(recorded[walls.name], walls.if_empty(blocks)),
+        tuple(np.mean(clear, axis=0).tolist()),
+    )
     return _Compared(mean, float(np.mean(speeds)), recorded_mps, relative, clearance)
 
 
-def _shares(statistics: Statistics) -> tuple[float, ...]:
-    """Shares of positions at each distance to walls; see `Validation.clearance`."""
+def _shares(statistics: Statistics, largest: int) -> tuple[float, ...]:
+    """Shares of positions at each distance to walls, which are 0 to `largest` lattice steps."""
     counts = statistics["counts"].sum(axis=0)
-    found = np.zeros(1 + round(CLEARANCE_M / 0.05))
+    found = np.zeros(1 + largest)
     found[: len(counts)] = counts / max(1, counts.sum())
     return tuple(found.tolist())
