@@ -77,6 +77,8 @@ class Settings:
 
     spawn: str = DEFAULT_SPAWN
     observation: str = bc.OBSERVATIONS[0]
+    smoothing_s: float = 0.0
+    """Window in which recorded paths are smoothed, see `crowdbench.demonstrations`."""
     persons: int = 64
     """Number of sub-environments."""
     steps: int = 500_000
@@ -258,7 +260,12 @@ def train(
     generator.policy.load_state_dict(policy.state_dict())
     trips.others = Learner(generator.policy, settings.observation)
     size = min(settings.discriminator_batch, per_round)
-    shown = demonstrations(scene, split=split, observation=settings.observation)
+    shown = demonstrations(
+        scene,
+        split=split,
+        observation=settings.observation,
+        smoothing_s=settings.smoothing_s,
+    )
     trainer = FairGAIL(
         demonstrations=experts(shown, size, rng),
         demo_batch_size=size,
@@ -343,12 +350,15 @@ def learn(split: str, command: Command, settings: Settings, first: bc.Settings, 
 def main(arguments: list[str] | None = None) -> int:
     """Clone, train and write a policy for each split; return the exit code."""
     asked = command_line().parse_args(arguments)
-    names = (*SETTABLE, "observation")
-    settings = Settings(**{name: getattr(asked, name) for name in names})
     first = bc.settings_from(asked, "cloning_")
-    first = replace(first, observation=settings.observation, seed=asked.seed)
+    first = replace(first, observation=asked.observation, seed=asked.seed)
+    settings = Settings(
+        observation=first.observation,
+        smoothing_s=first.smoothing_s,
+        **{name: getattr(asked, name) for name in SETTABLE},
+    )
     try:
-        check_numbers(settings, or_zero=("learning_rate", "gamma", "reminders"))
+        check_numbers(settings, or_zero=("learning_rate", "gamma", "reminders", "smoothing_s"))
         bc.check(first)
         command = Command.of("gail", asked.scene, asked.splits, asked.out, arguments)
         spawn_model(settings.spawn, command.scene)  # raises errors early, before the cloning

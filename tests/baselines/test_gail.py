@@ -128,6 +128,23 @@ def test_who_is_reminded_is_made_steadier_in_the_end(
     torch.testing.assert_close(before, after)  # once, be it before or after
 
 
+def test_a_discriminator_compares_with_the_paths_that_were_cloned(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    windows = []
+    for module in (bc, gail):
+        original = module.demonstrations
+        monkeypatch.setattr(
+            module,
+            "demonstrations",
+            lambda *a, make=original, **k: windows.append(k["smoothing_s"]) or make(*a, **k),
+        )
+    monkeypatch.setattr(Command, "walk", lambda *_: None)
+    asked = "--scene plaza-v0 --steps 512 --persons 8 --cloning-epochs 0 --cloning-smoothing-s 1.2"
+    assert gail.main([*asked.split(), "--out", str(tmp_path)]) == 0
+    assert windows == [1.2, 1.2]
+
+
 def test_the_file_and_the_curves_are_written(tmp_path: Path, capsys) -> None:
     asked = pages.arguments("docs/training.md", "python -m baselines.gail")
     small = "--steps 2048 --persons 16 --horizon-s 60 --cloning-epochs 1 --cloning-batch-size 512"
