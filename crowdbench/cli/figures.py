@@ -27,14 +27,14 @@ def add(commands: "Commands") -> None:
     )
     figures.add_argument(
         "--spawn",
-        default="ntpp-gmm",
+        default="cox-plans",
         metavar="MODEL",
-        help="spawn model, shown with poisson-gmm (default: ntpp-gmm)",
+        help="spawn model, shown with poisson-gmm (default: cox-plans)",
     )
     figures.add_argument(
         "--policy",
         metavar="POLICY",
-        help="policy that moves the people (default: gail or bc if they ship with the scene, else "
+        help="policy that moves the people (default: anticipate if it ships with the scene, else "
         "social-force)",
     )
     figures.add_argument(

@@ -34,12 +34,13 @@ FIGURES = ("policies", "flows", "situations", "sheet")
 """Names of the figures; `sheet` shows all scenes, the others one scene."""
 OF_RECORDING = ("policies", "situations")
 """Figures that require the recording."""
-SPAWN = "ntpp-gmm"
+SPAWN = "cox-plans"
 BASELINE = "poisson-gmm"
 """The spawn model with which `SPAWN` is compared."""
 ROLLOUTS = 5
 WALKERS = ("straight", "social-force")
-_BEST = ("gail", "bc")
+BEST = "anticipate"
+"""The policy that walks by default, where the scene ships it."""
 
 
 def write_figures(
@@ -57,8 +58,8 @@ def write_figures(
     """Draw `figures` of scenes into `out` and return the paths of the pictures.
 
     The files are `<scene>/<figure>.png` and `.json`, and `sheet.png` and `.json` for all scenes.
-    Crowds are `seeds` rollouts of `spawn`, and of poisson-gmm, with `policy`; it defaults to gail
-    or bc, if the scene ships one of them, else to social-force. Rollouts are kept in
+    Crowds are `seeds` rollouts of `spawn`, and of poisson-gmm, with `policy`; it defaults to
+    anticipate if the scene ships it, else to social-force. Rollouts are kept in
     `figures-<scene>` of `work`, where a later call reuses them; `workers` and `progress` are those
     of `evaluate`. The same rollouts give the same bytes.
 
@@ -135,7 +136,7 @@ class _Shown:
         work: Path,
     ) -> "_Shown":
         trained = trained_policies(scene)
-        best = next((name for name in _BEST if name in trained), WALKERS[-1])
+        best = BEST if BEST in trained else WALKERS[-1]
         walker = policy or best
         walkers = tuple(dict.fromkeys([*WALKERS, *trained, walker]))
         recorded = [("replay", name) for name in walkers if "policies" in figures]

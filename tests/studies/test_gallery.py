@@ -94,7 +94,7 @@ def test_policies_walk_the_recorded_people(folder: Path) -> None:
 
 def test_flows_are_those_of_the_rollouts(folder: Path) -> None:
     found = numbers(folder, "flows")
-    crowds = [read_own(path) for path in rollouts(folder, "ntpp-gmm")]
+    crowds = [read_own(path) for path in rollouts(folder, "cox-plans")]
     assert found["people"] == sum(int(crowd.entered.sum()) for crowd in crowds)
     assert len(found["areas"]) == 4
     assert sum(area["people"] for area in found["areas"]) == found["people"]
@@ -122,7 +122,7 @@ def test_mean_ways_lead_from_their_spawn_area_to_their_goal_area(folder: Path) -
 
 
 def test_density_is_where_people_of_an_area_are(folder: Path) -> None:
-    crowds = [read_own(path) for path in rollouts(folder, "ntpp-gmm")]
+    crowds = [read_own(path) for path in rollouts(folder, "cox-plans")]
     share = density(crowds, 0, PLAZA)
     assert share.sum() == pytest.approx(1)
     x, y = np.argwhere(share == share.max())[0][::-1] * CELL_M
@@ -134,7 +134,7 @@ def test_density_is_where_people_of_an_area_are(folder: Path) -> None:
 
 def test_areas_that_get_no_map_are_counted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("crowdbench.report.plots.flows.MOST_AREAS", 3)
-    crowds = [read_own(path) for path in rollouts(folder, "ntpp-gmm")]
+    crowds = [read_own(path) for path in rollouts(folder, "cox-plans")]
     _, found = draw_flows(PLAZA, AREAS, crowds, None, "a crowd")
     assert found["spawn_areas_left_out"] == 1
     drawn = sum(area["people"] for area in found["areas"])
@@ -150,7 +150,7 @@ def test_situations_come_with_what_chance_would_give(folder: Path) -> None:
         groups = {int(size): n for size, n in one["groups_by_size"].items()}
         assert sum(size * n for size, n in groups.items()) == one["entered"]
         assert one["nearest_recorded"] <= one["median_recorded"]
-        for model, shown in (("ntpp-gmm", 2), ("poisson-gmm", 1)):
+        for model, shown in (("cox-plans", 2), ("poisson-gmm", 1)):
             of_model = one["simulated"][model]
             assert len(of_model["nearest"]) == shown
             assert len(of_model["nearest_of_each_rollout"]) == ROLLOUTS
@@ -164,12 +164,12 @@ def test_situations_come_with_what_chance_would_give(folder: Path) -> None:
 def test_the_sheet_shows_the_recording_and_both_models(folder: Path) -> None:
     (found,) = numbers(folder, "sheet")["scenes"]
     assert found["scene"] == "plaza-v0"
-    assert found["rollouts"] == {"poisson-gmm": ROLLOUTS, "ntpp-gmm": ROLLOUTS}
+    assert found["rollouts"] == {"poisson-gmm": ROLLOUTS, "cox-plans": ROLLOUTS}
     over_time = found["agents_over_time"]
     for means in (over_time["recorded_mean"], *over_time["simulated_mean"].values()):
         assert len(means) == len(read_reference(PLAZA).blocks)
     for name in ("inter_spawn", "spawns_per_10_frames", "dwell"):
-        assert set(found[name]["simulated"]) == {"poisson-gmm", "ntpp-gmm"}
+        assert set(found[name]["simulated"]) == {"poisson-gmm", "cox-plans"}
         for curve in (found[name]["recorded"], *found[name]["simulated"].values()):
             assert len(curve) == len(found[name]["x"])
             assert (np.diff(curve) <= 0).all()
@@ -178,7 +178,7 @@ def test_the_sheet_shows_the_recording_and_both_models(folder: Path) -> None:
 
 
 def test_areas_that_a_scene_does_not_have_become_the_likeliest(folder: Path) -> None:
-    crowd = read_own(rollouts(folder, "ntpp-gmm")[0])
+    crowd = read_own(rollouts(folder, "cox-plans")[0])
     wild = replace(crowd, spawn_area=crowd.spawn_area + 99, goal_area=crowd.goal_area - 99)
     known = with_areas(wild, AREAS)
     same = (known.spawn_area == crowd.spawn_area)[crowd.entered]
@@ -228,12 +228,12 @@ def test_the_command_draws_what_it_is_asked_for(
 
 def test_by_default_the_best_policy_that_comes_with_a_scene_walks(tmp_path: Path) -> None:
     def walker(scene: str) -> str:
-        of = gallery._Shown.of(load_scene(scene), ["flows"], "ntpp-gmm", None, 1, tmp_path)
+        of = gallery._Shown.of(load_scene(scene), ["flows"], "cox-plans", None, 1, tmp_path)
         (job,) = of.jobs
         return job.policy
 
-    assert walker("eth-v0") == "gail"
-    assert walker("gc-v0") == "gail"
+    assert walker("eth-v0") == "anticipate"
+    assert walker("gc-v0") == "anticipate"
     assert walker("plaza-v0") == "social-force"
 
 
@@ -245,4 +245,4 @@ def test_situations_of_eth(opentraj: Path, tmp_path: Path) -> None:
     large = found["situations"][0]
     assert (large["situation"], large["show_it"], large["entered"]) == ("large group", 9, 27)
     # Where nobody annotated there is no window, of the recording: 15 pauses.
-    assert found["recorded_windows"] < found["simulated_windows"]["ntpp-gmm"][0]
+    assert found["recorded_windows"] < found["simulated_windows"]["cox-plans"][0]
