@@ -21,6 +21,7 @@ from crowdbench.cli.workers import add_engine
 from crowdbench.errors import CrowdbenchError
 from crowdbench.evaluation.evaluate import evaluate  # without its report
 from crowdbench.evaluation.parallel import call_each, checked_workers, engine
+from crowdbench.evaluation.validation import Validator
 from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import interval
 from crowdbench.scene import Scene
@@ -148,6 +149,7 @@ def write(variant: Variant, split: str, command: Command) -> None:
         return
     use_one_thread()
     with contextlib.redirect_stdout(sys.stderr):
+        validators = [Validator(command.scene, split)]
         ahead = variant.ahead * frames_ahead(command.scene)
         every = variant.interval * decision_frames(command.scene)
         torch.manual_seed(variant.settings.seed)
@@ -156,7 +158,7 @@ def write(variant: Variant, split: str, command: Command) -> None:
         sampler = Sampler(walker, Guide())
         chosen = PLAIN
         if variant.guide:
-            chosen = guided(sampler, command.scenes, split, every, variant.settings, variant.fixed)
+            chosen = guided(sampler, validators, every, variant.settings, variant.fixed)
         sampler.weights.copy_(chosen.tensor())
         command.write(split, sampler, observation=OBSERVATION, noise=NOISE, interval=every)
 

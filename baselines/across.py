@@ -99,7 +99,9 @@ def command_line() -> argparse.ArgumentParser:
 
 def commands_of(scenes: Sequence[str], out: Path) -> list[Command]:
     """The trainings without each scene, and the one with all."""
-    if len(set(scenes)) < 3:
+    if len(set(scenes)) < len(scenes):
+        raise SettingError("--scenes", got=" ".join(scenes), expected="each scene once")
+    if len(scenes) < 3:
         raise SettingError(
             "--scenes",
             got=" ".join(scenes),

@@ -68,7 +68,7 @@ import numpy as np
 
 from baselines.packages import needs
 from crowdbench import Demonstrations, Scene, demonstrations, registry
-from crowdbench.errors import CrowdbenchError
+from crowdbench.errors import CrowdbenchError, RecordingError
 from crowdbench.evaluation.validation import Validation, Validator
 from crowdbench.metrics.interaction import CLEARANCE_M
 from crowdbench.policies import OnnxPolicy
@@ -278,7 +278,7 @@ def pooled(each: Sequence[Samples]) -> Samples:
     roots = [math.sqrt(len(samples)) for samples in each]
     total = sum(map(len, each))
     lots = [
-        samples.shared(round(total * root / sum(roots)))
+        samples.shared(round(total * root / sum(roots))) if len(samples) else samples
         for samples, root in zip(each, roots, strict=True)
     ]
     return Samples(torch.cat([lot.seen for lot in lots]), torch.cat([lot.did for lot in lots]))
@@ -299,12 +299,19 @@ def train(command: Command, split: str, settings: Settings, ahead: int, walker: 
     tested = pooled([Samples.of(held_out) for _, held_out in people])
     each = [Samples.of(shown) for shown, _ in people]
     samples = pooled(each)
+    if len(samples) == 0:
+        raise RecordingError(
+            "+".join(scene.id for scene in command.scenes),
+            got="nobody to learn from",
+            expected="two or more people in the training blocks",
+        )
     fit(walker, samples, settings.steps, settings.learning_rate, settings, command)
     for k in range(1 + settings.rounds):
-        with torch.no_grad():
-            none = torch.zeros(len(tested.seen), 1)
-            nats = float(walker.log_prob(tested.seen, none, tested.did).mean())
-        print(f"{split}: round {k}, held out {nats:.3f} nats per decision", flush=True)
+        if len(tested):
+            with torch.no_grad():
+                none = torch.zeros(len(tested), 1)
+                nats = float(walker.log_prob(tested.seen, none, tested.did).mean())
+            print(f"{split}: round {k}, held out {nats:.3f} nats per decision", flush=True)
         if k == settings.rounds:
             break
         plain = InProcess(Sampler(walker, PLAIN), ahead)
@@ -350,13 +357,12 @@ def best(scores: Sequence[tuple[Guide, float]]) -> tuple[Guide, float]:
 
 def guided(
     sampler: Sampler,
-    scenes: Sequence[Scene],
-    split: str,
+    validators: Sequence[Validator],
     interval: int,
     settings: Settings,
     fixed: Mapping[str, float] = MappingProxyType({}),
 ) -> Guide:
-    """Choose the guide on the training blocks.
+    """Choose the guide on the training blocks of the validators, one for each scene.
 
     For each of `WIDTHS`, the cost of walls is `corrected` so that people are as often near walls as
     recorded ones. Then the settings in `GRID` are chosen by the walk score, one after the other: a
@@ -368,7 +374,7 @@ def guided(
     known = {"jitter": min(Guide.jitter, settings.jitter_mps), **fixed}
     first = replace(Guide(), **dict[str, Any](known))
     policy = InProcess(sampler, interval)
-    validators = [Validator(scene, split) for scene in scenes]
+    scenes, split = [v.scene for v in validators], validators[0].split
     sizes = [len(scenes) * max(1, len(registry.recording_of(scene))) for scene in scenes]
 
     def validated(one: Guide, people: float = settings.people) -> list[Validation]:
@@ -410,7 +416,9 @@ def guided(
     off: dict[Guide, float] = {}
     for one in (replace(guide, room=value) for value in ROOM if "room" not in fixed):
         found = validated(one, settings.people / FEWER)
-        off[one] = float(np.mean([abs(math.log(v.companion_distance)) for v in found]))
+        apart = [v.companion_distance for v in found if not math.isnan(v.companion_distance)]
+        if apart:
+            off[one] = float(np.mean([abs(math.log(distance)) for distance in apart]))
         print(f"{split}: {one}: companion distance {_apart(scenes, found)}", flush=True)
     return min(off, key=lambda g: off[g], default=guide)
 
@@ -432,11 +440,13 @@ def _parts(scenes: Sequence[Scene], found: Sequence[Validation]) -> str:
 def learn(command: Command, split: str, settings: Settings) -> Path:
     """Train a network, choose its guide, and write both; return the file."""
     interval = decision_frames(*command.scenes)
+    # First, because it fails if a scene has no reference statistics.
+    validators = [Validator(scene, split) for scene in command.scenes]
     torch.manual_seed(settings.seed)
     walker = Walker(command.scene.motion.max_speed_mps, settings.hidden)
     train(command, split, settings, frames_ahead(*command.scenes), walker)
     sampler = Sampler(walker, Guide())
-    guide = guided(sampler, command.scenes, split, interval, settings)
+    guide = guided(sampler, validators, interval, settings)
     print(f"{split}: chosen: {guide}", flush=True)
     sampler.weights.copy_(guide.tensor())
     return command.write(split, sampler, observation=OBSERVATION, noise=NOISE, interval=interval)
@@ -444,11 +454,11 @@ def learn(command: Command, split: str, settings: Settings) -> Path:
 
 def learn_and_walk(split: str, command: Command, settings: Settings, left_out: str | None) -> str:
     """The same; return lines about how the policy walks, also in the scene that was left out."""
+    other = None if left_out is None else Validator(left_out)
     path = learn(command, split, settings)
     lines = [str(command.walk(path, "ntpp-gmm"))]
-    if left_out is not None:
-        other = Validator(left_out).validate(OnnxPolicy(path))
-        lines.append(f"walk {other.walk:.3f} on {left_out}")
+    if other is not None:
+        lines.append(f"walk {other.validate(OnnxPolicy(path)).walk:.3f} on {left_out}")
     return "\n".join(lines)
 
 
@@ -470,6 +480,7 @@ def main(arguments: list[str] | None = None) -> int:
         check_numbers(settings, or_zero=zero)
         check_onnx()  # needed for the choice of the guide, after the training
         command = Command.of_asked("anticipate", asked, arguments)
+        registry.spawn_model("ntpp-gmm", command.scene)  # for the rollout at the end
         train_each(learn_and_walk, command, asked, settings, asked.leave_out)
     except CrowdbenchError as error:
         print(f"baselines.anticipate: {error}", file=sys.stderr)

@@ -30,6 +30,9 @@ from crowdbench.spawn.weights import check_split
 
 WITHOUT_EFFECT = ("--out", "--workers", "--engine")
 """Options with one value that do not change the policy."""
+LONGER = 1.15
+"""A policy for several scenes is not trained where frames are longer than elsewhere by more than
+this factor. Frames of the Forum, 0.444 s, are longer than 0.4 s by 1.11."""
 WALKED_S = 600.0
 """Length of the rollout that tests a trained policy."""
 
@@ -277,6 +280,14 @@ class Command:
                 got=", ".join(f"{scene} with {speed:g} m/s" for scene, speed in fastest.items()),
                 expected="scenes with the same maximum speed",
             )
+        frames_s = {place.id: place.dt_s for place in places}
+        if max(frames_s.values()) > LONGER * min(frames_s.values()):
+            raise SettingError(
+                "--scenes",
+                got=", ".join(f"{scene} with {dt_s:.3g} s" for scene, dt_s in frames_s.items()),
+                expected="scenes whose frames are about equally long",
+                hint="A network decides every few frames, in each scene the same number.",
+            )
         return cls._checked(f"{name}-any", places, splits, out, folder, arguments)
 
     @classmethod
@@ -318,7 +329,12 @@ class Command:
         return self.out / f"{split}.onnx"
 
     def has_written(self, split: str) -> bool:
-        """Whether the file of a split is there, written by the same command and code."""
+        """Whether the file of a split is there, written by the same command and code.
+
+        Without git or with changes that are not committed, the code is not known.
+        """
+        if self.revision == "" or self.revision.endswith("-dirty"):
+            return False
         try:
             card = read_card(self.path(split))
         except WeightsError:

@@ -16,9 +16,9 @@ def add(commands: "Commands") -> None:
     encounters.add_argument("scene", metavar="SCENE", help="id of a scene, or its folder")
     encounters.add_argument(
         "--policy",
-        default="anticipate",
         metavar="POLICY",
-        help="policy that moves the people (default: anticipate)",
+        help="policy that moves the people (default: anticipate if it ships with the scene, else "
+        "anticipate-any)",
     )
     encounters.add_argument("--seed", type=int, default=0, help="random seed (default: 0)")
     encounters.add_argument(

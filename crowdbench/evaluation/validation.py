@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Int
 
 from crowdbench import registry
 from crowdbench.errors import SettingError
@@ -18,13 +19,14 @@ from crowdbench.evaluation.references import reference_of
 from crowdbench.metrics import WALK
 from crowdbench.metrics.groups import CompanionDistance
 from crowdbench.metrics.interaction import WallClearance
-from crowdbench.metrics.metric import Statistics, in_blocks
+from crowdbench.metrics.metric import Statistics
 from crowdbench.metrics.motion import Speed
+from crowdbench.metrics.rows import block_of_frames
 from crowdbench.policies import Policy, Straight
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.rollouts.rollout import rollouts as roll_out
 from crowdbench.scene import Scene, load_scene
-from crowdbench.scoring.reference import Reference, summarise
+from crowdbench.scoring.reference import summarise
 from crowdbench.scoring.score import LOWEST
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.weights import check_split
@@ -48,7 +50,7 @@ class Validation:
     recorded_speed_mps: float
     """The same in the recording."""
     at_goal: float
-    """Share of those who finished their trips, in all blocks, who reached the goal."""
+    """Share of those whose trips ended in these blocks who reached the goal."""
     companion_distance: float
     """Mean distance of companions, divided by that of recorded ones. A crowd without companions
     counts as one whose companions are 5 m apart; NaN if the scene has no statistics of them."""
@@ -71,8 +73,10 @@ def validate(
 ) -> Validation:
     """Walk a policy under the recorded arrivals and score it on the training blocks of `split`.
 
-    The whole recording is simulated, because crowds at the beginning of a block are part of it;
-    only the training blocks are compared. The random numbers are not those of evaluations.
+    The whole recording is simulated, because crowds at the beginning of a block are part of it.
+    Only what happens in the training blocks is compared: all positions outside of them are removed
+    first, also those of the delayed people that `avoidance` needs. The random numbers are not those
+    of evaluations.
 
     Args:
         scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
@@ -102,6 +106,10 @@ class Validator:
         self.scene, self.split = load_scene(scene), split
         self._arrivals = registry.spawn_model("replay", self.scene)
         self._reference = reference_of(self.scene)
+        self._blocks = self._reference.blocks.training(split)
+        self._metrics = [m for m in self._reference.metrics if m.family in WALK]
+        self._metrics += [m for m in self._reference.metrics if m.name == CompanionDistance.name]
+        self._recorded = self._seen(registry.recording_of(self.scene))
         straight = rollout(self.scene, self._arrivals, Straight(), seed=_SEEDS)
         self._anchor = self._compared([straight]).distances
         if not any(self._anchor.values()):
@@ -130,7 +138,7 @@ class Validator:
             if m.name in scores:
                 each[m.family].append(scores[m.name])
         families = {family: float(np.mean(some)) for family, some in each.items() if some}
-        ended = np.sum([np.bincount(c.outcome, minlength=len(OUTCOMES)) for c in crowds], axis=0)
+        ended = np.sum([self._ended(crowd) for crowd in crowds], axis=0)
         at_goal = float(ended[FINISHED[0]] / max(1, ended[list(FINISHED)].sum()))
         off = abs(found.speed_mps / found.recorded_speed_mps - 1)
         return Validation(
@@ -144,8 +152,42 @@ class Validator:
             passes=off <= place.gate.speed and at_goal >= place.gate.arrivals,
         )
 
+    def _ended(self, crowd: Trajectories) -> Int[np.ndarray, " outcomes"]:
+        """Number of trips with each outcome that ended in the blocks."""
+        inside = block_of_frames(self._blocks, crowd.frames)[crowd.last] >= 0
+        return np.bincount(crowd.outcome[inside], minlength=len(OUTCOMES))
+
+    def _seen(self, crowd: Trajectories) -> dict[str, Statistics]:
+        """Statistics of what the crowd does in the blocks."""
+        here = self._blocks.parts(read_areas(self.scene).assign(crowd))
+        return summarise(here, self._blocks, self._reference.place, self._metrics)
+
     def _compared(self, crowds: list[Trajectories]) -> "_Compared":
-        return _compared(self.scene, self._reference, self.split, crowds)
+        """Compare crowds with the recording."""
+        recorded, blocks = self._recorded, self._blocks
+        speed, together, walls = Speed(), CompanionDistance(), WallClearance()
+        names = set(self.scene.protocol.scored) - {together.name}
+        scored = [m for m in self._metrics if m.name in names and m.applies(blocks)]
+        distances: dict[str, list[float]] = {m.name: [] for m in scored}
+        speeds, apart, clear = [], [], []
+        for crowd in crowds:
+            here = self._seen(crowd)
+            for m in scored:
+                compared = m.compare(recorded[m.name], here[m.name], blocks)
+                distances[m.name].append(compared.distance)
+            speeds.append(speed.walking_mps(here[speed.name]) or 0.0)
+            if together.name in here:
+                result = together.compare(recorded[together.name], here[together.name], blocks)
+                apart.append(result.simulated / result.recorded)
+            clear.append(_shares(here[walls.name], walls.if_empty(blocks)))
+        mean = {name: float(np.mean(each)) for name, each in distances.items()}
+        recorded_mps = speed.walking_mps(recorded[speed.name]) or np.nan
+        relative = float(np.mean(apart)) if apart else np.nan
+        clearance = (
+            _shares(recorded[walls.name], walls.if_empty(blocks)),
+            tuple(np.mean(clear, axis=0).tolist()),
+        )
+        return _Compared(mean, float(np.mean(speeds)), recorded_mps, relative, clearance)
 
 
 class _Compared(NamedTuple):
@@ -157,39 +199,6 @@ class _Compared(NamedTuple):
     recorded_speed_mps: float
     companion_distance: float
     clearance: tuple[tuple[float, ...], tuple[float, ...]]
-
-
-def _compared(
-    scene: Scene, reference: Reference, split: str, crowds: list[Trajectories]
-) -> _Compared:
-    """Compare crowds with the recording in the training blocks."""
-    inside = reference.blocks.in_training(split)
-    blocks, areas = reference.blocks.take(inside), read_areas(scene)
-    speed, together, walls = Speed(), CompanionDistance(), WallClearance()
-    walking = [m for m in reference.metrics if m.family in WALK]
-    scored = [m for m in walking if m.name in scene.protocol.scored and m.applies(blocks)]
-    walking += [m for m in reference.metrics if m.name == together.name]
-    recorded = {m.name: in_blocks(reference.statistics[m.name], inside) for m in walking}
-    distances: dict[str, list[float]] = {m.name: [] for m in scored}
-    speeds, apart, clear = [], [], []
-    for crowd in crowds:
-        seen = summarise(areas.assign(crowd), reference.blocks, reference.place, walking)
-        here = {name: in_blocks(statistics, inside) for name, statistics in seen.items()}
-        for m in scored:
-            distances[m.name].append(m.compare(recorded[m.name], here[m.name], blocks).distance)
-        speeds.append(speed.walking_mps(here[speed.name]) or 0.0)
-        if together.name in here:
-            result = together.compare(recorded[together.name], here[together.name], blocks)
-            apart.append(result.simulated / result.recorded)
-        clear.append(_shares(here[walls.name], walls.if_empty(blocks)))
-    mean = {name: float(np.mean(each)) for name, each in distances.items()}
-    recorded_mps = speed.walking_mps(recorded[speed.name]) or np.nan
-    relative = float(np.mean(apart)) if apart else np.nan
-    clearance = (
-        _shares(recorded[walls.name], walls.if_empty(blocks)),
-        tuple(np.mean(clear, axis=0).tolist()),
-    )
-    return _Compared(mean, float(np.mean(speeds)), recorded_mps, relative, clearance)
 
 
 def _shares(statistics: Statistics, largest: int) -> tuple[float, ...]:

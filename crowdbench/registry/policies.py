@@ -90,7 +90,7 @@ class PolicySource:
 
     def _own_class(self) -> Callable[..., Policy]:
         shipped, others = trained_policies(self.scene), plugins.names("policies")
-        known = (*POLICIES, *shipped, *others, "an ONNX file, a folder of ONNX files")
+        known = (*POLICIES, *shipped, ANY_PLACE, *others, "an ONNX file, a folder of ONNX files")
         return plugins.part("policies", self.name) or own_class(self.name, "policy", known)
 
     def dependencies(self, split: str) -> tuple[list[Path], bytes]:

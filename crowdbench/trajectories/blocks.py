@@ -4,13 +4,13 @@ Observed intervals are cut into blocks of about the same length. Statistics are 
 that blocks can be dealt into folds (fit on some, score others) and resampled.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.trajectories.table import PERSON_COLUMNS, Trajectories
 
 FOLDS = 3
 SPLITS = ("full", *(f"fold{k}" for k in range(FOLDS)))
@@ -97,6 +97,35 @@ class TimeBlocks:
         inside = (block >= 0) & (at < self.arrival_s[np.maximum(block, 0), 1])
         order = np.lexsort((persons[inside], tick[inside]))
         return persons[inside][order], block[inside][order], tick[inside][order]
+
+    def parts(self, trajectories: Trajectories) -> Trajectories:
+        """The crowd in these blocks alone: each uninterrupted part of a path is a person.
+
+        Areas, group, goal, entry times and outcome of a part are those of its person.
+        """
+        seen = np.zeros(trajectories.frames, dtype=bool)
+        for start, stop in self.frames:
+            seen[start:stop] = True
+        edges = np.flatnonzero(np.diff(seen, prepend=False, append=False))
+        frame, person = trajectories.row_frame(), trajectories.row_person()
+        rows = np.flatnonzero(seen[frame])
+        # From one person to the next, the frame may rise by one, too.
+        goes_on = (np.diff(frame[rows]) == 1) & (np.diff(person[rows]) == 0)
+        begin = np.flatnonzero(np.r_[True, ~goes_on][: len(rows)])
+        size, first = np.diff(np.r_[begin, len(rows)]), frame[rows[begin]]
+        order = np.argsort(first, kind="stable")
+        offsets = np.concatenate([[0], np.cumsum(size[order])])
+        chosen = np.arange(len(rows)) + np.repeat(begin[order] - offsets[:-1], size[order])
+        whose = person[rows[begin]][order]
+        parts = replace(
+            trajectories,
+            person_id=np.arange(len(order)),
+            first=first[order],
+            offsets=offsets,
+            xy=trajectories.xy[rows[chosen]],
+            **{name: getattr(trajectories, name)[whose] for name in PERSON_COLUMNS},
+        )
+        return parts.observed_in(edges.reshape(-1, 2))
 
 
 def cut(

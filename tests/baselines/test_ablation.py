@@ -70,6 +70,7 @@ def test_variants_are_trained_scored_and_kept(
     few = anticipate.Settings(steps=10, people=1)
     slower = replace(BY_NAME["slower"], settings=few, guide=False)
     monkeypatch.setattr(ablation, "VARIANTS", (slower,))
+    monkeypatch.setattr("baselines.command.revision", lambda folder: "0123456789ab")
     monkeypatch.setattr(ablation, "decision_frames", lambda scene: 3)
     monkeypatch.setattr(ablation, "evaluate", partial(evaluate, seeds=1))
     arguments = ["--scene", "plaza-v0", "--workers", "1", "--out", str(tmp_path)]

@@ -3,6 +3,7 @@ it.
 """
 
 from collections import Counter
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -80,6 +81,31 @@ def test_scenes_that_cannot_be_pooled_are_refused(
     assert message in str(error.value)
 
 
+def test_frames_must_be_about_equally_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A network that decides every k frames would decide at other times elsewhere."""
+    monkeypatch.setattr(
+        "baselines.command.load_scene",
+        lambda name: replace(ETH, id="fast", dt_s=0.1) if name == "fast" else load_scene(name),
+    )
+    with pytest.raises(SettingError, match=r"forum-v0 with 0.444 s, fast with 0.1 s"):
+        Command.of_several(
+            "anticipate", ["eth-v0", "forum-v0", "fast"], None, ["full"], tmp_path, []
+        )
+    assert Command.of_several("anticipate", ["eth-v0", "forum-v0"], None, ["full"], tmp_path, [])
+
+
+def test_each_scene_is_named_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scenes = ["eth-v0", "hotel-v0", "zara1-v0", "eth-v0"]
+    assert across.main(["--scenes", *scenes, "--out", str(tmp_path)]) == 2
+    assert "expected each scene once" in capsys.readouterr().err
+
+
+def test_a_scene_may_have_no_samples() -> None:
+    """If nobody of a small recording is held out."""
+    assert len(pooled([samples(1.0, 4), samples(2.0, 0)])) == 4
+    assert len(pooled([samples(1.0, 0)])) == 0
+
+
 def test_leave_out_needs_several_scenes(capsys: pytest.CaptureFixture[str]) -> None:
     assert anticipate.main(["--scene", "plaza-v0", "--leave-out", "eth-v0"]) == 2
     assert "--leave-out: got --scene; expected --scenes" in capsys.readouterr().err
@@ -90,6 +116,22 @@ class Constant(nn.Module):
 
     def forward(self, seen: Tensor) -> Tensor:
         return 0.2 * seen[:, social.ROUTE_DIRECTION]
+
+
+@pytest.mark.parametrize(
+    ("revision", "kept"), [("0123456789ab", True), ("0123456789ab-dirty", False), ("", False)]
+)
+def test_a_file_is_kept_only_if_its_code_is_known(
+    revision: str, kept: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("baselines.command.revision", lambda folder: revision)
+    command = Command.of("ppo", "plaza-v0", ["full"], tmp_path, ["--scene", "plaza-v0"])
+    assert not command.has_written("full")
+    command.write("full", Constant(), observation="social-1", noise=0)
+    assert command.has_written("full") == kept
+    assert not Command.of("ppo", "plaza-v0", ["full"], tmp_path, ["--seed", "1"]).has_written(
+        "full"
+    )
 
 
 def of_both(tmp_path: Path, **more: float) -> Path:
@@ -188,6 +230,7 @@ def test_the_page_has_a_row_for_each_scene_and_files_are_kept(
         return command.write(split, Constant(), observation="social-1", noise=0)
 
     monkeypatch.setattr(across, "learn", constant)
+    monkeypatch.setattr("baselines.command.revision", lambda folder: "0123456789ab")
     monkeypatch.setattr(across, "OTHERS", ("straight", "social-force"))
     monkeypatch.setattr(across, "evaluate", partial(evaluate, seeds=1))
     scenes = ["eth-v0", "hotel-v0", "zara1-v0"]

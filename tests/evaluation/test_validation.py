@@ -1,13 +1,17 @@
 """The walk score on training blocks, with which settings of policies are chosen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from crowdbench.errors import SettingError
 from crowdbench.evaluation import validation
 from crowdbench.evaluation.validation import Validation, validate
+from crowdbench.metrics.rows import block_of_frames
 from crowdbench.policies import Straight
 from crowdbench.scene import load_scene
+from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
 PLAZA = load_scene("plaza-v0")
 
@@ -45,22 +49,36 @@ def test_who_does_not_pass_the_gate_has_no_positive_score(full: Validation) -> N
 
 
 def test_the_blocks_that_a_fold_is_scored_on_do_not_count(full: Validation, monkeypatch) -> None:
+    """Neither where people are in them, nor how trips end there."""
     plain = validate(PLAZA, Slow(), "fold0")
-    blocks = validation.reference_of(PLAZA).blocks
-    scored = blocks.in_split("fold0")
-    assert scored.any()
-    summarise = validation.summarise
+    blocks = validation.reference_of(PLAZA).blocks.scored("fold0")
+    disturbed_positions = 0
 
-    def disturbed(*arguments):
-        found = summarise(*arguments)
-        for statistics in found.values():
-            for values in statistics.values():
-                values[scored] = 17 * np.arange(1, values.shape[1] + 1)
-        return found
+    def disturbed(crowd: Trajectories) -> Trajectories:
+        nonlocal disturbed_positions
+        block = block_of_frames(blocks, crowd.frames)
+        inside, ends = block[crowd.row_frame()] >= 0, block[crowd.last] >= 0
+        disturbed_positions += inside.sum()
+        noise = np.random.default_rng(0).normal(0, 3, crowd.xy.shape).astype(np.float32)
+        return replace(
+            crowd,
+            xy=np.where(inside[:, None], crowd.xy + noise, crowd.xy),
+            outcome=np.where(ends, OUTCOMES.index("exit"), crowd.outcome).astype(np.int8),
+        )
 
-    monkeypatch.setattr(validation, "summarise", disturbed)
+    walk, walk_several = validation.rollout, validation.roll_out
+    recorded = validation.registry.recording_of(PLAZA)
+    arrivals = validation.registry.spawn_model("replay", PLAZA)
+    monkeypatch.setattr(validation, "rollout", lambda *a, **k: disturbed(walk(*a, **k)))
+    monkeypatch.setattr(
+        validation, "roll_out", lambda *a, **k: [disturbed(c) for c in walk_several(*a, **k)]
+    )
+    monkeypatch.setattr(validation.registry, "recording_of", lambda _: disturbed(recorded))
+    monkeypatch.setattr(validation.registry, "spawn_model", lambda *_: arrivals)
     assert validate(PLAZA, Slow(), "fold0") == plain
-    assert plain != full  # nor are they those of all
+    assert disturbed_positions > 1000
+    assert plain != full  # nor are the results those of all blocks
+    assert validate(PLAZA, Slow(), "full") != full
 
 
 def test_shares_of_distances_to_walls_explain_the_score_of_them() -> None:

@@ -13,8 +13,10 @@ from recorded_crowds import DT, recorded, straight
 from worlds import box, square
 
 from crowdbench.cli import main
+from crowdbench.errors import OutputError
 from crowdbench.scene import list_scenes
 from crowdbench.spawn.replay import Replay
+from crowdbench.studies.encounters import write_encounters
 from crowdbench.studies.encounters.snapshot import Snapshot
 from crowdbench.studies.encounters.typical import Encounter, typical_encounters
 from crowdbench.trajectories.blocks import TimeBlocks
@@ -170,3 +172,12 @@ def test_a_scene_without_encounters_is_an_error(monkeypatch: pytest.MonkeyPatch)
 def test_a_negative_seed_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["encounters", "plaza-v0", "--policy", "straight", "--seed", "-1"]) == 2
     assert "seed: got -1; expected 0 or more" in capsys.readouterr().err
+
+
+def test_by_default_the_policy_for_any_place_walks_where_none_ships(tmp_path: Path) -> None:
+    """And a folder that cannot be made is said before anything is simulated."""
+    write_encounters("plaza-v0", out=tmp_path)
+    assert json.loads((tmp_path / "plaza-v0.json").read_text())["policy"] == "anticipate-any"
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="file"):
+        write_encounters("plaza-v0", policy="straight", out=tmp_path / "file" / "below")

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import crowd_of, intervals
+from strategies import crowd_of, crowds, intervals
 
 from crowdbench.trajectories.blocks import SPLITS, TimeBlocks, cut
 
@@ -108,3 +108,32 @@ def test_no_block_is_both_trained_on_and_scored(observed, block_s, split):
     both = blocks.scored(split).frames.tolist() + blocks.training(split).frames.tolist()
     assert sorted(both) == blocks.frames.tolist()
     assert blocks.training("full").frames.tolist() == blocks.frames.tolist()
+
+
+@given(crowds(), intervals(30), st.floats(3, 20))
+def test_parts_are_the_paths_within_the_blocks(crowd, observed, block_s):
+    blocks = blocks_of(observed, block_s)
+    parts = blocks.parts(crowd)
+    inside = np.isin(crowd.row_frame(), frames_of(blocks.frames.tolist()))
+    goal = crowd.goal[crowd.row_person()]
+
+    def rows(frame, xy, goal):
+        table = np.column_stack([frame, xy, goal])
+        return table[np.lexsort(table.T)].tolist()
+
+    expected = rows(crowd.row_frame()[inside], crowd.xy[inside], goal[inside])
+    assert rows(parts.row_frame(), parts.xy, parts.goal[parts.row_person()]) == expected
+    # A part is uninterrupted, and no longer than what is observed without a pause.
+    pauses = np.setdiff1d(np.arange(crowd.frames), frames_of(blocks.frames.tolist()))
+    for first, last in zip(parts.first, parts.last, strict=True):
+        assert not ((first <= pauses) & (pauses <= last)).any()
+    assert (np.diff(parts.first) >= 0).all()
+    assert len(parts.offsets) == len(parts) + 1
+
+
+def test_a_part_that_a_border_cuts_has_neither_entered_nor_left():
+    parts = blocks_of([(0, 10), (20, 30)], 10.0).parts(crowd_of([(3, 25), (5, 8)], frames=40))
+    assert parts.first.tolist() == [3, 5, 20]
+    assert parts.last.tolist() == [9, 8, 25]
+    assert parts.entered.tolist() == [True, True, False]
+    assert parts.left.tolist() == [False, True, True]

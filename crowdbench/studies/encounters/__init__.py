@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.evaluation.references import reference_of
-from crowdbench.files import replacing, write_json
-from crowdbench.registry import policy_source, recording_of
+from crowdbench.files import replacing, unwritable, write_json
+from crowdbench.registry import ANY_PLACE, policy_source, recording_of, trained_policies
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.spawn.replay import Replay
@@ -22,10 +22,15 @@ from crowdbench.trajectories.companions import with_companions
 from crowdbench.trajectories.table import Trajectories
 
 POLICY = "anticipate"
+"""The policy that walks by default; where the scene does not ship it, `ANY_PLACE`."""
 
 
 def write_encounters(
-    scene: str | Path, *, policy: str = POLICY, out: Path = Path("docs/encounters"), seed: int = 0
+    scene: str | Path,
+    *,
+    policy: str | None = None,
+    out: Path = Path("docs/encounters"),
+    seed: int = 0,
 ) -> tuple[list[Path], list[dict[str, Any]]]:
     """Draw the typical encounters of a scene; return the files and the numbers of each encounter.
 
@@ -43,7 +48,8 @@ def write_encounters(
     if seed < 0:
         raise SettingError("seed", got=str(seed), expected="0 or more")
     place = load_scene(scene)
-    source = policy_source(policy, place)
+    usual = POLICY if POLICY in trained_policies(place) else ANY_PLACE
+    source = policy_source(usual if policy is None else policy, place)
     crowd = with_companions(recording_of(place))
     blocks = reference_of(place).blocks
     found = typical_encounters(place, crowd, blocks)
@@ -51,6 +57,10 @@ def write_encounters(
         raise RecordingError(
             place.id, got="no encounter of any kind", expected="people who meet or stop"
         )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(out, error) from error
     events = Replay(crowd).sample(np.inf, place, np.random.default_rng(0))
     shown, numbers = [], []
     for encounter in found:
