@@ -253,8 +253,8 @@ def fit(
 def frames_ahead(*scenes: Scene) -> int:
     """Number of frames over which the network learns the mean velocity of recorded people.
 
-    It is one step of the annotation grid; on several scenes, as many frames as make about
-    `AHEAD_S`.
+    It is one step of the annotation grid, at least one frame; on several scenes, as many frames as
+    make about `AHEAD_S`.
     """
     ahead_s = scenes[0].grid_s if len(scenes) == 1 else AHEAD_S
     return max(1, round(ahead_s / scenes[0].dt_s))
