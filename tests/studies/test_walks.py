@@ -10,11 +10,13 @@ import pytest
 from crowdbench import cli
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.registry import import_recording, recording_of
+from crowdbench.report.plots.plot_data import Group, PlotData
 from crowdbench.scene import load_scene
 from crowdbench.scoring.energy import RESAMPLES
+from crowdbench.scoring.reference import read_reference
 from crowdbench.scoring.scorecard import SCHEMA, Scorecard, read_anchors
 from crowdbench.studies import walks
-from crowdbench.studies.walks import RecordedPaths, write_walks
+from crowdbench.studies.walks import RecordedPaths, pictures, write_walks
 from crowdbench.studies.walks.page import Walked, scores
 
 pytestmark = pytest.mark.long
@@ -107,3 +109,23 @@ def test_what_is_missing_is_said_before_anything_is_walked(tmp_path: Path, capsy
     with pytest.raises(SettingError, match="got 0; expected a multiple of 5"):
         write_walks(["plaza-v0"], out=tmp_path / "docs", work=tmp_path / "work", seeds=0)
     assert not list(tmp_path.iterdir())
+
+
+def test_each_policy_is_drawn_in_its_own_style(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Also where there are more policies than colours."""
+    scene = load_scene("plaza-v0")
+    groups = [Group("replay", f"p{k}", "", (), [], "") for k in range(10)]
+    drawn = []
+    monkeypatch.setattr(
+        pictures.PlotData,
+        "of",
+        lambda scene, reference, *_: PlotData(scene, reference, "full", groups),
+    )
+    monkeypatch.setattr(pictures, "draw_figure", lambda name, plot, *_, **__: drawn.append(plot))
+    names = {group.policy: group.policy for group in groups}
+    pictures.draw_dwell(scene, read_reference(scene), {}, names, tmp_path)
+    styles = {(group.colour, group.dashes) for group in drawn[0].groups}
+    assert len(styles) == len(groups)
+    assert [group.label for group in drawn[0].groups] == list(names)

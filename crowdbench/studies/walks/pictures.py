@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 
 from crowdbench.colours import COLOURS
 from crowdbench.report.plots import draw_figure
-from crowdbench.report.plots.plot_data import Crowds, PlotData
+from crowdbench.report.plots.plot_data import DASHES, Crowds, PlotData
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import Reference
 
@@ -28,11 +29,11 @@ def draw_dwell(
     """
     shown = {key: crowd for key, crowd in crowds.items() if key[1] not in LEFT_OUT}
     plot = PlotData.of(scene, reference, shown, "full")
-    # There is only one spawn model, so colours distinguish policies.
+    # There is only one spawn model, so colours distinguish policies; further ones are dashed.
+    styles = [(colour, dashes) for dashes in DASHES for colour in COLOURS]
     groups = [
-        replace(group, label=names[group.policy], dashes=(),
-                colour=COLOURS[k % len(COLOURS)])
-        for k, group in enumerate(plot.groups)
-    ]  # fmt: skip
+        replace(group, label=names[group.policy], colour=colour, dashes=dashes)
+        for group, (colour, dashes) in zip(plot.groups, cycle(styles), strict=False)
+    ]
     plot = replace(plot, groups=groups)
     draw_figure("dwell.png", plot, folder, named=f"{scene.id}-dwell.png")
