@@ -101,13 +101,18 @@ SETTABLE = {
 """Settings with a command line option, and the help texts of the options."""
 
 
-def check(settings: Settings) -> None:
-    """Check the settings.
+def check(settings: Settings, prefix: str = "") -> None:
+    """Check the settings; their options begin with `prefix`.
 
     Raises:
         SettingError: a number is out of range.
     """
-    check_numbers(settings, or_zero=("epochs", "patience", "smoothing_s", "displaced_m", "seed"))
+    check_numbers(
+        settings,
+        or_zero=("epochs", "patience", "smoothing_s", "displaced_m", "seed"),
+        prefixed=(*SETTABLE, "hidden"),
+        prefix=prefix,
+    )
 
 
 class Clipped(torch.optim.Adam):

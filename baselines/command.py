@@ -30,9 +30,9 @@ from crowdbench.spawn.weights import check_split
 
 WITHOUT_EFFECT = ("--out", "--workers", "--engine")
 """Options with one value that do not change the policy."""
-LONGER = 1.15
-"""A policy for several scenes is not trained where frames are longer than elsewhere by more than
-this factor. Frames of the Forum, 0.444 s, are longer than 0.4 s by 1.11."""
+MAX_FRAME_RATIO = 1.15
+"""Largest ratio of the frame lengths of scenes that one policy is trained on. The ratio of the
+Forum (0.444 s) and the others (0.4 s) is 1.11."""
 WALKED_S = 600.0
 """Length of the rollout that tests a trained policy."""
 
@@ -47,8 +47,12 @@ def use_one_thread() -> None:
         torch.set_num_threads(1)
 
 
-def check_numbers(settings: Any, *, or_zero: Sequence[str] = ()) -> None:
+def check_numbers(
+    settings: Any, *, or_zero: Sequence[str] = (), prefixed: Sequence[str] = (), prefix: str = ""
+) -> None:
     """Check that all numbers of a dataclass are positive; those named in `or_zero` may be 0.
+
+    The options of the settings in `prefixed` begin with `prefix`.
 
     Raises:
         SettingError: a number is out of range.
@@ -60,9 +64,8 @@ def check_numbers(settings: Any, *, or_zero: Sequence[str] = ()) -> None:
                 continue
             if not math.isfinite(number) or number < 0 or (number == 0 and name not in or_zero):
                 least = "0 or more" if name in or_zero else "above 0"
-                raise SettingError(
-                    name.replace("_", "-"), got=f"{number:g}", expected=f"a number, {least}"
-                )
+                option = f"{prefix if name in prefixed else ''}{name.replace('_', '-')}"
+                raise SettingError(option, got=f"{number:g}", expected=f"a number, {least}")
 
 
 def new_parser(
@@ -281,7 +284,7 @@ class Command:
                 expected="scenes with the same maximum speed",
             )
         frames_s = {place.id: place.dt_s for place in places}
-        if max(frames_s.values()) > LONGER * min(frames_s.values()):
+        if max(frames_s.values()) > MAX_FRAME_RATIO * min(frames_s.values()):
             raise SettingError(
                 "--scenes",
                 got=", ".join(f"{scene} with {dt_s:.3g} s" for scene, dt_s in frames_s.items()),

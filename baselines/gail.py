@@ -358,8 +358,8 @@ def main(arguments: list[str] | None = None) -> int:
         **{name: getattr(asked, name) for name in SETTABLE},
     )
     try:
+        bc.check(first, "cloning-")
         check_numbers(settings, or_zero=("learning_rate", "gamma", "reminders", "smoothing_s"))
-        bc.check(first)
         command = Command.of("gail", asked.scene, asked.splits, asked.out, arguments)
         spawn_model(settings.spawn, command.scene)  # raises errors early, before the cloning
         train_each(learn, command, asked, settings, first, asked.seed, also=[".csv"])

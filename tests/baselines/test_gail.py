@@ -173,6 +173,14 @@ def test_unknown_scenes_are_said(capsys, tmp_path: Path) -> None:
     assert "moon-v0" in capsys.readouterr().err
 
 
+def test_wrong_numbers_of_the_cloning_are_called_by_their_option(capsys, tmp_path: Path) -> None:
+    asked = ["--scene", "plaza-v0", "--out", str(tmp_path)]
+    assert gail.main([*asked, "--cloning-smoothing-s", "-1"]) == 2
+    assert "gail: cloning-smoothing-s: got -1; expected a number, 0" in capsys.readouterr().err
+    assert gail.main([*asked, "--seed", "-1"]) == 2
+    assert "gail: seed: got -1" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "wrong",
     ["--steps 0", "--persons 0", "--spawn nobody", "--cloning-width 0", "--splits fold9"],
