@@ -85,7 +85,11 @@ VARIANTS = (
     Variant("all", "all parts"),
     Variant("no-guide", "one candidate, no guide", guide=False),
     Variant("no-plan", "no candidate that the plan asks for", fixed={"resume": PLAIN.resume}),
-    Variant("no-others", "the network sees nobody else", unseen=_columns(social.NEIGHBOURS)),
+    Variant(
+        "no-others",
+        "the network sees nobody else (the guide does)",
+        unseen=_columns(social.NEIGHBOURS),
+    ),
     Variant(
         "no-velocities",
         "it sees where others are, not how they move",
