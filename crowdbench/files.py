@@ -79,6 +79,8 @@ def read_bytes(path: Path, error: type[CrowdbenchError], hint: str) -> bytes:
     """Content of the file `path`; raises `error` if it cannot be read."""
     try:
         return path.read_bytes()
+    except IsADirectoryError as cause:  # `hint` tells how to mend a file
+        raise error(path, got="a folder", expected="a file", hint="Name a file in it.") from cause
     except OSError as cause:
         got = "no such file" if isinstance(cause, FileNotFoundError) else str(cause.strerror)
         raise error(path, got=got, expected="a readable file", hint=hint) from cause

@@ -482,6 +482,8 @@ def test_the_command_line_writes_and_shows_them(
         assert main(["policy", "export", named, "slow.onnx", *asked]) == 0
         assert main(["policy", "show", "slow.onnx"]) == 0
     shown = capsys.readouterr().out
+    assert main(["policy", "show", "."]) == 2
+    assert "got a folder; expected a file. Name a file in it." in capsys.readouterr().err
     assert "full of plaza-v0" in shown
     assert "lidar-2, 32 rays of 10 m (38 numbers)" in shown
     assert "python slow_walkers.py" in shown
