@@ -305,6 +305,7 @@ def _environment(
         spawn=spawn_model(settings.spawn, scene, split),
         worlds=settings.worlds // settings.collectors,
         max_alive=settings.max_alive,
+        on_full="drop",
         horizon_s=settings.horizon_s,
         observation=settings.observation,
         reward=reward,

@@ -6,7 +6,7 @@ It adds names, dictionaries and a reward to `Simulation`; all physics is in `Sim
 import operator
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 import numpy as np
 from gymnasium import logger, spaces
@@ -21,12 +21,15 @@ from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import DEFAULT_SPAWN, spawn_model
 from crowdbench.rollouts.episode import (
+    OnFull,
     Recorder,
     begin,
     check_capacity,
     check_horizon,
+    check_on_full,
+    dropped,
+    sample_of,
     slots_for,
-    warm_up_s,
 )
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
@@ -81,12 +84,11 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         horizon_s: float | None,
         start: Start | None,
         settings: Settings,
-        on_full: Literal["error", "drop"],
+        on_full: OnFull,
         reward: Reward,
         render_mode: "RenderMode | None" = None,
     ) -> None:
-        if on_full not in ("error", "drop"):
-            raise SettingError("on_full", got=repr(on_full), expected="'error' or 'drop'")
+        check_on_full(on_full)
         if start not in (None, *get_args(Start)):
             raise SettingError(
                 "start", got=repr(start), expected=f"one of {', '.join(get_args(Start))}"
@@ -245,8 +247,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     @property
     def dropped(self) -> int:
         """Number of people who could not enter in this episode for lack of slots or ids."""
-        clock = self._simulation.clock
-        return int(clock.no_slot[0] + clock.no_id[0])
+        return dropped(self._simulation)
 
     def render(self) -> UInt8[np.ndarray, "h w 3"] | None:
         """The current frame as an RGB image if `render_mode` is `rgb_array`, else None.
@@ -312,7 +313,7 @@ def parallel_env(
     observation: str = OBSERVATION,
     max_alive: int | None = None,
     max_persons: int | None = None,
-    on_full: Literal["error", "drop"] = "error",
+    on_full: OnFull = "error",
     reward: Reward | None = None,
     render_mode: "RenderMode | None" = None,
 ) -> CrowdParallelEnv:
@@ -329,8 +330,8 @@ def parallel_env(
         observation: `lidar-1`; `lidar-2` (default), which contains the preferred speed and the
             path around walls; `lidar-3`, which also contains the distances to the bounds; or
             `social-1`, the nearest people in the person's own frame, without rays.
-        max_alive: maximum number of people at the same time; default: 512, or more if a crowd in
-            which nobody reaches a goal would be larger.
+        max_alive: maximum number of people at the same time; default: 256, or twice the size of a
+            crowd in which nobody reaches a goal, if that is more.
         max_persons: maximum number of people in an episode and its warm-up, and the length of
             `possible_agents`; default: twice the size of a sample of the spawn model, plus 100.
         on_full: what happens if either maximum is exceeded: `error` raises an error, `drop` omits
@@ -349,8 +350,7 @@ def parallel_env(
     horizon_s = scene.horizon_s if horizon_s is None else horizon_s
     check_horizon(horizon_s)
     if max_persons is None or max_alive is None:
-        whole_s = warm_up_s(scene) + horizon_s
-        sample = model.sample(whole_s, scene, np.random.default_rng(0))
+        sample = sample_of(model, scene, horizon_s)
         if max_persons is None:
             max_persons = 2 * len(sample) + 100
         if max_alive is None:

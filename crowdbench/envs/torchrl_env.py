@@ -18,7 +18,16 @@ from crowdbench.envs.global_state import global_state
 from crowdbench.errors import SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import DEFAULT_SPAWN, spawn_model
-from crowdbench.rollouts.episode import begin, check_capacity, check_horizon
+from crowdbench.rollouts.episode import (
+    OnFull,
+    begin,
+    check_capacity,
+    check_horizon,
+    check_on_full,
+    dropped,
+    sample_of,
+    slots_for,
+)
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION
@@ -66,14 +75,14 @@ class CrowdEnv(EnvBase):
         *,
         spawn: str | SpawnModel = DEFAULT_SPAWN,
         worlds: int = 1,
-        max_alive: int = 64,
+        max_alive: int | None = None,
         horizon_s: float | None = None,
         start: Start | None = None,
         rays: int = 32,
         ray_range_m: float = 10.0,
         observation: str = OBSERVATION,
         reward: Reward | None = None,
-        drop: bool = True,
+        on_full: OnFull = "error",
         seed: int | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
@@ -83,15 +92,16 @@ class CrowdEnv(EnvBase):
             scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
             spawn: the spawn model: a name (default `ntpp-gmm`), `pkg.module:Class`, or an object.
             worlds: number of worlds W.
-            max_alive: number of slots N, the maximum number of people at the same time per world.
+            max_alive: number of slots N, the maximum number of people at the same time per world;
+                default as in `parallel_env`. Fewer slots are faster.
             horizon_s: length of an episode in seconds; default: the length of the recording.
             start: how an episode begins, as in `parallel_env`.
             rays: number of rays of an observation.
             ray_range_m: range of the rays in metres.
             observation: `lidar-1`, `lidar-2` (default), `lidar-3` or `social-1`.
             reward: weights of the parts of the reward; default: `Reward()`.
-            drop: if true, people without a free slot are omitted and counted in `dropped`; if
-                false, they raise a `CapacityError`.
+            on_full: what happens if someone enters and all slots are occupied: `error` raises a
+                `CapacityError`, `drop` omits the person and counts it in `dropped`.
             seed: seed of the first episode, from which the seeds of later episodes are drawn.
             device: device of all tensors.
 
@@ -101,14 +111,19 @@ class CrowdEnv(EnvBase):
         """
         if worlds < 1:
             raise SettingError("worlds", got=str(worlds), expected="a whole number, 1 or more")
-        super().__init__(device=device, batch_size=self._batch(worlds, max_alive))
-        self.scene = load_scene(scene)
-        self.spawn = spawn_model(spawn, self.scene)
-        horizon_s = self.scene.horizon_s if horizon_s is None else horizon_s
+        check_on_full(on_full)
+        place = load_scene(scene)
+        model = spawn_model(spawn, place)
+        horizon_s = place.horizon_s if horizon_s is None else horizon_s
         check_horizon(horizon_s)
-        self.frames = self.scene.frames(horizon_s)
+        if max_alive is None:
+            max_alive = slots_for(sample_of(model, place, horizon_s), place)
+        super().__init__(device=device, batch_size=self._batch(worlds, max_alive))
+        self.scene = place
+        self.spawn = model
+        self.frames = place.frames(horizon_s)
         self._start = start
-        self._drop = drop
+        self._on_full = on_full
         settings = Settings(
             max_alive=max_alive, rays=rays, ray_range_m=ray_range_m, observation=observation
         )
@@ -293,11 +308,11 @@ class CrowdEnv(EnvBase):
 
     @property
     def dropped(self) -> int:
-        """Number of people who could not enter in this episode for lack of slots, in all worlds."""
-        return int(self._simulation.clock.no_slot.sum())
+        """Number of people who could not enter in this episode, in all worlds."""
+        return dropped(self._simulation)
 
     def _check_capacity(self) -> None:
-        if not self._drop:
+        if self._on_full == "error":
             check_capacity(self._simulation)
 
 

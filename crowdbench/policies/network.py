@@ -116,7 +116,6 @@ class OnnxPolicy:
         rng = np.random.default_rng(0)
         seen = rng.uniform(-1, 1, (ROWS, self.card.inputs)).astype(np.float32)
         shown = Settings(
-            max_alive=512,
             observation=self.observation,
             rays=self.rays,
             ray_range_m=self.ray_range_m,

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float32, Int
@@ -12,7 +12,7 @@ from crowdbench.errors import CapacityError, SettingError
 from crowdbench.policies import Policy
 from crowdbench.rollouts.acting import Actor
 from crowdbench.scene import Scene
-from crowdbench.simulation import Simulation
+from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.state import EXIT, GOAL, HORIZON, RECORDED, TIMEOUT
 from crowdbench.spawn import SpawnEvents, SpawnModel, Steered
 from crowdbench.spawn.events import check_events
@@ -21,7 +21,11 @@ from crowdbench.trajectories.table import Trajectories, from_rows
 
 PURPOSES = ("spawn", "policy", "warm-up")
 WARM_UP_S = 60.0
-LEAST_SLOTS = 512
+LEAST_SLOTS = Settings.max_alive
+
+OnFull = Literal["error", "drop"]
+"""What an environment does when someone enters and all slots or ids are in use: `error` raises a
+`CapacityError`, `drop` omits the person and counts it in `dropped`."""
 
 
 def generator(seed: int, world: int, purpose: str) -> Generator:
@@ -286,9 +290,17 @@ class Recorder:
         )
 
 
+def sample_of(spawn: SpawnModel, scene: Scene, horizon_s: float) -> SpawnEvents:
+    """Arrivals of an episode and its warm-up, from which capacities are chosen."""
+    return spawn.sample(warm_up_s(scene) + horizon_s, scene, default_rng(0))
+
+
 def slots_for(events: SpawnEvents, scene: Scene) -> int:
-    """Number of slots for an environment whose episodes have arrivals like these."""
-    return max(LEAST_SLOTS, 3 * most_at_once(events, scene) // 2)
+    """Default number of slots of the environments, for episodes with arrivals like these.
+
+    Twice as many as suffice for these people if nobody reaches a goal, and at least 256.
+    """
+    return max(LEAST_SLOTS, 2 * most_at_once(events, scene))
 
 
 def most_at_once(events: SpawnEvents, scene: Scene) -> int:
@@ -311,6 +323,21 @@ def check_horizon(horizon_s: float) -> None:
         raise SettingError("horizon_s", got=str(horizon_s), expected="a positive number of seconds")
 
 
+def check_on_full(on_full: str) -> None:
+    """Check an option of an environment.
+
+    Raises:
+        SettingError: it is not one of `OnFull`.
+    """
+    if on_full not in get_args(OnFull):
+        raise SettingError("on_full", got=repr(on_full), expected="'error' or 'drop'")
+
+
+def dropped(simulation: Simulation) -> int:
+    """Number of people, in all worlds, who could not enter for lack of slots or ids."""
+    return int(simulation.clock.no_slot.sum() + simulation.clock.no_id.sum())
+
+
 def check_capacity(simulation: Simulation) -> None:
     """Check that everyone could enter.
 
@@ -327,5 +354,5 @@ def check_capacity(simulation: Simulation) -> None:
                 f"{simulation.scene.id}, frame {int(clock.frame[0])}",
                 got=f"{count} persons more than {name} = {size} allows",
                 expected="enough capacity for everyone who enters",
-                hint=f"Raise {name}.",
+                hint=f"Raise {name}, or let an environment omit people with on_full='drop'.",
             )

@@ -4,13 +4,16 @@ Its unit is one metre of progress to the target. Walking at the preferred speed 
 discount factor; see `Reward`.
 """
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int
+from jaxtyping import Float32, Int
+from numba import njit, prange
 
 from crowdbench.errors import SettingError
-from crowdbench.simulation import Simulation
+from crowdbench.simulation.compilation import kernel
+from crowdbench.simulation.simulation import Simulation
 from crowdbench.simulation.state import GOAL, TO_GOAL, TO_VIA, WAITING
 from crowdbench.spawn.plans import PASSED_M, VISIT_M
 
@@ -78,16 +81,16 @@ class Rewarder:
 
     def __init__(self, reward: Reward, simulation: Simulation) -> None:
         self._simulation = simulation
-        self._weights = np.array([getattr(reward, name) for name in PARTS], np.float32)
+        self._weights = np.array([getattr(reward, name) for name in PARTS], np.float64)
         shape = simulation.slots.alive.shape
         self._person = np.full(shape, -1, np.int32)
         self._behind = np.zeros(shape, np.float32)
-        self._stage = np.full(shape, TO_GOAL, np.int8)
+        self._apart = np.zeros(shape, np.float32)
+        self._parts = pay.fresh()
 
     def begin(self, worlds: Int[np.ndarray, " n"] | slice = slice(None)) -> None:
         """Begin an episode of these worlds, or of all, with everyone on schedule."""
         self._person[worlds] = -1
-        self._stage[worlds] = self._simulation.slots.stage[worlds]
 
     def parts(self) -> Float32[np.ndarray, "W N 7"]:
         """Weighted parts, in the order of `PARTS`, for everyone who acted in the last step.
@@ -96,83 +99,146 @@ class Rewarder:
         The sum over the last axis is the reward. Other slots are zero.
         """
         simulation = self._simulation
-        slots, scene = simulation.slots, simulation.scene
-        self._behind[self._person != slots.person] = 0.0  # a new person starts on schedule
-        self._person[:] = slots.person
+        slots, motion = simulation.slots, simulation.scene.motion
         found = np.zeros((*slots.alive.shape, len(PARTS)), np.float32)
-        at = np.nonzero((slots.alive & ~slots.spawned) | (slots.ended != 0))
-        dt = np.float32(scene.dt_s)
-        usual = slots.speed[at] * dt
-        waiting = self._stage[at] == WAITING
-        due = np.where(waiting, np.float32(0), usual)
-        arrived = slots.ended[at] == GOAL
-        # The path ends at the disc around the goal, so the distance walked inside does not count.
-        nearer = simulation.remaining_before[at]
-        radius = np.float32(scene.motion.goal_radius_m)
-        # Where the target has just changed, progress is that to the former one.
-        turned = (self._stage[at] != TO_GOAL) & (slots.stage[at] == TO_GOAL)
-        left = simulation.remaining[at]
-        left[turned] = simulation.to_via(at[0][turned], at[1][turned])
-        nearer -= np.where(arrived, np.minimum(radius, nearer), left)
-        # Giving up a via point is no progress; the straight way to it may lead through walls.
-        nearer[turned & (self._stage[at] == TO_VIA) & (left > PASSED_M)] = 0.0
-        self._stage[:] = slots.stage
-        before = self._behind[at]
-        behind = before + due - nearer
-        self._behind[at] = behind
-        diameter = 2 * scene.motion.person_radius_m
-        speed = np.hypot(*slots.velocity[at].T)
-        x = (speed - slots.speed[at]) / np.float32(PACE_MPS)
-        measured = (
-            due - (np.maximum(behind, 0) - np.maximum(before, 0)),
-            usual * arrived,
-            dt * np.maximum(0, 1 - simulation.nearest[at] / np.float32(diameter)),
-            dt * slots.hit_wall[at],
-            np.where(waiting, np.float32(0), usual * _bounded(x)),
-            usual * self._moving(at[0], at[1], waiting, speed),
-            usual * _bounded(np.maximum(0, self._apart()[at] - TOGETHER_M) / APART_M),
+        self._parts(
+            slots.alive.size if simulation.worlds > 1 else 1,
+            slots,
+            simulation.queue,
+            simulation.remaining,
+            simulation.remaining_before,
+            simulation.nearest,
+            simulation.limits,
+            2 * motion.person_radius_m,
+            self._weights,
+            self._person,
+            self._behind,
+            self._apart,
+            found,
         )
-        found[at] += np.stack(measured, axis=1) * self._weights  # added: no −0.0
-        return found
-
-    def _moving(
-        self,
-        world: Int[np.ndarray, " n"],
-        slot: Int[np.ndarray, " n"],
-        waiting: Bool[np.ndarray, " n"],
-        speed: Float32[np.ndarray, " n"],
-    ) -> Float32[np.ndarray, " n"]:
-        """How far people who wait are from standing at their via points: 0 to 1."""
-        found = np.zeros(len(waiting), np.float32)
-        if waiting.any():
-            off = self._simulation.to_via(world[waiting], slot[waiting]) - VISIT_M
-            x, y = speed[waiting] / PACE_MPS, np.maximum(0, off) / VISIT_M
-            found[waiting] = 1 - 1 / ((1 + x**2) * (1 + y**2))
-        return found
-
-    def _apart(self) -> Float32[np.ndarray, "W N"]:
-        """Distance of each person to the nearest companion who is present, metres; 0 without."""
-        slots = self._simulation.slots
-        found = np.zeros(slots.alive.shape, np.float32)
-        world, slot = np.nonzero(slots.alive | (slots.ended != 0))
-        group = self._simulation.groups(world, slots.event[world, slot])
-        order = np.flatnonzero(group >= 0)
-        order = order[np.lexsort((group[order], world[order]))]
-        world, slot, group = world[order], slot[order], group[order]
-        position = slots.position[world, slot]
-        nearest = np.full(len(order), np.inf, np.float32)
-        for lag in range(1, len(order)):  # until no group is that large
-            same = (group[lag:] == group[:-lag]) & (world[lag:] == world[:-lag])
-            if not same.any():
-                break
-            gap = np.where(same, np.hypot(*(position[lag:] - position[:-lag]).T), np.inf)
-            nearest[lag:] = np.minimum(nearest[lag:], gap)
-            nearest[:-lag] = np.minimum(nearest[:-lag], gap)
-        found[world, slot] = np.where(np.isfinite(nearest), nearest, 0)
         return found
 
 
-def _bounded(x: Float32[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
+@kernel
+def pay(
+    slots, queue, remaining, remaining_before, nearest, limits, diameter, weights, person, behind,
+    apart, out,
+):  # fmt: skip
+    """Write the weighted parts of everyone who acted in the last step to `out` (W, N, 7).
+
+    `person` and `behind` (W, N) are kept from step to step: whose schedule it is, and by how many
+    metres the person is behind it. `apart` (W, N) is working memory.
+    """
+    alive, ended, spawned, hit_wall = slots.alive, slots.ended, slots.spawned, slots.hit_wall
+    position, velocity, speed = slots.position, slots.velocity, slots.speed
+    stage_before, stage, event, via = slots.stage_before, slots.stage, slots.event, queue.via
+    for w in prange(alive.shape[0]):
+        measure_companions(w, alive, ended, position, event, queue.group, apart)
+        for i in range(alive.shape[1]):
+            if person[w, i] != slots.person[w, i]:  # a new person starts on schedule
+                person[w, i] = slots.person[w, i]
+                behind[w, i] = 0.0
+            if (alive[w, i] and not spawned[w, i]) or ended[w, i] != 0:
+                to_via = np.nan
+                if stage_before[w, i] != TO_GOAL:
+                    dx = np.float64(via[w, event[w, i], 0]) - np.float64(position[w, i, 0])
+                    dy = np.float64(via[w, event[w, i], 1]) - np.float64(position[w, i, 1])
+                    to_via = math.sqrt(dx * dx + dy * dy)
+                vx, vy = np.float64(velocity[w, i, 0]), np.float64(velocity[w, i, 1])
+                before = np.float64(behind[w, i])
+                progress, arrival, pace, stop, late = trip_parts(
+                    stage_before[w, i], stage[w, i], ended[w, i] == GOAL,
+                    np.float64(remaining_before[w, i]), np.float64(remaining[w, i]), to_via, before,
+                    np.float64(speed[w, i]), math.sqrt(vx * vx + vy * vy), limits.dt,
+                    limits.goal_radius,
+                )  # fmt: skip
+                behind[w, i] = late
+                usual = np.float64(speed[w, i]) * limits.dt
+                depth = max(0.0, 1.0 - np.float64(nearest[w, i]) / diameter)
+                wall = limits.dt if hit_wall[w, i] else 0.0
+                beyond = max(0.0, np.float64(apart[w, i]) - TOGETHER_M) / APART_M
+                me = out[w, i]
+                me[0] = weights[0] * progress
+                me[1] = weights[1] * arrival
+                me[2] = weights[2] * limits.dt * depth
+                me[3] = weights[3] * wall
+                me[4] = weights[4] * pace
+                me[5] = weights[5] * stop
+                me[6] = weights[6] * usual * bounded(beyond)
+                for k in range(me.shape[0]):
+                    me[k] += np.float32(0.0)  # no −0.0
+
+
+@njit(error_model="numpy")
+def trip_parts(
+    stage_before, stage, arrived, remaining_before, remaining, to_via, behind, preferred, speed, dt,
+    goal_radius,
+):  # fmt: skip
+    """The parts of one person that depend on its own trip, without weights.
+
+    `remaining_before` and `remaining` are the lengths of its path to the target before and after
+    the step, `to_via` the straight distance to its via point after it (read only if the target was
+    not the goal before the step) and `behind` by how much it was behind its schedule, in metres;
+    `preferred` and `speed` are in m/s. Returns progress, arrival, pace and stop, see `Reward`, and
+    by how much it is behind now.
+    """
+    usual = preferred * dt
+    waiting = stage_before == WAITING
+    due = 0.0 if waiting else usual
+    left = remaining
+    # Where the target has just changed, progress is that to the former one.
+    turned = stage_before != TO_GOAL and stage == TO_GOAL
+    if turned:
+        left = to_via
+    if arrived:  # the path ends at the disc around the goal: the way inside does not count
+        left = min(goal_radius, remaining_before)
+    nearer = remaining_before - left
+    # Giving up a via point is no progress; the straight way to it may lead through walls.
+    if turned and stage_before == TO_VIA and to_via > PASSED_M:
+        nearer = 0.0
+    late = behind + due - nearer
+    progress = due - (max(0.0, late) - max(0.0, behind))
+    arrival = usual if arrived else 0.0
+    if waiting:
+        x, y = speed / PACE_MPS, max(0.0, to_via - VISIT_M) / VISIT_M
+        return progress, arrival, 0.0, usual * (1.0 - 1.0 / ((1.0 + x * x) * (1.0 + y * y))), late
+    return progress, arrival, usual * bounded((speed - preferred) / PACE_MPS), 0.0, late
+
+
+@njit(error_model="numpy")
+def bounded(x):
     """x²/(1 + x²): 0 at 0, half at 1, at most 1."""
-    square = x * x
-    return np.asarray(square / (1 + square), np.float32)
+    return x * x / (1.0 + x * x)
+
+
+@njit(error_model="numpy")
+def measure_companions(w, alive, ended, position, event, group, apart):
+    """Write everyone's distance to the nearest companion who is present to `apart`; 0 without.
+
+    Those whose trips have just ended are present.
+    """
+    size = alive.shape[1]
+    slot = np.empty(size, np.int32)
+    count = 0
+    for i in range(size):
+        apart[w, i] = 0.0
+        if (alive[w, i] or ended[w, i] != 0) and group[w, event[w, i]] >= 0:
+            apart[w, i] = np.inf
+            slot[count] = i
+            count += 1
+    for a in range(count):
+        i = slot[a]
+        mine = group[w, event[w, i]]
+        for b in range(a + 1, count):
+            j = slot[b]
+            if group[w, event[w, j]] == mine:
+                dx, dy = (
+                    position[w, i, 0] - position[w, j, 0],
+                    position[w, i, 1] - position[w, j, 1],
+                )
+                gap = math.sqrt(dx * dx + dy * dy)
+                apart[w, i] = min(apart[w, i], gap)
+                apart[w, j] = min(apart[w, j], gap)
+    for a in range(count):
+        if apart[w, slot[a]] == np.inf:
+            apart[w, slot[a]] = 0.0

@@ -105,7 +105,7 @@ class Simulation:
         self._free = None if rays else FreeSpace.of(scene)
         range_m = s.ray_range_m if rays else RANGE_M
         self._cells = Cells.between(worlds, s.max_alive, lower, upper, range_m / 2)
-        self._limits = Limits(
+        self.limits = Limits(
             dt=scene.dt_s,
             max_speed=motion.max_speed_mps,
             goal_radius=motion.goal_radius_m,
@@ -140,7 +140,7 @@ class Simulation:
         self.slots = Slots.empty(worlds, s.max_alive)
         self.clock = Clock.at(worlds, 0, 0)
         self.events: list[SpawnEvents] = [no_events()] * worlds
-        self._queue = Queue.of(self.events, scene.dt_s)
+        self.queue = Queue.of(self.events, scene.dt_s)
         self._advance, self._populate, self._observe = (
             kernel.fresh() for kernel in (advance, populate, observe if rays else observe_social)
         )
@@ -152,10 +152,10 @@ class Simulation:
         frame `horizon`.
         """
         self.events = list(events)
-        self._queue = Queue.of(self.events, self.scene.dt_s)
+        self.queue = Queue.of(self.events, self.scene.dt_s)
         self.slots = Slots.empty(self.worlds, self.settings.max_alive)
         self.clock = Clock.at(self.worlds, first_frame, horizon)
-        self._populate(1, self.slots, self._queue, self.clock, self._limits)
+        self._populate(1, self.slots, self.queue, self.clock, self.limits)
 
     def copy_world(self, world: int, alone: "Simulation") -> None:
         """Let a world go on from the state of `alone`, and all other worlds from their own.
@@ -165,11 +165,11 @@ class Simulation:
         for mine, its in zip((*self.slots, *self.clock), (*alone.slots, *alone.clock), strict=True):
             mine[world] = its[0]
         self.events[world] = alone.events[0]
-        status = self._queue.status
-        self._queue = Queue.of(self.events, self.scene.dt_s)
+        status = self.queue.status
+        self.queue = Queue.of(self.events, self.scene.dt_s)
         for w, events in enumerate(self.events):
-            before = alone._queue.status[0] if w == world else status[w]
-            self._queue.status[w, : len(events)] = before[: len(events)]
+            before = alone.queue.status[0] if w == world else status[w]
+            self.queue.status[w, : len(events)] = before[: len(events)]
 
     def step(
         self,
@@ -201,7 +201,7 @@ class Simulation:
         if self._version.own_frame and world_frame is not False:
             others = ~np.broadcast_to(np.asarray(world_frame, bool), own.shape)
             own = np.ascontiguousarray(own & others)
-        arguments = (actions, own, self.slots, self._queue, self.clock, self._limits, self._walls)
+        arguments = (actions, own, self.slots, self.queue, self.clock, self.limits, self._walls)
         # People of one world interact when they enter, so threads run different worlds.
         self._advance(self.slots.alive.size if self.worlds > 1 else 1, *arguments)
 
@@ -218,10 +218,10 @@ class Simulation:
         if self._version.rays:
             radius_m, range_m = self.scene.motion.person_radius_m, self.settings.ray_range_m
             what = (slots, target, beyond, self._version.head, self._bounds, self._cells,
-                    self._walls, self._limits.max_speed, radius_m, range_m)  # fmt: skip
+                    self._walls, self.limits.max_speed, radius_m, range_m)  # fmt: skip
         else:
-            what = (slots, self._queue, self.clock, target, beyond, self._cells, self._free,
-                    self._limits)  # fmt: skip
+            what = (slots, self.queue, self.clock, target, beyond, self._cells, self._free,
+                    self.limits)  # fmt: skip
         results = (self.remaining, self.nearest, self._seen)
         self._observe(int(np.count_nonzero(slots.alive)), *what, *results)
         if self._more is not None:
@@ -244,20 +244,11 @@ class Simulation:
         self._target.reshape(-1, 2)[at], self._beyond.reshape(-1)[at] = target, beyond
         return self._target
 
-    def to_via(
-        self, world: Int[np.ndarray, " n"], slot: Int[np.ndarray, " n"]
-    ) -> Float32[np.ndarray, " n"]:
-        """Straight distance of people, given by world and slot, to their via points, metres."""
-        via = self._queue.via[world, self.slots.event[world, slot]]
-        off = via - self.slots.position[world, slot]
-        distance: np.ndarray = np.sqrt((off * off).sum(axis=-1))
-        return distance
-
     def groups(
         self, world: Int[np.ndarray, " n"], event: Int[np.ndarray, " n"]
     ) -> Int[np.ndarray, " n"]:
         """Group of the persons of these spawn events; −1 if alone."""
-        return self._queue.group[world, event]
+        return self.queue.group[world, event]
 
     def number_anew(self) -> None:
         """Renumber the people present from 0; called at the end of a warm-up.
@@ -279,7 +270,7 @@ class Simulation:
         at = int(self.clock.cursor[world])
         if at >= len(self.events[world]):
             return None
-        return int(self._queue.due[world, at])
+        return int(self.queue.due[world, at])
 
     def skip_to(self, frame: int) -> None:
         """Set the clock to the frame before `frame`; all worlds must be empty until then."""
@@ -289,4 +280,4 @@ class Simulation:
         self, world: int, event: Int[np.ndarray, " n"], born: Int[np.ndarray, " n"]
     ) -> Int[np.ndarray, " n"]:
         """Number of frames that the persons of `event` waited before they entered in `born`."""
-        return born - self._queue.due[world, event]
+        return born - self.queue.due[world, event]

@@ -42,6 +42,8 @@ class Slots(NamedTuple):
     """Where the person walks to now, in metres: the via point, if it still has one, or the goal."""
     stage: np.ndarray
     """TO_GOAL, TO_VIA or WAITING."""
+    stage_before: np.ndarray
+    """Stage before this step, of people who were present then."""
     until: np.ndarray
     """Frame in which a waiting person's target becomes the goal."""
     closest: np.ndarray
@@ -80,6 +82,7 @@ class Slots(NamedTuple):
             goal=np.zeros((*shape, 2), np.float32),
             target=np.zeros((*shape, 2), np.float32),
             stage=np.zeros(shape, np.int8),
+            stage_before=np.zeros(shape, np.int8),
             until=np.zeros(shape, np.int32),
             closest=np.zeros(shape, np.float32),
             nearer=np.zeros(shape, np.int32),

@@ -45,7 +45,7 @@ def advance(actions, own, slots, queue, clock, limits, walls):
     alive, ended, spawned, hit_wall = slots.alive, slots.ended, slots.spawned, slots.hit_wall
     position, velocity, goal = slots.position, slots.velocity, slots.goal
     heading, walked, stood = slots.heading, slots.walked, slots.stood
-    stage, event, wait = slots.stage, slots.event, queue.wait
+    stage, stage_before, event, wait = slots.stage, slots.stage_before, slots.event, queue.wait
     born, leave, scripted = slots.born, slots.leave, slots.scripted
     segments, near, near_start = walls.segments, walls.step_segment, walls.step_start
     clear = walls.clear
@@ -61,6 +61,7 @@ def advance(actions, own, slots, queue, clock, limits, walls):
             spawned[w, i] = False
             hit_wall[w, i] = False
             if alive[w, i]:
+                stage_before[w, i] = stage[w, i]
                 # np.float64, because numba's float() does not convert float32.
                 x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
                 vx, vy = command(

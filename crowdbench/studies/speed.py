@@ -72,7 +72,10 @@ def measure() -> Iterator[Figure]:
     for worlds, persons in ((1, 100), (64, 50)):
         name = f"core with social-1, {worlds} × {persons}"
         yield Figure(name, _core(worlds, persons, "social-1"), "agent-steps/s")
-    yield Figure("PettingZoo environment, 20 agents", _pettingzoo(20), "agent-steps/s")
+    for persons in (20, 100, 300):
+        yield Figure(
+            f"PettingZoo environment, {persons} agents", _pettingzoo(persons), "agent-steps/s"
+        )
     yield from _torchrl(64, 50)
     yield from _training()
     scene = load_scene("eth-v0")

@@ -20,7 +20,15 @@ WORLDS, SLOTS, FRAMES = 3, 12, 60
 
 def steps(kind: type[CrowdEnv], device: str) -> Iterator[TensorDictBase]:
     """Steps with random actions; one world is reset on the way."""
-    env = kind("plaza-v0", worlds=WORLDS, max_alive=SLOTS, horizon_s=20.0, seed=3, device=device)
+    env = kind(
+        "plaza-v0",
+        worlds=WORLDS,
+        max_alive=SLOTS,
+        on_full="drop",
+        horizon_s=20.0,
+        seed=3,
+        device=device,
+    )
     rng = torch.Generator().manual_seed(0)
     now = env.reset()
     yield now
@@ -48,7 +56,9 @@ def test_worlds_are_the_same_on_a_gpu(kind: type[CrowdEnv]) -> None:
 
 
 def test_what_is_seen_stays_when_the_world_goes_on() -> None:
-    env = CrowdEnv("plaza-v0", worlds=WORLDS, max_alive=SLOTS, seed=0, device="cuda")
+    env = CrowdEnv(
+        "plaza-v0", worlds=WORLDS, max_alive=SLOTS, on_full="drop", seed=0, device="cuda"
+    )
     now = env.reset()
     seen = now["agents", "observation"]
     before = seen.clone()

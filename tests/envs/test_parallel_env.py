@@ -292,7 +292,7 @@ def test_the_arrays_of_the_largest_scene_are_small() -> None:
     env = parallel_env(CROWDED)
     env.reset(seed=0)
     simulation = env._simulation
-    bundles = (simulation.slots, simulation._queue, simulation._cells, simulation._walls)
+    bundles = (simulation.slots, simulation.queue, simulation._cells, simulation._walls)
     arrays = [array for bundle in bundles for array in bundle if isinstance(array, np.ndarray)]
     assert len(env.possible_agents) > 12_000
     assert sum(array.nbytes for array in [*arrays, simulation.observation]) < 64 * 2**20

@@ -12,14 +12,15 @@ from worlds import Person, square
 import crowdbench
 from crowdbench.envs.torchrl_env import CrowdEnv
 from crowdbench.errors import CapacityError, SettingError
+from crowdbench.simulation import Settings
 from crowdbench.simulation.reward import PARTS
 
 
 @pytest.mark.parametrize("observation", ["lidar-1", "lidar-2", "lidar-3", "social-1"])
 @pytest.mark.parametrize("worlds", [1, 3])
 def test_specs_hold(worlds: int, observation: str) -> None:
-    env = CrowdEnv("plaza-v0", worlds=worlds, max_alive=16, horizon_s=20.0, seed=0,
-                   observation=observation, rays=8)  # fmt: skip
+    env = CrowdEnv("plaza-v0", worlds=worlds, max_alive=16, on_full="drop", horizon_s=20.0,
+                   seed=0, observation=observation, rays=8)  # fmt: skip
     check_env_specs(env)
 
 
@@ -102,7 +103,7 @@ def same_bytes(one: TensorDict, other: TensorDict) -> bool:
 @pytest.mark.parametrize("start", ["stationary", "empty"])
 def test_a_world_reset_alone_is_that_reset_with_all(start: str, observation: str) -> None:
     asked = {"spawn": "cox-plans", "start": start, "observation": observation, "rays": 8}
-    asked |= {"worlds": 3, "max_alive": 24, "horizon_s": 24.0, "seed": 5}
+    asked |= {"worlds": 3, "max_alive": 24, "on_full": "drop", "horizon_s": 24.0, "seed": 5}
     singly, together = CrowdEnv("plaza-v0", **asked), CrowdEnv("plaza-v0", **asked)
     before = walk_on(singly, singly.reset(), 20, seed=1)
     assert same_bytes(before, walk_on(together, together.reset(), 20, seed=1))
@@ -129,7 +130,7 @@ def test_a_world_reset_alone_is_that_reset_with_all(start: str, observation: str
 
 
 def test_rollouts_reset_worlds_that_end_at_different_times() -> None:
-    env = CrowdEnv("plaza-v0", worlds=2, max_alive=8, horizon_s=8.0, seed=0, rays=4)
+    env = CrowdEnv("plaza-v0", worlds=2, max_alive=8, on_full="drop", horizon_s=8.0, seed=0, rays=4)
     now = env.step_mdp(walk_on(env, env.reset(), 5, seed=0)[:, -1])
     now["_reset"] = torch.tensor([[True], [False]])
     steps = env.rollout(60, auto_reset=False, tensordict=env.reset(now), break_when_any_done=False)
@@ -143,7 +144,16 @@ DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_all_tensors_are_on_the_device(device: str) -> None:
-    env = CrowdEnv("plaza-v0", worlds=2, max_alive=8, horizon_s=8.0, seed=0, rays=4, device=device)
+    env = CrowdEnv(
+        "plaza-v0",
+        worlds=2,
+        max_alive=8,
+        on_full="drop",
+        horizon_s=8.0,
+        seed=0,
+        rays=4,
+        device=device,
+    )
     check_env_specs(env)
     steps = env.rollout(30, break_when_any_done=False)
     specs = [*env.input_spec.values(True, True), *env.output_spec.values(True, True)]
@@ -212,15 +222,23 @@ def test_parts_add_up_to_the_reward() -> None:
 
 
 def test_people_without_a_slot_are_counted_or_an_error() -> None:
-    env = CrowdEnv("plaza-v0", max_alive=2, horizon_s=60.0, seed=0)
+    env = CrowdEnv("plaza-v0", max_alive=2, horizon_s=60.0, seed=0, on_full="drop")
     env.rollout(100)
     assert env.dropped > 0
     with pytest.raises(CapacityError, match="max_alive"):
-        CrowdEnv("plaza-v0", max_alive=2, horizon_s=60.0, seed=0, drop=False).rollout(100)
+        CrowdEnv("plaza-v0", max_alive=2, horizon_s=60.0, seed=0).rollout(100)
+
+
+def test_all_environments_have_as_many_slots_by_default() -> None:
+    torchs = CrowdEnv("plaza-v0", horizon_s=60.0)
+    ours = crowdbench.parallel_env("plaza-v0", horizon_s=60.0)
+    assert torchs.batch_size == (1,)
+    assert torchs.reset()["agents", "mask"].shape[1] == len(ours.state())
+    assert len(ours.state()) >= Settings().max_alive
 
 
 def test_the_collector_goes_through_episodes() -> None:
-    env = CrowdEnv("plaza-v0", worlds=2, max_alive=8, horizon_s=8.0, seed=0, rays=4)
+    env = CrowdEnv("plaza-v0", worlds=2, max_alive=8, on_full="drop", horizon_s=8.0, seed=0, rays=4)
     collector = Collector(env, None, frames_per_batch=60, total_frames=180)
     seen = [batch.clone() for batch in collector]
     collector.shutdown()

@@ -15,7 +15,14 @@ from worlds import Person, square
 from crowdbench.simulation.social import PREFERRED_SPEED, ROUTE_DIRECTION
 from crowdbench.torchrl_env import CrowdEnv, SlotEnv
 
-ASKED = {"worlds": 2, "max_alive": 20, "horizon_s": 40.0, "observation": "social-1", "seed": 0}
+ASKED = {
+    "worlds": 2,
+    "max_alive": 20,
+    "on_full": "drop",
+    "horizon_s": 40.0,
+    "observation": "social-1",
+    "seed": 0,
+}
 UNITS = 8
 
 
