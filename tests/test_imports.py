@@ -16,7 +16,7 @@ PACKAGE = Path(crowdbench.__file__).parent
 
 FLOORS = (
     ("colours", "errors", "leftovers"),
-    ("files", "plugins"),
+    ("compilation", "files", "plugins"),
     ("scene", "trajectories"),
     ("metrics", "recordings", "spawn"),
     ("scoring", "simulation"),

@@ -10,6 +10,7 @@ from crowdbench.registry import PolicySource, SpawnSource, policy_source, spawn_
 from crowdbench.scene import Scene
 
 MAKES_ROLLOUTS = (
+    "compilation.py",
     "scene.py",
     *(f"{room}/**/*.py" for room in ("trajectories", "recordings", "spawn", "simulation")),
     *(f"{room}/**/*.py" for room in ("policies", "registry", "rollouts")),

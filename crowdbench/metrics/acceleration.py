@@ -3,10 +3,11 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from crowdbench.compilation import compiled
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def products(xy, person, block, blocks, lag, span_s, stands_m, largest, unit):
     """Per block: sums of products along and across the path, in `unit`, and their number.
 

@@ -9,8 +9,10 @@ import math
 import numpy as np
 from numba import njit
 
+from crowdbench.compilation import compiled
 
-@njit(cache=True, error_model="numpy")
+
+@compiled
 def encounters(xy, velocity, person, order, begins, shift, radius_m, stranger_mps):
     """Closest approaches of strangers, in metres, and the position index of each.
 

@@ -5,10 +5,12 @@ import math
 import numpy as np
 from numba import njit
 
+from crowdbench.compilation import compiled
+
 CELL_M = 0.5
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def near_segments(segments, lower, columns, rows, reach_m):
     """Segments (x0, y0, x1, y1) that may be within `reach_m` of a point in each cell of a grid.
 
@@ -33,7 +35,7 @@ def near_segments(segments, lower, columns, rows, reach_m):
     return start, near
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def clearances(xy, reach_m, segments, lower, columns, rows, start, near):
     """Distance of each position to the nearest segment, at most `reach_m`, in metres."""
     result = np.full(len(xy), reach_m)

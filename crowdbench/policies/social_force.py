@@ -12,9 +12,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float32, Int
-from numba import njit
 from numpy.random import Generator
 
+from crowdbench.compilation import compiled
 from crowdbench.policies.policy import StateView
 from crowdbench.scene import Scene
 from crowdbench.simulation.routes import Routes
@@ -69,6 +69,7 @@ class SocialForce:
             max(1, round(dt_s / SUBSTEP_S)),
             dt_s,
             self._companions(seen),
+            np.lexsort((seen.position[:, 0], seen.world)),
         )
         return (displacement / (dt_s * self._scene.motion.max_speed_mps)).astype(np.float32)
 
@@ -91,16 +92,19 @@ class GroupForce(SocialForce):
         return seen.group
 
 
-@njit(cache=True, error_model="numpy")
-def _walk(world, position, velocity, goal, speed, segments, walls, substeps, dt, group):
-    """Displacements (A, 2) in `dt` seconds, in metres; `world` must be in ascending order."""
+@compiled
+def _walk(world, position, velocity, goal, speed, segments, walls, substeps, dt, group, by_x):
+    """Displacements (A, 2) in `dt` seconds, in metres; `world` must be in ascending order.
+
+    `by_x` (A,) are the persons in the order of x, world by world.
+    """
     h = dt / substeps
     start = position.copy()
     size = len(world)
     heading = np.zeros((size, 2))
     force = np.zeros((size, 2))
     near, count = _walls_near(position, speed, segments, dt)
-    others, begins = _people_near(world, position, speed, group, dt)
+    others, begins = _people_near(world, position, speed, group, dt, by_x)
     for _ in range(substeps):
         for a in range(size):
             gx, gy = goal[a, 0] - position[a, 0], goal[a, 1] - position[a, 1]
@@ -143,7 +147,7 @@ def _walk(world, position, velocity, goal, speed, segments, walls, substeps, dt,
     return position - start
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _repulsion(rx, ry, sx, sy):
     """Force −∇V(b) on a person at r from another at 0 whose next step is s, eqs. 3 and 4.
 
@@ -160,8 +164,8 @@ def _repulsion(rx, ry, sx, sy):
     return strength * (rx / r + tx / t), strength * (ry / r + ty / t)
 
 
-@njit(cache=True, error_model="numpy")
-def _people_near(world, position, speed, group, dt):
+@compiled
+def _people_near(world, position, speed, group, dt, by_x):
     """The others in the same world who can act on each person in the frame, in ascending order.
 
     Those of person a are `others[begins[a] : begins[a + 1]]`: companions, and whoever can come
@@ -171,15 +175,7 @@ def _people_near(world, position, speed, group, dt):
     fastest = 0.0
     for a in range(size):
         fastest = max(fastest, speed[a])
-    by_x = np.empty(size, np.int64)
     rank = np.empty(size, np.int64)
-    first = 0
-    while first < size:
-        last = first
-        while last < size and world[last] == world[first]:
-            last += 1
-        by_x[first:last] = first + np.argsort(position[first:last, 0])
-        first = last
     for k in range(size):
         rank[by_x[k]] = k
     others = np.empty(16 * size, np.int64)
@@ -211,12 +207,17 @@ def _people_near(world, position, speed, group, dt):
             longer = np.empty(2 * end, np.int64)
             longer[: begins[a]] = others[: begins[a]]
             others = longer
-        others[begins[a] : end] = np.sort(found[:count])
+        for k in range(count):  # sorted by insertion: numpy's sort would take a second to compile
+            at = begins[a] + k
+            while at > begins[a] and others[at - 1] > found[k]:
+                others[at] = others[at - 1]
+                at -= 1
+            others[at] = found[k]
         begins[a + 1] = end
     return others, begins
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _walls_near(position, speed, segments, dt):
     """Wall segments that can act on each person in the frame, and their number per person."""
     near = np.empty((len(position), len(segments)), dtype=np.int32)
@@ -231,7 +232,7 @@ def _walls_near(position, speed, segments, dt):
     return near, count
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _nearest(x, y, segment):
     """Vector from the nearest point of a segment to (x, y)."""
     ax, ay = segment[0], segment[1]
@@ -241,7 +242,7 @@ def _nearest(x, y, segment):
     return x - ax - along * ex, y - ay - along * ey
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _wall_force(x, y, segments, walls, near):
     """Sum over walls of the repulsion −∇U from each wall's nearest point, eq. 5."""
     fx, fy = 0.0, 0.0

@@ -3,6 +3,8 @@
 import numpy as np
 from numba import njit, prange
 
+from crowdbench.compilation import compiled
+
 LANES = 8
 
 
@@ -26,7 +28,7 @@ def _l1(a, b):
     return total
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@compiled(parallel=True)
 def l1_distances(y, x):
     """L1 distances of x (r, g, K, F) to y (r, F), shape (r, g, K), and within each group.
 

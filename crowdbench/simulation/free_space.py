@@ -12,6 +12,7 @@ import numpy as np
 import shapely
 from numba import njit
 
+from crowdbench.compilation import compiled
 from crowdbench.scene import Bounds, Scene, Wall
 from crowdbench.simulation.rules import distance_to_segment
 
@@ -80,7 +81,7 @@ def _built(walls: tuple[Wall, ...], bounds: Bounds) -> FreeSpace:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _approach(distance, x, y, segments):
     """Lower `distance` (R + 1, C + 1) at the grid points near each segment (x0, y0, x1, y1)."""
     for s in range(len(segments)):

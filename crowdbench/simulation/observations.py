@@ -41,11 +41,11 @@ import numpy as np
 from jaxtyping import Float32
 from numba import njit, prange
 
+from crowdbench.compilation import kernel
 from crowdbench.errors import SettingError
 from crowdbench.plugins import made, names, part
 from crowdbench.simulation import social
 from crowdbench.simulation.cells import CHUNK, list_persons, neighbours, sort_into_cells
-from crowdbench.simulation.compilation import kernel
 from crowdbench.simulation.walls import CELL_M, cell_of
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float32, Int
 from numba import njit, prange
 
+from crowdbench.compilation import kernel
 from crowdbench.errors import SettingError
-from crowdbench.simulation.compilation import kernel
 from crowdbench.simulation.simulation import Simulation
 from crowdbench.simulation.state import GOAL, TO_GOAL, TO_VIA, WAITING
 from crowdbench.spawn.plans import PASSED_M, VISIT_M

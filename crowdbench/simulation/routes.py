@@ -14,8 +14,8 @@ from jaxtyping import Float, Int, Real
 from numba import njit, prange
 from scipy.sparse.csgraph import dijkstra
 
+from crowdbench.compilation import compiled, kernel
 from crowdbench.scene import Bounds, Scene, Wall
-from crowdbench.simulation.compilation import kernel
 from crowdbench.simulation.rules import distance_to_segment
 from crowdbench.simulation.walls import CELL_M, cell_of, walls_near
 
@@ -264,7 +264,7 @@ def _next_of(
         ways[k] = np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _to_goal(x, y, corners, between, sight, result):
     """Write the length of the shortest path from each corner to (x, y) to `result`."""
     result[:] = np.inf

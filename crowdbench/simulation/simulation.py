@@ -20,7 +20,7 @@ from crowdbench.simulation.observations import (
 from crowdbench.simulation.routes import Routes
 from crowdbench.simulation.social import RANGE_M, observe_social
 from crowdbench.simulation.state import Clock, Limits, Queue, Slots
-from crowdbench.simulation.step import advance, populate
+from crowdbench.simulation.step import advance
 from crowdbench.simulation.walls import wall_table
 from crowdbench.spawn.events import SpawnEvents, no_events
 
@@ -141,9 +141,8 @@ class Simulation:
         self.clock = Clock.at(worlds, 0, 0)
         self.events: list[SpawnEvents] = [no_events()] * worlds
         self.queue = Queue.of(self.events, scene.dt_s)
-        self._advance, self._populate, self._observe = (
-            kernel.fresh() for kernel in (advance, populate, observe if rays else observe_social)
-        )
+        self._advance = advance.fresh()
+        self._observe = (observe if rays else observe_social).fresh()
 
     def reset(self, events: Sequence[SpawnEvents], *, horizon: int, first_frame: int = 0) -> None:
         """Begin an episode with the spawn events of each world.
@@ -154,8 +153,8 @@ class Simulation:
         self.events = list(events)
         self.queue = Queue.of(self.events, self.scene.dt_s)
         self.slots = Slots.empty(self.worlds, self.settings.max_alive)
-        self.clock = Clock.at(self.worlds, first_frame, horizon)
-        self._populate(1, self.slots, self.queue, self.clock, self.limits)
+        self.clock = Clock.at(self.worlds, first_frame - 1, horizon)
+        self._go(1, np.zeros(self.slots.position.shape, np.float32), self._own)  # people enter
 
     def copy_world(self, world: int, alone: "Simulation") -> None:
         """Let a world go on from the state of `alone`, and all other worlds from their own.
@@ -201,9 +200,14 @@ class Simulation:
         if self._version.own_frame and world_frame is not False:
             others = ~np.broadcast_to(np.asarray(world_frame, bool), own.shape)
             own = np.ascontiguousarray(own & others)
-        arguments = (actions, own, self.slots, self.queue, self.clock, self.limits, self._walls)
         # People of one world interact when they enter, so threads run different worlds.
-        self._advance(self.slots.alive.size if self.worlds > 1 else 1, *arguments)
+        self._go(self.slots.alive.size if self.worlds > 1 else 1, actions, own)
+
+    def _go(
+        self, persons: int, actions: Float32[np.ndarray, "W N 2"], own: Bool[np.ndarray, "W N"]
+    ) -> None:
+        bundles = (self.slots, self.queue, self.clock, self.limits, self._walls)
+        self._advance(persons, actions, own, *bundles)
 
     def observe(self) -> Float32[np.ndarray, "W N obs"]:
         """Update and return `observation` for everyone present or just ended.

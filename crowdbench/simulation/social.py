@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float32, Real
 from numba import njit, prange
 
+from crowdbench.compilation import kernel
 from crowdbench.simulation.cells import CHUNK, list_persons, neighbours, sort_into_cells
-from crowdbench.simulation.compilation import kernel
 from crowdbench.simulation.free_space import REACH_M, free_distance
 from crowdbench.simulation.rules import from_own_frame, to_own_frame
 from crowdbench.simulation.state import TO_GOAL, WAITING

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from crowdbench.simulation.compilation import kernel
+from crowdbench.compilation import kernel
 from crowdbench.simulation.rules import (
     AHEAD_M,
     command,
@@ -105,13 +105,6 @@ def advance(actions, own, slots, queue, clock, limits, walls):
         _spawn_due(w, slots, queue, clock, limits)
 
 
-@kernel
-def populate(slots, queue, clock, limits):
-    """Let people enter who are due in the first frame."""
-    for w in prange(slots.alive.shape[0]):
-        _spawn_due(w, slots, queue, clock, limits)
-
-
 @njit(error_model="numpy")
 def outcome(to_goal, x, y, frame, since, leave, scripted, horizon, limits):
     """Outcome of a trip that ends in this frame, by the first rule that applies; 0 if it goes on.
@@ -164,7 +157,7 @@ def _spawn_due(w, slots, queue, clock, limits):
     if frame >= clock.horizon[w]:
         return
     free = 0  # no slot below this one is free
-    e = clock.cursor[w]
+    e = np.int64(clock.cursor[w])  # of one type, for which all that is called is compiled once
     while e < queue.due.shape[1] and queue.due[w, e] <= frame:
         if queue.status[w, e] == PENDING:
             patient = queue.waits[w, e] and frame - queue.due[w, e] < limits.patience

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
+from crowdbench.compilation import compiled
 from crowdbench.simulation.rules import distance_to_segment
 
 CELL_M = 0.5
@@ -121,7 +122,7 @@ def cell_of(x, y, grid):
     return row * grid[3] + column
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _meetings(origin, columns, rows, cosine, sine, lines, ray_range_m, place, out):
     """List which segments each ray can hit first from each cell.
 
@@ -163,7 +164,7 @@ def _meetings(origin, columns, rows, cosine, sine, lines, ray_range_m, place, ou
                     place[c] += 1
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def walls_near(segments, origin, columns, rows, reach_m):
     """Segments within `reach_m` of each cell, and lower bounds of the distances to segments.
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
+
+from crowdbench.compilation import compiled
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def drawn(
     groups: Float[np.ndarray, "T K"],
     following: Float[np.ndarray, " H"],
@@ -25,7 +26,7 @@ def drawn(
     return number
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def filtered(
     counts: Int[np.ndarray, "T K"],
     following: Float[np.ndarray, "T K"],
@@ -96,7 +97,7 @@ def filtered(
     return total
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def log_probability(number: int, rate: float, next_member: float) -> float:
     """Log-probability of a number of persons: Poisson groups with geometric sizes.
 
@@ -113,7 +114,7 @@ def log_probability(number: int, rate: float, next_member: float) -> float:
     return np.log(max(now, 1e-300)) - rate
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def _systematic(weight: Float[np.ndarray, " P"], u: float) -> Int[np.ndarray, " P"]:
     """Indices of particles by systematic resampling."""
     chosen = np.empty(len(weight), np.int64)

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import njit
+
+from crowdbench.compilation import compiled
 
 LARGEST = 10
 """Number of people in the largest groups, which is that of the largest recorded one. Without a
@@ -13,7 +14,7 @@ STEP_S = 0.5
 """Step at which two ways are compared."""
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def joined(
     earlier: Int[np.ndarray, " n"],
     begin: Int[np.ndarray, " B"],
@@ -48,7 +49,7 @@ def joined(
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def keep_company(
     ways: Float[np.ndarray, "n 8"],
     time_s: Float[np.ndarray, " n"],
@@ -87,7 +88,7 @@ def keep_company(
     return good
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _moves(way: Float[np.ndarray, " 8"]) -> tuple[tuple[float, float], float]:
     """Velocity from start to goal, and how long it lasts, seconds."""
     x, y = way[2] - way[0], way[3] - way[1]
@@ -95,7 +96,7 @@ def _moves(way: Float[np.ndarray, " 8"]) -> tuple[tuple[float, float], float]:
     return (x / length * speed, y / length * speed), length / speed
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def not_as_planned(
     time_s: Float[np.ndarray, " E"],
     walks: Float[np.ndarray, "E 8"],
@@ -156,7 +157,7 @@ def not_as_planned(
     return wrong
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _walks(
     points: Float[np.ndarray, " 6"],
     first_s: float,

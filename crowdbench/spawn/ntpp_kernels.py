@@ -7,7 +7,8 @@ They process one area at a time, in float64. `weights` are those of one area in 
 import math
 
 import numpy as np
-from numba import njit
+
+from crowdbench.compilation import compiled
 
 LOG_SHAPE_BOUND = 2.0
 """The Weibull shape stays within a factor of exp(±2) of its base value."""
@@ -15,17 +16,17 @@ BOUND = 4.0
 """The scale and the odds of one more member stay within a factor of exp(±4) of their base value."""
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def _bounded(x, bound):
     return bound * math.tanh(x / bound)
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def _sigmoid(x):
     return 1.0 / (1.0 + math.exp(-x))
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def _head(h, weights):
     """Weibull shape and scale (grid steps) of the next gap, and −log P(one more member)."""
     hidden_weight, hidden_bias, out_weight, out_bias, base = weights[5:10]
@@ -36,7 +37,7 @@ def _head(h, weights):
     return shape, scale, more
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def gru(x, h, input_weight, input_bias, state_weight, state_bias):
     """The next state of a gated recurrent unit with input x and state h, as in torch."""
     n = len(h)
@@ -51,7 +52,7 @@ def gru(x, h, input_weight, input_bias, state_weight, state_bias):
     return new
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def _update(h, gap, size, weights):
     """The state after a group of `size` that enters `gap` grid steps after the previous group."""
     scaling = weights[10]
@@ -61,7 +62,7 @@ def _update(h, gap, size, weights):
     return gru(x, h, weights[0], weights[1], weights[2], weights[3])
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def _forget(h, steps, memory, weights):
     """Reset the state after each `memory` grid steps without a group.
 
@@ -77,7 +78,7 @@ def _forget(h, steps, memory, weights):
     return h, steps, hazard
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def expect(gap, size, offsets, rest, memory, weights, gaps, sizes, rests, parameters):
     """Run the network along the spells of one area.
 
@@ -100,7 +101,7 @@ def expect(gap, size, offsets, rest, memory, weights, gaps, sizes, rests, parame
         rests[s] = before + (steps / scale) ** shape
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def draw(points, memory, weights, rng):
     """Sample the grid points in [0, `points`) at which groups enter one area, and their sizes."""
     ticks = np.empty(points, np.int64)

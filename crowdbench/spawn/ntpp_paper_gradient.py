@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
 
+from crowdbench.compilation import compiled
 from crowdbench.spawn.ntpp_paper import HIDDEN
 from crowdbench.spawn.ntpp_paper_kernels import TINY
 
@@ -28,7 +28,7 @@ _ZERO, _ONE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 _Z, _S = HIDDEN, 2 * HIDDEN
 """Where the columns of z and s begin; those of r come first."""
 
-_compiled = njit(cache=True, fastmath={"contract"}, error_model="numpy")
+_compiled = compiled(fastmath={"contract"})
 """Without checks for a division by 0, which keep loops from working on many numbers at once. For
 the same reason the loops over units end at a shape, as those with a fixed end are unrolled."""
 

@@ -6,20 +6,20 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from crowdbench.compilation import compiled
 from crowdbench.spawn.ntpp_kernels import gru
 
 TINY = 1e-8
 """Gaps are at least this long, in frames; the published code clamps at the same value."""
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def _softplus(x):
     return max(x, 0.0) + math.log1p(math.exp(-abs(x)))
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def _head(h, weights, linear):
     """Rate b and shape k of the next gap: P(gap > τ) = exp(−b τᵏ)."""
     hidden_weight, hidden_bias, out_weight, out_bias = weights[5:9]
@@ -27,7 +27,7 @@ def _head(h, weights, linear):
     return _softplus(out[0]), _softplus(out[1])
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def _update(h, gap, weights):
     """The state after an event that follows the previous one by `gap`."""
     x = np.empty(2)
@@ -36,7 +36,7 @@ def _update(h, gap, weights):
     return gru(x, h, weights[0], weights[1], weights[2], weights[3])
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def density(gaps, weights, linear):
     """Log-density of each gap, and its cumulative hazard; the last gap ends without an event."""
     logs, hazards = np.empty(len(gaps)), np.empty(len(gaps))
@@ -52,7 +52,7 @@ def density(gaps, weights, linear):
     return logs, hazards
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def draw(end, most, weights, linear, clamped, rng):
     """Sample the times of events in [0, `end`); stops after `most` events.
 

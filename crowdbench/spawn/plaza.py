@@ -18,9 +18,9 @@ from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
 from numpy.random import Generator
 
+from crowdbench.compilation import compiled
 from crowdbench.scene import Scene
 from crowdbench.spawn.events import Arrivals, SpawnEvents
 from crowdbench.spawn.model import Start
@@ -171,7 +171,7 @@ def _with_late(
     return np.concatenate(frames), np.concatenate(groups)
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def _states(
     u: Float[np.ndarray, "K T"], stationary: Float[np.ndarray, " 2"], step: Float[np.ndarray, "2 2"]
 ) -> Int[np.ndarray, "K T"]:
@@ -184,7 +184,7 @@ def _states(
     return state
 
 
-@njit(cache=True)
+@compiled(error_model="python")
 def _forward(
     alone: Float[np.ndarray, "T K"],
     joined: Float[np.ndarray, "T K"],

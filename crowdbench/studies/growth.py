@@ -14,6 +14,7 @@ from typing import ClassVar
 import msgspec
 import numpy as np
 
+from crowdbench.compilation import THREADS
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, SocialForce, Straight
 from crowdbench.registry import spawn_model
@@ -21,7 +22,6 @@ from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
 from crowdbench.scoring.reference import Reference, read_reference, summarise
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.compilation import THREADS
 from crowdbench.spawn import Areas, Arrivals, SpawnEvents
 from crowdbench.spawn.areas import Gaussians
 from crowdbench.spawn.events import entering

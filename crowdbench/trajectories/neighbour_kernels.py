@@ -10,17 +10,10 @@ import math
 import numpy as np
 from numba import njit
 
-
-@njit(cache=True, error_model="numpy")
-def sort_from_left(xy, row, begins):
-    """Sort the positions of each frame by x in place, and `row` in the same order."""
-    for f in range(len(begins) - 1):
-        frame = slice(begins[f], begins[f + 1])
-        order = np.argsort(xy[frame, 0])
-        xy[frame], row[frame] = xy[frame][order], row[frame][order]
+from crowdbench.compilation import compiled
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def nearest(xy, begins, far_m):
     """Distance of each position to the nearest other in its frame; infinite beyond `far_m`."""
     result = np.full(len(xy), np.inf)
@@ -40,7 +33,7 @@ def nearest(xy, begins, far_m):
     return result
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def companions(xy, begin, stop, first, half, late, least, share, within_m, relative_m):
     """Pairs (n, 2) of companions, as indices of persons; see `crowdbench.trajectories.companions`.
 

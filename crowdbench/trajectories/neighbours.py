@@ -14,13 +14,12 @@ FAR_M = 5e3
 @lru_cache(maxsize=1)  # several metrics search for neighbours in the same crowd
 def nearest_neighbour_m(crowd: Trajectories) -> Float[np.ndarray, " R"]:
     """Distance of each row to the nearest other person in the same frame; infinite if alone."""
-    from crowdbench.trajectories.neighbour_kernels import nearest, sort_from_left
+    from crowdbench.trajectories.neighbour_kernels import nearest
 
     frame = crowd.row_frame()
-    row = np.argsort(frame, kind="stable")
+    row = np.lexsort((crowd.xy[:, 0], frame))  # in each frame from left to right
     begins = np.concatenate([[0], np.cumsum(np.bincount(frame))])
     xy = crowd.xy[row].astype(np.float64)
-    sort_from_left(xy, row, begins)
     result = np.empty(len(row))
     result[row] = nearest(xy, begins, FAR_M)
     return result

@@ -1,0 +1,292 @@
+"""Compilation by numba, and the store of machine code.
+
+`compiled` compiles a function when it is called first and stores its machine code for later
+processes. `kernel` does so for functions over many persons, for one thread and for several.
+
+numba stores machine code by the file of a function and does not notice when a function or a
+constant of another file changes. Here, stored code is used only if everything is unchanged that
+it was made from: the function, all functions that it calls, the values of the constants that they
+read, and the fields of the named tuples that it is called with.
+"""
+
+import atexit
+import hashlib
+import importlib
+import multiprocessing
+import os
+import shutil
+import sys
+import tempfile
+import types
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import filelock
+import numba
+import numpy as np
+from numba.core import caching
+from numba.core.dispatcher import Dispatcher
+from numba.core.types import BaseNamedTuple, BaseTuple
+
+THREADS = "NUMBA_NUM_THREADS"
+"""Environment variable that enables several threads; without it, kernels run on one thread.
+
+Threads wait for each other at the end of each kernel. On an idle machine, two threads gain at most
+a factor of two. On a busy machine, each wait lasts until the operating system runs the other
+thread, and steps take ten times as long or more. The waiting cannot be configured here: OpenMP
+reads `OMP_WAIT_POLICY` when it is loaded, and another package may have loaded it before.
+"""
+PARALLEL_FROM = 64
+"""Number of people from which several threads are faster than one on an idle machine."""
+PATIENCE_S = 120.0
+"""Seconds for which a process waits for another one that compiles the same function."""
+
+STORE = "NUMBA_CACHE_DIR"
+"""Environment variable of numba: a folder for machine code."""
+_PREFIX = "crowdbench-machine-code-"
+
+
+def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Decorator: compile a function when it is called, and store its machine code.
+
+    `options` are those of `numba.njit`. By default, divisions by zero give infinity or NaN, as in
+    numpy.
+    """
+    if function is None:
+        return lambda function: compiled(function, **options)
+    dispatcher = numba.njit(**{"error_model": "numpy", **options})(function)
+    if isinstance(dispatcher, Dispatcher):  # not if compilation is switched off
+        with suppress(RuntimeError):  # there is no folder for it
+            dispatcher._cache = _Store(function)  # type: ignore[attr-defined]
+    return dispatcher
+
+
+@dataclass
+class Kernel:
+    """A function over many persons, compiled for one thread and for several.
+
+    The machine code is called directly, because numba's look-up of the types of array bundles
+    takes as long as a step of ten people. All calls of a `Kernel` object must therefore have
+    arguments of the same types; `fresh` returns an object for other types.
+    """
+
+    function: Callable[..., None]
+    _code: dict[bool, Callable[..., None]] = field(default_factory=dict)
+
+    def fresh(self) -> "Kernel":
+        """A new object for the same function, which may be called with other types."""
+        return Kernel(self.function)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Machine code cannot be pickled, so the kernel is pickled by name.
+        return _named, (self.function.__module__, self.function.__name__)
+
+    def __call__(self, persons: int, *arguments: object) -> None:
+        """Run on several threads if they are enabled and `persons` is large enough, else on one."""
+        parallel = persons >= PARALLEL_FROM and several_threads()
+        code = self._code.get(parallel)
+        if code is None:
+            code = self._code[parallel] = self._compiled(parallel, arguments)
+        code(*arguments)
+
+    def _compiled(self, parallel: bool, arguments: tuple[object, ...]) -> Callable[..., None]:
+        if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+            return self.function
+        dispatcher = _dispatcher(self.function, parallel)
+        signature = tuple(numba.typeof(a) for a in arguments)  # type: ignore[no-untyped-call]
+        dispatcher.compile(signature)
+        code: Callable[..., None] = dispatcher.overloads[signature].entry_point
+        return code
+
+
+def several_threads() -> bool:
+    """Whether several threads are enabled by `THREADS` and available to this process."""
+    return THREADS in os.environ and numba.get_num_threads() > 1
+
+
+def kernel(function: Callable[..., None]) -> Kernel:
+    """Decorator for functions whose loops over worlds and persons are written with `prange`."""
+    return Kernel(function)
+
+
+def _named(module: str, name: str) -> Kernel:
+    found: Kernel = getattr(importlib.import_module(module), name)
+    return found.fresh()
+
+
+_dispatchers: dict[tuple[Callable[..., None], bool], Any] = {}
+
+
+def _dispatcher(function: Any, parallel: bool) -> Any:
+    if (function, parallel) not in _dispatchers:
+        # Stored code is found by the name of its function, so each kind has a name of its own.
+        name = f"{function.__name__}_{'parallel' if parallel else 'alone'}"
+        named = types.FunctionType(function.__code__, function.__globals__, name)
+        named.__qualname__ = name
+        named.__module__ = function.__module__
+        _dispatchers[function, parallel] = compiled(named, parallel=parallel)
+    return _dispatchers[function, parallel]
+
+
+class _Store(caching.FunctionCache):
+    """The stored machine code of a function, for each signature."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        _ensure_place()
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        self._lock: filelock.FileLock | None = None
+
+    def _load_overload(self, sig: Any, target_context: Any) -> Any:
+        # Not before it is called: only then do all the functions exist that it calls.
+        self._cache_file._source_stamp = fingerprint(self._py_func)
+        found = super()._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        if found is not None:
+            return found
+        # One process compiles; others that need the same code meanwhile wait for it.
+        self._impl.locator.ensure_cache_path()
+        self._lock = filelock.FileLock(f"{self._cache_file._index_path}.lock", PATIENCE_S)
+        with suppress(filelock.Timeout):
+            self._lock.acquire()
+        found = super()._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        if found is not None:
+            self._lock.release(force=True)
+            return found
+        _announce()
+        return None
+
+    def _save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            super()._save_overload(sig, data)  # type: ignore[no-untyped-call]
+        finally:
+            if self._lock is not None:
+                self._lock.release(force=True)
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        # numba compares the types of the fields of named tuples, but not their order or names.
+        key = super()._index_key(sig, codegen)  # type: ignore[no-untyped-call]
+        return (*key, tuple(_fields(sig)))
+
+
+def _fields(signature: Any) -> Iterator[tuple[str, ...]]:
+    for kind in signature:
+        if isinstance(kind, BaseNamedTuple):
+            yield kind.fields  # type: ignore[attr-defined]
+        if isinstance(kind, BaseTuple):
+            yield from _fields(kind)
+
+
+@cache
+def _ensure_place() -> None:
+    """Let numba store machine code in a temporary folder if it finds no other one.
+
+    Usually it lies beside the modules, or in the user's cache if that folder is read-only.
+    """
+
+    def probe() -> None:
+        pass
+
+    with suppress(RuntimeError):
+        caching.FunctionCache(probe)  # type: ignore[no-untyped-call]
+        return
+    try:
+        place = tempfile.mkdtemp(prefix=_PREFIX)
+    except OSError:
+        return  # it is compiled in each process
+    os.environ[STORE] = place  # worker processes use it, too
+    numba.config.CACHE_DIR = place  # type: ignore[attr-defined]
+    atexit.register(shutil.rmtree, place, ignore_errors=True)
+
+
+@cache
+def _announce() -> None:
+    """Say once that the wait is for the compiler.
+
+    Nothing is said in logs, unless the code cannot be kept, and only one worker process says it.
+    """
+    lost = _PREFIX in os.environ.get(STORE, "")
+    worker = multiprocessing.parent_process() is not None
+    if (worker and (lost or multiprocessing.current_process().name[-2:] != "-1")) or not (
+        lost or sys.stderr.isatty()
+    ):
+        return
+    when = (
+        f"at each start, because no folder for machine code can be written (name one in {STORE})."
+        if lost
+        else "only the first time."
+    )
+    print(f"Compiling for this machine: about 20 s, {when}", file=sys.stderr, flush=True)
+
+
+def fingerprint(function: Callable[..., Any]) -> str:
+    """Hash of everything that the machine code of a function is made from."""
+    digest = hashlib.sha256()
+    for part in _parts(function, set()):
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def _parts(function: Any, seen: set[Any]) -> Iterator[bytes]:
+    if function in seen:
+        return
+    seen.add(function)
+    yield from _code(function.__code__)
+    closure = function.__closure__ or ()
+    for name, value in zip(function.__code__.co_freevars, closure, strict=True):
+        yield from _value(name, value.cell_contents, seen)
+    for name in _names(function.__code__):
+        if name in function.__globals__:
+            value = function.__globals__[name]
+            if isinstance(value, types.ModuleType) and value.__name__.startswith("crowdbench."):
+                for attribute in _names(function.__code__):
+                    if hasattr(value, attribute):
+                        yield from _value(attribute, getattr(value, attribute), seen)
+            else:
+                yield from _value(name, value, seen)
+
+
+def _code(code: types.CodeType) -> Iterator[bytes]:
+    yield code.co_code
+    yield repr((code.co_names, code.co_varnames, code.co_freevars)).encode()
+    for constant in code.co_consts[_has_docstring(code) :]:
+        if isinstance(constant, types.CodeType):
+            yield from _code(constant)
+        else:
+            yield repr(constant).encode()
+
+
+def _has_docstring(code: types.CodeType) -> bool:
+    return bool(code.co_consts) and isinstance(code.co_consts[0], str)
+
+
+def _names(code: types.CodeType) -> list[str]:
+    inner = [c for c in code.co_consts if isinstance(c, types.CodeType)]
+    return sorted({*code.co_names, *(name for c in inner for name in _names(c))})
+
+
+def _value(name: str, value: Any, seen: set[Any]) -> Iterator[bytes]:
+    """A value that a function reads: a constant or another function.
+
+    Raises:
+        TypeError: it is something that is not known to be constant.
+    """
+    yield name.encode()
+    if isinstance(value, Dispatcher):
+        yield repr(sorted(value.targetoptions.items())).encode()
+        yield from _parts(value.py_func, seen)
+    elif isinstance(value, types.FunctionType) and value.__module__.startswith("crowdbench"):
+        yield from _parts(value, seen)
+    elif isinstance(value, np.ndarray):
+        yield repr((value.dtype.str, value.shape)).encode() + value.tobytes()
+    elif isinstance(value, bool | int | float | str | None | np.generic | tuple):
+        yield repr(value).encode()
+    elif isinstance(value, type) and hasattr(value, "_fields"):
+        yield repr(value._fields).encode()
+    elif isinstance(value, types.ModuleType):
+        yield value.__name__.encode()
+    elif not getattr(value, "__module__", "crowdbench").startswith("crowdbench"):
+        yield f"{value.__module__}.{getattr(value, '__qualname__', value)}".encode()
+    else:
+        raise TypeError(f"compiled code cannot depend on {name}, {value!r}")
