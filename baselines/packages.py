@@ -35,5 +35,5 @@ def needs(extra: str, module: str) -> Iterator[None]:
         )
         if module != "__main__":
             raise missing from error
-        print(f"baselines: {missing}", file=sys.stderr)
+        print(f"crowdbench.baselines: {missing}", file=sys.stderr)
         raise SystemExit(2) from None

@@ -8,12 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from given import Given
-from worlds import Person, square
-
-from baselines import anticipate
-from baselines.anticipate import FEWEST, GAIN, GRID, MARGIN, WIDTHS, best, corrected, mirrored
-from baselines.anticipation import (
+from crowdbench.baselines.anticipate import (
+    FEWEST,
+    GAIN,
+    GRID,
+    MARGIN,
+    WIDTHS,
+    best,
+    corrected,
+    mirrored,
+)
+from crowdbench.baselines.anticipation import (
     ABREAST_M,
     KNOTS_M,
     LOOK_S,
@@ -25,6 +30,10 @@ from baselines.anticipation import (
     Walker,
     sloping,
 )
+from given import Given
+from worlds import Person, square
+
+from crowdbench.baselines import anticipate
 from crowdbench.evaluation.validation import Validation, validate
 from crowdbench.policies import OnnxPolicy, Straight
 from crowdbench.rollouts.episode import begin

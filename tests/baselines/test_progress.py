@@ -5,9 +5,9 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from crowdbench.baselines.progress import Progress
 
-from baselines import progress as module
-from baselines.progress import Progress
+from crowdbench.baselines import progress as module
 
 LOG = "torch.utils.tensorboard"
 

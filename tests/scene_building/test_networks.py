@@ -4,9 +4,9 @@ import re
 from pathlib import Path
 
 import pytest
+from crowdbench.baselines.anticipate import Settings
+from crowdbench.baselines.anticipation import Walker
 
-from baselines.anticipate import Settings
-from baselines.anticipation import Walker
 from crowdbench.leaderboard.submission.schema import Declared
 from crowdbench.leaderboard.submission.submission import open_submission
 from crowdbench.leaderboard.submission.template import _parameters
