@@ -29,7 +29,7 @@ from jaxtyping import Float, Float32
 from numpy.random import Generator
 from shapely import LinearRing
 
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, to_install
 from crowdbench.policies import StateView
 from crowdbench.scene import Scene
 from crowdbench.simulation.routes import Routes
@@ -61,7 +61,7 @@ class ORCA:
                 "policy orca",
                 got=f"no {error.name}",
                 expected="the package of RVO2",
-                hint='Run in the clone: pip install -e ".[orca]".',
+                hint=to_install("orca"),
             ) from error
 
     def reset(self, scene: Scene, rng: Generator) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import sysconfig
@@ -91,6 +92,49 @@ def test_baselines_come_with_an_installed_wheel(installed: Path, tmp_path: Path)
     packages = next(installed.parents[1].rglob("needed.pth")).parent
     assert Path(ours) == packages / "crowdbench" / "baselines" / "__init__.py"
     assert name == "heuristic"
+
+
+@pytest.mark.parametrize(
+    ("code", "missing", "hint"),
+    [
+        (
+            "from crowdbench.evaluation.ray_engine import connect; connect('ray')",
+            "ray",
+            'Run pip install "crowdbench[ray]".',
+        ),
+        (
+            "from crowdbench.scene_building.fit import check_torch; check_torch('Or not.')",
+            "torch",
+            'Run pip install "crowdbench[fit]". Or not.',
+        ),
+        (
+            "import crowdbench.baselines.bc",
+            "torch",
+            "Run python -m venv .venv-imitation && .venv-imitation/bin/pip install "
+            '"WHEEL[imitation,onnx]", where WHEEL is the file of crowdbench\'s wheel.',
+        ),
+    ],
+)
+def test_an_installed_wheel_says_how_to_install_extras(
+    installed: Path, tmp_path: Path, code: str, missing: str, hint: str
+) -> None:
+    without = (
+        "import importlib.util, sys\n"
+        f"sys.modules[{missing!r}] = None\n"
+        "find = importlib.util.find_spec\n"
+        f"importlib.util.find_spec = lambda name: None if name == {missing!r} else find(name)\n"
+        "from crowdbench.errors import SettingError\n"
+        f"try:\n    {code}\nexcept SettingError as error:\n    print(error.hint)"
+    )
+    assert run(installed, "-c", without, folder=tmp_path).strip().endswith(hint)
+
+
+def test_messages_say_what_is_possible_outside_a_clone_too() -> None:
+    files = [*(ROOT / "crowdbench").rglob("*.py"), *(ROOT / "baselines").glob("*.py")]
+    saying = [
+        path.name for path in files if re.search(r"pip install|in the clone", path.read_text())
+    ]
+    assert saying == ["errors.py"]
 
 
 def test_another_package_may_be_called_baselines(installed: Path, tmp_path: Path) -> None:

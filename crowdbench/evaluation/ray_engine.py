@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 
 import crowdbench
 from crowdbench import baselines, plugins
-from crowdbench.errors import SettingError, WorkerError
+from crowdbench.errors import SettingError, WorkerError, to_install
 from crowdbench.evaluation import node
 from crowdbench.evaluation.node import PLACES, Files, Given
 from crowdbench.evaluation.parallel import Stopped
@@ -63,7 +63,7 @@ def connect(address: str) -> Any:
             "engine",
             got=f"{address!r} without the package ray",
             expected="an installation of Ray",
-            hint='Run in the clone: pip install -e ".[ray]".',
+            hint=to_install("ray"),
         ) from error
     if not ray.is_initialized():
         where = address if address.startswith(CLIENT) else None
