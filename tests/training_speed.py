@@ -16,9 +16,9 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from crowdbench.baselines.command import use_one_thread
 
 from crowdbench.baselines import ppo
+from crowdbench.baselines.command import use_one_thread
 
 WHOLE = "whole loop"
 CHUNK = 10

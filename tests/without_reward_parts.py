@@ -12,10 +12,10 @@ import argparse
 from dataclasses import replace
 
 import torch
-from crowdbench.baselines.command import use_one_thread
 
 from crowdbench import Reward, spawn_model
 from crowdbench.baselines import ppo
+from crowdbench.baselines.command import use_one_thread
 from crowdbench.envs.torchrl_env import CrowdEnv
 from crowdbench.simulation import social
 from crowdbench.simulation.reward import PARTS

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from crowdbench.baselines.ablation import VARIANTS, lines, walker_of
 
 from crowdbench.baselines import ablation, anticipate
+from crowdbench.baselines.ablation import VARIANTS, lines, walker_of
 from crowdbench.evaluation.evaluate import evaluate
 from crowdbench.policies.network import read_card
 from crowdbench.scene import load_scene

@@ -10,6 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch import Tensor, nn
+
+from crowdbench import load_scene, policy, rollout, spawn_model
+from crowdbench.baselines import across, anticipate
 from crowdbench.baselines.anticipate import (
     AHEAD_S,
     Samples,
@@ -19,10 +23,6 @@ from crowdbench.baselines.anticipate import (
     pooled,
 )
 from crowdbench.baselines.command import Command
-from torch import Tensor, nn
-
-from crowdbench import load_scene, policy, rollout, spawn_model
-from crowdbench.baselines import across, anticipate
 from crowdbench.errors import SettingError
 from crowdbench.evaluation.evaluate import evaluate
 from crowdbench.policies import OnnxPolicy, PolicyCard

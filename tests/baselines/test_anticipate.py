@@ -8,6 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from given import Given
+from worlds import Person, square
+
+from crowdbench.baselines import anticipate
 from crowdbench.baselines.anticipate import (
     FEWEST,
     GAIN,
@@ -30,10 +34,6 @@ from crowdbench.baselines.anticipation import (
     Walker,
     sloping,
 )
-from given import Given
-from worlds import Person, square
-
-from crowdbench.baselines import anticipate
 from crowdbench.evaluation.validation import Validation, validate
 from crowdbench.policies import OnnxPolicy, Straight
 from crowdbench.rollouts.episode import begin

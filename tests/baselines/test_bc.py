@@ -11,6 +11,11 @@ from conftest import need_imitation
 need_imitation()
 
 import torch  # noqa: E402
+from gymnasium import spaces  # noqa: E402
+from torch import distributions  # noqa: E402
+
+from crowdbench import Demonstrations, rollout, spawn_model  # noqa: E402
+from crowdbench.baselines import bc  # noqa: E402
 from crowdbench.baselines.mixture import (  # noqa: E402
     CHANGES,
     NOISE,
@@ -20,11 +25,6 @@ from crowdbench.baselines.mixture import (  # noqa: E402
     features_of,
     target_distance_m,
 )
-from gymnasium import spaces  # noqa: E402
-from torch import distributions  # noqa: E402
-
-from crowdbench import Demonstrations, rollout, spawn_model  # noqa: E402
-from crowdbench.baselines import bc  # noqa: E402
 from crowdbench.policies import OnnxPolicy  # noqa: E402
 from crowdbench.scene import load_scene  # noqa: E402
 from crowdbench.simulation import social  # noqa: E402

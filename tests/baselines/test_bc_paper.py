@@ -11,10 +11,10 @@ from conftest import need_imitation
 need_imitation()
 
 import torch  # noqa: E402
-from crowdbench.baselines.bc_paper import NOISE, PaperObservation, Settings, clone  # noqa: E402
 
 from crowdbench import Demonstrations, rollout, spawn_model  # noqa: E402
 from crowdbench.baselines import bc_paper  # noqa: E402
+from crowdbench.baselines.bc_paper import NOISE, PaperObservation, Settings, clone  # noqa: E402
 from crowdbench.policies import OnnxPolicy  # noqa: E402
 from crowdbench.scene import load_scene  # noqa: E402
 

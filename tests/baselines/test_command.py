@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import torch
 from conftest import need_imitation
-from crowdbench.baselines.command import Command, check_numbers, use_one_thread
 
 from crowdbench.baselines import ppo
+from crowdbench.baselines.command import Command, check_numbers, use_one_thread
 from crowdbench.errors import CrowdbenchError, SettingError
 
 

@@ -13,13 +13,13 @@ from conftest import need_imitation
 need_imitation()
 
 import torch  # noqa: E402
-from crowdbench.baselines.command import Command  # noqa: E402
-from crowdbench.baselines.mixture import NOISE, MixturePolicy  # noqa: E402
 from gymnasium import spaces  # noqa: E402
 from imitation.data.types import Transitions  # noqa: E402
 
 from crowdbench import demonstrations, rollout, spawn_model  # noqa: E402
 from crowdbench.baselines import bc, gail  # noqa: E402
+from crowdbench.baselines.command import Command  # noqa: E402
+from crowdbench.baselines.mixture import NOISE, MixturePolicy  # noqa: E402
 from crowdbench.policies import OnnxPolicy  # noqa: E402
 from crowdbench.scene import load_scene  # noqa: E402
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from crowdbench.baselines.orca import BODY_M, NUDGE_MPS, ORCA
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from worlds import (
@@ -23,6 +22,7 @@ from worlds import (
     walked,
 )
 
+from crowdbench.baselines.orca import BODY_M, NUDGE_MPS, ORCA
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, StateView, Straight
 from crowdbench.registry import policy as named

@@ -6,7 +6,6 @@ import numpy as np
 import pages
 import pytest
 import torch
-from crowdbench.baselines.walked import walked
 from given import Given
 from tensordict import TensorDict
 from torch import Tensor
@@ -14,6 +13,7 @@ from worlds import Person, square
 
 from crowdbench import Reward, load_scene, spawn_model
 from crowdbench.baselines import ppo
+from crowdbench.baselines.walked import walked
 from crowdbench.envs.torchrl_env import CrowdEnv
 from crowdbench.errors import SettingError
 from crowdbench.policies import OnnxPolicy

@@ -5,9 +5,9 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from crowdbench.baselines.progress import Progress
 
 from crowdbench.baselines import progress as module
+from crowdbench.baselines.progress import Progress
 
 LOG = "torch.utils.tensorboard"
 

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from crowdbench.baselines.walked import walked
 from given import Given
 from worlds import Person
 
 from crowdbench import load_scene, rollout, spawn_model
+from crowdbench.baselines.walked import walked
 from crowdbench.policies import StateView, Straight
 from crowdbench.trajectories.table import OUTCOMES
 
