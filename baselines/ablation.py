@@ -1,6 +1,6 @@
 """What each part of `anticipate` contributes: it is trained and scored without it, held out.
 
-    python -m baselines.ablation --scene eth-v0 > ablation.md
+    python -m crowdbench.baselines.ablation --scene eth-v0 > ablation.md
 
 For each variant and fold, the network is trained and its guide chosen anew, on the training blocks
 of the fold. Then all variants are scored together, so that their differences have intervals. Files
@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 
-from baselines.packages import needs
 from crowdbench.cli.workers import add_engine
 from crowdbench.errors import CrowdbenchError
 from crowdbench.evaluation.evaluate import evaluate  # without its report
@@ -30,12 +29,14 @@ from crowdbench.scoring.scorecard import Row, rows
 from crowdbench.simulation import social
 from crowdbench.trajectories.blocks import SPLITS
 
+from .packages import needs
+
 with needs("fit", __name__):
     import torch
     from torch import Tensor
 
-    from baselines.anticipate import Settings, decision_frames, frames_ahead, guided, train
-    from baselines.anticipation import (
+    from .anticipate import Settings, decision_frames, frames_ahead, guided, train
+    from .anticipation import (
         NOISE,
         OBSERVATION,
         PLAIN,
@@ -44,7 +45,7 @@ with needs("fit", __name__):
         Sampler,
         Walker,
     )
-    from baselines.command import Command, use_one_thread
+    from .command import Command, use_one_thread
 
 NEIGHBOURS = np.arange(social.NEIGHBOURS.start, social.NEIGHBOURS.stop).reshape(
     social.NEAREST, social.FEATURES
@@ -198,7 +199,7 @@ def difference(one: Score | None, other: Score | None) -> str:
 def command_line() -> argparse.ArgumentParser:
     """Argument parser of this script."""
     parser = argparse.ArgumentParser(
-        prog="python -m baselines.ablation",
+        prog="python -m crowdbench.baselines.ablation",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -253,13 +254,13 @@ def main(arguments: list[str] | None = None) -> int:
         with engine(asked.engine):
             print(page(asked, given))
     except CrowdbenchError as error:
-        print(f"baselines.ablation: {error}", file=sys.stderr)
+        print(f"crowdbench.baselines.ablation: {error}", file=sys.stderr)
         return 2
     return 0
 
 
 if __name__ == "__main__":
     # Worker processes find functions in modules that they can import, which `__main__` is not.
-    from baselines.ablation import main as imported_main
+    from .ablation import main as imported_main
 
     sys.exit(imported_main())

@@ -1,6 +1,6 @@
 """How `anticipate` walks in places that it was not trained on.
 
-    python -m baselines.across > across.md
+    python -m crowdbench.baselines.across > across.md
 
 For each scene, one network is trained on the others, and is scored on the held-out blocks of this
 scene beside the policies that were trained there and beside social forces. Files of an earlier call
@@ -13,7 +13,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from baselines.packages import needs
 from crowdbench import load_scene, registry
 from crowdbench.cli.workers import add_engine
 from crowdbench.errors import CrowdbenchError, SettingError
@@ -24,10 +23,12 @@ from crowdbench.report.text.words import interval
 from crowdbench.scoring.scorecard import Row, rows
 from crowdbench.trajectories.blocks import SPLITS
 
+from .packages import needs
+
 with needs("fit", __name__):
-    from baselines.ablation import difference
-    from baselines.anticipate import Settings, learn
-    from baselines.command import Command, use_one_thread
+    from .ablation import difference
+    from .anticipate import Settings, learn
+    from .command import Command, use_one_thread
 
 SCENES = ("eth-v0", "hotel-v0", "zara1-v0", "gc-v0", "forum-v0")
 SPLIT = "full"
@@ -83,7 +84,7 @@ HEAD = (
 def command_line() -> argparse.ArgumentParser:
     """Argument parser of this script."""
     parser = argparse.ArgumentParser(
-        prog="python -m baselines.across",
+        prog="python -m crowdbench.baselines.across",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -138,7 +139,7 @@ def page(asked: argparse.Namespace, given: list[str]) -> str:
         )
         found = {row.policy: row for row in rows(card) if row.kind == "entry"}
         lines.append(line(scene, found, elsewhere))
-    call = f"    python -m baselines.across {' '.join(given)}".rstrip()
+    call = f"    python -m crowdbench.baselines.across {' '.join(given)}".rstrip()
     return "\n".join([INTRODUCTION, f"{call}\n", table(list(HEAD), lines)])
 
 
@@ -150,13 +151,13 @@ def main(arguments: list[str] | None = None) -> int:
         with engine(asked.engine):
             print(page(asked, given))
     except CrowdbenchError as error:
-        print(f"baselines.across: {error}", file=sys.stderr)
+        print(f"crowdbench.baselines.across: {error}", file=sys.stderr)
         return 2
     return 0
 
 
 if __name__ == "__main__":
     # Worker processes find functions in modules that they can import, which `__main__` is not.
-    from baselines.across import main as imported_main
+    from .across import main as imported_main
 
     sys.exit(imported_main())

@@ -1,11 +1,11 @@
 """Walkers that anticipate: they see where others are going, and pass them at a distance.
 
-    python -m baselines.anticipate --scene eth-v0
+    python -m crowdbench.baselines.anticipate --scene eth-v0
 
 writes `results/anticipate-eth-v0/full.onnx`, which `crowdbench evaluate eth-v0 --policy
 results/anticipate-eth-v0/full.onnx` rolls out. The file contains all of the following.
 
-    python -m baselines.anticipate --scenes eth-v0 hotel-v0 zara1-v0 --leave-out zara1-v0
+    python -m crowdbench.baselines.anticipate --scenes eth-v0 hotel-v0 zara1-v0 --leave-out zara1-v0
 
 trains one network on several scenes, and validates it on another one.
 
@@ -66,7 +66,6 @@ from typing import Any
 
 import numpy as np
 
-from baselines.packages import needs
 from crowdbench import Demonstrations, Scene, demonstrations, registry
 from crowdbench.errors import CrowdbenchError, RecordingError
 from crowdbench.evaluation.validation import Validation, Validator
@@ -74,11 +73,15 @@ from crowdbench.metrics.interaction import CLEARANCE_M
 from crowdbench.policies import OnnxPolicy
 from crowdbench.simulation import social
 
+from .packages import needs
+
 with needs("fit", __name__):
     import torch
     from torch import Tensor, nn
 
-    from baselines.anticipation import (
+    from crowdbench.policies.network import check_onnx
+
+    from .anticipation import (
         KNOTS_M,
         NEAR_M,
         NOISE,
@@ -89,14 +92,13 @@ with needs("fit", __name__):
         Sampler,
         Walker,
     )
-    from baselines.command import (
+    from .command import (
         Command,
         add_settings,
         check_numbers,
         new_parser,
         train_each,
     )
-    from crowdbench.policies.network import check_onnx
 
 
 @dataclass(frozen=True)
@@ -483,13 +485,13 @@ def main(arguments: list[str] | None = None) -> int:
         registry.spawn_model("ntpp-gmm", command.scene)  # for the rollout at the end
         train_each(learn_and_walk, command, asked, settings, asked.leave_out)
     except CrowdbenchError as error:
-        print(f"baselines.anticipate: {error}", file=sys.stderr)
+        print(f"crowdbench.baselines.anticipate: {error}", file=sys.stderr)
         return 2
     return 0
 
 
 if __name__ == "__main__":
     # Worker processes find functions in modules that they can import, which `__main__` is not.
-    from baselines.anticipate import main as imported_main
+    from .anticipate import main as imported_main
 
     sys.exit(imported_main())

@@ -1,4 +1,4 @@
-"""The policy that `baselines.anticipate` trains: what it sees, its network and its guide."""
+"""The policy that `anticipate.py` trains: what it sees, its network and its guide."""
 
 import logging
 import math
@@ -8,12 +8,13 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from baselines.packages import needs
 from crowdbench import Scene
 from crowdbench.policies.memory import Memory
 from crowdbench.simulation import social
 from crowdbench.simulation.free_space import REACH_M
 from crowdbench.spawn.plans import VISIT_M
+
+from .packages import needs
 
 with needs("fit", __name__):
     import torch
@@ -62,7 +63,7 @@ class Guide:
     """Settings of the sampling.
 
     `wall` is learned on the training blocks; `width`, `room` and those in `GRID` of
-    `baselines.anticipate` are chosen there. The others are the same everywhere.
+    `crowdbench.baselines.anticipate` are chosen there. The others are the same everywhere.
     """
 
     jitter: float = 0.1

@@ -1,6 +1,6 @@
 """Behaviour cloning of recorded people with `imitation`.
 
-    python -m baselines.bc --scene eth-v0
+    python -m crowdbench.baselines.bc --scene eth-v0
 
 writes `results/bc-eth-v0/full.onnx`, which `crowdbench evaluate eth-v0 --policy
 results/bc-eth-v0/full.onnx` rolls out. Compared with the cloned policy of the founding paper
@@ -23,10 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from baselines.packages import needs
 from crowdbench import Demonstrations, demonstrations
 from crowdbench.errors import CrowdbenchError
 from crowdbench.scene import Scene
+
+from .packages import needs
 
 with needs("imitation", __name__):
     import torch
@@ -34,14 +35,14 @@ with needs("imitation", __name__):
     from imitation.algorithms import bc
     from imitation.util import logger
 
-    from baselines.command import (
+    from .command import (
         Command,
         add_settings,
         check_numbers,
         new_parser,
         train_each,
     )
-    from baselines.mixture import (
+    from .mixture import (
         NEAR_GOAL_M,
         NOISE,
         MixturePolicy,
@@ -49,7 +50,7 @@ with needs("imitation", __name__):
         features_of,
         target_distance_m,
     )
-    from baselines.progress import Progress
+    from .progress import Progress
 
 OBSERVATIONS = ("lidar-3", "lidar-2", "social-1")
 """Observations that a policy can be cloned on. Only `social-1` shows stops, companions and how
@@ -303,13 +304,13 @@ def main(arguments: list[str] | None = None) -> int:
         command = Command.of("bc", asked.scene, asked.splits, asked.out, arguments)
         train_each(learn, command, asked, settings)
     except CrowdbenchError as error:
-        print(f"baselines.bc: {error}", file=sys.stderr)
+        print(f"crowdbench.baselines.bc: {error}", file=sys.stderr)
         return 2
     return 0
 
 
 if __name__ == "__main__":
     # Worker processes find functions in modules that they can import, which `__main__` is not.
-    from baselines.bc import main as imported_main
+    from .bc import main as imported_main
 
     sys.exit(imported_main())

@@ -1,6 +1,6 @@
 """The behaviour cloning of the founding paper (Kreutz et al. 2025, ICRA), with `imitation`.
 
-    python -m baselines.bc_paper --scene eth-v0
+    python -m crowdbench.baselines.bc_paper --scene eth-v0
 
 writes `results/bc-paper-eth-v0/full.onnx`, which `crowdbench evaluate eth-v0 --policy
 results/bc-paper-eth-v0/full.onnx` rolls out. As in the paper, the policy is a network with two
@@ -15,7 +15,7 @@ of 1024 and 1e-4, the standard deviation hardly changes in 1000 epochs on ETH.
 Two things differ. Velocities, distances and rays have the units of `lidar-1` and not pixels of a
 picture. People who hardly move, and those with short or long trips, are not left out.
 
-`baselines.bc` is crowdbench's own cloning.
+`crowdbench.baselines.bc` is crowdbench's own cloning.
 """
 
 import argparse
@@ -26,10 +26,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.packages import needs
 from crowdbench import Demonstrations, demonstrations
 from crowdbench.errors import CrowdbenchError
 from crowdbench.simulation.observations import GOAL_DIRECTION, head_of
+
+from .packages import needs
 
 with needs("imitation", __name__):
     import torch
@@ -39,15 +40,15 @@ with needs("imitation", __name__):
     from stable_baselines3.common.policies import ActorCriticPolicy
     from torch import Tensor, nn
 
-    from baselines.bc import Batches
-    from baselines.command import (
+    from .bc import Batches
+    from .command import (
         Command,
         add_settings,
         check_numbers,
         new_parser,
         train_each,
     )
-    from baselines.progress import Progress
+    from .progress import Progress
 
 OBSERVATION = "lidar-1"
 SELF = head_of(OBSERVATION)
@@ -183,13 +184,13 @@ def main(arguments: list[str] | None = None) -> int:
         command = Command.of("bc-paper", asked.scene, asked.splits, asked.out, arguments)
         train_each(learn, command, asked, settings)
     except CrowdbenchError as error:
-        print(f"baselines.bc_paper: {error}", file=sys.stderr)
+        print(f"crowdbench.baselines.bc_paper: {error}", file=sys.stderr)
         return 2
     return 0
 
 
 if __name__ == "__main__":
     # Worker processes find functions in modules that they can import, which `__main__` is not.
-    from baselines.bc_paper import main as imported_main
+    from .bc_paper import main as imported_main
 
     sys.exit(imported_main())

@@ -14,8 +14,6 @@ from typing import Any
 import torch
 from torch import nn
 
-from baselines.progress import Progress
-from baselines.walked import Walked, walked
 from crowdbench import load_scene, spawn_model
 from crowdbench.cli.workers import add_engine
 from crowdbench.errors import SettingError, WeightsError
@@ -27,6 +25,9 @@ from crowdbench.policies.network import read_card
 from crowdbench.registry import DEFAULT_SPAWN
 from crowdbench.scene import Scene
 from crowdbench.spawn.weights import check_split
+
+from .progress import Progress
+from .walked import Walked, walked
 
 WITHOUT_EFFECT = ("--out", "--workers", "--engine")
 """Options with one value that do not change the policy."""
@@ -71,7 +72,7 @@ def check_numbers(
 def new_parser(
     name: str, description: str | None, *, several: bool = False
 ) -> argparse.ArgumentParser:
-    """Argument parser of `python -m baselines.NAME` with the options that all scripts have.
+    """Argument parser of `python -m crowdbench.baselines.NAME` with the options of all scripts.
 
     With `several`, it also has `--scenes` and `--leave-out`.
     """
@@ -165,7 +166,7 @@ def check_device(device: str) -> None:
 
 
 def _module(name: str) -> str:
-    return f"baselines.{name.replace('-', '_')}"
+    return f"crowdbench.baselines.{name.replace('-', '_')}"
 
 
 def add_settings(
@@ -185,7 +186,7 @@ def add_settings(
 
 @dataclass(frozen=True)
 class Command:
-    """A call of `python -m baselines.NAME` whose arguments have been checked."""
+    """A call of `python -m crowdbench.baselines.NAME` whose arguments have been checked."""
 
     name: str
     scene: Scene

@@ -1,6 +1,6 @@
 """GAIL with `imitation`: train a policy whose actions a discriminator cannot detect as simulated.
 
-    python -m baselines.gail --scene eth-v0
+    python -m crowdbench.baselines.gail --scene eth-v0
 
 writes `results/gail-eth-v0/full.onnx`, and the training curves to `full.csv`. Generative
 adversarial imitation learning is the method of Ho & Ermon (2016), NeurIPS. PPO optimises the
@@ -33,12 +33,13 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from baselines.packages import needs
 from crowdbench import Demonstrations, demonstrations, spawn_model
 from crowdbench.errors import CrowdbenchError
 from crowdbench.files import replacing
 from crowdbench.registry import DEFAULT_SPAWN
 from crowdbench.scene import Scene
+
+from .packages import needs
 
 with needs("imitation", __name__):
     import torch
@@ -49,18 +50,19 @@ with needs("imitation", __name__):
     from stable_baselines3.common.vec_env import VecEnvWrapper
     from torch import Tensor, nn
 
-    from baselines import bc
-    from baselines.command import (
+    from crowdbench.envs.vec_env import CrowdVecEnv
+    from crowdbench.simulation.social import PROBES
+
+    from . import bc
+    from .command import (
         Command,
         add_settings,
         check_numbers,
         new_parser,
         train_each,
     )
-    from baselines.mixture import BOUNDS, NOISE, MixturePolicy, Sampler
-    from baselines.progress import Progress
-    from crowdbench.envs.vec_env import CrowdVecEnv
-    from crowdbench.simulation.social import PROBES
+    from .mixture import BOUNDS, NOISE, MixturePolicy, Sampler
+    from .progress import Progress
 
 CHANGES = 10.0
 """Factor by which changes of velocity, which are small, are scaled for the discriminator."""
@@ -364,7 +366,7 @@ def main(arguments: list[str] | None = None) -> int:
         spawn_model(settings.spawn, command.scene)  # raises errors early, before the cloning
         train_each(learn, command, asked, settings, first, asked.seed, also=[".csv"])
     except CrowdbenchError as error:
-        print(f"baselines.gail: {error}", file=sys.stderr)
+        print(f"crowdbench.baselines.gail: {error}", file=sys.stderr)
         return 2
     return 0
 
@@ -388,6 +390,6 @@ def _write(curves: list[dict[str, float]], path: Path) -> None:
 
 if __name__ == "__main__":
     # Worker processes find functions in modules that they can import, which `__main__` is not.
-    from baselines.gail import main as imported_main
+    from .gail import main as imported_main
 
     sys.exit(imported_main())

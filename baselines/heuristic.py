@@ -1,9 +1,9 @@
 """A policy with simple rules, as an example of a custom policy.
 
 It uses only the observations of an agent: `crowdbench evaluate eth-v0 --policy
-baselines.heuristic:Heuristic`. The rules are those of Moussaïd, Helbing & Theraulaz (2011), How
-simple rules determine pedestrian behavior, PNAS 108, 6884: walk in the direction that leads
-closest to the goal without a collision, and only so fast that there is time to stop.
+crowdbench.baselines.heuristic:Heuristic`. The rules are those of Moussaïd, Helbing & Theraulaz
+(2011), How simple rules determine pedestrian behavior, PNAS 108, 6884: walk in the direction that
+leads closest to the goal without a collision, and only so fast that there is time to stop.
 """
 
 from typing import ClassVar, Literal

@@ -3,7 +3,8 @@
 The method is that of van den Berg, Guy, Lin & Manocha (2011), Reciprocal n-body collision
 avoidance, Springer Tracts in Advanced Robotics 70, 3. Each person takes the velocity closest to
 its preferred one that avoids collisions for a given time, if everyone makes half of each avoidance.
-`pip install -e ".[orca]"`, then `crowdbench evaluate eth-v0 --policy baselines.orca:ORCA`.
+With the package of RVO2 (extra `orca`): `crowdbench evaluate eth-v0 --policy
+crowdbench.baselines.orca:ORCA`.
 
 The parameters are those that the authors of RVO2 use for pedestrians in Menge (Curtis, Best &
 Manocha 2016, Collective Dynamics 1, A1): its default horizons, and the neighbours of its
@@ -28,7 +29,7 @@ from jaxtyping import Float, Float32
 from numpy.random import Generator
 from shapely import LinearRing
 
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, to_install
 from crowdbench.policies import StateView
 from crowdbench.scene import Scene
 from crowdbench.simulation.routes import Routes
@@ -60,7 +61,7 @@ class ORCA:
                 "policy orca",
                 got=f"no {error.name}",
                 expected="the package of RVO2",
-                hint='Run in the clone: pip install -e ".[orca]".',
+                hint=to_install("orca"),
             ) from error
 
     def reset(self, scene: Scene, rng: Generator) -> None:

@@ -4,15 +4,10 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, to_install
 
-_INSTALL = {
-    "imitation": "It pins gymnasium 0.29 and needs a separate environment. Run in the clone: "
-    "python -m venv .venv-imitation && "
-    '.venv-imitation/bin/pip install -c constraints.txt -e ".[imitation,onnx]".',
-    "fit": 'Run in the clone: pip install -c constraints.txt -e ".[fit,onnx]".',
-    "torchrl": 'Run in the clone: pip install -c constraints.txt -e ".[torchrl,onnx]".',
-}
+_PINS = {"imitation": "It pins gymnasium 0.29 and needs a separate environment. "}
+"""Why an extra is installed in an environment of its own."""
 
 
 @contextmanager
@@ -31,9 +26,10 @@ def needs(extra: str, module: str) -> Iterator[None]:
             "packages",
             got=f"no {error.name}",
             expected=f"the packages of the extra {extra}",
-            hint=_INSTALL[extra],
+            hint=_PINS.get(extra, "")
+            + to_install(f"{extra},onnx", f".venv-{extra}" if extra in _PINS else ""),
         )
         if module != "__main__":
             raise missing from error
-        print(f"baselines: {missing}", file=sys.stderr)
+        print(f"crowdbench.baselines: {missing}", file=sys.stderr)
         raise SystemExit(2) from None

@@ -1,6 +1,6 @@
 """PPO with TorchRL: one network controls everyone and learns from all trips.
 
-    python -m baselines.ppo --scene plaza-v0
+    python -m crowdbench.baselines.ppo --scene plaza-v0
 
 writes `results/ppo-plaza-v0/full.onnx`. It uses the environment `CrowdEnv`, TorchRL's collector and
 clipped loss (Schulman et al. 2017, arXiv:1707.06347), and generalised advantage estimation
@@ -24,11 +24,12 @@ from functools import partial
 
 import numpy as np
 
-from baselines.packages import needs
 from crowdbench import Reward, spawn_model
 from crowdbench.errors import CrowdbenchError, SettingError
 from crowdbench.registry import DEFAULT_SPAWN
 from crowdbench.scene import Scene
+
+from .packages import needs
 
 with needs("torchrl", __name__):
     import torch
@@ -40,7 +41,12 @@ with needs("torchrl", __name__):
     from torchrl.objectives import ClipPPOLoss
     from torchrl.objectives.value.functional import generalized_advantage_estimate
 
-    from baselines.command import (
+    from crowdbench.envs.torchrl_env import CrowdEnv
+    from crowdbench.simulation import observations, social
+    from crowdbench.simulation.observations import OBSERVATION, version_of
+    from crowdbench.spawn.plans import VISIT_M
+
+    from .command import (
         Command,
         add_settings,
         check_device,
@@ -48,10 +54,6 @@ with needs("torchrl", __name__):
         new_parser,
         train_each,
     )
-    from crowdbench.envs.torchrl_env import CrowdEnv
-    from crowdbench.simulation import observations, social
-    from crowdbench.simulation.observations import OBSERVATION, version_of
-    from crowdbench.spawn.plans import VISIT_M
 
 NOISE = 2
 """Number of normal numbers per action."""
@@ -400,13 +402,13 @@ def main(arguments: list[str] | None = None) -> int:
             )
         train_each(learn, command, asked, settings)
     except CrowdbenchError as error:
-        print(f"baselines.ppo: {error}", file=sys.stderr)
+        print(f"crowdbench.baselines.ppo: {error}", file=sys.stderr)
         return 2
     return 0
 
 
 if __name__ == "__main__":
     # Worker processes find functions in modules that they can import, which `__main__` is not.
-    from baselines.ppo import main as imported_main
+    from .ppo import main as imported_main
 
     sys.exit(imported_main())

@@ -4,6 +4,25 @@ Each message states where the error occurred, what was found, what was expected 
 The command line prints the message and exits with code 2.
 """
 
+from pathlib import Path
+
+_CONSTRAINTS = Path(__file__).parents[1] / "constraints.txt"  # in a clone; a wheel has none
+
+
+def to_install(extras: str, venv: str = "") -> str:
+    """Hint that says how to install extras of crowdbench, in a clone or from a wheel.
+
+    Args:
+        extras: such as `fit,onnx`.
+        venv: folder of a new virtual environment for them; by default, the present one.
+    """
+    pip = f"python -m venv {venv} && {venv}/bin/pip install" if venv else "pip install"
+    if _CONSTRAINTS.is_file():
+        return f'Run in the clone: {pip} -c constraints.txt -e ".[{extras}]".'
+    if venv:
+        return f'Run {pip} "WHEEL[{extras}]", where WHEEL is the file of crowdbench\'s wheel.'
+    return f'Run {pip} "crowdbench[{extras}]".'
+
 
 class CrowdbenchError(Exception):
     """Base class of all errors caused by invalid input or settings."""

@@ -2,11 +2,11 @@
 
     python tests/compare_observations.py --scene eth-v0 --out results/observations
 
-trains `baselines.ppo` with each observation and several seeds on the whole recording, under the
-same arrivals with stops and companions. It scores how the policies walk in the same time blocks,
-under the recorded arrivals, which must be imported. Policies that exist in the folder are not
-trained again; further options are those of `baselines.ppo`. The last lines have the mean walk score
-of each observation.
+trains `crowdbench.baselines.ppo` with each observation and several seeds on the whole recording,
+under the same arrivals with stops and companions. It scores how the policies walk in the same time
+blocks, under the recorded arrivals, which must be imported. Policies that exist in the folder are
+not trained again; further options are those of `crowdbench.baselines.ppo`. The last lines have the
+mean walk score of each observation.
 """
 
 import argparse
@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from baselines import ppo
 from crowdbench import evaluate, load_scene
+from crowdbench.baselines import ppo
 from crowdbench.scoring.scorecard import Row, rows
 
 OBSERVATIONS = ("lidar-2", "social-1")

@@ -2,9 +2,11 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -34,9 +36,27 @@ def test_the_wheel_carries_the_scenes_and_the_types(wheel: Path) -> None:
     assert scenes | {"crowdbench/py.typed"} <= carried
     assert {name.split("/")[0] for name in carried} == {
         "crowdbench",
-        "baselines",
         f"{wheel.name.split('-py3')[0]}.dist-info",
     }
+    assert {name for name in carried if name.startswith("crowdbench/baselines/")} == {
+        f"crowdbench/baselines/{path.name}" for path in (ROOT / "baselines").glob("*.*")
+    }
+
+
+@pytest.mark.long
+def test_the_source_distribution_makes_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
+    build = [sys.executable, "-m", "hatchling", "build", "-d", str(tmp_path)]
+    subprocess.run([*build, "-t", "sdist"], cwd=ROOT, check=True, capture_output=True)
+    with tarfile.open(next(tmp_path.glob("*.tar.gz"))) as archive:
+        archive.extractall(tmp_path, filter="data")
+    (unpacked,) = (path for path in tmp_path.iterdir() if path.is_dir())
+    subprocess.run([*build, "-t", "wheel"], cwd=unpacked, check=True, capture_output=True)
+    (again,) = tmp_path.glob("*.whl")
+    assert contents(again) == contents(wheel)
+
+
+def contents(wheel: Path) -> dict[str, int]:
+    return {file.filename: file.CRC for file in zipfile.ZipFile(wheel).infolist()}
 
 
 @pytest.fixture(scope="module")
@@ -65,14 +85,77 @@ def run(program: Path, *arguments: str, folder: Path) -> str:
 
 def test_baselines_come_with_an_installed_wheel(installed: Path, tmp_path: Path) -> None:
     code = (
-        "import baselines, crowdbench; print(baselines.__file__); print(crowdbench.__file__); "
-        "print(crowdbench.policy('baselines.heuristic:Heuristic', 'plaza-v0').name)"
+        "from crowdbench import baselines, policy; print(baselines.__file__); "
+        "print(policy('crowdbench.baselines.heuristic:Heuristic', 'plaza-v0').name)"
     )
-    ours, theirs, name = run(installed, "-c", code, folder=tmp_path).split()
-    assert {Path(ours).parents[1], Path(theirs).parents[1]} == {
-        next(installed.parents[1].rglob("needed.pth")).parent
-    }
+    ours, name = run(installed, "-c", code, folder=tmp_path).split()
+    packages = next(installed.parents[1].rglob("needed.pth")).parent
+    assert Path(ours) == packages / "crowdbench" / "baselines" / "__init__.py"
     assert name == "heuristic"
+
+
+@pytest.mark.parametrize(
+    ("code", "missing", "hint"),
+    [
+        (
+            "from crowdbench.evaluation.ray_engine import connect; connect('ray')",
+            "ray",
+            'Run pip install "crowdbench[ray]".',
+        ),
+        (
+            "from crowdbench.scene_building.fit import check_torch; check_torch('Or not.')",
+            "torch",
+            'Run pip install "crowdbench[fit]". Or not.',
+        ),
+        (
+            "import crowdbench.baselines.bc",
+            "torch",
+            "Run python -m venv .venv-imitation && .venv-imitation/bin/pip install "
+            '"WHEEL[imitation,onnx]", where WHEEL is the file of crowdbench\'s wheel.',
+        ),
+    ],
+)
+def test_an_installed_wheel_says_how_to_install_extras(
+    installed: Path, tmp_path: Path, code: str, missing: str, hint: str
+) -> None:
+    without = (
+        "import importlib.util, sys\n"
+        f"sys.modules[{missing!r}] = None\n"
+        "find = importlib.util.find_spec\n"
+        f"importlib.util.find_spec = lambda name: None if name == {missing!r} else find(name)\n"
+        "from crowdbench.errors import SettingError\n"
+        f"try:\n    {code}\nexcept SettingError as error:\n    print(error.hint)"
+    )
+    assert run(installed, "-c", without, folder=tmp_path).strip().endswith(hint)
+
+
+def test_messages_say_what_is_possible_outside_a_clone_too() -> None:
+    files = [*(ROOT / "crowdbench").rglob("*.py"), *(ROOT / "baselines").glob("*.py")]
+    saying = [
+        path.name for path in files if re.search(r"pip install|in the clone", path.read_text())
+    ]
+    assert saying == ["errors.py"]
+
+
+def test_another_package_may_be_called_baselines(installed: Path, tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    (tmp_path / "baselines").mkdir()
+    (tmp_path / "baselines" / "__init__.py").write_text("raise RuntimeError('not ours')\n")
+    asked = ["-m", "crowdbench.baselines.anticipate", "--help"]
+    told = run(installed, *asked, folder=tmp_path)
+    assert told.startswith("usage: python -m crowdbench.baselines.anticipate")
+
+
+@pytest.mark.long
+def test_an_installed_wheel_trains_in_worker_processes(installed: Path, tmp_path: Path) -> None:
+    pytest.importorskip("torchrl")
+    asked = ["-m", "crowdbench.baselines.ppo", "--scene", "plaza-v0", "--splits", "fold0", "fold1"]
+    brief = ["--workers", "2", "--frames", "800", "--batch-frames", "400", "--worlds", "2"]
+    out = run(installed, *asked, *brief, folder=tmp_path)
+    for split in ("fold0", "fold1"):
+        file = Path("results", "ppo-plaza-v0", f"{split}.onnx")
+        assert f"{file}: " in out
+        assert (tmp_path / file).is_file()
 
 
 @pytest.mark.long

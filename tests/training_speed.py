@@ -1,4 +1,4 @@
-"""Measures how fast `baselines.ppo` trains on this machine, and which part takes how much time.
+"""Measures how fast `crowdbench.baselines.ppo` trains on this machine, and how long its parts take.
 
     NUMBA_NUM_THREADS=16 python tests/training_speed.py --device cuda --worlds 512 --max-alive 200
 
@@ -17,8 +17,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from baselines import ppo
-from baselines.command import use_one_thread
+from crowdbench.baselines import ppo
+from crowdbench.baselines.command import use_one_thread
 
 WHOLE = "whole loop"
 CHUNK = 10

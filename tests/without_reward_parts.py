@@ -2,10 +2,10 @@
 
     python tests/without_reward_parts.py --scene eth-v0
 
-trains `baselines.ppo` with the observation `social-1`, with the default reward and with each part
-dropped, under arrivals with stops and companions. Each trained policy then walks in new worlds. A
-row has the mean of each part there, with the default weights, in 1/1000 per step of a person, its
-speed divided by its preferred speed, and the share of trips that end at the goal.
+trains `crowdbench.baselines.ppo` with the observation `social-1`, with the default reward and with
+each part dropped, under arrivals with stops and companions. Each trained policy then walks in new
+worlds. A row has the mean of each part there, with the default weights, in 1/1000 per step of a
+person, its speed divided by its preferred speed, and the share of trips that end at the goal.
 """
 
 import argparse
@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import torch
 
-from baselines import ppo
-from baselines.command import use_one_thread
 from crowdbench import Reward, spawn_model
+from crowdbench.baselines import ppo
+from crowdbench.baselines.command import use_one_thread
 from crowdbench.envs.torchrl_env import CrowdEnv
 from crowdbench.simulation import social
 from crowdbench.simulation.reward import PARTS

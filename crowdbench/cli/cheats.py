@@ -49,5 +49,6 @@ def _cheats(args: argparse.Namespace) -> None:
     print_note(
         "Scores under the recorded arrivals, protocol full: 0 straight walkers, 1 the recording. "
         "walk is the lesser of motion and interaction, and at most 0 where speed or arrivals are "
-        "marked with !. docs/cheats.md explains what the metrics can and cannot tell."
+        "marked with !. The page docs/cheats.md of the repository explains what the metrics can "
+        "and cannot tell."
     )

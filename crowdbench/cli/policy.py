@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from crowdbench.cli.printing import print_facts
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, to_install
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
@@ -157,7 +157,7 @@ def _imported(path: str) -> Any:
             "policy export",
             got="no torch",
             expected="torch to be installed",
-            hint='Run in the clone: pip install -e ".[fit]".',
+            hint=to_install("fit"),
         ) from error
     module, _, name = path.partition(":")
     try:

@@ -115,7 +115,7 @@ def add_json_option(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--json",
         metavar="FILE",
-        help="also write the scores as JSON, or print nothing but JSON (-); see docs/evaluation.md",
+        help="also write the scores as JSON, or print nothing but JSON (-)",
     )
 
 

@@ -17,14 +17,14 @@ import zipfile
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.util import find_spec
 from io import BytesIO
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, TypeVar
 
-from crowdbench import plugins
-from crowdbench.errors import SettingError, WorkerError
+import crowdbench
+from crowdbench import baselines, plugins
+from crowdbench.errors import SettingError, WorkerError, to_install
 from crowdbench.evaluation import node
 from crowdbench.evaluation.node import PLACES, Files, Given
 from crowdbench.evaluation.parallel import Stopped
@@ -42,7 +42,6 @@ TRIES_AGAIN = 4
 """Number of times that a task is done again if its node or its process dies."""
 _REACHED_S = 20.0
 """Longest time in which a connection to the cluster is made, seconds."""
-_PACKAGES = ("crowdbench", "baselines")
 _NOT_CODE = ("results", "build", "dist", "node_modules", "site-packages")
 """Folders of the working directory whose Python files are not sent."""
 _MOST_CODE = 50_000_000
@@ -64,7 +63,7 @@ def connect(address: str) -> Any:
             "engine",
             got=f"{address!r} without the package ray",
             expected="an installation of Ray",
-            hint='Run in the clone: pip install -e ".[ray]".',
+            hint=to_install("ray"),
         ) from error
     if not ray.is_initialized():
         where = address if address.startswith(CLIENT) else None
@@ -220,13 +219,13 @@ def _sent(ray: Any, what: Any) -> Sent:
 def _code() -> bytes:
     """Archive of the packages with the scenes inside, and of the code in the working directory."""
     files: dict[str, Path] = {}
-    for name in _PACKAGES:
-        found = find_spec(name)
-        if found is not None and found.origin is not None:
-            root = Path(found.origin).parent
-            files |= {f"{name}/{p.relative_to(root)}": p for p in _sendable(root, "*")}
-    scenes = scenes_folder()
-    files |= {f"crowdbench/_scenes/{p.relative_to(scenes)}": p for p in _sendable(scenes, "*")}
+    # As in a wheel: in a clone, the last two are not in the package's folder.
+    for place, root in (
+        ("crowdbench", Path(crowdbench.__file__).parent),
+        ("crowdbench/baselines", Path(baselines.__path__[0])),
+        ("crowdbench/_scenes", scenes_folder()),
+    ):
+        files |= {f"{place}/{p.relative_to(root)}": p for p in _sendable(root, "*")}
     own = _sendable(Path.cwd(), "*.py")
     size = sum(path.stat().st_size for path in own)
     if size > _MOST_CODE:

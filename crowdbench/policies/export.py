@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from crowdbench.errors import SceneError, SettingError, WeightsError
+from crowdbench.errors import SceneError, SettingError, WeightsError, to_install
 from crowdbench.files import replacing
 from crowdbench.policies.card import PolicyCard
 from crowdbench.policies.network import KEY, MOST_NOISE, OnnxPolicy, check_onnx
@@ -204,7 +204,7 @@ def _onnx(
             "policy",
             got=f"no {error.name}",
             expected="the packages for ONNX export",
-            hint='Run in the clone: pip install -e ".[onnx]".',
+            hint=to_install("onnx"),
         ) from error
     except Exception as error:  # torch's errors have no common base class
         raise WeightsError(

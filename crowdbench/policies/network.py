@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float32
 from numpy.random import Generator
 
-from crowdbench.errors import SettingError, WeightsError
+from crowdbench.errors import SettingError, WeightsError, to_install
 from crowdbench.files import read_bytes
 from crowdbench.policies.card import HINT, PolicyCard
 from crowdbench.policies.memory import Memory
@@ -160,7 +160,7 @@ def check_onnx() -> None:
             "policy",
             got=f"no {error.name}",
             expected="the packages for ONNX files",
-            hint='Run in the clone: pip install -e ".[onnx]".',
+            hint=to_install("onnx"),
         ) from error
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import cloudpickle
 import numpy as np
 
-from crowdbench.errors import SettingError, WeightsError
+from crowdbench.errors import SettingError, WeightsError, to_install
 
 if TYPE_CHECKING:
     from crowdbench.policies.sb3_network import Sb3Network
@@ -51,7 +51,7 @@ def read_sb3(path: Path, *, noise: int = 0) -> "Sb3Network":
             "policy export",
             got=f"no {error.name}",
             expected="the packages that read a model of Stable-Baselines3",
-            hint='Run in the clone: pip install -e ".[sb3,onnx]".',
+            hint=to_install("sb3,onnx"),
         ) from error
     if noise not in (0, 2):
         raise SettingError("noise", got=str(noise), expected="0 for the mean action, 2 to sample")
@@ -121,7 +121,7 @@ def _unpickled(path: Path, name: str, item: Any) -> Any:
             expected=f"the package {module} to be installed"
             if module
             else "one that the installed packages can read",
-            hint='Run in the clone: pip install -e ".[sb3]".' if module == "sb3_contrib" else AGAIN,
+            hint=to_install("sb3") if module == "sb3_contrib" else AGAIN,
         ) from error
 
 

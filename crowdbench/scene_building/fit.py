@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from msgspec import structs
 
-from crowdbench.errors import SceneError, SettingError
+from crowdbench.errors import SceneError, SettingError, to_install
 from crowdbench.evaluation.parallel import call_each, checked_workers
 from crowdbench.files import unwritable, write_text
 from crowdbench.registry import FITTED, PLANNED, fitted_models
@@ -188,7 +188,7 @@ def _check_models(models: Sequence[str]) -> None:
                 "models", got=repr(name), expected=f"one or more of {', '.join(FITTED)}"
             )
     if any(name in NEURAL for name in models):
-        check_torch(", or omit the model with --models poisson-gmm poisson-groups renewal-gmm")
+        check_torch("Or omit the model: --models poisson-gmm poisson-groups renewal-gmm.")
 
 
 def training_settings(model: str, changes: Mapping[str, Any]) -> Any:
@@ -236,7 +236,7 @@ def check_torch(hint: str = "") -> None:
             "neural spawn models",
             got="no installation of torch, which fitting requires",
             expected="torch 2.4 or newer",
-            hint=f'Install it in the clone with pip install -e ".[fit]"{hint}.',
+            hint=f"{to_install('fit')} {hint}".rstrip(),
         )
 
 

@@ -227,23 +227,23 @@ def _torchrl(worlds: int, persons: int) -> Iterator[Figure]:
 
 
 def _training() -> Iterator[Figure]:
-    """Figure of training with `baselines.ppo` on the plaza; none without its packages.
+    """Figure of training with `crowdbench.baselines.ppo` on the plaza; none without its packages.
 
     What counts is the whole time of an iteration: collecting a batch, beginning episodes included,
     and all epochs of learning from it.
     """
-    if find_spec("torchrl") is None or find_spec("baselines") is None:
+    if find_spec("torchrl") is None:
         return
     import torch
 
-    from baselines import ppo
-    from baselines.command import use_one_thread
+    from crowdbench.baselines.command import use_one_thread
+    from crowdbench.baselines.ppo import Settings, train
 
     threads = torch.get_num_threads()
     use_one_thread()  # as the command does
-    settings = ppo.Settings()
+    settings = Settings()
     scene = load_scene("plaza-v0")
-    rounds = ppo.train(scene.id, settings)
+    rounds = train(scene.id, settings)
     batches = round(scene.frames(settings.horizon_s) * settings.worlds / settings.batch_frames)
     rate = _best_rate(lambda: sum(next(rounds).steps for _ in range(batches)))  # of an episode
     rounds.close()

@@ -6,7 +6,7 @@ import sys
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, to_install
 from crowdbench.scene import Scene
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def check_rerun() -> None:
             "the viewer",
             got="no rerun",
             expected="the package rerun",
-            hint='Install it, in the clone: pip install -e ".[viewer]".',
+            hint=to_install("viewer"),
         )
 
 

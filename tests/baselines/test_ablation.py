@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from baselines import ablation, anticipate
-from baselines.ablation import VARIANTS, lines, walker_of
+from crowdbench.baselines import ablation, anticipate
+from crowdbench.baselines.ablation import VARIANTS, lines, walker_of
 from crowdbench.evaluation.evaluate import evaluate
 from crowdbench.policies.network import read_card
 from crowdbench.scene import load_scene
@@ -70,13 +70,13 @@ def test_variants_are_trained_scored_and_kept(
     few = anticipate.Settings(steps=10, people=1)
     slower = replace(BY_NAME["slower"], settings=few, guide=False)
     monkeypatch.setattr(ablation, "VARIANTS", (slower,))
-    monkeypatch.setattr("baselines.command.revision", lambda folder: "0123456789ab")
+    monkeypatch.setattr("crowdbench.baselines.command.revision", lambda folder: "0123456789ab")
     monkeypatch.setattr(ablation, "decision_frames", lambda scene: 3)
     monkeypatch.setattr(ablation, "evaluate", partial(evaluate, seeds=1))
     arguments = ["--scene", "plaza-v0", "--workers", "1", "--out", str(tmp_path)]
     assert ablation.main(arguments) == 0
     page = capsys.readouterr().out
-    assert "python -m baselines.ablation --scene plaza-v0" in page
+    assert "python -m crowdbench.baselines.ablation --scene plaza-v0" in page
     assert [line.split(" | ")[0] for line in page.splitlines()[-2:]] == [
         "| ---", f"| {slower.what}",
     ]  # fmt: skip
@@ -112,4 +112,4 @@ def test_each_variant_has_a_row_with_its_difference_to_the_first() -> None:
 
 def test_a_scene_that_does_not_exist_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
     assert ablation.main(["--scene", "nowhere-v0"]) == 2
-    assert "baselines.ablation: " in capsys.readouterr().err
+    assert "crowdbench.baselines.ablation: " in capsys.readouterr().err

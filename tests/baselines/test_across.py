@@ -12,10 +12,17 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from baselines import across, anticipate
-from baselines.anticipate import AHEAD_S, Samples, Settings, decision_frames, frames_ahead, pooled
-from baselines.command import Command
 from crowdbench import load_scene, policy, rollout, spawn_model
+from crowdbench.baselines import across, anticipate
+from crowdbench.baselines.anticipate import (
+    AHEAD_S,
+    Samples,
+    Settings,
+    decision_frames,
+    frames_ahead,
+    pooled,
+)
+from crowdbench.baselines.command import Command
 from crowdbench.errors import SettingError
 from crowdbench.evaluation.evaluate import evaluate
 from crowdbench.policies import OnnxPolicy, PolicyCard
@@ -61,7 +68,7 @@ def test_a_scene_is_left_out(tmp_path: Path) -> None:
     command = Command.of_several("anticipate", scenes, "hotel-v0", ["full"], tmp_path, ["--x"])
     assert [scene.id for scene in command.scenes] == ["eth-v0", "zara1-v0"]
     assert command.name == "anticipate-any"
-    assert command.line == "python -m baselines.anticipate --x"
+    assert command.line == "python -m crowdbench.baselines.anticipate --x"
 
 
 @pytest.mark.parametrize(
@@ -84,7 +91,7 @@ def test_scenes_that_cannot_be_pooled_are_refused(
 def test_frames_must_be_about_equally_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A network that decides every k frames would decide at other times elsewhere."""
     monkeypatch.setattr(
-        "baselines.command.load_scene",
+        "crowdbench.baselines.command.load_scene",
         lambda name: replace(ETH, id="fast", dt_s=0.1) if name == "fast" else load_scene(name),
     )
     with pytest.raises(SettingError, match=r"forum-v0 with 0.444 s, fast with 0.1 s"):
@@ -124,7 +131,7 @@ class Constant(nn.Module):
 def test_a_file_is_kept_only_if_its_code_is_known(
     revision: str, kept: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("baselines.command.revision", lambda folder: revision)
+    monkeypatch.setattr("crowdbench.baselines.command.revision", lambda folder: revision)
     command = Command.of("ppo", "plaza-v0", ["full"], tmp_path, ["--scene", "plaza-v0"])
     assert not command.has_written("full")
     command.write("full", Constant(), observation="social-1", noise=0)
@@ -212,7 +219,8 @@ def test_the_page_trains_without_each_scene_and_with_all(tmp_path: Path) -> None
     assert [len(command.scenes) for command in commands] == [2, 2, 2, 3]
     assert [c.out.name for c in commands][2:] == ["without-zara1-v0", "anticipate-any"]
     assert commands[0].line == (
-        "python -m baselines.anticipate --scenes eth-v0 hotel-v0 zara1-v0 --leave-out eth-v0"
+        "python -m crowdbench.baselines.anticipate "
+        "--scenes eth-v0 hotel-v0 zara1-v0 --leave-out eth-v0"
     )
 
 
@@ -230,14 +238,14 @@ def test_the_page_has_a_row_for_each_scene_and_files_are_kept(
         return command.write(split, Constant(), observation="social-1", noise=0)
 
     monkeypatch.setattr(across, "learn", constant)
-    monkeypatch.setattr("baselines.command.revision", lambda folder: "0123456789ab")
+    monkeypatch.setattr("crowdbench.baselines.command.revision", lambda folder: "0123456789ab")
     monkeypatch.setattr(across, "OTHERS", ("straight", "social-force"))
     monkeypatch.setattr(across, "evaluate", partial(evaluate, seeds=1))
     scenes = ["eth-v0", "hotel-v0", "zara1-v0"]
     arguments = ["--scenes", *scenes, "--workers", "1", "--out", str(tmp_path)]
     assert across.main(arguments) == 0
     page = capsys.readouterr().out
-    assert "python -m baselines.across --scenes eth-v0 hotel-v0" in page
+    assert "python -m crowdbench.baselines.across --scenes eth-v0 hotel-v0" in page
     found = [line.split(" | ") for line in page.splitlines()[-3:]]
     assert [cells[0] for cells in found] == [f"| {scene}" for scene in scenes]
     assert {len(cells) for cells in found} == {len(across.HEAD)}
@@ -254,7 +262,10 @@ def test_what_is_missing_is_said_before_the_trainings(
     monkeypatch.setattr(across, "learn", None)
     arguments = ["--scenes", "eth-v0", "hotel-v0", "zara1-v0", "--out", str(tmp_path / "out")]
     assert across.main(arguments) == 2
-    assert "baselines.across: recording eth: got no imported table" in capsys.readouterr().err
+    assert (
+        "crowdbench.baselines.across: recording eth: got no imported table"
+        in capsys.readouterr().err
+    )
 
 
 def test_fewer_than_three_scenes_are_refused(capsys: pytest.CaptureFixture[str]) -> None:

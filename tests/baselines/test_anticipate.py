@@ -11,9 +11,18 @@ import torch
 from given import Given
 from worlds import Person, square
 
-from baselines import anticipate
-from baselines.anticipate import FEWEST, GAIN, GRID, MARGIN, WIDTHS, best, corrected, mirrored
-from baselines.anticipation import (
+from crowdbench.baselines import anticipate
+from crowdbench.baselines.anticipate import (
+    FEWEST,
+    GAIN,
+    GRID,
+    MARGIN,
+    WIDTHS,
+    best,
+    corrected,
+    mirrored,
+)
+from crowdbench.baselines.anticipation import (
     ABREAST_M,
     KNOTS_M,
     LOOK_S,

@@ -1,8 +1,8 @@
-"""The baselines outside the package do what their page says."""
+"""The baselines do what their page says."""
 
 import numpy as np
 
-from baselines.heuristic import Heuristic
+from crowdbench.baselines.heuristic import Heuristic
 from crowdbench.registry import spawn_model
 from crowdbench.rollouts.rollout import rollout
 from crowdbench.scene import load_scene

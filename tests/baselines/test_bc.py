@@ -14,8 +14,9 @@ import torch  # noqa: E402
 from gymnasium import spaces  # noqa: E402
 from torch import distributions  # noqa: E402
 
-from baselines import bc  # noqa: E402
-from baselines.mixture import (  # noqa: E402
+from crowdbench import Demonstrations, rollout, spawn_model  # noqa: E402
+from crowdbench.baselines import bc  # noqa: E402
+from crowdbench.baselines.mixture import (  # noqa: E402
     CHANGES,
     NOISE,
     Mixture,
@@ -24,7 +25,6 @@ from baselines.mixture import (  # noqa: E402
     features_of,
     target_distance_m,
 )
-from crowdbench import Demonstrations, rollout, spawn_model  # noqa: E402
 from crowdbench.policies import OnnxPolicy  # noqa: E402
 from crowdbench.scene import load_scene  # noqa: E402
 from crowdbench.simulation import social  # noqa: E402
@@ -121,13 +121,15 @@ def test_training_stops_when_nothing_gets_better() -> None:
 
 
 def test_the_file_acts_as_the_policy_does(tmp_path: Path, capsys) -> None:
-    asked = pages.arguments("docs/training.md", "python -m baselines.bc")
+    asked = pages.arguments("docs/training.md", "python -m crowdbench.baselines.bc")
     small = ["--epochs", "2", "--batch-size", "512", "--seed", "3"]
     assert bc.main([*asked, *small, "--out", str(tmp_path)]) == 0
     assert "nats per action after" in capsys.readouterr().out
     policy = OnnxPolicy(tmp_path / "full.onnx")
     assert policy.noise == NOISE
-    assert policy.card.command.startswith("python -m baselines.bc --scene plaza-v0 --epochs 2")
+    assert policy.card.command.startswith(
+        "python -m crowdbench.baselines.bc --scene plaza-v0 --epochs 2"
+    )
     crowd = rollout(PLAZA, spawn_model("poisson-gmm", PLAZA), policy, seed=0, horizon_s=60.0)
     assert len(crowd) > 10
 
@@ -211,4 +213,4 @@ def test_unknown_scenes_are_said(capsys, tmp_path: Path) -> None:
 def test_what_cannot_be_trained_is_said(wrong: str, capsys, tmp_path: Path) -> None:
     asked = ["--scene", "plaza-v0", "--out", str(tmp_path), *wrong.split()]
     assert bc.main(asked) == 2
-    assert "baselines.bc: " in capsys.readouterr().err
+    assert "crowdbench.baselines.bc: " in capsys.readouterr().err

@@ -12,9 +12,9 @@ need_imitation()
 
 import torch  # noqa: E402
 
-from baselines import bc_paper  # noqa: E402
-from baselines.bc_paper import NOISE, PaperObservation, Settings, clone  # noqa: E402
 from crowdbench import Demonstrations, rollout, spawn_model  # noqa: E402
+from crowdbench.baselines import bc_paper  # noqa: E402
+from crowdbench.baselines.bc_paper import NOISE, PaperObservation, Settings, clone  # noqa: E402
 from crowdbench.policies import OnnxPolicy  # noqa: E402
 from crowdbench.scene import load_scene  # noqa: E402
 
@@ -101,7 +101,9 @@ def test_the_file_walks_a_crowd(tmp_path: Path, capsys: pytest.CaptureFixture[st
     policy = OnnxPolicy(tmp_path / "full.onnx")
     assert (policy.noise, policy.observation) == (NOISE, "lidar-1")
     assert policy.card.name == "bc-paper"
-    assert policy.card.command.startswith("python -m baselines.bc_paper --scene plaza-v0")
+    assert policy.card.command.startswith(
+        "python -m crowdbench.baselines.bc_paper --scene plaza-v0"
+    )
     crowd = rollout(PLAZA, spawn_model("poisson-gmm", PLAZA), policy, seed=0, horizon_s=60.0)
     assert len(crowd) > 10
 
@@ -109,4 +111,4 @@ def test_the_file_walks_a_crowd(tmp_path: Path, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize("wrong", [["--epochs", "0"], ["--splits", "fold7"]])
 def test_bad_settings_are_refused(wrong, tmp_path: Path, capsys) -> None:
     assert bc_paper.main(["--scene", "plaza-v0", "--out", str(tmp_path / "x"), *wrong]) == 2
-    assert "baselines.bc_paper: " in capsys.readouterr().err
+    assert "crowdbench.baselines.bc_paper: " in capsys.readouterr().err

@@ -11,8 +11,8 @@ import pytest
 import torch
 from conftest import need_imitation
 
-from baselines import ppo
-from baselines.command import Command, check_numbers, use_one_thread
+from crowdbench.baselines import ppo
+from crowdbench.baselines.command import Command, check_numbers, use_one_thread
 from crowdbench.errors import CrowdbenchError, SettingError
 
 
@@ -86,7 +86,7 @@ def test_by_default_the_folder_is_named_after_both(
 def test_ppo_refuses_what_cannot_be_trained(wrong: str, tmp_path: Path, capsys) -> None:
     asked = ["--scene", "plaza-v0", "--out", str(tmp_path), *wrong.split()]
     assert ppo.main(asked) == 2
-    assert "baselines.ppo: " in capsys.readouterr().err
+    assert "crowdbench.baselines.ppo: " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("name", "extra"), [("bc", "imitation"), ("gail", "imitation"),
@@ -95,13 +95,13 @@ def test_without_its_packages_a_baseline_says_what_to_install(name: str, extra: 
     code = (
         "import runpy, sys\n"
         "sys.modules['torch'] = None\n"  # as if it were not installed
-        f"runpy.run_module('baselines.{name}', run_name='__main__')"
+        f"runpy.run_module('crowdbench.baselines.{name}', run_name='__main__')"
     )
     run = [sys.executable, "-c", code]
     done = subprocess.run(run, capture_output=True, text=True, cwd=Path(__file__).parents[2])
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(
-        f"baselines: packages: got no torch; expected the packages of the extra {extra}."
+        f"crowdbench.baselines: packages: got no torch; expected the packages of the extra {extra}."
     )
     assert f'-e ".[{extra},onnx]"' in done.stderr
     assert len(done.stderr.splitlines()) == 1
@@ -111,7 +111,7 @@ def test_without_its_packages_a_baseline_says_what_to_install(name: str, extra: 
 def test_every_option_is_told(name: str) -> None:
     if name != "ppo":
         need_imitation()
-    parser = importlib.import_module(f"baselines.{name}").command_line()
+    parser = importlib.import_module(f"crowdbench.baselines.{name}").command_line()
     assert [a.dest for a in parser._actions if not a.help] == []
     assert "%(" not in parser.format_help()
     assert "(default: results/" in parser.format_help()
@@ -121,10 +121,13 @@ def test_every_option_is_told(name: str) -> None:
 def test_scripts_call_what_worker_processes_can_import(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    module = importlib.import_module(f"baselines.{name}")
+    module = importlib.import_module(f"crowdbench.baselines.{name}")
     monkeypatch.setattr(module, "main", lambda: 7)
-    with pytest.raises(SystemExit, match="7"):
-        runpy.run_path(str(module.__file__), run_name="__main__")
+    with (
+        pytest.warns(RuntimeWarning, match="found in sys.modules"),
+        pytest.raises(SystemExit, match="7"),
+    ):
+        runpy.run_module(module.__name__, run_name="__main__")
 
 
 def test_a_card_names_the_options_that_change_the_policy(tmp_path: Path) -> None:
@@ -132,4 +135,4 @@ def test_a_card_names_the_options_that_change_the_policy(tmp_path: Path) -> None
     given += ["--workers", "2", "--splits", "full", "fold0", "--engine", "ray", "--steps=9"]
     command = Command.of("anticipate", "plaza-v0", ["full"], tmp_path, given)
     expected = "--scene plaza-v0 --seed 3 --splits full fold0 --steps=9"
-    assert command.line == f"python -m baselines.anticipate {expected}"
+    assert command.line == f"python -m crowdbench.baselines.anticipate {expected}"

@@ -16,10 +16,10 @@ import torch  # noqa: E402
 from gymnasium import spaces  # noqa: E402
 from imitation.data.types import Transitions  # noqa: E402
 
-from baselines import bc, gail  # noqa: E402
-from baselines.command import Command  # noqa: E402
-from baselines.mixture import NOISE, MixturePolicy  # noqa: E402
 from crowdbench import demonstrations, rollout, spawn_model  # noqa: E402
+from crowdbench.baselines import bc, gail  # noqa: E402
+from crowdbench.baselines.command import Command  # noqa: E402
+from crowdbench.baselines.mixture import NOISE, MixturePolicy  # noqa: E402
 from crowdbench.policies import OnnxPolicy  # noqa: E402
 from crowdbench.scene import load_scene  # noqa: E402
 
@@ -146,14 +146,14 @@ def test_a_discriminator_compares_with_the_paths_that_were_cloned(
 
 
 def test_the_file_and_the_curves_are_written(tmp_path: Path, capsys) -> None:
-    asked = pages.arguments("docs/training.md", "python -m baselines.gail")
+    asked = pages.arguments("docs/training.md", "python -m crowdbench.baselines.gail")
     small = "--steps 2048 --persons 16 --horizon-s 60 --cloning-epochs 1 --cloning-batch-size 512"
     assert gail.main([*asked, *small.split(), "--out", str(tmp_path)]) == 0
     assert "steps  at goal" in capsys.readouterr().out
     policy = OnnxPolicy(tmp_path / "full.onnx")
     assert policy.noise == NOISE
     assert policy.card.name == "gail"
-    assert policy.card.command.startswith("python -m baselines.gail --scene plaza-v0")
+    assert policy.card.command.startswith("python -m crowdbench.baselines.gail --scene plaza-v0")
     with (tmp_path / "full.csv").open() as file:
         curves = list(csv.DictReader(file))
     assert [int(row["steps"]) for row in curves] == [1024, 2048]
@@ -188,4 +188,4 @@ def test_wrong_numbers_of_the_cloning_are_called_by_their_option(capsys, tmp_pat
 def test_what_cannot_be_trained_is_said(wrong: str, capsys, tmp_path: Path) -> None:
     asked = ["--scene", "plaza-v0", "--out", str(tmp_path), *wrong.split()]
     assert gail.main(asked) == 2
-    assert "baselines.gail: " in capsys.readouterr().err
+    assert "crowdbench.baselines.gail: " in capsys.readouterr().err

@@ -22,7 +22,7 @@ from worlds import (
     walked,
 )
 
-from baselines.orca import BODY_M, NUDGE_MPS, ORCA
+from crowdbench.baselines.orca import BODY_M, NUDGE_MPS, ORCA
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, StateView, Straight
 from crowdbench.registry import policy as named
@@ -41,7 +41,7 @@ def nearest_m(path: np.ndarray) -> float:
 
 
 def test_it_is_a_policy_under_its_own_name() -> None:
-    walker = named("baselines.orca:ORCA", "plaza-v0")
+    walker = named("crowdbench.baselines.orca:ORCA", "plaza-v0")
     assert isinstance(walker, Policy)
     assert walker.name == "orca"
 

@@ -11,9 +11,9 @@ from tensordict import TensorDict
 from torch import Tensor
 from worlds import Person, square
 
-from baselines import ppo
-from baselines.walked import walked
 from crowdbench import Reward, load_scene, spawn_model
+from crowdbench.baselines import ppo
+from crowdbench.baselines.walked import walked
 from crowdbench.envs.torchrl_env import CrowdEnv
 from crowdbench.errors import SettingError
 from crowdbench.policies import OnnxPolicy
@@ -110,7 +110,7 @@ def test_only_people_act() -> None:
 def test_it_trains_and_its_file_acts_as_it_does(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = pages.arguments("docs/training.md", "python -m baselines.ppo")
+    asked = pages.arguments("docs/training.md", "python -m crowdbench.baselines.ppo")
     small = ["--frames", "400", "--batch-frames", "200", "--worlds", "2", "--horizon-s", "20"]
     assert ppo.main([*asked, *small, "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
@@ -119,7 +119,7 @@ def test_it_trains_and_its_file_acts_as_it_does(
     assert "at goal" in printed
     assert "of the preferred speed" in printed
     policy = OnnxPolicy(tmp_path / "full.onnx")
-    assert policy.card.command.startswith("python -m baselines.ppo --scene plaza-v0")
+    assert policy.card.command.startswith("python -m crowdbench.baselines.ppo --scene plaza-v0")
     assert policy.noise == ppo.NOISE
 
 

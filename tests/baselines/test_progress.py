@@ -6,8 +6,8 @@ from types import ModuleType
 
 import pytest
 
-from baselines import progress as module
-from baselines.progress import Progress
+from crowdbench.baselines import progress as module
+from crowdbench.baselines.progress import Progress
 
 LOG = "torch.utils.tensorboard"
 

@@ -7,8 +7,8 @@ import pytest
 from given import Given
 from worlds import Person
 
-from baselines.walked import walked
 from crowdbench import load_scene, rollout, spawn_model
+from crowdbench.baselines.walked import walked
 from crowdbench.policies import StateView, Straight
 from crowdbench.trajectories.table import OUTCOMES
 

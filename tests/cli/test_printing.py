@@ -18,7 +18,7 @@ from crowdbench.scoring.scorecard import SCHEMA, PairResult, Scorecard, read_anc
 ETH = load_scene("eth-v0")
 ANCHORS = {(e.spawn, e.policy): e for e in read_anchors(ETH).protocols["full"].anchors}
 LONG = "ntpp-gmm+docs/steering/rush_hour.toml"
-CLASS = "baselines.heuristic:Heuristic"
+CLASS = "crowdbench.baselines.heuristic:Heuristic"
 
 Printed = pytest.CaptureFixture[str]
 
@@ -100,7 +100,7 @@ def test_long_names_are_folded_between_words(
     monkeypatch.setenv("COLUMNS", "80")
     out = printed(MANY, capsys)
     assert re.search(
-        r"^ ntpp-gmm\+rush_hour ×  +\S.*\n baselines\.heuristic:Heuristic *$", out, re.M
+        r"^ ntpp-gmm\+rush_hour ×  +\S.*\n crowdbench\.baselines\.heuristic:Heuristic *$", out, re.M
     )
 
 

@@ -13,14 +13,18 @@ import pages
 import pytest
 from conftest import need_imitation, need_sb3
 
+import crowdbench
 from crowdbench import rollout
 from crowdbench.cli import _parser, main
+from crowdbench.leaderboard.verification.entry import read_entry
 from crowdbench.policies import StateView
 from crowdbench.trajectories.table import OUTCOMES, PERSON_COLUMNS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md")])
+TRAINING = (DOCS / "training.md").read_text()
+CROWDS = ROOT / "leaderboard" / "entries" / "cox-plans-anticipate.json"
 
 
 def page(name: str) -> str:
@@ -57,18 +61,93 @@ def test_the_page_on_python_runs_from_top_to_bottom_and_prints_what_it_shows(
     monkeypatch.chdir(tmp_path)
     world: dict[str, object] = {}
     for block in pages.blocks(page("python.md"), "python"):
-        quick = block.replace("seeds=10", "seeds=1, workers=1")
-        exec(compile(quick, "python.md", "exec"), world)
-    printed = without_numbers(capsys.readouterr().out)
+        exec(compile(block, "python.md", "exec"), world)
+    printed = capsys.readouterr().out
     for shown in pages.blocks(page("python.md"), "text"):
-        assert without_numbers(shown) in printed
+        assert pages.differences(shown, printed) == []
     assert "expected one of poisson-gmm" in printed
-    assert "renewal-gmm straight" in printed
 
 
-def without_numbers(text: str) -> str:
-    """Another processor rounds otherwise."""
-    return re.sub(r"\d+(\.\d+)?", "#", text)
+@pytest.mark.long
+@pytest.mark.usefixtures("no_report")
+def test_the_main_job_prints_the_tables_of_its_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "88")  # of a terminal for which the table is divided
+    command = pages.commands(page("evaluation.md"))[0]
+    assert f"\t$(BIN)/{command}\n" in (ROOT / "Makefile").read_text()
+    assert main(shlex.split(command)[1:]) == 0
+    (shown,) = pages.blocks(page("evaluation.md"), "text")
+    assert pages.differences(shown, capsys.readouterr().out) == []
+
+
+def test_the_page_on_metrics_counts_those_of_each_scene() -> None:
+    text = " ".join(page("metrics.md").split())
+    assert "So Zara and the plaza have twenty-nine metrics, ETH and Hotel twenty-eight." in text
+    assert "twenty-eight on ETH" in page("evaluation.md")
+    expected = {"eth-v0": 28, "hotel-v0": 28, "zara1-v0": 29, "plaza-v0": 29}
+    for scene, number in expected.items():
+        crowd = rollout(scene, "poisson-gmm", "straight", seed=0)
+        assert len(crowdbench.score(scene, crowd)) == number, scene
+    assert len(crowdbench.METRICS) == 30
+
+
+SCENES = {"ETH": "eth-v0", "Grand Central": "gc-v0", "Forum": "forum-v0", "Hotel": "hotel-v0"}
+SCENES |= {"Zara": "zara1-v0"}
+
+
+def family(name: str, scene: str, asked: str) -> float:
+    entry = read_entry(ROOT / "leaderboard" / "entries" / f"{name}.json")
+    return entry.scenes[scene].families[asked].value
+
+
+def test_the_scores_of_anticipate_are_those_of_its_entries() -> None:
+    rows = re.findall(r"^\| ([A-Z][\w ]+) \| ([\d.]+) \[.*?\] \|(.*)\| \d+ s \|$", TRAINING, re.M)
+    assert {row[0] for row in rows} == set(SCENES)
+    for place, walk, others in rows:
+        families = [family("anticipate", SCENES[place], f) for f in ("motion", "interaction")]
+        crowd = [
+            family("cox-plans-anticipate", SCENES[place], f)
+            for f in read_entry(CROWDS).scenes[SCENES[place]].families
+            if f not in ("motion", "interaction")
+        ]
+        overall = (min(families) + float(np.mean(crowd))) / 2
+        shown = [float(walk), *map(float, others.split("|"))]
+        expected = [min(families), *families, overall]
+        assert shown == pytest.approx(expected, abs=0.006), place
+
+
+def test_the_scores_of_bc_and_gail_are_those_of_their_entries() -> None:
+    rows = re.findall(
+        r"^\| ([A-Z][\w ]+)? ?\| `(bc|gail)` \| (\S+) \| (\S+) \| (\S+) \[.*\] \|$", TRAINING, re.M
+    )
+    assert [row[1] for row in rows] == ["bc", "gail"] * 3
+    place = ""
+    for named, name, *shown in rows:
+        place = named.strip() or place
+        families = [family(name, SCENES[place], f) for f in ("motion", "interaction")]
+        values = [float(value.replace("−", "-")) for value in shown]
+        assert values == pytest.approx([*families, min(families)], abs=0.006), (place, name)
+
+
+@pytest.mark.parametrize(
+    ("shown", "printed", "expected"),
+    [
+        ("a  0.50 [0.30, −0.66]", "x\n a 0.51 [0.28, −0.68] \n", 0),
+        ("a  0.50 [0.30, −0.66]", "a 0.53 [0.30, −0.66]", 1),
+        ("a  0.50 [0.30, −0.66]", "a 0.50 [0.30, 0.66]", 1),
+        ("417 persons, 0.4 s", "416 persons, 0.4 s", 1),
+        ("416 persons, 0.4 s", "416 persons, 0.4 s", 0),
+        ("1332.5 people", "1330.0 people", 0),
+        ("1332.5 people", "1300.0 people", 1),
+        ("eth-v0 0.1", "eth-v1 0.1", 1),
+        ("a 0.1\nb 0.2", "b 0.2\na 0.1", 1),
+        ("a 1.0 %", "a –", 1),
+    ],
+)
+def test_numbers_of_pages_are_compared(shown: str, printed: str, expected: int) -> None:
+    assert len(pages.differences(shown, printed)) == expected
 
 
 def test_the_page_on_python_names_every_outcome_and_column() -> None:

@@ -76,7 +76,8 @@ def test_a_trained_policy_gets_to_a_page_of_the_leaderboard(
     (block,) = pages.blocks((ROOT / "docs" / "submitting.md").read_text(), "sh")
     trained, *commands = block.splitlines()
     scene, folder = "plaza-v0", Path("results/ppo-plaza-v0")
-    assert trained == f"python -m baselines.ppo --scene {scene} --splits fold0 fold1 fold2"
+    program = "python -m crowdbench.baselines.ppo"
+    assert trained == f"{program} --scene {scene} --splits fold0 fold1 fold2"
     for split in FOLDS:  # as it writes them; tests of its own train it
         write_network(folder / f"{split}.onnx", split)
     for command in commands:

@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from baselines import ppo
+from crowdbench.baselines import ppo
 from crowdbench.envs.torchrl_env import CrowdEnv
 from crowdbench.envs.torchrl_slots import SlotEnv
 

@@ -36,6 +36,8 @@ from crowdbench.registry import policy, spawn_model
 from crowdbench.trajectories.blocks import SPLITS
 from crowdbench.trajectories.storage import write_parquet
 
+SUBMISSIONS = Path(__file__).parents[2] / "leaderboard" / "submissions"
+
 
 @pytest.fixture
 def walker(tmp_path: Path) -> Path:
@@ -106,7 +108,7 @@ def test_what_has_seen_whole_recordings_is_listed(tmp_path: Path) -> None:
         ("walk", "", "replay", "reference"),
         ("walk", "", "random", "reference"),
         ("walk", "", "social-force", "ranked"),
-        ("walk", "", "baselines.heuristic:Heuristic", "ranked"),
+        ("walk", "", "crowdbench.baselines.heuristic:Heuristic", "ranked"),
         ("spawn", "poisson-gmm", "", "reference"),
         ("spawn", "replay", "", "reference"),
         ("spawn", "block-replay", "", "reference"),
@@ -127,6 +129,14 @@ def test_what_comes_with_crowdbench_is_named(
         assert submission.policy_of("plaza-v0") == (walker or "straight")
 
 
+def test_the_submission_of_orca_names_its_class_as_first_verified() -> None:
+    pytest.importorskip("pyrvo")
+    with open_submission(SUBMISSIONS / "orca") as submission:
+        assert submission.declared.shipped_policy == "baselines.orca:ORCA"
+        assert submission.policy_of("eth-v0") == "crowdbench.baselines.orca:ORCA"
+        assert policy(submission.policy_of("eth-v0"), "eth-v0").name == "orca"
+
+
 def test_policies_that_come_with_a_scene_are_named_for_it(tmp_path: Path) -> None:
     folder = declare(tmp_path / "bc", more='shipped_policy = "bc"\n')
     assert "a policy that comes with plaza-v0: straight, " in problem(folder)
@@ -137,7 +147,10 @@ def test_policies_that_come_with_a_scene_are_named_for_it(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(
     "name",
-    ["os:system", "baselines.command:main", "baselines.nothing:Class", "../bc", "bc/../bc", "x"],
+    [
+        *("os:system", "../bc", "bc/../bc", "x", "baselines.command:main"),
+        *("crowdbench.baselines.command:main", "crowdbench.baselines.nothing:Class"),
+    ],
 )
 def test_no_other_names_stand_for_policies(name: str, tmp_path: Path) -> None:
     told = problem(declare(tmp_path / "evil", more=f'shipped_policy = "{name}"\n'))

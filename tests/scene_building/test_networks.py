@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from baselines.anticipate import Settings
-from baselines.anticipation import Walker
+from crowdbench.baselines.anticipate import Settings
+from crowdbench.baselines.anticipation import Walker
+from crowdbench.cli import main
 from crowdbench.leaderboard.submission.schema import Declared
 from crowdbench.leaderboard.submission.submission import open_submission
 from crowdbench.leaderboard.submission.template import _parameters
@@ -53,6 +54,25 @@ def test_the_page_on_spawn_models_has_the_numbers(scene: str, found: dict[str, N
         heldout(networks),
         f"{networks.constant:.0%}".replace("%", " %"),
     ]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scene", ["eth-v0", "plaza-v0"])
+def test_the_page_on_spawn_models_has_the_likelihoods(
+    scene: str, opentraj: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if scene == "eth-v0":
+        assert main(["data", "import", "eth", "--source", str(opentraj)]) == 0
+    page = (ROOT / "docs" / "spawn-models.md").read_text().replace("−", "-")
+    assert main(["spawn", scene]) == 0
+    printed = capsys.readouterr().out
+    found = dict(re.findall(r"^ ([a-z]+-[a-z]+) +-\d.\d+ +(-\d.\d+) ", printed, re.M))
+    (names,) = re.findall(r"^\| scene \| areas \|.*\| without \| (.*) \|$", page, re.M)
+    (row,) = re.findall(rf"^\| {scene} \| (.*) \|$", page, re.M)
+    shown = dict(zip(names.split(" | "), row.split(" | ")[4:], strict=True))
+    assert set(shown) <= set(found)
+    for name, value in shown.items():
+        assert float(value) == pytest.approx(float(found[name]), abs=0.005), name
 
 
 def test_the_page_of_results_has_those_of_eth(found: dict[str, Networks]) -> None:

@@ -383,7 +383,7 @@ def test_without_rerun_it_is_said_how_to_install_it(
     crowd: Trajectories, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)  # what is not installed cannot be found
-    with pytest.raises(SettingError, match=r'pip install -e "\.\[viewer\]"'):
+    with pytest.raises(SettingError, match=r'-e "\.\[viewer\]"'):
         save(crowd, PLAZA, tmp_path / "x.rrd")
 
 

@@ -16,7 +16,8 @@ from crowdbench.scene import load_scene
 from crowdbench.spawn.areas import read_areas
 from crowdbench.trajectories.blocks import SPLITS
 
-_BASELINE = re.compile(r"baselines\.[a-z_]+:[A-Z][A-Za-z]*")
+_BASELINE = re.compile(r"(crowdbench\.)?baselines\.[a-z_]+:[A-Z][A-Za-z]*")
+"""A class of `crowdbench.baselines`. Submissions to version 0.1 left out the package's name."""
 
 
 def check_models(
@@ -42,6 +43,11 @@ def check_models(
                 hint="Choose one of the two.",
             )
         )
+
+
+def shipped_class(named: str) -> str:
+    """The name of a shipped policy as an argument of `registry.policy`."""
+    return f"crowdbench.{named}" if named.startswith("baselines.") else named
 
 
 def shipped_files(declared: Declared) -> dict[str, Path]:
@@ -115,14 +121,14 @@ def _wrong_names(declared: Declared) -> Iterator[CrowdbenchError]:
     if _BASELINE.fullmatch(named):
         problems: list[CrowdbenchError] = []
         with collecting(problems, Path()):
-            policy(named, declared.scenes[0])
+            policy(shipped_class(named), declared.scenes[0])
         yield from problems
         return
     for scene in declared.scenes:
         place = load_scene(scene)
         file = named in trained_policies(place)
         if not file or not all(_is_file(named, scene, split) for split in splits_of(declared)):
-            known = (*POLICIES, *trained_policies(place), "baselines.MODULE:Class")
+            known = (*POLICIES, *trained_policies(place), "crowdbench.baselines.MODULE:Class")
             yield RefusedError(
                 f"{FILE}, shipped_policy",
                 got=repr(named),

@@ -14,7 +14,7 @@ from crowdbench.files import sha256
 from crowdbench.leaderboard.submission.archive import pack, unpack
 from crowdbench.leaderboard.submission.errors import RefusedError, SubmissionError
 from crowdbench.leaderboard.submission.layout import NETWORK, Layout, files_in, lay_out
-from crowdbench.leaderboard.submission.models import check_models, shipped_files
+from crowdbench.leaderboard.submission.models import check_models, shipped_class, shipped_files
 from crowdbench.leaderboard.submission.parse import read_declared
 from crowdbench.leaderboard.submission.schema import FILE, Declared
 from crowdbench.leaderboard.submission.trajectories import check_crowds
@@ -62,7 +62,7 @@ class Submission:
         if self.declared.track == "spawn":
             return "straight"
         if self.declared.shipped_policy:
-            return self.declared.shipped_policy
+            return shipped_class(self.declared.shipped_policy)
         one = self.layout.networks == [NETWORK]
         return str(self.folder / NETWORK if one else self.folder / scene / "policy")
 
