@@ -1,4 +1,4 @@
-"""`crowdbench leaderboard`: verify submissions, build the pages, rescore entries."""
+"""`crowdbench leaderboard`: verify submissions, build pages, rescore entries, measure limits."""
 
 import argparse
 import sys
@@ -23,12 +23,13 @@ Named = TypeVar("Named", Path, str)
 def add(commands: "Commands") -> None:
     """Add these commands to the command line."""
     leaderboard = commands.add_parser(
-        "leaderboard", help="verify submissions, build the pages, rescore entries"
+        "leaderboard", help="verify submissions, build the pages, rescore entries, measure limits"
     )
     of_leaderboard = leaderboard.add_subparsers(required=True, metavar="COMMAND")
     _add_verify(of_leaderboard)
     _add_build(of_leaderboard)
     _add_rescore(of_leaderboard)
+    _add_limits_of_trips(of_leaderboard)
 
 
 def _add_verify(commands: "Commands") -> None:
@@ -79,6 +80,16 @@ def _add_rescore(commands: "Commands") -> None:
     add_workers(rescore)
     _add_limits(rescore)
     rescore.set_defaults(run=_rescore)
+
+
+def _add_limits_of_trips(commands: "Commands") -> None:
+    limits = commands.add_parser(
+        "limits",
+        help="measure how many trips are like recorded ones without copying, and write the limits "
+        "of the flag `copied trips`",
+    )
+    limits.add_argument("scene", nargs="*", help="ids of scenes (default: all)")
+    limits.set_defaults(run=_limits_of_trips)
 
 
 def _add_limits(parser: argparse.ArgumentParser) -> None:
@@ -152,7 +163,7 @@ def _verify_on_cluster(args: argparse.Namespace, limits: "Limits") -> None:
             print(f"crowdbench: {verified}", file=sys.stderr)
             refused.append(f"{submission}")
         else:
-            _print_entry(verified[0])
+            print_entry(verified[0])
     _check_refused(refused, len(found))
     print(f"entries written to {args.out}")
 
@@ -196,6 +207,27 @@ def _rescore(args: argparse.Namespace) -> None:
     _each(named, one)
 
 
+def _limits_of_trips(args: argparse.Namespace) -> None:
+    from crowdbench.leaderboard.verification.trip_limits import HONEST, measure, trip_limit, write
+    from crowdbench.scene import list_scenes, load_scene
+
+    unknown = sorted(set(args.scene) - set(list_scenes()))
+    if unknown:
+        raise SettingError(
+            "leaderboard limits",
+            got=f"scene {', '.join(unknown)}",
+            expected=f"scenes of crowdbench ({', '.join(list_scenes())})",
+        )
+    measured = {name: measure(load_scene(name)) for name in args.scene or list_scenes()}
+    path = write(measured)
+    table = new_table("copied trips", *HONEST, "limit")
+    for name, shares in measured.items():
+        each = [f"{100 * share:.2f} %" for share in shares.values()]
+        table.add_row(name, *each, f"{100 * trip_limit(name):.1f} %")
+    new_console().print(table)
+    print(f"written to {path}. `crowdbench leaderboard build` flags by these limits.")
+
+
 def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> None:
     """Process the items in turn; a rejected one does not stop the others."""
     refused = []
@@ -209,7 +241,7 @@ def _each(named: Sequence[Named], one: "Callable[[Named, Progress], Entry]") -> 
             print(f"crowdbench: {error}", file=sys.stderr)
             refused.append(f"{name}")
         else:
-            _print_entry(entry)
+            print_entry(entry)
     _check_refused(refused, len(named))
 
 
@@ -223,9 +255,12 @@ def _check_refused(refused: Sequence[str], total: int) -> None:
         )
 
 
-def _print_entry(entry: "Entry") -> None:
-    from crowdbench.leaderboard.pages.standings import View, scores
+def print_entry(entry: "Entry") -> None:
+    """Print the scores of an entry, its copy index, and what readers should know about them."""
+    from crowdbench.leaderboard.pages.standings import View, gate_notes, scores
+    from crowdbench.leaderboard.pages.text import copied_share
     from crowdbench.leaderboard.submission.errors import plain
+    from crowdbench.leaderboard.verification.trip_limits import trip_limit
     from crowdbench.metrics import FAMILIES
     from crowdbench.report.text.words import interval, number
 
@@ -240,8 +275,10 @@ def _print_entry(entry: "Entry") -> None:
             *[number(found.get(View(f, name))) for f in families],
             interval(found.get(View(scene=name))),
             "–" if copy.arrivals is None else f"{copy.arrivals:.2f}",
-            "–" if copy.trips is None else f"{100 * copy.trips:.0f} %",
+            copied_share(copy.trips, trip_limit(name)).replace("\u00a0", " "),
         )
     new_console().print(table)
+    for name, note in gate_notes(entry).items():
+        print(f"{name}: {note}")
     for flag in entry.flags:
         print(f"{flag.what}: {plain(flag.text)}")

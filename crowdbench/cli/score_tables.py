@@ -23,18 +23,20 @@ _NAME = 16  # minimum width of the name column, in characters
 def print_card(card: "Scorecard", scene: "Scene") -> None:
     """Print the scores and plain distances of all crowds, with explanations."""
     from crowdbench.report.display_names import names_of
+    from crowdbench.report.text.notes import made
+    from crowdbench.scoring.ranking import ordered, ranked_by
     from crowdbench.scoring.scorecard import rows
 
-    table = rows(card)
+    table = ordered(rows(card))
     names = names_of([(row.spawn, row.policy) for row in table], scene)
-    in_folds = " in each fold" if card.protocol == "heldout" else ""
+    ranked = any(row.rank is not None for row in table)
     print()
     print_note(
         f"{card.scene}, protocol {card.protocol}: {card.horizon_s:.0f} s, {card.blocks} time "
-        f"blocks, {_rollouts(card.rollouts)} of each pair{in_folds}."
+        f"blocks, {made(card)}.{f' Ranked by {ranked_by(table)}.' if ranked else ''}"
     )
     print_fitting(_score_tables(table, names), new_console())
-    for note in _notes(card, scene, table):
+    for note in _notes(card, scene, table, names):
         print_note(note)
     print()
     _print_distances(card, names)
@@ -53,14 +55,11 @@ def print_results(results: "dict[str, MetricResult]") -> None:
     )
 
 
-def _rollouts(number: int) -> str:
-    return f"{number} rollout{'s' * (number != 1)}"
-
-
 def _score_tables(table: "Sequence[Row]", names: "Names") -> "Iterator[Sequence[Table]]":
     """Layouts from wide to narrow: one table, two tables, three tables with only one interval."""
     from crowdbench.metrics import FAMILIES, WALK
     from crowdbench.report.text.words import interval, number, share, speed
+    from crowdbench.scoring.ranking import ranked_by
 
     def family(name: str) -> "Column":
         return name, lambda row: number(row.families.get(name))
@@ -71,20 +70,18 @@ def _score_tables(table: "Sequence[Row]", names: "Names") -> "Iterator[Sequence[
     crowds = [family(name) for name in FAMILIES if name not in WALK]
     walks = [family(name) for name in WALK]
     rank: Column = ("rank", lambda row: "" if row.rank is None else f"{row.rank}")
-    entries = [row for row in table if row.kind == "entry"]
-    ranked = "overall" if any(row.overall for row in entries) else "crowd"
-    if all(row.spawn == "replay" for row in entries):
-        ranked = "walk"
+    made: Column = ("rollouts", lambda row: f"{len(row.entry.seeds)}")
+    ranked = ranked_by(table)
     gate: list[Column] = [
         ("speed", lambda row: _gated(row, "speed", speed(row.entry.speed_mps))),
         ("at goal", lambda row: _gated(row, "arrivals", share(row.entry.at_goal))),
     ]
     three = ("crowd", "walk", "overall")
-    joint = [*crowds, mean("crowd"), *walks, mean("walk"), *gate, mean("overall"), rank]
+    joint = [made, *crowds, mean("crowd"), *walks, mean("walk"), *gate, mean("overall"), rank]
     means = [*map(mean, three), *gate, rank]
     short = [*(mean(name, whole=name == ranked) for name in three), rank]
     families = [*crowds, *walks]
-    for layout in ([joint], [means, families], [short, families, gate]):
+    for layout in ([joint], [means, [made, *families]], [short, families, [made, *gate]]):
         yield [_score_table(columns, table, names) for columns in layout]
 
 
@@ -105,11 +102,13 @@ def _gated(row: "Row", limit: str, value: str) -> "Text":
     return Text(f"{value} !", style="bold red") if limit in row.fails else Text(value)
 
 
-def _notes(card: "Scorecard", scene: "Scene", table: "Sequence[Row]") -> list[str]:
+def _notes(card: "Scorecard", scene: "Scene", table: "Sequence[Row]", names: "Names") -> list[str]:
     """Explanations of the scores, and reasons why scores are missing."""
     from crowdbench.recordings.catalogue import SOURCES
+    from crowdbench.report.text.notes import gate_notes
     from crowdbench.report.text.words import STEERED
-    from crowdbench.scoring.scorecard import ANCHOR, has_recorded_arrivals, steered
+    from crowdbench.scoring.ranking import steered
+    from crowdbench.scoring.scorecard import ANCHOR, has_recorded_arrivals
 
     notes = [
         f"Scores: 0 is the score of the anchor ({' × '.join(ANCHOR)}; for motion and interaction, "
@@ -123,6 +122,7 @@ def _notes(card: "Scorecard", scene: "Scene", table: "Sequence[Row]") -> list[st
         f"most 0 for policies marked with ! under the recorded arrivals: speed more than "
         f"{card.gate.speed:.0%} off that of recorded-paths, or less than {card.gate.arrivals:.0%} "
         "of its share at the goal.",
+        *gate_notes(card, table, names),
     ]
     if not card.scored:
         notes.append(

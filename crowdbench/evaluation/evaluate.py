@@ -29,9 +29,9 @@ from crowdbench.leftovers import swept
 from crowdbench.metrics import METRICS
 from crowdbench.registry import add_metric, has_recording
 from crowdbench.scene import Scene, load_scene
+from crowdbench.scoring.ranking import RECORDED_POLICIES
 from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.scorecard import (
-    RECORDED_POLICIES,
     Protocol,
     Scorecard,
     read_anchors,

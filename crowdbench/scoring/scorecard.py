@@ -6,8 +6,7 @@ be compared on the same resamples. The anchors that define the scale of the scor
 scene (`anchors.json`).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -19,17 +18,16 @@ from crowdbench.files import read_struct, sha256, write_json
 from crowdbench.metrics import METRICS, WALK
 from crowdbench.scene import Gate, Scene
 from crowdbench.scoring.energy import RESAMPLES, Energy
+from crowdbench.scoring.ranking import ranked
 from crowdbench.scoring.reference import scored_statistics
 from crowdbench.scoring.score import (
     Score,
     crowd_score,
     family_scores,
     overall_score,
-    ranks,
     score_of,
     walk_score,
 )
-from crowdbench.spawn.scenario import split_scenario
 
 SCHEMA = 3
 
@@ -54,8 +52,6 @@ ANCHORS = (
 
 GATE_STANDARD = ("replay", "recorded-paths")
 """The spawn model and policy whose speed and arrivals are the standard of the scene's gate."""
-RECORDED_POLICIES = ("replay", "recorded-paths")
-"""Policies that follow recorded paths. They need recorded arrivals and are not ranked."""
 
 
 class EnergyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -171,7 +167,12 @@ class Row:
     fails: tuple[Limit, ...]
     """Why the policy does not pass the scene's gate, `speed` and `arrivals`; empty if it does."""
     rank: int | None
-    """Rank by `overall` if every entry has one, otherwise by `crowd`."""
+    """Rank by the score that `ranked_by` names; None if the row does not compete."""
+
+    @property
+    def walk_without_gate(self) -> Score | None:
+        """What `walk` would be if the policy passed the scene's gate."""
+        return walk_score(self.families, passes=True)
 
 
 def has_recorded_arrivals(card: Scorecard) -> bool:
@@ -238,7 +239,13 @@ def rows(card: Scorecard) -> list[Row]:
     pairs = {(e.spawn, e.policy) for e in card.entries}
     entries = [row(e, "entry") for e in card.entries]
     anchors = [row(e, "anchor") for e in card.scale.anchors if (e.spawn, e.policy) not in pairs]
-    return [*_ranked(entries), *anchors]
+    return [*ranked(entries), *anchors]
+
+
+def walker_of(card: Scorecard, policy: str) -> PairResult | None:
+    """A policy's result under the recorded arrivals, which the gate judges; None without one."""
+    everyone = [*card.entries, *card.scale.anchors]
+    return next((e for e in everyone if (e.spawn, e.policy) == ("replay", policy)), None)
 
 
 def gate_standard(card: Scorecard) -> PairResult:
@@ -263,36 +270,6 @@ def failures(card: Scorecard, entry: PairResult) -> tuple[Limit, ...]:
     if standard.at_goal is not None and at_goal < card.gate.arrivals * standard.at_goal:
         found.append("arrivals")
     return tuple(found)
-
-
-def steered(spawn: str) -> bool:
-    """Whether a spawn model's name includes a scenario."""
-    return split_scenario(spawn)[1] is not None
-
-
-def may_rank(spawn: str) -> bool:
-    """Whether entries with this spawn model are ranked.
-
-    Replayed recordings are not ranked, because they memorise the recording. Models under a
-    scenario are not ranked, because they are meant to differ from it.
-    """
-    return spawn not in ("replay", "block-replay") and not steered(spawn)
-
-
-def _ranked(entries: Sequence[Row]) -> list[Row]:
-    competing = [r for r in entries if may_rank(r.spawn)]
-    if all(r.spawn == "replay" for r in entries):  # only policies are compared
-        competing = [r for r in entries if r.policy not in RECORDED_POLICIES]
-        scores = [r.walk for r in competing]
-    elif all(r.overall is not None for r in competing):
-        scores = [r.overall for r in competing]
-    else:
-        scores = [r.crowd for r in competing]
-    known = [s for s in scores if s is not None]
-    if len(known) < len(competing) or not competing:
-        return list(entries)
-    rank = dict(zip(map(id, competing), ranks(known), strict=True))
-    return [replace(r, rank=rank.get(id(r))) for r in entries]
 
 
 def files_of(scene: Scene) -> str:

@@ -17,7 +17,7 @@ from crowdbench.trajectories.table import Trajectories
 
 KEYS = {
     *("spawn", "policy", "protocol", "kind", "families", "crowd", "walk", "overall", "rank"),
-    *("distances", "mean_speed_mps", "at_goal", "gate"),
+    *("rollouts", "distances", "mean_speed_mps", "at_goal", "gate"),
 }
 CROWD = ("arrivals", "presence", "trips", "space")
 
@@ -38,7 +38,9 @@ def files(crowds: list[Trajectories], tmp_path_factory: pytest.TempPathFactory) 
 
 def printed(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> list[dict[str, Any]]:
     assert main(arguments) == 0
-    rows: list[dict[str, Any]] = json.loads(capsys.readouterr().out)["rows"]
+    found = json.loads(capsys.readouterr().out)
+    assert found["ranked_by"] in ("crowd", "walk", "overall")
+    rows: list[dict[str, Any]] = found["rows"]
     assert all(set(row) == KEYS for row in rows)
     return rows
 
@@ -51,6 +53,7 @@ def test_several_rollouts_are_scored_beside_the_anchors(
     assert (mine["spawn"], mine["policy"], mine["kind"]) == ("trajectories",) * 2 + ("entry",)
     assert {row["kind"] for row in others} == {"anchor"}
     assert set(CROWD) <= set(mine["families"])
+    assert mine["rollouts"] == 2
     assert mine["walk"] is None  # people did not enter as recorded
     low, high = mine["crowd"]["interval"]
     assert low <= mine["crowd"]["score"] <= high

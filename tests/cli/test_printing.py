@@ -9,11 +9,11 @@ import pytest
 from crowdbench import __version__
 from crowdbench.cli.printing import progress_bar
 from crowdbench.cli.score_tables import print_card, print_results
-from crowdbench.metrics import FAMILIES, MetricResult
+from crowdbench.metrics import FAMILIES, WALK, MetricResult
 from crowdbench.report.text.words import interval, number
 from crowdbench.scene import load_scene
 from crowdbench.scoring.energy import RESAMPLES
-from crowdbench.scoring.scorecard import SCHEMA, PairResult, Scorecard, read_anchors, rows
+from crowdbench.scoring.scorecard import SCHEMA, PairResult, Row, Scorecard, read_anchors, rows
 
 ETH = load_scene("eth-v0")
 ANCHORS = {(e.spawn, e.policy): e for e in read_anchors(ETH).protocols["full"].anchors}
@@ -144,3 +144,69 @@ def test_what_is_not_defined_is_a_dash(capsys: Printed) -> None:
     assert re.search(r"nearest neighbour +– +1\.50 m +– +0", out)
     assert "nan" not in out
     assert "0: equal" in out
+
+
+def lines_of(out: str) -> list[str]:
+    """The rows of the first table, in their order."""
+    table = out.split("spawn × policy")[1].split("\n", 2)[2].split("Scores: 0")[0]
+    return [line for line in table.splitlines() if " × " in line]
+
+
+def test_policies_alone_are_ranked_and_sorted_by_walk(capsys: Printed) -> None:
+    """Straight walkers have the better crowd score, and the lower walk score."""
+    card = card_of(
+        crowd("replay", "straight", ("replay", "straight")),
+        crowd("replay", "theirs", ("replay", "recorded-paths")),
+        crowd("replay", "recorded-paths", ("replay", "recorded-paths")),
+    )
+    out = printed(card, capsys)
+    assert "1 rollout of each pair. Ranked by walk." in " ".join(out.split())
+    first, second, third, *_ = lines_of(out)
+    assert first.startswith(" replay × theirs ")
+    assert first.endswith(" 1 ")
+    assert second.startswith(" replay × straight ")
+    assert second.endswith(" 2 ")
+    assert third.startswith(" replay × recorded-paths ")
+    assert third.endswith("  ")
+
+
+def test_the_number_of_rollouts_is_that_of_each_row(capsys: Printed) -> None:
+    pairs = [("poisson-gmm", "random"), ("replay", "random"), ("replay", "straight")]
+    out = printed(card_of(*(ANCHORS[pair] for pair in pairs)), capsys)
+    assert "1 to 30 rollouts of each pair. Ranked by overall." in " ".join(out.split())
+    for pair, number_made in zip(pairs, (30, 10, 1), strict=True):
+        (line,) = [line for line in lines_of(out) if line.startswith(f" {' × '.join(pair)} ")]
+        assert line.split()[3] == str(number_made)
+
+
+def test_without_ranks_no_score_ranks(capsys: Printed) -> None:
+    assert "Ranked by" not in printed(card_of(*map(unscored, USUAL.entries), rollouts=2), capsys)
+
+
+def test_the_gate_says_limit_value_and_the_score_without_it(capsys: Printed) -> None:
+    runner = msgspec.structs.replace(
+        crowd("replay", "runner", ("replay", "recorded-paths")), speed_mps=2.0
+    )
+    out = " ".join(printed(card_of(runner, *USUAL.entries), capsys).split())
+    standard = ANCHORS["replay", "recorded-paths"].speed_mps
+    assert standard is not None
+    without = ungated_walk(rows(card_of(runner, *USUAL.entries)))
+    assert (
+        f"runner does not pass the gate: mean speed 2.00 m/s, {100 * (2 / standard - 1):.1f} % "
+        f"above that of recorded people walked ({standard:.2f} m/s; limit: 15 %). Therefore walk "
+        f"is 0.00; without the gate, it would be {without}."
+    ) in out
+    assert "does not pass" not in printed(USUAL, capsys)
+
+
+def ungated_walk(table: list[Row]) -> str:
+    """The walk score of the policy `runner` by its families alone."""
+    families = next(row.families for row in table if row.policy == "runner")
+    return f"{min(families[name].value for name in WALK):.2f}"
+
+
+def test_a_gate_that_changes_nothing_says_so(capsys: Printed) -> None:
+    out = " ".join(printed(card_of(ANCHORS["replay", "random"], *USUAL.entries), capsys).split())
+    assert "% at goal, which is " in out
+    assert "limit: at least 95 %" in out
+    assert "The gate does not change walk: it is −1.00 with and without it." in out

@@ -1,17 +1,33 @@
 """Flags: what is too good, too even or copied is said, and what is not is not."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from copier import JitteredBlocks
+from entries import made_up
 from numpy.random import default_rng
 
 from crowdbench.leaderboard.verification.copying import ArrivalCopies, TripCopies, independent_limit
-from crowdbench.leaderboard.verification.entry import Copy
-from crowdbench.leaderboard.verification.flags import MARGIN, evenness, flags_of
+from crowdbench.leaderboard.verification.entry import Copy, Flag, read_entry
+from crowdbench.leaderboard.verification.flags import (
+    MARGIN,
+    evenness,
+    flags_of,
+    with_current_limits,
+)
+from crowdbench.leaderboard.verification.trip_limits import (
+    HONEST,
+    PATH,
+    honest_share,
+    measure,
+    trip_limit,
+)
 from crowdbench.registry import recording_of, spawn_model
-from crowdbench.scene import load_scene
+from crowdbench.scene import list_scenes, load_scene
 from crowdbench.scoring.energy import FitEnergies
 from crowdbench.scoring.score import Score
 from crowdbench.spawn import SpawnModel
@@ -19,6 +35,7 @@ from crowdbench.spawn.plaza import PlazaArrivals
 from crowdbench.trajectories.table import Trajectories
 
 PLAZA = load_scene("plaza-v0")
+ENTRIES = Path(__file__).parents[2] / "leaderboard" / "entries"
 CLEAN = Copy(arrivals=0.4, arrivals_limit=0.45, trips=0.0)
 
 
@@ -89,17 +106,55 @@ def test_arrivals_are_flagged_from_a_margin_above_what_cannot_copy() -> None:
     assert raised(copy=by_rule) == []
 
 
-def test_one_life_in_twenty_may_be_like_a_recorded_one() -> None:
-    assert raised(copy=Copy(arrivals=None, arrivals_limit=None, trips=0.05)) == []
-    copied = Copy(arrivals=None, arrivals_limit=None, trips=0.06)
-    assert raised(copy=copied) == [("copied trips", 0.06, 0.05)]
+def of_trips(share: float) -> Copy:
+    return Copy(arrivals=None, arrivals_limit=None, trips=share)
+
+
+@pytest.mark.parametrize("scene", list_scenes())
+def test_trips_are_flagged_from_five_points_above_walkers_who_cannot_copy(scene: str) -> None:
+    limit = trip_limit(scene)
+    assert limit == pytest.approx(honest_share(scene) + 0.05, abs=0.0006)
+    assert flags_of(scene, None, None, of_trips(limit)) == []
+    (flag,) = flags_of(scene, None, None, of_trips(limit + 0.001))
+    assert (flag.what, flag.limit) == ("copied trips", limit)
+    said = f"On {scene}, {100 * limit + 0.1:.1f} % of the trips", f"above {100 * limit:.1f} % are"
+    assert all(words in flag.text for words in said)
+
+
+def test_limits_are_measured_on_all_scenes_and_again_give_the_same() -> None:
+    shares = json.loads(PATH.read_text())["shares"]
+    assert set(shares) == set(list_scenes())
+    assert all(tuple(sorted(each)) == tuple(sorted(HONEST)) for each in shares.values())
+    # Another processor rounds otherwise, and the crowd of social-force is chaotic.
+    assert measure(PLAZA) == pytest.approx(shares["plaza-v0"], abs=0.01)
+
+
+def test_half_a_recording_is_flagged_everywhere() -> None:
+    assert max(map(trip_limit, list_scenes())) < 0.15
+
+
+def test_shipped_entries_have_the_flags_of_the_present_limits() -> None:
+    entries = [read_entry(path) for path in sorted(ENTRIES.glob("*.json"))]
+    assert [e.id for e in entries if with_current_limits(e) != e] == []
+    flagged = {e.id for e in entries if any(f.what == "copied trips" for f in e.flags)}
+    assert flagged == {"replay"}
+
+
+def test_flags_of_copied_trips_follow_the_limits_and_others_are_kept() -> None:
+    kept = Flag(what="too even", scene="eth-v0", value=0.4, limit=0.5, text="It is.")
+    stale = Flag(what="copied trips", scene="gc-v0", value=0.051, limit=0.05, text="It was.")
+    entry = made_up("one", "walk", 0.5, flags=(kept, stale))
+    entry.scenes["forum-v0"] = msgspec.structs.replace(entry.scenes["forum-v0"], copy=of_trips(0.3))
+    found = with_current_limits(entry).flags
+    assert found[0] == kept
+    assert [(f.what, f.scene) for f in found[1:]] == [("copied trips", "forum-v0")]
 
 
 def test_each_flag_is_a_sentence_with_its_numbers() -> None:
     copy = Copy(arrivals=0.9, arrivals_limit=0.4, trips=0.5)
     texts = [flag.text for flag in flags_of("plaza-v0", score(2.0, 0.1), 0.1, copy)]
     assert len(texts) == 4
-    for text, number in zip(texts, ("2.00", "0.10", "0.90", "50 %"), strict=True):
+    for text, number in zip(texts, ("2.00", "0.10", "0.90", "50.0 %"), strict=True):
         assert text.startswith("On plaza-v0, ")
         assert text.endswith(".")
         assert number in text

@@ -20,6 +20,7 @@ from markdown_it import MarkdownIt
 from PIL import Image
 
 from crowdbench.cli import main
+from crowdbench.cli.leaderboard import print_entry
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.leaderboard.pages import build
 from crowdbench.leaderboard.pages.axis import NARROW, bar
@@ -36,7 +37,7 @@ from crowdbench.leaderboard.pages.index import index_page
 from crowdbench.leaderboard.pages.readme import readme
 from crowdbench.leaderboard.pages.standings import TRACKS, View, read_entries, scores, standing
 from crowdbench.leaderboard.pages.text import in_html, in_markdown, link
-from crowdbench.leaderboard.submission.schema import SCENES
+from crowdbench.leaderboard.submission.schema import SCENES, Trained
 from crowdbench.leaderboard.verification.entry import (
     SCORER,
     Curve,
@@ -45,6 +46,7 @@ from crowdbench.leaderboard.verification.entry import (
     ScoreCard,
     read_entry,
 )
+from crowdbench.leaderboard.verification.trip_limits import trip_limit
 from crowdbench.metrics import WALK
 from crowdbench.report.text.words import with_interval
 from crowdbench.scoring.energy import RESAMPLES
@@ -508,6 +510,96 @@ def test_the_page_of_an_entry_has_all_that_is_known(board: Path) -> None:
             for fits in metric.splits.values():
                 shown = [f"{fit:.2f}".replace("-", "−") for fit in fits if fit is not None]
                 assert "\u2002".join(shown) in text
+
+
+def on_gc(entry: Entry, **changes: object) -> Entry:
+    """The entry with a changed result in Grand Central."""
+    scene = msgspec.structs.replace(entry.scenes["gc-v0"], **changes)
+    return msgspec.structs.replace(entry, scenes=entry.scenes | {"gc-v0": scene})
+
+
+def test_the_gate_says_limit_value_and_the_score_without_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry = on_gc(made_up("slow", "walk", 0.5), fails=["speed", "arrivals"], speed_mps=1.0,
+                  at_goal=0.9)  # fmt: skip
+    without = scores(made_up("slow", "walk", 0.5))[View(scene="gc-v0")]
+    assert scores(entry)[View(scene="gc-v0")].value == 0 < without.value
+    said = (
+        "The policy does not pass the gate: mean speed 1.00 m/s, 24.8 % below that of recorded "
+        "people walked (1.33 m/s; limit: 15 %); 90.0 % at goal, which is 90.0 % of the share of "
+        "recorded people walked (100.0 %; limit: at least 95 %). Therefore the score is 0.00; "
+        f"without the gate, it would be {without.value:.2f}."
+    )
+    build(put([entry], tmp_path))
+    page = Text((tmp_path / "pages" / "slow.html").read_text()).text
+    assert page.count("does not pass the gate") == 1
+    assert said in page
+    print_entry(entry)
+    assert f"gc-v0: {said}" in capsys.readouterr().out
+
+
+def test_a_gate_that_changes_no_score_says_so(tmp_path: Path) -> None:
+    entry = on_gc(made_up("slow", "crowd", -0.3), fails=["speed"], speed_mps=1.0)
+    score = scores(entry)[View(scene="gc-v0")]
+    build(put([entry], tmp_path))
+    page = Text((tmp_path / "pages" / "slow.html").read_text()).text
+    value = f"{score.value:.2f}".replace("-", "−")
+    assert (
+        "The gate does not change the score (the mean of crowd and walk): it is "
+        f"{value} with and without it."
+    ) in page
+
+
+def test_copied_trips_stand_beside_their_limit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where a scene's walkers who cannot copy share more trips, more may be shared."""
+    entry = made_up("near", "walk", 0.5, scenes=("eth-v0", "hotel-v0"))
+    for name, trips in (("eth-v0", 0.0012), ("hotel-v0", 0.0521)):
+        copy = msgspec.structs.replace(entry.scenes[name].copy, trips=trips)
+        entry.scenes[name] = msgspec.structs.replace(entry.scenes[name], copy=copy)
+    build(put([entry], tmp_path))
+    page = (tmp_path / "pages" / "near.html").read_text().replace("\xa0", " ")
+    limits = {name: f"{100 * trip_limit(name):.1f} %" for name in entry.scenes}
+    assert f"trips 0.1 % (limit {limits['eth-v0']})." in page
+    assert f"trips 5.2 % (limit {limits['hotel-v0']})." in page
+    assert "copied trips" not in page
+    index = (tmp_path / "index.html").read_text().replace("\xa0", " ")
+    assert f"5.2 %<small>limit {limits['hotel-v0']}</small></span>" in index
+    (row,) = [r for r in (tmp_path / "README.md").read_text().splitlines() if "near.html" in r]
+    assert row.replace("\xa0", " ").endswith(f"| 5.2 % (limit {limits['hotel-v0']}) |")
+    print_entry(entry)
+    assert f"5.2 % (limit {limits['hotel-v0']})" in capsys.readouterr().out
+
+
+def test_rollouts_that_serve_all_folds_are_not_said_to_be_made_in_each(tmp_path: Path) -> None:
+    trained = made_up("trained", "walk", 0.5)
+    given_once = Trained(data="none", protocol="none", parameters=0)
+    once = on_gc(made_up("once", "walk", 0.5, training=given_once), rollouts=1, fits=1)
+    crowd = made_up("crowd", "crowd", 0.5)
+    build(put([trained, once, crowd], tmp_path))
+    texts = {
+        name: " ".join(Text((tmp_path / "pages" / f"{name}.html").read_text()).text.split())
+        for name in ("trained", "once", "crowd")
+    }
+    assert "heldout: 30 rollouts in each fold, 5 fits" in texts["trained"]
+    assert "heldout: 1 rollout, scored fold by fold, 1 fit" in texts["once"]
+    assert "1 rollout in each fold" not in texts["once"]
+    assert "Motion and interaction: at most two further rollouts of each fit" in texts["crowd"]
+    assert "further rollouts" not in texts["trained"]
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "entries").glob("*.json")), ids=lambda p: p.stem)
+def test_the_persons_of_an_entry_are_those_of_its_rollouts(path: Path) -> None:
+    """Who walks the recorded people walks all of them in each rollout, in all folds or once."""
+    entry = read_entry(path)
+    if entry.declared.track != "walk":
+        return
+    folds = 3 if entry.declared.training.protocol == "heldout" else 1
+    people = {"eth-v0": 360, "hotel-v0": 390, "zara1-v0": 148, "gc-v0": 12_671, "forum-v0": 1160}
+    for name, scene in entry.scenes.items():
+        assert scene.persons == folds * scene.rollouts * people[name]
 
 
 def test_earlier_results_are_kept_with_their_reason(board: Path) -> None:

@@ -237,7 +237,78 @@ def test_only_recorded_arrivals(crowds: Crowds, tmp_path: Path) -> None:
     replayed = {("replay", "straight", 0): crowds["poisson-gmm", "straight", 0]}
     html = page(card_of(anchor("replay", "straight")), replayed, tmp_path)
     assert "--spawn replay --policy straight" in html
-    assert "Policies under the recorded arrivals" in html
+    assert "Policies under the recorded arrivals, by rank (walk)" in html
+
+
+def test_policies_alone_are_ranked_by_walk_and_sorted_by_it(tmp_path: Path) -> None:
+    """Straight walkers have no lower crowd score, and the lower walk score."""
+    best = msgspec.structs.replace(anchor("replay", "recorded-paths"), policy="theirs")
+    html = page(card_of(anchor("replay", "straight"), best), UNDRAWN, tmp_path)
+    (line,) = re.findall("<p>Ranked by <b>walk</b>.*?</p>", html, re.S)
+    walk = next(row.walk for row in rows(card_of(best)) if row.policy == "theirs")
+    assert walk is not None
+    assert f"<b>replay × theirs</b> {plainly(walk.value)} [" in line
+    assert row_of(html, "replay × theirs").startswith("1")
+    assert row_of(html, "replay × straight").startswith("2")
+    assert html.index("× theirs</span><small>") < html.index("× straight</span><small>")
+    assert "by overall" not in html
+
+
+@pytest.mark.parametrize(
+    ("entries", "by"),
+    [
+        ([("poisson-gmm", "random"), ("block-replay", "straight")], "crowd"),
+        ([("poisson-gmm", "random"), ("replay", "random")], "overall"),
+        ([("replay", "random"), ("replay", "straight")], "walk"),
+    ],
+    ids=["crowds alone", "crowds and policies", "policies alone"],
+)
+def test_the_page_names_the_score_that_ranks(
+    entries: list[tuple[str, str]], by: str, tmp_path: Path
+) -> None:
+    html = page(card_of(*(anchor(*pair) for pair in entries)), UNDRAWN, tmp_path)
+    assert re.findall("Ranked by <b>(.*?)</b>", html) == [by]
+    assert f", by rank ({by})" in html
+
+
+def test_unranked_crowds_follow_the_ranked_ones(scored: str) -> None:
+    names = re.findall(r"<span>(\S*)</span> <span>× (\S*)</span><small>", scored)
+    assert names[:3] == [
+        ("poisson-gmm", "straight"),
+        ("poisson-gmm", "random"),
+        ("block-replay", "straight"),
+    ]
+
+
+def test_replays_alone_are_not_said_to_lack_scores(tmp_path: Path) -> None:
+    html = page(card_of(anchor("replay", "replay")), UNDRAWN, tmp_path)
+    assert "No ranks: replays of the recording are not ranked." in html
+
+
+def test_each_row_has_the_number_of_its_own_rollouts(scored: str) -> None:
+    found = [row for row in parsed(scored).rows if "[" in row]
+    for pair, made in (
+        ("poisson-gmm × random", "30 rollouts"),
+        ("replay × random", "10 rollouts"),
+        ("replay × straight", "1 rollout"),
+    ):
+        (row, *_) = [row for row in found if re.match(rf"(\d\W*)?{pair}", row)]
+        assert row.partition(pair)[2].startswith(made)
+    assert "1 to 30 rollouts of each pair" in " ".join(scored.split())
+    assert "30 of each crowd" not in scored
+
+
+def test_the_gate_says_limit_value_and_the_score_without_it(scored: str, tmp_path: Path) -> None:
+    assert "The gate does not change walk: it is −1.00 with and without it." in scored
+    runner = msgspec.structs.replace(
+        anchor("replay", "recorded-paths"), policy="<runner>", speed_mps=2.0
+    )
+    html = page(card_of(anchor("poisson-gmm", "straight"), runner), UNDRAWN, tmp_path)
+    said = "&lt;runner&gt; does not pass the gate: mean speed 2.00 m/s"
+    assert said in html
+    assert re.search(
+        r"limit: 15 %\)\. Therefore walk is 0\.00; without the gate, it would be 0\.9", html
+    )
 
 
 def test_the_command_asks_for_what_was_asked_for(scored: str) -> None:

@@ -12,7 +12,8 @@ import crowdbench
 from crowdbench.cli import main
 from crowdbench.evaluation.rollout_jobs import plan
 from crowdbench.scene import load_scene
-from crowdbench.scoring.scorecard import may_rank, read_scorecard
+from crowdbench.scoring.ranking import may_rank
+from crowdbench.scoring.scorecard import read_scorecard
 from crowdbench.studies.steering import Steering, area_changes, goal_changes, steering
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -6,7 +6,7 @@ from crowdbench.leaderboard.pages.index import JUDGED, LEAD, LISTED, SUBMIT, rul
 from crowdbench.leaderboard.pages.render import markdown
 from crowdbench.leaderboard.pages.standings import Line, Standing, View
 from crowdbench.leaderboard.pages.tables import COPIED, GATE, OVERALL, copied, gated
-from crowdbench.leaderboard.pages.text import decimals, in_markdown, share
+from crowdbench.leaderboard.pages.text import copied_share, decimals, in_markdown
 from crowdbench.leaderboard.submission.schema import SCENES
 from crowdbench.report.text.markdown import flowed, table
 from crowdbench.report.text.words import interval, number
@@ -66,8 +66,9 @@ def _cells(
     entry = line.entry
     name = f"[{in_markdown(entry.declared.name)}](pages/{entry.id}.html)"
     yours = " (yours)" if entry.id in (standing.yours or ()) else ""
-    arrivals, trips = line.copied()
-    shown = {"arrivals": decimals(arrivals), "trips": share(trips)}
+    copy = line.copied()
+    trips = copied_share(copy.trips, copy.trip_limit)
+    shown = {"arrivals": decimals(copy.arrivals), "trips": trips}
     return [
         (f"*{name}*" if entry.status == "reference" else name) + yours,
         line.kind,

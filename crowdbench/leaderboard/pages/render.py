@@ -7,7 +7,15 @@ from markupsafe import Markup
 from crowdbench.leaderboard.pages import axis
 from crowdbench.leaderboard.pages.standings import View
 from crowdbench.leaderboard.pages.tables import GATE, gated
-from crowdbench.leaderboard.pages.text import decimals, in_html, link, plain, share, short
+from crowdbench.leaderboard.pages.text import (
+    copied_share,
+    decimals,
+    in_html,
+    link,
+    plain,
+    share,
+    short,
+)
 from crowdbench.report.text.templates import environment
 from crowdbench.report.text.words import NOTHING, digits, speed
 from crowdbench.report.text.words import share as shown_share
@@ -15,6 +23,7 @@ from crowdbench.report.text.words import share as shown_share
 _FOLDER = Path(__file__).parent
 _HTML = environment(_FOLDER / "templates")
 _HTML.globals |= {"GATE": GATE, "axis": axis, "gated": gated, "NOTHING": NOTHING, "View": View}
+_HTML.globals |= {"copied_share": copied_share}
 _HTML.filters |= {
     "decimals": decimals,
     "digits": digits,

@@ -4,9 +4,10 @@ from markupsafe import Markup
 
 from crowdbench.leaderboard.pages.curves import figure
 from crowdbench.leaderboard.pages.render import html
-from crowdbench.leaderboard.pages.standings import FAMILIES_OF
+from crowdbench.leaderboard.pages.standings import FAMILIES_OF, are_trajectories, gate_notes
 from crowdbench.leaderboard.verification.entry import Entry
 from crowdbench.leaderboard.verification.soundness import FAMILY_OF
+from crowdbench.leaderboard.verification.trip_limits import trip_limit
 from crowdbench.metrics import METRICS
 
 
@@ -20,10 +21,18 @@ def scene_results(name: str, entry: Entry) -> Markup:
         for family in FAMILIES_OF[entry.declared.track]
     ]
     shown = [(family, metrics) for family, metrics in families if metrics]
+    declared = entry.declared
     return html(
         "scene.html.j2",
         name=name,
         scene=scene,
+        track=declared.track,
+        given=are_trajectories(entry),
+        # A policy that is trained on no recording is the same in all folds: its rollouts of the
+        # whole recording serve each of them.
+        per_fold=declared.track != "walk" or declared.training.protocol == "heldout",
+        trip_limit=trip_limit(name),
+        gate=gate_notes(entry).get(name, ""),
         families=shown,
         splits=list(dict.fromkeys(split for m in scene.metrics.values() for split in m.splits)),
         fits={n: m for _, each in shown for n, m in each.items() if any(m.splits.values())},

@@ -8,8 +8,12 @@ from typing import NamedTuple
 from crowdbench.errors import WeightsError
 from crowdbench.leaderboard.submission.schema import SCENES, Track
 from crowdbench.leaderboard.verification.entry import Entry, SceneEntry, read_entry
+from crowdbench.leaderboard.verification.flags import with_current_limits
 from crowdbench.leaderboard.verification.soundness import FAMILY_OF, check_entry
+from crowdbench.leaderboard.verification.trip_limits import trip_limit
 from crowdbench.metrics import FAMILIES, WALK
+from crowdbench.report.text.notes import beyond_gate, effect_of_gate
+from crowdbench.scene import load_scene
 from crowdbench.scoring.score import Score, combined, ranks, total_score
 from crowdbench.scoring.scorecard import Limit
 
@@ -41,6 +45,16 @@ class Gate(NamedTuple):
     """The limits that are exceeded on any of the scenes."""
 
 
+class Copied(NamedTuple):
+    """How much of a crowd is like the recording."""
+
+    arrivals: float | None
+    trips: float | None
+    """Of several scenes, that of the scene where it is largest relative to its limit."""
+    trip_limit: float | None
+    """The limit of `trips` on that scene."""
+
+
 @dataclass(frozen=True, eq=False)
 class Line:
     """An entry with its scores."""
@@ -57,7 +71,7 @@ class Line:
         kind = self.entry.declared.kind
         if self.entry.status == "ranked":
             return kind
-        return f"{kind}, {'trajectories' if _are_trajectories(self.entry) else 'full'}"
+        return f"{kind}, {'trajectories' if are_trajectories(self.entry) else 'full'}"
 
     def worth(self, view: View) -> tuple[float, str]:
         """Sort key: the best score comes first, and entries without a score last."""
@@ -79,13 +93,19 @@ class Line:
             {limit for each in scenes for limit in each.fails},
         )
 
-    def copied(self, scene: str = "") -> tuple[float | None, float | None]:
-        """The copy index of arrivals and of trips: on one scene, or the highest of all scenes."""
-        scenes = self.entry.scenes
-        copies = [each.copy for name, each in scenes.items() if scene in ("", name)]
-        arrivals = [copy.arrivals for copy in copies if copy.arrivals is not None]
-        trips = [copy.trips for copy in copies if copy.trips is not None]
-        return max(arrivals, default=None), max(trips, default=None)
+    def copied(self, scene: str = "") -> "Copied":
+        """The copy index on one scene, or the highest of all scenes."""
+        copies = {
+            name: each.copy for name, each in self.entry.scenes.items() if scene in ("", name)
+        }
+        arrivals = [copy.arrivals for copy in copies.values() if copy.arrivals is not None]
+        trips = [
+            (copy.trips, trip_limit(name))
+            for name, copy in copies.items()
+            if copy.trips is not None
+        ]
+        nearest = max(trips, default=(None, None), key=lambda of: of[0] / of[1])
+        return Copied(max(arrivals, default=None), *nearest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,22 +166,22 @@ def standing(
     return found
 
 
-def scores(entry: Entry) -> dict[View, Score]:
+def scores(entry: Entry, *, gated: bool = True) -> dict[View, Score]:
     """The scores of an entry, by the views in which it has one.
 
     A scene's score combines its families (see `total_score`), if no scored family is missing. The
     overall score, in total and of each family, is the mean of the scenes in `SCENES`, if none is
     missing. Crowds submitted as trajectories do not have the recorded arrivals, so they are scored
-    without motion and interaction.
+    without motion and interaction. With `gated=False`, the scores are those without the gate.
     """
     families = FAMILIES_OF[entry.declared.track]
-    if entry.declared.track == "crowd" and _are_trajectories(entry):
+    if entry.declared.track == "crowd" and are_trajectories(entry):
         families = FAMILIES_OF["spawn"]
     found: dict[View, Score] = {}
     for name, scene in entry.scenes.items():
         each = {f: scene.families[f].score() for f in families if f in scene.families}
         found |= {View(family, name): score for family, score in each.items()}
-        whole = total_score(each, passes=not scene.fails)
+        whole = total_score(each, passes=not (scene.fails and gated))
         if whole is not None and _counted(scene) & set(families) <= set(each):
             found[View(scene=name)] = whole
     if all(View(scene=name) in found for name in SCENES):
@@ -173,7 +193,30 @@ def scores(entry: Entry) -> dict[View, Score]:
     return found
 
 
-def _are_trajectories(entry: Entry) -> bool:
+def gate_notes(entry: Entry) -> dict[str, str]:
+    """By scene, a note on the limits of the gate that the entry exceeds and on their effect."""
+    found, without = scores(entry), scores(entry, gated=False)
+    notes = {}
+    for name, scene in entry.scenes.items():
+        if scene.fails:
+            exceeded = beyond_gate(
+                scene.fails,
+                load_scene(name).gate,
+                speed_mps=scene.speed_mps,
+                at_goal=scene.at_goal,
+                recorded_speed_mps=scene.recorded_speed_mps,
+                recorded_at_goal=scene.recorded_at_goal,
+            )
+            view = View(scene=name)
+            walks = entry.declared.track == "walk"
+            of = "the score" if walks else "the score (the mean of crowd and walk)"
+            effect = effect_of_gate(of, found.get(view), without.get(view))
+            notes[name] = f"The policy does not pass the gate: {exceeded}. {effect}"
+    return notes
+
+
+def are_trajectories(entry: Entry) -> bool:
+    """Whether an entry was submitted as trajectories of another program."""
     return any("/trajectories/" in name for name in entry.artefacts)
 
 
@@ -184,7 +227,8 @@ def _counted(scene: SceneEntry) -> set[str]:
 def read_entries(folder: Path, beside: Path | None = None) -> list[Entry]:
     """All entries of a folder, and those of the folder `beside` with other ids.
 
-    Entries in `beside` that another scorer has scored cannot be compared, and are left out.
+    Entries in `beside` that another scorer has scored cannot be compared, and are left out. Flags
+    of copied trips are those of the present limits.
 
     Raises:
         WeightsError: an entry is broken, or cannot be compared with the others.
@@ -212,7 +256,7 @@ def read_entries(folder: Path, beside: Path | None = None) -> list[Entry]:
                     expected=f"the hash {made_from[name]}, as in other entries",
                     hint="Run `crowdbench leaderboard rescore`.",
                 )
-    return [entry for _, entry in entries]
+    return [with_current_limits(entry) for _, entry in entries]
 
 
 def entry_paths(folder: Path | None) -> list[Path]:

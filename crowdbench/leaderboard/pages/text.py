@@ -52,6 +52,11 @@ def decimals(value: float | None) -> str:
     return NOTHING if value is None else plainly(value)
 
 
+def copied_share(value: float | None, limit: float | None) -> str:
+    """A share of copied trips with the limit beyond which it is flagged, or a dash."""
+    return NOTHING if value is None else f"{share(value)} (limit {share(limit)})"
+
+
 def share(value: float | None) -> str:
     """A share in per cent, or a dash."""
     return NOTHING if value is None else f"{100 * value:.1f}\u00a0%"

@@ -2,9 +2,11 @@
 
 from collections.abc import Mapping
 
+import msgspec
 import numpy as np
 
-from crowdbench.leaderboard.verification.entry import Copy, Flag
+from crowdbench.leaderboard.verification.entry import Copy, Entry, Flag
+from crowdbench.leaderboard.verification.trip_limits import honest_share, trip_limit
 from crowdbench.scoring.energy import FitEnergies
 from crowdbench.scoring.score import Score
 
@@ -13,8 +15,6 @@ SPREAD = 0.5
 MARGIN = 0.05
 """Tolerated excess of the copy index over models that cannot copy. Good models, which know groups
 and busy times, come up to 0.02 closer to the recording without copying."""
-COPIED_TRIPS = 0.05
-"""Largest unflagged share of trips that are copied from the recording."""
 
 
 def flags_of(scene: str, score: Score | None, even: float | None, copy: Copy) -> list[Flag]:
@@ -23,7 +23,7 @@ def flags_of(scene: str, score: Score | None, even: float | None, copy: Copy) ->
         _too_good(scene, score),
         _too_even(scene, even),
         _copied_arrivals(scene, copy),
-        _copied_lives(scene, copy),
+        _copied_trips(scene, copy),
     )
     return [flag for flag in checks if flag is not None]
 
@@ -65,14 +65,30 @@ def _copied_arrivals(scene: str, copy: Copy) -> Flag | None:
     return Flag(what="copied arrivals", scene=scene, value=copy.arrivals, limit=limit, text=text)
 
 
-def _copied_lives(scene: str, copy: Copy) -> Flag | None:
-    if copy.trips is None or copy.trips <= COPIED_TRIPS:
+def with_current_limits(entry: Entry) -> Entry:
+    """The entry with its flags of copied trips by the present limits, which may be measured anew.
+
+    Other flags are kept. Raises WeightsError: see `trip_limit`.
+    """
+    flags = [flag for flag in entry.flags if flag.what != "copied trips"]
+    found = (_copied_trips(name, scene.copy) for name, scene in entry.scenes.items())
+    flags += [flag for flag in found if flag is not None]
+    order = entry.declared.scenes
+    flags.sort(key=lambda flag: order.index(flag.scene))  # as verification does
+    return msgspec.structs.replace(entry, flags=flags)
+
+
+def _copied_trips(scene: str, copy: Copy) -> Flag | None:
+    limit = trip_limit(scene)
+    # Compared as they are shown: no value is flagged that looks equal to the limit.
+    if copy.trips is None or round(copy.trips, 3) <= limit:
         return None
     text = (
-        f"On {scene}, {100 * copy.trips:.0f} % of the trips stay within 0.1 m of a recorded trip "
-        f"from beginning to end. Values above {100 * COPIED_TRIPS:g} % are flagged."
+        f"On {scene}, {100 * copy.trips:.1f} % of the trips stay within 0.1 m of a recorded trip "
+        f"from beginning to end. Walkers who cannot copy have up to "
+        f"{100 * honest_share(scene):.1f} %; values above {100 * limit:.1f} % are flagged."
     )
-    return Flag(what="copied trips", scene=scene, value=copy.trips, limit=COPIED_TRIPS, text=text)
+    return Flag(what="copied trips", scene=scene, value=copy.trips, limit=limit, text=text)
 
 
 def evenness(

@@ -15,6 +15,7 @@ from crowdbench.report.html.render import html, own
 from crowdbench.report.html.shell import html_page
 from crowdbench.report.html.tables import metric_tables, outcome_table, score_table
 from crowdbench.report.plots import FIGURES, Crowds, PlotData, draw_figures
+from crowdbench.report.text.notes import made
 from crowdbench.report.text.words import PROTOCOLS, named
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import Reference
@@ -63,6 +64,7 @@ def _page(card: Scorecard, plot: PlotData) -> str:
         anchor=ANCHOR,
         resamples=f"{card.resamples:,}",
         protocol=PROTOCOLS[card.protocol].removesuffix("."),
+        made=made(card),
         walked=has_recorded_arrivals(card),
         scores=score_table(card, table, names),
         metrics=metric_tables(card, plot, names),

@@ -11,7 +11,9 @@ from crowdbench.metrics.arrivals import burstiness, memory
 from crowdbench.report.display_names import Names
 from crowdbench.report.html.render import html
 from crowdbench.report.plots import PlotData
-from crowdbench.scoring.score import LOWEST, Score
+from crowdbench.report.text.notes import gate_notes
+from crowdbench.scoring.ranking import competing_rows, ordered, ranked_by, steered
+from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import (
     PairResult,
     Row,
@@ -19,21 +21,19 @@ from crowdbench.scoring.scorecard import (
     has_recorded_arrivals,
     metric_scores,
     scale_of,
-    steered,
 )
 from crowdbench.trajectories.table import OUTCOMES
 
 
 def score_table(card: Scorecard, table: Sequence[Row], names: Names) -> Markup:
-    """HTML table of scores: crowds by rank, policies under recorded arrivals, baselines.
+    """HTML table of scores: crowds and policies under recorded arrivals by rank, baselines.
 
     Above it is a summary of the ranks, below it an explanation of the columns.
     """
+    by, table = ranked_by(table), ordered(table)
     entries = [row for row in table if row.kind == "entry"]
-    crowds = sorted((row for row in entries if row.spawn != "replay"), key=_order)
-    ranked = sorted((row for row in table if row.rank is not None), key=_order)
-    whole = all(row.overall is not None for row in ranked)
-    by = "overall score" if whole else "crowd score (motion and interaction were not scored)"
+    crowds = [row for row in entries if row.spawn != "replay"]
+    walkers = [row for row in entries if row.spawn == "replay"]
     return html(
         "scores.html.j2",
         card=card,
@@ -43,27 +43,26 @@ def score_table(card: Scorecard, table: Sequence[Row], names: Names) -> Markup:
         gate=card.gate,
         walked=has_recorded_arrivals(card),
         steered=any(steered(entry.spawn) for entry in card.entries),
-        ranked=ranked and by,
+        by=by,
+        competing=competing_rows(table),
         first=[
-            (names.pair(row.spawn, row.policy), score)
-            for row in ranked
-            if row.rank == 1 and (score := row.overall if whole else row.crowd) is not None
+            (names.pair(row.spawn, row.policy), getattr(row, by)) for row in table if row.rank == 1
         ],
         parts={
-            "Evaluated crowds, by rank" if ranked else "Evaluated crowds": crowds,
-            "Policies under the recorded arrivals (not ranked)": [
-                row for row in entries if row.spawn == "replay"
-            ],
+            f"Evaluated crowds{_ordered_by(crowds, by)}": crowds,
+            f"Policies under the recorded arrivals{_ordered_by(walkers, by)}": walkers,
             "Baselines (not ranked)": [row for row in table if row.kind == "anchor"],
         },
+        beyond_gate=gate_notes(card, table, names),
         scale=_Scale([score for row in table for score in _scores(row)]),
     )
 
 
-def _order(row: Row) -> tuple[int, float]:
-    """Sorts rows by rank, then by decreasing score."""
-    score = row.overall or row.crowd
-    return row.rank or 0, -(LOWEST if score is None else score.value)
+def _ordered_by(rows: Sequence[Row], by: str) -> str:
+    """How a part of the table is sorted, as an addition to its name."""
+    if any(row.rank is not None for row in rows):
+        return f", by rank ({by})"
+    return " (not ranked)" if rows and rows[0].spawn == "replay" else ""
 
 
 def _scores(row: Row) -> list[Score]:

@@ -7,7 +7,8 @@ import numpy as np
 from crowdbench.metrics import FAMILIES, WALK, all_metrics, paper_first
 from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import NOTHING, digits, interval, number, share, speed
-from crowdbench.scoring.scorecard import MetricCard, PairResult, Row, Scorecard, may_rank
+from crowdbench.scoring.ranking import may_rank
+from crowdbench.scoring.scorecard import MetricCard, PairResult, Row, Scorecard
 
 
 def score_table(rows: Sequence[Row]) -> str:

@@ -1,0 +1,78 @@
+"""Ranks of a scorecard's table: who competes, by which score, and the order of the rows."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
+
+from crowdbench.scoring.score import Score, ranks
+from crowdbench.spawn.scenario import split_scenario
+
+if TYPE_CHECKING:
+    from crowdbench.scoring.scorecard import Row
+
+RankedBy = Literal["walk", "overall", "crowd"]
+"""The score that the ranks of a table compare; also the name of its field in `Row`."""
+RECORDED_POLICIES = ("replay", "recorded-paths")
+"""Policies that follow recorded paths. They need recorded arrivals and are not ranked."""
+
+
+def steered(spawn: str) -> bool:
+    """Whether a spawn model's name includes a scenario."""
+    return split_scenario(spawn)[1] is not None
+
+
+def may_rank(spawn: str) -> bool:
+    """Whether entries with this spawn model are ranked.
+
+    Replayed recordings are not ranked, because they memorise the recording. Models under a
+    scenario are not ranked, because they are meant to differ from it.
+    """
+    return spawn not in ("replay", "block-replay") and not steered(spawn)
+
+
+def competing_rows(table: "Sequence[Row]") -> "list[Row]":
+    """The rows of a table that are ranked, if all of them have scores."""
+    entries = [row for row in table if row.kind == "entry"]
+    if all(row.spawn == "replay" for row in entries):  # only policies are compared
+        return [row for row in entries if row.policy not in RECORDED_POLICIES]
+    return [row for row in entries if may_rank(row.spawn)]
+
+
+def ranked_by(table: "Sequence[Row]") -> RankedBy:
+    """The score by which a table is ranked and sorted.
+
+    It is `walk` if only policies are compared (all entries have the spawn model `replay`),
+    otherwise `overall` if every competing entry has one, otherwise `crowd`.
+    """
+    entries = [row for row in table if row.kind == "entry"]
+    if all(row.spawn == "replay" for row in entries):
+        return "walk"
+    each = competing_rows(table) or entries
+    return "overall" if all(row.overall is not None for row in each) else "crowd"
+
+
+def ordered(table: "Sequence[Row]") -> "list[Row]":
+    """The table sorted: entries by rank, then by the score that `ranked_by` names; anchors last.
+
+    Entries without a rank follow those with one, and entries without a score follow those with one.
+    """
+    by = ranked_by(table)
+
+    def place(row: "Row") -> tuple[bool, int, float]:
+        score: Score | None = getattr(row, by)
+        worth = float("inf") if score is None else -score.value
+        return row.rank is None, row.rank or 0, worth
+
+    entries = [row for row in table if row.kind == "entry"]
+    return [*sorted(entries, key=place), *(row for row in table if row.kind == "anchor")]
+
+
+def ranked(entries: "Sequence[Row]") -> "list[Row]":
+    """The rows with their ranks, in their order; without ranks if a competing row has no score."""
+    competing, by = competing_rows(entries), ranked_by(entries)
+    scores: list[Score | None] = [getattr(row, by) for row in competing]
+    known = [s for s in scores if s is not None]
+    if len(known) < len(competing) or not competing:
+        return list(entries)
+    rank = dict(zip(map(id, competing), ranks(known), strict=True))
+    return [replace(r, rank=rank.get(id(r))) for r in entries]
