@@ -6,7 +6,9 @@ import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 
 import pages
@@ -236,6 +238,26 @@ def test_what_killed_workers_left_is_removed(
             os.utime(tmp_path / name, (old, old))
     node._clean.__wrapped__()
     assert {name: (tmp_path / name).exists() for name in names} == names
+
+
+def test_what_is_sent_to_nodes_is_as_in_a_wheel(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path / "empty")
+    zipfile.ZipFile(BytesIO(ray_engine._code())).extractall(tmp_path / "node")
+    code = (
+        "import crowdbench, crowdbench.baselines.heuristic as found; print(found.__file__); "
+        "print(len(crowdbench.list_scenes()))"
+    )
+    plain = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    run = [sys.executable, "-c", f"import sys; sys.path.insert(0, '../node'); {code}"]
+    done = subprocess.run(
+        run, cwd=tmp_path / "empty", env=plain, capture_output=True, text=True, check=True
+    )
+    file, scenes = done.stdout.split()
+    assert Path(file).resolve() == tmp_path / "node" / "crowdbench" / "baselines" / "heuristic.py"
+    assert int(scenes) >= 6
 
 
 def test_files_outside_the_working_directory_are_refused(
