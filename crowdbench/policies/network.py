@@ -28,7 +28,7 @@ from crowdbench.policies.card import HINT, PolicyCard
 from crowdbench.policies.memory import Memory
 from crowdbench.policies.rows import ROWS, Watch, check_rows, observed
 from crowdbench.scene import Scene
-from crowdbench.simulation import Settings
+from crowdbench.simulation import Settings, Shown
 from crowdbench.simulation.social import with_velocities_times
 
 if TYPE_CHECKING:
@@ -117,13 +117,8 @@ class OnnxPolicy:
         """
         rng = np.random.default_rng(0)
         seen = rng.uniform(-1, 1, (ROWS, self.card.inputs)).astype(np.float32)
-        card = self.card
-        shown = Settings(
-            max_alive=512,
-            observation=card.observation,
-            rays=card.rays,
-            ray_range_m=card.ray_range_m,
-        )
+        needed = {name: getattr(self, name) for name in Shown._fields}
+        shown = Settings(max_alive=512, **needed)
         with suppress(WeightsError):
             seen = seen if scene is None else observed(scene, shown)
         check_rows(
