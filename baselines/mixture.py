@@ -34,7 +34,7 @@ SELF = 6
 """Number of values of an observation before the distances to bounds and along rays."""
 BOUNDS = slice(SELF, 10)
 """Slice of the distances to the bounds in `lidar-3`."""
-RAY_RANGE_M = Settings().ray_range_m
+RAY_RANGE_M = Settings().shown.ray_range_m
 NEAR_GOAL_M = 2.0
 """Distance below which a goal counts as near."""
 NEAR_M = 1.0

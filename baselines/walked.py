@@ -12,7 +12,7 @@ from crowdbench.metrics.groups import APART_M
 from crowdbench.metrics.metric import total
 from crowdbench.policies import Policy
 from crowdbench.rollouts.episode import Recorder, begin, generator
-from crowdbench.rollouts.rollout import settings_for
+from crowdbench.rollouts.shown import settings_for
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.simulation import Simulation

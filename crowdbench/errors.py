@@ -4,6 +4,8 @@ Each message states where the error occurred, what was found, what was expected 
 The command line prints the message and exits with code 2.
 """
 
+import difflib
+from collections.abc import Iterable
 from pathlib import Path
 
 _CONSTRAINTS = Path(__file__).parents[1] / "constraints.txt"  # in a clone; a wheel has none
@@ -45,6 +47,12 @@ def _rebuild(
     kind: type[CrowdbenchError], where: str, got: str, expected: str, hint: str
 ) -> CrowdbenchError:
     return kind(where, got=got, expected=expected, hint=hint)
+
+
+def did_you_mean(name: object, known: Iterable[str], hint: str = "") -> str:
+    """A hint that suggests the known name most like `name`, if one is, followed by `hint`."""
+    found = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.6)
+    return " ".join([*(f"Did you mean `{near}`?" for near in found), hint]).rstrip()
 
 
 class RecordingError(CrowdbenchError):

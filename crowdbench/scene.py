@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Bool, Float
 
-from crowdbench.errors import SceneError
+from crowdbench.errors import SceneError, did_you_mean
 from crowdbench.files import read_struct
 
 if TYPE_CHECKING:
@@ -304,6 +304,7 @@ def load_scene(scene: str | Path | Scene) -> Scene:
             "scene",
             got=repr(str(scene)),
             expected=f"one of {', '.join(list_scenes())}, or a folder with a scene.toml",
+            hint=did_you_mean(scene, list_scenes()),
         )
     path = folder / "scene.toml"
     file = read_struct(path, _SceneFile, SceneError, _HINT)

@@ -3,7 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -25,13 +25,18 @@ def forget_types(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ANY_VALUE_TYPE_REGISTRY, "_entries", {})
 
 
-def chunks(path: Path) -> list[Any]:
-    """The pieces of the only recording in a file."""
+def chunks(path: Path, store: Literal["recording", "blueprint"] = "recording") -> list[Any]:
+    """The pieces of the only recording in a file, or of its only layout."""
     from rerun.chunk import RrdReader
 
     reader = RrdReader(path)
-    (recording,) = reader.recordings()
-    return reader.stream(store=recording).to_chunks()
+    (found,) = reader.recordings() if store == "recording" else reader.blueprints()
+    return reader.stream(store=found).to_chunks()
+
+
+def columns(chunk: Any) -> list[str]:
+    """Names of the columns of a piece."""
+    return list(chunk.to_record_batch().schema.names)
 
 
 def entities(path: Path) -> set[str]:

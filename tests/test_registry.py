@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ from crowdbench.registry import (
     SPAWN_MODELS,
     WEIGHTS,
     import_recording,
+    list_policies,
+    list_spawn_models,
     policy,
     recording,
     recording_of,
@@ -59,6 +62,32 @@ def test_the_imported_plaza_is_read_from_the_users_folder(imported: Path) -> Non
     imported.write_bytes(b"no table")
     with pytest.raises(RecordingError, match=r"plaza\.parquet"):
         recording("plaza")
+
+
+@pytest.mark.parametrize("list_names", [list_spawn_models, list_policies])
+def test_each_name_is_listed_once(list_names: Callable[[str], list[str]]) -> None:
+    names = list_names("plaza-v0")  # whose recording is there
+    assert sorted(names) == sorted(set(names))
+    assert {"replay", "straight"} & set(names)
+
+
+@pytest.mark.parametrize(
+    ("named", "command"),
+    [
+        ("runs/ppo.zip", "crowdbench policy export runs/ppo.zip runs/ppo.onnx --name NAME"),
+        ("ppo.zip", "crowdbench policy export ppo.zip ppo.onnx --name NAME --scene plaza-v0"),
+        ("net.pt", "crowdbench policy export pkg.module:NAME net.onnx"),
+    ],
+)
+def test_a_network_that_is_not_exported_is_answered_with_the_command_that_does_it(
+    named: str, command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    with pytest.raises(SettingError, match="Export it first") as refused:
+        policy(named, PLAZA)
+    assert command in refused.value.hint
+    asked = ["evaluate", "plaza-v0", "--policy", named, "--seeds", "1", "--out", str(tmp_path)]
+    assert main(asked) == 2
+    assert command in capsys.readouterr().err
 
 
 def test_a_recording_must_have_been_imported() -> None:

@@ -24,10 +24,10 @@ from crowdbench.policies import Policy
 from crowdbench.policies.memory import Needs
 from crowdbench.recordings.catalogue import source
 from crowdbench.rollouts.episode import begin, check_capacity, generator
-from crowdbench.rollouts.rollout import settings_for
+from crowdbench.rollouts.shown import settings_for
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.observations import OBSERVATION, version_of
+from crowdbench.simulation.observations import OBSERVATION
 from crowdbench.simulation.social import in_own_frame
 from crowdbench.spawn import Replay
 from crowdbench.spawn.events import blocks_of
@@ -178,18 +178,7 @@ def _interval(policy: Policy, settings: Settings, interval: int | None) -> int:
     where, own = f"policy {policy.name}", 1
     if policy.sees == "observation":
         own = Needs.of(policy).interval
-        names = ["observation"]
-        names += ["rays", "ray_range_m"] if version_of(settings.observation).rays else []
-        theirs = settings_for(policy)
-        for name in names:
-            got, asked = getattr(theirs, name), getattr(settings, name)
-            if got != asked:
-                raise SettingError(
-                    where,
-                    got=f"{name} = {got!r}",
-                    expected=f"{asked!r}, as in the demonstrations",
-                    hint=f"Ask for demonstrations with {name}={got!r}.",
-                )
+        settings_for(policy, settings, hint="Ask for demonstrations with {name}={value!r}.")
     if interval not in (None, own):
         raise SettingError(
             where,

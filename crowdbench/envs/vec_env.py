@@ -27,6 +27,7 @@ from crowdbench.rollouts.episode import (
     generator,
     slots_for,
 )
+from crowdbench.rollouts.shown import needs
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION
@@ -85,7 +86,9 @@ class CrowdVecEnv(VecEnv):
             scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
             num_envs: number of sub-environments, that is, of controlled persons in all worlds.
             spawn: the spawn model: a name (default `ntpp-gmm`), `pkg.module:Class`, or an object.
-            others: policy of all other people; default: `straight`. It can be replaced later.
+            others: policy of all other people; default: `straight`. If it names an observation, it
+                sees that one, whichever the environment has. It can be replaced later, and moves
+                people from the next `reset` on.
             worlds: number of worlds; default: enough for three people per sub-environment.
             max_alive: maximum number of people at the same time per world; default as in
                 `parallel_env`.
@@ -177,7 +180,11 @@ class CrowdVecEnv(VecEnv):
         )
         self._rewarder.begin()
         check_capacity(simulation)
-        self._actor = Actor(self.others, simulation)
+        shown = simulation.settings.shown
+        theirs = shown._replace(**needs(self.others))
+        self._actor = Actor(
+            self.others, simulation if theirs == shown else simulation.showing(theirs)
+        )
         self._actor.reset(generator(seed, 0, "policy"))
         simulation.observe()
         self._waits[:] = True
@@ -217,7 +224,8 @@ class CrowdVecEnv(VecEnv):
         at = tuple(self._at[:, acting])
         actions = self._actor.actions(~self._taken)
         actions[at] = self._actions[acting]
-        simulation.step(actions, world_frame=~self._taken & self._actor.world_frame)
+        own_frame = simulation.settings.own_frame  # of the observations of those taken
+        simulation.step(actions, own_frame=np.where(self._taken, own_frame, self._actor.own_frame))
         check_capacity(simulation)
         simulation.observe()
 

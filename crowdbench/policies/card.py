@@ -5,7 +5,7 @@ import re
 import msgspec
 import numpy as np
 
-from crowdbench.errors import WeightsError
+from crowdbench.errors import SettingError, WeightsError
 from crowdbench.policies.memory import MOST
 from crowdbench.simulation.observations import known_observations, size_of, version_of
 from crowdbench.trajectories.blocks import SPLITS
@@ -69,6 +69,21 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     def with_rays(self) -> str:
         """Words on the rays for messages, ` with 32 rays`; empty if the observation has none."""
         return f" with {self.rays} rays" if version_of(self.observation).rays else ""
+
+    def check_width(self, width: int) -> None:
+        """Check the number of values in an observation.
+
+        Raises:
+            SettingError: the policy needs another observation.
+        """
+        if width != self.inputs:
+            rays = f", rays={self.rays}, ray_range_m={self.ray_range_m:g}" * bool(self.with_rays)
+            raise SettingError(
+                f"policy {self.name}",
+                got=f"observations of {width} numbers",
+                expected=f"the {self.inputs} numbers of {self.observation}{self.with_rays}",
+                hint=f"Make the environment with observation={self.observation!r}{rays}.",
+            )
 
     def checked(self, where: object) -> "PolicyCard":
         """This card, after validation; `where` is named in error messages.

@@ -28,7 +28,7 @@ from crowdbench.policies.card import HINT, PolicyCard
 from crowdbench.policies.memory import Memory
 from crowdbench.policies.rows import ROWS, Watch, check_rows, observed
 from crowdbench.scene import Scene
-from crowdbench.simulation import Settings
+from crowdbench.simulation import Settings, Shown
 from crowdbench.simulation.social import with_velocities_times
 
 if TYPE_CHECKING:
@@ -89,8 +89,10 @@ class OnnxPolicy:
         Noise that `memory` does not have is drawn from the generator of `reset`.
 
         Raises:
+            SettingError: the observations are of another size than the network's.
             WeightsError: the network cannot be run, or a test found that it mixes rows.
         """
+        self.card.check_width(seen.shape[1])
         own = seen if self._unit == 1 else with_velocities_times(self._unit, seen)
         fed = {"observation": np.ascontiguousarray(own, dtype=np.float32)}
         if self.noise and (memory is None or memory.noise.size == 0):
@@ -115,11 +117,8 @@ class OnnxPolicy:
         """
         rng = np.random.default_rng(0)
         seen = rng.uniform(-1, 1, (ROWS, self.card.inputs)).astype(np.float32)
-        shown = Settings(
-            observation=self.observation,
-            rays=self.rays,
-            ray_range_m=self.ray_range_m,
-        )
+        needed = {name: getattr(self, name) for name in Shown._fields}
+        shown = Settings(**needed)
         with suppress(WeightsError):
             seen = seen if scene is None else observed(scene, shown)
         check_rows(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from crowdbench.errors import RecordingError, SettingError
+from crowdbench.errors import RecordingError, SettingError, did_you_mean
 from crowdbench.files import home, read_bytes, sha256, unwritable
 from crowdbench.recordings import first_use
 from crowdbench.recordings.forum import read_forum
@@ -140,8 +140,12 @@ def source(name: str) -> Source:
         got=f"the name {name!r}",
         expected=f"one of {', '.join(SOURCES)}, a day of the Forum like forum-14jul, or the name "
         "of an imported recording",
-        hint="Import your own recording with "
-        "`crowdbench data import NAME --source FILE --format FORMAT`.",
+        hint=did_you_mean(
+            name,
+            SOURCES,
+            "Import your own recording with "
+            "`crowdbench data import NAME --source FILE --format FORMAT`.",
+        ),
     )
 
 

@@ -201,7 +201,8 @@ def _refuse_most(
             got=f"person {person[row]} at {stamps.of(row)} ({astray.sum()} of {len(astray)} rows "
             f"between two frames{by})",
             expected=f"times in multiples of {stamps.long(1.0)}",
-            hint="Correct --dt-s, or resample the trajectories to it."
+            hint=_other_step(stamps, steps)
+            or f"Correct --dt-s, or resample the trajectories to {stamps.long(1.0)}."
             if late is None
             else f"Use --offset-s {late * stamps.step + stamps.origin:.4g} to start the frames at "
             "that time.",
@@ -214,8 +215,22 @@ def _refuse_most(
             where,
             got=f"rows of a person mostly {stamps.long(float(usual))} apart",
             expected=stamps.long(1.0),
-            hint=f"Correct {numbers}--dt-s.",
+            hint=_other_step(stamps, steps) or f"Correct {numbers}--dt-s.",
         )
+
+
+def _other_step(stamps: Stamps, steps: Float[np.ndarray, " S"]) -> str:
+    """A hint that names the time between most rows if it is not the step; else empty."""
+    values, counts = np.unique(np.round(steps * stamps.step, 3), return_counts=True)
+    if stamps.unit == "frame" or not len(values) or counts.max() <= len(steps) / 2:
+        return ""
+    found_s = float(values[counts.argmax()])
+    if abs(found_s / stamps.step - 1) < _BESIDE["s"]:
+        return ""
+    return (
+        f"Rows of a person are mostly {found_s:g} s apart. Use --dt-s {found_s:g} if that is "
+        f"right, or resample the trajectories to {stamps.long(1.0)}."
+    )
 
 
 def _usual_phase(ticks: Float[np.ndarray, " R"]) -> float | None:
@@ -253,7 +268,7 @@ def _refused(
         where,
         got=f"{first} ({counted})",
         expected=f"a row of each person every {stamps.long(1.0)}",
-        hint=hint,
+        hint=_other_step(stamps, steps[np.diff(person[order]) == 0]) or hint,
     )
 
 

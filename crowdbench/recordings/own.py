@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from crowdbench.errors import OwnCodeError, RecordingError, SettingError
+from crowdbench.errors import OwnCodeError, RecordingError, SettingError, did_you_mean
 from crowdbench.files import read_bytes
 from crowdbench.plugins import blaming, names, part
 from crowdbench.recordings import gc
@@ -122,8 +122,13 @@ def _read_by_others(
     """Read a format that another package registered, by its function `read(path, name=, dt_s=)`."""
     read = part("recordings", layout)
     if read is None:
-        known = ", ".join((*FORMATS, *names("recordings", FORMATS)))
-        raise SettingError("--format", got=repr(layout), expected=f"one of {known}")
+        known = (*FORMATS, *names("recordings", FORMATS))
+        raise SettingError(
+            "--format",
+            got=repr(layout),
+            expected=f"one of {', '.join(known)}",
+            hint=did_you_mean(layout, known),
+        )
     if gaps is not None or offset_s is not None:
         raise SettingError(
             "--gaps" if gaps is not None else "--offset-s",

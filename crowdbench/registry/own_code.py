@@ -3,13 +3,17 @@
 import importlib
 import importlib.util
 import inspect
+import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from crowdbench import plugins
-from crowdbench.errors import CrowdbenchError, OwnCodeError, SettingError
+from crowdbench.errors import CrowdbenchError, OwnCodeError, SettingError, did_you_mean
 from crowdbench.plugins import told
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,39}")
 
 
 def code_of(kind: plugins.Kind, name: str) -> list[Path] | bytes:
@@ -36,7 +40,12 @@ def own_class(path: str, kind: str, known: tuple[str, ...]) -> Callable[..., Any
     module, colon, attribute = path.partition(":")
     if not colon:
         named = f"one of {', '.join(known)}, or " if known else ""
-        raise SettingError(kind, got=repr(path), expected=f"{named}pkg.module:Class")
+        raise SettingError(
+            kind,
+            got=repr(path),
+            expected=f"{named}pkg.module:Class",
+            hint=did_you_mean(path, known),
+        )
     try:
         found: Callable[..., Any] = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, ValueError, TypeError) as error:
@@ -51,6 +60,13 @@ def own_class(path: str, kind: str, known: tuple[str, ...]) -> Callable[..., Any
             f"{kind} {path}", got=f"{told(error)} on import", expected="a module without errors"
         ) from error
     return found
+
+
+def imported_name(path: str) -> str | None:
+    """The attribute `name` of the class `pkg.module:Class`, if it has been imported and has one."""
+    module, _, attribute = path.partition(":")
+    name = getattr(getattr(sys.modules.get(module), attribute, None), "name", None)
+    return name if isinstance(name, str) and _NAME.fullmatch(name) else None
 
 
 def understood(kind: Callable[..., Any], **offered: object) -> dict[str, object]:

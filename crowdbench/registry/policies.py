@@ -89,6 +89,16 @@ class PolicySource:
         return policy
 
     def _own_class(self) -> Callable[..., Policy]:
+        if self.name.endswith((".zip", ".pt", ".pth")):
+            network = self.name if self.name.endswith(".zip") else "pkg.module:NAME"
+            file = Path(self.name).with_suffix(".onnx")
+            raise SettingError(
+                "policy",
+                got=f"{self.name!r}, which is not exported",
+                expected="an ONNX file",
+                hint=f"Export it first: `crowdbench policy export {network} {file} --name NAME "
+                f"--scene {self.scene.asked}`, with the observation that it was trained with.",
+            )
         shipped, others = trained_policies(self.scene), plugins.names("policies")
         known = (*POLICIES, *shipped, ANY_PLACE, *others, "an ONNX file, a folder of ONNX files")
         return plugins.part("policies", self.name) or own_class(self.name, "policy", known)

@@ -224,7 +224,8 @@ def list_spawn_models(scene: str | Path | Scene) -> list[str]:
         SceneError: the scene does not exist.
     """
     place = load_scene(scene)
-    played = [name for name in SPAWN_MODELS if name not in FITTED] * has_recording(place)
+    simulated = (*FITTED, *PLANNED)
+    played = [name for name in SPAWN_MODELS if name not in simulated] * has_recording(place)
     fitted = [*fitted_models(place), *planned_models(place)]
     return [*fitted, *played, *plugins.names("spawn_models", SPAWN_MODELS)]
 

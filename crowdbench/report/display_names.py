@@ -1,16 +1,18 @@
 """Short, unambiguous names of spawn models and policies for tables and pictures.
 
 A model under a scenario is named after the stem of the scenario file (`ntpp-gmm+rush_hour`), a
-policy file after the name on its card. If two short names are equal, both are shown in full, as the
-user gave them. Scorecards always keep the full names.
+policy file after the name on its card, and a class of the user after its attribute `name`, if the
+class has been imported and no model of crowdbench has that name. If two short names are equal, both
+are shown in full, as the user gave them. Scorecards always keep the full names.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from crowdbench.policies.network import read_card
-from crowdbench.registry import policy_source
+from crowdbench.registry import POLICIES, SPAWN_MODELS, policy_source, trained_policies
+from crowdbench.registry.own_code import imported_name
 from crowdbench.scene import Scene
 from crowdbench.spawn.scenario import split_scenario
 
@@ -35,7 +37,8 @@ def names_of(pairs: Iterable[tuple[str, str]], scene: Scene) -> Names:
         SettingError: onnx or onnxruntime is not installed.
     """
     spawns, policies = zip(*pairs, strict=True)
-    return Names(_apart(spawns, _spawn), _apart(policies, lambda asked: _policy(asked, scene)))
+    own = trained_policies(scene)
+    return Names(_apart(spawns, _spawn), _apart(policies, lambda asked: _policy(asked, scene, own)))
 
 
 def _apart(asked: Iterable[str], name: Callable[[str], str]) -> dict[str, str]:
@@ -46,9 +49,16 @@ def _apart(asked: Iterable[str], name: Callable[[str], str]) -> dict[str, str]:
 
 def _spawn(asked: str) -> str:
     model, scenario = split_scenario(asked)
+    model = _class(model, SPAWN_MODELS)
     return model if scenario is None else f"{model}+{scenario.stem}"
 
 
-def _policy(asked: str, scene: Scene) -> str:
+def _policy(asked: str, scene: Scene, trained: Sequence[str]) -> str:
     file = policy_source(asked, scene).card_file()
-    return asked if file is None else read_card(file).name
+    return _class(asked, [*POLICIES, *trained]) if file is None else read_card(file).name
+
+
+def _class(asked: str, taken: Collection[str]) -> str:
+    """Name of an imported class `pkg.module:Class`; `asked` if it is none or its name is taken."""
+    name = imported_name(asked) if ":" in asked else None
+    return asked if name is None or name in taken else name

@@ -9,6 +9,7 @@ from numpy.random import Generator
 from crowdbench.errors import ActionError
 from crowdbench.policies import Policy, StateView
 from crowdbench.policies.memory import Memory, Needs
+from crowdbench.rollouts.shown import check_shown
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.social import in_own_frame
 
@@ -25,8 +26,10 @@ class Actor:
         """An actor that has seen nobody.
 
         Raises:
-            SettingError: the policy's `memory`, `style` or `interval` is out of range.
+            SettingError: the policy's `memory`, `style` or `interval` is out of range, or the
+                simulation shows another observation than the policy needs.
         """
+        check_shown(policy, simulation.settings)
         self.policy = policy
         self._simulation = simulation
         self._needs = Needs.of(policy)
@@ -53,6 +56,11 @@ class Actor:
     def world_frame(self) -> bool:
         """Whether the actions are in the world frame, and not in that of the observation."""
         return self.policy.sees == "state"
+
+    @property
+    def own_frame(self) -> bool:
+        """Whether the actions are in the own frames of the people."""
+        return not self.world_frame and self._simulation.settings.own_frame
 
     def step(self) -> None:
         """Advance every world by one frame in which the policy moves everyone.

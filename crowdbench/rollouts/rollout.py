@@ -1,7 +1,6 @@
 """`rollout`: simulate a crowd of a spawn model and a policy."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, ReplayPolicy
@@ -13,6 +12,7 @@ from crowdbench.rollouts.episode import (
     draw,
     most_at_once,
 )
+from crowdbench.rollouts.shown import settings_for
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn import Replay, SpawnModel
@@ -39,10 +39,12 @@ def rollout(
     defaults to the length of the recording and `start` to that of the spawn model. A warm-up uses
     `policy` too. If spawn model and policy are both `replay`, people leave in their last recorded
     frame; otherwise they leave when they reach the goal. A policy with `sees = "observation"` may
-    choose its observation by the attributes `observation`, `rays` and `ray_range_m`.
+    choose its observation by the attributes `observation`, `rays` and `ray_range_m`. `settings`
+    must not contradict them.
 
     Raises:
-        SettingError: `start` or the policy `replay` does not fit the spawn model.
+        SettingError: `start` or the policy `replay` does not fit the spawn model, or the settings
+            name another observation than the policy.
         ActionError: the policy does not return one finite action per person.
         CapacityError: there are more people than slots.
         RecordingError: nobody entered.
@@ -106,8 +108,9 @@ def _simulated(
     drawn = draw(scene, worlds, frames=frames, start=start, scripted=replaying)
     if settings is None:
         slots = max(most_at_once(events, scene) for events in drawn.events)
-        settings = replace(settings_for(policy), max_alive=max(1, slots))
-    simulation = Simulation(scene, worlds=len(worlds), settings=settings)
+        settings = Settings(max_alive=max(1, slots))
+    shown = settings_for(policy, settings)
+    simulation = Simulation(scene, worlds=len(worlds), settings=shown)
     actor = drawn.begin(simulation, policy)
     actor.reset(*(world.generator("policy") for world in worlds))
     recorder = Recorder(simulation)
@@ -122,15 +125,3 @@ def _simulated(
             for world in worlds
         ]
     )
-
-
-def settings_for(policy: Policy) -> Settings:
-    """Settings of a simulation with the observation of a policy, by default `lidar-2`."""
-    default = Settings(max_alive=4096)
-    if policy.sees == "state":
-        return default
-    asked = {
-        name: getattr(policy, name, getattr(default, name))
-        for name in ("observation", "rays", "ray_range_m")
-    }
-    return replace(default, **asked)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from msgspec import structs
 
-from crowdbench.errors import SceneError, SettingError, to_install
+from crowdbench.errors import SceneError, SettingError, did_you_mean, to_install
 from crowdbench.evaluation.parallel import call_each, checked_workers
 from crowdbench.files import unwritable, write_text
 from crowdbench.registry import FITTED, PLANNED, fitted_models
@@ -185,7 +185,10 @@ def _check_models(models: Sequence[str]) -> None:
     for name in models:
         if name not in FITTED:
             raise SettingError(
-                "models", got=repr(name), expected=f"one or more of {', '.join(FITTED)}"
+                "models",
+                got=repr(name),
+                expected=f"one or more of {', '.join(FITTED)}",
+                hint=did_you_mean(name, FITTED),
             )
     if any(name in NEURAL for name in models):
         check_torch("Or omit the model: --models poisson-gmm poisson-groups renewal-gmm.")
@@ -208,7 +211,7 @@ def training_settings(model: str, changes: Mapping[str, Any]) -> Any:
                 expected=f"one of {', '.join(known)}",
                 hint=f"Only {others[0]} has it: name no other neural model with --models."
                 if others
-                else "",
+                else did_you_mean(name, known),
             )
         if not (np.isfinite(value) and (value > 0 or isinstance(value, bool))):
             raise SettingError(name, got=str(value), expected="a positive number")

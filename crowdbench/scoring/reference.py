@@ -12,7 +12,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from crowdbench.errors import RecordingError, SceneError, WeightsError
+from crowdbench.errors import RecordingError, SceneError, WeightsError, did_you_mean
 from crowdbench.files import read_bytes, read_struct, write_json
 from crowdbench.metrics import (
     METRICS,
@@ -337,6 +337,7 @@ def _check_scored(scene: Scene) -> None:
             scene.folder / "scene.toml",
             got=f"protocol.scored with {', '.join(unknown)}",
             expected=f"names of metrics: {', '.join(known)}",
+            hint=did_you_mean(unknown[0], known),
         )
 
 

@@ -10,7 +10,8 @@ numba.config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]  # type: ign
 
 from crowdbench.simulation.simulation import (  # noqa: E402  (the threading layer comes first)
     Settings,
+    Shown,
     Simulation,
 )
 
-__all__ = ["Settings", "Simulation"]
+__all__ = ["Settings", "Shown", "Simulation"]

@@ -42,7 +42,7 @@ from jaxtyping import Float32
 from numba import njit, prange
 
 from crowdbench.compilation import kernel
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, did_you_mean
 from crowdbench.plugins import made, names, part
 from crowdbench.simulation import social
 from crowdbench.simulation.cells import CHUNK, list_persons, neighbours, sort_into_cells
@@ -119,7 +119,7 @@ def observation_of(name: str) -> Observation | None:
             "observation",
             got=repr(name) if found is None else f"{name!r}, which is {found!r}",
             expected=f"one of {', '.join(known_observations())}",
-            hint=""
+            hint=did_you_mean(name, known_observations())
             if found is None
             else "Derive it from crowdbench.simulation.observations.Observation and set base to "
             "a built-in observation and extra to 1 or more.",

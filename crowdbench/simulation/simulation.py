@@ -1,7 +1,8 @@
 """`Simulation`: the class that runs the compiled kernels."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int
@@ -12,6 +13,7 @@ from crowdbench.simulation.cells import Cells
 from crowdbench.simulation.free_space import FreeSpace
 from crowdbench.simulation.observations import (
     OBSERVATION,
+    Version,
     observation_of,
     observe,
     size_of,
@@ -28,36 +30,64 @@ GIVE_UP_S = 30.0
 """Seconds without progress after which a person no longer walks to its via point."""
 
 
+class Shown(NamedTuple):
+    """What a simulation shows to policies that see observations."""
+
+    observation: str = OBSERVATION
+    rays: int = 32
+    ray_range_m: float = 10.0
+
+    @property
+    def version(self) -> Version:
+        """The built-in version of the observation."""
+        return version_of(self.observation)
+
+
 @dataclass(frozen=True)
 class Settings:
-    """Capacity of a simulation, and its observation."""
+    """Capacity of a simulation, and its observation.
+
+    `rays`, `ray_range_m` and `observation` are None if nobody has chosen them. Rollouts then use
+    what the policy needs, see `crowdbench.rollouts.shown`; otherwise the values of `Shown` apply.
+    """
 
     max_alive: int = 256
     """Number of slots N: maximum number of people at the same time per world."""
     max_persons: int = 1_000_000
     """Maximum number of people per world and episode."""
-    rays: int = 32
-    """Number of rays of an observation; `social-1` has none."""
-    ray_range_m: float = 10.0
-    """Range of the rays in metres."""
-    observation: str = OBSERVATION
-    """Version of the observation, `lidar-1` to `lidar-3`, `social-1` or a registered one."""
+    rays: int | None = None
+    """Number of rays of an observation, by default 32; `social-1` has none."""
+    ray_range_m: float | None = None
+    """Range of the rays in metres, by default 10."""
+    observation: str | None = None
+    """Version of the observation, `lidar-1` to `lidar-3`, `social-1` or a registered one; by
+    default `lidar-2`."""
 
     def __post_init__(self) -> None:
-        for name in ("max_alive", "max_persons", "rays"):
-            value = getattr(self, name)
+        shown = self.shown
+        for name, value in (
+            ("max_alive", self.max_alive),
+            ("max_persons", self.max_persons),
+            ("rays", shown.rays),
+        ):
             if not isinstance(value, int | np.integer) or value < 1:
                 raise SettingError(name, got=repr(value), expected="a whole number, 1 or more")
-        if not (np.isfinite(self.ray_range_m) and self.ray_range_m > 0):
+        if not (np.isfinite(shown.ray_range_m) and shown.ray_range_m > 0):
             raise SettingError(
-                "ray_range_m", got=str(self.ray_range_m), expected="a positive number of metres"
+                "ray_range_m", got=str(shown.ray_range_m), expected="a positive number of metres"
             )
-        observation_of(self.observation)  # raises an error if it does not exist
+        observation_of(shown.observation)  # raises an error if it does not exist
+
+    @property
+    def shown(self) -> Shown:
+        """The observation, with defaults for what nobody has chosen."""
+        chosen = {name: getattr(self, name) for name in Shown._fields}
+        return Shown(**{name: value for name, value in chosen.items() if value is not None})
 
     @property
     def own_frame(self) -> bool:
         """Whether observations and actions are in each person's own frame, see `Version`."""
-        return version_of(self.observation).own_frame
+        return self.shown.version.own_frame
 
 
 class Simulation:
@@ -89,7 +119,8 @@ class Simulation:
         self.settings = settings or Settings()
         self.worlds = worlds
         motion, bounds, s = scene.motion, scene.bounds, self.settings
-        self._version = version_of(s.observation)
+        self._shown = shown = s.shown
+        self._version = shown.version
         rays = self._version.rays
         step_m = motion.max_speed_mps * scene.dt_s
         lower = np.array([bounds.x_min_m, bounds.y_min_m]) - step_m
@@ -98,12 +129,12 @@ class Simulation:
             scene.wall_segments,
             lower=tuple(lower),
             upper=tuple(upper),
-            rays=s.rays if rays else 0,
-            ray_range_m=s.ray_range_m,
+            rays=shown.rays if rays else 0,
+            ray_range_m=shown.ray_range_m,
             step_m=step_m,
         )
         self._free = None if rays else FreeSpace.of(scene)
-        range_m = s.ray_range_m if rays else RANGE_M
+        range_m = shown.ray_range_m if rays else RANGE_M
         self._cells = Cells.between(worlds, s.max_alive, lower, upper, range_m / 2)
         self.limits = Limits(
             dt=scene.dt_s,
@@ -119,14 +150,14 @@ class Simulation:
             y_min=bounds.y_min_m,
             y_max=bounds.y_max_m,
         )
-        self._more = observation_of(s.observation)
+        self._more = observation_of(shown.observation)
         self._bounds = np.array([bounds.x_min_m, bounds.x_max_m, bounds.y_min_m, bounds.y_max_m])
         self.observation: Float32[np.ndarray, "W N obs"] = np.zeros(
-            (worlds, s.max_alive, size_of(s.observation, s.rays)), np.float32
+            (worlds, s.max_alive, size_of(shown.observation, shown.rays)), np.float32
         )
         self._seen = self.observation
         if self._more is not None:
-            shape = (worlds, s.max_alive, size_of(self._more.base, s.rays))
+            shape = (worlds, s.max_alive, size_of(self._more.base, shown.rays))
             self._seen = np.zeros(shape, np.float32)  # kernels write contiguous arrays
         self._own = np.full((worlds, s.max_alive), self._version.own_frame)
         self.nearest: Float32[np.ndarray, "W N"] = np.full(
@@ -156,6 +187,18 @@ class Simulation:
         self.clock = Clock.at(self.worlds, first_frame - 1, horizon)
         self._go(1, np.zeros(self.slots.position.shape, np.float32), self._own)  # people enter
 
+    def showing(self, shown: Shown) -> "Simulation":
+        """The same people with another observation.
+
+        Both share everyone's state until this simulation is reset. Only this one may step.
+        """
+        other = Simulation(
+            self.scene, worlds=self.worlds, settings=replace(self.settings, **shown._asdict())
+        )
+        other.events, other._queue = self.events, self._queue
+        other.slots, other.clock = self.slots, self.clock
+        return other
+
     def copy_world(self, world: int, alone: "Simulation") -> None:
         """Let a world go on from the state of `alone`, and all other worlds from their own.
 
@@ -175,13 +218,15 @@ class Simulation:
         actions: Float32[np.ndarray, "W N 2"],
         *,
         world_frame: bool | Bool[np.ndarray, "W N"] = False,
+        own_frame: Bool[np.ndarray, "W N"] | None = None,
     ) -> None:
         """Advance every world by one frame; call `observe` for new observations.
 
         Actions are in the frame of the observation. If that is the own frame, they are relative to
         the headings that `observe` shows, and `world_frame` says whose actions are in the world
-        frame all the same, such as those of policies that see the state. In either frame, actions
-        are clipped before they are turned.
+        frame all the same, such as those of policies that see the state. If people have different
+        observations, `own_frame` says instead whose actions are in the own frame. In either frame,
+        actions are clipped before they are turned.
 
         Raises:
             ActionError: `actions` have another shape.
@@ -197,7 +242,9 @@ class Simulation:
             )
         np.copyto(self.remaining_before, self.remaining)
         own = self._own
-        if self._version.own_frame and world_frame is not False:
+        if own_frame is not None:
+            own = np.ascontiguousarray(own_frame)
+        elif self._version.own_frame and world_frame is not False:
             others = ~np.broadcast_to(np.asarray(world_frame, bool), own.shape)
             own = np.ascontiguousarray(own & others)
         # People of one world interact when they enter, so threads run different worlds.
@@ -220,7 +267,7 @@ class Simulation:
         slots, target, beyond = self.slots, self._towards(), self._beyond
         what: tuple[object, ...]
         if self._version.rays:
-            radius_m, range_m = self.scene.motion.person_radius_m, self.settings.ray_range_m
+            radius_m, range_m = self.scene.motion.person_radius_m, self._shown.ray_range_m
             what = (slots, target, beyond, self._version.head, self._bounds, self._cells,
                     self._walls, self.limits.max_speed, radius_m, range_m)  # fmt: skip
         else:

@@ -8,6 +8,7 @@ import numpy as np
 from crowdbench.errors import OutputError
 from crowdbench.files import replacing
 from crowdbench.spawn.events import SpawnEvents
+from crowdbench.trajectories.storage import rounded_s
 
 _POINTS = ("start", "goal", "velocity", "via")
 
@@ -34,7 +35,7 @@ def write_events(events: SpawnEvents, path: str | Path) -> None:
         if name in _POINTS:
             columns |= {f"{name}_x": values[:, 0], f"{name}_y": values[:, 1]}
         else:
-            columns[name] = values
+            columns[name] = rounded_s(values) if name.endswith("_s") else values
     table = pa.table({k: pa.array(v, from_pandas=True) for k, v in columns.items()})
     with replacing(path) as temporary:
         writers[path.suffix](table, temporary)

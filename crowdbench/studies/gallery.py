@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from crowdbench import __version__
-from crowdbench.errors import RecordingError, SettingError
+from crowdbench.errors import RecordingError, SettingError, did_you_mean
 from crowdbench.evaluation.lock import alone_in
 from crowdbench.evaluation.rollout_jobs import Job, Progress, make, plan
 from crowdbench.files import replacing, unwritable, write_json
@@ -100,7 +100,12 @@ def _check(places: Sequence[Scene], figures: Sequence[str], spawn: str) -> None:
                            expected="a spawn model that generates new crowds")  # fmt: skip
     for figure in figures:
         if figure not in FIGURES:
-            raise SettingError("figures", got=repr(figure), expected=f"one of {', '.join(FIGURES)}")
+            raise SettingError(
+                "figures",
+                got=repr(figure),
+                expected=f"one of {', '.join(FIGURES)}",
+                hint=did_you_mean(figure, FIGURES),
+            )
     wanted = [figure for figure in OF_RECORDING if figure in figures]
     for place in places:
         if wanted and not has_recording(place):

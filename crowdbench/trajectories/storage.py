@@ -4,11 +4,13 @@ A file holds one flat table with a row per person and frame. The columns of a pe
 in each row, so that any tool can read the file without a join; Parquet compresses the repetition.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
+from jaxtyping import Float
 
 from crowdbench.errors import RecordingError
 from crowdbench.files import read_bytes, replacing
@@ -69,8 +71,19 @@ def write_csv(trajectories: Trajectories, path: str | Path) -> None:
     """
     from pyarrow import csv
 
+    t = trajectories
+    t = replace(t, spawn_s=rounded_s(t.spawn_s), requested_s=rounded_s(t.requested_s))
     with replacing(Path(path)) as temporary:
-        csv.write_csv(_flat(trajectories), temporary)
+        csv.write_csv(_flat(t), temporary)
+
+
+def rounded_s(times_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Times in seconds for other programs, without rounding errors such as 4.800000000000001.
+
+    1e-9 s is far below the tolerance within which times are assigned to frames, 1e-6 frames.
+    """
+    rounded: np.ndarray = np.round(times_s, 9)
+    return rounded
 
 
 def _flat(t: Trajectories) -> "pyarrow.Table":

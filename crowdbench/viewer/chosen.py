@@ -52,13 +52,14 @@ def log_chosen(
     settings = Settings(max_alive=int(crowd.present().max()))
     length = ray_lengths(crowd, chosen, scene, settings)
     path = crowd.path(chosen)
-    angle = 2 * np.pi * np.arange(settings.rays) / settings.rays
+    shown = settings.shown
+    angle = 2 * np.pi * np.arange(shown.rays) / shown.rays
     way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     ends = path[:, None] + length[..., None] * way
     strips = np.stack([np.broadcast_to(path[:, None], ends.shape), ends], axis=2)
-    met = (length < settings.ray_range_m).ravel()
+    met = (length < shown.ray_range_m).ravel()
     # An additional frame without rays, so that they disappear with the person.
-    count = np.append(np.full(len(path), settings.rays), 0)
+    count = np.append(np.full(len(path), shown.rays), 0)
     times = time_columns(crowd.first[chosen] + np.arange(len(path) + 1), crowd.dt_s)
     where = f"{WORLD}/{side}/chosen"
     rays = rr.LineStrips2D.columns(
@@ -111,9 +112,10 @@ def ray_lengths(
     just ended are not seen by others, and themselves do not see people who enter in that frame.
     """
     simulation = Simulation(scene, settings=settings)
-    slots, head = simulation.slots, head_of(settings.observation)
+    shown = settings.shown
+    slots, head = simulation.slots, head_of(shown.observation)
     last, final = crowd.last, crowd.frames - 1
-    seen = np.empty((len(crowd.path(chosen)), settings.rays), np.float32)
+    seen = np.empty((len(crowd.path(chosen)), shown.rays), np.float32)
     for k, frame in enumerate(range(crowd.first[chosen], last[chosen] + 1)):
         here = np.flatnonzero((crowd.first <= frame) & (frame <= last))
         n = len(here)
@@ -124,5 +126,5 @@ def ray_lengths(
         slots.spawned[0, :n] = crowd.entered[here] & (crowd.first[here] == frame)
         slots.position[0, :n] = crowd.xy[crowd.offsets[here] + frame - crowd.first[here]]
         slot = int(np.searchsorted(here, chosen))
-        seen[k] = simulation.observe()[0, slot, head : head + settings.rays]
-    return seen * np.float32(settings.ray_range_m)
+        seen[k] = simulation.observe()[0, slot, head : head + shown.rays]
+    return seen * np.float32(shown.ray_range_m)

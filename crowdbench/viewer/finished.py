@@ -112,9 +112,8 @@ def _layout(scene: Scene, sides: Mapping[str, Trajectories]) -> "Blueprint":
         "agents": max(1.0, *(float(c.present().max()) for c in crowds)),
         "spawns": float(max(spawns)),
     }
-    length_s = max(c.duration_s for c in crowds)
     titles = {side: f"{side}: {title_of(c)}" for side, c in sides.items()}
-    return layout(scene, titles, length_s=length_s, most=most)
+    return layout(scene, titles, live=False, most=most)
 
 
 def _log(

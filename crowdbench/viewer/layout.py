@@ -15,31 +15,24 @@ _SPEED = 2.0  # seconds of the crowd in a second of playing
 
 
 def layout(
-    scene: Scene, sides: Mapping[str, str], *, length_s: float | None, most: Mapping[str, float]
+    scene: Scene, sides: Mapping[str, str], *, live: bool, most: Mapping[str, float]
 ) -> "Blueprint":
     """The default layout.
 
     Args:
         scene: the scene.
         sides: titles of the views, by the name of the side.
-        length_s: time range of the plots, seconds; the viewer plays from the start. With None, data
-            arrive live, and the viewer follows them.
+        live: whether data arrive while they are shown, and the viewer follows them; otherwise it
+            plays from the start.
         most: maxima of the plots `agents` and `spawns`, for their axes; unknown ones are left out.
     """
-    import rerun as rr
     import rerun.blueprint as rrb
 
     def plot(origin: str, title: str) -> rrb.TimeSeriesView:
         axis = rrb.ScalarAxis(range=(0.0, 1.5 * most[origin])) if origin in most else None
-        whole = None
-        if length_s is not None:
-            end = rr.TimeRangeBoundary.absolute(seconds=length_s)
-            start = rr.TimeRangeBoundary.absolute(seconds=0.0)
-            whole = rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end))
+        # Without a range, the axis shows all of the time line that is chosen: `time` or `frame`.
         legend = rrb.PlotLegend(rrb.Corner2D.RightTop)
-        return rrb.TimeSeriesView(
-            origin=origin, name=title, plot_legend=legend, axis_x=whole, axis_y=axis
-        )
+        return rrb.TimeSeriesView(origin=origin, name=title, plot_legend=legend, axis_y=axis)
 
     log = rrb.TextLogView(
         origin="outcomes",
@@ -62,7 +55,7 @@ def layout(
         rrb.TimePanel(
             state="collapsed",
             timeline="time",
-            play_state="following" if length_s is None else "playing",
+            play_state="following" if live else "playing",
             playback_speed=_SPEED,
         ),
         auto_layout=False,

@@ -34,7 +34,7 @@ class Live:
         self._until = 0
         self._window, self._spawned = 0, 0
         given = rr.get_data_recording()
-        first_look = layout(scene, {_SIDE: title}, length_s=None, most={})
+        first_look = layout(scene, {_SIDE: title}, live=True, most={})
         if given is not None:
             self._stream = given
             given.send_blueprint(first_look, make_active=False)

@@ -8,7 +8,7 @@ import pytest
 
 import crowdbench
 from crowdbench.policies import PolicyCard
-from crowdbench.rollouts.rollout import settings_for
+from crowdbench.rollouts.shown import settings_for
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings
 from crowdbench.simulation.observations import OBSERVATION, size_of
@@ -36,7 +36,7 @@ def test_everything_has_the_same_default_and_it_shows_the_preferred_speed() -> N
     assert OBSERVATION == "lidar-2"
     assert default_of(crowdbench.parallel_env) == OBSERVATION
     assert default_of(crowdbench.demonstrations) == OBSERVATION
-    assert Settings().observation == OBSERVATION
+    assert Settings().shown.observation == OBSERVATION
     assert settings_for(Unspecific()).observation == OBSERVATION
     env = crowdbench.parallel_env("plaza-v0", horizon_s=10.0)
     assert env.observation_space("person_0").shape == (SIZE,)

@@ -17,7 +17,9 @@ import crowdbench  # noqa: E402
 from crowdbench.envs.vec_env import CrowdVecEnv  # noqa: E402
 from crowdbench.errors import ActionError, CapacityError, SettingError  # noqa: E402
 from crowdbench.policies import Random, Straight  # noqa: E402
-from crowdbench.simulation.observations import GOAL_RANGE_M  # noqa: E402
+from crowdbench.scene import Scene  # noqa: E402
+from crowdbench.simulation.observations import GOAL_DIRECTION, GOAL_RANGE_M  # noqa: E402
+from crowdbench.simulation.social import ROUTE_DIRECTION  # noqa: E402
 
 EAST = [1.0, 0.0]
 
@@ -64,6 +66,41 @@ def test_others_walk_alike_whatever_the_frame_of_the_observation() -> None:
         assert places.tobytes() == again.tobytes()
         for env in (rays, own):
             env.step(np.zeros((3, 2)))  # the same in either frame
+
+
+class Guided:
+    """Walks on its way, in the frame of what it sees, and decides in every second frame."""
+
+    name, sees, interval = "guided", "observation", 2
+
+    def __init__(self, observation: str) -> None:
+        self.observation = observation
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        pass
+
+    def act(self, seen: np.ndarray) -> np.ndarray:
+        rays = self.observation == "lidar-2"
+        return 0.5 * seen[:, GOAL_DIRECTION if rays else ROUTE_DIRECTION]
+
+
+@pytest.mark.parametrize("theirs", ["lidar-2", "social-1"])
+def test_others_see_what_they_need_whichever_observation_the_environment_has(theirs: str) -> None:
+    crowds = []
+    for observation in ("lidar-2", "social-1"):
+        env = CrowdVecEnv(
+            "plaza-v0", 3, worlds=2, seed=1, horizon_s=40.0,
+            observation=observation, others=Guided(theirs),
+        )  # fmt: skip
+        seen = env.reset()
+        places = []
+        for _ in range(150):  # the horizon is among them
+            seen, *_ = env.step(np.zeros((3, 2)))
+            places.append(env._simulation.slots.position.copy())
+        assert seen.shape[1] == env.observation_space.shape[0]
+        crowds.append(np.stack(places))
+    assert np.ptp(crowds[0], axis=0).max() > 5.0  # they walk
+    assert crowds[0].tobytes() == crowds[1].tobytes()
 
 
 def lives_of(*people: Person, num_envs: int = 1, **changes: object) -> CrowdVecEnv:

@@ -115,6 +115,20 @@ def read(path: Path, **asked: object) -> Trajectories:
     return read_recording(path, "csv", name="walk", dt_s=0.4, **asked)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("asked_s", [0.4, 0.25, 1.0])
+def test_another_time_between_rows_is_told_with_both_mends(asked_s: float, tmp_path: Path) -> None:
+    path = tmp_path / "walk.csv"
+    rows = [f"{p},{0.5 * k:g},{0.5 * k:g},{p}" for p in (1, 2) for k in range(20)]
+    path.write_text("\n".join(["person_id,time_s,x,y", *rows]))
+    with pytest.raises(RecordingError) as refused:
+        read_recording(path, "csv", name="walk", dt_s=asked_s)
+    assert refused.value.hint == (
+        "Rows of a person are mostly 0.5 s apart. Use --dt-s 0.5 if that is right, or resample "
+        f"the trajectories to {asked_s:g} s."
+    )
+    assert read_recording(path, "csv", name="walk", dt_s=0.5).dt_s == 0.5
+
+
 def test_missing_rows_are_filled_by_a_straight_way(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"person 7 at 2.8 s, 1.6 s after its previous row"):
         read(table_of(tmp_path, GAP))

@@ -1,6 +1,8 @@
 """Names in tables and pictures: short, and never two of the same."""
 
+import importlib
 import shutil
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -47,6 +49,25 @@ def test_policies_of_the_same_name_keep_their_files() -> None:
     asked = ["bc", str(SHIPPED / "fold0.onnx"), str(SHIPPED / "fold1.onnx")]
     names = names_of([("ntpp-gmm", policy) for policy in asked], ETH)
     assert names.policy == {policy: policy for policy in asked}
+
+
+def test_a_class_is_called_by_its_name_once_it_is_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    classes = {"Predictive": "predictive", "Tall": "straight", "Odd": "[red]", "Nameless": None}
+    lines = [f"class {kind}:\n    name = {name!r}\n" for kind, name in classes.items()]
+    (tmp_path / "their_walkers.py").write_text("\n".join(lines))
+    monkeypatch.syspath_prepend(tmp_path)
+    asked = [f"their_walkers:{kind}" for kind in (*classes, "Missing")]
+    pairs = [*(("ntpp-gmm", policy) for policy in asked), (asked[0], "straight")]
+    assert list(names_of(pairs, ETH).policy) == list(names_of(pairs, ETH).policy.values())
+    importlib.import_module("their_walkers")
+    monkeypatch.setitem(sys.modules, "their_walkers", sys.modules["their_walkers"])  # undone later
+    names = names_of(pairs, ETH)
+    assert names.policy == {p: p for p in [*asked, "straight"]} | {asked[0]: "predictive"}
+    assert names.spawn[asked[0]] == "predictive"
+    steered = f"{asked[0]}+docs/rush_hour.toml"
+    assert names_of([(steered, "straight")], ETH).spawn == {steered: "predictive+rush_hour"}
 
 
 def test_a_missing_file_is_said_to_be_missing(tmp_path: Path) -> None:

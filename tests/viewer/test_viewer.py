@@ -24,7 +24,7 @@ from conftest import REQUIRE_ALL, need
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
-from rrds import always, entities, forget_types, rerun, rows
+from rrds import always, chunks, columns, entities, forget_types, rerun, rows
 from worlds import box, square
 
 from crowdbench.cli import main
@@ -98,6 +98,15 @@ def test_what_is_shown(saved: Path) -> None:
     chosen = {f"/world/simulation/chosen/{what}" for what in ("rays", "ring", "way", "goal")}
     more = {"/", "/world", "/outcomes", "/world/recording/unobserved", "/__properties"}
     assert entities(saved) == place | {"/world/place/walls/hatching"} | sides | chosen | more
+
+
+def test_plots_show_all_of_either_time_line(saved: Path) -> None:
+    """A range in seconds would be one in nanoseconds as frames, in which the plot is empty."""
+    views = [chunk for chunk in chunks(saved, "blueprint") if "view_range" in str(columns(chunk))]
+    assert columns(next(iter(chunks(saved, "blueprint"))))  # it was sent
+    assert views == []
+    for clock in ("frame", "time"):
+        assert len(rows(saved, "/agents/simulation", "Scalars:scalars", clock)) == 150
 
 
 @pytest.mark.parametrize("side", ["simulation", "recording"])

@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from crowdbench.errors import CrowdbenchError
+from crowdbench.errors import CrowdbenchError, did_you_mean
 from crowdbench.leaderboard.submission.errors import RefusedError
 from crowdbench.leaderboard.submission.limits import LARGEST_DECLARATION, MOST_DOTS
 from crowdbench.leaderboard.submission.schema import FILE, Declared, Trained
@@ -115,7 +115,7 @@ def _wrong_fields(
                 f"{FILE}, {prefix}{ascii(name)[1:-1][:60]}",
                 got="an unknown field",
                 expected=f"only {', '.join(fields)}",
-                hint="Remove or rename it.",
+                hint=did_you_mean(name, fields) or "Remove or rename it.",
             )
     for name, field in fields.items():
         if name in raw:

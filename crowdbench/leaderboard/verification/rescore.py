@@ -5,7 +5,7 @@ from pathlib import Path
 
 import msgspec
 
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, did_you_mean
 from crowdbench.files import write_json
 from crowdbench.leaderboard.pages.standings import View, scores
 from crowdbench.leaderboard.sandbox.parent import Limits
@@ -45,8 +45,13 @@ def rescore(
             "reason", got=repr(reason), expected="one line that says why it is scored again"
         )
     if entry_id not in entry_ids(root):
-        known = ", ".join(entry_ids(root)) or "none yet"
-        raise SettingError("entry", got=repr(entry_id), expected=f"one of {root}/entries ({known})")
+        known = entry_ids(root)
+        raise SettingError(
+            "entry",
+            got=repr(entry_id),
+            expected=f"one of {root}/entries ({', '.join(known) or 'none yet'})",
+            hint=did_you_mean(entry_id, known),
+        )
     path = root / "entries" / f"{entry_id}.json"
     old = read_entry(path)
     submission = root / "submissions" / entry_id
