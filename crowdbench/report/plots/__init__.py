@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crowdbench.files import replacing
+from crowdbench.progress import steps
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.canvas import Draw, picture
 from crowdbench.report.plots.maps import maps
@@ -21,7 +22,7 @@ def draw_figures(plot: PlotData, out: Path) -> list[Path]:
     Raises:
         OutputError: a picture cannot be written.
     """
-    return [draw_figure(name, plot, out) for name in FIGURES]
+    return [draw_figure(name, plot, out) for name in steps("pictures", FIGURES)]
 
 
 def draw_figure(name: str, plot: PlotData, out: Path, *, named: str = "") -> Path:
