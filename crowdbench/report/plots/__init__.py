@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crowdbench.files import replacing
-from crowdbench.progress import steps
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.canvas import Draw, picture
 from crowdbench.report.plots.maps import maps
@@ -14,15 +13,6 @@ from crowdbench.report.plots.plot_data import Crowds, PlotData
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-
-def draw_figures(plot: PlotData, out: Path) -> list[Path]:
-    """Draw all pictures of `FIGURES` into the folder `out` and return their paths.
-
-    Raises:
-        OutputError: a picture cannot be written.
-    """
-    return [draw_figure(name, plot, out) for name in steps("pictures", FIGURES)]
 
 
 def draw_figure(name: str, plot: PlotData, out: Path, *, named: str = "") -> Path:
@@ -122,7 +112,7 @@ _DRAWN: dict[str, Callable[[PlotData], bytes]] = {
     "paths.png": _paths,
 }
 FIGURES = tuple(_DRAWN)
-"""File names of the pictures that `draw_figures` writes."""
+"""File names of the pictures that `draw_figure` writes."""
 
 __all__ = [
     "FIGURES",
@@ -130,7 +120,6 @@ __all__ = [
     "Draw",
     "PlotData",
     "draw_figure",
-    "draw_figures",
     "panels",
     "picture",
 ]
