@@ -129,7 +129,7 @@ def _over_time(plot: PlotData) -> list[_Figure]:
 def _autocorrelation(plot: PlotData) -> list[_Figure]:
     return [
         _figure(
-            partial(panels.autocorrelation, plot=plot),
+            partial(_correlated, plot=plot),
             title="Autocorrelation of the number of agents",
             alt="Autocorrelation of the number of agents over the lag: the recording at the lags "
             "that the metric compares, and of the mean over the rollouts of each crowd.",
@@ -137,6 +137,11 @@ def _autocorrelation(plot: PlotData) -> list[_Figure]:
             height=2.7,
         )
     ]
+
+
+def _correlated(axis: "Axes", plot: PlotData) -> None:
+    panels.autocorrelation(axis, plot)
+    axis.set_ylabel("autocorrelation")  # the longer label does not fit
 
 
 def _distributions(plot: PlotData) -> list[_Figure]:
