@@ -172,6 +172,7 @@ def evaluate(
     seeds: int | None = None,
     workers: int | None = None,
     out: str | Path,
+    report: bool = True,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> "Scorecard":
     """Evaluate each spawn model with each policy on a scene, all given by name.
@@ -193,7 +194,7 @@ def evaluate(
     deterministic policy needs only one rollout there. The policies `replay` and
     `recorded-paths` work only with the spawn model `replay`; other pairs with them are skipped.
 
-    Writes `scorecard.json`, `run.json`, `report.html`, `rollouts/*.parquet` and the figures into
+    Writes `scorecard.json`, `run.json`, `rollouts/*.parquet` and, with `report`, `report.html` into
     `out`. Existing rollouts are kept if nothing that they depend on has changed.
     `progress(done, total)` is called before the first and after each batch of rollouts.
     `workers` is the number of processes, by default one per core.
@@ -206,7 +207,7 @@ def evaluate(
         OutputError: `out` cannot be written.
     """
     from crowdbench.evaluation import evaluate as evaluation
-    from crowdbench.report.html import FILES, publish
+    from crowdbench.report.html import FILES, write_report
 
     return evaluation.evaluate(
         scene,
@@ -218,6 +219,6 @@ def evaluate(
         workers=workers,
         out=out,
         progress=progress,
-        publish=publish,
+        publish=write_report if report else None,
         published=FILES,
     )

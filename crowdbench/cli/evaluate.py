@@ -72,6 +72,9 @@ def add(commands: "Commands") -> None:
     )
     add_engine(evaluate)
     evaluate.add_argument(
+        "--no-report", action="store_true", help="write the scorecard only, without report.html"
+    )
+    evaluate.add_argument(
         "--out", type=Path, help="output folder (default: results/SCENE-DATE-TIME)"
     )
     evaluate.add_argument(
@@ -111,12 +114,14 @@ def _evaluated(args: argparse.Namespace) -> "Scorecard":
             seeds=args.seeds,
             workers=args.workers,
             out=out,
+            report=not args.no_report,
             progress=progress,
         )
     print_card(card, load_scene(args.scene))
     if any(entry.spawn == entry.policy == "replay" for entry in card.entries):
         _print_replay(args.scene, out)
-    print(f"written to {out}: report.html, scorecard.json, run.json, rollouts/ and pictures")
+    report = "" if args.no_report else "report.html, "
+    print(f"written to {out}: {report}scorecard.json, run.json and rollouts/")
     if args.view:
         _show_first(card, args.scene, out)
     return card

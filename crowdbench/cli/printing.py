@@ -6,6 +6,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -76,16 +77,22 @@ def print_facts(title: str, facts: dict[str, str]) -> None:
 def progress_bar(
     what: str, *, of_bytes: bool = False
 ) -> "Iterator[Callable[[int, int | None], None]]":
-    """Yield a function progress(done, total); its first call shows the progress bar."""
+    """Yield a function progress(done, total); its first call shows the progress bar.
+
+    Other stages of the work in the block, see `crowdbench.progress`, get a bar each, below it.
+    """
     from rich.progress import (
         BarColumn,
         DownloadColumn,
         MofNCompleteColumn,
         Progress,
+        TaskID,
         TextColumn,
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
+
+    from crowdbench.progress import heard_by
 
     columns = (
         TextColumn("{task.description}", markup=False),  # it may be a path with brackets
@@ -97,14 +104,19 @@ def progress_bar(
     )
     # Fits take minutes. With the default period of 30 s, the speed would mostly be unknown.
     bar = Progress(*columns, console=new_console(), speed_estimate_period=600.0)
-    task = bar.add_task(what)
+    tasks: dict[str, TaskID] = {}
 
-    def progress(done: int, total: int | None) -> None:
+    def listen(stage: str, done: int, total: int | None) -> None:
         bar.start()  # not earlier, because errors in the arguments are reported first
-        bar.update(task, completed=done, total=total)
+        if stage not in tasks:
+            tasks[stage] = bar.add_task(stage, total=total)
+        elif done == 0:  # a stage that occurs again, for another scene or protocol
+            bar.reset(tasks[stage], total=total)
+        bar.update(tasks[stage], completed=done, total=total)
 
     try:
-        yield progress
+        with heard_by(listen):
+            yield partial(listen, what)
     finally:
         if bar.live.is_started:  # otherwise it would print an empty line
             bar.stop()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from crowdbench import __version__
 from crowdbench.errors import SettingError
@@ -14,6 +15,7 @@ from crowdbench.evaluation.rollout_jobs import Job, RolloutSummary, splits_of
 from crowdbench.metrics import WALK, Metric, Statistics, blamed
 from crowdbench.metrics.metric import in_blocks
 from crowdbench.metrics.motion import Speed
+from crowdbench.progress import steps
 from crowdbench.registry import recording_of
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import RESAMPLES, Draws, FloorDraws, energy, floor, mean_of
@@ -61,7 +63,7 @@ def judge(
         scored=list(place.protocol.scored),
         gate=place.gate,
         scale=scale,
-        entries=entries_of(place, reference, rolled, protocol, seeds),
+        entries=entries_of(place, reference, rolled, protocol, seeds, scored=place.protocol.scored),
     )
 
 
@@ -113,7 +115,7 @@ def floors(scene: Scene, reference: Reference, protocol: str) -> dict[str, Energ
     draws = {split: draws_of(scene, reference, split) for split in splits}
     everyone = [(np.flatnonzero(reference.blocks.in_split(p)), draws[p]) for p in splits]
     found = {}
-    for metric in reference.metrics:
+    for metric in steps("noise floors", reference.metrics):
         each = []
         for split in splits:
             blocks = reference.blocks.scored(split)
@@ -129,35 +131,37 @@ def floors(scene: Scene, reference: Reference, protocol: str) -> dict[str, Energ
 
 
 def entries_of(
-    scene: Scene, reference: Reference, rolled: dict[Job, RolloutSummary], protocol: str, seeds: int
-) -> list[PairResult]:
-    """The results of each pair of spawn model and policy."""
-    pairs = list(dict.fromkeys((job.spawn, job.policy) for job in rolled))
-    return [
-        _entry(
-            scene,
-            reference,
-            {job: what for job, what in rolled.items() if (job.spawn, job.policy) == pair},
-            protocol,
-            seeds,
-        )
-        for pair in pairs
-    ]
-
-
-def _entry(
     scene: Scene,
     reference: Reference,
     rolled: dict[Job, RolloutSummary],
     protocol: str,
     seeds: int,
-) -> PairResult:
+    *,
+    scored: Sequence[str] | None = None,
+) -> list[PairResult]:
+    """The results of each pair of spawn model and policy.
+
+    All metrics have distances. Those in `scored` have energy scores too, None: all.
+    """
+    pairs = list(dict.fromkeys((job.spawn, job.policy) for job in rolled))
+    cards: dict[tuple[str, str], dict[str, MetricCard]] = {pair: {} for pair in pairs}
+    of_pair = {
+        pair: {job: what for job, what in rolled.items() if (job.spawn, job.policy) == pair}
+        for pair in pairs
+    }
+    for pair, metric in steps("judging", [(p, m) for p in pairs for m in reference.metrics]):
+        energies = scored is None or metric.name in scored
+        # Products of matrices are small: further threads would mostly wait. Sums of counts are
+        # exact, so the number of threads changes no result.
+        with blamed(metric), threadpool_limits(1, "blas"):
+            cards[pair][metric.name] = _metric_card(
+                scene, reference, metric, of_pair[pair], protocol, seeds, energies=energies
+            )
+    return [_entry(of_pair[pair], cards[pair]) for pair in pairs]
+
+
+def _entry(rolled: dict[Job, RolloutSummary], metrics: dict[str, MetricCard]) -> PairResult:
     first = next(iter(rolled))
-    metrics = {}
-    for metric in reference.metrics:
-        with blamed(metric):
-            card = _metric_card(scene, reference, metric, rolled, protocol, seeds)
-        metrics[metric.name] = card
     ended = np.sum([r.outcomes for r in rolled.values()], axis=0)
     finished = int(ended[list(FINISHED)].sum())
     return PairResult(
@@ -229,20 +233,20 @@ def _metric_card(
     rolled: dict[Job, RolloutSummary],
     protocol: str,
     seeds: int,
+    *,
+    energies: bool,
 ) -> MetricCard:
-    results, energies = [], []
+    results, each = [], []
     recorded_arrivals = next(iter(rolled)).spawn == "replay"
     for seen in seen_in(reference, metric, rolled, protocol):
         results += [metric.compare(seen.recorded, crowd, seen.blocks) for crowd in seen.crowds]
-        if (metric.family not in WALK or recorded_arrivals) and (
+        if (energies and (metric.family not in WALK or recorded_arrivals)) and (
             len(seen.crowds) == 1 < seeds or min(map(len, seen.fits)) >= 2
         ):
             draws = draws_of(scene, reference, seen.split)
             spread = metric.family not in WALK
-            energies.append(
-                energy(metric, seen.recorded, seen.fits, seen.blocks, draws, spread=spread)
-            )
-    known = [e for e in energies if e is not None]
+            each.append(energy(metric, seen.recorded, seen.fits, seen.blocks, draws, spread=spread))
+    known = [e for e in each if e is not None]
     whole = bool(known) and len(known) == len(splits_of(protocol))
     return MetricCard(
         distance=_mean([r.distance for r in results]),

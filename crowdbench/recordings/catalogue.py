@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -154,6 +155,11 @@ def cached(name: str) -> Path:
     return home() / "recordings" / f"{name}.parquet"
 
 
+def prepared_folder(name: str) -> Path:
+    """Folder of the tables that were made from a recording for its scenes."""
+    return home() / "prepared" / name
+
+
 def load_imported(name: str) -> Trajectories:
     """The imported recording `name`, a published one or the user's own (see `own`).
 
@@ -176,7 +182,7 @@ def load_imported(name: str) -> Trajectories:
 
 
 def remove_imported(name: str) -> Path:
-    """Remove the imported table of a recording; returns its path.
+    """Remove the imported table of a recording and what was made from it; returns its path.
 
     The files that it was read from are kept, and so is a hash that was stored at the first import.
 
@@ -190,6 +196,7 @@ def remove_imported(name: str) -> Path:
     path = cached(name)
     try:
         path.unlink()
+        shutil.rmtree(prepared_folder(name), ignore_errors=True)
     except FileNotFoundError as error:
         raise RecordingError(
             f"recording {name}",

@@ -5,7 +5,9 @@ from copy import deepcopy
 from functools import cache
 from pathlib import Path
 
+from crowdbench.progress import whole
 from crowdbench.recordings import catalogue
+from crowdbench.registry.prepared import prepared
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import fit_areas
 from crowdbench.trajectories.preprocessing import paper_preprocessed
@@ -54,14 +56,21 @@ def recording_of(scene: str | Path | Scene) -> Trajectories:
     """Recording of a scene as models and metrics use it.
 
     Trips are cut off at their goals, and people are assigned to the scene's spawn and goal areas.
+    The result is kept, see `crowdbench.registry.prepared`; the caller gets a copy.
 
     Raises:
         SceneError: the scene does not exist.
         RecordingError: the recording has not been imported.
     """
     place = load_scene(scene)
-    _, crowd = fit_areas(raw_recording_of(place), place, place.clustering["default"])
-    return crowd
+
+    def make() -> Trajectories:
+        with whole("recording"):
+            return fit_areas(raw_recording_of(place), place, place.clustering["default"])[1]
+
+    if not has_recording(place):
+        return make()  # raises the error that tells how to import it
+    return prepared(place, make)
 
 
 def has_recording(scene: Scene) -> bool:

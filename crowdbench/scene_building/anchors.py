@@ -9,6 +9,7 @@ from crowdbench.evaluation.rollout_jobs import (
     roll_out,
 )
 from crowdbench.metrics import WALK, metrics_for
+from crowdbench.progress import steps
 from crowdbench.scene import load_scene
 from crowdbench.scoring.power import Power, power
 from crowdbench.scoring.reference import read_reference
@@ -70,7 +71,7 @@ def power_study(
     rolled = roll_out(jobs, reference, workers, progress)
     draws = draws_of(place, reference, "full")
     found = []
-    for metric in (m for m in metrics_for(reference.blocks) if m.scored):
+    for metric in steps("power", [m for m in metrics_for(reference.blocks) if m.scored]):
         pair = WALK_ANCHOR if metric.family in WALK else ANCHOR
         crowds = [
             what.of(metric) for job, what in rolled.items() if (job.spawn, job.policy) == pair

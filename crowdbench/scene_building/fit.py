@@ -12,6 +12,7 @@ from msgspec import structs
 from crowdbench.errors import SceneError, SettingError, did_you_mean, to_install
 from crowdbench.evaluation.parallel import call_each, checked_workers
 from crowdbench.files import unwritable, write_text
+from crowdbench.progress import steps, whole
 from crowdbench.registry import FITTED, PLANNED, fitted_models
 from crowdbench.scene import Scene
 from crowdbench.scene_building.plan_calibration import adjustment
@@ -109,8 +110,9 @@ def fit_scene(
         place.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise unwritable(place.folder, error) from error
-    areas, crowd = fit_areas(recording, scene, scene.clustering[clustering])
-    reference = Reference.of(crowd, scene, areas)
+    with whole("areas"):
+        areas, crowd = fit_areas(recording, scene, scene.clustering[clustering])
+        reference = Reference.of(crowd, scene, areas)
     blocks = reference.blocks
     arrivals = {
         split: arrivals_of(crowd, blocks.training(split), len(areas.spawn)) for split in SPLITS
@@ -172,12 +174,13 @@ def _write_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: S
     adjustments: dict[str, dict[str, Adjustment]] = {}
     sending = [name for name in PLANNED.values() if name in fitted_models(scene)]
     for split in SPLITS:
-        training = blocks.training(split)
-        plans[split] = fit_plans(crowd, training, areas)
+        plans[split] = fit_plans(crowd, blocks.training(split), areas)
         adjustments[split] = {}
-        for name in sending:
-            model: Any = FITTED[name].read(scene, areas, split, 0)
-            adjustments[split][name] = adjustment(model, plans[split], crowd, training, scene)
+    for split, name in steps("plans", [(split, name) for split in SPLITS for name in sending]):
+        model: Any = FITTED[name].read(scene, areas, split, 0)
+        adjustments[split][name] = adjustment(
+            model, plans[split], crowd, blocks.training(split), scene
+        )
     write_plans(scene.folder, plans, adjustments)
 
 
@@ -264,9 +267,9 @@ def _fit_models(
         tasks = [
             (n, arrivals[split], areas, scene, seed, settings.get(n)) for n, split, seed in jobs
         ]
+        if progress and not done:
+            progress(0, len(light) + len(heavy))
         for k, model in call_each(_fit, tasks, processes, name=_named):
-            if progress and not done:
-                progress(0, len(light) + len(heavy))
             done[jobs[k]] = model
             if progress:
                 progress(len(done), len(light) + len(heavy))

@@ -24,10 +24,6 @@ from crowdbench.trajectories.storage import read_own
 from crowdbench.trajectories.table import OUTCOMES
 
 ETH = load_scene("eth-v0")
-PICTURES = (
-    "agents_over_time.png", "autocorrelation.png", "inter_spawn.png", "spawns_per_10_frames.png",
-    "dwell.png", "paths.png",
-)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -83,12 +79,7 @@ def test_all_files_are_there(card: Scorecard, out: Path) -> None:
         for seed in (0, 1)
     }
     found = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
-    assert found == {"scorecard.json", "run.json", "report.html", *PICTURES} | rollouts
-
-
-@pytest.mark.parametrize("name", PICTURES)
-def test_pictures_are_png(card: Scorecard, out: Path, name: str) -> None:
-    assert (out / name).read_bytes().startswith(b"\x89PNG")
+    assert found == {"scorecard.json", "run.json", "report.html"} | rollouts
 
 
 def test_the_scorecard_on_disk_is_the_one_returned(card: Scorecard, out: Path) -> None:

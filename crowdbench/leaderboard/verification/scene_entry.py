@@ -25,6 +25,7 @@ from crowdbench.leaderboard.verification.entry import (
 )
 from crowdbench.leaderboard.verification.flags import evenness, flags_of
 from crowdbench.metrics import METRICS, WALK, Metric, metrics_for
+from crowdbench.progress import steps
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import Energy, FitEnergies, energies_of_fits
 from crowdbench.scoring.reference import Reference
@@ -108,7 +109,7 @@ def scene_entry(
     standard = gate_standard(card)
     walker = rollouts.entry(rollouts.walk or rollouts.main)
     fails = () if rollouts.walk is None else failures(card, walker)
-    copy = _copy(rollouts, recording, map(crowd_of, jobs))
+    copy = _copy(rollouts, recording, map(crowd_of, steps("copies", jobs)))
     of_scene = SceneEntry(
         made_from=card.made_from,
         protocol=card.protocol,

@@ -14,7 +14,7 @@ from crowdbench.report.html.pictures import pictures
 from crowdbench.report.html.render import html, own
 from crowdbench.report.html.shell import html_page
 from crowdbench.report.html.tables import metric_tables, outcome_table, score_table
-from crowdbench.report.plots import FIGURES, Crowds, PlotData, draw_figures
+from crowdbench.report.plots import FIGURES, Crowds, PlotData
 from crowdbench.report.text.notes import made
 from crowdbench.report.text.words import PROTOCOLS, named
 from crowdbench.scene import Scene
@@ -22,17 +22,8 @@ from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.scorecard import ANCHOR, Scorecard, has_recorded_arrivals, rows
 
 FILES = ("report.html", *FIGURES)
-"""Names of the files that `publish` writes."""
-
-
-def publish(card: Scorecard, scene: Scene, reference: Reference, crowds: Crowds, out: Path) -> None:
-    """Write the report of an evaluation and the figures as files of their own into `out`.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
-    draw_figures(PlotData.of(scene, reference, crowds, card.protocol), out)
-    write_report(card, scene, reference, crowds, out)
+"""Names of the files of a report. Earlier versions wrote the pictures as files of their own too:
+these are removed, because they would not fit new rollouts."""
 
 
 def write_report(
@@ -88,4 +79,4 @@ def _command(card: Scorecard, scene: Scene) -> str:
     return shlex.join([*words, "--protocol", card.protocol, "--seeds", str(card.rollouts)])
 
 
-__all__ = ["FILES", "publish", "write_report"]
+__all__ = ["FILES", "write_report"]

@@ -14,6 +14,7 @@ import numpy as np
 from markupsafe import Markup
 
 from crowdbench.colours import COLOURS
+from crowdbench.progress import steps
 from crowdbench.report.html.render import html
 from crowdbench.report.plots import PlotData, panels, picture
 from crowdbench.report.plots.plot_data import Curves
@@ -26,24 +27,58 @@ _MOST_AREAS = 12
 _LEAST_GAPS = 20
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Figure:
-    """A picture with its caption; the template draws it."""
+    """A picture with its caption; the template shows it."""
 
     title: str
     note: str
     """What the caption says after the title."""
     alt: str
-    address: str
-    """The picture itself, as a `data:` URL."""
-    width: int
-    height: int
+    draw: Callable[["Axes"], None]
+    width_in: float
+    height_in: float
+    kind: Literal["small png", "svg"]
+    address: str = ""
+    """The picture itself, as a `data:` URL, once it is drawn."""
+
+    @property
+    def width(self) -> int:
+        """Width in pixels of the page."""
+        return round(96 * self.width_in)
+
+    @property
+    def height(self) -> int:
+        """Height in pixels of the page."""
+        return round(96 * self.height_in)
+
+    def make(self) -> None:
+        """Draw the picture."""
+        data = picture(
+            lambda axes: self.draw(axes[0]),
+            width=self.width_in,
+            height=self.height_in,
+            kind=self.kind,
+        )
+        mime = "image/svg+xml" if self.kind == "svg" else "image/png"
+        self.address = f"data:{mime};base64,{b64encode(data).decode()}"
 
 
 def pictures(plot: PlotData) -> Markup:
     """HTML of all pictures, of at least one rollout."""
     gaps = _gaps(plot)
     busiest = _busiest(gaps)
+    figures = {
+        "over_time": _over_time(plot),
+        "autocorrelation": _autocorrelation(plot),
+        "distributions": _distributions(plot),
+        "per_area": _per_area(plot, gaps, busiest),
+        "flows": _flows(plot),
+        "occupancy": _occupancy(plot),
+        "paths": _paths(plot),
+    }
+    for figure in steps("pictures", [each for part in figures.values() for each in part]):
+        figure.make()
     return html(
         "pictures.html.j2",
         groups=plot.groups,
@@ -54,12 +89,7 @@ def pictures(plot: PlotData) -> Markup:
         gaps_left_out=sum(gaps) - sum(gaps[k] for k in busiest),
         least_share=f"{100 * panels.LEAST_SHARE:.0f}",
         first_colour=COLOURS[0],
-        over_time=_over_time(plot),
-        distributions=_distributions(plot),
-        per_area=_per_area(plot, gaps, busiest),
-        flows=_flows(plot),
-        occupancy=_occupancy(plot),
-        paths=_paths(plot),
+        **figures,
     )
 
 
@@ -73,10 +103,7 @@ def _figure(
     width: float = _WIDTH,
     kind: Literal["small png", "svg"] = "svg",
 ) -> _Figure:
-    data = picture(lambda axes: draw(axes[0]), width=width, height=height, kind=kind)
-    mime = "image/svg+xml" if kind == "svg" else "image/png"
-    address = f"data:{mime};base64,{b64encode(data).decode()}"
-    return _Figure(title, note, alt, address, round(96 * width), round(96 * height))
+    return _Figure(title, note, alt, draw, width, height, kind)
 
 
 def _over_time(plot: PlotData) -> list[_Figure]:
@@ -97,6 +124,24 @@ def _over_time(plot: PlotData) -> list[_Figure]:
             )
         )
     return found
+
+
+def _autocorrelation(plot: PlotData) -> list[_Figure]:
+    return [
+        _figure(
+            partial(_correlated, plot=plot),
+            title="Autocorrelation of the number of agents",
+            alt="Autocorrelation of the number of agents over the lag: the recording at the lags "
+            "that the metric compares, and of the mean over the rollouts of each crowd.",
+            width=4.6,
+            height=2.7,
+        )
+    ]
+
+
+def _correlated(axis: "Axes", plot: PlotData) -> None:
+    panels.autocorrelation(axis, plot)
+    axis.set_ylabel("autocorrelation")  # the longer label does not fit
 
 
 def _distributions(plot: PlotData) -> list[_Figure]:

@@ -15,15 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def draw_figures(plot: PlotData, out: Path) -> list[Path]:
-    """Draw all pictures of `FIGURES` into the folder `out` and return their paths.
-
-    Raises:
-        OutputError: a picture cannot be written.
-    """
-    return [draw_figure(name, plot, out) for name in FIGURES]
-
-
 def draw_figure(name: str, plot: PlotData, out: Path, *, named: str = "") -> Path:
     """Draw one of `FIGURES` into the folder `out`, as file `name` or `named`; return its path.
 
@@ -121,7 +112,7 @@ _DRAWN: dict[str, Callable[[PlotData], bytes]] = {
     "paths.png": _paths,
 }
 FIGURES = tuple(_DRAWN)
-"""File names of the pictures that `draw_figures` writes."""
+"""File names of the pictures that `draw_figure` writes."""
 
 __all__ = [
     "FIGURES",
@@ -129,7 +120,6 @@ __all__ = [
     "Draw",
     "PlotData",
     "draw_figure",
-    "draw_figures",
     "panels",
     "picture",
 ]
