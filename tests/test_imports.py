@@ -94,11 +94,11 @@ MODULES = sorted(
 
 def test_every_room_has_a_floor() -> None:
     assert {part_of(path) for path in MODULES} == set(ROOMS)
-    assert len(FLOORS) <= 14
+    assert len(FLOORS) <= 13
 
 
 def test_few_modules_stand_beside_the_rooms() -> None:
-    assert len([p for p in PACKAGE.glob("*.py") if p.stem not in SHORT_NAMES]) <= 10
+    assert len([p for p in PACKAGE.glob("*.py") if p.stem not in SHORT_NAMES]) <= 12
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))

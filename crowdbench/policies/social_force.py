@@ -205,7 +205,8 @@ def _people_near(world, position, speed, group, dt, by_x):
         end = begins[a] + count
         if end > len(others):
             longer = np.empty(2 * end, np.int64)
-            longer[: begins[a]] = others[: begins[a]]
+            for k in range(begins[a]):
+                longer[k] = others[k]
             others = longer
         for k in range(count):  # sorted by insertion: numpy's sort would take a second to compile
             at = begins[a] + k

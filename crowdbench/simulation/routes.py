@@ -254,7 +254,7 @@ def _next_of(
         wall = -1
         if best != last or limit == np.inf:
             to_x, to_y = corner_x[best], corner_y[best]
-            wall = _blocker(x, y, to_x, to_y, blockers[cell, best], sight, room)
+            wall = _blocker(x, y, to_x, to_y, np.int64(blockers[cell, best]), sight, room)
         if wall < 0:
             goal[0], goal[1] = corner_x[best], corner_y[best]
             beyond[a] = own[best]
@@ -270,7 +270,8 @@ def _to_goal(x, y, corners, between, sight, result):
     result[:] = np.inf
     cell, blockers, room = _cell(x, y, sight), sight.blockers, np.empty(5)
     for c in range(len(corners)):
-        wall = _blocker(x, y, corners[c, 0], corners[c, 1], blockers[cell, c], sight, room)
+        guess = np.int64(blockers[cell, c])
+        wall = _blocker(x, y, corners[c, 0], corners[c, 1], guess, sight, room)
         if wall < 0:
             off = math.hypot(corners[c, 0] - x, corners[c, 1] - y)
             for d in range(len(corners)):

@@ -195,7 +195,7 @@ class Simulation:
         other = Simulation(
             self.scene, worlds=self.worlds, settings=replace(self.settings, **shown._asdict())
         )
-        other.events, other._queue = self.events, self.queue
+        other.events, other.queue = self.events, self.queue
         other.slots, other.clock = self.slots, self.clock
         return other
 
