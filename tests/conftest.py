@@ -25,14 +25,18 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-_LOOSE = ("crowdbench.envs.actions", "crowdbench.envs.parallel_env", "crowdbench.plugins")
+_LOOSE = (
+    *("crowdbench.envs.actions", "crowdbench.envs.parallel_env", "crowdbench.plugins"),
+    "crowdbench.baselines",
+)
 
 
 def _checked() -> list[str]:
     """All modules whose functions are checked at each call.
 
-    Left out are modules with compiled kernels, which take no annotations, and modules whose tests
-    pass arguments of wrong types to see the error messages.
+    Left out are modules with compiled kernels, which take no annotations, modules whose tests pass
+    arguments of wrong types to see the error messages, and the training scripts, whose numbers may
+    be of either kind.
     """
     package = Path(find_spec("crowdbench").origin).parent  # type: ignore[union-attr, arg-type]
     kernels, others = [], []
