@@ -172,7 +172,7 @@ def test_without_torch_nothing_is_done_and_the_way_out_is_said(
     plaza: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(SettingError, match=r"Install it.*\[fit\]"):
+    with pytest.raises(SettingError, match=r"pip install.*\[fit\]"):
         fit_scene(PLAZA, plaza.crowd, out=tmp_path)
     assert list(tmp_path.iterdir()) == []
     fit_scene(PLAZA, plaza.crowd, out=tmp_path, models=["poisson-gmm"])
