@@ -51,7 +51,8 @@ def rollout(
         horizon_s: length in seconds; default: the length of the recording.
         start: `stationary` (after a discarded warm-up), `recorded` (replay only) or `empty`;
             default: the spawn model's attribute `start`.
-        settings: settings of the simulation; default: what the policy needs.
+        settings: settings of the simulation, such as `Settings(max_alive=500)`. The observation is
+            that of the policy; if the settings name one, it must be the same.
 
     Raises:
         SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or recording

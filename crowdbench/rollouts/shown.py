@@ -6,17 +6,27 @@ from typing import Any
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy
 from crowdbench.simulation import Settings, Shown
+from crowdbench.simulation.observations import version_of
 
 
 def needs(policy: Policy) -> dict[str, Any]:
     """What a policy needs to see: those of the fields of `Shown` that it has as attributes.
 
-    Empty for a policy that sees the state, and for one that takes any observation.
+    A policy with the attribute `observation` but none for its rays needs the default rays. Empty
+    for a policy that sees the state, and for one that takes any observation.
+
+    Raises:
+        SettingError: there is no such observation.
     """
     if policy.sees == "state":
         return {}
     named = {name: getattr(policy, name, None) for name in Shown._fields}
-    return {name: value for name, value in named.items() if value is not None}
+    found = {name: value for name, value in named.items() if value is not None}
+    if "observation" not in found:
+        return found
+    if not version_of(found["observation"]).rays:
+        return {"observation": found["observation"]}
+    return Shown()._asdict() | found
 
 
 def settings_for(
@@ -28,7 +38,8 @@ def settings_for(
     `hint` replaces the hint of the error, and may contain `{name}` and `{value!r}`.
 
     Raises:
-        SettingError: `settings` contain a value that contradicts the policy.
+        SettingError: `settings` contain a value that contradicts the policy, or there is no such
+            observation.
     """
     settings = Settings(max_alive=4096) if settings is None else settings
     if policy.sees == "state":
