@@ -10,6 +10,7 @@ import threading
 import time
 import traceback
 import types
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -88,6 +89,10 @@ def checked_workers(asked: int | None) -> int:
     return asked or os.cpu_count() or 1
 
 
+ALONE_S = 3.0
+"""Seconds after which the first worker process gets help: twice what it needs to start."""
+
+
 def _no_files(*task: object) -> Sequence[Path]:
     return ()
 
@@ -137,32 +142,49 @@ def call_each(
     team: list[_Worker] = []
     with leftovers.swept():
         try:
-            with _as_workers_start():
-                for _ in range(workers):
-                    team.append(_Worker(name))
-            yield from _share(team, ForkingPickler.dumps((function, common)), tasks)
+            first = ForkingPickler.dumps((function, common))
+            yield from _share(team, workers, name, first, tasks)
         finally:
             for worker in team:
                 worker.end()
 
 
 def _share(
-    team: "list[_Worker]", first: object, tasks: Sequence[tuple[object, ...]]
+    team: "list[_Worker]",
+    most: int,
+    name: Callable[..., str],
+    first: object,
+    tasks: Sequence[tuple[object, ...]],
 ) -> Iterator[tuple[int, Any]]:
-    """Give each worker one task at a time, so that the task of a worker that dies is known."""
-    waiting = iter(enumerate(tasks))
-    busy = {}
-    for worker in team:
-        worker.begin(first, *next(waiting))
-        busy[worker.connection] = worker
+    """Give each worker one task at a time, so that the task of a worker that dies is known.
+
+    Adds up to `most` workers to `team`: one at once, the others if tasks remain after `ALONE_S`.
+    To start a process takes as long as many rollouts of a small scene.
+    """
+    waiting = deque(enumerate(tasks))
+    busy: dict[object, _Worker] = {}
+
+    def start(number: int) -> None:
+        with _as_workers_start():
+            new = [_Worker(name) for _ in range(number)]
+        team.extend(new)
+        for worker in new:
+            worker.begin(first, *waiting.popleft())
+            busy[worker.connection] = worker
+
+    start(1)
+    until = time.monotonic() + ALONE_S
     while busy:
-        for connection in wait(list(busy)):
-            worker = busy.pop(connection)  # type: ignore[call-overload]
+        more, left_s = min(most - len(team), len(waiting)), until - time.monotonic()
+        if more > 0 and left_s <= 0:
+            start(more)
+        timeout_s = left_s if left_s > 0 and more > 0 else None
+        for connection in wait(list(busy), timeout_s):  # type: ignore[arg-type]
+            worker = busy.pop(connection)
             done = worker.index, worker.result()
-            for index, task in waiting:
-                worker.send(index, task)
+            if waiting:
+                worker.send(*waiting.popleft())
                 busy[worker.connection] = worker
-                break
             yield done
 
 

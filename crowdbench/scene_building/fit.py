@@ -263,12 +263,12 @@ def _fit_models(
     light = [(n, split, 0) for n in models if n not in settings for split in SPLITS]
     heavy = [(n, split, k) for n in settings for split in SPLITS for k in range(count)]
     done: dict[tuple[str, str, int], SpawnModel] = {}
+    if progress:
+        progress(0, len(light) + len(heavy))
     for jobs, processes in ((light, 1), (heavy, workers)):
         tasks = [
             (n, arrivals[split], areas, scene, seed, settings.get(n)) for n, split, seed in jobs
         ]
-        if progress and not done:
-            progress(0, len(light) + len(heavy))
         for k, model in call_each(_fit, tasks, processes, name=_named):
             done[jobs[k]] = model
             if progress:
