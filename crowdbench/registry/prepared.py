@@ -63,6 +63,7 @@ def key_of(scene: Scene) -> str:
 def _code() -> bytes:
     package = Path(__file__).parents[1]
     files = [
+        package / "compilation.py",
         package / "scene.py",
         *(f for p in _CODE for f in sorted(package.glob(f"{p}/**/*.py"))),
     ]
