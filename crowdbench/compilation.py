@@ -60,7 +60,7 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     dispatcher = numba.njit(**{"error_model": "numpy", **options})(function)
     if isinstance(dispatcher, Dispatcher):  # not if compilation is switched off
         with suppress(RuntimeError):  # there is no folder for it
-            dispatcher._cache = _Store(function)  # type: ignore[attr-defined]
+            dispatcher._cache = _Store(function, dispatcher.targetoptions)  # type: ignore[attr-defined]
     return dispatcher
 
 
@@ -134,14 +134,15 @@ def _dispatcher(function: Any, parallel: bool) -> Any:
 class _Store(caching.FunctionCache):
     """The stored machine code of a function, for each signature."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         _ensure_place()
         super().__init__(function)  # type: ignore[no-untyped-call]
+        self._options = repr(sorted(options.items()))
         self._lock: filelock.FileLock | None = None
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
         # Not before it is called: only then do all the functions exist that it calls.
-        self._cache_file._source_stamp = fingerprint(self._py_func)
+        self._cache_file._source_stamp = fingerprint(self._py_func) + self._options
         found = super()._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         if found is not None:
             return found

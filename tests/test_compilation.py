@@ -57,7 +57,7 @@ INNER = (
     "def scaled(x):\n"
     '    """{docstring}"""\n'
     "    return FACTOR * x\n"
-    "@compiled\n"
+    "@compiled{options}\n"
     "def outer(x):\n"
     "    return scaled(x) + 1.0\n"
 )
@@ -66,9 +66,11 @@ INNER = (
 def test_machine_code_is_made_anew_exactly_when_what_it_is_made_from_changes(
     tmp_path: Path,
 ) -> None:
-    def outcome(factor: float, docstring: str = "Scaled.", more: str = "") -> str:
+    def outcome(
+        factor: float, docstring: str = "Scaled.", more: str = "", options: str = ""
+    ) -> str:
         (tmp_path / "constants.py").write_text(f"FACTOR = {factor}\n{more}")
-        (tmp_path / "inner.py").write_text(INNER.format(docstring=docstring))
+        (tmp_path / "inner.py").write_text(INNER.format(docstring=docstring, options=options))
         path = f"{tmp_path}{os.pathsep}{PACKAGE.parent}"
         code = REPORT + "import inner\nprint(inner.outer(2.0), len(names))\n"
         done = run(code, PACKAGE, PYTHONPATH=path, PYTHONDONTWRITEBYTECODE="1")
@@ -79,6 +81,7 @@ def test_machine_code_is_made_anew_exactly_when_what_it_is_made_from_changes(
     assert outcome(3.0) == "7.0 0"  # stored
     assert outcome(4.0) == "9.0 2"  # a constant of another file
     assert outcome(4.0, docstring="Other words.", more="UNUSED = 1\n") == "9.0 0"
+    assert outcome(4.0, options='(error_model="python")') == "9.0 2"
 
 
 WALK = """
@@ -148,7 +151,7 @@ def test_other_functions_have_other_fingerprints() -> None:
 def test_it_works_where_no_folder_can_be_written(tmp_path: Path) -> None:
     """Modules lie in a folder that takes no machine code, and there is no home."""
     (tmp_path / "constants.py").write_text("FACTOR = 3.0\n")
-    (tmp_path / "inner.py").write_text(INNER.format(docstring="Scaled."))
+    (tmp_path / "inner.py").write_text(INNER.format(docstring="Scaled.", options=""))
     package = copy_of_the_package(tmp_path)
     for folder in (tmp_path, *(p.parent for p in package.rglob("__init__.py"))):
         (folder / "__pycache__").write_text("no folder")

@@ -18,7 +18,7 @@ from crowdbench.scoring.scorecard import SCHEMA, PairResult, Row, Scorecard, rea
 ETH = load_scene("eth-v0")
 ANCHORS = {(e.spawn, e.policy): e for e in read_anchors(ETH).protocols["full"].anchors}
 LONG = "ntpp-gmm+docs/steering/rush_hour.toml"
-CLASS = "crowdbench.baselines.heuristic:Heuristic"
+CLASS = "somebody.walkers.with_a_long_name:Heuristic"
 
 Printed = pytest.CaptureFixture[str]
 
@@ -100,7 +100,9 @@ def test_long_names_are_folded_between_words(
     monkeypatch.setenv("COLUMNS", "80")
     out = printed(MANY, capsys)
     assert re.search(
-        r"^ ntpp-gmm\+rush_hour ×  +\S.*\n crowdbench\.baselines\.heuristic:Heuristic *$", out, re.M
+        r"^ ntpp-gmm\+rush_hour ×  +\S.*\n somebody\.walkers\.with_a_long_name:Heuristic *$",
+        out,
+        re.M,
     )
 
 

@@ -19,6 +19,8 @@ NAMES = [
     "core with social-1, 1 × 100",
     "core with social-1, 64 × 50",
     "PettingZoo environment, 20 agents",
+    "PettingZoo environment, 100 agents",
+    "PettingZoo environment, 300 agents",
     "TorchRL collector, 64 × 50, random",
     "TorchRL collector, 64 × 50, MLP 32-32",
     "PPO on plaza-v0, 64 worlds, MLP 64-64",
