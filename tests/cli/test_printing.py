@@ -18,7 +18,7 @@ from crowdbench.scoring.scorecard import SCHEMA, PairResult, Row, Scorecard, rea
 ETH = load_scene("eth-v0")
 ANCHORS = {(e.spawn, e.policy): e for e in read_anchors(ETH).protocols["full"].anchors}
 LONG = "ntpp-gmm+docs/steering/rush_hour.toml"
-CLASS = "somebody.walkers.with_a_long_name:Heuristic"
+CLASS = "somebody.walkers.of_long_names:Heuristic"
 
 Printed = pytest.CaptureFixture[str]
 
