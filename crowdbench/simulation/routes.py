@@ -12,7 +12,6 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int, Real
 from numba import njit, prange
-from scipy.sparse.csgraph import dijkstra
 
 from crowdbench.compilation import compiled, kernel
 from crowdbench.scene import Bounds, Scene, Wall
@@ -173,6 +172,8 @@ def _corners(scene: Scene) -> Float[np.ndarray, "C 2"]:
 
 def _distances(corners: Float[np.ndarray, "C 2"], scene: Scene) -> Float[np.ndarray, "C C"]:
     """Lengths of the shortest paths between corners in metres; infinite if there is none."""
+    from scipy.sparse.csgraph import dijkstra  # slow to import, and not needed without walls
+
     count = len(corners)
     if count == 0:
         return np.zeros((0, 0))

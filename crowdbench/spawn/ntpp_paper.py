@@ -32,7 +32,6 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 from numpy.random import Generator
-from scipy.special import gammaln
 
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
@@ -148,6 +147,8 @@ class NtppPaper:
         Raises:
             SettingError: the arrivals have another time grid than the model.
         """
+        from scipy.special import gammaln
+
         check_grid(arrivals, self.grid_s, NAME)
         rng = np.random.default_rng(0)
         counts = arrivals.counts()
