@@ -24,7 +24,7 @@ from crowdbench.errors import (
     RecordingError,
     SettingError,
 )
-from crowdbench.evaluation.parallel import Stopped, call_each, checked_workers
+from crowdbench.evaluation.parallel import Stopped, call_each, checked_workers, is_local
 from crowdbench.evaluation.resolved import Resolved
 from crowdbench.files import sha256
 from crowdbench.metrics import Metric, Statistics
@@ -47,6 +47,10 @@ everyone enters as recorded, and are scored by their mean distance: on ETH, the 
 differs by 0.02 between two sets of ten, and its interval is 0.2 wide."""
 BATCH = 10
 """Maximum number of rollouts that are made at once."""
+
+LIGHT_FRAMES = 30_000
+"""Up to this number of frames, no other process is started: about two seconds of work, which is
+what a process needs to start."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +199,8 @@ def roll_out(
     """Make all missing rollouts; returns the summary of each, in the order of the jobs.
 
     `progress(done, total)` is called before the first and after each batch of rollouts.
-    `workers` is the number of processes, by default one per core.
+    `workers` is the number of processes, by default one per core, or none but this one if that is
+    faster.
     """
     rolled: dict[Job, RolloutSummary] = {}
     _remove_halves(jobs)
@@ -226,6 +231,8 @@ def _each(
     workers: int | None,
     *common: object,
 ) -> Generator[tuple[int, Result], None, None]:
+    if workers is None and is_local() and _light(batched):
+        workers = 1
     return call_each(
         function,
         [(batch,) for batch in batched],
@@ -235,6 +242,21 @@ def _each(
         files=lambda batch: [job.path for job in batch],
         reads=_own_files,
     )
+
+
+def _light(batched: Sequence[tuple[Job, ...]]) -> bool:
+    """Whether all rollouts take less time than starting a process: few, and without networks.
+
+    A class of a user's is never walked in this process, which it could end.
+    """
+    frames = 0
+    for batch in batched:
+        first = batch[0]
+        pair = _resolved(first.scene, first.spawn, first.policy, first.fingerprint)
+        if pair.own or pair.policy.network(first.split) is not None:
+            return False
+        frames += len(batch) * pair.scene.recording.frames
+    return frames <= LIGHT_FRAMES
 
 
 def _own_files(batch: tuple[Job, ...]) -> list[Path]:
