@@ -329,6 +329,8 @@ def _got(ray: Any, done: Any, where: str) -> tuple[Any, Files]:
     try:
         outcome, written = ray.get(done)
     except ray.exceptions.RayError as error:
+        if Stopped.last is not None:  # what Ray tells of is how it ends
+            raise Stopped.last from None
         raise WorkerError(
             where,
             got=f"{type(error).__name__}: {_short(error)}",

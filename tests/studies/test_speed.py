@@ -65,7 +65,7 @@ def test_each_figure_is_printed_and_written(
     assert sorted(figures) == sorted(NAMES)
     assert [n for n, figure in figures.items() if not 0 < figure["value"] < float("inf")] == []
     units = {name: figure["unit"] for name, figure in figures.items()}
-    assert units == dict.fromkeys(NAMES[:10], "agent-steps/s") | dict.fromkeys(NAMES[10:], "s")
+    assert units == dict.fromkeys(NAMES[:12], "agent-steps/s") | dict.fromkeys(NAMES[12:], "s")
 
 
 @pytest.mark.parametrize(
