@@ -4,6 +4,7 @@ The examples of docs/training.md are run as they stand there, for one fold of th
 is exported for the others, too.
 """
 
+import copy
 import hashlib
 import json
 import shlex
@@ -54,23 +55,28 @@ class Sampler(nn.Module):
         return action + WIDTH * noise, state
 
 
-class InTorch:
-    """The policy of a torch network, which gets the same noise as a file does."""
+class Compared:
+    """The policy of a file, whose network in torch gets the same input, the same noise too."""
 
-    name, sees, observation = "in torch", "observation", "social-1"
+    name, sees, observation = "compared", "observation", "social-1"
 
-    def __init__(self, network: nn.Module, memory: int) -> None:
-        self.network, self.memory = network, memory
+    def __init__(self, file: OnnxPolicy, network: nn.Module) -> None:
+        self.file, self.network = file, network
+        self.memory = file.memory
+        self.differences: list[float] = []
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        self.rng = rng
+        self.rng = copy.deepcopy(rng)
+        self.file.reset(scene, rng)
 
     def act(self, seen: np.ndarray, memory: Memory) -> np.ndarray:
         noise = self.rng.standard_normal((len(seen), 2), dtype=np.float32)
         with torch.no_grad():
-            action, state = self.network(*map(torch.tensor, (seen, noise, memory.state)))
-        memory.state[:] = state.numpy()
-        return action.numpy()
+            told = self.network(*map(torch.tensor, (seen, noise, memory.state)))
+        action = self.file.act(seen, memory)
+        for one, other in zip(told, (action, memory.state), strict=True):
+            self.differences.append(np.abs(one.numpy() - other).max(initial=0))
+        return action
 
 
 def train(route: str) -> tuple[nn.Module, int]:
@@ -163,10 +169,12 @@ def test_noise_is_drawn_alike_in_torch_and_in_the_file(trained: Trained) -> None
     asked = {"seed": 0, "horizon_s": 120.0}
     spawn = spawn_model("ntpp-gmm", PLAZA, "fold0")
     crowd = rollout(PLAZA, spawn, OnnxPolicy(file), **asked)
-    in_torch = rollout(PLAZA, spawn, InTorch(sampler, memory), **asked)
-    assert crowd.offsets.tolist() == in_torch.offsets.tolist()
-    # torch and onnxruntime add in another order: actions differ by up to 2e-7 in each step.
-    np.testing.assert_allclose(crowd.xy, in_torch.xy, atol=1e-3)
+    both = Compared(OnnxPolicy(file), sampler)
+    assert same_bytes(crowd, rollout(PLAZA, spawn, both, **asked))
+    # torch and onnxruntime add in another order. Positions are not compared: among people who
+    # avoid each other, the last digit of an action grows within a minute.
+    assert len(both.differences) > 100
+    assert max(both.differences) < 1e-5
     calm = rollout(PLAZA, spawn, OnnxPolicy(folder / "results" / "gru" / "fold0.onnx"), **asked)
     assert len(calm.xy) != len(crowd.xy) or np.abs(calm.xy - crowd.xy).max() > 0.1
     # The file itself gives the same bytes in every process.
