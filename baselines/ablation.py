@@ -17,17 +17,17 @@ from pathlib import Path
 import numpy as np
 
 from crowdbench.cli.workers import add_engine
+from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import CrowdbenchError
-from crowdbench.evaluation.evaluate import evaluate  # without its report
-from crowdbench.evaluation.parallel import call_each, checked_workers, engine
-from crowdbench.evaluation.validation import Validator
 from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import interval
+from crowdbench.run.evaluate import evaluate  # without its report
+from crowdbench.run.parallel import call_each, checked_workers, engine
+from crowdbench.run.validation import Validator
 from crowdbench.scene import Scene
 from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import Row, rows
 from crowdbench.simulation import social
-from crowdbench.trajectories.blocks import SPLITS
 
 from .packages import needs
 

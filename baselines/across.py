@@ -15,13 +15,13 @@ from pathlib import Path
 
 from crowdbench import load_scene, registry
 from crowdbench.cli.workers import add_engine
+from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import CrowdbenchError, SettingError
-from crowdbench.evaluation.evaluate import evaluate  # without its report
-from crowdbench.evaluation.parallel import call_each, checked_workers, engine
 from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import interval
+from crowdbench.run.evaluate import evaluate  # without its report
+from crowdbench.run.parallel import call_each, checked_workers, engine
 from crowdbench.scoring.scorecard import Row, rows
-from crowdbench.trajectories.blocks import SPLITS
 
 from .packages import needs
 

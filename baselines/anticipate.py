@@ -68,9 +68,9 @@ import numpy as np
 
 from crowdbench import Demonstrations, Scene, demonstrations, registry
 from crowdbench.errors import CrowdbenchError, RecordingError
-from crowdbench.evaluation.validation import Validation, Validator
 from crowdbench.metrics.interaction import CLEARANCE_M
 from crowdbench.policies import OnnxPolicy
+from crowdbench.run.validation import Validation, Validator
 from crowdbench.simulation import social
 
 from .packages import needs

@@ -12,7 +12,7 @@ from crowdbench import Scene
 from crowdbench.policies.memory import Memory
 from crowdbench.simulation import social
 from crowdbench.simulation.free_space import REACH_M
-from crowdbench.spawn.plans import VISIT_M
+from crowdbench.spawn.recorded_plans import VISIT_M
 
 from .packages import needs
 

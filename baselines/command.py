@@ -17,12 +17,12 @@ from torch import nn
 from crowdbench import load_scene, spawn_model
 from crowdbench.cli.workers import add_engine
 from crowdbench.errors import SettingError, WeightsError
-from crowdbench.evaluation.parallel import call_each, checked_workers, engine, is_local
 from crowdbench.files import unwritable
 from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy, revision
 from crowdbench.policies.network import read_card
 from crowdbench.registry import DEFAULT_SPAWN
+from crowdbench.run.parallel import call_each, checked_workers, engine, is_local
 from crowdbench.scene import Scene
 from crowdbench.spawn.weights import check_split
 

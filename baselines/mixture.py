@@ -28,7 +28,7 @@ from crowdbench.simulation.observations import (
     PREFERRED_SPEED,
     version_of,
 )
-from crowdbench.spawn.plans import VISIT_M
+from crowdbench.spawn.recorded_plans import VISIT_M
 
 SELF = 6
 """Number of values of an observation before the distances to bounds and along rays."""

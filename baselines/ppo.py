@@ -44,7 +44,7 @@ with needs("torchrl", __name__):
     from crowdbench.envs.torchrl_env import CrowdEnv
     from crowdbench.simulation import observations, social
     from crowdbench.simulation.observations import OBSERVATION, version_of
-    from crowdbench.spawn.plans import VISIT_M
+    from crowdbench.spawn.recorded_plans import VISIT_M
 
     from .command import (
         Command,

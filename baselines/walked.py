@@ -7,20 +7,20 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
+from crowdbench.data.stops import STANDING_MPS
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics import METRICS
 from crowdbench.metrics.groups import APART_M
 from crowdbench.metrics.metric import total
 from crowdbench.policies import Policy
-from crowdbench.rollouts.episode import Recorder, begin, generator
-from crowdbench.rollouts.shown import settings_for
+from crowdbench.run.episode import Recorder, begin, generator
+from crowdbench.run.shown import settings_for
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.state import GOAL, HORIZON, WAITING
 from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.areas import read_areas
-from crowdbench.trajectories.stops import STANDING_MPS
-from crowdbench.trajectories.table import Trajectories
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,11 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from crowdbench.crowds import evaluate, read, rollout, score, score_rollouts
+    from crowdbench.data.storage import read_own, write_parquet
+    from crowdbench.data.table import Trajectories
     from crowdbench.envs.demonstrations import Demonstrations, demonstrations
     from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
     from crowdbench.errors import CrowdbenchError
-    from crowdbench.evaluation.parallel import engine
     from crowdbench.metrics import METRICS, MetricResult, distance
     from crowdbench.plugins import register
     from crowdbench.registry import (
@@ -38,17 +39,16 @@ if TYPE_CHECKING:
         recording_of,
         spawn_model,
     )
+    from crowdbench.run.parallel import engine
     from crowdbench.scene import Scene, list_scenes, load_scene
     from crowdbench.simulation.reward import Reward
-    from crowdbench.trajectories.storage import read_own, write_parquet
-    from crowdbench.trajectories.table import Trajectories
 
 _HOME = {
     "crowds": ("evaluate", "read", "rollout", "score", "score_rollouts"),
     "envs.demonstrations": ("Demonstrations", "demonstrations"),
     "envs.parallel_env": ("CrowdParallelEnv", "parallel_env"),
     "errors": ("CrowdbenchError",),
-    "evaluation.parallel": ("engine",),
+    "run.parallel": ("engine",),
     "metrics": ("METRICS", "MetricResult", "distance"),
     "plugins": ("register",),
     "registry": (
@@ -57,8 +57,8 @@ _HOME = {
     ),
     "scene": ("Scene", "list_scenes", "load_scene"),
     "simulation.reward": ("Reward",),
-    "trajectories.storage": ("read_own", "write_parquet"),
-    "trajectories.table": ("Trajectories",),
+    "data.storage": ("read_own", "write_parquet"),
+    "data.table": ("Trajectories",),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 

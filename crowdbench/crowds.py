@@ -1,6 +1,6 @@
 """The user-facing functions `rollout`, `read` and `score`, which accept names as well as objects.
 
-`crowdbench.rollouts.rollout` and `crowdbench.trajectories.storage` hold the functions that take
+`crowdbench.run.rollout` and `crowdbench.data.storage` hold the functions that take
 objects only.
 """
 
@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from crowdbench.data import storage
+from crowdbench.data.table import Trajectories
 from crowdbench.scene import Scene, load_scene
-from crowdbench.trajectories import storage
-from crowdbench.trajectories.table import Trajectories
 
 if TYPE_CHECKING:
     from crowdbench.metrics import MetricResult
@@ -61,8 +61,8 @@ def rollout(
         CapacityError: there are more people than slots.
     """
     from crowdbench import registry
-    from crowdbench.rollouts.episode import check_horizon
-    from crowdbench.rollouts.rollout import rollout as roll_out
+    from crowdbench.run.episode import check_horizon
+    from crowdbench.run.rollout import rollout as roll_out
 
     place = load_scene(scene)
     if horizon_s is not None:
@@ -106,7 +106,7 @@ def score(
     reference = read_reference(place)
     if against is None and len(reference.statistics) < len(applicable(reference.blocks)):
         # Imported only if needed: it loads the simulation, which scoring a table does not use.
-        from crowdbench.evaluation.references import reference_of
+        from crowdbench.run.references import reference_of
 
         reference = reference_of(place)
     return score_against(reference, place, crowd, against)
@@ -133,8 +133,8 @@ def score_rollouts(
             the scene's; or, with `recorded_arrivals`, people do not enter as recorded, or the
             recording is not imported.
     """
-    from crowdbench.evaluation.judge import judge_crowds
-    from crowdbench.evaluation.references import reference_of
+    from crowdbench.run.judge import judge_crowds
+    from crowdbench.run.references import reference_of
 
     place = load_scene(scene)
     return judge_crowds(place, reference_of(place), crowds, recorded_arrivals=recorded_arrivals)
@@ -207,8 +207,8 @@ def evaluate(
             does not exist or does not fit; checked before the first rollout.
         OutputError: `out` cannot be written.
     """
-    from crowdbench.evaluation import evaluate as evaluation
     from crowdbench.report.html import FILES, write_report
+    from crowdbench.run import evaluate as evaluation
 
     return evaluation.evaluate(
         scene,

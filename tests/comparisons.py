@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import strategies as st
 from strategies import crowd_of, crowds
 
+from crowdbench.data.blocks import TimeBlocks, cut
+from crowdbench.data.table import OUTCOMES, PERSON_COLUMNS, Trajectories
 from crowdbench.metrics import Metric, MetricResult, Place, distance
-from crowdbench.trajectories.blocks import TimeBlocks, cut
-from crowdbench.trajectories.table import OUTCOMES, PERSON_COLUMNS, Trajectories
 
 DT_S = 4.0
 OBSERVED = [(0, 30), (36, 126)]

@@ -127,7 +127,7 @@ def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def unadjusted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Plans are not adjusted, which takes longest; `test_plan_calibration` tests that."""
-    from crowdbench.spawn.links import Adjustment  # not before annotations are checked
+    from crowdbench.spawn.plans.links import Adjustment  # not before annotations are checked
 
     monkeypatch.setattr("crowdbench.scene_building.fit.adjustment", lambda *of: Adjustment())
 

@@ -8,15 +8,15 @@ import numpy as np
 from msgspec import structs
 from worlds import box
 
+from crowdbench.data.recordings.jupedsim import write_jupedsim
+from crowdbench.data.recordings.trajnet import write_trajnet
+from crowdbench.data.storage import write_csv
+from crowdbench.data.table import Trajectories
 from crowdbench.policies import SocialForce
-from crowdbench.recordings.jupedsim import write_jupedsim
-from crowdbench.recordings.trajnet import write_trajnet
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.run.rollout import rollout
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
 from crowdbench.spawn import Areas, RenewalGMM
 from crowdbench.spawn.areas import Gaussians
-from crowdbench.trajectories.storage import write_csv
-from crowdbench.trajectories.table import Trajectories
 
 DT_S = 0.4
 BOUNDS = Bounds(0.0, 14.0, 0.0, 10.0)

@@ -6,7 +6,7 @@ import numpy as np
 
 from crowdbench.spawn import Areas, Arrivals, NtppGMM, PoissonGMM, PoissonGroups, RenewalGMM
 from crowdbench.spawn.areas import Gaussians
-from crowdbench.spawn.ntpp import SHAPES
+from crowdbench.spawn.ntpp.model import SHAPES
 
 GRID_S = 0.4
 _BOTH = Gaussians(np.array([[3.0, 5.0], [11.0, 6.0]]), np.stack([np.eye(2), np.eye(2)]))

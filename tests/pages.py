@@ -13,6 +13,9 @@ SHARE = 0.005
 _NUMBER = re.compile(r"(?<![\w.])[-−]?\d+(?:\.\d+)?(?![\w])")
 
 
+PROGRAMS = ("crowdbench ", "python -m studies ")
+
+
 def blocks(page: str, language: str) -> list[str]:
     """All blocks of a language, in the order of the page."""
     return re.findall(rf"```{language}\n(.*?)```", page, re.S)
@@ -56,9 +59,9 @@ def _close(shown: str, printed: str) -> bool:
 
 
 def commands(page: str) -> list[str]:
-    """All lines of shell that call crowdbench, in the order of the page."""
+    """All lines of shell that call crowdbench or a study, in the order of the page."""
     lines = "\n".join(blocks(page, "sh")).splitlines()
-    return [line.split("#")[0].strip() for line in lines if line.startswith("crowdbench")]
+    return [line.split("#")[0].strip() for line in lines if line.startswith(PROGRAMS)]
 
 
 def arguments(page: str, program: str, *, small: bool = True) -> list[str]:

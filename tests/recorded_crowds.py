@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from worlds import square
 
+from crowdbench.data.companions import with_companions
+from crowdbench.data.table import Trajectories, from_rows
 from crowdbench.scene import Scene
-from crowdbench.trajectories.companions import with_companions
-from crowdbench.trajectories.table import Trajectories, from_rows
 
 DT = 0.4
 SQUARE = square(half_m=40.0)

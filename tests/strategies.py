@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from models import arrivals_at
 
+from crowdbench.data.table import OUTCOMES, PERSON_COLUMNS, Trajectories, from_rows
 from crowdbench.spawn import Arrivals
-from crowdbench.trajectories.table import OUTCOMES, PERSON_COLUMNS, Trajectories, from_rows
 
 METRES = st.floats(-50, 50, width=32)
 

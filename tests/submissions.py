@@ -9,13 +9,13 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
+from crowdbench.data.storage import write_csv, write_parquet
+from crowdbench.data.table import Trajectories, from_rows
 from crowdbench.leaderboard.submission.errors import SubmissionError
 from crowdbench.leaderboard.submission.submission import open_submission
 from crowdbench.policies import PolicyCard
 from crowdbench.registry import WEIGHTS
 from crowdbench.scene import load_scene
-from crowdbench.trajectories.storage import write_csv, write_parquet
-from crowdbench.trajectories.table import Trajectories, from_rows
 
 PLAZA = load_scene("plaza-v0")
 SHIPPED_FITS = [file for file in WEIGHTS if (PLAZA.folder / file).is_file()]

@@ -5,7 +5,7 @@ import pytest
 from checked_calls import CALLS, check_again
 
 from crowdbench.policies import Straight
-from crowdbench.rollouts.acting import checked_actions
+from crowdbench.run.acting import checked_actions
 from crowdbench.spawn.events import SpawnEvents, no_events
 
 WRONG = "not a number of persons"

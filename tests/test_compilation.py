@@ -16,7 +16,10 @@ import crowdbench
 from crowdbench.compilation import Kernel, fingerprint
 from crowdbench.policies import social_force
 from crowdbench.simulation import observations, reward, routes, social, step, walls
-from crowdbench.spawn import cox_kernels, link_kernels, ntpp_kernels, ntpp_paper_kernels
+from crowdbench.spawn.ntpp import kernels as ntpp_kernels
+from crowdbench.spawn.paper import kernels as ntpp_paper_kernels
+from crowdbench.spawn.plans import link_kernels
+from crowdbench.spawn.times import cox_kernels
 
 PACKAGE = Path(crowdbench.__file__).parent
 REPORT = """

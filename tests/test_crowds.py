@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import crowdbench
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError, SceneError, SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import spawn_model
-from crowdbench.rollouts import rollout as rollouts
+from crowdbench.run import rollout as rollouts
 from crowdbench.scene import load_scene, scenes_folder
-from crowdbench.trajectories.table import Trajectories
 
 PLAZA = load_scene("plaza-v0")
 

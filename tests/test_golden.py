@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from crowdbench.data.storage import read_own
 from crowdbench.errors import RecordingError
 from crowdbench.scoring.scorecard import read_scorecard, rows
-from crowdbench.trajectories.storage import read_own
 
 GOLDEN = Path(__file__).parent / "golden"
 

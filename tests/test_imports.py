@@ -10,22 +10,22 @@ from pathlib import Path
 import pytest
 
 import crowdbench
-from crowdbench.evaluation.resolved import MAKES_ROLLOUTS
+from crowdbench.run.resolved import MAKES_ROLLOUTS
 
 PACKAGE = Path(crowdbench.__file__).parent
 
 FLOORS = (
     ("baselines", "colours", "errors", "leftovers", "progress"),  # of baselines, the package alone
     ("compilation", "files", "plugins"),
-    ("scene", "trajectories"),
-    ("metrics", "recordings", "spawn"),
+    ("data", "scene"),
+    ("metrics", "spawn"),
     ("scoring", "simulation"),
     ("policies",),
-    ("registry", "rollouts"),
-    ("evaluation", "report", "viewer"),
+    ("registry",),
+    ("run",),
+    ("report", "viewer"),
     ("envs",),
     ("crowds", "leaderboard", "scene_building"),
-    ("studies",),
     ("cli",),
     ("__main__",),
 )
@@ -112,7 +112,7 @@ def test_rollouts_depend_on_no_room_that_their_fingerprint_leaves_out() -> None:
     needs: dict[str, set[str]] = {}
     for path in MODULES:
         needs.setdefault(part_of(path), set()).update(imported(path.read_text()))
-    found, todo = set(), ["rollouts", "registry"]
+    found, todo = set(), ["data", "policies", "registry", "simulation", "spawn"]
     while todo:
         room = todo.pop()
         found.add(room)
@@ -141,7 +141,7 @@ def test_modules_are_short() -> None:
 
 def test_only_who_shows_something_imports_the_viewer() -> None:
     users = {part_of(path) for path in MODULES if "viewer" in imported(path.read_text())}
-    assert users == {"viewer", "envs", "studies", "cli"}
+    assert users == {"viewer", "envs", "cli"}
 
 
 def test_the_walk_sees_imports_in_functions_and_not_those_for_types() -> None:
@@ -170,7 +170,9 @@ def test_importing_crowdbench_loads_nothing_heavy() -> None:
 
 def test_only_a_download_loads_what_it_needs() -> None:
     code = (
-        "from crowdbench import cli; import crowdbench.recordings.fetch; cli.main(['data', 'list'])"
+        "from crowdbench import cli\n"
+        "import crowdbench.data.recordings.fetch\n"
+        "cli.main(['data', 'list'])"
     )
     assert "requests" not in loaded_by(code)
 

@@ -11,7 +11,7 @@ from crowdbench.errors import CrowdbenchError, SceneError, SettingError, did_you
 from crowdbench.leaderboard.submission.parse import FILE
 from crowdbench.scene import load_scene
 from crowdbench.simulation import Settings
-from crowdbench.spawn.scenario import read_scenario
+from crowdbench.spawn.steering.scenario import read_scenario
 
 PLAZA = load_scene("plaza-v0")
 

@@ -15,10 +15,10 @@ import crowdbench
 from crowdbench import plugins
 from crowdbench.cli import main
 from crowdbench.errors import OwnCodeError, SettingError
-from crowdbench.evaluation.rollout_jobs import plan
 from crowdbench.metrics import METRICS, all_metrics
 from crowdbench.metrics.trips import Dwell
 from crowdbench.plugins import register
+from crowdbench.run.rollout_jobs import plan
 from crowdbench.scene import load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import Observation, size_of

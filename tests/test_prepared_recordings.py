@@ -7,11 +7,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from crowdbench.recordings.catalogue import cached, prepared_folder, remove_imported
+from crowdbench.data.recordings.catalogue import cached, prepared_folder, remove_imported
+from crowdbench.data.storage import write_parquet
+from crowdbench.data.table import Trajectories
 from crowdbench.registry import prepared, recording, recording_of, recordings
 from crowdbench.scene import load_scene
-from crowdbench.trajectories.storage import write_parquet
-from crowdbench.trajectories.table import Trajectories
 
 PLAZA = load_scene("plaza-v0")
 

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from crowdbench.cli import main
+from crowdbench.data.blocks import SPLITS
+from crowdbench.data.recordings.catalogue import cached
+from crowdbench.data.storage import write_parquet
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError, SettingError, WeightsError
-from crowdbench.evaluation.rollout_jobs import plan
 from crowdbench.policies import ReplayPolicy
-from crowdbench.recordings.catalogue import cached
 from crowdbench.registry import (
     POLICIES,
     RECORDINGS,
@@ -26,11 +28,9 @@ from crowdbench.registry import (
     recording_of,
     spawn_model,
 )
+from crowdbench.run.rollout_jobs import plan
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Replay
-from crowdbench.trajectories.blocks import SPLITS
-from crowdbench.trajectories.storage import write_parquet
-from crowdbench.trajectories.table import Trajectories
 
 PLAZA = load_scene("plaza-v0")
 SHIPPED = [name for name in SPAWN_MODELS if not name.endswith("-paper")]

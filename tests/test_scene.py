@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from strategies import crowd_of
 from worlds import box, square
 
+from crowdbench.data.recordings.catalogue import SOURCES, read_published
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import SceneError
-from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.scene import Scene, list_scenes, load_scene, scenes_folder
 from crowdbench.spawn import Replay
-from crowdbench.trajectories.table import Trajectories
 
 ETH_TOML = (scenes_folder() / "eth-v0" / "scene.toml").read_text()
 

@@ -7,7 +7,7 @@ import numpy as np
 from msgspec import structs
 
 from crowdbench.policies import Policy
-from crowdbench.rollouts.acting import Actor
+from crowdbench.run.acting import Actor
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn import Areas, PoissonGMM, SpawnEvents

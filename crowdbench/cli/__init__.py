@@ -1,8 +1,8 @@
 """The command line.
 
 Main commands: `crowdbench evaluate | score | view | steer | areas | policy | submit | leaderboard |
-data | convert | arrivals | scenes | metrics | bench | growth`. Commands for making a scene and its
-pages: `scene | fit | spawn | anchors | power | results | walks | cheats | figures | paper`.
+data | convert | arrivals | scenes | metrics`. Commands for making a scene: `scene | fit | spawn |
+anchors | power`.
 
 Exit codes: 2 after an error of the user (one message), 130 after an interrupt, 143 after SIGTERM,
 and 1, without a message, if the reader of the output closes it (`crowdbench … | head`).
@@ -19,21 +19,14 @@ from crowdbench.cli import (
     anchors,
     areas,
     arrivals,
-    bench,
-    cheats,
     convert,
     data,
-    encounters,
     evaluate,
-    figures,
     fit,
-    growth,
     leaderboard,
     metrics,
-    paper,
     policy,
     power,
-    results,
     scene,
     scenes,
     score,
@@ -41,17 +34,21 @@ from crowdbench.cli import (
     steer,
     submit,
     view,
-    walks,
 )
 from crowdbench.errors import CrowdbenchError
-from crowdbench.evaluation.parallel import LOCAL, Stopped, engine, stopping_in_order
+from crowdbench.run.parallel import LOCAL, Stopped, engine, stopping_in_order
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code."""
+    return run(_parser(), arguments)
+
+
+def run(parser: argparse.ArgumentParser, arguments: Sequence[str] | None = None) -> int:
+    """Run a command of a parser, whose `run` is a function of its arguments; its exit code."""
     try:
         try:
-            return _run(arguments)
+            return _run(parser, arguments)
         finally:
             sys.stdout.flush()  # raises BrokenPipeError here if the reader has closed the pipe
     except BrokenPipeError:
@@ -60,8 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
-def _run(arguments: Sequence[str] | None) -> int:
-    args = _parser().parse_args(arguments)
+def _run(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
+    args = parser.parse_args(arguments)
     try:
         with stopping_in_order(), engine(getattr(args, "engine", LOCAL)):
             args.run(args)
@@ -89,9 +86,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"crowdbench {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in (
-        evaluate, score, view, areas, steer, policy, scene, fit, spawn, anchors, power, results,
-        walks, cheats, paper, figures, encounters, submit, leaderboard, data, convert, arrivals,
-        scenes, metrics, bench, growth,
+        evaluate, score, view, areas, steer, policy, scene, fit, spawn, anchors, power, submit,
+        leaderboard, data, convert, arrivals, scenes, metrics,
     ):  # fmt: skip
         command.add(commands)
     return parser

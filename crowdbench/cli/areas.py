@@ -23,10 +23,10 @@ def add(commands: "Commands") -> None:
 def _areas(args: argparse.Namespace) -> None:
     from crowdbench.files import replacing
     from crowdbench.registry import fitted_models, spawn_model
+    from crowdbench.report.steering import areas_picture
     from crowdbench.scene import load_scene
     from crowdbench.spawn import PoissonGMM
-    from crowdbench.spawn.ntpp import networks
-    from crowdbench.studies.steering import areas_picture
+    from crowdbench.spawn.ntpp.model import networks
 
     scene = load_scene(args.scene)
     model = spawn_model("poisson-gmm", scene)

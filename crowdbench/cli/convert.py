@@ -37,7 +37,7 @@ def add(commands: "Commands") -> None:
 
 
 def _convert(args: argparse.Namespace) -> None:
-    from crowdbench.recordings.convert import convert
+    from crowdbench.data.recordings.convert import convert
 
     crowd = convert(
         args.table,

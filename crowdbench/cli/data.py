@@ -15,7 +15,7 @@ from crowdbench.cli.printing import (
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
-    from crowdbench.trajectories.table import Trajectories
+    from crowdbench.data.table import Trajectories
 
 GAPS = ("interpolate", "split")
 FORMATS = ("obsmat", "gc", "forum", "csv", "trajnet", "jupedsim")
@@ -89,15 +89,15 @@ def _fetch(args: argparse.Namespace) -> None:
 
 def is_imported(name: str) -> bool:
     """Whether a recording is available without its files."""
-    from crowdbench.recordings.catalogue import cached
+    from crowdbench.data.recordings.catalogue import cached
 
     return name == "plaza" or cached(name).exists()
 
 
 def fetch_and_import(name: str, out: Path | None = None) -> None:
     """Download a published recording and import it, with messages."""
-    from crowdbench.recordings.catalogue import source
-    from crowdbench.recordings.fetch import default_folder, fetch
+    from crowdbench.data.recordings.catalogue import source
+    from crowdbench.data.recordings.fetch import default_folder, fetch
 
     published = source(name)
     folder = out or default_folder()
@@ -109,10 +109,10 @@ def fetch_and_import(name: str, out: Path | None = None) -> None:
 
 
 def _import(args: argparse.Namespace) -> None:
+    from crowdbench.data.recordings.catalogue import cached
+    from crowdbench.data.recordings.describe import describe
+    from crowdbench.data.recordings.own import import_own
     from crowdbench.errors import SettingError
-    from crowdbench.recordings.catalogue import cached
-    from crowdbench.recordings.describe import describe
-    from crowdbench.recordings.own import import_own
 
     mending = {"gaps": args.gaps, "offset_s": args.offset_s}
     if args.format is None:
@@ -142,14 +142,14 @@ def mended(crowd: "Trajectories", args: argparse.Namespace) -> dict[str, str]:
 
 
 def _remove(args: argparse.Namespace) -> None:
-    from crowdbench.recordings.catalogue import remove_imported
+    from crowdbench.data.recordings.catalogue import remove_imported
 
     print(f"{remove_imported(args.name)}: removed")
 
 
 def _bring(name: str, folder: Path | None) -> None:
-    from crowdbench.recordings.catalogue import cached, known_sha256, source
-    from crowdbench.recordings.describe import describe
+    from crowdbench.data.recordings.catalogue import cached, known_sha256, source
+    from crowdbench.data.recordings.describe import describe
     from crowdbench.registry import import_recording
 
     first = name != "plaza" and known_sha256(source(name)) is None
@@ -164,7 +164,7 @@ def _bring(name: str, folder: Path | None) -> None:
 
 
 def _list(args: argparse.Namespace) -> None:
-    from crowdbench.recordings.catalogue import COMMIT, OWN_NAME, REPOSITORY, SOURCES, cached
+    from crowdbench.data.recordings.catalogue import COMMIT, OWN_NAME, REPOSITORY, SOURCES, cached
     from crowdbench.registry import RECORDINGS
     from crowdbench.scene import list_scenes, load_scene
 
@@ -189,7 +189,7 @@ def _list(args: argparse.Namespace) -> None:
 
 
 def _describe(args: argparse.Namespace) -> None:
-    from crowdbench.recordings.describe import describe
+    from crowdbench.data.recordings.describe import describe
     from crowdbench.registry import recording
 
     print_facts(args.name, describe(recording(args.name)))

@@ -13,8 +13,8 @@ from crowdbench.cli.workers import add_engine
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
+    from crowdbench.data.table import Trajectories
     from crowdbench.scoring.scorecard import Scorecard
-    from crowdbench.trajectories.table import Trajectories
 
 
 def add(commands: "Commands") -> None:
@@ -129,10 +129,10 @@ def _evaluated(args: argparse.Namespace) -> "Scorecard":
 
 def _print_replay(scene: str, out: Path) -> None:
     """Print how the replay differs from the recording, and the effect of the arrival rule."""
-    from crowdbench.evaluation.replay_check import arrival_rule_changes, compare_replay
+    from crowdbench.data.storage import read_own
     from crowdbench.registry import recording_of
+    from crowdbench.run.replay_check import arrival_rule_changes, compare_replay
     from crowdbench.scene import load_scene
-    from crowdbench.trajectories.storage import read_own
 
     place = load_scene(scene)
     recording = recording_of(place)
@@ -144,9 +144,9 @@ def _print_replay(scene: str, out: Path) -> None:
 
 def _show_first(card: "Scorecard", named: str, out: Path) -> None:
     """Show the first rollout of each pair, next to the recording if it is available."""
+    from crowdbench.data.storage import read_own
     from crowdbench.registry import has_recording, recording_of
     from crowdbench.scene import load_scene
-    from crowdbench.trajectories.storage import read_own
     from crowdbench.viewer import show
 
     scene = load_scene(named)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, TypeVar
 from crowdbench.cli.printing import new_console, new_table, progress_bar
 from crowdbench.cli.workers import add_engine, add_workers
 from crowdbench.errors import CrowdbenchError, SettingError
-from crowdbench.evaluation.parallel import is_local
+from crowdbench.run.parallel import is_local
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
-    from crowdbench.evaluation.rollout_jobs import Progress
     from crowdbench.leaderboard.sandbox.parent import Limits
     from crowdbench.leaderboard.verification.entry import Entry
+    from crowdbench.run.rollout_jobs import Progress
 
 Named = TypeVar("Named", Path, str)
 

@@ -15,7 +15,7 @@ from crowdbench.errors import SceneError, SettingError
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
-    from crowdbench.evaluation.rollout_jobs import Progress
+    from crowdbench.run.rollout_jobs import Progress
 
 
 def add(commands: "Commands") -> None:
@@ -88,7 +88,7 @@ def _timed(what: str) -> "Iterator[Progress]":
 
 
 def _create(args: argparse.Namespace) -> None:
-    from crowdbench.recordings.describe import describe
+    from crowdbench.data.recordings.describe import describe
     from crowdbench.registry import ANY_PLACE
     from crowdbench.scene import load_scene
     from crowdbench.scene_building import check_new, create_like, create_scene

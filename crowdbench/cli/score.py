@@ -47,10 +47,10 @@ def _score(args: argparse.Namespace) -> None:
 def _scored(args: argparse.Namespace) -> "Scorecard | None":
     """Print the results; the scorecard, or None if it is not needed."""
     from crowdbench.crowds import score, score_rollouts
+    from crowdbench.data.storage import read
     from crowdbench.errors import SettingError
     from crowdbench.scene import load_scene
     from crowdbench.scoring.reference import check_fits
-    from crowdbench.trajectories.storage import read
 
     scene = load_scene(args.scene)
     if len({table.resolve() for table in args.table}) < len(args.table):

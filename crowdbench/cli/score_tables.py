@@ -104,7 +104,7 @@ def _gated(row: "Row", limit: str, value: str) -> "Text":
 
 def _notes(card: "Scorecard", scene: "Scene", table: "Sequence[Row]", names: "Names") -> list[str]:
     """Explanations of the scores, and reasons why scores are missing."""
-    from crowdbench.recordings.catalogue import SOURCES
+    from crowdbench.data.recordings.catalogue import SOURCES
     from crowdbench.report.text.notes import gate_notes
     from crowdbench.report.text.words import STEERED
     from crowdbench.scoring.ranking import steered
@@ -159,8 +159,8 @@ def missing_notes(scene: "Scene") -> list[str]:
 
     if len(all_metrics()) == len(METRICS):
         return []
-    from crowdbench.evaluation.references import missing
-    from crowdbench.recordings.catalogue import SOURCES
+    from crowdbench.data.recordings.catalogue import SOURCES
+    from crowdbench.run.references import missing
 
     absent, name = missing(scene), scene.recording.name
     if not absent:

@@ -75,8 +75,8 @@ def write_sample(
         OutputError: `out` cannot be written.
     """
     from crowdbench.registry import GENERATED, spawn_model
-    from crowdbench.rollouts.episode import arrivals
-    from crowdbench.spawn.scenario import split_scenario
+    from crowdbench.run.episode import arrivals
+    from crowdbench.spawn.steering.scenario import split_scenario
     from crowdbench.spawn.table import write_events
 
     model = spawn_model(name, scene)
@@ -92,7 +92,7 @@ def write_sample(
 def _test(args: argparse.Namespace) -> None:
     from crowdbench.scene import load_scene
     from crowdbench.scene_building.spawn_diagnostics import check_models, trained_networks
-    from crowdbench.spawn.rescaling import KolmogorovSmirnov
+    from crowdbench.spawn.times.rescaling import KolmogorovSmirnov
 
     def ks(found: KolmogorovSmirnov | None) -> str:
         return "" if found is None else f"{found.statistic:.3f} ({found.p:.2g})"

@@ -10,7 +10,7 @@ from crowdbench.cli.printing import new_console, new_table, print_note, progress
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
-    from crowdbench.studies.steering import Steering
+    from crowdbench.report.steering import Steering
 
 
 def add(commands: "Commands") -> None:
@@ -43,7 +43,7 @@ def add(commands: "Commands") -> None:
 
 
 def _steer(args: argparse.Namespace) -> None:
-    from crowdbench.studies.steering import draw_steering, steering
+    from crowdbench.report.steering import draw_steering, steering
 
     sys.path.insert(0, os.getcwd())  # so that pkg.module:Class is found in the working directory
 
@@ -55,7 +55,7 @@ def _steer(args: argparse.Namespace) -> None:
 
 
 def _print_changes(found: "Steering") -> None:
-    from crowdbench.studies.steering import area_changes, goal_changes
+    from crowdbench.report.steering import area_changes, goal_changes
 
     episodes = len(found.usual)
     print(

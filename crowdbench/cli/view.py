@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from crowdbench.cli.printing import Commands
+    from crowdbench.data.table import Trajectories
     from crowdbench.scene import Scene
-    from crowdbench.trajectories.table import Trajectories
 
 
 def add(commands: "Commands") -> None:
@@ -40,8 +40,8 @@ def add(commands: "Commands") -> None:
 
 
 def _view(args: argparse.Namespace) -> None:
+    from crowdbench.data.storage import read_own
     from crowdbench.scene import load_scene
-    from crowdbench.trajectories.storage import read_own
     from crowdbench.viewer import save, show
 
     if args.scene is None:
@@ -65,7 +65,7 @@ def _against(named: str, scene: "Scene") -> "Trajectories":
 
 
 def _read(path: Path, scene: "Scene") -> "Trajectories":
-    from crowdbench.trajectories.storage import read
+    from crowdbench.data.storage import read
     from crowdbench.viewer.place import areas_of
 
     crowd = read(path, scene=scene.id, dt_s=scene.dt_s)

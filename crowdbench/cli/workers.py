@@ -2,7 +2,7 @@
 
 import argparse
 
-from crowdbench.evaluation.parallel import LOCAL
+from crowdbench.run.parallel import LOCAL
 
 
 def add_workers(parser: argparse.ArgumentParser, default: str = "one per core") -> None:

@@ -15,7 +15,7 @@ from numpy.random import Generator
 from crowdbench.envs.recorded_paths import RecordedContinuation
 from crowdbench.policies import Memory, Policy, StateView
 from crowdbench.policies.memory import Needs
-from crowdbench.rollouts.acting import checked_actions, checked_states
+from crowdbench.run.acting import checked_actions, checked_states
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.social import in_own_frame

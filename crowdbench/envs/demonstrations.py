@@ -15,6 +15,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from crowdbench import __version__, registry
+from crowdbench.data.recordings.catalogue import source
+from crowdbench.data.smoothing import smoothed
+from crowdbench.data.stops import STANDING_MPS
 from crowdbench.envs.closed_loop import NearestCandidate
 from crowdbench.envs.demonstrated_trips import Demonstrations, Rows
 from crowdbench.envs.perturbation import HOMING_S, PathPerturbation
@@ -22,9 +25,8 @@ from crowdbench.envs.recorded_paths import RecordedContinuation
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy
 from crowdbench.policies.memory import Needs
-from crowdbench.recordings.catalogue import source
-from crowdbench.rollouts.episode import begin, check_capacity, generator
-from crowdbench.rollouts.shown import settings_for
+from crowdbench.run.episode import begin, check_capacity, generator
+from crowdbench.run.shown import settings_for
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION
@@ -32,8 +34,6 @@ from crowdbench.simulation.social import in_own_frame
 from crowdbench.spawn import Replay
 from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.weights import check_split
-from crowdbench.trajectories.smoothing import smoothed
-from crowdbench.trajectories.stops import STANDING_MPS
 
 __all__ = ["Demonstrations", "demonstrations"]
 
@@ -98,7 +98,7 @@ def demonstrations(
         candidates: number of actions that the policy draws. It is called once for all of them: each
             person is in so many rows of the batch.
         smoothing_s: window in which recorded positions are smoothed, in seconds, as in
-            `crowdbench.trajectories.smoothing.smoothed`; 0: not at all. Without it, actions contain
+            `crowdbench.data.smoothing.smoothed`; 0: not at all. Without it, actions contain
             the noise of annotations, and sampled walkers tremble.
         displaced_m: standard deviation σ of each component of δ in metres; each component of ε has
             σ/τ. 0: no displacements.

@@ -14,13 +14,14 @@ from gymnasium.utils import seeding
 from jaxtyping import UInt8
 from pettingzoo import ParallelEnv
 
+from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.envs.actions import commands_of
 from crowdbench.envs.global_state import SIZE as STATE_SIZE
 from crowdbench.envs.global_state import global_state
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import DEFAULT_SPAWN, spawn_model
-from crowdbench.rollouts.episode import (
+from crowdbench.run.episode import (
     OnFull,
     Recorder,
     begin,
@@ -38,7 +39,6 @@ from crowdbench.simulation.reward import Reward, Rewarder
 from crowdbench.simulation.state import TERMINAL
 from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.model import Start
-from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
 if TYPE_CHECKING:
     from crowdbench.viewer.renderer import Renderer, RenderMode

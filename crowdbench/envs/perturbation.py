@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.data.table import Trajectories
 
 HOMING_S = 2.0
 """In this time before the end of a trajectory, the actions of a displaced person lead straight to

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 from numpy.random import Generator
 
+from crowdbench.data.table import Trajectories
 from crowdbench.policies import StateView
 from crowdbench.scene import Scene
-from crowdbench.trajectories.table import Trajectories
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from crowdbench.envs.global_state import global_state
 from crowdbench.errors import SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import DEFAULT_SPAWN, spawn_model
-from crowdbench.rollouts.episode import (
+from crowdbench.run.episode import (
     OnFull,
     begin,
     check_capacity,

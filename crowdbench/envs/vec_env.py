@@ -16,18 +16,19 @@ from jaxtyping import Float32, Int
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
+from crowdbench.data.table import OUTCOMES
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Policy, Straight
 from crowdbench.registry import DEFAULT_SPAWN, spawn_model
-from crowdbench.rollouts.acting import Actor
-from crowdbench.rollouts.episode import (
+from crowdbench.run.acting import Actor
+from crowdbench.run.episode import (
     begin,
     check_capacity,
     check_horizon,
     generator,
     slots_for,
 )
-from crowdbench.rollouts.shown import needs
+from crowdbench.run.shown import needs
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION
@@ -35,7 +36,6 @@ from crowdbench.simulation.reward import Reward, Rewarder
 from crowdbench.simulation.state import TERMINAL
 from crowdbench.spawn import SpawnEvents, SpawnModel
 from crowdbench.spawn.model import Start
-from crowdbench.trajectories.table import OUTCOMES
 
 RESERVE = 3
 """Expected number of people present per sub-environment, so that it rarely waits for a person."""

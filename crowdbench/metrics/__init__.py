@@ -7,6 +7,7 @@ of any simulator.
 from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
 
+from crowdbench.data.blocks import TimeBlocks
 from crowdbench.errors import SettingError
 from crowdbench.metrics.arrivals import (
     FanoFactor10,
@@ -45,7 +46,6 @@ from crowdbench.metrics.presence import (
 from crowdbench.metrics.space import GoalDensity, NearestNeighbour, Occupancy, StartDensity
 from crowdbench.metrics.trips import Detour, Dwell, GoalShare, OriginDestination
 from crowdbench.plugins import blaming, made, parts
-from crowdbench.trajectories.blocks import TimeBlocks
 
 METRICS: tuple[Metric, ...] = (
     InterSpawn(),

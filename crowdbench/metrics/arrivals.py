@@ -6,6 +6,8 @@ Arrival times are on the annotation grid. Each person is one arrival, even withi
 import numpy as np
 from jaxtyping import Float, Int
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import LogRatio, RelativeWasserstein
 from crowdbench.metrics.lattice import (
     Numbers,
@@ -17,8 +19,6 @@ from crowdbench.metrics.lattice import (
     widths,
 )
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.table import Trajectories
 
 ENOUGH_GAPS = 10
 """Minimum number of recorded gaps at an area for its distribution to be compared."""

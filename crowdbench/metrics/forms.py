@@ -5,9 +5,9 @@ from abc import abstractmethod
 import numpy as np
 from jaxtyping import Float
 
+from crowdbench.data.blocks import TimeBlocks
 from crowdbench.metrics.lattice import Numbers, cdf, mean_of_cdf, share, widths
 from crowdbench.metrics.metric import Metric, Sums, Support
-from crowdbench.trajectories.blocks import TimeBlocks
 
 
 class RelativeWasserstein(Metric):

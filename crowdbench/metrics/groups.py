@@ -1,7 +1,7 @@
 """Family space, companions: how many people walk in groups, and how they stand to each other.
 
 Companions are found by one rule in recordings and rollouts, see
-`crowdbench.trajectories.companions`.
+`crowdbench.data.companions`.
 """
 
 from functools import lru_cache
@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.companions import groups_of
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
 from crowdbench.metrics.lattice import counted, histograms, rounded
 from crowdbench.metrics.metric import Place, Statistics
 from crowdbench.metrics.ticks import ticks_of
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.companions import groups_of
-from crowdbench.trajectories.table import Trajectories
 
 APART_M = 5.0
 """Distances between companions are clipped at this value."""

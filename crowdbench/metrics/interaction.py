@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.neighbours import nearest_neighbour_m
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
 from crowdbench.metrics.lattice import counted, histograms, rounded
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
 from crowdbench.metrics.rows import rows_in
 from crowdbench.metrics.ticks import Ticks, ticks_of
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.neighbours import nearest_neighbour_m
-from crowdbench.trajectories.table import Trajectories
 
 ENCOUNTER_M = 2.0
 STRANGERS_MPS = 0.7

@@ -16,9 +16,9 @@ from typing import ClassVar, Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.table import Trajectories
 from crowdbench.scene import Walking
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.table import Trajectories
 
 Statistics = dict[str, Int[np.ndarray, "_B _V"]]
 """Counts or sums per block, by name.

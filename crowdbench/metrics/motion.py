@@ -11,13 +11,13 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float, Int
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein
 from crowdbench.metrics.lattice import histograms, rounded
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
 from crowdbench.metrics.ticks import ticks_of
 from crowdbench.scene import Walking
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.table import Trajectories
 
 FASTEST_MPS = 100.0
 LARGEST = 1e6

@@ -5,6 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.stops import standing
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import LogRatio, RelativeWasserstein, ShareDifference
 from crowdbench.metrics.lattice import (
     Numbers,
@@ -16,9 +19,6 @@ from crowdbench.metrics.lattice import (
 )
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
 from crowdbench.metrics.rows import rows_in
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.stops import standing
-from crowdbench.trajectories.table import Trajectories
 
 LAGS_S = (10.0, 30.0, 60.0)
 SLOW_LAGS_S = (120.0, 300.0)
@@ -183,7 +183,7 @@ class StandingShare(ShareDifference):
     """Share of the time that people spend standing.
 
     Somebody stands if it moves by less than 0.3 m/s over 1.6 s, see
-    `crowdbench.trajectories.stops`. Distance: |difference|.
+    `crowdbench.data.stops`. Distance: |difference|.
     """
 
     name = "standing_share"

@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Int
 
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.table import Trajectories
 
 
 def rows_in(

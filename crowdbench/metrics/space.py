@@ -3,13 +3,13 @@
 import numpy as np
 from jaxtyping import Float32, Int
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.neighbours import nearest_neighbour_m
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, TotalVariation
 from crowdbench.metrics.lattice import histograms, rounded
 from crowdbench.metrics.metric import Place, Statistics
 from crowdbench.metrics.rows import rows_in
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.neighbours import nearest_neighbour_m
-from crowdbench.trajectories.table import Trajectories
 
 ALONE_M = 50.0
 

@@ -3,11 +3,11 @@
 import numpy as np
 from jaxtyping import Float
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference, TotalVariation
 from crowdbench.metrics.lattice import counted, histograms, kaplan_meier_cdf, rounded
 from crowdbench.metrics.metric import Place, Statistics, Sums, Support
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
 SHORTEST_WAY_M = 1.0
 """Trips with a shorter distance from start to end have no meaningful detour ratio."""

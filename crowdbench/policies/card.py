@@ -5,10 +5,10 @@ import re
 import msgspec
 import numpy as np
 
+from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.policies.memory import MOST
 from crowdbench.simulation.observations import known_observations, size_of, version_of
-from crowdbench.trajectories.blocks import SPLITS
 
 SCHEMA = 1
 ACTION = "velocity-1"

@@ -17,7 +17,7 @@ from crowdbench.policies.walkers import Straight
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn.areas import read_areas
-from crowdbench.spawn.poisson import PoissonGMM
+from crowdbench.spawn.times.poisson import PoissonGMM
 
 TOLERANCE = 1e-5
 """Tolerance for the components of an action, which lie in [−1, 1]. Sums in a batch may be computed

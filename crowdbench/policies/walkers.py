@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Float32
 from numpy.random import Generator
 
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.policies.policy import StateView
 from crowdbench.scene import Scene
 from crowdbench.simulation.routes import Routes
-from crowdbench.trajectories.table import Trajectories
 
 
 class Straight:

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from crowdbench import plugins
+from crowdbench.data.blocks import SPLITS
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.policies import (
     OnnxPolicy,
@@ -19,8 +21,6 @@ from crowdbench.registry.own_code import code_of, having, made, own_class, under
 from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene, scenes_folder
 from crowdbench.spawn.weights import check_split
-from crowdbench.trajectories.blocks import SPLITS
-from crowdbench.trajectories.table import Trajectories
 
 _PLAIN: dict[str, Callable[[], Policy]] = {
     "straight": Straight,

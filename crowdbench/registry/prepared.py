@@ -17,12 +17,12 @@ from pathlib import Path
 import msgspec
 
 from crowdbench import __version__
+from crowdbench.data.recordings import catalogue
+from crowdbench.data.storage import read_own, write_parquet
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import OutputError, RecordingError
 from crowdbench.files import sha256
-from crowdbench.recordings import catalogue
 from crowdbench.scene import Scene
-from crowdbench.trajectories.storage import read_own, write_parquet
-from crowdbench.trajectories.table import Trajectories
 
 _CODE = ("trajectories", "recordings", "spawn", "simulation", "policies", "registry", "rollouts")
 """Parts that prepare recordings, and that generate the plaza's."""

@@ -5,16 +5,16 @@ from copy import deepcopy
 from functools import cache
 from pathlib import Path
 
+from crowdbench.data.preprocessing import paper_preprocessed
+from crowdbench.data.recordings import catalogue
+from crowdbench.data.storage import read_own, write_parquet
+from crowdbench.data.table import Trajectories
 from crowdbench.progress import whole
-from crowdbench.recordings import catalogue
 from crowdbench.registry.prepared import prepared
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import fit_areas
-from crowdbench.trajectories.preprocessing import paper_preprocessed
-from crowdbench.trajectories.storage import read_own, write_parquet
-from crowdbench.trajectories.table import Trajectories
 
-GENERATED = {"plaza": "crowdbench.rollouts.plaza_recording:record"}
+GENERATED = {"plaza": "crowdbench.run.plaza_recording:record"}
 """Recordings that are simulated, and the functions that simulate them, imported on first use."""
 RECORDINGS = (*catalogue.SOURCES, *GENERATED)
 """Names of the listed recordings. The catalogue has further days of the Forum."""

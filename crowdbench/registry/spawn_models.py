@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from crowdbench import plugins
+from crowdbench.data.recordings import catalogue
 from crowdbench.errors import SettingError, WeightsError
-from crowdbench.recordings import catalogue
 from crowdbench.registry.own_code import code_of, having, made, own_class, understood
 from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene
@@ -25,9 +25,9 @@ from crowdbench.spawn import (
 )
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.events import blocks_of
-from crowdbench.spawn.plan_files import FILE as PLANS
-from crowdbench.spawn.plan_files import read_plans
-from crowdbench.spawn.scenario import check_scenario, read_scenario, split_scenario
+from crowdbench.spawn.plans.files import FILE as PLANS
+from crowdbench.spawn.plans.files import read_plans
+from crowdbench.spawn.steering.scenario import check_scenario, read_scenario, split_scenario
 from crowdbench.spawn.weights import check_split
 
 Fitted = (

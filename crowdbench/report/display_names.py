@@ -14,7 +14,7 @@ from crowdbench.policies.network import read_card
 from crowdbench.registry import POLICIES, SPAWN_MODELS, policy_source, trained_policies
 from crowdbench.registry.own_code import imported_name
 from crowdbench.scene import Scene
-from crowdbench.spawn.scenario import split_scenario
+from crowdbench.spawn.steering.scenario import split_scenario
 
 
 @dataclass(frozen=True)

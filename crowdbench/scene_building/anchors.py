@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
-from crowdbench.evaluation.judge import draws_of, entries_of, floors
-from crowdbench.evaluation.rollout_jobs import (
+from crowdbench.metrics import WALK, metrics_for
+from crowdbench.progress import steps
+from crowdbench.run.judge import draws_of, entries_of, floors
+from crowdbench.run.rollout_jobs import (
     Progress,
     plan,
     roll_out,
 )
-from crowdbench.metrics import WALK, metrics_for
-from crowdbench.progress import steps
 from crowdbench.scene import load_scene
 from crowdbench.scoring.power import Power, power
 from crowdbench.scoring.reference import read_reference

@@ -8,9 +8,11 @@ from typing import TypeVar
 
 import numpy as np
 
+from crowdbench.data.blocks import FOLDS, SPLITS
+from crowdbench.data.recordings.catalogue import SOURCES
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import CrowdbenchError, SceneError, WeightsError
 from crowdbench.metrics import metrics_for
-from crowdbench.recordings.catalogue import SOURCES
 from crowdbench.registry import FITTED, has_recording, raw_recording_of, trained_policies
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building.fit import check_against
@@ -19,8 +21,6 @@ from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.scoring.scorecard import read_anchors
 from crowdbench.spawn import Areas, fit_areas
 from crowdbench.spawn.areas import read_areas
-from crowdbench.trajectories.blocks import FOLDS, SPLITS
-from crowdbench.trajectories.table import Trajectories
 
 T = TypeVar("T")
 _NEEDED = "poisson-gmm"  # the anchor's spawn model; other models are optional

@@ -13,18 +13,20 @@ from pathlib import Path
 
 import numpy as np
 
+from crowdbench.data.preprocessing import paper_preprocessed
+from crowdbench.data.recordings import own
+from crowdbench.data.recordings.catalogue import cached
+from crowdbench.data.recordings.mending import Gaps
+from crowdbench.data.recordings.noise import noise_of
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import OutputError, SceneError, SettingError
-from crowdbench.evaluation.parallel import checked_workers
-from crowdbench.evaluation.rollout_jobs import Progress
 from crowdbench.files import unwritable, write_text
 from crowdbench.leftovers import swept, temporary, temporary_folder
 from crowdbench.metrics import METRICS, metrics_for
-from crowdbench.recordings import own
-from crowdbench.recordings.catalogue import cached
-from crowdbench.recordings.mending import Gaps
-from crowdbench.recordings.noise import noise_of
 from crowdbench.registry import recording as named_recording
 from crowdbench.registry import recording_of
+from crowdbench.run.parallel import checked_workers
+from crowdbench.run.rollout_jobs import Progress
 from crowdbench.scene import Gate, Recording, Scene, list_scenes, load_scene
 from crowdbench.scene_building import rules
 from crowdbench.scene_building.anchors import make_anchors, power_study
@@ -41,8 +43,6 @@ from crowdbench.scene_building.toml import like_toml, scene_toml, write_scored
 from crowdbench.scene_building.walls import read_walls
 from crowdbench.scoring.reference import read_reference
 from crowdbench.scoring.scorecard import write_anchors
-from crowdbench.trajectories.preprocessing import paper_preprocessed
-from crowdbench.trajectories.table import Trajectories
 
 _ID = re.compile(r"([a-z][a-z0-9_]*)-v[0-9]+")
 

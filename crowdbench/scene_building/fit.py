@@ -9,11 +9,15 @@ from typing import Any, Literal
 import numpy as np
 from msgspec import structs
 
+from crowdbench.data.blocks import SPLITS, TimeBlocks
+from crowdbench.data.preprocessing import paper_preprocessed
+from crowdbench.data.stops import standing
+from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.errors import SceneError, SettingError, did_you_mean, to_install
-from crowdbench.evaluation.parallel import call_each, checked_workers
 from crowdbench.files import unwritable, write_text
 from crowdbench.progress import steps, whole
 from crowdbench.registry import FITTED, PLANNED, fitted_models
+from crowdbench.run.parallel import call_each, checked_workers
 from crowdbench.scene import Scene
 from crowdbench.scene_building.plan_calibration import adjustment
 from crowdbench.scene_building.toml import with_default_clustering, with_recording
@@ -31,20 +35,16 @@ from crowdbench.spawn import (
     fit_areas,
 )
 from crowdbench.spawn.areas import write_areas
-from crowdbench.spawn.links import Adjustment
-from crowdbench.spawn.plan_files import write_plans
-from crowdbench.spawn.plan_fitting import fit_plans
-from crowdbench.spawn.planned import PlannedAreas
-from crowdbench.trajectories.blocks import SPLITS, TimeBlocks
-from crowdbench.trajectories.preprocessing import paper_preprocessed
-from crowdbench.trajectories.stops import standing
-from crowdbench.trajectories.table import OUTCOMES, Trajectories
+from crowdbench.spawn.plans.files import write_plans
+from crowdbench.spawn.plans.fitting import fit_plans
+from crowdbench.spawn.plans.links import Adjustment
+from crowdbench.spawn.plans.planned import PlannedAreas
 
 MODELS = ("poisson-gmm", "poisson-groups", "renewal-gmm", "cox-gmm", "ntpp-gmm")
 """Models that are fitted by default: all but those of the founding paper."""
 NEURAL = {
-    "ntpp-gmm": "crowdbench.spawn.ntpp_training",
-    "ntpp-paper": "crowdbench.spawn.ntpp_paper_training",
+    "ntpp-gmm": "crowdbench.spawn.ntpp.training",
+    "ntpp-paper": "crowdbench.spawn.paper.training",
 }
 """Modules that train the neural models with torch."""
 ASTRAY = 0.03

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crowdbench.data.table import Trajectories
 from crowdbench.files import replacing
 from crowdbench.report.plots import PlotData, draw_figure, picture
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import read_reference
-from crowdbench.trajectories.table import Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,20 +15,20 @@ import numpy as np
 from jaxtyping import Float
 from numpy.random import Generator
 
+from crowdbench.data.blocks import TimeBlocks, cut
+from crowdbench.data.companions import groups_of
+from crowdbench.data.table import Trajectories, from_rows
 from crowdbench.metrics.groups import APART_M
 from crowdbench.metrics.groups import pairs_of as companions_of
 from crowdbench.registry import policy
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.run.rollout import rollout
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals, SpawnEvents
-from crowdbench.spawn.links import Adjustment
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.planned import PlannedAreas
-from crowdbench.spawn.plans import turning_points
-from crowdbench.trajectories.blocks import TimeBlocks, cut
-from crowdbench.trajectories.companions import groups_of
-from crowdbench.trajectories.table import Trajectories, from_rows
+from crowdbench.spawn.plans.links import Adjustment
+from crowdbench.spawn.plans.planned import PlannedAreas
+from crowdbench.spawn.recorded_plans import turning_points
 
 _LONGEST_WAIT_S = 600.0
 _ADJUSTING = 10

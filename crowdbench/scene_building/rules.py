@@ -9,11 +9,11 @@ import math
 import numpy as np
 from jaxtyping import Float
 
+from crowdbench.data.blocks import FOLDS
+from crowdbench.data.recordings.noise import noise_of
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError
-from crowdbench.recordings.noise import noise_of
 from crowdbench.scene import Bounds, Clustering, Motion, Protocol, Spawning, Walking
-from crowdbench.trajectories.blocks import FOLDS
-from crowdbench.trajectories.table import Trajectories
 
 MARGIN_M = 0.5
 """Bounds are at least this far from all positions, and are multiples of it."""

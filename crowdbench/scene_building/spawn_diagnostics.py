@@ -11,18 +11,18 @@ from typing import Literal
 
 import numpy as np
 
+from crowdbench.data.blocks import SPLITS
 from crowdbench.registry import fitted_models, recording_of, spawn_model
 from crowdbench.scene import Scene
 from crowdbench.scene_building.fit import NEURAL
 from crowdbench.spawn import Arrivals, PoissonGMM, SpawnModel, arrivals_of
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import arrivals_in, blocks_of
-from crowdbench.spawn.groups import HasHazards
-from crowdbench.spawn.ntpp import networks
-from crowdbench.spawn.plaza import SCENE as PLAZA
-from crowdbench.spawn.plaza import PlazaArrivals
-from crowdbench.spawn.rescaling import KolmogorovSmirnov, kolmogorov_smirnov, rescaled
-from crowdbench.trajectories.blocks import SPLITS
+from crowdbench.spawn.ntpp.model import networks
+from crowdbench.spawn.plaza.process import SCENE as PLAZA
+from crowdbench.spawn.plaza.process import PlazaArrivals
+from crowdbench.spawn.times.groups import HasHazards
+from crowdbench.spawn.times.rescaling import KolmogorovSmirnov, kolmogorov_smirnov, rescaled
 
 SAMPLES = 20
 """Number of samples per fit in which persons are counted."""

@@ -25,8 +25,8 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
+from crowdbench.data.blocks import TimeBlocks
 from crowdbench.metrics import Metric, Statistics, total
-from crowdbench.trajectories.blocks import TimeBlocks
 
 RESAMPLES = 1000
 FLOOR_DRAWS = 200

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from crowdbench.data.blocks import TimeBlocks
 from crowdbench.metrics import WALK, Metric, Statistics
 from crowdbench.scoring.energy import Draws, Embedded
-from crowdbench.trajectories.blocks import TimeBlocks
 
 ENOUGH = 0.8
 PERCENTILE = 95.0

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 from crowdbench.scoring.score import Score, ranks
-from crowdbench.spawn.scenario import split_scenario
+from crowdbench.spawn.steering.scenario import split_scenario
 
 if TYPE_CHECKING:
     from crowdbench.scoring.scorecard import Row

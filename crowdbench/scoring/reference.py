@@ -12,6 +12,8 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.table import Trajectories, from_rows
 from crowdbench.errors import RecordingError, SceneError, WeightsError, did_you_mean
 from crowdbench.files import read_bytes, read_struct, write_json
 from crowdbench.metrics import (
@@ -27,8 +29,6 @@ from crowdbench.metrics import (
 from crowdbench.scene import Scene, Walking
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.events import blocks_of
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.table import Trajectories, from_rows
 
 SCHEMA = 3
 

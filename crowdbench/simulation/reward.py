@@ -15,7 +15,7 @@ from crowdbench.compilation import kernel
 from crowdbench.errors import SettingError
 from crowdbench.simulation.simulation import Simulation
 from crowdbench.simulation.state import GOAL, TO_GOAL, TO_VIA, WAITING
-from crowdbench.spawn.plans import PASSED_M, VISIT_M
+from crowdbench.spawn.recorded_plans import PASSED_M, VISIT_M
 
 PACE_MPS = 0.5
 """Deviation from the preferred speed at which the pace cost is half of its maximum."""

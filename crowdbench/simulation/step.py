@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit, prange
 
 from crowdbench.compilation import kernel
+from crowdbench.data.stops import STANDING_MPS
 from crowdbench.simulation.rules import (
     AHEAD_M,
     command,
@@ -27,8 +28,7 @@ from crowdbench.simulation.state import (
     WAITING,
 )
 from crowdbench.simulation.walls import CELL_M, cell_of
-from crowdbench.spawn.plans import PASSED_M, VISIT_M
-from crowdbench.trajectories.stops import STANDING_MPS
+from crowdbench.spawn.recorded_plans import PASSED_M, VISIT_M
 
 CLOSER_M = 0.5
 """Least decrease of the distance to a via point that counts as coming closer."""

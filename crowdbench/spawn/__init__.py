@@ -2,17 +2,17 @@
 
 from crowdbench.spawn.areas import Areas, fit_areas
 from crowdbench.spawn.block_replay import BlockReplay
-from crowdbench.spawn.cox import CoxGMM
 from crowdbench.spawn.events import Arrivals, SpawnEvents, arrivals_in, arrivals_of
 from crowdbench.spawn.model import SpawnModel
-from crowdbench.spawn.ntpp import NtppGMM
-from crowdbench.spawn.ntpp_paper import NtppPaper
-from crowdbench.spawn.poisson import PoissonGMM, PoissonPaper
-from crowdbench.spawn.poisson_groups import PoissonGroups
-from crowdbench.spawn.renewal import RenewalGMM
+from crowdbench.spawn.ntpp.model import NtppGMM
+from crowdbench.spawn.paper.model import NtppPaper
 from crowdbench.spawn.replay import Replay
-from crowdbench.spawn.scenario import Addition, Change, Scenario
-from crowdbench.spawn.steered import Steered
+from crowdbench.spawn.steering.scenario import Addition, Change, Scenario
+from crowdbench.spawn.steering.steered import Steered
+from crowdbench.spawn.times.cox import CoxGMM
+from crowdbench.spawn.times.poisson import PoissonGMM, PoissonPaper
+from crowdbench.spawn.times.poisson_groups import PoissonGroups
+from crowdbench.spawn.times.renewal import RenewalGMM
 
 __all__ = [
     "Addition",

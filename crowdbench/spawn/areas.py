@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.random import Generator
 
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import SceneError, WeightsError
 from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Clustering, Scene
 from crowdbench.spawn.events import SpawnEvents, entering
-from crowdbench.spawn.plans import cut_at_goals, plans_of
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.spawn.recorded_plans import cut_at_goals, plans_of
 
 SCHEMA = 1
 _FLOOR_M = 0.1  # minimum standard deviation of an area, because people are not points

@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.random import Generator
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals, SpawnEvents, entering
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.plans import plans_of
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.spawn.recorded_plans import plans_of
 
 NAME = "block-replay"
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
+from crowdbench.data.blocks import TimeBlocks, cut
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
-from crowdbench.trajectories.blocks import TimeBlocks, cut
-from crowdbench.trajectories.table import Trajectories
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Float32
 from numpy.random import Generator
 
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
 from crowdbench.spawn.events import Arrivals, SpawnEvents
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.plans import plans_of
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.spawn.recorded_plans import plans_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from crowdbench.data.storage import rounded_s
 from crowdbench.errors import OutputError
 from crowdbench.files import replacing
 from crowdbench.spawn.events import SpawnEvents
-from crowdbench.trajectories.storage import rounded_s
 
 _POINTS = ("start", "goal", "velocity", "via")
 

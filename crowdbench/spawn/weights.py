@@ -10,11 +10,11 @@ from typing import TypeVar
 import msgspec
 import numpy as np
 
+from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import as_array
-from crowdbench.trajectories.blocks import SPLITS
 
 SCHEMA = 2
 

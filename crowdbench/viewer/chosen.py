@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float32
 
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import head_of
 from crowdbench.simulation.state import GOAL
-from crowdbench.trajectories.table import Trajectories
 from crowdbench.viewer.crowd import time_columns
 from crowdbench.viewer.place import WORLD
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float32, Int, UInt16
 
+from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.scene import Scene
-from crowdbench.trajectories.table import OUTCOMES, Trajectories
 from crowdbench.viewer.place import UNKNOWN, WORLD, corners
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crowdbench.data.table import Trajectories
 from crowdbench.files import replacing
 from crowdbench.scene import Scene, load_scene
-from crowdbench.trajectories.table import Trajectories
 from crowdbench.viewer.access import check_rerun, new_stream, open_stream
 from crowdbench.viewer.chosen import index_of, log_chosen
 from crowdbench.viewer.crowd import WINDOW, log_counts, log_crowd, log_outcomes, log_series

@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import UInt8
 
-from crowdbench.rollouts.episode import Recorder
+from crowdbench.run.episode import Recorder
 from crowdbench.scene import Scene
 from crowdbench.viewer.access import check_rerun
 from crowdbench.viewer.crowd import trail_steps

@@ -10,8 +10,8 @@ import torch
 
 from crowdbench.baselines import ablation, anticipate
 from crowdbench.baselines.ablation import VARIANTS, lines, walker_of
-from crowdbench.evaluation.evaluate import evaluate
 from crowdbench.policies.network import read_card
+from crowdbench.run.evaluate import evaluate
 from crowdbench.scene import load_scene
 from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import PairResult, Row

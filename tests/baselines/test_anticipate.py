@@ -34,9 +34,9 @@ from crowdbench.baselines.anticipation import (
     Walker,
     sloping,
 )
-from crowdbench.evaluation.validation import Validation, validate
 from crowdbench.policies import OnnxPolicy, Straight
-from crowdbench.rollouts.episode import begin
+from crowdbench.run.episode import begin
+from crowdbench.run.validation import Validation, validate
 from crowdbench.simulation import Settings, Simulation, social
 
 WALKING = 1.3 / 5.0

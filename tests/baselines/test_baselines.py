@@ -3,11 +3,11 @@
 import numpy as np
 
 from crowdbench.baselines.heuristic import Heuristic
+from crowdbench.data.table import OUTCOMES
 from crowdbench.registry import spawn_model
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.simulation.observations import GOAL_RANGE_M
-from crowdbench.trajectories.table import OUTCOMES
 
 MAX_SPEED = load_scene("plaza-v0").motion.max_speed_mps
 

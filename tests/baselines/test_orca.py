@@ -26,7 +26,7 @@ from crowdbench.baselines.orca import BODY_M, NUDGE_MPS, ORCA
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, StateView, Straight
 from crowdbench.registry import policy as named
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.run.rollout import rollout
 from crowdbench.simulation import Settings, Simulation
 
 DT = 0.4

@@ -9,8 +9,8 @@ from worlds import Person
 
 from crowdbench import load_scene, rollout, spawn_model
 from crowdbench.baselines.walked import walked
+from crowdbench.data.table import OUTCOMES
 from crowdbench.policies import StateView, Straight
-from crowdbench.trajectories.table import OUTCOMES
 
 PLAZA = load_scene("plaza-v0")
 TWO = (

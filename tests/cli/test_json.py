@@ -9,11 +9,11 @@ import pytest
 
 from crowdbench import rollout, score, score_rollouts, write_parquet
 from crowdbench.cli import main
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.scene import load_scene
 from crowdbench.scoring.score_json import score_rows
 from crowdbench.spawn.areas import read_areas
-from crowdbench.trajectories.table import Trajectories
 
 KEYS = {
     *("spawn", "policy", "protocol", "kind", "families", "crowd", "walk", "overall", "rank"),

@@ -15,11 +15,11 @@ import pytest
 from crowdbench import __version__, recording_of, rollout
 from crowdbench.cli import main
 from crowdbench.crowds import score
-from crowdbench.recordings.catalogue import SOURCES
+from crowdbench.data.recordings.catalogue import SOURCES
+from crowdbench.data.storage import read, write_csv
 from crowdbench.registry.spawn_models import SPAWN_MODELS
 from crowdbench.scene import list_scenes, load_scene
-from crowdbench.spawn.plaza_plans import STOPPING
-from crowdbench.trajectories.storage import read, write_csv
+from crowdbench.spawn.plaza.plans import STOPPING
 
 Printed = pytest.CaptureFixture[str]
 

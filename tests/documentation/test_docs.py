@@ -16,9 +16,9 @@ from conftest import need_imitation, need_sb3
 import crowdbench
 from crowdbench import rollout
 from crowdbench.cli import _parser, main
+from crowdbench.data.table import OUTCOMES, PERSON_COLUMNS
 from crowdbench.leaderboard.verification.entry import read_entry
 from crowdbench.policies import StateView
-from crowdbench.trajectories.table import OUTCOMES, PERSON_COLUMNS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -314,9 +314,9 @@ def test_every_command_that_a_sentence_mentions_exists(
 
 def test_every_page_of_results_says_how_it_was_made() -> None:
     for path in DOCS.glob("results/*.md"):  # tests of the command itself run it on the plaza
-        assert pages.commands(path.read_text()) == [f"crowdbench results {path.stem}"]
+        assert pages.commands(path.read_text()) == [f"python -m studies results {path.stem}"]
     for path in DOCS.glob("paper/*.md"):
-        assert pages.commands(path.read_text()) == [f"crowdbench paper {path.stem}"]
+        assert pages.commands(path.read_text()) == [f"python -m studies paper {path.stem}"]
 
 
 def test_no_page_has_commands_that_no_test_runs() -> None:

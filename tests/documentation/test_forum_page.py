@@ -11,8 +11,8 @@ import pytest
 from servers import serving
 
 from crowdbench.cli import main
-from crowdbench.recordings import catalogue
-from crowdbench.recordings.catalogue import SOURCES
+from crowdbench.data.recordings import catalogue
+from crowdbench.data.recordings.catalogue import SOURCES
 from crowdbench.registry import recording_of
 from crowdbench.scene import load_scene
 from crowdbench.scoring import power

@@ -13,9 +13,9 @@ from submissions import FOLDS, fill_in, write_network
 
 import crowdbench
 from crowdbench.cli import main
+from crowdbench.data.recordings.catalogue import SOURCES
+from crowdbench.data.storage import write_csv
 from crowdbench.leaderboard.verification.entry import read_entry
-from crowdbench.recordings.catalogue import SOURCES
-from crowdbench.trajectories.storage import write_csv
 
 pytestmark = pytest.mark.long
 

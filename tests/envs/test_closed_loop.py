@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from recorded_crowds import DT, SQUARE, recorded, recording_is, straight, wandering
 
 from crowdbench import Demonstrations, demonstrations
+from crowdbench.data.table import Trajectories
 from crowdbench.envs.closed_loop import FAR_M
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Memory, PolicyCard, StateView
@@ -23,7 +24,6 @@ from crowdbench.simulation.social import (
     ROUTE_DIRECTION,
     VELOCITY,
 )
-from crowdbench.trajectories.table import Trajectories
 
 MAX_MPS = SQUARE.motion.max_speed_mps
 

@@ -10,16 +10,16 @@ from conftest import need_imitation
 
 import crowdbench
 from crowdbench import Demonstrations, demonstrations, load_scene, recording
+from crowdbench.data.preprocessing import only
+from crowdbench.data.recordings.catalogue import cached
+from crowdbench.data.storage import write_parquet
+from crowdbench.data.table import Trajectories, from_rows
 from crowdbench.envs.perturbation import HOMING_S, PathPerturbation
 from crowdbench.errors import SettingError
-from crowdbench.recordings.catalogue import cached
 from crowdbench.registry import import_recording, recording_of
 from crowdbench.simulation.observations import GOAL_DISTANCE
 from crowdbench.simulation.social import HEADING, ROUTE_LENGTH, VELOCITY
 from crowdbench.spawn.events import blocks_of
-from crowdbench.trajectories.preprocessing import only
-from crowdbench.trajectories.storage import write_parquet
-from crowdbench.trajectories.table import Trajectories, from_rows
 
 PLAZA = load_scene("plaza-v0")
 FRAMES = 1500

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from recorded_crowds import DT, SQUARE, recorded, recording_is, straight, wandering
 
 from crowdbench import Demonstrations, demonstrations, load_scene, recording_of, rollout
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.policies import Memory
 from crowdbench.simulation.observations import GOAL_DISTANCE
@@ -25,8 +26,7 @@ from crowdbench.simulation.social import (
     neighbours_of,
 )
 from crowdbench.spawn import Replay
-from crowdbench.spawn.plans import plans_of
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.spawn.recorded_plans import plans_of
 
 STEP_M = DT * SQUARE.motion.max_speed_mps
 

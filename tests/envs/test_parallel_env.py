@@ -10,13 +10,13 @@ import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 from worlds import poisson, square
 
+from crowdbench.data.table import OUTCOMES
 from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
 from crowdbench.policies import StateView, Straight
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.run.rollout import rollout
 from crowdbench.scene import list_scenes, load_scene
 from crowdbench.simulation.social import SIZE
 from crowdbench.spawn import Replay
-from crowdbench.trajectories.table import OUTCOMES
 
 SCENES = list_scenes()
 OFTEN_EMPTY = ("forum-v0", "zara1-v0")

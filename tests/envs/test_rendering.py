@@ -19,10 +19,10 @@ from rrds import entities, forget_types, rows
 from worlds import Person, box, square
 
 from crowdbench.colours import goal_colour
+from crowdbench.data.table import Trajectories
 from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.scene import load_scene
-from crowdbench.trajectories.table import Trajectories
 from crowdbench.viewer import access
 from crowdbench.viewer.place import rgb
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from crowdbench.data.table import from_rows
 from crowdbench.metrics.forms import RelativeWasserstein
 from crowdbench.metrics.lattice import histograms, rounded
 from crowdbench.simulation.observations import Observation
 from crowdbench.spawn import PoissonGMM
 from crowdbench.spawn.areas import read_areas
-from crowdbench.trajectories.table import from_rows
 
 
 class PathLength(RelativeWasserstein):

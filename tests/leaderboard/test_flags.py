@@ -11,6 +11,7 @@ from copier import JitteredBlocks
 from entries import made_up
 from numpy.random import default_rng
 
+from crowdbench.data.table import Trajectories
 from crowdbench.leaderboard.verification.copying import ArrivalCopies, TripCopies, independent_limit
 from crowdbench.leaderboard.verification.entry import Copy, Flag, read_entry
 from crowdbench.leaderboard.verification.flags import (
@@ -31,8 +32,7 @@ from crowdbench.scene import list_scenes, load_scene
 from crowdbench.scoring.energy import FitEnergies
 from crowdbench.scoring.score import Score
 from crowdbench.spawn import SpawnModel
-from crowdbench.spawn.plaza import PlazaArrivals
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.spawn.plaza.process import PlazaArrivals
 
 PLAZA = load_scene("plaza-v0")
 ENTRIES = Path(__file__).parents[2] / "leaderboard" / "entries"

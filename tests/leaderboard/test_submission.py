@@ -27,14 +27,14 @@ from submissions import (
 )
 
 from crowdbench import rollout
+from crowdbench.data.blocks import SPLITS
+from crowdbench.data.storage import write_parquet
 from crowdbench.leaderboard.submission.errors import RefusedError, SubmissionError
 from crowdbench.leaderboard.submission.limits import LARGEST_DECLARATION, MOST_FILES, MOST_SHOWN
 from crowdbench.leaderboard.submission.parse import _EXPECTED
 from crowdbench.leaderboard.submission.schema import Declared, Trained
 from crowdbench.leaderboard.submission.submission import open_submission, slug
 from crowdbench.registry import policy, spawn_model
-from crowdbench.trajectories.blocks import SPLITS
-from crowdbench.trajectories.storage import write_parquet
 
 SUBMISSIONS = Path(__file__).parents[2] / "leaderboard" / "submissions"
 

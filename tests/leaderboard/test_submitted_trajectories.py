@@ -11,6 +11,8 @@ from pyarrow import parquet
 from submissions import PLAZA, crowd, declare, listed_submission, problem, refusal
 
 from crowdbench import rollout
+from crowdbench.data.storage import write_csv, write_parquet
+from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.errors import RecordingError
 from crowdbench.leaderboard.submission import untrusted
 from crowdbench.leaderboard.submission.limits import MOST_COLUMNS, MOST_PERSONS, MOST_ROWS
@@ -19,8 +21,6 @@ from crowdbench.leaderboard.submission.trajectories import DROPPED, broken_rules
 from crowdbench.leaderboard.submission.untrusted import read_table
 from crowdbench.registry import policy, recording, spawn_model
 from crowdbench.spawn.areas import read_areas
-from crowdbench.trajectories.storage import write_csv, write_parquet
-from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
 AREAS = read_areas(PLAZA)
 ROWS = 20 * 55

@@ -13,6 +13,8 @@ from copier import JitteredBlocks
 from submissions import edit
 
 from crowdbench.cli import main
+from crowdbench.data.storage import write_parquet
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import CrowdbenchError, RecordingError
 from crowdbench.files import write_json
 from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage, SandboxError
@@ -23,11 +25,9 @@ from crowdbench.leaderboard.verification.judge import make_entry
 from crowdbench.leaderboard.verification.verify import verify
 from crowdbench.policies import Straight
 from crowdbench.registry import import_recording
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.scoring.score import LOWEST
-from crowdbench.trajectories.storage import write_parquet
-from crowdbench.trajectories.table import Trajectories
 
 PLAZA = load_scene("plaza-v0")
 

@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from strategies import later, reordered
 
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics import (
     FAMILIES,
     METRICS,
@@ -34,7 +35,6 @@ from crowdbench.metrics import (
     total,
 )
 from crowdbench.metrics.forms import TotalVariation
-from crowdbench.trajectories.table import Trajectories
 
 NOBODY = nobody()
 FEW = settings(max_examples=15)

@@ -5,6 +5,8 @@ import pytest
 from comparisons import nobody, sample, score, whole
 from strategies import crowd_of
 
+from crowdbench.data.blocks import cut
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics import Place, total
 from crowdbench.metrics.arrivals import (
     FanoFactor10,
@@ -15,8 +17,6 @@ from crowdbench.metrics.arrivals import (
     burstiness,
     memory,
 )
-from crowdbench.trajectories.blocks import cut
-from crowdbench.trajectories.table import Trajectories
 
 TEN = whole(10)
 TWENTY = whole(20, block_s=10.0)

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import crowd_of
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.neighbours import nearest_neighbour_m
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics import Avoidance, OverlapRate, Place, WallClearance
 from crowdbench.metrics.encounters import encounters
 from crowdbench.metrics.interaction import clearance
 from crowdbench.scene import Walking
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.neighbours import nearest_neighbour_m
-from crowdbench.trajectories.table import Trajectories
 
 BESIDE_M = 0.3
 

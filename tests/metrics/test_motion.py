@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import crowd_of, crowds
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics import Acceleration, Deviation, Pace, Place, Speed, Turning, total
 from crowdbench.scene import Walking
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.table import Trajectories
 
 DT_S = 0.4
 ROWS = 41

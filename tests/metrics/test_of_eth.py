@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 from comparisons import sample
 
+from crowdbench.data.blocks import TimeBlocks, cut
+from crowdbench.data.recordings.catalogue import SOURCES, read_published
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics import (
     AgentsOverTime,
     Avoidance,
@@ -21,11 +24,8 @@ from crowdbench.metrics import (
     distance,
     metrics_for,
 )
-from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import fit_areas
-from crowdbench.trajectories.blocks import TimeBlocks, cut
-from crowdbench.trajectories.table import Trajectories
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,8 @@ from comparisons import any_crowds, nobody, sample, score, whole
 from hypothesis import given
 from strategies import crowd_of, crowds
 
+from crowdbench.data.blocks import cut
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics import (
     AgentsOverTime,
     AgentsSpread,
@@ -15,8 +17,6 @@ from crowdbench.metrics import (
     StandingShare,
 )
 from crowdbench.metrics.metric import total
-from crowdbench.trajectories.blocks import cut
-from crowdbench.trajectories.table import Trajectories
 
 TEN = whole(10)
 PLACE = Place(spawn_areas=0, goal_areas=0, bounds_m=(0.0, 1.0, 0.0, 1.0))

@@ -4,10 +4,10 @@ from comparisons import BLOCKS, PLACE, any_crowds, nobody, sample, score, whole
 from hypothesis import given
 from strategies import crowd_of, later
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.neighbours import nearest_neighbour_m
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics import GoalDensity, NearestNeighbour, Occupancy, Place, StartDensity
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.neighbours import nearest_neighbour_m
-from crowdbench.trajectories.table import Trajectories
 
 THREE = whole(3)
 SQUARE = Place(spawn_areas=0, goal_areas=0, bounds_m=(0.0, 2.0, 0.0, 2.0))

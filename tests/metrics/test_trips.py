@@ -3,8 +3,8 @@ import pytest
 from comparisons import nobody, sample, score, whole
 from strategies import crowd_of
 
+from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.metrics import Detour, Dwell, GoalShare, OriginDestination, Place
-from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
 TEN = whole(10)
 TWENTY = whole(20, block_s=10.0)

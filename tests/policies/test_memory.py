@@ -13,7 +13,7 @@ from crowdbench.errors import ActionError, SettingError, WeightsError
 from crowdbench.policies import Memory, OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy
 from crowdbench.registry import policy_source
-from crowdbench.rollouts.acting import Actor
+from crowdbench.run.acting import Actor
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 

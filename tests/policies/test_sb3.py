@@ -21,11 +21,11 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize  # noqa: 
 
 from crowdbench import load_scene, rollout, spawn_model  # noqa: E402
 from crowdbench.cli import main  # noqa: E402
+from crowdbench.data.table import OUTCOMES  # noqa: E402
 from crowdbench.errors import SettingError, WeightsError  # noqa: E402
 from crowdbench.policies import Memory, OnnxPolicy  # noqa: E402
 from crowdbench.policies.sb3 import flat, read_sb3  # noqa: E402
 from crowdbench.scene import Scene  # noqa: E402
-from crowdbench.trajectories.table import OUTCOMES  # noqa: E402
 
 INPUTS = 6 + 32  # lidar-2
 PLAZA = load_scene("plaza-v0")

@@ -5,10 +5,10 @@ import re
 import pytest
 
 from crowdbench import list_scenes, load_scene, rollout, spawn_model
+from crowdbench.data.blocks import SPLITS
+from crowdbench.data.table import OUTCOMES
 from crowdbench.policies import OnnxPolicy
 from crowdbench.registry import policy, trained_policies
-from crowdbench.trajectories.blocks import SPLITS
-from crowdbench.trajectories.table import OUTCOMES
 
 SHIPPED = [(scene, name) for scene in list_scenes() for name in trained_policies(load_scene(scene))]
 

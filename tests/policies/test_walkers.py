@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from worlds import FAR, Person, actions_of, box, events, ready, simulate, square, walked
 
+from crowdbench.data.table import Trajectories, from_rows
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, Random, ReplayPolicy, SocialForce, StateView, Straight
 from crowdbench.policies.social_force import GroupForce, _repulsion, _wall_force
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.trajectories.table import Trajectories, from_rows
 
 DT = 0.4
 OPEN = square()

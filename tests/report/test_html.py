@@ -20,7 +20,7 @@ from crowdbench.registry import policy, spawn_model
 from crowdbench.report.html import write_report
 from crowdbench.report.plots import Crowds
 from crowdbench.report.text.words import plainly
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.scoring.energy import RESAMPLES
 from crowdbench.scoring.reference import read_reference

@@ -9,15 +9,15 @@ from matplotlib.figure import Figure
 
 from crowdbench.colours import COLOURS, spawn_colours
 from crowdbench.crowds import SPAWN
+from crowdbench.data.blocks import TimeBlocks
 from crowdbench.metrics import Place
 from crowdbench.metrics.presence import AgentsOverTime
 from crowdbench.registry import policy, spawn_model
 from crowdbench.report.plots import PlotData, panels
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.scoring.reference import Reference, read_reference
-from crowdbench.studies.results.pictures import draw_pictures
-from crowdbench.trajectories.blocks import TimeBlocks
+from studies.results.pictures import draw_pictures
 
 ETH = load_scene("eth-v0")
 

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from crowdbench.data.table import OUTCOMES, Trajectories, from_rows
 from crowdbench.report.plots.ways import (
     FRACTIONS,
     by_fraction,
@@ -18,7 +19,6 @@ from crowdbench.report.plots.ways import (
     sides,
     walking,
 )
-from crowdbench.trajectories.table import OUTCOMES, Trajectories, from_rows
 
 
 def drawn(*ways: tuple[int, int]) -> Trajectories:

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from models import AREAS
 from strategies import crowd_of
 
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError
 from crowdbench.report.plots.situations import draw_situations, search
 from crowdbench.report.plots.windows import GROUP_S, Windows, situations
 from crowdbench.scene import load_scene
-from crowdbench.trajectories.table import Trajectories
 
 FRAMES = 500
 WINDOW = 50

@@ -18,6 +18,7 @@ from strategies import crowd_of
 
 import crowdbench
 from crowdbench.cli import main
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import (
     CrowdbenchError,
     OutputError,
@@ -31,7 +32,6 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building import check_scene, create, create_scene, rules
 from crowdbench.scene_building.toml import scene_toml, write_scored
 from crowdbench.scoring.reference import read_reference
-from crowdbench.trajectories.table import Trajectories
 
 Printed = pytest.CaptureFixture[str]
 SMALL = ["--fits", "1", "--rollouts-per-fit", "2", "--workers", "1"]

@@ -9,17 +9,18 @@ import pytest
 from msgspec import structs
 
 from crowdbench import registry
+from crowdbench.data.blocks import SPLITS
+from crowdbench.data.recordings.catalogue import SOURCES, read_published
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
-from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.registry import recording, spawn_model
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building.fit import MODELS, fit_scene
-from crowdbench.spawn import Arrivals, NtppGMM, NtppPaper, arrivals_of, fit_areas, ntpp_training
+from crowdbench.spawn import Arrivals, NtppGMM, NtppPaper, arrivals_of, fit_areas
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import blocks_of
-from crowdbench.spawn.ntpp import SHAPES
-from crowdbench.trajectories.blocks import SPLITS
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.spawn.ntpp import training as ntpp_training
+from crowdbench.spawn.ntpp.model import SHAPES
 
 PLAZA, ETH = load_scene("plaza-v0"), load_scene("eth-v0")
 FITS = PLAZA.protocol.fits

@@ -7,12 +7,12 @@ import pytest
 
 from crowdbench import cli
 from crowdbench.cli import scene as command
+from crowdbench.data.preprocessing import paper_preprocessed
 from crowdbench.errors import SceneError
 from crowdbench.registry import recording
 from crowdbench.scene import load_scene
 from crowdbench.scene_building import create, create_like
 from crowdbench.scene_building.fit import dwell_p99_s
-from crowdbench.trajectories.preprocessing import paper_preprocessed
 
 PLAZA = load_scene("plaza-v0")
 

@@ -8,6 +8,7 @@ import pytest
 from crowdbench.baselines.anticipate import Settings
 from crowdbench.baselines.anticipation import Walker
 from crowdbench.cli import main
+from crowdbench.data.blocks import SPLITS
 from crowdbench.leaderboard.submission.schema import Declared
 from crowdbench.leaderboard.submission.submission import open_submission
 from crowdbench.leaderboard.submission.template import _parameters
@@ -15,9 +16,8 @@ from crowdbench.scene import list_scenes, load_scene
 from crowdbench.scene_building.spawn_diagnostics import Networks, trained_networks
 from crowdbench.spawn import NtppGMM
 from crowdbench.spawn.areas import read_areas
-from crowdbench.spawn.ntpp import SHAPES
-from crowdbench.spawn.ntpp_paper import NtppPaper
-from crowdbench.trajectories.blocks import SPLITS
+from crowdbench.spawn.ntpp.model import SHAPES
+from crowdbench.spawn.paper.model import NtppPaper
 
 ROOT = Path(__file__).parents[2]
 SCENES = list_scenes()

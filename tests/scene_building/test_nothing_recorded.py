@@ -9,17 +9,17 @@ import pytest
 from scipy.spatial import KDTree
 from scipy.special import softmax
 
+from crowdbench.data.blocks import SPLITS
+from crowdbench.data.table import Trajectories
 from crowdbench.registry import import_recording, recording_of
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn.areas import read_areas
-from crowdbench.spawn.mixtures import FEWEST, NARROWEST_M, log_gaussians
-from crowdbench.spawn.plan_files import read_plans
-from crowdbench.spawn.plan_fitting import marks_of, trips_alone
-from crowdbench.spawn.trip_mixtures import TripMixtures
-from crowdbench.spawn.ways import Trips
-from crowdbench.trajectories.blocks import SPLITS
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.spawn.plans.files import read_plans
+from crowdbench.spawn.plans.fitting import marks_of, trips_alone
+from crowdbench.spawn.plans.mixtures import FEWEST, NARROWEST_M, log_gaussians
+from crowdbench.spawn.plans.trip_mixtures import TripMixtures
+from crowdbench.spawn.plans.ways import Trips
 
 NEAR_M = 1e-3
 MOVED_M = 4e-3

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.table import Trajectories
 from crowdbench.registry import FITTED, recording_of
 from crowdbench.scene import load_scene
 from crowdbench.scene_building import plan_calibration
 from crowdbench.scene_building.plan_calibration import adjustment, straight_walks
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import SpawnEvents, blocks_of, entering
-from crowdbench.spawn.links import Adjustment
-from crowdbench.spawn.plan_fitting import fit_plans
-from crowdbench.spawn.planned import PlannedAreas
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.spawn.plans.fitting import fit_plans
+from crowdbench.spawn.plans.links import Adjustment
+from crowdbench.spawn.plans.planned import PlannedAreas
 
 PLAZA = load_scene("plaza-v0")
 

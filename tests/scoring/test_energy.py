@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.distance import cdist
 
+from crowdbench.data.blocks import TimeBlocks, cut
 from crowdbench.metrics import METRICS, AgentsOverTime, Autocorrelation, FanoFactor10, Statistics
 from crowdbench.scoring.energy import RESAMPLES, Draws, Energy, FloorDraws, energy, floor
 from crowdbench.scoring.l1_kernel import l1_distances
@@ -24,7 +25,6 @@ from crowdbench.scoring.score import (
     total_score,
     walk_score,
 )
-from crowdbench.trajectories.blocks import TimeBlocks, cut
 
 N = AgentsOverTime()
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from crowdbench.data.blocks import cut
 from crowdbench.metrics import METRICS, Metric, Statistics
 from crowdbench.scoring.energy import Draws, Embedded, energy
 from crowdbench.scoring.score import LEVEL, holm
-from crowdbench.trajectories.blocks import cut
 
 BLOCKS = cut(np.array([[0, 40]]), block_s=10.0, dt_s=1.0, grid_s=1.0)
 DRAWS = Draws.of(BLOCKS, resample_s=10.0, block_s=10.0, seed=(0,))

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 from numpy.random import Generator
 
-from crowdbench.evaluation.evaluate import evaluate
+from crowdbench.data.blocks import SPLITS, TimeBlocks, cut
+from crowdbench.data.table import Trajectories, from_rows
 from crowdbench.metrics import METRICS, Metric, Place, Statistics
+from crowdbench.run.evaluate import evaluate
 from crowdbench.scene import load_scene
 from crowdbench.scoring.energy import Draws, energy
 from crowdbench.scoring.scorecard import Row, rows
 from crowdbench.spawn import PoissonGMM, arrivals_of
 from crowdbench.spawn.areas import read_areas
-from crowdbench.spawn.plaza import PlazaArrivals
-from crowdbench.trajectories.blocks import SPLITS, TimeBlocks, cut
-from crowdbench.trajectories.table import Trajectories, from_rows
+from crowdbench.spawn.plaza.process import PlazaArrivals
 
 pytestmark = pytest.mark.long
 
 PLAZA = load_scene("plaza-v0")
-TRUTH = "crowdbench.spawn.plaza:PlazaArrivals"
+TRUTH = "crowdbench.spawn.plaza.process:PlazaArrivals"
 WALKER = "crowdbench.policies.social_force:GroupForce"
 """Who walks in the recording."""
 PLACE = Place(spawn_areas=4, goal_areas=4, bounds_m=(0.0, 30.0, 0.0, 20.0))

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from crowdbench.data.blocks import cut
 from crowdbench.metrics import METRICS, AgentsOverTime, Metric, Speed, Statistics
 from crowdbench.scoring.energy import Draws
 from crowdbench.scoring.power import Power, power
-from crowdbench.trajectories.blocks import cut
 
 BLOCKS = cut(np.array([[0, 300]]), block_s=10.0, dt_s=1.0, grid_s=1.0)
 DRAWS = Draws.of(BLOCKS, resample_s=10.0, block_s=10.0, seed=(0,))

@@ -13,19 +13,19 @@ import pytest
 from msgspec import structs
 
 from crowdbench.crowds import score
+from crowdbench.data.recordings.catalogue import SOURCES, read_published
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import OutputError, RecordingError, SceneError, SettingError, WeightsError
 from crowdbench.metrics import distance, metrics_for
 from crowdbench.policies import Random, Straight
-from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.registry import recording, spawn_model
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.run.rollout import rollout
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building.fit import fit_scene
 from crowdbench.scoring.reference import Reference, place_of, read_reference, write_reference
 from crowdbench.scoring.scorecard import files_of, read_anchors
 from crowdbench.spawn import fit_areas
 from crowdbench.spawn.areas import read_areas
-from crowdbench.trajectories.table import Trajectories
 
 ETH, PLAZA = load_scene("eth-v0"), load_scene("plaza-v0")
 FITTED = (

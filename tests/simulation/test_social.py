@@ -9,7 +9,7 @@ from worlds import Person, box, events, poisson, simulate, slot_of, square, stan
 
 from crowdbench.errors import ActionError
 from crowdbench.policies import Straight
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.run.rollout import rollout
 from crowdbench.scene import Scene, Wall
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.free_space import CELL_M, FreeSpace

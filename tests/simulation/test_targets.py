@@ -6,7 +6,7 @@ from given import env_of, run, stand
 from worlds import Person, actions_of, box, ended, simulate, square, step
 
 from crowdbench.policies import Random, SocialForce, StateView, Straight
-from crowdbench.rollouts.episode import generator
+from crowdbench.run.episode import generator
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
 from crowdbench.simulation.reward import PARTS, Reward

@@ -7,12 +7,12 @@ import pytest
 from msgspec.structs import replace as replace_struct
 from strategies import crowd_of
 
+from crowdbench.data.recordings.catalogue import SOURCES, read_published
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import SceneError, WeightsError
-from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.scene import Clustering, Scene, load_scene
 from crowdbench.spawn.areas import Areas, Gaussians, fit_areas, read_areas, write_areas
-from crowdbench.spawn.plans import plans_of
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.spawn.recorded_plans import plans_of
 
 PAPER = Clustering(0.8, 3, 0.8, 3, keep_noise=False)
 KEEP = Clustering(0.8, 3, 0.8, 3, keep_noise=True)

@@ -7,12 +7,12 @@ import pytest
 from models import AREAS
 from strategies import crowd_of
 
+from crowdbench.data.blocks import TimeBlocks, cut
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Arrivals, BlockReplay
-from crowdbench.spawn.plans import plans_of
-from crowdbench.trajectories.blocks import TimeBlocks, cut
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.spawn.recorded_plans import plans_of
 
 ETH = load_scene("eth-v0")
 LIVES = [(2, 6), (2, 7), (4, 9), (13, 18), (14, 14), (27, 29), (35, 39)]

@@ -13,8 +13,8 @@ from scipy.stats import poisson
 
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Arrivals, CoxGMM, arrivals_in
-from crowdbench.spawn.cox_kernels import filtered, log_probability
-from crowdbench.spawn.waves import Waves, fit_waves, in_steps, mean_correlations, pairs_of
+from crowdbench.spawn.times.cox_kernels import filtered, log_probability
+from crowdbench.spawn.times.waves import Waves, fit_waves, in_steps, mean_correlations, pairs_of
 
 ETH = load_scene("eth-v0")
 B = np.array([[[0.5, 0.3], [0.3, 0.4]], [[0.2, 0.1], [0.1, 0.3]]])

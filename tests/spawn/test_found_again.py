@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 
-from crowdbench.rollouts.plaza_recording import record
+from crowdbench.data.table import Trajectories
+from crowdbench.run.plaza_recording import record
 from crowdbench.scene import load_scene
 from crowdbench.scene_building.plan_calibration import straight_walks
-from crowdbench.spawn import CoxGMM, arrivals_in, fit_areas, plaza, plaza_plans
+from crowdbench.spawn import CoxGMM, arrivals_in, fit_areas
 from crowdbench.spawn.events import blocks_of
-from crowdbench.spawn.links import Links, fit_links
-from crowdbench.spawn.plan_fitting import fit_plans
-from crowdbench.spawn.planned import PlannedAreas
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.spawn.plans.fitting import fit_plans
+from crowdbench.spawn.plans.links import Links, fit_links
+from crowdbench.spawn.plans.planned import PlannedAreas
+from crowdbench.spawn.plaza import plans as plaza_plans
+from crowdbench.spawn.plaza import process as plaza
 
 SCENE = load_scene("plaza-v0")
 TRUTH = plaza.PlazaArrivals(SCENE)

@@ -11,7 +11,7 @@ from strategies import arrivals_of_two_areas
 
 from crowdbench.errors import SettingError
 from crowdbench.spawn import Arrivals, SpawnModel
-from crowdbench.spawn.groups import Hazards, group_size, per_person, spells_of
+from crowdbench.spawn.times.groups import Hazards, group_size, per_person, spells_of
 
 # Area 0: a pair at point 1 and one at point 2 of the first stretch; area 1: one at point 11.
 FEW = arrivals_at([1, 1, 2, 11], [0, 0, 0, 1], [(0, 4), (10, 13)])

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import approx_fprime
 
-from crowdbench.spawn.links import (
+from crowdbench.spawn.plans.links import (
     EDGES_S,
     Adjustment,
     Links,

@@ -9,8 +9,8 @@ from models import AREAS, GRID_S, arrivals_at, random_ntpp
 
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Areas, NtppGMM, PoissonGMM, arrivals_in
-from crowdbench.spawn.groups import Spells, spells_of
-from crowdbench.spawn.ntpp import SHAPES
+from crowdbench.spawn.ntpp.model import SHAPES
+from crowdbench.spawn.times.groups import Spells, spells_of
 
 ETH = load_scene("eth-v0")
 OF_TWO = arrivals_at([1, 4, 4, 5, 12, 12, 12, 13], [0, 0, 0, 1, 0, 0, 0, 1], [(0, 8), (11, 19)])

@@ -9,14 +9,14 @@ from models import AREAS, GRID_S, arrivals_at, renewal
 from scipy.integrate import quad
 from scipy.stats import kstest
 
+from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Arrivals, NtppPaper, PoissonGMM, PoissonPaper, arrivals_in
-from crowdbench.spawn import ntpp_paper_training as training
-from crowdbench.spawn.ntpp_paper import HIDDEN, SHAPES
-from crowdbench.spawn.ntpp_paper_kernels import density, draw
-from crowdbench.spawn.ntpp_paper_training import PAPER, Settings, sequences
-from crowdbench.trajectories.blocks import SPLITS
+from crowdbench.spawn.paper import training
+from crowdbench.spawn.paper.kernels import density, draw
+from crowdbench.spawn.paper.model import HIDDEN, SHAPES
+from crowdbench.spawn.paper.training import PAPER, Settings, sequences
 
 ETH = load_scene("eth-v0")
 BRIEF = Settings(window_frames=100, epochs=20, learning_rate=1e-2)

@@ -11,11 +11,11 @@ from torch.nn.functional import softplus
 
 from crowdbench.scene import load_scene
 from crowdbench.spawn import NtppPaper
-from crowdbench.spawn import ntpp_paper_gradient as kernels
-from crowdbench.spawn import ntpp_paper_training as training
-from crowdbench.spawn.ntpp_paper import HIDDEN, SHAPES
-from crowdbench.spawn.ntpp_paper_kernels import TINY, density
-from crowdbench.spawn.ntpp_paper_training import Settings
+from crowdbench.spawn.paper import gradient as kernels
+from crowdbench.spawn.paper import training
+from crowdbench.spawn.paper.kernels import TINY, density
+from crowdbench.spawn.paper.model import HIDDEN, SHAPES
+from crowdbench.spawn.paper.training import Settings
 
 FRAMES = 1000
 Network = training._Network

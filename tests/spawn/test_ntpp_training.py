@@ -11,12 +11,13 @@ from models import AREAS, GRID_S, arrivals_at, random_ntpp, renewal
 from strategies import arrivals_of_two_areas, intervals
 
 from crowdbench.scene import load_scene
-from crowdbench.spawn import Arrivals, RenewalGMM, arrivals_in, ntpp_training
-from crowdbench.spawn.groups import group_size, spells_of
-from crowdbench.spawn.ntpp import NEVER_FORGETS, SHAPES
-from crowdbench.spawn.ntpp_likelihood import Batch, head, nats, pack
-from crowdbench.spawn.ntpp_sequences import Sequence, sequences, windows
-from crowdbench.spawn.ntpp_training import SETTINGS, Settings
+from crowdbench.spawn import Arrivals, RenewalGMM, arrivals_in
+from crowdbench.spawn.ntpp import training as ntpp_training
+from crowdbench.spawn.ntpp.likelihood import Batch, head, nats, pack
+from crowdbench.spawn.ntpp.model import NEVER_FORGETS, SHAPES
+from crowdbench.spawn.ntpp.sequences import Sequence, sequences, windows
+from crowdbench.spawn.ntpp.training import SETTINGS, Settings
+from crowdbench.spawn.times.groups import group_size, spells_of
 
 ETH = load_scene("eth-v0")
 BRIEF = Settings(epochs=12, patience=4, calibration_points=20_000)

@@ -8,24 +8,24 @@ import pytest
 from msgspec import structs
 from scipy.stats import binomtest
 
+from crowdbench.data.blocks import SPLITS
+from crowdbench.data.companions import WITHIN_M, groups_of
+from crowdbench.data.table import Trajectories, from_rows
 from crowdbench.errors import SceneError, WeightsError
 from crowdbench.registry import recording_of
 from crowdbench.scene import load_scene
 from crowdbench.scene_building.plan_calibration import straight_walks
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import blocks_of
-from crowdbench.spawn.links import Adjustment
-from crowdbench.spawn.mixtures import DECIMALS, NARROWEST_M, moments
-from crowdbench.spawn.plan_files import FILE, read_plans, write_plans
-from crowdbench.spawn.plan_fitting import fit_plans, offsets_of
-from crowdbench.spawn.planned import PlannedAreas, directions, turned
-from crowdbench.spawn.plans import plans_of
-from crowdbench.spawn.trip_mixtures import Places, TripMixtures
-from crowdbench.spawn.way_fitting import bends_of
-from crowdbench.spawn.ways import OFF_M, Ways
-from crowdbench.trajectories.blocks import SPLITS
-from crowdbench.trajectories.companions import WITHIN_M, groups_of
-from crowdbench.trajectories.table import Trajectories, from_rows
+from crowdbench.spawn.plans.files import FILE, read_plans, write_plans
+from crowdbench.spawn.plans.fitting import fit_plans, offsets_of
+from crowdbench.spawn.plans.links import Adjustment
+from crowdbench.spawn.plans.mixtures import DECIMALS, NARROWEST_M, moments
+from crowdbench.spawn.plans.planned import PlannedAreas, directions, turned
+from crowdbench.spawn.plans.trip_mixtures import Places, TripMixtures
+from crowdbench.spawn.plans.way_fitting import bends_of
+from crowdbench.spawn.plans.ways import OFF_M, Ways
+from crowdbench.spawn.recorded_plans import plans_of
 
 PLAZA = load_scene("plaza-v0")
 

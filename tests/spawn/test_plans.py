@@ -8,14 +8,14 @@ from hypothesis import given
 from strategies import crowds
 from worlds import box, square
 
+from crowdbench.data.table import Trajectories, from_rows
 from crowdbench.errors import SettingError
 from crowdbench.policies import RecordedPaths, Straight
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.run.rollout import rollout
 from crowdbench.scene import Scene
 from crowdbench.spawn import Replay
 from crowdbench.spawn.events import check_events, entering, joined
-from crowdbench.spawn.plans import cut_at_goals, plans_of
-from crowdbench.trajectories.table import Trajectories, from_rows
+from crowdbench.spawn.recorded_plans import cut_at_goals, plans_of
 
 DT = 0.4
 OPEN = square(40.0)

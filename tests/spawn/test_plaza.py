@@ -7,8 +7,9 @@ import pytest
 from scipy.stats import binom
 
 from crowdbench.scene import load_scene
-from crowdbench.spawn import Arrivals, PoissonGMM, SpawnEvents, arrivals_in, plaza
-from crowdbench.spawn.plaza_plans import true_areas
+from crowdbench.spawn import Arrivals, PoissonGMM, SpawnEvents, arrivals_in
+from crowdbench.spawn.plaza import process as plaza
+from crowdbench.spawn.plaza.plans import true_areas
 
 SCENE = load_scene("plaza-v0")
 TRUTH = plaza.PlazaArrivals(SCENE)

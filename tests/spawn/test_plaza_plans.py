@@ -7,23 +7,23 @@ import pytest
 import shapely
 from scipy.stats import chi2, chisquare, kstest, norm
 
+from crowdbench.data.companions import groups_of
+from crowdbench.data.stops import stops_of
+from crowdbench.data.table import Trajectories
 from crowdbench.policies.social_force import GroupForce
-from crowdbench.rollouts.plaza_recording import record
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.run.plaza_recording import record
+from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.spawn import (
     SpawnEvents,
     arrivals_in,
     arrivals_of,
     fit_areas,
-    plaza,
-    plaza_plans,
 )
 from crowdbench.spawn.events import blocks_of
-from crowdbench.spawn.planned import directions
-from crowdbench.trajectories.companions import groups_of
-from crowdbench.trajectories.stops import stops_of
-from crowdbench.trajectories.table import Trajectories
+from crowdbench.spawn.plans.planned import directions
+from crowdbench.spawn.plaza import plans as plaza_plans
+from crowdbench.spawn.plaza import process as plaza
 
 SCENE = load_scene("plaza-v0")
 TRUTH = plaza.PlazaArrivals(SCENE)

@@ -7,12 +7,12 @@ import pytest
 from scipy.stats import kstest
 from strategies import crowd_of
 
+from crowdbench.data.blocks import cut
+from crowdbench.data.recordings.catalogue import SOURCES, read_published
 from crowdbench.errors import WeightsError
-from crowdbench.recordings.catalogue import SOURCES, read_published
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import Areas, Arrivals, PoissonGMM, arrivals_of, fit_areas
 from crowdbench.spawn.areas import Gaussians
-from crowdbench.trajectories.blocks import cut
 
 RATE = np.array([0.5, 0.02])
 GRID_S = 0.4

@@ -8,8 +8,9 @@ from models import AREAS, GRID_S, arrivals_at, groups
 
 from crowdbench.errors import SettingError
 from crowdbench.scene import load_scene
-from crowdbench.spawn import PoissonGMM, PoissonGroups, RenewalGMM, arrivals_in, ntpp_training
-from crowdbench.spawn.ntpp import NtppGMM
+from crowdbench.spawn import PoissonGMM, PoissonGroups, RenewalGMM, arrivals_in
+from crowdbench.spawn.ntpp import training as ntpp_training
+from crowdbench.spawn.ntpp.model import NtppGMM
 
 ETH = load_scene("eth-v0")
 OF_TWO = arrivals_at([1, 4, 4, 5, 12, 12, 12, 13], [0, 0, 0, 1, 0, 0, 0, 1], [(0, 8), (11, 19)])

@@ -11,7 +11,7 @@ from models import AREAS, GRID_S, arrivals_at, renewal
 
 from crowdbench.scene import load_scene
 from crowdbench.spawn import RenewalGMM, arrivals_in
-from crowdbench.spawn.renewal import _log_tail
+from crowdbench.spawn.times.renewal import _log_tail
 
 ETH = load_scene("eth-v0")
 

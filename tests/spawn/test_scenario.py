@@ -10,7 +10,7 @@ from crowdbench.registry import spawn_model
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Addition, Change, Scenario, Steered
 from crowdbench.spawn.areas import read_areas
-from crowdbench.spawn.scenario import read_scenario
+from crowdbench.spawn.steering.scenario import read_scenario
 
 ETH = load_scene("eth-v0")  # seven spawn and five goal areas
 AREAS = read_areas(ETH)

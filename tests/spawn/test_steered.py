@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from models import AREAS, GRID_S, poisson, random_ntpp, renewal
 
 from crowdbench.errors import SettingError
-from crowdbench.rollouts.episode import arrivals, warm_up_s
+from crowdbench.run.episode import arrivals, warm_up_s
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Addition, Arrivals, Change, Scenario, SpawnEvents, SpawnModel, Steered
-from crowdbench.spawn.groups import HasHazards
-from crowdbench.spawn.rescaling import kolmogorov_smirnov, rescaled
-from crowdbench.spawn.scenario import Profile
-from crowdbench.spawn.steered import Clock
+from crowdbench.spawn.steering.scenario import Profile
+from crowdbench.spawn.steering.steered import Clock
+from crowdbench.spawn.times.groups import HasHazards
+from crowdbench.spawn.times.rescaling import kolmogorov_smirnov, rescaled
 
 ETH = load_scene("eth-v0")
 HORIZON_S = 120.0

@@ -12,9 +12,9 @@ from crowdbench.scene import load_scene
 from crowdbench.spawn import Addition, Change, Scenario, SpawnEvents, SpawnModel, Steered
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import blocks_of
-from crowdbench.spawn.plan_fitting import fit_plans
-from crowdbench.spawn.planned import PlannedAreas
-from crowdbench.spawn.scenario import check_scenario
+from crowdbench.spawn.plans.fitting import fit_plans
+from crowdbench.spawn.plans.planned import PlannedAreas
+from crowdbench.spawn.steering.scenario import check_scenario
 
 PLAZA = load_scene("plaza-v0")
 HORIZON_S = 3_000.0

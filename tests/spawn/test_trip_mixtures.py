@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 
 from crowdbench.scene import load_scene
 from crowdbench.spawn.areas import Areas, read_areas
-from crowdbench.spawn.mixtures import (
+from crowdbench.spawn.plans.mixtures import (
     DECIMALS,
     FEWEST,
     NARROWEST_M,
@@ -18,9 +18,9 @@ from crowdbench.spawn.mixtures import (
     responsibilities,
     widened,
 )
-from crowdbench.spawn.trip_fitting import fit_trips, log_speeds
-from crowdbench.spawn.trip_mixtures import Places, TripMixtures
-from crowdbench.spawn.ways import Trips
+from crowdbench.spawn.plans.trip_fitting import fit_trips, log_speeds
+from crowdbench.spawn.plans.trip_mixtures import Places, TripMixtures
+from crowdbench.spawn.plans.ways import Trips
 
 PLAZA = load_scene("plaza-v0")
 DOORS = np.array([[-10.0, -4.0], [-10.0, 4.0]])

@@ -10,10 +10,10 @@ from crowdbench.registry import recording_of
 from crowdbench.scene import load_scene
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import blocks_of
-from crowdbench.spawn.mixtures import log_gaussians
-from crowdbench.spawn.plan_fitting import fit_plans, marks_of, trips_alone
-from crowdbench.spawn.way_fitting import fit_ways
-from crowdbench.spawn.ways import Trips, Ways
+from crowdbench.spawn.plans.fitting import fit_plans, marks_of, trips_alone
+from crowdbench.spawn.plans.mixtures import log_gaussians
+from crowdbench.spawn.plans.way_fitting import fit_ways
+from crowdbench.spawn.plans.ways import Trips, Ways
 
 PLAZA = load_scene("plaza-v0")
 NUMBER = 4_000

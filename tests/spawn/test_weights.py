@@ -10,11 +10,11 @@ import pytest
 from models import AREAS, groups, random_ntpp, renewal
 from safetensors.numpy import load_file, save_file
 
+from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import NtppGMM, PoissonGMM, PoissonGroups, RenewalGMM
-from crowdbench.spawn.ntpp import SHAPES
-from crowdbench.trajectories.blocks import SPLITS
+from crowdbench.spawn.ntpp.model import SHAPES
 
 ETH = load_scene("eth-v0")
 TRAINED = {"window_frames": 100, "learning_rate": 0.005}

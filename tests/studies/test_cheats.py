@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from worlds import Person, actions_of, simulate, square
 
-from crowdbench import cli
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError
 from crowdbench.registry import import_recording, recording_of
-from crowdbench.rollouts.episode import generator
+from crowdbench.run.episode import generator
 from crowdbench.scene import load_scene
 from crowdbench.scoring.scorecard import Row, rows
-from crowdbench.studies.cheats import cheat, cheats_of
-from crowdbench.studies.cheats.recordings import shifted, smoothed, with_noise
-from crowdbench.studies.cheats.twins import main, twins
-from crowdbench.studies.cheats.walkers import Creeper, Runner, Wanderer
-from crowdbench.trajectories.table import Trajectories
+from studies.__main__ import main as studies_main
+from studies.cheats import cheat, cheats_of
+from studies.cheats.recordings import shifted, smoothed, with_noise
+from studies.cheats.twins import main, twins
+from studies.cheats.walkers import Creeper, Runner, Wanderer
 
 OPEN = square(200.0)
 PLAZA = load_scene("plaza-v0")
@@ -109,7 +109,7 @@ def test_shifted_trips_keep_their_shape(crowd: Trajectories) -> None:
 def test_without_the_recording_there_are_no_cheats(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(RecordingError, match="data fetch eth"):
         cheats_of(load_scene("eth-v0"))
-    assert cli.main(["cheats", "eth-v0"]) == 2
+    assert studies_main(["cheats", "eth-v0"]) == 2
     assert "data fetch eth" in capsys.readouterr().err
 
 

@@ -12,15 +12,15 @@ from PIL import Image
 from recorded_crowds import DT, recorded, straight
 from worlds import box, square
 
-from crowdbench.cli import main
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import OutputError
 from crowdbench.scene import list_scenes
 from crowdbench.spawn.replay import Replay
-from crowdbench.studies.encounters import write_encounters
-from crowdbench.studies.encounters.snapshot import Snapshot
-from crowdbench.studies.encounters.typical import Encounter, typical_encounters
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.table import Trajectories
+from studies.__main__ import main as studies_main
+from studies.encounters import write_encounters
+from studies.encounters.snapshot import Snapshot
+from studies.encounters.typical import Encounter, typical_encounters
 
 PLACE = square(half_m=60.0)
 ROWS = 30
@@ -143,7 +143,7 @@ def test_of_a_stop_that_has_begun_the_rest_is_left() -> None:
 
 def test_the_page_has_the_command_and_a_picture_of_each_recorded_scene() -> None:
     text = (pages.ROOT / "docs" / "encounters.md").read_text()
-    assert pages.commands(text) == ["crowdbench encounters eth-v0"]
+    assert pages.commands(text) == ["python -m studies encounters eth-v0"]
     for scene in set(list_scenes()) - {"plaza-v0"}:
         for suffix in (".png", ".gif"):
             assert f"](encounters/{scene}{suffix})" in text
@@ -152,7 +152,10 @@ def test_the_page_has_the_command_and_a_picture_of_each_recorded_scene() -> None
 def test_the_command_draws_and_measures_each_kind(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["encounters", "plaza-v0", "--policy", "straight", "--out", str(tmp_path)]) == 0
+    assert (
+        studies_main(["encounters", "plaza-v0", "--policy", "straight", "--out", str(tmp_path)])
+        == 0
+    )
     said = capsys.readouterr().out
     numbers = json.loads((tmp_path / "plaza-v0.json").read_text())
     kinds = [each["kind"] for each in numbers["encounters"]]
@@ -165,12 +168,12 @@ def test_the_command_draws_and_measures_each_kind(
 
 
 def test_a_scene_without_encounters_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("crowdbench.studies.encounters.typical_encounters", lambda *of: [])
-    assert main(["encounters", "plaza-v0", "--policy", "straight"]) == 2
+    monkeypatch.setattr("studies.encounters.typical_encounters", lambda *of: [])
+    assert studies_main(["encounters", "plaza-v0", "--policy", "straight"]) == 2
 
 
 def test_a_negative_seed_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["encounters", "plaza-v0", "--policy", "straight", "--seed", "-1"]) == 2
+    assert studies_main(["encounters", "plaza-v0", "--policy", "straight", "--seed", "-1"]) == 2
     assert "seed: got -1; expected 0 or more" in capsys.readouterr().err
 
 

@@ -1,4 +1,4 @@
-"""`crowdbench figures`: each figure is drawn, and its numbers say what the rollouts do."""
+"""`python -m studies figures`: each figure is drawn, and its numbers say what the rollouts do."""
 
 import json
 import shutil
@@ -11,6 +11,7 @@ import pages
 import pytest
 
 from crowdbench import cli
+from crowdbench.data.storage import read_own
 from crowdbench.errors import CrowdbenchError, RecordingError, SettingError
 from crowdbench.registry import import_recording, recording_of
 from crowdbench.report.plots.flows import CELL_M, DENSITY_PARTS, density, draw_flows
@@ -18,9 +19,9 @@ from crowdbench.report.plots.ways import LEAST_PEOPLE, whole
 from crowdbench.scene import load_scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn.areas import Gaussians, read_areas
-from crowdbench.studies import gallery
-from crowdbench.studies.gallery import FIGURES, with_areas, write_figures
-from crowdbench.trajectories.storage import read_own
+from studies import gallery
+from studies.__main__ import main as studies_main
+from studies.gallery import FIGURES, with_areas, write_figures
 
 pytestmark = pytest.mark.long
 
@@ -34,10 +35,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All figures of the plaza, with the rollouts they were drawn from."""
     import_recording("plaza")  # once: else it is generated wherever it is looked at
     folder = tmp_path_factory.mktemp("gallery")
-    asked = pages.arguments("docs/figures.md", "crowdbench figures")
+    asked = pages.arguments("docs/figures.md", "python -m studies figures")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        assert cli.main(["figures", *asked, "--seeds", f"{ROLLOUTS}", "--workers", "1"]) == 0
+        assert studies_main(["figures", *asked, "--seeds", f"{ROLLOUTS}", "--workers", "1"]) == 0
     names = [f"plaza-v0/{figure}.png" for figure in FIGURES[:-1]] + ["sheet.png"]
     assert sorted(folder.glob("docs/figures/**/*.png")) == sorted(
         folder / "docs/figures" / name for name in names
@@ -205,7 +206,7 @@ def test_what_cannot_be_drawn_is_said_before_anything_is_rolled_out(
     (tmp_path / "file").touch()
     with pytest.raises(CrowdbenchError, match="a file in place of a folder"):
         write_figures(["plaza-v0"], figures=["flows"], out=tmp_path / "file" / "docs")
-    assert cli.main(["figures", "eth-v0", "--figure", "situations"]) == 2
+    assert studies_main(["figures", "eth-v0", "--figure", "situations"]) == 2
     assert (
         "its recording, for situations. Run `crowdbench data fetch eth`" in capsys.readouterr().err
     )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crowdbench.studies import growth, growth_page
+from studies import growth, growth_page
 
 
 @pytest.mark.long

@@ -14,28 +14,28 @@ import pages
 import pytest
 from scipy.stats import ttest_ind, wasserstein_distance
 
-from crowdbench import cli
+from crowdbench.data.recordings.catalogue import cached
 from crowdbench.errors import OutputError, RecordingError, SettingError, WeightsError
-from crowdbench.evaluation.judge import draws_of
 from crowdbench.metrics import METRICS, MetricResult
-from crowdbench.recordings.catalogue import cached
 from crowdbench.registry import recording_of
+from crowdbench.run.judge import draws_of
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn import (
     Arrivals,
     SpawnEvents,
     arrivals_of,
-    ntpp_paper_training,
-    ntpp_training,
 )
 from crowdbench.spawn.areas import read_areas
-from crowdbench.spawn.rescaling import KolmogorovSmirnov
-from crowdbench.studies.paper import fits, study, write_paper
-from crowdbench.studies.paper.bursts import Bursts, interval_of, mode, share
-from crowdbench.studies.paper.claims import claims
-from crowdbench.studies.paper.evidence import Evidence, noise
-from crowdbench.studies.paper.fits import (
+from crowdbench.spawn.ntpp import training as ntpp_training
+from crowdbench.spawn.paper import training as ntpp_paper_training
+from crowdbench.spawn.times.rescaling import KolmogorovSmirnov
+from studies.__main__ import main as studies_main
+from studies.paper import fits, study, write_paper
+from studies.paper.bursts import Bursts, interval_of, mode, share
+from studies.paper.claims import claims
+from studies.paper.evidence import Evidence, noise
+from studies.paper.fits import (
     CODE,
     COMPARED,
     LITERAL,
@@ -47,11 +47,11 @@ from crowdbench.studies.paper.fits import (
     windowed,
     without_words,
 )
-from crowdbench.studies.paper.measures import _welch, difference, signs
-from crowdbench.studies.paper.page import Verdicts, overview
-from crowdbench.studies.paper.presence import Presence, stretches
-from crowdbench.studies.paper.study import Sample
-from crowdbench.studies.paper.tables import own_density
+from studies.paper.measures import _welch, difference, signs
+from studies.paper.page import Verdicts, overview
+from studies.paper.presence import Presence, stretches
+from studies.paper.study import Sample
+from studies.paper.tables import own_density
 
 PLAZA = load_scene("plaza-v0")
 PLAZA_ARRIVALS = arrivals_of(
@@ -74,7 +74,7 @@ class Study:
 
     def by_command(self) -> None:
         with self.small():
-            assert cli.main(["paper", "plaza-v0", "--workers", "1"]) == 0
+            assert studies_main(["paper", "plaza-v0", "--workers", "1"]) == 0
 
     def again(self) -> list[tuple[int, int]]:
         """Make what is missing, and the page; what was said of its progress."""
@@ -96,7 +96,7 @@ class Study:
             patch.setattr(study, "SAMPLES", SAMPLES)
             patch.setattr(study, "DRAWS", 2)
             # The package has a function of the name of its module `claims`.
-            for module in (fits, import_module("crowdbench.studies.paper.claims")):
+            for module in (fits, import_module("studies.paper.claims")):
                 patch.setattr(module, "WINDOWS_FRAMES", (100, 1000))
                 patch.setattr(module, "STRIDES_FRAMES", (50,))
             brief = ntpp_training.Settings(epochs=3, patience=1, calibration_points=2000)
@@ -131,7 +131,7 @@ def tables(text: str, heading: str) -> list[list[str]]:
 class TestPage:
     def test_every_claim_has_a_verdict_and_its_reasons(self, made: Study) -> None:
         text = made.page.read_text(encoding="utf-8")
-        assert pages.commands(text)[0] == "crowdbench paper plaza-v0"
+        assert pages.commands(text)[0] == "python -m studies paper plaza-v0"
         overview = made.overview.read_text(encoding="utf-8")
         assert "| claim | [plaza-v0](paper/plaza-v0.md) |" in overview
         verdicts = tables(overview, "## Which claims hold")
@@ -581,7 +581,7 @@ def test_verdicts_that_cannot_be_read_are_noticed_first(tmp_path: Path) -> None:
     file = tmp_path / "docs/paper/x-v0/verdicts.json"
     file.parent.mkdir(parents=True)
     file.write_text('{"schema": 1}')
-    with pytest.raises(OutputError, match=r"x-v0[\s\S]*crowdbench paper"):
+    with pytest.raises(OutputError, match=r"x-v0[\s\S]*python -m studies paper"):
         write_paper("plaza-v0", out=tmp_path / "docs", work=tmp_path / "work")
     assert not (tmp_path / "work").exists()
 

@@ -3,7 +3,7 @@
 import pytest
 
 from crowdbench.scene import load_scene
-from crowdbench.studies import plans
+from studies import plans
 
 PLAZA = load_scene("plaza-v0")
 

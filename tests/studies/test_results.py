@@ -9,7 +9,8 @@ import numpy as np
 import pages
 import pytest
 
-from crowdbench import __version__, cli
+from crowdbench import __version__
+from crowdbench.data.storage import read_own
 from crowdbench.metrics import METRICS
 from crowdbench.registry import import_recording
 from crowdbench.report.plots import FIGURES
@@ -26,11 +27,11 @@ from crowdbench.scoring.scorecard import (
     read_scorecard,
     rows,
 )
-from crowdbench.studies.results.correlations import Lag, at_lags
-from crowdbench.studies.results.misses import QUANTITIES
-from crowdbench.studies.results.page import of_recording, page
-from crowdbench.studies.results.pictures import Picture
-from crowdbench.trajectories.storage import read_own
+from studies.__main__ import main as studies_main
+from studies.results.correlations import Lag, at_lags
+from studies.results.misses import QUANTITIES
+from studies.results.page import of_recording, page
+from studies.results.pictures import Picture
 
 pytestmark = pytest.mark.long
 
@@ -49,11 +50,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def written(folder: Path) -> Path:
     """The page of the plaza by its own command, but with one rollout of each crowd: distances, no
     scores."""
-    asked = pages.arguments("docs/results/plaza-v0.md", "crowdbench results", small=False)
+    asked = pages.arguments("docs/results/plaza-v0.md", "python -m studies results", small=False)
     import_recording("plaza")  # once: else it is generated wherever it is looked at
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        assert cli.main(["results", *asked, "--seeds", "1"]) == 0
+        assert studies_main(["results", *asked, "--seeds", "1"]) == 0
     return folder / "docs/results/plaza-v0.md"
 
 
@@ -162,7 +163,7 @@ def test_pictures_are_there_and_small(written: Path) -> None:
 def test_without_scores_nothing_is_said_to_be_missed(written: Path) -> None:
     text = written.read_text(encoding="utf-8")
     assert "There are no scores. Rollouts of each crowd: 1." in missed(text)
-    assert "crowdbench results plaza-v0 --seeds 1" in text
+    assert "python -m studies results plaza-v0 --seeds 1" in text
 
 
 def test_the_same_cards_give_the_same_bytes() -> None:

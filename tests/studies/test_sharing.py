@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from crowdbench.spawn import ntpp_training
-from crowdbench.studies import sharing
+from crowdbench.spawn.ntpp import training as ntpp_training
+from studies import sharing
 
 
 @pytest.fixture(autouse=True)

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from crowdbench.cli import main
-from crowdbench.studies import open_square
-from crowdbench.studies import speed as bench
+from studies import open_square
+from studies import speed as bench
+from studies.__main__ import main as studies_main
 
 pytestmark = pytest.mark.long
 
@@ -58,7 +58,7 @@ def test_each_figure_is_printed_and_written(
     monkeypatch.setattr(bench, "CHUNK_S", 0.001)
     monkeypatch.setattr(bench, "ENTRIES", 1)
     monkeypatch.setattr(bench, "LARGE_S", 20.0)
-    assert main(["bench", "--json", str(tmp_path / "figures.json")]) == 0
+    assert studies_main(["speed", "--json", str(tmp_path / "figures.json")]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split("  ")[0] for line in lines] == NAMES
     figures = json.loads((tmp_path / "figures.json").read_text())

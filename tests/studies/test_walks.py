@@ -7,7 +7,6 @@ import msgspec
 import pages
 import pytest
 
-from crowdbench import cli
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.registry import import_recording, recording_of
 from crowdbench.report.plots.plot_data import Group, PlotData
@@ -15,9 +14,10 @@ from crowdbench.scene import load_scene
 from crowdbench.scoring.energy import RESAMPLES
 from crowdbench.scoring.reference import read_reference
 from crowdbench.scoring.scorecard import SCHEMA, Scorecard, read_anchors
-from crowdbench.studies import walks
-from crowdbench.studies.walks import RecordedPaths, pictures, write_walks
-from crowdbench.studies.walks.page import Walked, scores
+from studies import walks
+from studies.__main__ import main as studies_main
+from studies.walks import RecordedPaths, pictures, write_walks
+from studies.walks.page import Walked, scores
 
 pytestmark = pytest.mark.long
 
@@ -39,8 +39,8 @@ def test_the_command_of_the_page_on_the_plaza(
     monkeypatch.setattr(walks, "FEW", 1)
     import_recording("plaza")  # once: else it is generated wherever it is looked at
     monkeypatch.chdir(tmp_path)
-    asked = pages.arguments("docs/walks.md", "crowdbench walks")
-    assert cli.main(["walks", *asked, "--seeds", "2", "--workers", "1"]) == 0
+    asked = pages.arguments("docs/walks.md", "python -m studies walks")
+    assert studies_main(["walks", *asked, "--seeds", "2", "--workers", "1"]) == 0
     text = Path("docs/walks.md").read_text()
     for title in ("Full", "Held out"):
         head, _, *lines = section(text, title)
@@ -69,7 +69,7 @@ def test_the_command_of_the_page_on_the_plaza(
     assert linked == ["walks/plaza-v0-dwell.png"]
     for name in linked:
         assert Path("docs", name).read_bytes().startswith(b"\x89PNG")
-    assert f"crowdbench walks plaza-v0 --policy {ORCA} --seeds 2" in text
+    assert f"python -m studies walks plaza-v0 --policy {ORCA} --seeds 2" in text
 
 
 def test_where_nobody_has_a_score_the_page_has_no_table_but_says_why() -> None:
@@ -104,7 +104,7 @@ def test_what_is_missing_is_said_before_anything_is_walked(tmp_path: Path, capsy
         write_walks([], out=tmp_path)
     with pytest.raises(RecordingError, match="data fetch eth"):
         write_walks(["eth-v0"], out=tmp_path)
-    assert cli.main(["walks", "eth-v0", "--out", str(tmp_path)]) == 2
+    assert studies_main(["walks", "eth-v0", "--out", str(tmp_path)]) == 2
     assert "data fetch eth" in capsys.readouterr().err
     with pytest.raises(SettingError, match="got 0; expected a multiple of 5"):
         write_walks(["plaza-v0"], out=tmp_path / "docs", work=tmp_path / "work", seeds=0)

@@ -29,15 +29,15 @@ from worlds import box, square
 
 from crowdbench.cli import main
 from crowdbench.colours import goal_colour
+from crowdbench.data.storage import read_own, write_parquet
+from crowdbench.data.table import OUTCOMES, Trajectories, from_rows
 from crowdbench.envs.parallel_env import parallel_env
 from crowdbench.errors import OutputError, SettingError
 from crowdbench.policies import Straight
 from crowdbench.registry import spawn_model
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.simulation import Settings
-from crowdbench.trajectories.storage import read_own, write_parquet
-from crowdbench.trajectories.table import OUTCOMES, Trajectories, from_rows
 from crowdbench.viewer import access, check_screen, save
 from crowdbench.viewer.chosen import ray_lengths
 from crowdbench.viewer.place import UNKNOWN, dashes, hatching, rgb

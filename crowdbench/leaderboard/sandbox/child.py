@@ -17,8 +17,8 @@ import msgspec
 
 from crowdbench import leftovers
 from crowdbench.errors import CrowdbenchError
-from crowdbench.evaluation.parallel import end_with
 from crowdbench.leaderboard.sandbox.parent import ErrorPayload, Failure, Limits
+from crowdbench.run.parallel import end_with
 
 _CLONE_NEWUSER, _CLONE_NEWNET = 0x10000000, 0x40000000
 

@@ -6,13 +6,13 @@ import stat
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import CrowdbenchError
 from crowdbench.leaderboard.submission.archive import wrong_name
 from crowdbench.leaderboard.submission.errors import RefusedError
 from crowdbench.leaderboard.submission.limits import LARGEST_SUBMISSION, MOST_FILES, MOST_ROLLOUTS
 from crowdbench.leaderboard.submission.schema import FILE, Declared
 from crowdbench.registry import WEIGHTS
-from crowdbench.trajectories.blocks import SPLITS
 
 NOTES = "README.md"
 """Allowed in a submission's folder, but neither read nor packed."""

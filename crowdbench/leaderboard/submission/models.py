@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import CrowdbenchError, WeightsError
 from crowdbench.leaderboard.submission.errors import RefusedError, collecting
 from crowdbench.leaderboard.submission.layout import NETWORK, Layout, splits_of
@@ -14,7 +15,6 @@ from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.registry import FITTED, POLICIES, WEIGHTS, policy, policy_source, trained_policies
 from crowdbench.scene import load_scene
 from crowdbench.spawn.areas import read_areas
-from crowdbench.trajectories.blocks import SPLITS
 
 _BASELINE = re.compile(r"(crowdbench\.)?baselines\.[a-z_]+:[A-Z][A-Za-z]*")
 """A class of `crowdbench.baselines`. Submissions to version 0.1 left out the package's name."""

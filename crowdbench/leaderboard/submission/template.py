@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import OutputError, SettingError, WeightsError
 from crowdbench.files import unwritable
 from crowdbench.leaderboard.submission.layout import NETWORK, NOTES
@@ -13,7 +14,6 @@ from crowdbench.leaderboard.submission.parse import PLACEHOLDER
 from crowdbench.leaderboard.submission.schema import FILE, SCENES, SCHEMA, Track
 from crowdbench.policies import OnnxPolicy
 from crowdbench.scene import load_scene
-from crowdbench.trajectories.blocks import SPLITS
 
 _TOML = """\
 # Description of the submission. `crowdbench submit check` lists what is missing.

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
+from crowdbench.data.storage import of_table
+from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.errors import CrowdbenchError, RecordingError
 from crowdbench.files import sha256
 from crowdbench.leaderboard.submission.errors import RefusedError, collecting
@@ -20,8 +22,6 @@ from crowdbench.leaderboard.submission.schema import Track
 from crowdbench.leaderboard.submission.untrusted import read_table
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn.areas import Areas, read_areas
-from crowdbench.trajectories.storage import of_table
-from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
 if TYPE_CHECKING:
     import pyarrow

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from crowdbench.data.table import PERSON_COLUMNS
 from crowdbench.errors import RecordingError
 from crowdbench.files import read_bytes
 from crowdbench.leaderboard.submission.limits import (
@@ -11,7 +12,6 @@ from crowdbench.leaderboard.submission.limits import (
     MOST_COLUMNS,
     MOST_ROWS,
 )
-from crowdbench.trajectories.table import PERSON_COLUMNS
 
 if TYPE_CHECKING:
     import pyarrow

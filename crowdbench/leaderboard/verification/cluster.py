@@ -10,12 +10,12 @@ from io import BytesIO
 from pathlib import Path
 
 from crowdbench.errors import CrowdbenchError, OutputError
-from crowdbench.evaluation.parallel import call_each, checked_workers
 from crowdbench.files import write_json
 from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage
 from crowdbench.leaderboard.verification.check import check_unused
 from crowdbench.leaderboard.verification.entry import Entry
 from crowdbench.leaderboard.verification.verify import DEFAULT, entry_of, owners_of, write_run
+from crowdbench.run.parallel import call_each, checked_workers
 
 Verified = tuple[Entry, ResourceUsage]
 

@@ -26,9 +26,9 @@ that do not copy). So windows there are as long as ten people take to arrive on 
 import numpy as np
 from jaxtyping import Float, Int
 
+from crowdbench.data.table import Trajectories
 from crowdbench.registry import spawn_model
 from crowdbench.scene import Scene
-from crowdbench.trajectories.table import Trajectories
 
 WINDOW_S = 60.0
 """Shortest window. Where few people arrive it is longer, for `ARRIVALS` arrivals on average."""

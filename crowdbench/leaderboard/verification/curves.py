@@ -5,10 +5,10 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from crowdbench.evaluation.judge import MetricSlice
 from crowdbench.leaderboard.verification.entry import Curve
 from crowdbench.metrics import METRICS, Metric, Statistics, Sums, total
 from crowdbench.metrics.forms import RelativeWasserstein
+from crowdbench.run.judge import MetricSlice
 from crowdbench.scoring.reference import Reference
 
 POINTS = 100

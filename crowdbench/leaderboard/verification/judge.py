@@ -13,21 +13,21 @@ from types import MappingProxyType
 import numpy as np
 
 from crowdbench import __version__
+from crowdbench.data.storage import read, read_own
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError
-from crowdbench.evaluation.judge import TRAJECTORIES, judge
-from crowdbench.evaluation.lock import alone_in
-from crowdbench.evaluation.rollout_jobs import Job, Pair, RolloutSummary, plan, roll_out
 from crowdbench.leaderboard.submission.submission import Submission, open_submission
 from crowdbench.leaderboard.verification.check import check_unused
 from crowdbench.leaderboard.verification.entry import SCHEMA, SCORER, Entry, Flag, SceneEntry
 from crowdbench.leaderboard.verification.scene_entry import Rollouts, scene_entry
 from crowdbench.registry import has_recording, recording_of
+from crowdbench.run.judge import TRAJECTORIES, judge
+from crowdbench.run.lock import alone_in
+from crowdbench.run.rollout_jobs import Job, Pair, RolloutSummary, plan, roll_out
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.scoring.scorecard import Protocol, read_anchors
 from crowdbench.spawn.areas import read_areas
-from crowdbench.trajectories.storage import read, read_own
-from crowdbench.trajectories.table import Trajectories
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from crowdbench.evaluation.judge import MetricSlice, seen_in
-from crowdbench.evaluation.rollout_jobs import Job, Pair, RolloutSummary
+from crowdbench.data.table import Trajectories
 from crowdbench.leaderboard.verification.copying import ArrivalCopies, TripCopies, independent_limit
 from crowdbench.leaderboard.verification.curves import (
     AGENTS,
@@ -26,6 +25,8 @@ from crowdbench.leaderboard.verification.entry import (
 from crowdbench.leaderboard.verification.flags import evenness, flags_of
 from crowdbench.metrics import METRICS, WALK, Metric, metrics_for
 from crowdbench.progress import steps
+from crowdbench.run.judge import MetricSlice, seen_in
+from crowdbench.run.rollout_jobs import Job, Pair, RolloutSummary
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import Energy, FitEnergies, energies_of_fits
 from crowdbench.scoring.reference import Reference
@@ -39,7 +40,6 @@ from crowdbench.scoring.scorecard import (
     rows,
     scale_of,
 )
-from crowdbench.trajectories.table import Trajectories
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,13 +2,13 @@
 
 import re
 
+from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import WeightsError
 from crowdbench.leaderboard.submission.limits import MOST_FILES
 from crowdbench.leaderboard.verification.curves import POINTS, TITLES
 from crowdbench.leaderboard.verification.entry import Entry, check_numbers
 from crowdbench.metrics import FAMILIES, METRICS
 from crowdbench.scene import list_scenes
-from crowdbench.trajectories.blocks import SPLITS
 
 FAMILY_OF = {metric.name: metric.family for metric in METRICS}
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")

@@ -18,7 +18,7 @@ from crowdbench.errors import WeightsError
 from crowdbench.files import read_struct, write_json
 from crowdbench.leaderboard.verification.copying import TripCopies
 from crowdbench.registry import policy, recording_of, spawn_model
-from crowdbench.rollouts.rollout import rollout
+from crowdbench.run.rollout import rollout
 from crowdbench.scene import Scene
 
 PATH = Path(__file__).with_name("copied_trips.json")

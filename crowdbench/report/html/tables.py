@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from crowdbench.data.table import OUTCOMES
 from crowdbench.metrics import FAMILIES, WALK, Metric, all_metrics
 from crowdbench.metrics.arrivals import burstiness, memory
 from crowdbench.report.display_names import Names
@@ -22,7 +23,6 @@ from crowdbench.scoring.scorecard import (
     metric_scores,
     scale_of,
 )
-from crowdbench.trajectories.table import OUTCOMES
 
 
 def score_table(card: Scorecard, table: Sequence[Row], names: Names) -> Markup:

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crowdbench.colours import goal_colour
+from crowdbench.data.table import Trajectories
 from crowdbench.report.plots.plot_data import Curves, Group, PlotData
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Gaussians
-from crowdbench.trajectories.table import Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

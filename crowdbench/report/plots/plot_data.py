@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.colours import spawn_colours
+from crowdbench.data.blocks import SPLITS
+from crowdbench.data.table import Trajectories
 from crowdbench.metrics import Metric, Statistics, Sums, Support, all_metrics, total
 from crowdbench.metrics.lattice import correlation
 from crowdbench.metrics.presence import LAGS_S, lag_key, lagged, usable_lags
@@ -18,8 +20,6 @@ from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.score import LEVEL
 from crowdbench.scoring.scorecard import ANCHORS
 from crowdbench.spawn.areas import Areas, read_areas
-from crowdbench.trajectories.blocks import SPLITS
-from crowdbench.trajectories.table import Trajectories
 
 Crowds = Mapping[tuple[str, str, int], Trajectories]
 """Rollouts by spawn model, policy and seed."""

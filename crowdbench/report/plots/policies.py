@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from crowdbench.colours import COLOURS
+from crowdbench.data.table import Trajectories
 from crowdbench.report.plots.ways import (
     LEAST_PEOPLE,
     Numbers,
@@ -17,7 +18,6 @@ from crowdbench.report.plots.ways import (
     whole,
 )
 from crowdbench.scene import Scene
-from crowdbench.trajectories.table import Trajectories
 
 _Taken = dict[tuple[float, ...], np.ndarray]
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crowdbench.colours import COLOURS
+from crowdbench.data.companions import groups_of
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.maps import Map, maps
@@ -15,8 +17,6 @@ from crowdbench.report.plots.ways import Numbers
 from crowdbench.report.plots.windows import GROUP_S, WINDOW_S, Windows, situations
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
-from crowdbench.trajectories.companions import groups_of
-from crowdbench.trajectories.table import Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

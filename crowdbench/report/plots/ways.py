@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from crowdbench.colours import COLOURS
+from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.maps import maps
 from crowdbench.scene import Scene
-from crowdbench.trajectories.table import OUTCOMES, Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.table import Trajectories
 from crowdbench.spawn.areas import Areas
-from crowdbench.trajectories.blocks import TimeBlocks
-from crowdbench.trajectories.table import Trajectories
 
 WINDOW_S = 20.0
 STARTS = 10

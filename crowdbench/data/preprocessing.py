@@ -1,0 +1,95 @@
+"""The founding paper's preprocessing, which drops people. crowdbench itself keeps everyone.
+
+The paper leaves out "agents that hardly move" and those with fewer than 20 or more than 100 steps.
+It does not say how it counts. Its published code (`code/src/data/load_data.py`) drops people whose
+squared distance from start to end is at most 2 m², and those with 100 positions or more. With this
+and 20 steps or more, 258 people are left on ETH, as in the paper. The order of the rules does not
+matter for who is left.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from jaxtyping import Bool
+
+from crowdbench.data.table import Trajectories
+
+LEAST_SQUARED_M2 = 2.0
+SHORTEST_STEPS = 20
+LONGEST_POSITIONS = 99
+PUBLISHED: Mapping[str, tuple[int, str, str]] = {
+    "eth": (258, "people on ETH", ""),
+    "gc": (
+        12_255,
+        "people in 11,999 frames",
+        "The number of steps depends on the length of a frame, which the paper does not state. Its "
+        "code has no lower limit here.",
+    ),
+    "forum": (
+        1_331,
+        "people in 58,480 frames of 14 July",
+        "This recording is of 1 July. That of 14 July is not in OpenTraj.",
+    ),
+}
+"""The number of people that the paper states, of what, and why it differs, by recording."""
+
+
+@dataclass(frozen=True)
+class Counts:
+    """How many people are left after each rule."""
+
+    recorded: int
+    moving: int
+    """People who end more than √2 m from where they start."""
+    long_enough: int
+    """Of these, people with 20 steps or more."""
+    kept: int
+    """Of these, people with fewer than 100 positions."""
+    coarse: int
+    """People who move and have fewer than 100 positions on the annotation grid, as in the code."""
+
+    def facts(self, recording: str) -> dict[str, str]:
+        """The counts as text for a table, beside the paper's."""
+        facts = {
+            "recorded": f"{self.recorded} people",
+            "who move": f"{self.moving} end more than 1.41 m from their start",
+            "not too short": f"{self.long_enough} of them have {SHORTEST_STEPS} steps or more",
+            "not too long": f"{self.kept} of them have fewer than {LONGEST_POSITIONS + 1} "
+            "positions",
+            "published code": f"{self.coarse} move and have fewer than {LONGEST_POSITIONS + 1} "
+            "annotated positions",
+        }
+        if recording in PUBLISHED:
+            number, what, why = PUBLISHED[recording]
+            facts["paper"] = f"{number:,} {what}"
+            if why:
+                facts["difference"] = why
+        return facts
+
+
+def paper_preprocessed(crowd: Trajectories) -> tuple[Trajectories, Counts]:
+    """The people that the paper keeps, and how many are left after each rule."""
+    way = crowd.end.astype(np.float64) - crowd.start
+    positions = np.diff(crowd.offsets)
+    annotated = (positions - 1) * crowd.dt_s / crowd.grid_s + 1
+    moving = (way * way).sum(axis=1) > LEAST_SQUARED_M2
+    long_enough = moving & (positions - 1 >= SHORTEST_STEPS)
+    kept = long_enough & (positions <= LONGEST_POSITIONS)
+    coarse = moving & (np.round(annotated) <= LONGEST_POSITIONS)
+    counts = (len(crowd), *(int(some.sum()) for some in (moving, long_enough, kept, coarse)))
+    return only(crowd, kept), Counts(*counts)
+
+
+def only(crowd: Trajectories, chosen: Bool[np.ndarray, " P"]) -> Trajectories:
+    """The crowd of the chosen people."""
+    rows = chosen[crowd.row_person()]
+    lengths = np.diff(crowd.offsets)[chosen]
+    shared = {"observed", "offsets", "xy", "provenance"}
+    persons = {
+        f.name: getattr(crowd, f.name)[chosen]
+        for f in fields(crowd)
+        if f.name not in shared and isinstance(getattr(crowd, f.name), np.ndarray)
+    }
+    offsets = np.concatenate([[0], np.cumsum(lengths)])
+    return replace(crowd, xy=crowd.xy[rows], offsets=offsets, **persons)

@@ -1,0 +1,330 @@
+"""The catalogue of published recordings, and the user's imported recordings."""
+
+import os
+import re
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from crowdbench.data import storage
+from crowdbench.data.companions import with_companions
+from crowdbench.data.recordings import first_use
+from crowdbench.data.recordings.forum import read_forum
+from crowdbench.data.recordings.gc import files_in, read_gc
+from crowdbench.data.recordings.obsmat import read_obsmat
+from crowdbench.data.table import Trajectories
+from crowdbench.errors import RecordingError, SettingError, did_you_mean
+from crowdbench.files import home, read_bytes, sha256, unwritable
+
+REPOSITORY = "https://github.com/crowdbotp/OpenTraj"
+COMMIT = "97ec1d5e1b579f26febeaa9083705952deac338a"
+
+
+@dataclass(frozen=True)
+class Source:
+    """A published recording in the layout of OpenTraj."""
+
+    name: str
+    path: str
+    """Path of a file, or of a folder of files, relative to the layout's root folder."""
+    format: Literal["obsmat", "gc", "forum"]
+    sha256: str | None
+    """Hash of the data, see `hash_of`; None if the publisher states none."""
+    address: str
+    """Address where the data are published."""
+    cite: str
+    """The paper to cite. The recording remains subject to its owners' terms."""
+    fps: float = 0.0
+    """Frames per second of the video; for the format `obsmat` only."""
+    frame_step: int = 0
+    """Video frames from one annotation to the next; for the format `obsmat` only."""
+
+
+def _copy(path: str) -> str:
+    return f"https://raw.githubusercontent.com/crowdbotp/OpenTraj/{COMMIT}/{path}"
+
+
+_EWAP = "Pellegrini et al., You'll Never Walk Alone, ICCV 2009"
+_UCY = "Lerner et al., Crowds by Example, Eurographics 2007"
+_GC = (
+    "Zhou et al., Random Field Topic Model for Semantic Region Analysis, CVPR 2011, and "
+    "Yi et al., Understanding Pedestrian Behaviors from Stationary Crowd Groups, CVPR 2015"
+)
+_FORUM = (
+    "Majecka, Statistical Models of Pedestrian Behaviour in the Forum, MSc dissertation, "
+    "University of Edinburgh, 2009"
+)
+
+
+def _obsmat(name: str, path: str, sha256: str, fps: float, frame_step: int, cite: str) -> Source:
+    return Source(name, path, "obsmat", sha256, _copy(path), cite, fps, frame_step)
+
+
+SOURCES = {
+    source.name: source
+    for source in (
+        _obsmat(
+            "eth",
+            "datasets/ETH/seq_eth/obsmat.txt",
+            "d452ae2185ecb1164c2fdf31e75f6236f4c2ffc02c751a6b2ae921740cbc60d1",
+            fps=15.0,
+            frame_step=6,
+            cite=_EWAP,
+        ),
+        _obsmat(
+            "hotel",
+            "datasets/ETH/seq_hotel/obsmat.txt",
+            "2b8577595204a6b780b80258fd50da35adb7293e3e06ad6f8e1b60965e7dde6e",
+            fps=25.0,
+            frame_step=10,
+            cite=_EWAP,
+        ),
+        _obsmat(
+            "zara01",
+            "datasets/UCY/zara01/obsmat.txt",
+            "bd999ebcfbc506821fa5032a10b9101e150defcff85f1ef037d09ce7c6a8c2aa",
+            fps=25.0,
+            frame_step=10,
+            cite=_UCY,
+        ),
+        Source(
+            "gc",
+            "datasets/GC",
+            "gc",
+            "8225802df781dcae75d771b5bf78950122f4f2f9ebb8f8734fd5f5d2565ff990",
+            f"{REPOSITORY}/tree/{COMMIT}/datasets/GC",
+            _GC,
+        ),
+        Source(
+            "forum",
+            "datasets/Edinburgh/annotations/tracks.01Jul.txt",
+            "forum",
+            "89646c7d4be4bcbf7d067e77f9dcc9321b3eba7b499ed651050f6b639bfae726",
+            _copy("datasets/Edinburgh/annotations/tracks.01Jul.txt"),
+            _FORUM,
+        ),
+    )
+}
+"""Recordings with known hashes, by name. `source` also accepts other days of the Forum, with names
+like `forum-14jul`."""
+
+_FORUM_DAY = re.compile(
+    r"forum-(0[1-9]|[12]\d|3[01])(jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec)"
+)
+OWN_NAME = re.compile(r"[a-z][a-z0-9_]*")
+"""Valid names of users' own recordings."""
+_FORUM_DAYS = "https://homepages.inf.ed.ac.uk/rbf/FORUMTRACKING/DAYS"
+
+
+def source(name: str) -> Source:
+    """The source of a published recording, by its name.
+
+    Raises:
+        SettingError: there is no published recording of that name.
+    """
+    if name in SOURCES:
+        return SOURCES[name]
+    if day := _FORUM_DAY.fullmatch(name):
+        number, month = day[1], day[2].capitalize()
+        return Source(
+            name,
+            f"datasets/Edinburgh/annotations/tracks.{number}{month}.txt",
+            "forum",
+            None,
+            f"{_FORUM_DAYS}/{month}.{number}.zip",
+            _FORUM,
+        )
+    raise SettingError(
+        "recording",
+        got=f"the name {name!r}",
+        expected=f"one of {', '.join(SOURCES)}, a day of the Forum like forum-14jul, or the name "
+        "of an imported recording",
+        hint=did_you_mean(
+            name,
+            SOURCES,
+            "Import your own recording with "
+            "`crowdbench data import NAME --source FILE --format FORMAT`.",
+        ),
+    )
+
+
+def cached(name: str) -> Path:
+    """Path of the imported table of a recording, whether it exists or not."""
+    return home() / "recordings" / f"{name}.parquet"
+
+
+def prepared_folder(name: str) -> Path:
+    """Folder of the tables that were made from a recording for its scenes."""
+    return home() / "prepared" / name
+
+
+def load_imported(name: str) -> Trajectories:
+    """The imported recording `name`, a published one or the user's own (see `own`).
+
+    Raises:
+        SettingError: there is no recording of that name.
+        RecordingError: it has not been imported.
+    """
+    path = cached(name)
+    if not (OWN_NAME.fullmatch(name) and path.exists()):
+        source(name)
+    if not path.exists():
+        raise RecordingError(
+            f"recording {name}",
+            got="no imported table",
+            expected=f"a table at {path}",
+            hint=f"Run `crowdbench data fetch {name}`, or "
+            f"`crowdbench data import {name} --source DIR`.",
+        )
+    return storage.read_own(path)
+
+
+def remove_imported(name: str) -> Path:
+    """Remove the imported table of a recording and what was made from it; returns its path.
+
+    The files that it was read from are kept, and so is a hash that was stored at the first import.
+
+    Raises:
+        SettingError: there is no recording of that name.
+        RecordingError: it has not been imported.
+        OutputError: it cannot be removed.
+    """
+    if not OWN_NAME.fullmatch(name):
+        source(name)
+    path = cached(name)
+    try:
+        path.unlink()
+        shutil.rmtree(prepared_folder(name), ignore_errors=True)
+    except FileNotFoundError as error:
+        raise RecordingError(
+            f"recording {name}",
+            got="no imported recording of that name",
+            expected="one that `crowdbench data list` shows as imported",
+        ) from error
+    except OSError as error:
+        raise unwritable(path, error) from error
+    return path
+
+
+def import_recording(name: str, folder: Path | None = None) -> Trajectories:
+    """Read the recording `name` from a folder in OpenTraj's layout and store it for later use.
+
+    `folder` is by default the value of the environment variable `CROWDBENCH_DATA`. If no hash is
+    published, the first import stores the hash of the data, and later imports are verified
+    against it.
+
+    Raises:
+        SettingError: there is no recording of that name, or no folder is given.
+        RecordingError: the file is missing, broken, or not the published one.
+        OutputError: the imported table cannot be written.
+    """
+    published = source(name)
+    crowd = read_published(published, _folder(folder))
+    storage.write_parquet(crowd, cached(name))
+    if known_sha256(published) is None:
+        first_use.note(name, crowd.provenance["sha256"], published.address)
+    return crowd
+
+
+def known_sha256(source: Source) -> str | None:
+    """The hash that a recording's data must have.
+
+    This is the published hash or, if there is none, the hash stored at the first import; None
+    before that.
+
+    Raises:
+        RecordingError: the file with the stored hash is broken.
+    """
+    return source.sha256 or first_use.noted(source.name)
+
+
+def sha256_in(source: Source, folder: Path) -> str | None:
+    """The hash of a recording's data in a folder, unverified; None if a file is missing."""
+    try:
+        return hash_of(_files(source, folder / source.path))
+    except RecordingError:
+        return None
+
+
+def read_published(source: Source, folder: Path) -> Trajectories:
+    """Read a published recording from a folder and verify its hash.
+
+    Raises:
+        RecordingError: a file is missing or broken, or the data differ from the published ones.
+    """
+    path = folder / source.path
+    return read_files(source, _files(source, path), path)
+
+
+def read_files(source: Source, files: Mapping[str, bytes], where: object) -> Trajectories:
+    """Convert a recording's files, given by name, and verify their hash.
+
+    Raises:
+        RecordingError: a file is broken, or the data differ from the published ones.
+    """
+    crowd = _read(source, files, where)
+    found = hash_of(files)
+    known = known_sha256(source)
+    if known is not None and found != known:
+        raise _changed(source, crowd, found, known, where)
+    provenance = {**crowd.provenance, "source": source.address, "sha256": found}
+    return with_companions(replace(crowd, provenance=provenance))
+
+
+def _changed(
+    source: Source, crowd: Trajectories, found: str, known: str, where: object
+) -> RecordingError:
+    hint = "They may be truncated, altered, or have converted line endings; scores would not be "
+    hint += f"comparable. Run `crowdbench data fetch {source.name}` to get {source.address}."
+    expected = f"the published data with SHA-256 {known[:12]}…"
+    if source.sha256 is None:
+        expected = f"data with SHA-256 {known[:12]}…, as stored at first use"
+        hint += f" To use the new data, delete {first_use.note_of(source.name)}."
+    return RecordingError(
+        where,
+        got=f"data with SHA-256 {found[:12]}… and {len(crowd)} persons",
+        expected=expected,
+        hint=hint,
+    )
+
+
+def _files(source: Source, path: Path) -> dict[str, bytes]:
+    """The files that a recording is read from, by name."""
+    hint = f"Run `crowdbench data fetch {source.name}`, or copy {source.address} to that path."
+    if source.format != "gc":
+        return {path.name: read_bytes(path, RecordingError, hint)}
+    return files_in(path, hint)
+
+
+def _read(source: Source, files: Mapping[str, bytes], where: object) -> Trajectories:
+    if source.format == "gc":
+        return read_gc(files, where)
+    (data,) = files.values()
+    if source.format == "forum":
+        return read_forum(data, name=source.name, where=where)
+    return read_obsmat(
+        data, name=source.name, fps=source.fps, frame_step=source.frame_step, where=where
+    )
+
+
+def hash_of(files: Mapping[str, bytes]) -> str:
+    """SHA-256 of a single file; for several files, of the lines `HASH  NAME` sorted by name."""
+    if len(files) == 1:
+        return sha256(*files.values())
+    return sha256("".join(f"{sha256(files[name])}  {name}\n" for name in sorted(files)).encode())
+
+
+def _folder(folder: Path | None) -> Path:
+    if folder is not None:
+        return folder
+    if named := os.environ.get("CROWDBENCH_DATA"):
+        return Path(named)
+    raise SettingError(
+        "crowdbench data import",
+        got="no folder",
+        expected="--source DIR or the environment variable CROWDBENCH_DATA",
+        hint="Give a folder in the layout of github.com/crowdbotp/OpenTraj, or run "
+        "`crowdbench data fetch NAME`.",
+    )

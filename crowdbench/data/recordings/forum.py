@@ -1,0 +1,223 @@
+"""Reader for a day of the Edinburgh Informatics Forum: tracks in pixels of a ceiling camera.
+
+The file is Matlab code. For each track it has `Properties.Rn= [...]`, which is ignored, and
+`TRACK.Rn=[[x y t];[x y t];...];` with t in frames of about 9 fps.
+"""
+
+import re
+from collections import defaultdict
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from crowdbench.data.table import Trajectories, from_rows
+from crowdbench.errors import RecordingError
+
+FPS = 9.0
+FRAME = 4
+"""Camera frames per frame of the scene. Tracks jitter: most of them have a step above 3 m/s from
+one camera frame to the next, which is rare over four camera frames."""
+PIXEL_M = 0.0247
+IMAGE_ROWS = 480
+
+MAX_ROWS = 10_000_000
+"""Maximum number of rows (persons times frames); a busy day has 100,000."""
+MAX_SHARING = 100
+"""Maximum number of tracks that share a detection; on 1 July 2010 it is at most four."""
+
+_STATED = re.compile(rb"Total number of trajectories in file are\s+(\d{1,9})\b")
+_HINT = "Delete the file and fetch it again with `crowdbench data fetch`."
+
+
+def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
+    """Read the bytes of a day's `tracks` file.
+
+    Positions are those in every fourth camera frame (4/9 s), interpolated if the camera missed
+    one; arrival times are kept on the camera's frames. Observation begins with camera frame 0 and
+    ends with the last detection. If two tracks share at least half of the shorter one's detections
+    (the same pixel at the same time), both follow one person, and the shorter is left out. If a
+    track has several detections at one time, their mean is used.
+
+    Raises:
+        RecordingError: the file is empty, truncated, or holds no tracks.
+    """
+    tracks = _tracks(data, where)
+    doubles = _doubles(tracks, where)
+    spans = sum((int(rows[-1, 2]) - int(rows[0, 2])) // FRAME + 1 for rows in tracks.values())
+    if spans > MAX_ROWS:
+        raise RecordingError(
+            where,
+            got=f"{spans} rows (persons times frames)",
+            expected=f"at most {MAX_ROWS}",
+            hint=f"A time may be wrong. {_HINT}",
+        )
+    persons, frames, positions, entered_s = [], [], [], []
+    fast = short = 0
+    for number, rows in tracks.items():
+        tick, at = _at_each_time(rows)
+        speed = np.linalg.norm(np.diff(at, axis=0), axis=1) / np.diff(tick) * FPS
+        fast += bool((speed > 3.0).any())
+        frame = np.arange(-(-tick[0] // FRAME), tick[-1] // FRAME + 1)
+        if number in doubles:
+            continue
+        if len(frame) == 0:
+            short += 1
+            continue
+        persons.append(np.full(len(frame), number))
+        frames.append(frame)
+        positions.append(
+            np.stack([np.interp(frame * FRAME, tick, at[:, k]) for k in (0, 1)], axis=1)
+        )
+        entered_s.append(np.full(len(frame), tick[0] / FPS))
+    if not persons:
+        raise RecordingError(
+            where,
+            got=f"{len(tracks)} tracks, all of them between two frames of {FRAME}/9 s",
+            expected="at least one track that spans a frame",
+            hint=_HINT,
+        )
+    crowd = from_rows(
+        scene=name,
+        dt_s=FRAME / FPS,
+        grid_s=1 / FPS,
+        person_id=np.concatenate(persons),
+        frame=np.concatenate(frames),
+        xy=np.concatenate(positions),
+        persons={"spawn_s": np.concatenate(entered_s)},
+        where=where,
+    )
+    notes = {
+        "tracks": f"{len(tracks)}; left out: {len(doubles)} duplicates of other tracks, {short} "
+        "between two frames",
+        "jitter": f"{fast} tracks with a step above 3 m/s within 1/9 s",
+    }
+    return replace(crowd, provenance={"notes": notes})
+
+
+def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
+    """Column, row and time of the detections of each track, by track number."""
+    stated = _STATED.search(data)
+    if stated is None:
+        raise RecordingError(
+            where,
+            got="no line with the number of trajectories",
+            expected="a tracks file of the Edinburgh Informatics Forum",
+            hint=_HINT,
+        )
+    tracks: dict[int, Int[np.ndarray, "n 3"]] = {}
+    for piece in data.split(b"TRACK.R")[1:]:
+        label, _, body = piece.partition(b"=")
+        number = _number(label, where)
+        if number in tracks:
+            raise RecordingError(
+                where, got=f"TRACK.R{number} twice", expected="each track once", hint=_HINT
+            )
+        body = body.partition(b"Properties")[0].partition(b"%")[0]
+        tracks[number] = _detections(body, f"{where}, TRACK.R{number}")
+    if len(tracks) != int(stated[1]) or not tracks:
+        raise RecordingError(
+            where,
+            got=f"{len(tracks)} tracks",
+            expected=f"{int(stated[1])}, as stated in the file's first line, and at least one",
+            hint=f"The file may be truncated. {_HINT}",
+        )
+    return tracks
+
+
+def _number(label: bytes, where: object) -> int:
+    if not label.strip().isdigit() or len(label) > 18:
+        raise RecordingError(
+            where,
+            got=f"a track named TRACK.R{_shown(label)}",
+            expected="TRACK.RNUMBER=[...]",
+            hint=_HINT,
+        )
+    return int(label)
+
+
+def _detections(body: bytes, where: str) -> Int[np.ndarray, "n 3"]:
+    """The rows of `[[x y t];[x y t];...];`.
+
+    The text is split at brackets, because a regular expression could backtrack for very long on a
+    broken file.
+    """
+    body = body.strip().removesuffix(b";").rstrip()
+    if not (body.startswith(b"[") and body.endswith(b"]")) or len(body) < 2:
+        raise _no_detections(body[-40:], where)
+    *pieces, last = body[1:-1].split(b"]")
+    rows = []
+    for piece in pieces:
+        before, _, numbers = piece.partition(b"[")
+        row = numbers.split()
+        if before.strip() not in (b"", b";") or len(row) != 3:
+            raise _no_detections(piece, where)
+        rows.append(row)
+    if last.strip() not in (b"", b";") or not rows:
+        raise _no_detections(last, where)
+    try:
+        detections = np.array(rows, dtype=np.int64)
+    except (ValueError, OverflowError) as error:
+        raise RecordingError(
+            where, got=str(error)[:100], expected="[column row time] in whole numbers", hint=_HINT
+        ) from error
+    back = np.flatnonzero(np.diff(detections[:, 2]) < 0)
+    if len(back):
+        before, after = detections[back[0] : back[0] + 2, 2]
+        raise RecordingError(
+            where,
+            got=f"time {after} after time {before}",
+            expected="times in ascending order",
+            hint=_HINT,
+        )
+    return detections
+
+
+def _no_detections(got: bytes, where: str) -> RecordingError:
+    return RecordingError(
+        where,
+        got=f"{_shown(got)} among the detections",
+        expected="[[column row time];…], all in brackets",
+        hint=f"The file may be truncated. {_HINT}",
+    )
+
+
+def _shown(text: bytes) -> str:
+    return repr(text[:40].decode("ascii", "replace"))
+
+
+def _at_each_time(
+    rows: Int[np.ndarray, "n 3"],
+) -> tuple[Int[np.ndarray, " t"], Float[np.ndarray, "t 2"]]:
+    """The distinct times, and the mean detected position at each, in metres."""
+    tick, of_row, count = np.unique(rows[:, 2], return_inverse=True, return_counts=True)
+    x = np.bincount(of_row, rows[:, 0]) / count
+    y = np.bincount(of_row, rows[:, 1]) / count
+    return tick, PIXEL_M * np.stack([x, IMAGE_ROWS - y], axis=1)
+
+
+def _doubles(tracks: dict[int, Int[np.ndarray, "n 3"]], where: object) -> set[int]:
+    """Numbers of the tracks that are duplicates: a longer track has half of their detections.
+
+    Of two tracks of equal length, the one with the smaller number counts as longer.
+    """
+    detections = {number: {tuple(row) for row in rows.tolist()} for number, rows in tracks.items()}
+    owners: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    for number, each in detections.items():
+        for detection in each:
+            owners[detection].append(number)
+    most = max(len(of) for of in owners.values())
+    if most > MAX_SHARING:  # the loop over pairs below would take too long
+        raise RecordingError(
+            where,
+            got=f"a detection that {most} tracks share",
+            expected=f"at most {MAX_SHARING} tracks per detection",
+            hint=_HINT,
+        )
+    shared: dict[tuple[int, int], int] = defaultdict(int)
+    for of in owners.values():
+        for a in of:
+            for b in of:
+                if (-len(detections[a]), a) > (-len(detections[b]), b):
+                    shared[a, b] += 1
+    return {a for (a, _), count in shared.items() if count >= len(detections[a]) / 2}

@@ -1,0 +1,108 @@
+"""The formats of JuPedSim and PedPy: text files, and SQLite files of simulations.
+
+A text file states `# framerate: 16.00`, optionally a unit (`x/cm`, by default metres), and has a
+row `id frame x y z` per person and frame. An SQLite file has the tables `trajectory_data(frame,
+id, pos_x, pos_y, …)` and `metadata(key, value)`, with the key `fps`.
+"""
+
+import re
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from crowdbench.data.recordings.mending import Gaps, Stamps, on_frames
+from crowdbench.data.recordings.timing import checked_dt_s, plain_positions, usual_step
+from crowdbench.data.table import Trajectories
+from crowdbench.errors import RecordingError
+from crowdbench.files import write_text
+
+_SQLITE = b"SQLite format 3\0"
+_RATE = re.compile(r"framerate\D*(\d+(?:\.\d+)?)")
+_HINT = "PedPy's loaders may describe the problem in more detail."
+
+
+def read_jupedsim(
+    data: bytes, *, name: str, dt_s: float | None, where: object, gaps: Gaps | None = None
+) -> Trajectories:
+    """Read the bytes of a text or SQLite file; `dt_s` is required if a text file states no rate.
+
+    Frame numbers are divided by their usual step. `gaps` says how steps of another length are
+    repaired (see `mending`); if it is None they are rejected.
+
+    Raises:
+        RecordingError: the file is broken or empty, states another rate than `dt_s`, or has gaps.
+    """
+    rate, rows = (_sqlite if data.startswith(_SQLITE) else _text)(data, where)
+    if rate is not None and not 0 < rate < np.inf:
+        raise RecordingError(where, got=f"{rate:g} frames per second", expected="a positive rate")
+    if not len(rows):
+        raise RecordingError(where, got="no rows", expected="at least one row", hint=_HINT)
+    whole = (np.abs(rows[:, :2]) < 2.0**53) & (rows[:, :2] == np.floor(rows[:, :2]))
+    if not whole.all():
+        raise RecordingError(
+            where,
+            got="an id or a frame that is not an integer",
+            expected="integers in the columns id and frame",
+        )
+    person, frame = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
+    step = usual_step(person, frame)  # some files have the camera's frame numbers but fewer rows
+    dt_s = checked_dt_s(where, step / rate if rate is not None else None, dt_s)
+    whole_rows = on_frames(
+        person, Stamps(frame, "frame", step=float(step)), rows[:, 2:4], gaps=gaps, where=where
+    )
+    return whole_rows.crowd(scene=name, dt_s=dt_s, where=where)
+
+
+def write_jupedsim(crowd: Trajectories, path: Path) -> None:
+    """Write the crowd as a text file with unchanged frame numbers.
+
+    Raises:
+        OutputError: `path` cannot be written.
+    """
+    ids = crowd.person_id[crowd.row_person()]
+    rows = zip(ids.tolist(), crowd.row_frame().tolist(), plain_positions(crowd), strict=True)
+    lines = [
+        f"# framerate: {round(1 / crowd.dt_s, 9)}",
+        "# id frame x/m y/m z/m",
+        *(f"{p}\t{f}\t{x!r}\t{y!r}\t0.0" for p, f, (x, y) in rows),
+        "",
+    ]
+    write_text(path, "\n".join(lines))
+
+
+def _text(data: bytes, where: object) -> tuple[float | None, Float[np.ndarray, "R 4"]]:
+    """Frames per second, if stated, and the columns id, frame, x and y in metres."""
+    lines = data.decode("utf-8-sig", "replace").splitlines()
+    header = " ".join(line for line in lines if line.lstrip().startswith("#")).lower()
+    body = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    stated = _RATE.search(header)
+    try:
+        rows = np.loadtxt(body, ndmin=2, usecols=(0, 1, 2, 3)) if body else np.empty((0, 4))
+    except (ValueError, IndexError) as error:
+        raise RecordingError(
+            where, got=str(error), expected="rows of numbers: id frame x y z", hint=_HINT
+        ) from error
+    if "x/cm" in header or "in cm" in header:
+        rows[:, 2:] /= 100
+    return float(stated[1]) if stated else None, rows
+
+
+def _sqlite(data: bytes, where: object) -> tuple[float, Shaped[np.ndarray, "R 4"]]:
+    """Frames per second, and the columns id, frame, x and y in metres."""
+    connection = sqlite3.connect(":memory:")
+    try:
+        connection.deserialize(data)
+        (rate,) = connection.execute("SELECT value FROM metadata WHERE key = 'fps'").fetchone()
+        rows = connection.execute("SELECT id, frame, pos_x, pos_y FROM trajectory_data").fetchall()
+        return float(rate), np.array(rows, dtype=np.float64).reshape(-1, 4)
+    except (sqlite3.Error, TypeError, ValueError) as error:
+        raise RecordingError(
+            where,
+            got=str(error),
+            expected="JuPedSim's tables trajectory_data and metadata, the latter with the key fps",
+            hint=_HINT,
+        ) from error
+    finally:
+        connection.close()

@@ -1,0 +1,118 @@
+"""Conversion of a recording from any rate to the frames of a scene.
+
+The frames of a scene are about 0.4 s apart: shorter intervals increase computing time and the
+effect of camera jitter. Of a recording with a higher rate, every k-th frame is kept, but entry
+times keep the resolution of the recording.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Int
+
+from crowdbench.data.recordings.gaps import observed_intervals
+from crowdbench.data.table import Trajectories, from_rows
+from crowdbench.errors import RecordingError
+
+USUAL_DT_S = 0.4
+LONGEST_DT_S = 1.0
+FINEST_GRID_S = 0.1
+"""Smallest step of the annotation grid, seconds. On a finer grid, people who enter together would
+have different arrival times."""
+
+
+def usual_step(person: Int[np.ndarray, " R"], frame: Int[np.ndarray, " R"]) -> int:
+    """The most frequent interval between consecutive rows of a person, in frame numbers."""
+    order = np.lexsort((frame, person))
+    steps = np.diff(frame[order])[np.diff(person[order]) == 0]
+    steps = steps[steps > 0]
+    return int(np.bincount(np.minimum(steps, 10**6)).argmax()) if len(steps) else 1
+
+
+def checked_dt_s(where: object, stated_s: float | None, asked_s: float | None) -> float:
+    """Time between consecutive rows of a person, seconds, from the file or from the user.
+
+    `stated_s` is the value that the file states, `asked_s` that of the option `--dt-s`.
+
+    Raises:
+        RecordingError: the two differ, neither is known, or the time is not positive or too long
+            to follow people.
+    """
+    dt_s = stated_s if stated_s is not None else asked_s
+    if dt_s is None:
+        raise RecordingError(
+            where,
+            got="a file that does not state the time between rows",
+            expected="--dt-s SECONDS",
+            hint="It is the time between consecutive rows of a person.",
+        )
+    if stated_s is not None and asked_s is not None and not np.isclose(stated_s, asked_s, 0.05):
+        raise RecordingError(
+            where,
+            got=f"rows every {stated_s:.4g} s according to the file",
+            expected=f"rows every {asked_s:g} s, as set by --dt-s",
+            hint="Correct --dt-s, or the file if it is wrong.",
+        )
+    if not 0 < dt_s <= LONGEST_DT_S:
+        raise RecordingError(
+            where,
+            got=f"rows every {dt_s:g} s",
+            expected=f"an interval of more than 0 and at most {LONGEST_DT_S:g} s",
+            hint="If rows are further apart, the paths between them are unknown.",
+        )
+    return dt_s
+
+
+def plain_positions(crowd: Trajectories) -> list[list[float]]:
+    """Positions (R rows of x, y) as numbers with the fewest digits that identify each float32."""
+    return crowd.xy.astype(str).astype(np.float64).tolist()
+
+
+def at_scene_frames(crowd: Trajectories, *, pauses: bool, where: object) -> Trajectories:
+    """Convert a recording to the frames of a scene, which are about 0.4 s apart.
+
+    The result begins with the first row and ends with the last. Every k-th frame is kept, with k
+    such that the interval is as close to 0.4 s as possible. `spawn_s` is unchanged; the annotation
+    grid is that of the rows, or that of the frames if rows are less than 0.1 s apart. People who
+    have no row in a kept frame are left out. With `pauses`, pauses of the annotation become
+    unobserved; see `gaps.observed_intervals`.
+
+    Raises:
+        RecordingError: no row is in a kept frame.
+    """
+    every = max(1, round(USUAL_DT_S / crowd.dt_s))
+    begin, person = crowd.first.min(), crowd.row_person()
+    frame = crowd.row_frame() - begin
+    kept = frame % every == 0
+    if not kept.any():
+        raise RecordingError(
+            where, got="no row in any frame of the scene", expected="at least one row in a frame"
+        )
+    dt_s = crowd.dt_s * every
+    grid_s = crowd.grid_s if every == 1 or crowd.grid_s >= FINEST_GRID_S else dt_s
+    persons = {
+        "spawn_s": np.maximum(0.0, crowd.spawn_s - begin * crowd.dt_s),
+        "entered": crowd.entered,
+        "left": crowd.left,
+        "group": crowd.group,
+    }
+    thinned = from_rows(
+        scene=crowd.scene,
+        dt_s=dt_s,
+        grid_s=grid_s,
+        person_id=crowd.person_id[person[kept]],
+        frame=frame[kept] // every,
+        xy=crowd.xy[kept].astype(np.float64),
+        persons={name: values[person[kept]] for name, values in persons.items()},
+        provenance=crowd.provenance,
+        where=where,
+    )
+    known = thinned.observed_in(observed_intervals(thinned)) if pauses else thinned
+    entered, left = known.entered & thinned.entered, known.left & thinned.left
+    notes = dict(crowd.provenance.get("notes", {}))
+    if every > 1:
+        notes["rows"] = f"every {crowd.dt_s:.4g} s, of which 1 in {every} is kept"
+        if lost := len(crowd) - len(known):
+            notes["left out"] = f"{lost} persons who are present only between two kept rows"
+    provenance = {**crowd.provenance, "notes": notes}
+    return replace(known, entered=entered, left=left, provenance=provenance)

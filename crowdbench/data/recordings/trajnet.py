@@ -1,0 +1,122 @@
+"""The TrajNet++ format: one JSON object per line, either a position (`track`) or a scene.
+
+A track has a frame `f`, a person `p`, and `x` and `y` in metres. A scene names a person whose path
+from frame `s` to `e` is to be predicted, and the rows per second (`fps`), of which crowdbench uses
+only the latter. Frame numbers are those of a video, so consecutive rows of a person are several
+frame numbers apart.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from crowdbench.data.recordings.mending import Gaps, Stamps, on_frames
+from crowdbench.data.recordings.timing import checked_dt_s, plain_positions, usual_step
+from crowdbench.data.table import Trajectories
+from crowdbench.errors import RecordingError
+from crowdbench.files import write_text
+
+_HINT = 'Lines look like {"track": {"f": 10, "p": 3, "x": 1.25, "y": 4.5}}.'
+
+
+class _Track(msgspec.Struct, frozen=True):
+    f: int
+    p: int
+    x: float
+    y: float
+    prediction_number: int | None = None
+
+
+class _Scene(msgspec.Struct, frozen=True):
+    fps: float | None = None
+
+
+class _Line(msgspec.Struct, frozen=True):
+    track: _Track | None = None
+    scene: _Scene | None = None
+
+
+def read_trajnet(
+    data: bytes, *, name: str, dt_s: float | None, where: object, gaps: Gaps | None = None
+) -> Trajectories:
+    """Read the bytes of a file; `dt_s` is required if no scene states its `fps`.
+
+    Frame numbers are divided by their usual step. `gaps` says how steps of another length are
+    repaired (see `mending`); if it is None they are rejected.
+
+    Raises:
+        RecordingError: a line is broken, there are no tracks, the rates differ, or the tracks are
+            predictions or have gaps.
+    """
+    tracks, rates = [], set()
+    for number, line in _lines(data, where):
+        if line.scene is not None and line.scene.fps is not None:
+            rates.add(line.scene.fps)
+        if line.track is None:
+            continue
+        if line.track.prediction_number is not None:
+            raise RecordingError(
+                f"{where}, line {number}",
+                got="a predicted track",
+                expected="tracks of observed people",
+                hint="Use the file that the predictions were made from.",
+            )
+        tracks.append(line.track)
+    if not tracks:
+        raise RecordingError(where, got="no track", expected="at least one", hint=_HINT)
+    if len(rates) > 1 or not all(0 < rate < np.inf for rate in rates):
+        shown = ", ".join(f"{rate:g}" for rate in sorted(rates))
+        raise RecordingError(
+            where,
+            got=f"scenes of {shown} rows per second",
+            expected="the same positive rate in all scenes",
+        )
+    person = np.array([track.p for track in tracks])
+    frame = np.array([track.f for track in tracks])
+    dt_s = checked_dt_s(where, 1 / rates.pop() if rates else None, dt_s)
+    xy = np.array([(track.x, track.y) for track in tracks], dtype=np.float64)
+    stamps = Stamps(frame, "frame", step=float(usual_step(person, frame)))
+    rows = on_frames(person, stamps, xy, gaps=gaps, where=where)
+    return rows.crowd(scene=name, dt_s=dt_s, where=where)
+
+
+def write_trajnet(crowd: Trajectories, path: Path) -> None:
+    """Write the crowd with unchanged frame numbers, and one scene per person for its whole trip.
+
+    Raises:
+        OutputError: `path` cannot be written.
+    """
+    fps = round(1 / crowd.dt_s, 9)
+    encode = msgspec.json.encode
+    lines = [
+        encode({"scene": {"id": k, "p": p, "s": s, "e": e, "fps": fps, "tag": 0}})
+        for k, (p, s, e) in enumerate(
+            zip(crowd.person_id.tolist(), crowd.first.tolist(), crowd.last.tolist(), strict=True)
+        )
+    ]
+    ids = crowd.person_id[crowd.row_person()]
+    lines += [
+        encode({"track": {"f": f, "p": p, "x": x, "y": y}})
+        for f, p, (x, y) in zip(
+            crowd.row_frame().tolist(), ids.tolist(), plain_positions(crowd), strict=True
+        )
+    ]
+    write_text(path, b"\n".join([*lines, b""]).decode())
+
+
+def _lines(data: bytes, where: object) -> Iterator[tuple[int, _Line]]:
+    decoder = msgspec.json.Decoder(_Line)
+    for number, line in enumerate(data.splitlines(), start=1):
+        if not line.strip():
+            continue
+        try:
+            yield number, decoder.decode(line)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise RecordingError(
+                f"{where}, line {number}",
+                got=str(error),
+                expected="a JSON object with a track or a scene",
+                hint=_HINT,
+            ) from error

@@ -1,1 +1,0 @@
-"""Rollouts: simulated crowds of a spawn model and a policy."""

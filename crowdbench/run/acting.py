@@ -1,0 +1,222 @@
+"""`Actor`: a policy that moves the people of a simulation, and what it remembers of them."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int
+from numpy.random import Generator
+
+from crowdbench.errors import ActionError
+from crowdbench.policies import Policy, StateView
+from crowdbench.policies.memory import Memory, Needs
+from crowdbench.run.shown import check_shown
+from crowdbench.simulation import Simulation
+from crowdbench.simulation.social import in_own_frame
+
+
+class Actor:
+    """Calls a policy for the people of a simulation and keeps its memory of each of them.
+
+    A person's memory begins when the policy sees the person for the first time, and is forgotten
+    with the next person in its slot. A policy with a decision interval of k frames decides for a
+    person when it sees it first and then in each k-th frame of its trip.
+    """
+
+    def __init__(self, policy: Policy, simulation: Simulation) -> None:
+        """An actor that has seen nobody.
+
+        Raises:
+            SettingError: the policy's `memory`, `style` or `interval` is out of range, or the
+                simulation shows another observation than the policy needs.
+        """
+        check_shown(policy, simulation.settings)
+        self.policy = policy
+        self._simulation = simulation
+        self._needs = Needs.of(policy)
+        self._rngs: tuple[Generator, ...] = ()
+        size = simulation.slots.alive.size if self._keeps else 0
+        self._state = np.zeros((size, self._needs.memory), np.float32)
+        self._style = np.zeros((size, self._needs.style), np.float32)
+        self._held = np.zeros((size, 2), np.float32)
+        self._event = np.full(size, -1, np.int32)
+
+    @property
+    def _keeps(self) -> bool:
+        return self._needs.memories or self._needs.interval > 1
+
+    def reset(self, *rngs: Generator) -> None:
+        """Let the policy draw from one generator, or from one per world, from now on.
+
+        People who are present are remembered.
+        """
+        self.policy.reset(self._simulation.scene, rngs[0])
+        self._rngs = rngs
+
+    @property
+    def world_frame(self) -> bool:
+        """Whether the actions are in the world frame, and not in that of the observation."""
+        return self.policy.sees == "state"
+
+    @property
+    def own_frame(self) -> bool:
+        """Whether the actions are in the own frames of the people."""
+        return not self.world_frame and self._simulation.settings.own_frame
+
+    def step(self) -> None:
+        """Advance every world by one frame in which the policy moves everyone.
+
+        Raises:
+            ActionError: see `actions`.
+        """
+        self._simulation.step(self.actions(), world_frame=self.world_frame)
+
+    def actions(self, who: Bool[np.ndarray, "W N"] | None = None) -> Float32[np.ndarray, "W N 2"]:
+        """Actions for everyone present, or for those of them in `who`; zeros elsewhere.
+
+        A policy that sees the state sees everyone in either case, and its actions are in the world
+        frame. Those of other policies are in the frame of the simulation's observation.
+
+        Raises:
+            ActionError: the policy does not return one finite action per person, or writes states
+                that are not finite.
+        """
+        policy, simulation = self.policy, self._simulation
+        act: Any = policy.act  # of one of three protocols, as `sees` and the needs tell
+        there = simulation.slots.alive
+        actions = np.zeros(simulation.slots.position.shape, np.float32)
+        who = there if who is None else there & who
+        if not who.any():  # some policies cannot handle empty arrays
+            return actions
+        flat = actions.reshape(-1, 2)
+        if policy.sees == "state":
+            view = StateView.of(simulation)
+            at = view.world * there.shape[1] + view.slot
+            flat[at] = checked_actions(act(view), len(view.slot), policy)
+            if who is not there:
+                actions[~who] = 0
+            return actions
+        at = np.flatnonzero(who)  # indexing by one index array is faster than by a mask
+        observation = simulation.observe()
+        seen = observation.reshape(-1, observation.shape[-1])
+        if not self._keeps:
+            flat[at] = checked_actions(act(seen.take(at, axis=0)), len(at), policy)
+            return actions
+        event = simulation.slots.event.ravel()
+        entered = self._event[at] != event[at]
+        new = at[entered]
+        self._event[new] = event[new]
+        self._state[new] = 0.0
+        self._style[new] = self._drawn(new, self._needs.style)
+        due = self._due(at) | entered
+        deciding, others = at[due], at[~due]
+        if len(deciding):
+            flat[deciding] = self._decided(seen.take(deciding, axis=0), deciding, entered[due])
+        if self._needs.interval > 1:
+            flat[others] = self._keeping(others)
+            self._held[deciding] = self._in_world(flat[deciding], deciding)
+        return actions
+
+    def _drawn(self, at: Int[np.ndarray, " n"], width: int) -> Float32[np.ndarray, "n _"]:
+        """Standard normal numbers of persons, drawn from the generators of their worlds."""
+        if width == 0:
+            return np.empty((len(at), 0), np.float32)
+        if len(self._rngs) == 1:
+            return self._rngs[0].standard_normal((len(at), width), dtype=np.float32)
+        persons = np.bincount(
+            at // self._simulation.slots.alive.shape[1], minlength=len(self._rngs)
+        )
+        return np.concatenate(
+            [
+                rng.standard_normal((n, width), dtype=np.float32)
+                for rng, n in zip(self._rngs, persons.tolist(), strict=True)
+            ]
+        )
+
+    def _in_world(
+        self, action: Float32[np.ndarray, "n 2"], at: Int[np.ndarray, " n"]
+    ) -> Float32[np.ndarray, "n 2"]:
+        """Actions in the world frame."""
+        if not self._simulation.settings.own_frame:
+            return action
+        back = self._simulation.slots.heading.reshape(-1, 2)[at] * np.array([1, -1])
+        return in_own_frame(action, back)
+
+    def _keeping(self, at: Int[np.ndarray, " n"]) -> Float32[np.ndarray, "n 2"]:
+        """Actions with which people keep their velocities; headings may have changed meanwhile."""
+        held = self._held[at]
+        if not self._simulation.settings.own_frame:
+            return held
+        return in_own_frame(held, self._simulation.slots.heading.reshape(-1, 2)[at])
+
+    def _due(self, at: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+        """Whose decision is due, by the number of frames since the entry."""
+        simulation = self._simulation
+        world = at // simulation.slots.alive.shape[1]
+        age = simulation.clock.frame[world] - simulation.slots.born.ravel()[at]
+        return np.asarray(age % self._needs.interval == 0)
+
+    def _decided(
+        self,
+        seen: Float32[np.ndarray, "n obs"],
+        at: Int[np.ndarray, " n"],
+        entered: Bool[np.ndarray, " n"],
+    ) -> Float32[np.ndarray, "n 2"]:
+        policy = self.policy
+        act: Any = policy.act
+        if not self._needs.memories:
+            return checked_actions(act(seen), len(seen), policy)
+        memory = Memory(
+            state=self._state[at],
+            style=self._style[at],
+            noise=self._drawn(at, self._needs.noise),
+            world=at // self._simulation.slots.alive.shape[1],
+            person=self._simulation.slots.person.ravel()[at],
+            entered=entered,
+        )
+        found = checked_actions(act(seen, memory), len(seen), policy)
+        self._state[at] = checked_states(memory, len(at), self._needs.memory, policy)
+        return found
+
+
+def checked_states(
+    memory: Memory, persons: int, size: int, policy: Policy
+) -> Float32[np.ndarray, "A M"]:
+    """The next states that a policy wrote.
+
+    Raises:
+        ActionError: they are not finite numbers of shape (`persons`, `size`).
+    """
+    state = np.asarray(memory.state)
+    if state.shape != (persons, size) or not np.isfinite(state).all():
+        raise ActionError(
+            f"policy {policy.name}",
+            got=f"next states of shape {state.shape}"
+            if state.shape != (persons, size)
+            else f"{int((~np.isfinite(state)).sum())} values of next states that are not finite",
+            expected=f"finite numbers of shape ({persons}, {size}) in memory.state",
+            hint="Write into the array: memory.state[:] = …",
+        )
+    return state.astype(np.float32, copy=False)
+
+
+def checked_actions(actions: object, persons: int, policy: Policy) -> Float32[np.ndarray, "A 2"]:
+    """The actions of a policy, clipped to [−1, 1].
+
+    Raises:
+        ActionError: they are not one finite pair of numbers per person.
+    """
+    got = np.asarray(actions)
+    if got.shape != (persons, 2) or got.dtype.kind not in "fiu":
+        raise ActionError(
+            f"policy {policy.name}",
+            got=f"an array of shape {got.shape} and type {got.dtype} from act",
+            expected=f"one action for each of {persons} persons, numbers of shape ({persons}, 2)",
+        )
+    if not np.isfinite(got).all():
+        raise ActionError(
+            f"policy {policy.name}",
+            got=f"{int((~np.isfinite(got)).sum())} values from act that are not finite",
+            expected="finite numbers",
+            hint="Check the policy for a division by zero or a diverged network.",
+        )
+    return got.clip(-1, 1).astype(np.float32, copy=False)

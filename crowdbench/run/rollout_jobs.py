@@ -1,0 +1,383 @@
+"""Rollouts as jobs: which rollouts are needed, and which of them exist already.
+
+Each rollout is a job. It is written as Parquet with a fingerprint of everything that it depends on,
+so that interrupted work can continue and outdated rollouts are never reused.
+
+Up to `BATCH` rollouts of the same models are made at once, if the policy allows it. The results of
+a network depend on the size of its batch in the last bits. Therefore the rollouts of a batch are
+determined by the jobs, never by the number of workers or by what exists already, and they are part
+of the fingerprint: if one of them is missing, all are made again.
+"""
+
+import functools
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from crowdbench.data.blocks import SPLITS
+from crowdbench.data.storage import read_own, write_parquet
+from crowdbench.data.table import OUTCOMES, Trajectories
+from crowdbench.errors import (
+    CrowdbenchError,
+    OwnCodeError,
+    RecordingError,
+    SettingError,
+)
+from crowdbench.files import sha256
+from crowdbench.metrics import Metric, Statistics
+from crowdbench.plugins import told
+from crowdbench.policies import OnnxPolicy, Policy
+from crowdbench.run.parallel import Stopped, call_each, checked_workers, is_local
+from crowdbench.run.resolved import Resolved
+from crowdbench.run.rollout import batchable, rollouts
+from crowdbench.scene import Scene, load_scene, scenes_folder
+from crowdbench.scoring.reference import Reference, summarise
+from crowdbench.spawn import SpawnModel
+
+Result = TypeVar("Result")
+Pair = tuple[str, str]
+Progress = Callable[[int, int], None]
+RECORDED_PER_FIT = 2
+"""Maximum number of rollouts per fit under the recorded arrivals. They differ little, because
+everyone enters as recorded, and are scored by their mean distance: on ETH, the walk score of `bc`
+differs by 0.02 between two sets of ten, and its interval is 0.2 wide."""
+BATCH = 10
+"""Maximum number of rollouts that are made at once."""
+
+LIGHT_FRAMES = 30_000
+"""Up to this number of frames, no other process is started: about two seconds of work, which is
+what a process needs to start."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One rollout that is needed."""
+
+    scene: str
+    spawn: str
+    policy: str
+    split: str
+    fit: int
+    seed: int
+    path: Path
+    fingerprint: str
+    """Hash of everything that the rollout depends on."""
+    batch: int = 0
+    """Number of the batch, of those with the same models."""
+    exact: bool = True
+    """Whether the rollout is the same in any batch."""
+
+    def __str__(self) -> str:
+        return f"rollout {self.seed} of {self.spawn} × {self.policy} on {self.scene} ({self.split})"
+
+
+@dataclass(frozen=True, eq=False)
+class RolloutSummary:
+    """The statistics of a rollout, stored sparsely, and its outcomes."""
+
+    statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]]
+    """By metric and name: indices of non-zero columns, their values, number of all columns."""
+    outcomes: np.ndarray
+    """Number of persons by index in `OUTCOMES`."""
+
+    @classmethod
+    def of_crowd(cls, crowd: Trajectories, reference: Reference) -> "RolloutSummary":
+        """Summarise a crowd in the time blocks of the reference."""
+        statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]] = {}
+        for metric, of_metric in summarise(
+            crowd, reference.blocks, reference.place, reference.metrics
+        ).items():
+            statistics[metric] = {}
+            for name, values in of_metric.items():
+                columns = np.flatnonzero(values.any(axis=0))
+                statistics[metric][name] = (columns, values[:, columns], values.shape[1])
+        return cls(statistics, np.bincount(crowd.outcome, minlength=len(OUTCOMES)))
+
+    def of(self, metric: Metric) -> Statistics:
+        """The statistics of a metric, as dense arrays."""
+        dense = {}
+        for name, (columns, values, size) in self.statistics[metric.name].items():
+            dense[name] = np.zeros((len(values), size), dtype=np.int64)
+            dense[name][:, columns] = values
+        return dense
+
+
+def splits_of(protocol: str) -> tuple[str, ...]:
+    """The splits that a protocol averages over: `full`, or all folds."""
+    return SPLITS[:1] if protocol == "full" else SPLITS[1:]
+
+
+def plan(
+    scene: str,
+    place: Scene,
+    pairs: Sequence[Pair],
+    protocol: str,
+    seeds: int,
+    folder: Path,
+) -> list[Job]:
+    """All rollouts that an evaluation of these pairs needs.
+
+    `seeds` is their number per pair and split. Under the recorded arrivals there are at most two
+    per fit, and one for a policy without random draws.
+
+    Raises:
+        SettingError: a name is unknown, or `seeds` is not a valid number of rollouts.
+        WeightsError: the action of one person in a network depends on other persons' rows.
+    """
+    fits = place.protocol.fits
+    if seeds < 1 or (seeds >= 2 * fits and seeds % fits):
+        raise SettingError(
+            "seeds",
+            got=str(seeds),
+            expected=f"a multiple of {fits}, so that all fits have the same number of rollouts, or "
+            f"1 to {2 * fits - 1} for distances without scores",
+        )
+    jobs = []
+    tried: set[Path] = set()
+    for s, p in pairs:
+        pair = Resolved.of(place, s, p)
+        recorded = s == "replay"
+        for split in splits_of(protocol) if pair.policy.per_split or not recorded else ("full",):
+            walker = pair.policy.policy(split)
+            _check_unseen(p, walker, place, split)
+            if isinstance(walker, OnnxPolicy) and walker.path not in tried:
+                walker.check_rows(place)
+                tried.add(walker.path)
+            certain = recorded and getattr(walker, "deterministic", False)
+            pair.spawn.model(split)  # raises an error if it cannot be made
+            fingerprint = pair.fingerprint(split)
+            most = RECORDED_PER_FIT * fits if recorded else seeds
+            number = 1 if certain else min(seeds, most)
+            size = BATCH if batchable(walker) else 1
+            exact = size == 1 or walker.sees == "state"
+            for seed in range(number):
+                name = f"{_plain(s)}_{_plain(p)}_{split}_{seed}.parquet"
+                batch = seed // size
+                several = "" if exact else f"-{min(size, number - batch * size)}"
+                of = fingerprint + several
+                jobs.append(
+                    Job(scene, s, p, split, seed % fits, seed, folder / name, of, batch, exact)
+                )
+    return jobs
+
+
+def batches(jobs: Sequence[Job]) -> list[tuple[Job, ...]]:
+    """The jobs whose rollouts are made at once."""
+    of: dict[tuple[object, ...], list[Job]] = {}
+    for job in jobs:
+        key = (job.scene, job.spawn, job.policy, job.split, job.path.parent, job.batch)
+        of.setdefault(key, []).append(job)
+    return [tuple(each) for each in of.values()]
+
+
+def _check_unseen(policy: str, walker: Policy, place: Scene, split: str) -> None:
+    """Check that a policy was not trained on data that it is scored on.
+
+    Raises:
+        SettingError: it was trained on the scene, but for another split or on other scenes too.
+    """
+    if split == "full" or not isinstance(walker, OnnxPolicy):
+        return
+    card = walker.card
+    if place.id in card.scenes and (card.scene, card.split) != (place.id, split):
+        raise SettingError(
+            f"policy {policy}",
+            got=f"a network trained on {card.trained_on}",
+            expected=f"a network that has not seen the data that {split} is scored on",
+            hint="Train one network for each fold and name the folder with fold0.onnx, fold1.onnx, "
+            "…, or evaluate with --protocol full.",
+        )
+
+
+def roll_out(
+    jobs: list[Job], reference: Reference, workers: int | None, progress: Progress
+) -> dict[Job, RolloutSummary]:
+    """Make all missing rollouts; returns the summary of each, in the order of the jobs.
+
+    `progress(done, total)` is called before the first and after each batch of rollouts.
+    `workers` is the number of processes, by default one per core, or none but this one if that is
+    faster.
+    """
+    rolled: dict[Job, RolloutSummary] = {}
+    _remove_halves(jobs)
+    progress(0, len(jobs))
+    each = batches(jobs)
+    # Closing ends the worker processes even if this function is left early.
+    with closing(_each(_roll_out, each, workers, reference)) as done:
+        for k, what in done:
+            rolled |= zip(each[k], what, strict=True)
+            progress(len(rolled), len(jobs))
+    return {job: rolled[job] for job in jobs}
+
+
+def make(jobs: list[Job], workers: int | None, progress: Progress) -> None:
+    """Make all missing rollouts like `roll_out`, without summaries."""
+    _remove_halves(jobs)
+    progress(0, len(jobs))
+    each, made = batches(jobs), 0
+    with closing(_each(_make, each, workers)) as done:
+        for k, _ in done:
+            made += len(each[k])
+            progress(made, len(jobs))
+
+
+def _each(
+    function: Callable[..., Result],
+    batched: Sequence[tuple[Job, ...]],
+    workers: int | None,
+    *common: object,
+) -> Generator[tuple[int, Result], None, None]:
+    if workers is None and is_local() and _light(batched):
+        workers = 1
+    return call_each(
+        function,
+        [(batch,) for batch in batched],
+        checked_workers(workers),
+        common=common,
+        name=_told,
+        files=lambda batch: [job.path for job in batch],
+        reads=_own_files,
+    )
+
+
+def _light(batched: Sequence[tuple[Job, ...]]) -> bool:
+    """Whether all rollouts take less time than starting a process: few, and without networks.
+
+    A class of a user's is never walked in this process, which it could end.
+    """
+    frames = 0
+    for batch in batched:
+        first = batch[0]
+        pair = _resolved(first.scene, first.spawn, first.policy, first.fingerprint)
+        if pair.own or pair.policy.network(first.split) is not None:
+            return False
+        frames += len(batch) * pair.scene.recording.frames
+    return frames <= LIGHT_FRAMES
+
+
+def _own_files(batch: tuple[Job, ...]) -> list[Path]:
+    """Files of the models of a batch that do not come with crowdbench."""
+    first = batch[0]
+    pair = _resolved(first.scene, first.spawn, first.policy, first.fingerprint)
+    named = [pair.policy.network(first.split), pair.spawn.scenario, pair.spawn.fits]
+    if not pair.scene.folder.is_relative_to(scenes_folder()):
+        named += sorted(path for path in pair.scene.folder.rglob("*") if path.is_file())
+    return [p for p in named if p is not None and not p.is_relative_to(scenes_folder())]
+
+
+def _told(batch: tuple[Job, ...]) -> str:
+    first, last = batch[0], batch[-1]
+    return str(first) if first is last else f"{first} to {last.seed}"
+
+
+def _remove_halves(jobs: list[Job]) -> None:
+    """Remove temporary files of runs that were killed."""
+    for folder in {job.path.parent for job in jobs}:
+        for half in folder.glob(".*-*.parquet"):
+            half.unlink(missing_ok=True)
+
+
+def _make(batch: tuple[Job, ...]) -> None:
+    _made(batch)
+
+
+def _roll_out(batch: tuple[Job, ...], reference: Reference) -> list[RolloutSummary]:
+    return [RolloutSummary.of_crowd(crowd, reference) for crowd in _made(batch)]
+
+
+def _made(batch: tuple[Job, ...]) -> list[Trajectories]:
+    """The rollouts, read from files that belong to the jobs, otherwise made and written."""
+    crowds = {job: crowd for job in batch if (crowd := _kept(job)) is not None}
+    missing = [job for job in batch if job not in crowds]
+    if missing and not batch[0].exact:
+        missing = list(batch)
+    if missing:
+        crowds |= zip(missing, _rolled_out(missing), strict=True)
+    for job in missing:
+        write_parquet(crowds[job], job.path)
+    return [crowds[job] for job in batch]
+
+
+def _kept(job: Job) -> Trajectories | None:
+    """The rollout in the file of a job, if it belongs to it."""
+    if not job.path.exists():
+        return None
+    try:
+        crowd = read_own(job.path)
+    except RecordingError:  # not a valid rollout: it is overwritten
+        return None
+    return crowd if dict(crowd.provenance) == _provenance(job) else None
+
+
+def _provenance(job: Job) -> dict[str, object]:
+    return {
+        "spawn": job.spawn,
+        "policy": job.policy,
+        "split": job.split,
+        "fit": job.fit,
+        "seed": job.seed,
+        "made_from": job.fingerprint,
+    }
+
+
+def _rolled_out(jobs: Sequence[Job]) -> list[Trajectories]:
+    """The rollouts of jobs with the same models and split."""
+    first = jobs[0]
+    with _named(first):
+        of_all = (first.scene, first.spawn, first.policy)
+        scene = _resolved(*of_all, first.fingerprint).scene
+        models = [_models(*of_all, j.split, j.fit, j.fingerprint) for j in jobs]
+        # Rollouts of different splits must not share their random numbers.
+        seeds = [j.seed * len(SPLITS) + SPLITS.index(j.split) for j in jobs]
+        crowds = rollouts(scene, [spawn for spawn, _ in models], models[0][1], seeds=seeds)
+    return [replace(c, provenance=_provenance(j)) for c, j in zip(crowds, jobs, strict=True)]
+
+
+@contextmanager
+def _named(job: Job) -> Iterator[None]:
+    """Add the rollout to the message of errors that a user's own class raises.
+
+    Raises:
+        OwnCodeError: the class raised an exception that is not a `CrowdbenchError`.
+    """
+    own = _resolved(job.scene, job.spawn, job.policy, job.fingerprint).own
+    try:
+        yield
+    except Stopped:
+        raise
+    except CrowdbenchError as error:
+        if not own:
+            raise
+        where = f"{error.where}, {job}"
+        raise type(error)(where, got=error.got, expected=error.expected, hint=error.hint) from error
+    except (Exception, SystemExit) as error:
+        if not own:
+            raise
+        raise OwnCodeError(
+            f"{' or '.join(own)}, {job}",
+            got=told(error),
+            expected="no error",
+            hint="Correct the class and start again: rollouts of other models are kept.",
+        ) from error
+
+
+@functools.lru_cache(maxsize=8)
+def _resolved(scene: str, spawn: str, policy: str, fingerprint: str) -> Resolved:
+    return Resolved.of(load_scene(scene), spawn, policy)
+
+
+@functools.lru_cache(maxsize=8)  # jobs of one pair are consecutive, so a recording is read once
+def _models(
+    scene: str, spawn: str, policy: str, split: str, fit: int, fingerprint: str
+) -> tuple[SpawnModel, Policy]:
+    pair = _resolved(scene, spawn, policy, fingerprint)
+    return pair.spawn.model(split, fit), pair.policy.policy(split)
+
+
+def _plain(name: str) -> str:
+    plain = "".join(c if c.isalnum() or c in "-." else "-" for c in name)
+    return plain if plain == name else f"{plain}-{sha256(name.encode())[:6]}"

@@ -1,0 +1,209 @@
+"""How well a policy walks in the time blocks that it was trained on.
+
+Settings of a policy, such as the width of its samples, must not be chosen on the blocks that it is
+scored on. `validate` gives the walk score of a policy on the training blocks of a split instead.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+
+from crowdbench import registry
+from crowdbench.data.table import OUTCOMES, Trajectories
+from crowdbench.errors import SettingError
+from crowdbench.metrics import WALK
+from crowdbench.metrics.groups import CompanionDistance
+from crowdbench.metrics.interaction import WallClearance
+from crowdbench.metrics.metric import Statistics
+from crowdbench.metrics.motion import Speed
+from crowdbench.metrics.rows import block_of_frames
+from crowdbench.policies import Policy, Straight
+from crowdbench.run.judge import FINISHED
+from crowdbench.run.references import reference_of
+from crowdbench.run.rollout import rollout
+from crowdbench.run.rollout import rollouts as roll_out
+from crowdbench.scene import Scene, load_scene
+from crowdbench.scoring.reference import summarise
+from crowdbench.scoring.score import LOWEST
+from crowdbench.spawn.areas import read_areas
+from crowdbench.spawn.weights import check_split
+
+_SEEDS = 1_000_000
+"""First seed of the rollouts, far from those of evaluations."""
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Results of a policy under the recorded arrivals, in the training blocks of a split."""
+
+    scores: Mapping[str, float]
+    """Score of each metric: 1 − d / d of straight walkers, where d is the mean distance to the
+    recording; at least −1."""
+    families: Mapping[str, float]
+    """Mean score of the metrics of motion and of interaction."""
+    speed_mps: float
+    """Mean speed of people who walk."""
+    recorded_speed_mps: float
+    """The same in the recording."""
+    at_goal: float
+    """Share of those whose trips ended in these blocks who reached the goal."""
+    companion_distance: float
+    """Mean distance of companions, divided by that of recorded ones. A crowd without companions
+    counts as one whose companions are 5 m apart; NaN if the scene has no statistics of them."""
+    clearance: tuple[tuple[float, ...], tuple[float, ...]]
+    """Shares (41 each) of positions at each distance to walls, in steps of 5 cm up to 2 m and
+    beyond: of the recording, and of the policy."""
+    passes: bool
+    """Whether speed and arrivals are within the limits of the scene's gate. The standard is the
+    recording, where all reach their goals."""
+
+    @property
+    def walk(self) -> float:
+        """The lesser of the two families; at most 0 if the policy does not pass the gate."""
+        value = min(self.families.values())
+        return value if self.passes else min(0.0, value)
+
+
+def validate(
+    scene: str | Path | Scene, policy: str | Policy, split: str = "full", *, rollouts: int = 1
+) -> Validation:
+    """Walk a policy under the recorded arrivals and score it on the training blocks of `split`.
+
+    The whole recording is simulated, because crowds at the beginning of a block are part of it.
+    Only what happens in the training blocks is compared: all positions outside of them are removed
+    first, also those of the delayed people that `avoidance` needs. The random numbers are not those
+    of evaluations.
+
+    Args:
+        scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
+        policy: a policy, or its name, file or folder as in `crowdbench.policy`; of a folder, the
+            file of `split`.
+        split: `full`, or `fold0`, `fold1`, … for the blocks that the fold is *not* scored on.
+        rollouts: number of rollouts whose distances are averaged.
+
+    Raises:
+        RecordingError: the recording is not imported.
+        SceneError, SettingError: the scene, split or policy does not exist, `rollouts` is not
+            positive, or straight walkers cannot be told from the recording in these blocks.
+        WeightsError: the file of the policy is missing or invalid.
+    """
+    return Validator(scene, split).validate(policy, rollouts=rollouts)
+
+
+class Validator:
+    """Validates several policies on the same scene and split, as `validate` does one.
+
+    Straight walkers, which all are compared with, are walked only once.
+    """
+
+    def __init__(self, scene: str | Path | Scene, split: str = "full") -> None:
+        """Raises RecordingError, SceneError, SettingError: see `validate`."""
+        check_split(split, 0)
+        self.scene, self.split = load_scene(scene), split
+        self._arrivals = registry.spawn_model("replay", self.scene)
+        self._reference = reference_of(self.scene)
+        self._blocks = self._reference.blocks.training(split)
+        self._metrics = [m for m in self._reference.metrics if m.family in WALK]
+        self._metrics += [m for m in self._reference.metrics if m.name == CompanionDistance.name]
+        self._recorded = self._seen(registry.recording_of(self.scene))
+        straight = rollout(self.scene, self._arrivals, Straight(), seed=_SEEDS)
+        self._anchor = self._compared([straight]).distances
+        if not any(self._anchor.values()):
+            raise SettingError(
+                f"scene {self.scene.id}",
+                got="no metric of walking that is scored",
+                expected="at least one",
+            )
+
+    def validate(self, policy: str | Policy, *, rollouts: int = 1) -> Validation:
+        """See the function `validate`."""
+        if rollouts < 1:
+            raise SettingError("rollouts", got=str(rollouts), expected="1 or more")
+        place, arrivals = self.scene, self._arrivals
+        walker = registry.policy(policy, place, self.split)
+        seeds = [_SEEDS + k for k in range(rollouts)]
+        crowds = roll_out(place, [arrivals] * rollouts, walker, seeds=seeds)
+        found, anchor = self._compared(crowds), self._anchor
+        scores = {
+            name: max(LOWEST, 1 - d / anchor[name])
+            for name, d in found.distances.items()
+            if anchor[name] > 0
+        }
+        each: dict[str, list[float]] = {family: [] for family in WALK}
+        for m in self._reference.metrics:
+            if m.name in scores:
+                each[m.family].append(scores[m.name])
+        families = {family: float(np.mean(some)) for family, some in each.items() if some}
+        ended = np.sum([self._ended(crowd) for crowd in crowds], axis=0)
+        at_goal = float(ended[FINISHED[0]] / max(1, ended[list(FINISHED)].sum()))
+        off = abs(found.speed_mps / found.recorded_speed_mps - 1)
+        return Validation(
+            scores,
+            families,
+            found.speed_mps,
+            found.recorded_speed_mps,
+            at_goal,
+            found.companion_distance,
+            found.clearance,
+            passes=off <= place.gate.speed and at_goal >= place.gate.arrivals,
+        )
+
+    def _ended(self, crowd: Trajectories) -> Int[np.ndarray, " outcomes"]:
+        """Number of trips with each outcome that ended in the blocks."""
+        inside = block_of_frames(self._blocks, crowd.frames)[crowd.last] >= 0
+        return np.bincount(crowd.outcome[inside], minlength=len(OUTCOMES))
+
+    def _seen(self, crowd: Trajectories) -> dict[str, Statistics]:
+        """Statistics of what the crowd does in the blocks."""
+        here = self._blocks.parts(read_areas(self.scene).assign(crowd))
+        return summarise(here, self._blocks, self._reference.place, self._metrics)
+
+    def _compared(self, crowds: list[Trajectories]) -> "_Compared":
+        """Compare crowds with the recording."""
+        recorded, blocks = self._recorded, self._blocks
+        speed, together, walls = Speed(), CompanionDistance(), WallClearance()
+        names = set(self.scene.protocol.scored) - {together.name}
+        scored = [m for m in self._metrics if m.name in names and m.applies(blocks)]
+        distances: dict[str, list[float]] = {m.name: [] for m in scored}
+        speeds, apart, clear = [], [], []
+        for crowd in crowds:
+            here = self._seen(crowd)
+            for m in scored:
+                compared = m.compare(recorded[m.name], here[m.name], blocks)
+                distances[m.name].append(compared.distance)
+            speeds.append(speed.walking_mps(here[speed.name]) or 0.0)
+            if together.name in here:
+                result = together.compare(recorded[together.name], here[together.name], blocks)
+                apart.append(result.simulated / result.recorded)
+            clear.append(_shares(here[walls.name], walls.if_empty(blocks)))
+        mean = {name: float(np.mean(each)) for name, each in distances.items()}
+        recorded_mps = speed.walking_mps(recorded[speed.name]) or np.nan
+        relative = float(np.mean(apart)) if apart else np.nan
+        clearance = (
+            _shares(recorded[walls.name], walls.if_empty(blocks)),
+            tuple(np.mean(clear, axis=0).tolist()),
+        )
+        return _Compared(mean, float(np.mean(speeds)), recorded_mps, relative, clearance)
+
+
+class _Compared(NamedTuple):
+    """Crowds beside the recording; see `Validation`."""
+
+    distances: dict[str, float]
+    """Mean distance in each scored metric of walking."""
+    speed_mps: float
+    recorded_speed_mps: float
+    companion_distance: float
+    clearance: tuple[tuple[float, ...], tuple[float, ...]]
+
+
+def _shares(statistics: Statistics, largest: int) -> tuple[float, ...]:
+    """Shares of positions at each distance to walls, which are 0 to `largest` lattice steps."""
+    counts = statistics["counts"].sum(axis=0)
+    found = np.zeros(1 + largest)
+    found[: len(counts)] = counts / max(1, counts.sum())
+    return tuple(found.tolist())

@@ -1,0 +1,1 @@
+"""`ntpp-gmm`: neural temporal point processes."""

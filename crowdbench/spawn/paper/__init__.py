@@ -1,0 +1,1 @@
+"""`ntpp-paper`: the founding paper's model, to the letter."""

@@ -1,0 +1,189 @@
+"""Training of `ntpp-paper` with torch, as the founding paper and its published code describe it.
+
+Windows of w frames, o frames apart (the paper's "overlap" is a stride in its code), are cut from
+the recording; windows at the end of an observed stretch are shorter. The loss is the mean over the
+windows of the negative log-density of their gaps, with the survival term of eq. 5 for the time
+after the last event, divided by w. Each epoch is one Adam step on all windows of an area, as in the
+published code; the paper does not say how windows are batched. The loss and its gradient come from
+compiled kernels (`crowdbench.spawn.paper.gradient`), the first weights and Adam's steps from
+torch. There is no early stopping and no calibration. An area in which nobody enters during the
+training time gets a rate of almost 0, as there is nothing to train on.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from crowdbench.scene import Scene
+from crowdbench.spawn.areas import Areas
+from crowdbench.spawn.events import Arrivals
+from crowdbench.spawn.ntpp.sequences import windows
+from crowdbench.spawn.ntpp.training import deterministic
+from crowdbench.spawn.paper.gradient import (
+    ROWS,
+    Batch,
+    Scratch,
+    Weights,
+    add_gradient,
+    pack,
+)
+from crowdbench.spawn.paper.model import HIDDEN, SHAPES, NtppPaper
+
+_NEVER = -100.0
+"""Output of a head that gives a rate of almost 0."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of training; the defaults are those of the paper."""
+
+    window_frames: int = 1000
+    stride_frames: int = 50
+    """The paper compares windows of 100, 500 and 1000 frames and strides of 5 and 50."""
+    epochs: int = 500
+    learning_rate: float = 0.0
+    """By default (0) 1e-4, as in the paper, and 5e-3 with `published_code`."""
+    published_code: bool = False
+    """Whether the model is that of the published code; see `ntpp_paper`."""
+
+    def __post_init__(self) -> None:
+        if self.learning_rate == 0.0:
+            object.__setattr__(self, "learning_rate", 5e-3 if self.published_code else 1e-4)
+
+
+PAPER = Settings()
+
+
+class _Network(nn.Module):
+    """The network of one area."""
+
+    def __init__(self, linear: bool) -> None:
+        super().__init__()
+        self.gru = nn.GRU(2, HIDDEN, batch_first=True)
+        self.hidden = None if linear else nn.Linear(HIDDEN, HIDDEN)
+        self.out = nn.Linear(HIDDEN, 2)
+        self.initial: Tensor = torch.zeros(HIDDEN) if linear else torch.randn(HIDDEN)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """The weights with the names of `SHAPES`, in their order."""
+        hidden, of_gru = self.hidden, dict(self.gru.named_parameters())
+        return {
+            "input_weight": of_gru["weight_ih_l0"],
+            "input_bias": of_gru["bias_ih_l0"],
+            "state_weight": of_gru["weight_hh_l0"],
+            "state_bias": of_gru["bias_hh_l0"],
+            "initial": self.initial,
+            "hidden_weight": torch.zeros(HIDDEN, HIDDEN) if hidden is None else hidden.weight,
+            "hidden_bias": torch.zeros(HIDDEN) if hidden is None else hidden.bias,
+            "out_weight": self.out.weight,
+            "out_bias": self.out.bias,
+        }
+
+    def weights(self) -> dict[str, np.ndarray]:
+        """Copies of the weights with the names of `SHAPES`."""
+        return {name: tensor.detach().numpy().copy() for name, tensor in self.tensors().items()}
+
+
+def fit(
+    arrivals: Arrivals, areas: Areas, scene: Scene, *, seed: int, settings: Settings = PAPER
+) -> NtppPaper:
+    """Train the networks of a scene's areas; the same seed gives the same weights."""
+    rng = np.random.default_rng([seed, 0])
+    weights: dict[str, list[np.ndarray]] = {name: [] for name in SHAPES}
+    with deterministic(), torch.random.fork_rng(devices=[]):
+        for k in range(arrivals.areas):
+            torch.manual_seed(1000 * seed + k)
+            network = _Network(settings.published_code)
+            found = sequences(arrivals, k, scene, settings, rng)
+            if any(len(gaps) > 1 for gaps in found):
+                train(network, found, settings)
+            else:
+                _silence(network)
+            for name, array in network.weights().items():
+                weights[name].append(array)
+    stacked = {name: np.stack(each) for name, each in weights.items()}
+    return NtppPaper(areas, stacked, scene.dt_s, arrivals.grid_s, asdict(settings))
+
+
+def sequences(
+    arrivals: Arrivals, area: int, scene: Scene, settings: Settings, rng: np.random.Generator
+) -> list[Float[np.ndarray, " _"]]:
+    """The gaps in each training window of an area, in frames; the last one ends the window."""
+    step = arrivals.grid_s / scene.dt_s
+    tick = arrivals.tick[arrivals.area == area]
+    if settings.published_code:
+        times = np.unique(np.floor(tick * step + 1e-6))
+    else:
+        times = np.sort((tick + rng.random(len(tick))) * step)
+    width = max(1, round(settings.window_frames / step))
+    stride = max(1, round(settings.stride_frames / step))
+    if not settings.published_code:
+        cut = windows(arrivals.windows, width, stride)
+        return [_gaps(times, a * step, b * step) for a, b in cut.tolist()]
+    found = []
+    for start, stop in arrivals.windows.tolist():
+        for a in range(start, stop, stride):
+            inside = _between(times, a * step, min(a + width, stop) * step)
+            if len(inside):
+                last = inside[0] + settings.window_frames
+                found.append(np.diff(np.concatenate([inside[:1], inside, [last]])))
+    return found
+
+
+def _between(times: Float[np.ndarray, " n"], start: float, stop: float) -> Float[np.ndarray, " m"]:
+    return times[np.searchsorted(times, start) : np.searchsorted(times, stop)]
+
+
+def _gaps(times: Float[np.ndarray, " n"], start: float, stop: float) -> Float[np.ndarray, " m"]:
+    return np.diff(np.concatenate([[start], _between(times, start, stop), [stop]]))
+
+
+def train(
+    network: "_Network", found: Sequence[Float[np.ndarray, " _"]], settings: Settings
+) -> list[float]:
+    """Train a network on its windows; returns the loss before each epoch."""
+    batches = _batches(found, settings.window_frames)
+    scratch = Scratch.of(batches)
+    tensors = list(network.tensors().values())
+    # These arrays share the memory of the tensors, so they follow each step of Adam.
+    weights = Weights(*(tensor.detach().numpy() for tensor in tensors))
+    gradient = Weights(*map(np.zeros_like, weights))
+    for tensor, array in zip(tensors, gradient, strict=True):
+        tensor.grad = torch.from_numpy(array)
+    adam = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
+    losses = []
+    for _ in range(settings.epochs):
+        for array in gradient:
+            array[:] = 0
+        losses.append(0.0)
+        for batch in batches:  # one step: their gradients are added
+            losses[-1] += add_gradient(batch, weights, settings.published_code, gradient, scratch)
+        adam.step()
+    return losses
+
+
+def _batches(found: Sequence[Float[np.ndarray, " _"]], window_frames: int) -> list[Batch]:
+    """Windows of similar lengths together, each with its share; those that are equal count once.
+
+    Most windows of a quiet area are equal, as nobody enters.
+    """
+    count = Counter(gaps.astype(np.float32).tobytes() for gaps in found)
+    each = sorted(count.items(), key=lambda item: len(item[0]))
+    batches = []
+    for k in range(0, len(each), ROWS):
+        rows = [np.frombuffer(data, np.float32) for data, _ in each[k : k + ROWS]]
+        share = np.array([n for _, n in each[k : k + ROWS]]) / (len(found) * window_frames)
+        batches.append(pack(rows, share))
+    return batches
+
+
+def _silence(network: "_Network") -> None:
+    """Make the rate of an area without arrivals almost 0; there is nothing to train on."""
+    with torch.no_grad():
+        network.out.weight.zero_()
+        network.out.bias.copy_(torch.tensor([_NEVER, 1.0]))

@@ -1,0 +1,1 @@
+"""What people do between entry and exit: companions, stops, via points."""

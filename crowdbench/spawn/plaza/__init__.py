@@ -1,0 +1,1 @@
+"""The true process of the plaza, a synthetic place."""

@@ -1,0 +1,1 @@
+"""Scenarios: changes of arrivals, and models under them."""

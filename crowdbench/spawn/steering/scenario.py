@@ -1,0 +1,298 @@
+"""Scenarios: changes of a scene's arrivals, as a small TOML file or as Python objects.
+
+    schema = 1
+    scene = "gc-v0"
+    closed_goals = [7]                      # nobody walks to goal area 7
+
+    [[change]]                              # change spawn area 3:
+    area = 3
+    factor = [[600, 3], [1200, 1]]          # three times the rate from 600 s to 1200 s
+    goals = { 0 = 0.8, 2 = 0.2 }            # other goals
+
+    [[add]]                                 # an additional spawn area
+    mean_m = [20.0, 30.0]
+    sd_m = [0.5, 1.0]
+    persons_per_min = 12
+    goals = { 0 = 1 }
+
+`crowdbench areas` prints the numbers of a scene's areas. Times are relative to the start of the
+episode; the values at its start also apply during the warm-up before it.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from crowdbench.errors import SettingError
+from crowdbench.files import read_struct
+from crowdbench.scene import Scene
+from crowdbench.spawn.areas import Areas
+from crowdbench.spawn.plans.planned import PlannedAreas
+
+SCHEMA = 1
+MOST_FACTOR = 100.0
+_HINT = "Compare with the scenarios in docs/steering.md."
+
+Number = float | int
+Profile = Number | tuple[tuple[Number, Number], ...]
+"""A constant, or steps: pairs of a time in seconds and the value from that time on."""
+Goals = Mapping[int, Number]
+"""P(goal area); goal areas that are not named have probability 0."""
+
+
+class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A change of one of the scene's spawn areas."""
+
+    area: int
+    factor: Profile = 1.0
+    """Factor of the area's rate; 1 before the first step, 0 closes the area."""
+    shift_s: Number = 0.0
+    """Delay of the area's arrivals in seconds, applied before `factor`; negative means earlier."""
+    goals: dict[int, Number] | None = None
+    """P(goal | this area), with sum 1; None keeps the scene's probabilities."""
+    group_size: Number | None = None
+    """Mean size of groups, counting people who are alone as one."""
+    stop: Number | None = None
+    """P(a person stops on its way)."""
+    wait_s: Number | None = None
+    """Mean wait of those who stop, seconds."""
+
+    def of_plans(self) -> dict[str, Number]:
+        """The changes that only models of plans understand, by name."""
+        known = {"group_size": self.group_size, "stop": self.stop, "wait_s": self.wait_s}
+        return {name: value for name, value in known.items() if value is not None}
+
+
+class Addition(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """An additional spawn area, with Poisson arrivals of groups and the scene's speeds."""
+
+    mean_m: tuple[Number, Number]
+    """Mean of the starts (x, y), metres."""
+    sd_m: tuple[Number, Number]
+    """Standard deviations of the starts in x and y, metres."""
+    persons_per_min: Profile
+    """Expected persons per minute; 0 before the first step."""
+    group_size: Number = 1.0
+    """Mean group size; sizes are geometric."""
+    goals: dict[int, Number]
+    """P(goal | this area), with sum 1."""
+
+
+class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    schema: int
+    scene: str
+    closed_goals: tuple[int, ...] = ()
+    change: tuple[Change, ...] = ()
+    add: tuple[Addition, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """Changes of a scene's arrivals, applied to a model by `spawn_model(…, scenario=…)`.
+
+    Added areas get the numbers after the scene's last spawn area.
+    """
+
+    name: str
+    scene: str
+    closed_goals: tuple[int, ...] = ()
+    """Goal areas that nobody walks to. Their probability is distributed proportionally over the
+    other goals of each spawn area."""
+    change: tuple[Change, ...] = ()
+    add: tuple[Addition, ...] = ()
+
+    def flow(self, areas: Areas) -> Float[np.ndarray, "K G"]:
+        """P(goal area | spawn area) for the scene's spawn areas under this scenario."""
+        flow = areas.flow.copy()
+        for change in self.change:
+            if change.goals is not None:
+                flow[change.area] = row(change.goals, len(areas.goal))
+        closed = flow[:, list(self.closed_goals)].sum(axis=1) > 0
+        flow[:, list(self.closed_goals)] = 0
+        flow[closed] /= flow[closed].sum(axis=1, keepdims=True)
+        return flow
+
+
+def row(goals: Goals, number: int) -> Float[np.ndarray, " G"]:
+    """The probabilities of all goal areas as an array, normalised to sum 1."""
+    found = np.zeros(number)
+    found[list(goals)] = list(goals.values())
+    return found / found.sum()
+
+
+def split_scenario(named: str) -> tuple[str, Path | None]:
+    """Split MODEL+FILE.toml into the name of the spawn model and the scenario's file.
+
+    The file is None if there is no scenario. The name of an existing folder is not split, even if
+    it contains a plus sign.
+    """
+    if Path(named).is_dir():
+        return named, None
+    model, plus, file = named.partition("+")
+    return model, Path(file) if plus else None
+
+
+def read_scenario(path: Path, scene: Scene, areas: Areas) -> Scenario:
+    """Read a scenario from a file and check it; its name is that of the file without suffix.
+
+    Raises:
+        SettingError: the file is missing or broken, has another schema, or does not fit the scene.
+    """
+    file = read_struct(path, _File, SettingError, _HINT)
+    if file.schema != SCHEMA:
+        raise SettingError(
+            path, got=f"schema = {file.schema}", expected=f"schema = {SCHEMA}", hint=_HINT
+        )
+    fields = {name: getattr(file, name) for name in file.__struct_fields__ if name != "schema"}
+    scenario = Scenario(name=path.stem, **fields)
+    check_scenario(scenario, scene, areas, str(path))
+    return scenario
+
+
+def check_scenario(scenario: Scenario, scene: Scene, areas: Areas, where: str) -> None:
+    """Check that a scenario fits a scene and is consistent; `where` names its source in messages.
+
+    Raises:
+        SettingError: it names another scene, an area that does not exist, or an area twice; a
+            factor, rate, size or probability is out of range; or it leaves people without a goal.
+    """
+    if scenario.scene != scene.id:
+        raise SettingError(
+            f"{where}, scene",
+            got=repr(scenario.scene),
+            expected=repr(scene.id),
+            hint="The numbers of areas differ between scenes.",
+        )
+    for goal in scenario.closed_goals:
+        _check_area(goal, len(areas.goal), "goal", f"{where}, closed_goals", scene)
+    for k, change in enumerate(scenario.change, 1):
+        at = f"{where}, change {k}"
+        _check_area(change.area, len(areas.spawn), "spawn", f"{at}, area", scene)
+        if change.area in [c.area for c in scenario.change[: k - 1]]:
+            raise SettingError(
+                f"{at}, area",
+                got=f"spawn area {change.area} a second time",
+                expected="at most one [[change]] per area",
+                hint="Combine them into one.",
+            )
+        at = f"{at} (area {change.area})"
+        _check_profile(change.factor, MOST_FACTOR, f"{at}, factor")
+        _check_range(change.shift_s, -math.inf, math.inf, f"{at}, shift_s")
+        if change.goals is not None:
+            _check_goals(change.goals, scenario, areas, f"{at}, goals", scene)
+        _check_plans(change, areas, at)
+    for k, addition in enumerate(scenario.add, 1):
+        _check_addition(addition, scenario, areas, f"{where}, add {k}", scene)
+    _check_ways_out(scenario, areas, where)
+
+
+def _check_plans(change: Change, areas: Areas, at: str) -> None:
+    asked = change.of_plans()
+    if not asked:
+        return
+    if not isinstance(areas, PlannedAreas):
+        raise SettingError(
+            f"{at}, {next(iter(asked))}",
+            got="a model of people who come alone and do not stop",
+            expected="a model of plans, such as ntpp-plans or cox-plans",
+        )
+    limits = {"group_size": (1.0, math.inf), "stop": (0.0, 1.0), "wait_s": (4.0, math.inf)}
+    for name, value in asked.items():
+        _check_range(value, *limits[name], f"{at}, {name}")
+    if len(areas.ways.stop_mean) == 0 and {"stop", "wait_s"} & set(asked):
+        raise SettingError(
+            f"{at}, stop",
+            got=f"a change of stops on {areas.scene}, where too few recorded people stop",
+            expected="a scene whose model knows places of stops",
+        )
+
+
+def _check_addition(
+    addition: Addition, scenario: Scenario, areas: Areas, at: str, scene: Scene
+) -> None:
+    if not scene.walkable(np.array([addition.mean_m], dtype=np.float64))[0]:
+        b = scene.bounds
+        raise SettingError(
+            f"{at}, mean_m",
+            got=f"{list(addition.mean_m)}, outside the bounds of {scene.id} or in a wall",
+            expected=f"a place where people can walk, x from {b.x_min_m:g} to {b.x_max_m:g} and y "
+            f"from {b.y_min_m:g} to {b.y_max_m:g}",
+        )
+    for sd_m in addition.sd_m:
+        _check_range(sd_m, 0.01, math.inf, f"{at}, sd_m")
+    _check_profile(addition.persons_per_min, math.inf, f"{at}, persons_per_min")
+    _check_range(addition.group_size, 1.0, math.inf, f"{at}, group_size")
+    _check_goals(addition.goals, scenario, areas, f"{at}, goals", scene)
+
+
+def _check_ways_out(scenario: Scenario, areas: Areas, where: str) -> None:
+    named = [change.area for change in scenario.change if change.goals is not None]
+    others = np.delete(areas.flow, list(set(scenario.closed_goals)), axis=1).sum(axis=1)
+    stuck = [k for k in np.flatnonzero(others <= 0).tolist() if k not in named]
+    if stuck:
+        raise SettingError(
+            f"{where}, closed_goals",
+            got=f"all goals of spawn area {', '.join(map(str, stuck))}",
+            expected="at least one open goal for each spawn area",
+            hint="Define `goals` for these areas in a [[change]].",
+        )
+
+
+def _check_area(area: int, number: int, kind: str, where: str, scene: Scene) -> None:
+    if not 0 <= area < number:
+        raise SettingError(
+            where,
+            got=f"{kind} area {area}",
+            expected=f"one of the {number} {kind} areas of {scene.id}, 0 to {number - 1}",
+            hint=f"See `crowdbench areas {scene.asked}`.",
+        )
+
+
+def _check_profile(profile: Profile, most: float, where: str) -> None:
+    if isinstance(profile, Number):
+        _check_range(profile, 0.0, most, where)
+        return
+    times = [time_s for time_s, _ in profile]
+    finite = all(math.isfinite(time_s) and time_s >= 0 for time_s in times)
+    ascending = all(a < b for a, b in pairwise(times))
+    if not (times and finite and ascending):
+        raise SettingError(
+            where,
+            got=f"times {times}" if times else "no steps",
+            expected="pairs [time_s, number] with ascending times ≥ 0 s",
+        )
+    for _, value in profile:
+        _check_range(value, 0.0, most, where)
+
+
+def _check_range(value: Number, least: float, most: float, where: str) -> None:
+    if not (math.isfinite(value) and least <= value <= most):
+        bounds = f"{least:g} to {most:g}" if math.isfinite(most) else f"{least:g} or more"
+        expected = bounds if math.isfinite(least) else "a finite number"
+        raise SettingError(where, got=f"{value:g}", expected=expected)
+
+
+def _check_goals(goals: Goals, scenario: Scenario, areas: Areas, where: str, scene: Scene) -> None:
+    for goal, share in goals.items():
+        _check_area(goal, len(areas.goal), "goal", where, scene)
+        _check_range(share, 0.0, 1.0, f"{where}, {goal}")
+        if share > 0 and goal in scenario.closed_goals:
+            raise SettingError(
+                f"{where}, {goal}",
+                got=f"probability {share:g} for a goal in closed_goals",
+                expected="positive probabilities for open goals only",
+            )
+    total = math.fsum(goals.values())
+    if abs(total - 1) > 1e-6:
+        raise SettingError(
+            where,
+            got=f"probabilities that sum to {total:g}",
+            expected="a sum of 1",
+            hint="Goals that are not listed have probability 0.",
+        )

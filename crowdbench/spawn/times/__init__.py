@@ -1,0 +1,1 @@
+"""When people enter: processes of arrivals."""

@@ -1,1 +1,0 @@
-"""Studies that write the documentation's pages of results, figures and measurements."""

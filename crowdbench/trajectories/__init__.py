@@ -1,5 +1,0 @@
-"""Recorded or simulated trajectories: the table, its file formats, and time blocks."""
-
-from crowdbench.trajectories.table import OUTCOMES, Trajectories
-
-__all__ = ["OUTCOMES", "Trajectories"]

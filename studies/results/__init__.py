@@ -1,0 +1,99 @@
+"""The results page of a scene: scores of the shipped models, and what they miss.
+
+`write_results` evaluates the spawn models that come with crowdbench in both protocols and writes a
+Markdown page with pictures, meant to be kept under version control. All numbers come from the two
+scorecards and their rollouts: the same evaluations give the same bytes.
+"""
+
+from pathlib import Path
+
+from crowdbench.crowds import POLICY, SPAWN
+from crowdbench.data.storage import read_own
+from crowdbench.files import replacing, write_text
+from crowdbench.registry import has_recording, recording_of
+from crowdbench.report.plots import PlotData
+from crowdbench.run.evaluate import evaluate
+from crowdbench.run.rollout_jobs import Job, Progress, plan, splits_of
+from crowdbench.scene import Scene, load_scene
+from crowdbench.scoring.reference import Reference, read_reference
+from crowdbench.scoring.scorecard import Protocol, Scorecard
+from studies.results.correlations import Lag, at_lags
+from studies.results.misses import best_of
+from studies.results.page import page
+from studies.results.pictures import draw_pictures
+
+
+def write_results(
+    scene: str | Path,
+    *,
+    out: Path = Path("docs/results"),
+    work: Path = Path("results"),
+    seeds: int | None = None,
+    workers: int | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Path:
+    """Evaluate a scene in both protocols and write `<scene>.md` and `<scene>/*.png` into `out`.
+
+    Returns the path of the page. The evaluations are kept in `<scene>-full` and `<scene>-heldout`
+    of `work`, where a later call reuses them. `seeds`, `workers` and `progress` are those of
+    `evaluate`.
+
+    Raises:
+        SceneError, WeightsError, RecordingError, SettingError: as `evaluate`.
+        OutputError: `out` or `work` cannot be written.
+    """
+    place = load_scene(scene)
+    path = out / f"{place.id}.md"
+    folders: dict[Protocol, Path] = {
+        "full": work / f"{place.id}-full",
+        "heldout": work / f"{place.id}-heldout",
+    }
+    with replacing(path) as temporary:  # fails early if the page cannot be written
+        cards = {
+            protocol: evaluate(
+                scene,
+                spawn=SPAWN,
+                policy=POLICY,
+                protocol=protocol,
+                seeds=seeds,
+                workers=workers,
+                out=folder,
+                progress=progress,
+            )
+            for protocol, folder in folders.items()
+        }
+        jobs = {protocol: _jobs(place, card, folders[protocol]) for protocol, card in cards.items()}
+        reference = read_reference(place)
+        crowds = {(job.spawn, job.policy, job.seed): read_own(job.path) for job in jobs["full"]}
+        recording = recording_of(place) if has_recording(place) else None
+        plot = PlotData.of(place, reference, crowds, "full", recording)
+        pictures = draw_pictures(plot, out / place.id)
+        lags = {
+            protocol: _lags(reference, card, jobs[protocol]) for protocol, card in cards.items()
+        }
+        write_text(temporary, page(place, cards, lags, pictures))
+    return path
+
+
+def _jobs(place: Scene, card: Scorecard, folder: Path) -> list[Job]:
+    """The rollouts from which a scorecard was computed."""
+    pairs = [(entry.spawn, entry.policy) for entry in card.entries]
+    return plan(place.asked, place, pairs, card.protocol, card.rollouts, folder / "rollouts")
+
+
+def _lags(reference: Reference, card: Scorecard, jobs: list[Job]) -> list[Lag]:
+    """Autocorrelation of N(t) for a scorecard's best crowd, lag by lag; empty without scores."""
+    best = best_of(card)
+    if best is None:
+        return []
+    of_best = [job for job in jobs if (job.spawn, job.policy) == (best.spawn, best.policy)]
+    return at_lags(
+        reference,
+        {
+            split: [read_own(job.path) for job in of_best if job.split == split]
+            for split in splits_of(card.protocol)
+        },
+    )
+
+
+__all__ = ["write_results"]

@@ -1,0 +1,121 @@
+"""The page on policies: scores and distances under recorded arrivals, by scene.
+
+`write_walks` evaluates the simple policies, the policies that a scene ships and any others, and
+writes a Markdown page with pictures, meant to be kept under version control. All numbers come from
+rollouts: the same rollouts give the same bytes.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from crowdbench.data.storage import read_own
+from crowdbench.errors import RecordingError, SettingError
+from crowdbench.files import replacing, write_text
+from crowdbench.policies import RecordedPaths
+from crowdbench.registry import has_recording, recording_of, trained_policies
+from crowdbench.registry import policy as find_policy
+from crowdbench.report.plots.plot_data import Crowds
+from crowdbench.run.evaluate import evaluate
+from crowdbench.run.rollout import rollout
+from crowdbench.run.rollout_jobs import Progress, plan
+from crowdbench.scene import Scene, load_scene
+from crowdbench.scoring.reference import read_reference
+from crowdbench.scoring.scorecard import Protocol, Scorecard
+from crowdbench.spawn import Replay
+from studies.walks.page import Walked, page
+from studies.walks.pictures import draw_dwell
+
+PLAIN = ("random", "straight", "social-force")
+ARRIVALS = "ntpp-gmm"
+"""The spawn model for the table of arrivals at the goal, in addition to recorded arrivals."""
+FEW = 2
+"""Number of rollouts with that spawn model: enough for distances, but not for scores."""
+
+
+def write_walks(
+    scenes: Sequence[str],
+    *,
+    more: Sequence[str] = (),
+    out: Path = Path("docs"),
+    work: Path = Path("results"),
+    seeds: int | None = None,
+    workers: int | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Path:
+    """Evaluate policies on scenes and write `walks.md` and `walks/<scene>-dwell.png` into `out`.
+
+    Returns the path of the page. The policies are `random`, `straight`, `social-force`, `more`, and
+    those that each scene ships. Rollouts are kept in `walks-<scene>-…` of `work`, where a later
+    call reuses them. `seeds` is the number of rollouts per policy (and fold), by default the
+    smallest number that gives scores; `workers` and `progress` are those of `evaluate`.
+
+    Raises:
+        RecordingError: a recording has not been imported.
+        SceneError, WeightsError, SettingError: as `evaluate`.
+        OutputError: `out` or `work` cannot be written.
+    """
+    places = [load_scene(scene) for scene in dict.fromkeys(scenes)]
+    if not places:
+        raise SettingError("walks", got="no scene", expected="one or more scenes")
+    for place in places:
+        if not has_recording(place):
+            raise RecordingError(
+                place.id,
+                got="no recording",
+                expected="the recording, because policies are run under the recorded arrivals",
+                hint=f"Run `crowdbench data fetch {place.recording.name}`.",
+            )
+    path = out / "walks.md"
+    with replacing(path) as temporary:  # fails early if the page cannot be written
+        found = [_walk(place, more, out, work, seeds, workers, progress) for place in places]
+        write_text(temporary, page(found, more, seeds))
+    return path
+
+
+def _walk(
+    place: Scene,
+    more: Sequence[str],
+    out: Path,
+    work: Path,
+    seeds: int | None,
+    workers: int | None,
+    progress: Progress,
+) -> Walked:
+    policies = list(dict.fromkeys([*PLAIN, *more, *trained_policies(place)]))
+    walkers = {p: find_policy(p, place) for p in policies}
+    names = {p: walker.name for p, walker in walkers.items()}
+    sees = {p: str(walker.sees) for p, walker in walkers.items()}
+    seeds = 2 * place.protocol.fits if seeds is None else seeds
+    folder = work / f"walks-{place.id}-full"
+    cards: dict[Protocol, Scorecard] = {}
+    protocols: tuple[Protocol, ...] = ("full", "heldout")
+    for protocol in protocols:
+        cards[protocol] = evaluate(
+            place.asked,
+            spawn=["replay"],
+            policy=policies,
+            protocol=protocol,
+            seeds=seeds,
+            workers=workers,
+            out=work / f"walks-{place.id}-{protocol}",
+            progress=progress,
+        )
+    sampled = evaluate(
+        place.asked,
+        spawn=[ARRIVALS],
+        policy=policies,
+        seeds=FEW,
+        workers=workers,
+        out=work / f"walks-{place.id}-{ARRIVALS}",
+        progress=progress,
+    )
+    pairs = [("replay", p) for p in policies]
+    jobs = plan(place.asked, place, pairs, "full", seeds, folder / "rollouts")
+    crowds: Crowds = {(j.spawn, j.policy, j.seed): read_own(j.path) for j in jobs}
+    recording, reference = recording_of(place), read_reference(place)
+    draw_dwell(place, reference, crowds, names, out / "walks")
+    walked = rollout(place, Replay(recording), RecordedPaths(recording), seed=0)
+    return Walked(place, names, sees, cards, sampled, reference.score(walked))
+
+
+__all__ = ["write_walks"]
