@@ -74,7 +74,7 @@ RECORDED = Configuration("replay")
 COMPARED = (POISSON, POISSON_CODE, LITERAL, CODE, SHIPPED)
 """The models that are compared with the recording."""
 _TRAINED_BY = {
-    "ntpp-paper": ("paper/training", "paper/gradient", "ntpp/sequences"),
+    "ntpp-paper": ("paper/training", "ntpp/sequences"),
     "ntpp-gmm": (
         *("ntpp/training", "ntpp/likelihood", "ntpp/calibration", "ntpp/kernels", "ntpp/model"),
         *("ntpp/sequences", "times/groups"),

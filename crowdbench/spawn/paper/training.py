@@ -4,36 +4,33 @@ Windows of w frames, o frames apart (the paper's "overlap" is a stride in its co
 the recording; windows at the end of an observed stretch are shorter. The loss is the mean over the
 windows of the negative log-density of their gaps, with the survival term of eq. 5 for the time
 after the last event, divided by w. Each epoch is one Adam step on all windows of an area, as in the
-published code; the paper does not say how windows are batched. The loss and its gradient come from
-compiled kernels (`crowdbench.spawn.paper.gradient`), the first weights and Adam's steps from
-torch. There is no early stopping and no calibration. An area in which nobody enters during the
-training time gets a rate of almost 0, as there is nothing to train on.
+published code; the paper does not say how windows are batched. There is no early stopping and no
+calibration. An area in which nobody enters during the training time gets a rate of almost 0, as
+there is nothing to train on.
 """
 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn.functional import softplus
+from torch.nn.utils.rnn import pad_sequence
 
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals
 from crowdbench.spawn.ntpp.sequences import windows
 from crowdbench.spawn.ntpp.training import deterministic
-from crowdbench.spawn.paper.gradient import (
-    ROWS,
-    Batch,
-    Scratch,
-    Weights,
-    add_gradient,
-    pack,
-)
+from crowdbench.spawn.paper.kernels import TINY
 from crowdbench.spawn.paper.model import HIDDEN, SHAPES, NtppPaper
 
+_ROWS = 512
+"""Windows in a batch; all batches of an area make one step."""
 _NEVER = -100.0
 """Output of a head that gives a rate of almost 0."""
 
@@ -68,6 +65,15 @@ class _Network(nn.Module):
         self.hidden = None if linear else nn.Linear(HIDDEN, HIDDEN)
         self.out = nn.Linear(HIDDEN, 2)
         self.initial: Tensor = torch.zeros(HIDDEN) if linear else torch.randn(HIDDEN)
+
+    def forward(self, gap: Float[Tensor, "V L"], log_gap: Float[Tensor, "V L"]) -> Tensor:
+        """The outputs (V, L, 2) of the head before each gap of V windows."""
+        states = self.initial.expand(len(gap), 1, HIDDEN)
+        if gap.shape[1] > 1:
+            inputs = torch.stack([gap, log_gap], dim=-1)[:, :-1]
+            later, _ = self.gru(inputs, states.transpose(0, 1).contiguous())
+            states = torch.cat([states, later], dim=1)
+        return self.out(states if self.hidden is None else torch.tanh(self.hidden(states)))
 
     def tensors(self) -> dict[str, Tensor]:
         """The weights with the names of `SHAPES`, in their order."""
@@ -144,45 +150,66 @@ def _gaps(times: Float[np.ndarray, " n"], start: float, stop: float) -> Float[np
 
 
 def train(
-    network: "_Network", found: Sequence[Float[np.ndarray, " _"]], settings: Settings
+    network: _Network, found: Sequence[Float[np.ndarray, " _"]], settings: Settings
 ) -> list[float]:
     """Train a network on its windows; returns the loss before each epoch."""
     batches = _batches(found, settings.window_frames)
-    scratch = Scratch.of(batches)
-    tensors = list(network.tensors().values())
-    # These arrays share the memory of the tensors, so they follow each step of Adam.
-    weights = Weights(*(tensor.detach().numpy() for tensor in tensors))
-    gradient = Weights(*map(np.zeros_like, weights))
-    for tensor, array in zip(tensors, gradient, strict=True):
-        tensor.grad = torch.from_numpy(array)
     adam = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
     losses = []
     for _ in range(settings.epochs):
-        for array in gradient:
-            array[:] = 0
+        adam.zero_grad()
         losses.append(0.0)
         for batch in batches:  # one step: their gradients are added
-            losses[-1] += add_gradient(batch, weights, settings.published_code, gradient, scratch)
+            loss = _loss(network, batch)
+            loss.backward()  # type: ignore[no-untyped-call]
+            losses[-1] += loss.item()
         adam.step()
     return losses
 
 
-def _batches(found: Sequence[Float[np.ndarray, " _"]], window_frames: int) -> list[Batch]:
+class _Batch(NamedTuple):
+    """Windows, padded to the length of the longest one."""
+
+    gap: Float[Tensor, "V L"]
+    """In frames; the last one of a window ends without an event."""
+    log_gap: Float[Tensor, "V L"]
+    event: Float[Tensor, "V L"]
+    """1 where an event ends the gap."""
+    share: Float[Tensor, "V L"]
+    """Weight of the window in the loss; 0 where it is padded."""
+
+
+def _batches(found: Sequence[Float[np.ndarray, " _"]], window_frames: int) -> list[_Batch]:
     """Windows of similar lengths together, each with its share; those that are equal count once.
 
     Most windows of a quiet area are equal, as nobody enters.
     """
     count = Counter(gaps.astype(np.float32).tobytes() for gaps in found)
-    each = sorted(count.items(), key=lambda item: len(item[0]))
+    by_length = sorted(count.items(), key=lambda item: len(item[0]))
     batches = []
-    for k in range(0, len(each), ROWS):
-        rows = [np.frombuffer(data, np.float32) for data, _ in each[k : k + ROWS]]
-        share = np.array([n for _, n in each[k : k + ROWS]]) / (len(found) * window_frames)
-        batches.append(pack(rows, share))
+    for k in range(0, len(by_length), _ROWS):
+        rows = [
+            torch.frombuffer(bytearray(data), dtype=torch.float32)
+            for data, _ in by_length[k : k + _ROWS]
+        ]
+        shares = torch.tensor([n for _, n in by_length[k : k + _ROWS]], dtype=torch.float32)
+        gap = pad_sequence(rows, batch_first=True, padding_value=1.0)
+        length = torch.tensor([len(row) for row in rows])[:, None]
+        step = torch.arange(gap.shape[1])
+        share = shares[:, None] / (len(found) * window_frames) * (step < length)
+        batches.append(_Batch(gap, gap.clamp_min(TINY).log(), (step < length - 1).float(), share))
     return batches
 
 
-def _silence(network: "_Network") -> None:
+def _loss(network: _Network, batch: _Batch) -> Float[Tensor, ""]:
+    """−Σ share · log-density of the gaps of a batch (eq. 5)."""
+    rate, shape = softplus(network(batch.gap, batch.log_gap)).unbind(-1)
+    density = rate.log() + shape.log() + (shape - 1) * batch.log_gap
+    hazard = rate * torch.exp(shape * batch.log_gap)
+    return -(batch.share * (batch.event * density - hazard)).sum()
+
+
+def _silence(network: _Network) -> None:
     """Make the rate of an area without arrivals almost 0; there is nothing to train on."""
     with torch.no_grad():
         network.out.weight.zero_()

@@ -1,20 +1,17 @@
-"""The compiled loss and gradient of the paper's model against torch's automatic differentiation."""
+"""Training of the paper's model: the loss of batches of windows, and what Adam makes of it."""
 
 import numpy as np
 import pytest
 import torch
 from jaxtyping import Float
 from models import AREAS, GRID_S
-from numba import njit
 from torch import Tensor
 from torch.nn.functional import softplus
 
 from crowdbench.scene import load_scene
 from crowdbench.spawn import NtppPaper
-from crowdbench.spawn.paper import gradient as kernels
 from crowdbench.spawn.paper import training
 from crowdbench.spawn.paper.kernels import TINY, density
-from crowdbench.spawn.paper.model import HIDDEN, SHAPES
 from crowdbench.spawn.paper.training import Settings
 
 FRAMES = 1000
@@ -62,33 +59,25 @@ def network(code: bool, spread: float = 1.0) -> Network:
     return net
 
 
-def gradient_of(net: Network, found: list[Float[np.ndarray, " _"]], code: bool) -> tuple:
-    """The loss by the kernels, and its gradient by name."""
-    weights = kernels.Weights(*net.weights().values())
-    gradient = kernels.Weights(*map(np.zeros_like, weights))
-    batches = training._batches(found, FRAMES)
-    assert len(batches) > 1
-    scratch = kernels.Scratch.of(batches)
-    loss = sum(kernels.add_gradient(b, weights, code, gradient, scratch) for b in batches)
-    return loss, gradient._asdict()
-
-
 @pytest.mark.parametrize("code", [False, True])
 @pytest.mark.parametrize("spread", [0.3, 1.0, 2.0])
-def test_loss_and_gradient_are_those_of_torch(code: bool, spread: float) -> None:
+def test_the_loss_of_batches_is_that_of_their_windows(
+    code: bool, spread: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "_ROWS", 60)
     net, found = network(code, spread), windows()
-    loss, gradient = gradient_of(net, found, code)
-    expected = loss_of(net, found)
-    assert loss == pytest.approx(expected.item(), rel=1e-5)
+    batches = training._batches(found, FRAMES)
+    assert len(batches) > 1
+    loss, expected = sum(training._loss(net, b) for b in batches), loss_of(net, found)
+    assert loss.item() == pytest.approx(expected.item(), rel=1e-5)
     expected.backward()
-    for name, tensor in net.tensors().items():
-        if tensor.grad is None:
-            assert name in ("initial", "hidden_weight", "hidden_bias")
-            assert not gradient[name].any()
-        else:
-            scale = float(tensor.grad.abs().max())
-            assert scale > 0
-            np.testing.assert_allclose(gradient[name], tensor.grad, rtol=1e-4, atol=1e-5 * scale)
+    gradient = {name: tensor.grad.clone() for name, tensor in net.named_parameters()}
+    net.zero_grad()
+    loss.backward()
+    for name, tensor in net.named_parameters():
+        scale = float(gradient[name].abs().max())
+        assert scale > 0
+        np.testing.assert_allclose(tensor.grad, gradient[name], rtol=1e-4, atol=1e-5 * scale)
 
 
 @pytest.mark.parametrize("count", [1, 3])
@@ -137,42 +126,11 @@ def test_torch_and_the_kernels_of_the_density_agree(code: bool) -> None:
     assert of_torch == pytest.approx(density(gaps, model.of_area(0), code)[0].sum(), rel=1e-4)
 
 
-def test_batches_hold_each_gap_once_by_step() -> None:
-    found = [np.array([7.0]), np.array([1.0, 2.0, 3.0]), np.array([4.0, 0.0])]
-    batch = kernels.pack(found, np.array([0.5, 0.2, 0.3]))
-    assert batch.offsets.tolist() == [0, 3, 5, 6]
-    assert batch.inputs[:, 0].tolist() == [1, 4, 7, 2, 0, 3]
-    np.testing.assert_allclose(batch.log_gap, np.log([1, 4, 7, 2, TINY, 3]), rtol=1e-6)
-    assert batch.event.tolist() == [1, 1, 0, 1, 0, 0]
-    np.testing.assert_allclose(batch.share, [0.2, 0.3, 0.5, 0.2, 0.3, 0.2], rtol=1e-6)
-
-
-def test_weights_have_the_names_of_the_files() -> None:
-    assert kernels.Weights._fields == tuple(SHAPES)
-
-
-def test_products_are_small_enough_for_one_thread() -> None:
-    # OpenBLAS, interface/gemm.c: more threads above 65,536 times 4 multiplications.
-    assert kernels.ROWS * HIDDEN * 3 * HIDDEN <= 65_536 * 4
-
-
-@njit
-def each_of(function, x):  # type: ignore[no-untyped-def]
-    out = np.empty_like(x)
-    for i in range(len(x)):
-        out[i] = function(x[i])
-    return out
-
-
-def test_the_exponential_is_exact_to_the_last_bits_of_a_float32() -> None:
-    x = np.linspace(-87, 87, 1_000_001).astype(np.float32)
-    np.testing.assert_allclose(each_of(kernels.exponential, x), np.exp(x.astype(float)), rtol=2e-7)
-    beyond = np.array([-np.inf, -1e30, -100.0, 100.0, 1e30, np.inf], np.float32)
-    ends = np.exp(np.array([-87.0, 87.0]))
-    np.testing.assert_allclose(each_of(kernels.exponential, beyond), np.repeat(ends, 3), rtol=2e-7)
-
-
-def test_softplus_is_exact_to_the_last_bits_of_a_float32() -> None:
-    x = np.linspace(-80, 80, 1_000_001).astype(np.float32)
-    expected = np.logaddexp(0.0, x.astype(float))
-    np.testing.assert_allclose(each_of(kernels.softplus, x), expected, rtol=4e-7)
+def test_batches_hold_each_window_once() -> None:
+    gaps = [np.array([7.0]), np.array([1.0, 2.0, 3.0]), np.array([4.0, 0.0]), np.array([7.0])]
+    (batch,) = training._batches(gaps, 10)
+    assert batch.gap.tolist() == [[7, 1, 1], [4, 0, 1], [1, 2, 3]]
+    assert batch.event.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0]]
+    np.testing.assert_allclose(batch.log_gap[1, :2], np.log([4, TINY]), rtol=1e-6)
+    share = np.array([[2, 0, 0], [1, 1, 0], [1, 1, 1]]) / 40
+    np.testing.assert_allclose(batch.share, share, rtol=1e-6)
