@@ -35,7 +35,7 @@ _MODELS = "\n".join(
         "calibrated rates; the fits that the scene ships;",
         "- `poisson-gmm`: constant rates; `poisson-paper`: with the rates of the published code;",
         "- `bc-paper`: the paper’s behaviour cloning, with the learning rate of its published code "
-        "(`docs/training.md` tells why).",
+        "(`docs/baselines.md` tells why).",
     )
 )
 
@@ -126,7 +126,7 @@ def page(studied: Studied, commit: str) -> str:
 Generated with {made} by
 
 ```sh
-{shlex.join(["crowdbench", "paper", named(scene)])}
+{shlex.join(["python", "-m", "studies", "paper", named(scene)])}
 ```
 
 The fits took {took} of one core. They are kept: an interrupted command continues. [The founding

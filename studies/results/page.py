@@ -46,13 +46,10 @@ def page(
 
 ## Scores
 
-`docs/metrics.md` explains scores, intervals and ranks. A score of 0 is that of the *anchor*
-(Poisson arrivals and straight walkers), 1 is the average score of the true process that made the
-recording. *crowd* is the mean of the families before it, *walk* the lesser of motion and
-interaction, *overall* the mean of crowd and walk. *speed* is that of people who walk; ! marks
-policies beyond the limits of the scene’s gate, whose walk score is at most 0. Rows in italics are
-unranked baselines: *replay* plays back the recording, *recorded-paths* walks it under the rules of
-the simulation, *block-replay* plays back random time blocks. – means that there is no score.
+`docs/metrics.md` explains how to read a table of scores. *crowd* is the mean of the families before
+it, *walk* the lesser of motion and interaction, *overall* the mean of crowd and walk. Rows in
+italics are unranked references: *replay* plays back the recording, *recorded-paths* walks it under
+the rules of the simulation, *block-replay* plays back random time blocks.
 {_no_walk(full)}
 
 {scores}
@@ -108,7 +105,7 @@ def of_recording(scene: Scene) -> str:
 
 
 def _made(scene: Scene, card: Scorecard) -> str:
-    words = ["crowdbench", "results", named(scene)]
+    words = ["python", "-m", "studies", "results", named(scene)]
     if card.rollouts != scene.protocol.fits * scene.protocol.rollouts_per_fit:
         words += ["--seeds", str(card.rollouts)]
     return f"""Generated with crowdbench {card.crowdbench} (scene files `{card.made_from}`) by

@@ -46,7 +46,7 @@ class Walked:
 
 def page(found: Sequence[Walked], more: Sequence[str], seeds: int | None) -> str:
     """The page in Markdown; the same evaluations give the same bytes."""
-    words = ["crowdbench", "walks", *(named(walked.scene) for walked in found)]
+    words = ["python", "-m", "studies", "walks", *(named(walked.scene) for walked in found)]
     if more:
         words += ["--policy", *more]
     if seeds is not None:
@@ -56,12 +56,9 @@ def page(found: Sequence[Walked], more: Sequence[str], seeds: int | None) -> str
     return flowed(f"""# How policies walk
 
 People enter at the recorded times and places, with the recorded speeds and goals, and are moved by
-a policy. `docs/metrics.md` explains scores, intervals, ranks and protocols. A score of 0 is that
-of the *anchor* (here straight walkers), 1 is the score of the recording itself; *walk* is the
-lesser of motion and interaction, and at most 0 for policies whose speed or arrivals, marked with
-!, exceed the limits of the scene. The column *sees* is the input of a policy: *observation*, that
-of an agent in the environment, including its rays, or *state*, the positions, velocities and goals
-of all people (random uses none of it).
+a policy. `docs/metrics.md` explains how to read a table of scores. The column *sees* is the input
+of a policy: *observation*, that of an agent in the environment, including its rays, or *state*, the
+positions, velocities and goals of all people (random uses none of it).
 
 Generated with crowdbench {first.cards["full"].crowdbench} by
 

@@ -121,7 +121,7 @@ def test_training_stops_when_nothing_gets_better() -> None:
 
 
 def test_the_file_acts_as_the_policy_does(tmp_path: Path, capsys) -> None:
-    asked = pages.arguments("docs/training.md", "python -m crowdbench.baselines.bc")
+    asked = pages.arguments("docs/baselines.md", "python -m crowdbench.baselines.bc")
     small = ["--epochs", "2", "--batch-size", "512", "--seed", "3"]
     assert bc.main([*asked, *small, "--out", str(tmp_path)]) == 0
     assert "nats per action after" in capsys.readouterr().out

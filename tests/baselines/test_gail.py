@@ -146,7 +146,7 @@ def test_a_discriminator_compares_with_the_paths_that_were_cloned(
 
 
 def test_the_file_and_the_curves_are_written(tmp_path: Path, capsys) -> None:
-    asked = pages.arguments("docs/training.md", "python -m crowdbench.baselines.gail")
+    asked = pages.arguments("docs/baselines.md", "python -m crowdbench.baselines.gail")
     small = "--steps 2048 --persons 16 --horizon-s 60 --cloning-epochs 1 --cloning-batch-size 512"
     assert gail.main([*asked, *small.split(), "--out", str(tmp_path)]) == 0
     assert "steps  at goal" in capsys.readouterr().out

@@ -110,7 +110,7 @@ def test_only_people_act() -> None:
 def test_it_trains_and_its_file_acts_as_it_does(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = pages.arguments("docs/training.md", "python -m crowdbench.baselines.ppo")
+    asked = pages.arguments("docs/baselines.md", "python -m crowdbench.baselines.ppo")
     small = ["--frames", "400", "--batch-frames", "200", "--worlds", "2", "--horizon-s", "20"]
     assert ppo.main([*asked, *small, "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out

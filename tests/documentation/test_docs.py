@@ -23,7 +23,13 @@ from crowdbench.policies import StateView
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md")])
-TRAINING = (DOCS / "training.md").read_text()
+LINKING = [
+    *PAGES,
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "leaderboard/RULES.md",
+    ROOT / "baselines/README.md",
+]
+BASELINES = (DOCS / "baselines.md").read_text()
 CROWDS = ROOT / "leaderboard" / "entries" / "cox-plans-anticipate.json"
 
 
@@ -31,19 +37,35 @@ def page(name: str) -> str:
     return (DOCS / name).read_text()
 
 
-def linked(path: Path) -> set[str]:
-    """What a page points to in the repository, pictures included."""
-    found = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", path.read_text())
-    return {link for link in found if "://" not in link}
+def run_example(name: str, words: str) -> dict[str, Any]:
+    """The names that a page's example with these words defines."""
+    world: dict[str, Any] = {"np": np}
+    exec(compile(pages.block_with(page(name), words), name, "exec"), world)
+    return world
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def linked(path: Path) -> set[tuple[str, str]]:
+    """What a page points to in the repository, pictures included: files and sections."""
+    found = re.findall(r"\]\(([^)#]*)(?:#([^)]*))?\)", path.read_text())
+    return {(link, section) for link, section in found if "://" not in link}
+
+
+def sections(path: Path) -> set[str]:
+    """The names by which links call the sections of a page."""
+    headings = re.findall(r"^#+ (.*)$", path.read_text(), re.M)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("path", LINKING, ids=lambda p: str(p.relative_to(ROOT)))
 def test_what_a_page_points_to_is_there(path: Path) -> None:
-    assert [link for link in linked(path) if not (path.parent / link).exists()] == []
+    for link, section in linked(path):
+        target = path.parent / link if link else path
+        assert target.exists(), link
+        assert not section or section in sections(target), f"{link}#{section}"
 
 
 def test_the_table_of_contents_lists_every_page() -> None:
-    listed = {(DOCS / link).resolve() for link in linked(DOCS / "README.md")}
+    listed = {(DOCS / link).resolve() for link, _ in linked(DOCS / "README.md")}
     assert {p.resolve() for p in PAGES} - {DOCS / "README.md"} <= listed
 
 
@@ -103,7 +125,7 @@ def family(name: str, scene: str, asked: str) -> float:
 
 
 def test_the_scores_of_anticipate_are_those_of_its_entries() -> None:
-    rows = re.findall(r"^\| ([A-Z][\w ]+) \| ([\d.]+) \[.*?\] \|(.*)\| \d+ s \|$", TRAINING, re.M)
+    rows = re.findall(r"^\| ([A-Z][\w ]+) \| ([\d.]+) \[.*?\] \|(.*)\| \d+ s \|$", BASELINES, re.M)
     assert {row[0] for row in rows} == set(SCENES)
     for place, walk, others in rows:
         families = [family("anticipate", SCENES[place], f) for f in ("motion", "interaction")]
@@ -120,7 +142,7 @@ def test_the_scores_of_anticipate_are_those_of_its_entries() -> None:
 
 def test_the_scores_of_bc_and_gail_are_those_of_their_entries() -> None:
     rows = re.findall(
-        r"^\| ([A-Z][\w ]+)? ?\| `(bc|gail)` \| (\S+) \| (\S+) \| (\S+) \[.*\] \|$", TRAINING, re.M
+        r"^\| ([A-Z][\w ]+)? ?\| `(bc|gail)` \| (\S+) \| (\S+) \| (\S+) \[.*\] \|$", BASELINES, re.M
     )
     assert [row[1] for row in rows] == ["bc", "gail"] * 3
     place = ""
@@ -159,8 +181,7 @@ def test_the_page_on_python_names_every_outcome_and_column() -> None:
 
 
 def test_a_class_that_sees_the_state_walks_as_fast_as_people_prefer() -> None:
-    world: dict[str, Any] = {"np": np}
-    exec(compile(pages.block_with(page("training.md"), "class Direct"), "page", "exec"), world)
+    world = run_example("policies.md", "class Direct")
     crowd = rollout("plaza-v0", "poisson-gmm", world["Direct"](), seed=0, horizon_s=60.0)
     arrived = crowd.outcome == OUTCOMES.index("goal")
     assert arrived.sum() > 10
@@ -168,8 +189,7 @@ def test_a_class_that_sees_the_state_walks_as_fast_as_people_prefer() -> None:
 
 
 def test_a_class_with_a_memory_walks_people_who_tire() -> None:
-    world: dict[str, Any] = {}
-    exec(compile(pages.block_with(page("training.md"), "class Tired"), "page", "exec"), world)
+    world = run_example("policies.md", "class Tired")
     crowd = rollout("plaza-v0", "poisson-gmm", world["Tired"](), seed=0, horizon_s=40.0)
     assert (crowd.outcome == OUTCOMES.index("goal")).sum() > 5
 
@@ -192,22 +212,23 @@ def test_a_recurrent_network_is_trained_and_exported(
     pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
     world: dict[str, Any] = {}
-    example = pages.block_with(page("training.md"), words)
+    text = page("reinforcement-learning.md")
+    example = pages.block_with(text, words)
     assert settings[0] in example
     blocks = [
-        pages.block_with(page("training.md"), "class Recurrent"),
+        pages.block_with(text, "class Recurrent"),
         example.replace(*settings),
-        pages.block_with(page("training.md"), "export_policy("),
+        pages.block_with(text, "export_policy("),
     ]
     for block in blocks:
-        exec(compile(block, "training.md", "exec"), world)
+        exec(compile(block, "reinforcement-learning.md", "exec"), world)
     assert len(capsys.readouterr().out.splitlines()) == 2
     crowd = rollout("plaza-v0", "poisson-gmm", "results/gru/full.onnx", seed=0, horizon_s=20.0)
     assert len(crowd) > 5
 
 
 def test_the_fields_of_the_state_are_those_that_the_page_lists() -> None:
-    (table,) = re.findall(r"\| field .*?\n\n", page("training.md"), re.S)
+    (table,) = re.findall(r"\| field .*?\n\n", page("policies.md"), re.S)
     first_cells = " ".join(line.split("|")[1] for line in table.strip().splitlines())
     assert set(re.findall(r"`(\w+)`", first_cells)) == {f.name for f in fields(StateView)}
 
@@ -216,8 +237,7 @@ def test_the_fields_of_the_state_are_those_that_the_page_lists() -> None:
 @pytest.mark.filterwarnings("ignore:Converting a tensor with requires_grad")
 def test_the_imitation_example_trains(capsys: pytest.CaptureFixture[str]) -> None:
     need_imitation()
-    block = pages.block_with(page("training.md"), "imitation.algorithms")
-    exec(compile(block, "training.md", "exec"), {})
+    run_example("imitation.md", "imitation.algorithms")
     reward = float(capsys.readouterr().out.split()[0])
     assert reward > 5  # metres nearer to the goal
 
@@ -226,7 +246,7 @@ def test_the_example_in_closed_loop_walks_near_the_recording(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     pytest.importorskip("torch")
-    exec(compile(pages.block_with(page("training.md"), "candidates=3"), "training.md", "exec"), {})
+    run_example("imitation.md", "candidates=3")
     loss, metres = re.findall(r"-?\d+\.\d+", capsys.readouterr().out)
     assert float(loss) < -1.5
     assert 0 < float(metres) < 1.5
@@ -235,7 +255,7 @@ def test_the_example_in_closed_loop_walks_near_the_recording(
 def test_the_example_of_a_score_on_training_blocks_runs(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    exec(compile(pages.block_with(page("training.md"), "validate("), "training.md", "exec"), {})
+    run_example("imitation.md", "validate(")
     walk, arrive, _ = capsys.readouterr().out.split(",")
     assert -1 <= float(walk) <= 1
     assert float(arrive.split("%")[0]) > 50
@@ -247,26 +267,22 @@ def test_the_recurrent_example_trains_and_walks(
 ) -> None:
     need_sb3()
     monkeypatch.chdir(tmp_path)
-    exec(compile(pages.block_with(page("training.md"), "RecurrentPPO"), "training.md", "exec"), {})
+    run_example("reinforcement-learning.md", "RecurrentPPO")
     reward, waiting = capsys.readouterr().out.splitlines()
     assert float(reward.split()[0]) > 5  # metres nearer to the goal
     assert float(waiting.split("%")[0]) < 1
-    export, evaluate = of_the_recurrent_example()
+    export, evaluate = pages.commands(page("reinforcement-learning.md"))
     assert main(shlex.split(export)[1:]) == 0
     quick = ["--seeds", "1", "--spawn", "poisson-gmm"]
     assert main([*shlex.split(evaluate)[1:], *quick]) == 0
     assert "× recurrent" in capsys.readouterr().out
 
 
-def of_the_recurrent_example() -> list[str]:
-    return [c for c in pages.commands(page("training.md")) if "recurrent.onnx" in c]
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "words", "file"),
     [
-        ("training.md", "class Slow", "slow.py"),
+        ("policies.md", "class Slow", "slow.py"),
         ("spawn-models.md", "class Clockwork", "clock.py"),
     ],
 )
@@ -283,7 +299,7 @@ def test_a_class_of_ones_own_is_evaluated(tmp_path: Path, name: str, words: str,
 
 @pytest.mark.long
 @pytest.mark.usefixtures("no_report")  # the README's commands write it
-@pytest.mark.parametrize("name", ["training.md", "spawn-models.md"])
+@pytest.mark.parametrize("name", ["policies.md", "baselines.md", "spawn-models.md"])
 def test_every_command_runs(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -291,11 +307,9 @@ def test_every_command_runs(
     name: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    if name == "training.md":
+    if name == "policies.md":
         Path("walkers.py").write_text(pages.block_with(page(name), "class Walker"))
     for command in pages.commands(page(name)):
-        if command in of_the_recurrent_example():  # which needs its model
-            continue
         arguments = shlex.split(command.replace("scenes/", f"{ROOT}/scenes/"))[1:]
         arguments += ["--seeds", "1"] if arguments[0] == "evaluate" else []
         assert main(arguments) == 0, f"{command}: {capsys.readouterr().err}"
@@ -320,15 +334,20 @@ def test_every_page_of_results_says_how_it_was_made() -> None:
 
 
 def test_no_page_has_commands_that_no_test_runs() -> None:
-    here = {"training.md", "spawn-models.md"}
+    here = {"policies.md", "baselines.md", "spawn-models.md", "reinforcement-learning.md"}
+    only_trainings = {"hardware.md"}
     in_files_of_their_own = {
         *("README.md", "scenes.md", "forum.md", "steering.md", "viewer.md"),
         *("figures.md", "walks.md", "evaluation.md", "data.md", "submitting.md", "encounters.md"),
         "cluster.md",
     }
     of_results = [*DOCS.glob("results/*.md"), DOCS / "paper.md", *DOCS.glob("paper/*.md")]
-    with_commands = {path for path in PAGES if "crowdbench" in "".join(blocks_of(path))}
-    assert {path.name for path in with_commands - set(of_results)} == here | in_files_of_their_own
+    with_commands = {
+        path for path in PAGES if re.search("crowdbench|studies", "".join(blocks_of(path)))
+    }
+    assert {path.name for path in with_commands - set(of_results)} == (
+        here | only_trainings | in_files_of_their_own
+    )
 
 
 def blocks_of(path: Path) -> list[str]:

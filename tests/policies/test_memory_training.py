@@ -1,7 +1,7 @@
 """The three documented ways to a policy with a memory lead to people who arrive, and to an entry.
 
-The examples of docs/training.md are run as they stand there, for one fold of the plaza; its network
-is exported for the others, too.
+The examples of docs/reinforcement-learning.md are run as they stand there, for one fold of the
+plaza; its network is exported for the others, too.
 """
 
 import copy
@@ -35,7 +35,7 @@ from crowdbench.scene import Scene
 
 pytestmark = pytest.mark.long
 
-PAGE = (pages.ROOT / "docs" / "training.md").read_text()
+PAGE = (pages.ROOT / "docs" / "reinforcement-learning.md").read_text()
 ROUTES = {"plain": "parallel_env(", "torchrl": "SlotEnv(", "sb3": "RecurrentPPO("}
 """The words by which the page's example of each way is found."""
 ENOUGH = 0.95
@@ -87,7 +87,7 @@ def train(route: str) -> tuple[nn.Module, int]:
     def run(words: str, old: str = "", new: str = "") -> None:
         code = pages.block_with(PAGE, words)
         assert old in code
-        exec(compile(code.replace(old, new), "training.md", "exec"), world)
+        exec(compile(code.replace(old, new), "reinforcement-learning.md", "exec"), world)
 
     if route == "sb3":
         from crowdbench.policies.sb3 import read_sb3
