@@ -124,7 +124,7 @@ def refuse_submission(progress: Progress) -> None:
     from crowdbench.leaderboard.submission.errors import SubmissionError  # which is heavy
 
     problems = [SettingError(f"file {k}", got="x", expected="y", hint="Mend.") for k in range(2)]
-    raise SubmissionError("mine.zip", problems)
+    raise SubmissionError("mine", problems)
 
 
 def write_much(progress: Progress, path: str) -> str:

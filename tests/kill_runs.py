@@ -23,7 +23,6 @@ from pathlib import Path
 import numpy as np
 from submissions import walk_submission
 
-from crowdbench.leaderboard.submission.submission import pack_submission
 from crowdbench.registry import import_recording
 
 MARK = "CROWDBENCH_KILLED_RUN"
@@ -61,9 +60,8 @@ class Case:
 
 
 def cases(folder: Path, seeds: int) -> list[Case]:
-    """An evaluation, and the verification of a zip with three networks."""
-    packed = folder / "mine.zip"
-    pack_submission(walk_submission(folder / "mine"), packed)
+    """An evaluation, and the verification of a submission with three networks."""
+    submission = walk_submission(folder / "mine")
     asked = ["--spawn", "poisson-gmm", "--policy", "straight", "--workers", "2"]
     return [
         Case(
@@ -73,7 +71,7 @@ def cases(folder: Path, seeds: int) -> list[Case]:
         ),
         Case(
             "verify",
-            ["leaderboard", "verify", str(packed), "--workers", "2"],
+            ["leaderboard", "verify", str(submission), "--workers", "2"],
             ("a-walker.json", "work/a-walker/plaza-v0/*.parquet"),
         ),
     ]

@@ -1,12 +1,9 @@
-"""Ways to spoil a submission, for the fuzz run: bytes, fields, tables, networks, archives."""
+"""Ways to spoil a submission, for the fuzz run: bytes, fields, tables, networks."""
 
 import os
 import re
 import shutil
-import stat
 import struct
-import warnings
-import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -50,7 +47,7 @@ NAMES = [
 
 
 def spoilt(sound: Path, place: Path, rng: Random) -> tuple[Path, str]:
-    """A spoilt copy of a submission in `place`, as a folder or a zip, and how it was spoilt."""
+    """A spoilt copy of a submission in `place`, and how it was spoilt."""
     folder = place / "submission"
     shutil.copytree(sound, folder)
     done = []
@@ -59,15 +56,7 @@ def spoilt(sound: Path, place: Path, rng: Random) -> tuple[Path, str]:
         with suppress(Exception):  # what is spoilt already may not take more
             spoil(folder, rng)
         done.append(spoil.__name__)
-    if rng.random() < 0.4:
-        return folder, f"{sound.name}: {', '.join(done)}"
-    if rng.random() < 0.5:  # an archive that is spoilt, of a submission that is not
-        shutil.rmtree(folder)
-        shutil.copytree(sound, folder)
-        done = []
-    packed = place / "submission.zip"
-    done.append(_pack(folder, packed, rng))
-    return packed, f"{sound.name}: {', '.join(done)}"
+    return folder, f"{sound.name}: {', '.join(done)}"
 
 
 def _files(folder: Path) -> list[Path]:
@@ -277,46 +266,3 @@ OF_FOLDERS: list[Spoil] = [
     flip, flip, cut, insert, overwrite, field, field, field, line, number, number, move, swap,
     replace, many, table, table, network, network,
 ]  # fmt: skip
-
-
-def _pack(folder: Path, path: Path, rng: Random) -> str:
-    """Pack a folder, with members that no submission has, or with bytes changed afterwards."""
-    kinds = ["name", "mode", "twice", "bomb", "squeezed", "nested", "flip", "flip", "cut", "more"]
-    kind = rng.choice(["sound", *kinds])
-    squeezed = rng.choice([0, 0, 8])
-    with warnings.catch_warnings(), zipfile.ZipFile(path, "w", squeezed, compresslevel=1) as packed:
-        warnings.simplefilter("ignore")  # of a name twice
-        for file in _files(folder):
-            name = file.relative_to(folder).as_posix()
-            if name.isprintable() and file.stat().st_size < 10**7:
-                packed.write(file, name)
-        if kind == "name":
-            packed.writestr(zipfile.ZipInfo(rng.choice(NAMES)), b"x")
-        elif kind == "mode":
-            member = zipfile.ZipInfo(rng.choice(["policy.onnx", "x.txt"]))
-            member.create_system = 3
-            modes = [stat.S_IFLNK, stat.S_IFCHR, stat.S_IFIFO, stat.S_IFBLK, stat.S_ISUID]
-            member.external_attr = (rng.choice(modes) | 0o777) << 16
-            packed.writestr(member, "/etc/passwd")
-        elif kind == "twice" and packed.namelist():
-            packed.writestr(rng.choice(packed.namelist()).upper(), b"x")
-        elif kind == "bomb":
-            packed.writestr("policy.onnx", bytes(2 * 10**7), compress_type=8)
-        elif kind == "squeezed":
-            packed.writestr("policy.onnx", b"x", compress_type=rng.choice([12, 14]))
-        elif kind == "nested":
-            packed.writestr(rng.choice(["x.zip", "policy.onnx"]), b"PK\x03\x04")
-        elif kind == "more":
-            for k in range(rng.choice([10, 500])):
-                packed.writestr(f"x/{k}", b"")
-    data = path.read_bytes()
-    if kind == "flip":
-        at = data.index(b"PK\x01\x02") if rng.random() < 0.6 and b"PK\x01\x02" in data else 0
-        end = -22 if rng.random() < 0.8 else len(data)  # of the directory; its end is read first
-        data = data[:at] + _flipped(data[at:end], rng) + data[end:]
-    elif kind == "cut":
-        data = rng.choice([data[: rng.randrange(len(data))], data[rng.randrange(len(data)) :]])
-    elif rng.random() < 0.1:
-        data = rng.choice([b"junk" + data, data + b"junk", data[:-2] + b"\x05\x00hello"])
-    path.write_bytes(data)
-    return kind

@@ -37,7 +37,7 @@ def _add_verify(commands: "Commands") -> None:
         "verify", help="roll out and score submissions in a sandbox and write their entries"
     )
     verify.add_argument(
-        "submission", nargs="+", type=Path, help="folder of a submission, or its zip"
+        "submission", nargs="+", type=Path, help="folder of a submission"
     )
     verify.add_argument(
         "--out", type=Path, required=True, metavar="DIR",

@@ -1,4 +1,4 @@
-"""`crowdbench submit`: create, check and pack a submission to the leaderboard."""
+"""`crowdbench submit`: create and check a submission to the leaderboard."""
 
 import argparse
 from pathlib import Path
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def add(commands: "Commands") -> None:
     """Add these commands to the command line."""
-    submit = commands.add_parser("submit", help="create, check and pack a leaderboard submission")
+    submit = commands.add_parser("submit", help="create and check a leaderboard submission")
     of_submit = submit.add_subparsers(required=True, metavar="COMMAND")
     init = of_submit.add_parser("init", help="create the folder of a new submission to fill in")
     init.add_argument("folder", type=Path, metavar="DIR", help="folder to create")
@@ -46,16 +46,8 @@ def add(commands: "Commands") -> None:
     )
     init.set_defaults(run=_init)
     check = of_submit.add_parser("check", help="check a submission and list all its problems")
-    check.add_argument(
-        "submission", type=Path, metavar="DIR_OR_ZIP", help="folder of a submission, or its zip"
-    )
+    check.add_argument("submission", type=Path, metavar="DIR", help="folder of a submission")
     check.set_defaults(run=_check)
-    pack = of_submit.add_parser("pack", help="check a submission's folder and pack it as a zip")
-    pack.add_argument("folder", type=Path, metavar="DIR", help="folder of a submission")
-    pack.add_argument(
-        "--out", type=Path, metavar="FILE.zip", help="file to write (default: next to the folder)"
-    )
-    pack.set_defaults(run=_pack)
 
 
 def _init(args: argparse.Namespace) -> None:
@@ -75,12 +67,6 @@ def _check(args: argparse.Namespace) -> None:
     from crowdbench.leaderboard.verification.check import check
 
     _print(check(args.submission))
-
-
-def _pack(args: argparse.Namespace) -> None:
-    from crowdbench.leaderboard.submission.submission import pack_submission
-
-    print(f"written to {pack_submission(args.folder, args.out)}")
 
 
 def _print(submission: "Checked") -> None:

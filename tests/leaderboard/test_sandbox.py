@@ -26,7 +26,7 @@ def found_by_children(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def tried(name: str, kind: type = object, limits: Limits = NARROW, **arguments: object) -> object:
-    return call(f"hostile:{name}", arguments, kind, where="mine.zip", limits=limits)[0]
+    return call(f"hostile:{name}", arguments, kind, where="mine", limits=limits)[0]
 
 
 def test_a_result_comes_back_with_what_it_took_and_progress_is_told() -> None:
@@ -44,7 +44,7 @@ def test_a_result_comes_back_with_what_it_took_and_progress_is_told() -> None:
 @pytest.mark.parametrize(
     ("name", "changed", "message"),
     [
-        ("hang", {"wall_s": 1.0}, "mine.zip: got no end after 1 s"),
+        ("hang", {"wall_s": 1.0}, "mine: got no end after 1 s"),
         ("spin", {"cpu_s": 1}, "more than 1 s of CPU time"),
         ("crash", {}, r"a crash \(SIGABRT\), last output: about to fall\[31m"),
         ("leave", {}, "exit code 3"),
@@ -161,9 +161,7 @@ def test_all_that_is_wrong_with_a_submission_is_told() -> None:
     with pytest.raises(SubmissionError) as error:
         tried("refuse_submission")
     assert str(error.value) == (
-        "mine.zip: 2 problems."
-        "\n  file 0: got x; expected y. Mend."
-        "\n  file 1: got x; expected y. Mend."
+        "mine: 2 problems.\n  file 0: got x; expected y. Mend.\n  file 1: got x; expected y. Mend."
     )
 
 

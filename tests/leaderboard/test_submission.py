@@ -30,7 +30,13 @@ from crowdbench import rollout
 from crowdbench.data.blocks import SPLITS
 from crowdbench.data.storage import write_parquet
 from crowdbench.leaderboard.submission.errors import RefusedError, SubmissionError
-from crowdbench.leaderboard.submission.limits import LARGEST_DECLARATION, MOST_FILES, MOST_SHOWN
+from crowdbench.leaderboard.submission.layout import wrong_name
+from crowdbench.leaderboard.submission.limits import (
+    LARGEST_DECLARATION,
+    LONGEST_PATH,
+    MOST_FILES,
+    MOST_SHOWN,
+)
 from crowdbench.leaderboard.submission.parse import _EXPECTED
 from crowdbench.leaderboard.submission.schema import Declared, Trained
 from crowdbench.leaderboard.submission.submission import open_submission, slug
@@ -284,13 +290,41 @@ def test_a_declaration_that_is_no_text_is_refused(walker: Path) -> None:
 
 def test_a_folder_without_a_declaration_is_refused(tmp_path: Path) -> None:
     assert "crowdbench submit init" in problem(tmp_path)
-    assert "no such file" in problem(tmp_path / "nothing")
+    assert "no such folder" in problem(tmp_path / "nothing")
 
 
 def test_a_folder_in_the_folder_is_told_by_its_name(walker: Path, tmp_path: Path) -> None:
     assert "got only walker/submission.toml; expected the file at the top" in problem(tmp_path)
-    outside = shutil.make_archive(str(tmp_path / "outside"), "zip", tmp_path, walker.name)
-    assert "got only walker/submission.toml" in problem(Path(outside))
+
+
+def test_a_zip_is_to_be_unpacked(walker: Path, tmp_path: Path) -> None:
+    packed = shutil.make_archive(str(tmp_path / "packed"), "zip", walker)
+    assert "got a file; expected a submission's folder. Unpack it" in problem(Path(packed))
+
+
+@pytest.mark.parametrize(
+    ("name", "got"),
+    [
+        ("/etc/passwd", "an absolute path"),
+        ("../evil", "leads out of the folder"),
+        ("a/../../evil", "leads out of the folder"),
+        ("C:/evil", "a drive letter"),
+        ("a\\evil", "a backslash"),
+        ("a//b", "invalid characters"),
+        ("./a", "invalid characters"),
+        (".git/config", "hidden"),
+        ("ä.onnx", "invalid characters"),
+        ("a\u202eb", "invalid characters"),
+        ("a b", "invalid characters"),
+        ("a\nb", "invalid characters"),
+        ("a\x1b[2Jb", "invalid characters"),
+        ("x" * (LONGEST_PATH + 1), f"a path of {LONGEST_PATH + 1} characters"),
+    ],
+)
+def test_names_that_are_no_plain_paths_are_refused(name: str, got: str) -> None:
+    told = str(wrong_name(name))
+    assert got in told
+    assert all(c.isprintable() for c in told.replace("\n", ""))
 
 
 @pytest.mark.parametrize(

@@ -50,11 +50,7 @@ def test_from_a_trained_network_to_a_packed_submission(tmp_path: Path, capsys: P
     assert "walk, learned, trained: heldout" in out
     assert "networks: 3" in out
     assert "ranked: crowdbench runs the rollouts and scores them on held-out data" in out
-    assert submit("pack", folder) == 0
-    packed = tmp_path / "my-walker.zip"
-    assert f"written to {packed}" in capsys.readouterr().out
-    assert submit("check", packed) == 0
-    with open_submission(packed) as submission:
+    with open_submission(folder) as submission:
         assert submission.declared.name == "my-walker"
         assert submission.declared.training.parameters == 28
 

@@ -8,16 +8,21 @@ from pathlib import Path
 
 from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import CrowdbenchError
-from crowdbench.leaderboard.submission.archive import wrong_name
 from crowdbench.leaderboard.submission.errors import RefusedError
-from crowdbench.leaderboard.submission.limits import LARGEST_SUBMISSION, MOST_FILES, MOST_ROLLOUTS
+from crowdbench.leaderboard.submission.limits import (
+    LARGEST_SUBMISSION,
+    LONGEST_PATH,
+    MOST_FILES,
+    MOST_ROLLOUTS,
+)
 from crowdbench.leaderboard.submission.schema import FILE, Declared
 from crowdbench.registry import WEIGHTS
 
 NOTES = "README.md"
-"""Allowed in a submission's folder, but neither read nor packed."""
+"""Allowed in a submission's folder, but not read."""
 NETWORK = "policy.onnx"
 """One network for all scenes, trained on none of their recordings."""
+_NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9._+-]*(/[A-Za-z0-9_+-][A-Za-z0-9._+-]*)*/?")
 _CROWD = re.compile(r"([^/]+)/trajectories/(0|[1-9][0-9]?)\.(parquet|csv)")
 
 
@@ -206,3 +211,24 @@ def _crowds(
                 )
             )
     return crowds
+
+
+def wrong_name(name: str) -> RefusedError | None:
+    """The problem with a file's path in a submission; None if it is valid."""
+    problems = (
+        (name.startswith("/"), "an absolute path"),
+        ("\\" in name, "a backslash in a path"),
+        (re.match(r"[A-Za-z]:", name), "a drive letter in a path"),
+        (".." in name.split("/"), "a path that leads out of the folder"),
+        (len(name) > LONGEST_PATH, f"a path of {len(name)} characters"),
+        (not _NAME.fullmatch(name), "a hidden path or invalid characters"),
+    )
+    for wrong, got in problems:
+        if wrong:
+            return RefusedError(
+                ascii(name[:LONGEST_PATH]),
+                got=got,
+                expected=f"up to {LONGEST_PATH} letters, digits and ._+-, with / between folders",
+                hint="Remove or rename the file.",
+            )
+    return None

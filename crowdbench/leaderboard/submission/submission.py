@@ -1,4 +1,4 @@
-"""`open_submission`: check an untrusted folder or zip, so that it can be verified."""
+"""`open_submission`: check an untrusted folder, so that it can be verified."""
 
 import re
 import unicodedata
@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from crowdbench import leftovers
 from crowdbench.errors import CrowdbenchError
 from crowdbench.files import sha256
-from crowdbench.leaderboard.submission.archive import pack, unpack
 from crowdbench.leaderboard.submission.errors import RefusedError, SubmissionError
 from crowdbench.leaderboard.submission.layout import NETWORK, Layout, files_in, lay_out
 from crowdbench.leaderboard.submission.models import check_models, shipped_class, shipped_files
@@ -96,7 +94,7 @@ class Submission:
 
 @contextmanager
 def open_submission(path: Path) -> Iterator[Submission]:
-    """Open and check a submission's folder or zip; a zip is unpacked until the block ends.
+    """Open and check a submission's folder.
 
     This runs the networks on some observations. Open untrusted submissions in a sandbox, as
     `verification.check.check` does.
@@ -104,45 +102,28 @@ def open_submission(path: Path) -> Iterator[Submission]:
     Raises:
         SubmissionError: the submission is invalid; the error lists all its problems.
     """
-    if path.is_dir():
-        yield _read(path, path)
-        return
-    if not path.is_file():
+    if not path.is_dir():
+        there = path.exists()
         missing = RefusedError(
-            path.name, got="no such file", expected="a submission's folder or its zip"
+            path.name,
+            got="a file" if there else "no such folder",
+            expected="a submission's folder",
+            hint="Unpack it, and name the folder." if there else "",
         )
         raise SubmissionError(path, [missing])
-    with leftovers.temporary_folder("submission") as fresh:
-        unpack(path, fresh)
-        yield _read(fresh, path)
+    yield _read(path)
 
 
-def pack_submission(folder: Path, out: Path | None = None) -> Path:
-    """Check a submission's folder, pack it as a zip, by default next to it, and return its path.
-
-    Raises:
-        SubmissionError: the submission is invalid.
-        OutputError: the zip cannot be written.
-    """
-    if not folder.is_dir():
-        missing = RefusedError(folder.name, got="no such folder", expected="a submission's folder")
-        raise SubmissionError(folder, [missing])
-    with open_submission(folder) as submission:
-        out = out or folder.resolve().with_name(f"{folder.resolve().name}.zip")
-        pack(folder, submission.artefacts, out)
-    return out
-
-
-def _read(folder: Path, named: Path) -> Submission:
+def _read(folder: Path) -> Submission:
     try:
-        return _checked(folder, named)
+        return _checked(folder)
     except OSError as error:
         got = f"{error.filename}: {error.strerror}"
-        unreadable = RefusedError(named, got=got, expected="readable files")
-        raise SubmissionError(named, [unreadable]) from error
+        unreadable = RefusedError(folder, got=got, expected="readable files")
+        raise SubmissionError(folder, [unreadable]) from error
 
 
-def _checked(folder: Path, named: Path) -> Submission:
+def _checked(folder: Path) -> Submission:
     problems: list[CrowdbenchError] = []
     names = files_in(folder, problems)
     if not problems and FILE not in names:
@@ -154,7 +135,7 @@ def _checked(folder: Path, named: Path) -> Submission:
         check_models(folder, declared, layout, problems)
         check_crowds(folder, declared.track, layout.crowds, problems)
     if problems or declared is None:
-        raise SubmissionError(named, problems)
+        raise SubmissionError(folder, problems)
     hashes = {name: sha256((folder / name).read_bytes()) for name in names}
     shipped = {name: sha256(file.read_bytes()) for name, file in shipped_files(declared).items()}
     return Submission(folder, declared, layout, hashes, shipped)
@@ -166,9 +147,7 @@ def _no_declaration(names: list[str]) -> RefusedError:
         FILE,
         got=f"only {inside[0]}" if inside else "no such file",
         expected="the file at the top level, next to the scene folders",
-        hint="Submit the contents of that folder; `crowdbench submit pack` makes the zip."
-        if inside
-        else "Create it with `crowdbench submit init`.",
+        hint="Name that folder instead." if inside else "Create it with `crowdbench submit init`.",
     )
 
 

@@ -52,7 +52,7 @@ _README = """\
 | file | content |
 |---|---|
 {rows}
-Then run `crowdbench submit check FOLDER` and `crowdbench submit pack FOLDER`. This README is not
+Then run `crowdbench submit check FOLDER`. This README is not
 packed.
 """
 _ROWS = {

@@ -32,7 +32,7 @@ class Checked(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 def check(submission: Path, limits: Limits = LIMITS) -> Checked:
-    """Check an untrusted folder or zip in a sandbox, and return its description.
+    """Check an untrusted folder in a sandbox, and return its description.
 
     Raises:
         SubmissionError: the submission is invalid; the error lists all its problems.

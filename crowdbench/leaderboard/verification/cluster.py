@@ -4,9 +4,7 @@ Each submission is one task: it is rolled out and scored by one process, in a sa
 """
 
 import tempfile
-import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from io import BytesIO
 from pathlib import Path
 
 from crowdbench.errors import CrowdbenchError, OutputError
@@ -37,7 +35,7 @@ def verify_each(
         WorkerError: a process of the cluster died.
     """
     owners, made = owners_of(out), set[str]()
-    tasks = [(path.name, _zipped(path), limits, owners) for path in submissions]
+    tasks = [(path.name, _files(path), limits, owners) for path in submissions]
     progress(0, len(tasks))
     found = call_each(_verified, tasks, checked_workers(workers), name=lambda name, *rest: name)
     for done, (k, verified) in enumerate(found, 1):
@@ -57,11 +55,13 @@ def verify_each(
 
 
 def _verified(
-    name: str, data: bytes, limits: Limits, owners: Mapping[str, Sequence[str]]
+    name: str, files: Mapping[str, bytes], limits: Limits, owners: Mapping[str, Sequence[str]]
 ) -> Verified | CrowdbenchError:
     with tempfile.TemporaryDirectory(prefix="crowdbench-verify-") as folder:
-        submission = Path(folder) / f"{name.removesuffix('.zip')}.zip"
-        submission.write_bytes(data)
+        submission = Path(folder) / "submission" / name
+        for path, data in files.items():
+            (submission / path).parent.mkdir(parents=True, exist_ok=True)
+            (submission / path).write_bytes(data)
         try:
             return entry_of(
                 submission, Path(folder) / "work", 1, limits, lambda done, total: None, owners
@@ -70,26 +70,21 @@ def _verified(
             return error
 
 
-def _zipped(submission: Path) -> bytes:
-    """The zip of a submission, without looking at what is in its files.
+def _files(submission: Path) -> dict[str, bytes]:
+    """The files of a submission by their paths, without looking at what is in them.
 
     Raises:
         OutputError: it cannot be read.
     """
+    if not submission.is_dir():
+        raise OutputError(submission, got="no such folder", expected="a submission's folder")
     try:
-        if submission.is_file():
-            return submission.read_bytes()
-        buffer = BytesIO()
-        with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-            for path in sorted(submission.rglob("*")):
-                if path.is_file() and not path.is_symlink():
-                    archive.write(path, path.relative_to(submission))
+        return {
+            path.relative_to(submission).as_posix(): path.read_bytes()
+            for path in sorted(submission.rglob("*"))
+            if path.is_file() and not path.is_symlink()
+        }
     except OSError as error:
         raise OutputError(
-            submission, got=error.strerror or str(error), expected="a readable folder or zip"
+            submission, got=error.strerror or str(error), expected="a readable folder"
         ) from error
-    if not submission.is_dir():
-        raise OutputError(
-            submission, got="no such file", expected="a submission's folder or its zip"
-        )
-    return buffer.getvalue()
