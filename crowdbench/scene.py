@@ -1,8 +1,8 @@
 """Scenes: real places (and one synthetic one) with bounds, walls and a protocol for scoring.
 
 A scene is a folder with `scene.toml`, which describes the place, and the files that
-`crowdbench fit` computes from its recording. Its id ends in `-vN`: any change that affects scores
-requires a new version.
+`crowdbench scene fit` computes from its recording. Its id ends in `-vN`: any change that affects
+scores requires a new version.
 """
 
 import math
@@ -104,7 +104,7 @@ class Protocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Number of fits of each spawn model."""
     rollouts_per_fit: int
     scored: tuple[str, ...] = ()
-    """Names of the scored metrics, determined by `crowdbench power`."""
+    """Names of the scored metrics, determined by `crowdbench scene power`."""
 
 
 class Walking(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -3,7 +3,7 @@
     python -m studies.sharing eth-v0 hotel-v0 zara1-v0
 
 prints a table of held-out log-likelihoods of `ntpp-gmm`, trained with a network for each area
-(`own`) and with one for all (`shared`, see `crowdbench fit --shared`).
+(`own`) and with one for all (`shared`, see `crowdbench scene fit --shared`).
 """
 
 import sys

@@ -82,7 +82,7 @@ def test_a_misspelt_name(what: str) -> None:
     ("command", "nearest"),
     [
         (["data", "fetch", "hotl"], "hotel"),
-        (["fit", "plaza-v0", "--models", "cox-gm"], "cox-gmm"),
+        (["scene", "fit", "plaza-v0", "--models", "cox-gm"], "cox-gmm"),
         (["data", "import", "x", "--source", "x", "--format", "trajnt"], "trajnet"),
     ],
 )

@@ -75,7 +75,7 @@ def test_an_installed_package_is_evaluated_with_its_metric_spawn_model_policy_an
 
 
 def test_what_is_installed_is_listed(installed: Path, tmp_path: Path) -> None:
-    listed = ran(installed, tmp_path, "-m", "crowdbench", "metrics")
+    listed = ran(installed, tmp_path, "-m", "crowdbench", "scene", "metrics")
     assert "path_length" in listed
     assert "crowdbench_extras" in listed
     code = "import crowdbench as c; print(c.list_spawn_models('eth-v0'), c.list_policies('eth-v0'))"
@@ -272,7 +272,7 @@ def test_an_installed_metric_is_scored_where_the_recording_is(
     (tmp_path / "mine.csv").write_text("\n".join(["person_id,frame,x,y", *rows]))
     printed = ran(installed, tmp_path, "-m", "crowdbench", "score", "plaza-v0", "mine.csv")
     assert "path length" in printed
-    elsewhere = "from crowdbench.cli.score_tables import missing_notes as n\n"
+    elsewhere = "from crowdbench.report.text.notes import missing_notes as n\n"
     elsewhere += "from crowdbench import load_scene as s; print(n(s('eth-v0')), n(s('plaza-v0')))"
     told = ran(installed, tmp_path, "-c", elsewhere)
     assert (

@@ -50,3 +50,10 @@ def test_an_evaluation_tells_of_judging_and_pictures(tmp_path: Path, report: boo
     assert done == total
     assert ("pictures" in told) == report == (tmp_path / "report.html").exists()
     assert not list(tmp_path.glob("*.png"))  # pictures are drawn once, for the page
+
+
+@pytest.mark.parametrize("what", ["a[/red]b", "a{b}", "[bold]{task.total}", "{0}"])
+def test_what_progress_is_of_may_be_any_path(what: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with progress_bar(what) as progress:
+        progress(1, 1)
+    assert capsys.readouterr().out.startswith(what)

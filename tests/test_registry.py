@@ -170,7 +170,7 @@ def test_a_folder_with_fits_is_the_model_that_they_are_of(file: str, tmp_path: P
         for name in (str(folder), WEIGHTS[file])
     ]
     assert np.array_equal(events[0].time_s, events[1].time_s)
-    with pytest.raises(WeightsError, match=r"crowdbench fit eth-v0 --out FOLDER"):
+    with pytest.raises(WeightsError, match=r"crowdbench scene fit eth-v0 --out FOLDER"):
         spawn_model(str(folder), "eth-v0")
 
 

@@ -1,153 +1,85 @@
-"""`crowdbench data`: fetch, import, list, describe and remove recordings."""
+"""`crowdbench data`: fetch, import, list, describe, convert and remove recordings."""
 
-import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from crowdbench.cli.printing import (
+import crowdbench
+from crowdbench.cli.options import FrameS, Gaps, Layout, OffsetS, SceneName, Written
+from crowdbench.cli.printing import progress_bar
+from crowdbench.cli.running import new_app
+from crowdbench.errors import SettingError
+from crowdbench.report.text.terminal import (
     new_console,
     new_table,
     print_facts,
     print_fitting,
     print_note,
-    progress_bar,
 )
 
-if TYPE_CHECKING:
-    from crowdbench.cli.printing import Commands
-    from crowdbench.data.table import Trajectories
-
-GAPS = ("interpolate", "split")
-FORMATS = ("obsmat", "gc", "forum", "csv", "trajnet", "jupedsim")
+app = new_app("data", "Recordings: fetch, import, list, describe, convert and remove them.")
 
 
-def add(commands: "Commands") -> None:
-    """Add this command to the command line."""
-    data = commands.add_parser("data", help="fetch, import, list, describe and remove recordings")
-    of_data = data.add_subparsers(required=True, metavar="COMMAND")
-    fetch = of_data.add_parser("fetch", help="download a published recording and import it")
-    fetch.add_argument("name", help="name of a recording (see `crowdbench data list`)")
-    fetch.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="download folder, in OpenTraj's layout (default: OpenTraj in $CROWDBENCH_HOME)",
-    )
-    fetch.set_defaults(run=_fetch)
-    bring = of_data.add_parser("import", help="read a recording and store it for later use")
-    bring.add_argument(
-        "name",
-        help="name of a recording (see `crowdbench data list`); with --format, a new name for "
-        "your own recording",
-    )
-    bring.add_argument(
-        "--source",
-        type=Path,
-        metavar="PATH",
-        help="folder in OpenTraj's layout (default: $CROWDBENCH_DATA), or your own recording",
-    )
-    bring.add_argument(
-        "--format",
-        metavar="FORMAT",
-        help=f"format of your own recording: {', '.join(FORMATS)}, or a format of an installed "
-        "package (see `crowdbench scene create`)",
-    )
-    bring.add_argument(
-        "--dt-s", type=float, metavar="SECONDS", help="time between two rows of a person"
-    )
-    add_mending(bring)
-    bring.set_defaults(run=_import)
-    remove = of_data.add_parser("remove", help="delete an imported recording")
-    remove.add_argument("name", help="name of a recording")
-    remove.set_defaults(run=_remove)
-    listing = of_data.add_parser("list", help="list the known recordings")
-    listing.set_defaults(run=_list)
-    describe = of_data.add_parser("describe", help="print statistics of a recording")
-    describe.add_argument("name", help="name of a recording")
-    describe.set_defaults(run=_describe)
+@app.command
+def fetch(name: str, /, *, out: Path | None = None) -> None:
+    """Download a published recording and import it.
 
-
-def add_mending(command: argparse.ArgumentParser) -> None:
-    """Add the options that repair small faults of a recording."""
-    command.add_argument(
-        "--gaps",
-        choices=GAPS,
-        help="repair missing rows of a person: interpolate linearly, or split the person into two; "
-        "both also interpolate rows that lie between frames (default: reject such files)",
-    )
-    command.add_argument(
-        "--offset-s",
-        type=float,
-        metavar="SECONDS",
-        help="time_s of the first frame of a table (default: 0)",
-    )
-
-
-def _fetch(args: argparse.Namespace) -> None:
-    fetch_and_import(args.name, args.out)
-
-
-def is_imported(name: str) -> bool:
-    """Whether a recording is available without its files."""
-    from crowdbench.data.recordings.catalogue import cached
-
-    return name == "plaza" or cached(name).exists()
-
-
-def fetch_and_import(name: str, out: Path | None = None) -> None:
-    """Download a published recording and import it, with messages."""
+    Args:
+        name: name of a recording (see `crowdbench data list`)
+        out: download folder, in OpenTraj's layout (default: OpenTraj in $CROWDBENCH_HOME)
+    """
+    from crowdbench.data.recordings import fetch as downloads
     from crowdbench.data.recordings.catalogue import source
-    from crowdbench.data.recordings.fetch import default_folder, fetch
 
     published = source(name)
-    folder = out or default_folder()
+    folder = out or downloads.default_folder()
     with progress_bar(name, of_bytes=True) as progress:
-        fetched = fetch(name, folder, progress)
+        fetched = downloads.fetch(name, folder, progress)
     how = f"fetched from {published.address}" if fetched else "already there"
     print(f"{folder / published.path}: {how}")
-    _bring(name, folder)
+    _import_published(name, folder)
 
 
-def _import(args: argparse.Namespace) -> None:
+@app.command(name="import")
+def import_(
+    name: str,
+    /,
+    *,
+    source: Path | None = None,
+    layout: Layout = None,
+    dt_s: FrameS = None,
+    gaps: Gaps = None,
+    offset_s: OffsetS = None,
+) -> None:
+    """Read a recording and store it for later use.
+
+    Args:
+        name: name of a recording (see `crowdbench data list`); with --format, a new name for your
+            own recording
+        source: folder in OpenTraj's layout (default: $CROWDBENCH_DATA), or your own recording
+    """
     from crowdbench.data.recordings.catalogue import cached
     from crowdbench.data.recordings.describe import describe
     from crowdbench.data.recordings.own import import_own
-    from crowdbench.errors import SettingError
 
-    mending = {"gaps": args.gaps, "offset_s": args.offset_s}
-    if args.format is None:
-        given = [option for option, value in mending.items() if value is not None]
-        if given:
-            raise SettingError(
-                "crowdbench data import",
-                got=f"--{given[0].replace('_', '-')} without --format",
-                expected="--format as well",
-                hint="The option applies to your own recordings only.",
-            )
-        _bring(args.name, args.source)
+    if layout is None:
+        for option, value in (("--gaps", gaps), ("--offset-s", offset_s)):
+            if value is not None:
+                raise SettingError(
+                    "crowdbench data import",
+                    got=f"{option} without --format",
+                    expected="--format as well",
+                    hint="The option applies to your own recordings only.",
+                )
+        _import_published(name, source)
         return
-    if args.source is None:
+    if source is None:
         raise SettingError(
             "crowdbench data import", got="--format without --source", expected="--source PATH"
         )
-    crowd = import_own(args.name, args.source, args.format, args.dt_s, **mending)
-    facts = mended(crowd, args) | describe(crowd) | {"stored at": str(cached(args.name))}
-    print_facts(args.name, facts)
+    crowd = import_own(name, source, layout, dt_s, gaps=gaps, offset_s=offset_s)
+    print_facts(name, repairs(crowd, gaps) | describe(crowd) | {"stored at": str(cached(name))})
 
 
-def mended(crowd: "Trajectories", args: argparse.Namespace) -> dict[str, str]:
-    """Repairs made by `--gaps`, as a fact to print; empty if the option was not given."""
-    notes = crowd.provenance.get("notes", {})
-    return {} if args.gaps is None else {"mended": notes.get("mended", "nothing; no faults found")}
-
-
-def _remove(args: argparse.Namespace) -> None:
-    from crowdbench.data.recordings.catalogue import remove_imported
-
-    print(f"{remove_imported(args.name)}: removed")
-
-
-def _bring(name: str, folder: Path | None) -> None:
+def _import_published(name: str, folder: Path | None) -> None:
     from crowdbench.data.recordings.catalogue import cached, known_sha256, source
     from crowdbench.data.recordings.describe import describe
     from crowdbench.registry import import_recording
@@ -163,33 +95,100 @@ def _bring(name: str, folder: Path | None) -> None:
         print(f"The recording remains subject to its owners' terms. Cite: {source(name).cite}.")
 
 
-def _list(args: argparse.Namespace) -> None:
+def repairs(crowd: "crowdbench.Trajectories", gaps: Gaps) -> dict[str, str]:
+    """Repairs made by `--gaps`, as a fact to print; empty if the option was not given."""
+    notes = crowd.provenance.get("notes", {})
+    return {} if gaps is None else {"mended": notes.get("mended", "nothing; no faults found")}
+
+
+@app.command(name="list")
+def list_() -> None:
+    """List the known recordings."""
     from crowdbench.data.recordings.catalogue import COMMIT, OWN_NAME, REPOSITORY, SOURCES, cached
     from crowdbench.registry import RECORDINGS
-    from crowdbench.scene import list_scenes, load_scene
 
-    scenes = {load_scene(scene).recording.name: scene for scene in list_scenes()}
-    table = new_table("name", "scene", "state", "source")
-    for column in table.columns:
-        column.justify = "left"
+    scenes = {
+        crowdbench.load_scene(scene).recording.name: scene for scene in crowdbench.list_scenes()
+    }
+    rows = []
     for name in RECORDINGS:
-        state = "imported" if cached(name).exists() else "not imported"
-        path = SOURCES[name].path if name in SOURCES else "generated"
-        if path == "generated":
-            state = "always available"
-        table.add_row(name, scenes.get(name, ""), state, path)
+        state, path = "always available", "generated"
+        if name in SOURCES:
+            state = "imported" if cached(name).exists() else "not imported"
+            path = SOURCES[name].path
+        rows.append((name, scenes.get(name, ""), state, path))
     for file in sorted(cached("").parent.glob("*.parquet")):
         if OWN_NAME.fullmatch(file.stem) and file.stem not in RECORDINGS:
-            table.add_row(file.stem, scenes.get(file.stem, ""), "imported", "your own")
-    print_fitting([[table]], new_console())
+            rows.append((file.stem, scenes.get(file.stem, ""), "imported", "your own"))
+    heads = ("scene", "state", "source")
+    print_fitting([[new_table("name", *heads, rows=rows, left=heads)]], new_console())
     print(f"File paths are those of OpenTraj, {REPOSITORY}/tree/{COMMIT}")
     print_note(
         "`crowdbench data fetch` also accepts other days of the Forum, for example forum-14jul."
     )
 
 
-def _describe(args: argparse.Namespace) -> None:
-    from crowdbench.data.recordings.describe import describe
-    from crowdbench.registry import recording
+@app.command
+def describe(name: str, /) -> None:
+    """Print statistics of a recording.
 
-    print_facts(args.name, describe(recording(args.name)))
+    Args:
+        name: name of a recording
+    """
+    from crowdbench.data.recordings import describe as recordings
+
+    print_facts(name, recordings.describe(crowdbench.recording(name)))
+
+
+@app.command
+def remove(name: str, /) -> None:
+    """Delete an imported recording.
+
+    Args:
+        name: name of a recording
+    """
+    from crowdbench.data.recordings.catalogue import remove_imported
+
+    print(f"{remove_imported(name)}: removed")
+
+
+@app.command
+def arrivals(scene: SceneName, /, *, out: Path) -> None:
+    """Write who entered a scene's recording: when, where, by which way and with whom.
+
+    Args:
+        out: CSV or Parquet file to write, with the columns of `crowdbench spawn sample`
+    """
+    from crowdbench.cli.spawn import sample
+
+    sample(scene, out=out, model="replay")
+
+
+@app.command
+def convert(
+    table: Path,
+    /,
+    *,
+    to: Written,
+    out: Path,
+    layout: Layout = "csv",
+    dt_s: FrameS = None,
+    gaps: Gaps = None,
+    offset_s: OffsetS = None,
+) -> None:
+    """Convert trajectories between the formats of crowdbench and other programs.
+
+    Args:
+        table: file to convert; by default a table in CSV or Parquet
+        to: format to write
+        out: file to write
+    """
+    from crowdbench.data.recordings import convert as formats
+
+    crowd = formats.convert(
+        table, out, to=to, layout=layout or "csv", dt_s=dt_s, gaps=gaps, offset_s=offset_s
+    )
+    for name, fact in repairs(crowd, gaps).items():
+        print(f"{name}: {fact}")
+    print(f"{len(crowd)} persons, {crowd.frames} frames of {crowd.dt_s:.4g} s")
+    print(f"written to {out}")

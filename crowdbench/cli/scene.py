@@ -1,82 +1,64 @@
-"""`crowdbench scene`: create a scene from your own recording, or check a scene."""
+"""`crowdbench scene`: list scenes, make one from your own recording, and what is scored on it."""
 
-import argparse
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from crowdbench.cli.data import add_mending, fetch_and_import, is_imported, mended
-from crowdbench.cli.printing import new_console, new_table, print_facts, progress_bar
-from crowdbench.cli.workers import add_engine
+from cyclopts import Parameter
+
+import crowdbench
+from crowdbench.cli.data import fetch, repairs
+from crowdbench.cli.options import EngineName, FrameS, Gaps, Layout, OffsetS, SceneName, Workers
+from crowdbench.cli.printing import progress_bar
+from crowdbench.cli.running import new_app
 from crowdbench.errors import SceneError, SettingError
+from crowdbench.report.text.terminal import (
+    new_console,
+    new_table,
+    print_facts,
+    print_note,
+    print_table,
+)
+from crowdbench.run.parallel import LOCAL
 
 if TYPE_CHECKING:
-    from crowdbench.cli.printing import Commands
     from crowdbench.run.rollout_jobs import Progress
 
+app = new_app("scene", "Scenes: list them, make one from your own recording, and what is scored.")
+_FITTED = ("poisson-gmm", "poisson-groups", "renewal-gmm", "cox-gmm", "ntpp-gmm")
+_OF_TRAINING = Parameter(group="Training of ntpp-gmm and ntpp-paper")
 
-def add(commands: "Commands") -> None:
-    """Add these commands to the command line."""
-    scene = commands.add_parser(
-        "scene", help="create a scene from your own recording, or check a scene"
-    )
-    of_scene = scene.add_subparsers(required=True, metavar="COMMAND")
-    create = of_scene.add_parser(
-        "create", help="create a scene: areas, models, anchors and scored metrics (minutes)"
-    )
-    create.add_argument("name", metavar="NAME-v0", help="id of the new scene, lower case")
-    create.add_argument(
-        "--recording",
-        required=True,
-        metavar="PATH",
-        help="the recording; with --like, the name of one (fetched if it is not imported)",
-    )
-    create.add_argument(
-        "--like",
-        metavar="SCENE",
-        help="scene of the same place: its bounds, walls and settings are used, for example those "
-        "of forum-v0 for --recording forum-14jul",
-    )
-    create.add_argument(
-        "--format",
-        metavar="FORMAT",
-        help="format of the recording. obsmat: format of ETH and UCY; gc, forum: formats of Grand "
-        "Central and the Forum; csv: a table with person_id, frame or time_s, x, y; trajnet: "
-        "TrajNet++; jupedsim: format that PedPy reads",
-    )
-    create.add_argument(
-        "--dt-s",
-        type=float,
-        metavar="SECONDS",
-        help="time between two rows of a person; required for obsmat and csv",
-    )
-    add_mending(create)
-    create.add_argument(
-        "--walls", type=Path, metavar="FILE", help="wall polygons in GeoJSON or WKT, in metres"
-    )
-    create.add_argument("--title", default="", help="title of the scene in pictures")
-    create.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder to create (default: ./NAME-v0)"
-    )
-    create.add_argument(
-        "--fits", type=int, metavar="N", help="ntpp-gmm fits for each split (default: 5)"
-    )
-    create.add_argument(
-        "--rollouts-per-fit",
-        type=int,
-        metavar="N",
-        help="rollouts per fit in the protocol (default: 3 to 10, depending on the length of the "
-        "recording)",
-    )
-    add_engine(create)
-    create.set_defaults(run=_create)
 
-    check = of_scene.add_parser("check", help="list the parts of a scene and their problems")
-    check.add_argument("scene", help="id of a scene, or its folder")
-    check.set_defaults(run=_check)
+@app.command(name="list")
+def list_() -> None:
+    """List the shipped scenes."""
+    for name in crowdbench.list_scenes():
+        print(f"{name:<10} {crowdbench.load_scene(name).title}")
+
+
+@app.command
+def metrics() -> None:
+    """List the metrics, built-in and registered, and the scenes that are scored on them."""
+    from crowdbench.metrics import METRICS, all_metrics
+
+    scored = {
+        scene: crowdbench.load_scene(scene).protocol.scored for scene in crowdbench.list_scenes()
+    }
+    rows = []
+    for metric in all_metrics():
+        scenes = [scene for scene, names in scored.items() if metric.name in names]
+        package = "crowdbench" if metric in METRICS else type(metric).__module__
+        rows.append((metric.name, metric.family, metric.unit, ", ".join(scenes), package))
+    heads = ("family", "unit", "scored on", "from")
+    print_table("metric", *heads, rows=rows, left=heads)
+    print_note(
+        "A scene is scored on the metrics that, according to `crowdbench scene power`, distinguish "
+        "its anchor (the crowd that scores 0) from its recording. Other metrics are shown as "
+        "distances."
+    )
 
 
 @contextmanager
@@ -87,47 +69,85 @@ def _timed(what: str) -> "Iterator[Progress]":
     print(f"{what:<12} {time.perf_counter() - began:6.1f} s", flush=True)
 
 
-def _create(args: argparse.Namespace) -> None:
+@app.command
+def create(
+    name: str,
+    /,
+    *,
+    recording: str,
+    like: str | None = None,
+    layout: Layout = None,
+    dt_s: FrameS = None,
+    gaps: Gaps = None,
+    offset_s: OffsetS = None,
+    walls: Path | None = None,
+    title: str = "",
+    out: Path | None = None,
+    fits: int | None = None,
+    rollouts_per_fit: int | None = None,
+    workers: Workers = None,
+    engine: EngineName = LOCAL,
+) -> None:
+    """Create a scene: areas, models, anchors and scored metrics (minutes).
+
+    Args:
+        name: id of the new scene, like corner-v0
+        recording: path of the recording; with --like, the name of one (fetched if it is not
+            imported)
+        like: scene of the same place: its bounds, walls and settings are used, for example those
+            of forum-v0 for --recording forum-14jul
+        walls: wall polygons in GeoJSON or WKT, in metres
+        title: title of the scene in pictures
+        out: folder to create (default: ./NAME)
+        fits: ntpp-gmm fits for each split (default: 5)
+        rollouts_per_fit: rollouts per fit in the protocol (default: 3 to 10, depending on the
+            length of the recording)
+    """
+    from crowdbench.data.recordings.catalogue import cached
     from crowdbench.data.recordings.describe import describe
     from crowdbench.registry import ANY_PLACE
-    from crowdbench.scene import load_scene
     from crowdbench.scene_building import check_new, create_like, create_scene
 
-    shared = {
-        "title": args.title,
-        "out": args.out,
-        "fits": args.fits,
-        "rollouts_per_fit": args.rollouts_per_fit,
-        "workers": args.workers,
+    shared: dict[str, Any] = {
+        "title": title,
+        "out": out,
+        "fits": fits,
+        "rollouts_per_fit": rollouts_per_fit,
+        "workers": workers,
         "stage": _timed,
     }
-    if args.like is not None:
-        _check_like(args)
-        check_new(args.name, args.out or Path(args.name), args.fits, args.rollouts_per_fit)
-        load_scene(args.like)  # what is wrong is said before anything is fetched
-        if not is_imported(args.recording):
-            fetch_and_import(args.recording)
-        created = create_like(args.name, args.like, args.recording, **shared)
+    of_recording: dict[str, Any] = {
+        "layout": layout,
+        "dt_s": dt_s,
+        "gaps": gaps,
+        "offset_s": offset_s,
+        "walls": walls,
+    }
+    if like is not None:
+        for option, value in of_recording.items():
+            if value is not None:
+                given = f"--{option.replace('_', '-').replace('layout', 'format')}"
+                raise SettingError(
+                    "crowdbench scene create",
+                    got=f"{given} and --like",
+                    expected=f"--like without {given}, which the other scene determines",
+                )
+        check_new(name, out or Path(name), fits, rollouts_per_fit)
+        crowdbench.load_scene(like)  # what is wrong is said before anything is fetched
+        if recording != "plaza" and not cached(recording).exists():
+            fetch(recording)
+        created = create_like(name, like, recording, **shared)
     else:
-        if args.format is None:
+        if layout is None:
             raise SettingError(
                 "crowdbench scene create",
                 got="neither --format nor --like",
                 expected="the format of the recording, or a scene of the same place",
             )
-        created = create_scene(
-            args.name,
-            Path(args.recording),
-            layout=args.format,
-            dt_s=args.dt_s,
-            gaps=args.gaps,
-            offset_s=args.offset_s,
-            walls=args.walls,
-            **shared,
-        )
+        created = create_scene(name, Path(recording), **of_recording, **shared)
     scene, crowd = created.scene, created.recording
     print()
-    print_facts(f"recording {crowd.scene}", mended(crowd, args) | describe(crowd))
+    print_facts(f"recording {crowd.scene}", repairs(crowd, gaps) | describe(crowd))
     print_facts(scene.id, created.facts)
     whole = (scene.folder / "ntpp-gmm.safetensors").exists()
     models = f"--policy social-force {ANY_PLACE}" + ("" if whole else " --spawn renewal-gmm")
@@ -136,31 +156,132 @@ def _create(args: argparse.Namespace) -> None:
         print('This scene has no ntpp-gmm, the default of environments: pass spawn="renewal-gmm".')
 
 
-def _check_like(args: argparse.Namespace) -> None:
-    for option in ("format", "dt_s", "gaps", "offset_s", "walls"):
-        if getattr(args, option) is not None:
-            name = f"--{option.replace('_', '-')}"
-            raise SettingError(
-                "crowdbench scene create",
-                got=f"{name} and --like",
-                expected=f"--like without {name}, which the other scene determines",
-            )
-
-
-def _check(args: argparse.Namespace) -> None:
+@app.command
+def check(scene: SceneName, /) -> None:
+    """List the parts of a scene and their problems."""
     from crowdbench.scene_building import check_scene
 
-    findings = list(check_scene(args.scene))
-    table = new_table("part", "state")
-    table.columns[1].justify, table.columns[1].no_wrap = "left", False
-    for finding in findings:
-        table.add_row(finding.part, finding.state)
+    findings = list(check_scene(scene))
+    table = new_table("part", "state", rows=[(f.part, f.state) for f in findings], left=("state",))
+    table.columns[1].no_wrap = False
     new_console().print(table)
     problems = [finding.problem for finding in findings if finding.problem is not None]
     for problem in problems:
         print(f"crowdbench: {problem}", file=sys.stderr)
     if problems:
         number = f"{len(problems)} problem{'s' * (len(problems) != 1)}"
-        raise SceneError(
-            args.scene, got=number, expected="none", hint="The problems are listed above."
+        raise SceneError(scene, got=number, expected="none", hint="The problems are listed above.")
+
+
+@app.command
+def fit(
+    scene: SceneName,
+    /,
+    *,
+    clustering: str = "default",
+    preprocess: Literal["paper"] | None = None,
+    models: Annotated[Sequence[str], Parameter(consume_multiple=True)] = _FITTED,
+    window: Annotated[int | None, _OF_TRAINING] = None,
+    stride: Annotated[int | None, _OF_TRAINING] = None,
+    epochs: Annotated[int | None, _OF_TRAINING] = None,
+    lr: Annotated[float | None, _OF_TRAINING] = None,
+    fits: Annotated[int | None, _OF_TRAINING] = None,
+    published_code: Annotated[bool, _OF_TRAINING] = False,
+    shared: Annotated[bool, _OF_TRAINING] = False,
+    workers: Workers = None,
+    engine: EngineName = LOCAL,
+    out: Path | None = None,
+) -> None:
+    """Fit a scene's areas, spawn models and reference statistics.
+
+    Args:
+        clustering: name of the clustering settings in scene.toml
+        preprocess: drop people as the founding paper does, and print how many; needs --out
+        models: spawn models to fit; with none, only areas and reference statistics are fitted
+        window: length of a training window, frames
+        stride: frames from one training window to the next
+        epochs: (maximum) number of epochs
+        lr: learning rate
+        fits: number of fits (default: the scene's)
+        published_code: train ntpp-paper as the paper's published code does, which differs from
+            the paper
+        shared: train one network of ntpp-gmm for all areas
+        out: output folder (default: the scene's folder)
+    """
+    from crowdbench.scene_building.fit import fit_scene
+
+    place = crowdbench.load_scene(scene)
+    crowd = crowdbench.recording(place.recording.name)
+    training = {
+        "window_frames": window,
+        "stride_frames": stride,
+        "epochs": epochs,
+        "learning_rate": lr,
+        "published_code": published_code or None,
+        "shared": shared or None,
+    }
+    with progress_bar("fits") as progress:
+        facts = fit_scene(
+            place,
+            crowd,
+            clustering=clustering,
+            preprocess=preprocess,
+            models=models,
+            training={name: value for name, value in training.items() if value is not None},
+            fits=fits,
+            out=out,
+            workers=workers,
+            progress=progress,
         )
+    print_facts(place.id, facts)
+    print(f"Next, if arrivals or areas changed: crowdbench scene anchors {out or scene}")
+
+
+@app.command
+def anchors(scene: SceneName, /, *, workers: Workers = None, engine: EngineName = LOCAL) -> None:
+    """Roll out the crowds that define a scene's score scale (minutes)."""
+    from crowdbench.leftovers import temporary_folder
+    from crowdbench.scene_building.anchors import make_anchors
+    from crowdbench.scoring.scorecard import write_anchors
+
+    place = crowdbench.load_scene(scene)
+    with temporary_folder("anchors") as folder, progress_bar("rollouts") as progress:
+        made = make_anchors(scene, folder, workers=workers, progress=progress)
+    print(f"written to {write_anchors(made, place.folder)}")
+
+
+@app.command
+def power(scene: SceneName, /, *, write: bool = False) -> None:
+    """Find the metrics that distinguish a scene's anchor from its recording.
+
+    Args:
+        write: write them to scene.toml as the scored metrics
+    """
+    from crowdbench.leftovers import temporary_folder
+    from crowdbench.scene_building.anchors import power_study
+    from crowdbench.scene_building.toml import write_scored
+
+    place = crowdbench.load_scene(scene)
+    with temporary_folder("power") as folder, progress_bar("rollouts") as progress:
+        studies = power_study(scene, folder, progress=progress)
+    rows = [
+        (
+            s.metric.replace("_", " "),
+            *(f"{value:.3f}" for value in (s.floor, s.threshold, s.anchor)),
+            f"{s.power:.2f}",
+            "scored" if s.counts else "",
+        )
+        for s in studies
+    ]
+    print_table("metric", "floor", "95 %", "anchor", "power", "", rows=rows)
+    print_note(
+        "Energy scores on synthetic recordings. floor and 95 %: mean and 95th percentile for the "
+        "true process. anchor: mean for the anchor. power: share of synthetic recordings on which "
+        "the anchor's score exceeds the 95th percentile. A metric is scored if its power is at "
+        "least 0.8, unless the recording has only one value of it."
+    )
+    scored = [s.metric for s in studies if s.counts]
+    print(f"scored = {scored}".replace("'", '"'))
+    if write:
+        print(f"written to {write_scored(place, scored)}")
+        print(f"Next, if they changed: crowdbench scene anchors {scene}")

@@ -1,76 +1,48 @@
 """`crowdbench score`: compare the trajectories of any simulator with a scene's recording."""
 
-import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from crowdbench.cli.printing import add_json_option, json_written, print_note
-from crowdbench.cli.score_tables import missing_notes, print_card, print_results
-
-if TYPE_CHECKING:
-    from crowdbench.cli.printing import Commands
-    from crowdbench.scoring.scorecard import Scorecard
+import crowdbench
+from crowdbench.cli.options import Json, SceneName
+from crowdbench.cli.printing import json_written
+from crowdbench.errors import SettingError
+from crowdbench.report.text.terminal import print_note
 
 
-def add(commands: "Commands") -> None:
-    """Add this command to the command line."""
-    score = commands.add_parser(
-        "score", help="compare the trajectories of any simulator with a scene's recording"
-    )
-    score.add_argument("scene", help="id of a scene, or its folder")
-    score.add_argument(
-        "table",
-        type=Path,
-        nargs="+",
-        help="CSV or Parquet with person_id, frame (or time_s), x, y; several files are rollouts "
-        "of one simulator and get scores",
-    )
-    score.add_argument(
-        "--recorded-arrivals",
-        action="store_true",
-        help="people enter at the recorded times and places: score how they walk (needs the "
-        "recording)",
-    )
-    add_json_option(score)
-    score.set_defaults(run=_score)
+def score(
+    scene: SceneName, tables: list[Path], /, *, recorded_arrivals: bool = False, json: Json = None
+) -> None:
+    """Compare the trajectories of any simulator with a scene's recording.
 
-
-def _score(args: argparse.Namespace) -> None:
+    Args:
+        tables: CSV or Parquet with person_id, frame (or time_s), x, y; several files are rollouts
+            of one simulator and get scores
+        recorded_arrivals: people enter at the recorded times and places: score how they walk
+            (needs the recording)
+    """
+    from crowdbench.data.storage import read
+    from crowdbench.report.text.notes import missing_notes
+    from crowdbench.report.text.scorecards import print_card, print_results
+    from crowdbench.scoring.reference import check_fits
     from crowdbench.scoring.score_json import score_rows
 
-    with json_written(args.json) as write:
-        card = _scored(args)
-        if card is not None:
-            write(score_rows(card))
-
-
-def _scored(args: argparse.Namespace) -> "Scorecard | None":
-    """Print the results; the scorecard, or None if it is not needed."""
-    from crowdbench.crowds import score, score_rollouts
-    from crowdbench.data.storage import read
-    from crowdbench.errors import SettingError
-    from crowdbench.scene import load_scene
-    from crowdbench.scoring.reference import check_fits
-
-    scene = load_scene(args.scene)
-    if len({table.resolve() for table in args.table}) < len(args.table):
+    place = crowdbench.load_scene(scene)
+    if len({table.resolve() for table in tables}) < len(tables):
         raise SettingError(
-            "crowdbench score",
-            got="a file that is named twice",
-            expected="a file for each rollout",
+            "crowdbench score", got="a file that is named twice", expected="a file for each rollout"
         )
-    crowds = [read(table, scene=scene.id, dt_s=scene.dt_s) for table in args.table]
-    for table, crowd in zip(args.table, crowds, strict=True):
-        check_fits(crowd, scene, table)
-    several = len(crowds) > 1 or args.recorded_arrivals
-    card = None
-    if several or args.json is not None:  # a scene of one's own may have no anchors yet
-        card = score_rollouts(scene, crowds, recorded_arrivals=args.recorded_arrivals)
-    if card is not None and several:
-        print_card(card, scene)
-        return card
-    print(f"\n{args.table[0].name} on {scene.id}: {len(crowds[0])} persons")
-    print_results(score(scene, crowds[0]))
-    for note in missing_notes(scene):
-        print_note(note)
-    return card
+    read_in = [read(table, scene=place.id, dt_s=place.dt_s) for table in tables]
+    for table, crowd in zip(tables, read_in, strict=True):
+        check_fits(crowd, place, table)
+    several = len(tables) > 1 or recorded_arrivals
+    with json_written(json) as write:
+        if several or json is not None:  # a scene of one's own may have no anchors yet
+            card = crowdbench.score_rollouts(place, read_in, recorded_arrivals=recorded_arrivals)
+            write(score_rows(card))
+        if several:
+            print_card(card, place)
+            return
+        print(f"\n{tables[0].name} on {place.id}: {len(read_in[0])} persons")
+        print_results(crowdbench.score(place, read_in[0]))
+        for note in missing_notes(place):
+            print_note(note)

@@ -1,90 +1,71 @@
 """`crowdbench submit`: create and check a submission to the leaderboard."""
 
-import argparse
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Literal
 
-from crowdbench.cli.printing import print_facts
+from crowdbench.cli.running import new_app
+from crowdbench.report.text.terminal import print_facts
 
-if TYPE_CHECKING:
-    from crowdbench.cli.printing import Commands
-    from crowdbench.leaderboard.verification.check import Checked
-
-
-def add(commands: "Commands") -> None:
-    """Add these commands to the command line."""
-    submit = commands.add_parser("submit", help="create and check a leaderboard submission")
-    of_submit = submit.add_subparsers(required=True, metavar="COMMAND")
-    init = of_submit.add_parser("init", help="create the folder of a new submission to fill in")
-    init.add_argument("folder", type=Path, metavar="DIR", help="folder to create")
-    init.add_argument(
-        "--track",
-        choices=["walk", "spawn", "crowd"],
-        required=True,
-        help="walk: a policy with the recorded arrivals; spawn: a spawn model with straight "
-        "walkers; crowd: a spawn model and a policy",
-    )
-    init.add_argument(
-        "--name", default="", help="name on the leaderboard (default: the name of DIR)"
-    )
-    init.add_argument(
-        "--policy",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="PATH",
-        help="networks to copy: for each scene a folder with fold0.onnx, fold1.onnx and "
-        "fold2.onnx, or one FILE.onnx that was trained on none of the scenes",
-    )
-    init.add_argument(
-        "--scene",
-        nargs="+",
-        default=[],
-        metavar="SCENE",
-        help="scenes of the submission (default: those of the policies, else eth-v0 gc-v0 "
-        "forum-v0)",
-    )
-    init.set_defaults(run=_init)
-    check = of_submit.add_parser("check", help="check a submission and list all its problems")
-    check.add_argument("submission", type=Path, metavar="DIR", help="folder of a submission")
-    check.set_defaults(run=_check)
+app = new_app("submit", "Create and check a submission to the leaderboard.")
 
 
-def _init(args: argparse.Namespace) -> None:
+@app.command
+def init(
+    folder: Path,
+    /,
+    *,
+    track: Literal["walk", "spawn", "crowd"],
+    name: str = "",
+    policy: Sequence[Path] = (),
+    scene: Sequence[str] = (),
+) -> None:
+    """Create the folder of a new submission to fill in.
+
+    Args:
+        folder: folder to create
+        track: walk: a policy with the recorded arrivals; spawn: a spawn model with straight
+            walkers; crowd: a spawn model and a policy
+        name: name on the leaderboard (default: the name of the folder)
+        policy: networks to copy: for each scene a folder with fold0.onnx, fold1.onnx and
+            fold2.onnx, or one FILE.onnx that was trained on none of the scenes
+        scene: scenes of the submission (default: those of the policies, else eth-v0 gc-v0 forum-v0)
+    """
     from crowdbench.leaderboard.submission.template import start_submission
 
-    scenes = start_submission(
-        args.folder, args.track, name=args.name, scenes=args.scene, policies=args.policy
-    )
-    print(f"{args.folder}: track {args.track} on {', '.join(scenes)}")
+    scenes = start_submission(folder, track, name=name, scenes=scene, policies=policy)
+    print(f"{folder}: track {track} on {', '.join(scenes)}")
     print(
-        f"Fill in {args.folder / 'submission.toml'} as described in {args.folder / 'README.md'}. "
-        f"Next: crowdbench submit check {args.folder}"
+        f"Fill in {folder / 'submission.toml'} as described in {folder / 'README.md'}. "
+        f"Next: crowdbench submit check {folder}"
     )
 
 
-def _check(args: argparse.Namespace) -> None:
-    from crowdbench.leaderboard.verification.check import check
+@app.command
+def check(submission: Path, /) -> None:
+    """Check a submission and list all its problems.
 
-    _print(check(args.submission))
+    Args:
+        submission: folder of a submission
+    """
+    from crowdbench.leaderboard.verification import check as checks
 
-
-def _print(submission: "Checked") -> None:
-    declared = submission.declared
+    checked = checks.check(submission)
+    declared = checked.declared
     counted = {
-        "networks": submission.networks,
-        "files of fits": submission.fits,
-        "rollouts": submission.rollouts,
+        "networks": checked.networks,
+        "files of fits": checked.fits,
+        "rollouts": checked.rollouts,
     }
     models = [declared.shipped_spawn, declared.shipped_policy]
     models += [f"{what}: {count}" for what, count in counted.items() if count]
     print_facts(
         declared.name,
         {
-            "id": submission.id,
+            "id": checked.id,
             "track": f"{declared.track}, {declared.kind}, trained: {declared.training.protocol}",
             "scenes": ", ".join(declared.scenes),
             "models": ", ".join(filter(None, models)),
-            "status": f"{submission.status}: {submission.why}",
+            "status": f"{checked.status}: {checked.why}",
         },
     )

@@ -211,7 +211,7 @@ def _shipped_fits(model: str, scene: Scene) -> Path:
             file,
             got="no such file",
             expected=f"the scene's fits of {model}",
-            hint=f"Run `crowdbench fit {scene.asked}{extra}`{torch}"
+            hint=f"Run `crowdbench scene fit {scene.asked}{extra}`{torch}"
             + (f", or choose a fitted spawn model: {others}." if others else "."),
         )
     return file

@@ -35,8 +35,8 @@ def recognised(crowd: Trajectories, recording: Trajectories, scene: Scene) -> Tr
             got=f"{len(crowd)} people, of whom {int(known.sum())} enter like one of the "
             f"{len(recording)} recorded people",
             expected=f"at least {KNOWN:.0%}, within {LATE_S:g} s and {FAR_M:g} m",
-            hint=f"`crowdbench spawn {scene.asked} --model replay --sample arrivals.csv` writes "
-            "the recorded arrivals. Without --recorded-arrivals, arrivals are scored too.",
+            hint=f"`crowdbench spawn sample {scene.asked} --model replay --out arrivals.csv` "
+            "writes the recorded arrivals. Without --recorded-arrivals, arrivals are scored too.",
         )
     whose = person[known]
     columns = {name: getattr(crowd, name).copy() for name in (*_PLAN, "left", "outcome")}

@@ -136,7 +136,7 @@ def _scored(scene: Scene, reference: Reference | None) -> str:
             got=f"{names} in protocol.scored" if scored else "no protocol.scored",
             expected="at least one metric, and only metrics that apply to time blocks of this "
             "length",
-            hint=f"Import the recording, and run `crowdbench power {scene.asked} --write`.",
+            hint=f"Import the recording, and run `crowdbench scene power {scene.asked} --write`.",
         )
     return f"{len(scored)} of {len(metrics_for(reference.blocks))}"
 
@@ -152,7 +152,9 @@ def _recording(scene: Scene, areas: Areas | None, reference: Reference | None) -
         return f"{name}, {len(crowd)} persons; areas and statistics {_NOT_LOOKED_AT}"
     fresh_areas, crowd = fit_areas(crowd, scene, scene.clustering["default"])
     fresh = Reference.of(crowd, scene, fresh_areas)
-    hint = f"Run `crowdbench fit {scene.asked}`, then `crowdbench anchors {scene.asked}`."
+    hint = (
+        f"Run `crowdbench scene fit {scene.asked}`, then `crowdbench scene anchors {scene.asked}`."
+    )
     for file, same in (
         ("areas.json", _same_areas(areas, fresh_areas)),
         ("reference.json", _same_statistics(reference, fresh)),

@@ -13,8 +13,8 @@ from crowdbench.scene import SCHEMA, Protocol, Recording, Scene, Wall
 
 _HEAD = """\
 {title}. Made by `crowdbench scene create` from {source}.
-After a change, run `crowdbench fit`, `crowdbench power --write` and `crowdbench anchors` on this
-folder; `crowdbench scene check` reports what is inconsistent."""
+After a change, run `crowdbench scene fit`, `crowdbench scene power --write` and
+`crowdbench scene anchors` on this folder; `crowdbench scene check` reports what is inconsistent."""
 _WHY = {
     "bounds": "The recorded extent plus half a metre. Whoever walks out has left the scene.",
     "walls": "From {walls}, clipped to the bounds.",
@@ -24,7 +24,8 @@ _WHY = {
     "and of the ends. Clusters wider than widest_m are split.",
     "walking": "Time scales on which people move more than the noise of their positions.",
     "gate": "The score of walking is at most 0 beyond these limits of speed and arrivals.",
-    "protocol": "Time blocks by the recording's length; `crowdbench power` selects what is scored.",
+    "protocol": "Time blocks by the recording's length; `crowdbench scene power` selects what is "
+    "scored.",
 }
 
 

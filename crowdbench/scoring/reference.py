@@ -218,7 +218,7 @@ def read_reference(scene: Scene) -> Reference:
     """
     _check_scored(scene)
     path = scene.folder / "reference.json"
-    hint = f"Run `crowdbench fit {scene.asked}`."
+    hint = f"Run `crowdbench scene fit {scene.asked}`."
     file = read_struct(path, _ReferenceFile, WeightsError, hint)
     if (file.scene, file.schema) != (scene.id, SCHEMA):
         raise WeightsError(
@@ -310,7 +310,7 @@ def scored_statistics(scene: Scene) -> bytes:
     Raises:
         WeightsError: the file is missing or broken, or lacks a scored metric.
     """
-    path, hint = scene.folder / "reference.json", f"Run `crowdbench fit {scene.asked}`."
+    path, hint = scene.folder / "reference.json", f"Run `crowdbench scene fit {scene.asked}`."
     try:
         file = msgspec.json.decode(read_bytes(path, WeightsError, hint), type=_RawStatistics)
     except msgspec.DecodeError as error:

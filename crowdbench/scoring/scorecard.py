@@ -297,7 +297,7 @@ def read_anchors(scene: Scene) -> Anchors:
         WeightsError: the file is missing or broken, or belongs to another scene or other fits.
     """
     path = scene.folder / "anchors.json"
-    hint = f"Run `crowdbench anchors {scene.asked}`."
+    hint = f"Run `crowdbench scene anchors {scene.asked}`."
     anchors = read_struct(path, Anchors, WeightsError, hint)
     got = (anchors.scene, anchors.schema, anchors.made_from)
     expected = (scene.id, SCHEMA, files_of(scene))

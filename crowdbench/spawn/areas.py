@@ -320,7 +320,7 @@ def read_areas(scene: Scene) -> Areas:
         WeightsError: the file is missing, broken or inconsistent, or belongs to another scene.
     """
     path = scene.folder / "areas.json"
-    hint = f"Run `crowdbench fit {scene.asked}`."
+    hint = f"Run `crowdbench scene fit {scene.asked}`."
     file = read_struct(path, _AreasFile, WeightsError, hint)
     if file.scene != scene.id or file.schema != SCHEMA:
         raise WeightsError(

@@ -37,8 +37,8 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 def hint(scene: Scene) -> str:
     """The hint of errors about missing or broken weights: how to fit them again."""
     if (scene.folder / "scene.toml").is_file():
-        return f"Run `crowdbench fit {scene.asked}`."
-    return f"Create them with `crowdbench fit {scene.id} --out FOLDER`."
+        return f"Run `crowdbench scene fit {scene.asked}`."
+    return f"Create them with `crowdbench scene fit {scene.id} --out FOLDER`."
 
 
 def check_split(split: str, fit: int) -> None:

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crowdbench.data.recordings.catalogue import SOURCES
 from crowdbench.data.recordings.noise import noise_of
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError
 from crowdbench.policies import Policy, Random, RecordedPaths, SocialForce, Straight
 from crowdbench.registry import has_recording, raw_recording_of, recording_of
+from crowdbench.report.text.words import to_import
 from crowdbench.run.judge import judge
 from crowdbench.run.references import reference_of
 from crowdbench.run.rollout import rollout
@@ -51,12 +51,11 @@ def cheats_of(scene: Scene) -> list[Cheat]:
         RecordingError: the recording has not been imported.
     """
     if not has_recording(scene):
-        how = "fetch" if scene.recording.name in SOURCES else "import"
         raise RecordingError(
             scene.id,
             got="no recording",
             expected="the recording, because all cheats have the recorded arrivals",
-            hint=f"Run `crowdbench data {how} {scene.recording.name}`.",
+            hint=f"Run {to_import(scene)}.",
         )
     crowd, tick = recording_of(scene), scene.walking.tick_frames
     raw = raw_recording_of(scene)

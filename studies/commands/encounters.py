@@ -1,40 +1,29 @@
 """`python -m studies encounters`: draw typical encounters, recorded and simulated."""
 
-import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from crowdbench.cli.printing import Commands
+from crowdbench.cli.options import SceneName
 
 
-def add(commands: "Commands") -> None:
-    """Add this command to the command line."""
-    encounters = commands.add_parser(
-        "encounters", help="draw typical encounters of a recording beside simulated ones"
-    )
-    encounters.add_argument("scene", metavar="SCENE", help="id of a scene, or its folder")
-    encounters.add_argument(
-        "--policy",
-        metavar="POLICY",
-        help="policy that moves the people (default: anticipate if it ships with the scene, else "
-        "anticipate-any)",
-    )
-    encounters.add_argument("--seed", type=int, default=0, help="random seed (default: 0)")
-    encounters.add_argument(
-        "--out",
-        type=Path,
-        default=Path("docs/encounters"),
-        metavar="DIR",
-        help="output folder (default: docs/encounters)",
-    )
-    encounters.set_defaults(run=_encounters)
+def encounters(
+    scene: SceneName,
+    /,
+    *,
+    policy: str | None = None,
+    seed: int = 0,
+    out: Path = Path("docs/encounters"),
+) -> None:
+    """Draw typical encounters of a recording beside simulated ones.
 
-
-def _encounters(args: argparse.Namespace) -> None:
+    Args:
+        policy: policy that moves the people (default: anticipate if it ships with the scene, else
+            anticipate-any)
+        seed: random seed
+        out: output folder
+    """
     from studies.encounters import write_encounters
 
-    paths, found = write_encounters(args.scene, policy=args.policy, out=args.out, seed=args.seed)
+    paths, found = write_encounters(scene, policy=policy, out=out, seed=seed)
     for each in found:
         print(
             f"{each['kind']:<10} 1 of {each['chosen_from']:,}; {each['measure']}: "

@@ -1,32 +1,21 @@
 """`python -m studies growth`: measure how cost grows with people, worlds and threads."""
 
-import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from crowdbench.cli.printing import Commands
 
 
-def add(commands: "Commands") -> None:
-    """Add this command to the command line."""
-    growth = commands.add_parser(
-        "growth", help="measure how the cost of a simulation grows with its size (minutes)"
-    )
-    growth.add_argument(
-        "--out", type=Path, metavar="FILE", help="also write the page to FILE (docs/growth.md)"
-    )
-    growth.set_defaults(run=_growth)
+def growth(*, out: Path | None = None) -> None:
+    """Measure how the cost of a simulation grows with its size (minutes).
 
-
-def _growth(args: argparse.Namespace) -> None:
+    Args:
+        out: also write the page to this file (docs/growth.md)
+    """
     from contextlib import nullcontext
 
     from crowdbench.files import replacing
     from studies.growth_page import page
 
     # Opened first: a file that cannot be written raises an error before minutes of measuring.
-    with replacing(args.out) if args.out else nullcontext() as temporary:
+    with replacing(out) if out else nullcontext() as temporary:
         parts = []
         for part in page():
             print(part, flush=True)

@@ -109,7 +109,7 @@ over the tests of a claim. ± is the standard deviation over samples.
 To check the claims with the people and areas of the paper:
 
 ```sh
-crowdbench fit eth-v0 --preprocess paper --clustering paper --out results/eth-as-in-the-paper
+crowdbench scene fit eth-v0 --preprocess paper --clustering paper --out results/eth-as-in-the-paper
 python -m studies paper results/eth-as-in-the-paper --out results/paper
 ```
 """)
@@ -164,11 +164,11 @@ def _sections(studied: Studied) -> str:
     parts += [
         "## Who is left out",
         "The paper drops people who hardly move, and those with few or many steps "
-        "(`crowdbench fit --preprocess paper`); crowdbench keeps everyone.",
+        "(`crowdbench scene fit --preprocess paper`); crowdbench keeps everyone.",
         table(["", "people"], [[name, what] for name, what in studied.kept.items()], text=2),
         "## Areas",
         "What DBSCAN finds with each of the scene’s settings; *paper* are those of the paper "
-        "(`crowdbench fit --clustering paper`).",
+        "(`crowdbench scene fit --clustering paper`).",
         table(["clustering", "areas"], [[n, what] for n, what in studied.areas.items()], text=2),
     ]
     return "\n\n".join(parts)

@@ -16,6 +16,7 @@ from crowdbench.cli import main
 from crowdbench.data.recordings.catalogue import SOURCES
 from crowdbench.data.storage import write_csv
 from crowdbench.leaderboard.verification.entry import read_entry
+from studies.__main__ import main as studies_main
 
 pytestmark = pytest.mark.long
 
@@ -63,7 +64,7 @@ def test_every_command_runs_in_the_order_of_the_pages(
             write_csv(crowdbench.rollout("eth-v0", "replay", "straight", seed=0), "walked.csv")
         if arguments[0] == "evaluate":
             arguments += ["--seeds", "1"]
-        if arguments[0] == "fit":  # tests of their own hold the network's fits
+        if arguments[:2] == ["scene", "fit"]:  # tests of their own hold the network's fits
             arguments += ["--models", "poisson-gmm", "poisson-groups", "renewal-gmm"]
         assert main(arguments) == 0, f"{command}: {capsys.readouterr().err}"
 
@@ -81,7 +82,11 @@ def test_a_trained_policy_gets_to_a_page_of_the_leaderboard(
     for split in FOLDS:  # as it writes them; tests of its own train it
         write_network(folder / f"{split}.onnx", split)
     for command in commands:
-        arguments = shlex.split(command.split("#")[0])[1:]
+        program, *arguments = shlex.split(command.split("#")[0])
+        if program == "python":
+            assert arguments[:2] == ["-m", "studies"]
+            assert studies_main(arguments[2:]) == 0
+            continue
         if arguments[:2] == ["submit", "check"]:
             assert main(arguments) == 2
             assert ": 4 problems." in capsys.readouterr().err

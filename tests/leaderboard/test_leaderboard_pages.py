@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 from PIL import Image
 
-from crowdbench.cli import main
 from crowdbench.cli.leaderboard import print_entry
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.leaderboard.pages import build
@@ -51,6 +50,7 @@ from crowdbench.metrics import WALK
 from crowdbench.report.text.words import with_interval
 from crowdbench.scoring.energy import RESAMPLES
 from crowdbench.scoring.score import Score, combined, ranks
+from studies.__main__ import main as studies_main
 
 HOSTILE = (
     "<script>document.title = 'ran'</script>",
@@ -229,7 +229,7 @@ def test_pages_of_entries_that_left_are_removed(tmp_path: Path) -> None:
 
 def test_the_command_says_what_it_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     put([made_up("one", "walk", 0.5)], tmp_path)
-    assert main(["leaderboard", "build", "--root", str(tmp_path)]) == 0
+    assert studies_main(["leaderboard", "--root", str(tmp_path)]) == 0
     assert capsys.readouterr().out.startswith(f"1 entry: written to {tmp_path}: README.md")
 
 

@@ -443,7 +443,7 @@ def test_no_fits_and_two_fits_are_refused(tmp_path: Path) -> None:
     assert "got poisson-gmm.json, renewal-gmm.json; expected one of them" in problem(folder)
     for file in other.parent.iterdir():
         file.unlink()
-    assert "crowdbench fit plaza-v0 --out FOLDER" in problem(folder)
+    assert "crowdbench scene fit plaza-v0 --out FOLDER" in problem(folder)
 
 
 def test_links_and_hidden_files_are_refused(walker: Path) -> None:

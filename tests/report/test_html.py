@@ -222,7 +222,10 @@ def test_without_a_recording_walking_reads_needs_recording(tmp_path: Path) -> No
 def test_a_single_crowd_without_scores(crowds: Crowds, tmp_path: Path) -> None:
     card = card_of(unscored(anchor("poisson-gmm", "straight")), rollouts=2)
     html = page(card, crowds, tmp_path)
-    assert "Scores need two rollouts of each fit, 10 in all." in html
+    assert (
+        "No ranks: a score needs at least two rollouts for each of the 5 fits, that is, 10 of"
+        in html
+    )
     (line, *_) = [r for r in parsed(html).rows if "poisson-gmm × straight" in r]
     assert line.count("–") == 5
     assert "d 0." in html

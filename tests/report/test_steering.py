@@ -82,7 +82,7 @@ def test_who_would_have_walked_to_a_closed_goal_walks_elsewhere(found: Steering)
 def test_the_command_prints_and_draws_what_changed(
     busy: Path, tmp_path: Path, capsys: Printed
 ) -> None:
-    asked = ["steer", "plaza-v0", str(busy), "--seeds", "1", "--out", str(tmp_path)]
+    asked = ["spawn", "steer", "plaza-v0", str(busy), "--seeds", "1", "--out", str(tmp_path)]
     assert main(asked) == 0
     printed = capsys.readouterr().out
     assert "ntpp-gmm+busy on plaza-v0: persons per episode of 1800 s, mean of 1 episode" in printed
@@ -98,7 +98,7 @@ def test_the_command_prints_and_draws_what_changed(
 
 
 def test_areas_are_listed_and_drawn_by_number(tmp_path: Path, capsys: Printed) -> None:
-    assert main(["areas", "plaza-v0", "--out", str(tmp_path / "areas.png")]) == 0
+    assert main(["spawn", "areas", "plaza-v0", "--out", str(tmp_path / "areas.png")]) == 0
     printed = capsys.readouterr().out
     spawn, goal = printed.split("goal area")
     assert re.findall(r"^ (\d)  ", spawn, re.M) == list("0123")
@@ -111,14 +111,14 @@ def test_a_broken_scenario_is_one_message(tmp_path: Path, capsys: Printed) -> No
     path = tmp_path / "broken.toml"
     path.write_text(BUSY.replace("area = 2", "area = 8"))
     for asked in (
-        ["steer", "plaza-v0", str(path)],
+        ["spawn", "steer", "plaza-v0", str(path)],
         ["evaluate", "plaza-v0", "--scenario", str(path)],
     ):
         assert main(asked) == 2
         printed = capsys.readouterr()
         assert printed.err == (
             f"crowdbench: {path}, change 2, area: got spawn area 8; expected one of the 4 spawn "
-            "areas of plaza-v0, 0 to 3. See `crowdbench areas plaza-v0`.\n"
+            "areas of plaza-v0, 0 to 3. See `crowdbench spawn areas plaza-v0`.\n"
         )
         assert not printed.out
 
@@ -196,8 +196,8 @@ def test_the_scenarios_of_the_page_are_the_files() -> None:
 
 @pytest.mark.parametrize("name", ["rush_hour", "closed_door"])
 def test_the_tables_of_the_page_are_what_its_commands_print(name: str) -> None:
-    asked = next(c for c in commands() if c[1] == "steer" and c[3].endswith(f"{name}.toml"))
-    found = steering(asked[2], DOCS.parent / asked[3])
+    asked = next(c for c in commands() if c[2] == "steer" and c[4].endswith(f"{name}.toml"))
+    found = steering(asked[3], DOCS.parent / asked[4])
     (shown,) = [block for block in pages.blocks(PAGE, "text") if f"+{name} on" in block]
     lines = [re.findall(r"[\d.]+", line) for line in shown.splitlines() if re.match(r" \d", line)]
     counted = [*area_changes(found), *goal_changes(found)]

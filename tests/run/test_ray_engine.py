@@ -187,8 +187,8 @@ def test_the_commands_of_the_page_exist() -> None:
     commands = pages.commands((ROOT / "docs" / "cluster.md").read_text())
     assert len(commands) >= 3
     for command in commands:
-        asked = cli._parser().parse_args(shlex.split(command)[1:])
-        assert asked.engine in ("local", "ray")
+        _, bound, _ = cli.app.parse_args(shlex.split(command)[1:], exit_on_error=False)
+        assert bound.arguments.get("engine", "local") in ("local", "ray")
 
 
 def test_an_unknown_engine_is_named() -> None:
@@ -201,7 +201,7 @@ def test_an_unknown_engine_is_named() -> None:
 def test_no_cluster_at_the_address() -> None:
     need(find_spec("ray"), "the extra ray")
     done = subprocess.run(
-        [sys.executable, "-m", "crowdbench", "anchors", "plaza-v0", "--engine", "ray://127.0.0.1:1"],
+        [sys.executable, "-m", "crowdbench", "scene", "anchors", "plaza-v0", "--engine", "ray://127.0.0.1:1"],
         capture_output=True, text=True, cwd=ROOT, timeout=120,
         env=os.environ | {"RAY_CLIENT_RECONNECT_GRACE_PERIOD": "1"},
     )  # fmt: skip

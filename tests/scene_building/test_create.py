@@ -211,7 +211,7 @@ def rewrite(path: Path, old: str, new: str) -> None:
 def test_other_fits_than_the_anchors_are_told(copied: Path) -> None:
     rewrite(copied / "scene.toml", "goal_radius_m = 0.2", "goal_radius_m = 0.6")
     assert list(problems(copied)) == ["anchors"]
-    assert "Run `crowdbench anchors" in problems(copied)["anchors"]
+    assert "Run `crowdbench scene anchors" in problems(copied)["anchors"]
 
 
 def test_each_missing_file_is_told_once(copied: Path) -> None:

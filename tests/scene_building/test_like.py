@@ -90,6 +90,5 @@ def test_what_is_wrong_is_said_before_anything_is_fetched(
     def fetch(name: str) -> None:
         raise AssertionError(name)
 
-    monkeypatch.setattr(command, "is_imported", lambda name: False)
-    monkeypatch.setattr(command, "fetch_and_import", fetch)
+    monkeypatch.setattr(command, "fetch", fetch)
     assert cli.main(["scene", "create", *asked, "--recording", "forum-14jul"]) == 2

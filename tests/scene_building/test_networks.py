@@ -64,7 +64,7 @@ def test_the_page_on_spawn_models_has_the_likelihoods(
     if scene == "eth-v0":
         assert main(["data", "import", "eth", "--source", str(opentraj)]) == 0
     page = (ROOT / "docs" / "spawn-models.md").read_text().replace("−", "-")
-    assert main(["spawn", scene]) == 0
+    assert main(["spawn", "test", scene]) == 0
     printed = capsys.readouterr().out
     found = dict(re.findall(r"^ ([a-z]+-[a-z]+) +-\d.\d+ +(-\d.\d+) ", printed, re.M))
     (names,) = re.findall(r"^\| scene \| areas \|.*\| without \| (.*) \|$", page, re.M)

@@ -107,7 +107,7 @@ def test_the_command_prints_a_row_per_model(
         return list(plaza.values())
 
     monkeypatch.setattr(spawn_diagnostics, "check_models", known)
-    assert main(["spawn", "plaza-v0"]) == 0
+    assert main(["spawn", "test", "plaza-v0"]) == 0
     printed = capsys.readouterr().out
     for name in ("plaza-truth", *MODELS):
         assert name in printed

@@ -244,7 +244,7 @@ def test_broken_statistics_are_refused(what: str, tmp_path: Path) -> None:
     spoil(file)
     (tmp_path / "reference.json").write_text(json.dumps(file))
     shutil.copy(ETH.folder / "areas.json", tmp_path)
-    with pytest.raises(WeightsError, match=rf"{message}.*Run `crowdbench fit "):
+    with pytest.raises(WeightsError, match=rf"{message}.*Run `crowdbench scene fit "):
         read_reference(replace(ETH, folder=tmp_path))
 
 
@@ -271,14 +271,14 @@ def test_anchors_and_entries_depend_on_scored_statistics_alone(
     changed = load_scene(folder)
     assert (files_of(changed) != files_of(ETH)) == counts
     if counts:
-        with pytest.raises(WeightsError, match="crowdbench anchors"):
+        with pytest.raises(WeightsError, match="crowdbench scene anchors"):
             read_anchors(changed)
     else:
         assert read_anchors(changed).made_from == read_anchors(ETH).made_from
 
 
 def test_missing_statistics_say_how_to_make_them(tmp_path: Path) -> None:
-    with pytest.raises(WeightsError, match=r"no such file.*Run `crowdbench fit "):
+    with pytest.raises(WeightsError, match=r"no such file.*Run `crowdbench scene fit "):
         read_reference(replace(ETH, folder=tmp_path))
 
 

@@ -215,7 +215,7 @@ def test_areas_that_are_missing_say_how_to_get_them(folder):
         read_areas(load_scene(folder))
     assert caught.value.where == str(folder / "areas.json")
     assert caught.value.got == "no such file"
-    assert "crowdbench fit " in caught.value.hint
+    assert "crowdbench scene fit " in caught.value.hint
 
 
 def test_areas_that_are_no_json_are_refused(folder):
@@ -252,4 +252,4 @@ def test_areas_that_are_broken_are_refused(folder, scene, field, value, got):
         read_areas(load_scene(folder))
     assert str(folder / "areas.json") in caught.value.where
     assert got in caught.value.got
-    assert "crowdbench fit " in caught.value.hint
+    assert "crowdbench scene fit " in caught.value.hint

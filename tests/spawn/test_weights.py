@@ -88,7 +88,7 @@ def test_missing_files_say_how_to_get_them(place: Scene, model: Any) -> None:
         (place.folder / name).unlink()
     with pytest.raises(WeightsError, match="no such file") as caught:
         model.read(place, AREAS)
-    assert "crowdbench fit " in caught.value.hint
+    assert "crowdbench scene fit " in caught.value.hint
 
 
 def change(place: Scene, name: str, field: str, value: object) -> None:
@@ -139,7 +139,7 @@ def test_broken_json_is_refused(
         kind.read(place, AREAS)
     assert str(place.folder) in caught.value.where
     assert got in caught.value.got
-    assert "crowdbench fit " in caught.value.hint
+    assert "crowdbench scene fit " in caught.value.hint
 
 
 def test_probabilities_beyond_one_are_refused(place: Scene) -> None:
@@ -200,7 +200,7 @@ def test_broken_tensors_are_refused_in_whatever_part_they_are(
     with pytest.raises(WeightsError) as caught:
         NtppGMM.read(place, AREAS)
     assert got in caught.value.got
-    assert "crowdbench fit " in caught.value.hint
+    assert "crowdbench scene fit " in caught.value.hint
 
 
 HEADERS = {

@@ -10,9 +10,9 @@ from crowdbench.metrics import METRICS, PAPER
 from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import NOTHING, digits, interval, number
 
-BEGIN = "<!-- The table is made by `crowdbench leaderboard build`. -->\n"
+BEGIN = "<!-- The table is made by `python -m studies leaderboard`. -->\n"
 PAPER_BEGIN = (
-    "<!-- The table of the paper's metrics is made by `crowdbench leaderboard build`. -->\n"
+    "<!-- The table of the paper's metrics is made by `python -m studies leaderboard`. -->\n"
 )
 END = "<!-- End of the table. -->"
 MEMORY = "block-replay"

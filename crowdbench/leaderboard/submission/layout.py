@@ -174,8 +174,8 @@ def _weights(
                     f"{scene}/spawn",
                     got="no fits",
                     expected=f"one of {', '.join(WEIGHTS)}",
-                    hint=f"Create the file with `crowdbench fit {scene} --out FOLDER`, or set "
-                    "shipped_spawn to a spawn model that comes with crowdbench.",
+                    hint=f"Create the file with `crowdbench scene fit {scene} --out FOLDER`, or "
+                    "set shipped_spawn to a spawn model that comes with crowdbench.",
                 )
             )
     return weights

@@ -151,7 +151,7 @@ def _hint(name: str, value: Any, kind: Any) -> str | None:
     if name in _FORMS and not _FORMS[name][0].fullmatch(value):
         return _FORMS[name][1]
     if name == "scenes" and (set(value) - set(list_scenes()) or len(set(value)) < len(value)):
-        return "`crowdbench scenes` lists all scenes."
+        return "`crowdbench scene list` lists all scenes."
     if name == "shipped_spawn" and value not in ("", *SPAWN_MODELS):
         return "Contribute a new family of spawn models with its code, in a pull request."
     return None

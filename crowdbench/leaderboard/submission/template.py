@@ -63,7 +63,7 @@ _ROWS = {
     "recording; protocol `full` (listed, never ranked) |\n",
     "spawn": "| `SCENE/spawn/ntpp-gmm.safetensors`, or `poisson-gmm.json`, `poisson-groups.json`, "
     "`renewal-gmm.json`, `cox-gmm.json` | "
-    "fits of a spawn model, as `crowdbench fit SCENE --out FOLDER` writes them |\n",
+    "fits of a spawn model, as `crowdbench scene fit SCENE --out FOLDER` writes them |\n",
     "trajectories": "| or `SCENE/trajectories/0.parquet`, `1.parquet`, … | rollouts instead of "
     "models, as Parquet or CSV with the columns `person_id`, `frame`, `x` and `y` (listed, never "
     "ranked) |\n",

@@ -5,7 +5,7 @@ chance. So the limit is that of walkers who cannot copy: they know a person's st
 but no recorded path. A scene's limit is the largest share among these walkers under the recorded
 arrivals, plus a margin.
 
-The shares are measured by `crowdbench leaderboard limits`, which writes `copied_trips.json`. Run it
+The shares are measured by `python -m studies trip-limits`, which writes `copied_trips.json`. Run it
 again when a scene, a recording or one of these walkers changes.
 """
 
@@ -27,7 +27,7 @@ HONEST = ("straight", "social-force")
 MARGIN = 0.05
 """Tolerated excess over these walkers. It is more than two standard errors of the shares, which are
 at most 0.02 (on Hotel, with about 200 trips). Who memorises copies far more: nearly all trips."""
-_HINT = "Run `crowdbench leaderboard limits`."
+_HINT = "Run `python -m studies trip-limits`."
 
 
 class MeasuredShares(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -78,7 +78,7 @@ def write(measured: dict[str, dict[str, float]]) -> Path:
     write_json(
         PATH,
         MeasuredShares(
-            command="crowdbench leaderboard limits", shares=dict(sorted(shares.items()))
+            command="python -m studies trip-limits", shares=dict(sorted(shares.items()))
         ),
     )
     _read.cache_clear()

@@ -12,7 +12,7 @@ from crowdbench.metrics.arrivals import burstiness, memory
 from crowdbench.report.display_names import Names
 from crowdbench.report.html.render import html
 from crowdbench.report.plots import PlotData
-from crowdbench.report.text.notes import gate_notes
+from crowdbench.report.text.notes import gate_notes, too_few_rollouts
 from crowdbench.scoring.ranking import competing_rows, ordered, ranked_by, steered
 from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import (
@@ -53,6 +53,7 @@ def score_table(card: Scorecard, table: Sequence[Row], names: Names) -> Markup:
             f"Policies under the recorded arrivals{_ordered_by(walkers, by)}": walkers,
             "Baselines (not ranked)": [row for row in table if row.kind == "anchor"],
         },
+        too_few_rollouts=too_few_rollouts,
         beyond_gate=gate_notes(card, table, names),
         scale=_Scale([score for row in table for score in _scores(row)]),
     )

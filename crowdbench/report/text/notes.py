@@ -1,12 +1,23 @@
-"""Sentences on a scorecard that the terminal and the report share: rollouts, and the gate."""
+"""Sentences on a scorecard for the terminal and the report: rollouts, gate, missing scores."""
 
 from collections.abc import Collection, Sequence
 
+from crowdbench.metrics import METRICS, all_metrics
 from crowdbench.report.display_names import Names
-from crowdbench.report.text.words import number, share, speed
-from crowdbench.scene import Gate
+from crowdbench.report.text.words import STEERED, number, share, speed, to_import
+from crowdbench.run.references import missing
+from crowdbench.scene import Gate, Scene
+from crowdbench.scoring.ranking import steered
 from crowdbench.scoring.score import Score
-from crowdbench.scoring.scorecard import Limit, Row, Scorecard, gate_standard, walker_of
+from crowdbench.scoring.scorecard import (
+    ANCHOR,
+    Limit,
+    Row,
+    Scorecard,
+    gate_standard,
+    has_recorded_arrivals,
+    walker_of,
+)
 
 
 def made(card: Scorecard) -> str:
@@ -74,3 +85,51 @@ def effect_of_gate(name: str, score: Score | None, without: Score | None) -> str
     if score.value == without.value:
         return f"The gate does not change {name}: it is {number(score)} with and without it."
     return f"Therefore {name} is {number(score)}; without the gate, it would be {number(without)}."
+
+
+def score_notes(card: Scorecard, scene: Scene, table: Sequence[Row], names: Names) -> list[str]:
+    """Explanations of a table of scores, and reasons why scores are missing."""
+    notes = [
+        f"Scores: 0 is the score of the anchor ({' × '.join(ANCHOR)}; for motion and interaction, "
+        "straight walkers with the recorded arrivals), 1 the expected score of a perfect model. "
+        "Brackets: 95 % intervals. crowd: mean of arrivals, presence, trips and space. walk: the "
+        "lesser of motion and interaction. overall: mean of crowd and walk. –: nothing is scored. "
+        "Crowds with equal ranks do not differ significantly (5 %, Holm). Unranked baselines "
+        "follow: replay repeats the recording, recorded-paths walks it, block-replay repeats "
+        "random blocks of it.",
+        f"speed: mean of people who walk, m/s. at goal: share of people who reach it. walk is at "
+        f"most 0 for policies marked with ! under the recorded arrivals: speed more than "
+        f"{card.gate.speed:.0%} off that of recorded-paths, or less than {card.gate.arrivals:.0%} "
+        "of its share at the goal.",
+        *gate_notes(card, table, names),
+    ]
+    entries = [row for row in table if row.kind == "entry"]
+    if not card.scored:
+        notes.append(
+            "No scores: this scene has no scored metrics yet. Run "
+            f"`crowdbench scene power {scene.asked} --write`."
+        )
+    elif any((row.walk if row.spawn == "replay" else row.crowd) is None for row in entries):
+        notes.append(f"Scores are missing: {too_few_rollouts(card)}")
+    if not has_recorded_arrivals(card):
+        notes.append(f"Scores of motion and interaction need the recording: {to_import(scene)}.")
+    notes += missing_notes(scene)
+    if any(steered(entry.spawn) for entry in card.entries):
+        notes.append(STEERED)
+    return notes
+
+
+def too_few_rollouts(card: Scorecard) -> str:
+    """How many rollouts scores need, and how many there are."""
+    each = "" if card.fits == 1 else f"for each of the {card.fits} fits, that is, {2 * card.fits} "
+    in_folds = " in each fold" if card.protocol == "heldout" else ""
+    there = f"there {'is' if card.rollouts == 1 else 'are'} {card.rollouts}"
+    return f"a score needs at least two rollouts {each}of each pair{in_folds}; {there}."
+
+
+def missing_notes(scene: Scene) -> list[str]:
+    """A note on registered metrics that could not be computed; empty if there are none."""
+    absent = missing(scene) if len(all_metrics()) > len(METRICS) else []
+    if not absent:
+        return []
+    return [f"{', '.join(absent)} can only be computed with the recording: {to_import(scene)}."]

@@ -1,5 +1,6 @@
 """How HTML and Markdown pages write numbers, names and protocols."""
 
+from crowdbench.data.recordings.catalogue import SOURCES
 from crowdbench.scene import Scene
 from crowdbench.scoring.score import Score
 
@@ -58,3 +59,9 @@ def digits(value: float) -> str:
 def named(scene: Scene) -> str:
     """The scene as a shown command names it: its id, or `path/to/…` for a user's own scene."""
     return scene.id if scene.asked == scene.id else f"path/to/{scene.folder.name}"
+
+
+def to_import(scene: Scene) -> str:
+    """The command that imports a scene's recording, in backticks."""
+    name = scene.recording.name
+    return f"`crowdbench data {'fetch' if name in SOURCES else 'import'} {name}`"

@@ -15,8 +15,8 @@
     persons_per_min = 12
     goals = { 0 = 1 }
 
-`crowdbench areas` prints the numbers of a scene's areas. Times are relative to the start of the
-episode; the values at its start also apply during the warm-up before it.
+`crowdbench spawn areas` prints the numbers of a scene's areas. Times are relative to the start of
+the episode; the values at its start also apply during the warm-up before it.
 """
 
 import math
@@ -250,7 +250,7 @@ def _check_area(area: int, number: int, kind: str, where: str, scene: Scene) -> 
             where,
             got=f"{kind} area {area}",
             expected=f"one of the {number} {kind} areas of {scene.id}, 0 to {number - 1}",
-            hint=f"See `crowdbench areas {scene.asked}`.",
+            hint=f"See `crowdbench spawn areas {scene.asked}`.",
         )
 
 

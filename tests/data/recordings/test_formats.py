@@ -182,7 +182,17 @@ def test_converting_goes_round(tmp_path: Path, capsys: pytest.CaptureFixture[str
     source = tmp_path / "jps.sqlite"
     database(source, fps="25")
     here = tmp_path / "crowd.txt"
-    asked = ["convert", str(source), "--format", "jupedsim", "--to", "jupedsim", "--out", str(here)]
+    asked = [
+        "data",
+        "convert",
+        str(source),
+        "--format",
+        "jupedsim",
+        "--to",
+        "jupedsim",
+        "--out",
+        str(here),
+    ]
     assert main(asked) == 2
     assert "got person 4 at frame 40, 20 frames after its previous row" in capsys.readouterr().err
     assert main([*asked, "--gaps", "interpolate"]) == 0
@@ -192,7 +202,17 @@ def test_converting_goes_round(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert here.read_text().splitlines()[0] == "# framerate: 2.5"
     assert here.read_text().splitlines()[2] == "3\t1\t1.25\t4.5\t0.0"
     back = tmp_path / "crowd.csv"
-    asked = ["convert", str(here), "--format", "jupedsim", "--to", "csv", "--out", str(back)]
+    asked = [
+        "data",
+        "convert",
+        str(here),
+        "--format",
+        "jupedsim",
+        "--to",
+        "csv",
+        "--out",
+        str(back),
+    ]
     assert main(asked) == 0
     crowd = read_rows(back, "csv", name="back", dt_s=0.4)
     np.testing.assert_array_equal(crowd.xy, read_rows(here, "jupedsim", name="here").xy)

@@ -3,13 +3,14 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import made_up
 import numpy as np
 import pytest
 from strategies import crowd_of
 
-from crowdbench.cli import convert, data, main
+from crowdbench.cli import main, options
 from crowdbench.data.recordings.convert import WRITERS
 from crowdbench.data.recordings.own import FORMATS, import_own, read_recording
 from crowdbench.data.recordings.timing import at_scene_frames
@@ -131,7 +132,7 @@ def test_companions_that_a_table_states_are_kept(tmp_path: Path) -> None:
     found = read_recording(tmp_path / "mine.csv", "csv", name="mine", dt_s=0.4)
     assert found.group.tolist() == [-1, 4, 4]
     asked = ["--to", "csv", "--out", str(tmp_path / "b.csv"), "--dt-s", "0.4"]
-    assert main(["convert", str(tmp_path / "mine.csv"), *asked]) == 0
+    assert main(["data", "convert", str(tmp_path / "mine.csv"), *asked]) == 0
     assert read_columns(tmp_path / "b.csv")["group"][-1] == 4
 
 
@@ -203,8 +204,9 @@ def test_the_command_imports_an_own_recording(
 
 
 def test_the_command_line_knows_all_formats() -> None:
-    assert tuple(FORMATS) == data.FORMATS
-    assert tuple(WRITERS) == convert.WRITTEN
+    _, layout = get_args(options.Layout)
+    assert set(FORMATS) <= set(re.findall(r"\w+", layout.help))
+    assert tuple(WRITERS) == get_args(options.Written)
 
 
 def test_eth_as_an_own_recording_is_the_published_one(opentraj: Path) -> None:

@@ -7,9 +7,8 @@ import msgspec
 import pytest
 
 from crowdbench import __version__
-from crowdbench.cli.printing import progress_bar
-from crowdbench.cli.score_tables import print_card, print_results
 from crowdbench.metrics import FAMILIES, WALK, MetricResult
+from crowdbench.report.text.scorecards import print_card, print_results
 from crowdbench.report.text.words import interval, number
 from crowdbench.scene import load_scene
 from crowdbench.scoring.energy import RESAMPLES
@@ -26,13 +25,6 @@ Printed = pytest.CaptureFixture[str]
 def crowd(spawn: str, policy: str, of: tuple[str, str] = ("poisson-gmm", "random")) -> PairResult:
     """A crowd that walks as an anchor does."""
     return msgspec.structs.replace(ANCHORS[of], spawn=spawn, policy=policy)
-
-
-@pytest.mark.parametrize("what", ["a[/red]b", "a{b}", "[bold]{task.total}", "{0}"])
-def test_what_progress_is_of_may_be_any_path(what: str, capsys: Printed) -> None:
-    with progress_bar(what) as progress:
-        progress(1, 1)
-    assert capsys.readouterr().out.startswith(what)
 
 
 def unscored(entry: PairResult) -> PairResult:
@@ -132,7 +124,7 @@ def test_why_there_are_no_scores_is_said(made: int, said: str, capsys: Printed) 
 
 def test_a_scene_without_scored_metrics_says_so(capsys: Printed) -> None:
     out = printed(msgspec.structs.replace(USUAL, scored=[]), capsys)
-    assert "`crowdbench power eth-v0 --write`" in out
+    assert "`crowdbench scene power eth-v0 --write`" in " ".join(out.split())
 
 
 def test_what_is_not_defined_is_a_dash(capsys: Printed) -> None:

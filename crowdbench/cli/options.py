@@ -1,0 +1,51 @@
+"""Parameters that several commands have, with their help texts."""
+
+from typing import Annotated, Literal, TypeAlias
+
+from cyclopts import Parameter
+
+SceneName: TypeAlias = Annotated[
+    str, Parameter(help="id of a scene (see `crowdbench scene list`), or its folder")
+]
+Workers: TypeAlias = Annotated[
+    int | None, Parameter(help="worker processes (default: one per core)")
+]
+# The runner of commands opens it; their functions need not read it.
+EngineName: TypeAlias = Annotated[
+    str,
+    Parameter(help="where they run: local, ray, or the address ray://HOST:PORT of a Ray cluster"),
+]
+Json: TypeAlias = Annotated[
+    str | None,
+    Parameter(
+        allow_leading_hyphen=True,
+        help="file to which the scores are also written as JSON; with -, nothing but JSON is "
+        "printed",
+    ),
+]
+Layout: TypeAlias = Annotated[
+    str | None,
+    Parameter(
+        "--format",
+        help="format of the recording. obsmat: format of ETH and UCY; gc, forum: formats of Grand "
+        "Central and the Forum; csv: a table with person_id, frame or time_s, x, y; trajnet: "
+        "TrajNet++; jupedsim: format that PedPy reads; or a format of an installed package",
+    ),
+]
+FrameS: TypeAlias = Annotated[
+    float | None,
+    Parameter(
+        "--dt-s", help="time between two rows of a person in seconds, if the file does not state it"
+    ),
+]
+Gaps: TypeAlias = Annotated[
+    Literal["interpolate", "split"] | None,
+    Parameter(
+        help="repair missing rows of a person: interpolate linearly, or split the person into two; "
+        "both also interpolate rows that lie between frames (default: reject such files)"
+    ),
+]
+Written: TypeAlias = Literal["csv", "trajnet", "jupedsim"]
+OffsetS: TypeAlias = Annotated[
+    float | None, Parameter(help="time_s of the first frame of a table, in seconds (default: 0)")
+]
