@@ -1,8 +1,9 @@
-# make evaluate   the environment and the main job
-# make test       the environment and the fast tests
-# make test-all   these and the long ones, in one run, so that what they share is made once
-# make coverage   the fast tests, and which share of the lines they run
-# make lint       format, lint and types
+# make evaluate      the environment and the main job
+# make test          the environment and the fast tests
+# make test-all      these and the long ones, in one run, so that what they share is made once
+# make test-nightly  trainings, processes and nodes that are killed, and all combinations
+# make coverage      the fast tests, and which share of the lines they run
+# make lint          format, lint and types
 #
 # Another set of dependencies: make test VENV=.venv-imitation EXTRAS=all
 # With RLlib, about a minute:  make test VENV=.venv-rllib EXTRAS=dev,rllib ARGS="-m slow"
@@ -13,7 +14,7 @@ EXTRAS ?= dev,fit,minari,onnx,orca,ray,torchrl,viewer
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: evaluate test test-all coverage lint clean
+.PHONY: evaluate test test-all test-nightly coverage lint clean
 
 evaluate: $(VENV)/core.stamp
 	$(BIN)/crowdbench evaluate eth-v0 --out results/eth
@@ -24,7 +25,10 @@ test: $(VENV)/dev.stamp
 	$(BIN)/python -m pytest $(ARGS)
 
 test-all: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest $(ARGS) -m "not slow"
+	$(BIN)/python -m pytest $(ARGS) -m "not slow and not nightly"
+
+test-nightly: $(VENV)/dev.stamp
+	$(BIN)/python -m pytest $(ARGS) -m "nightly and not slow"
 
 coverage: $(VENV)/dev.stamp
 	$(BIN)/python -m pytest $(ARGS) --cov --cov-report=term:skip-covered

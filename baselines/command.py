@@ -317,7 +317,6 @@ class Command:
     @property
     def line(self) -> str:
         """The command line of this call, without the options that do not change the policy."""
-        module = _module(self.name.removesuffix("-any"))
         kept, skipped = [], False
         for argument in self.given:
             if skipped:  # the value of the option before it
@@ -326,7 +325,12 @@ class Command:
                 skipped = "=" not in argument
             else:
                 kept.append(argument)
-        return f"python -m {module} {shlex.join(kept)}"
+        return f"python -m {self.program} {shlex.join(kept)}"
+
+    @property
+    def program(self) -> str:
+        """What `python -m` runs."""
+        return _module(self.name.removesuffix("-any"))
 
     def path(self, split: str) -> Path:
         """The policy file of a split."""

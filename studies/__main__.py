@@ -4,6 +4,7 @@ import sys
 from collections.abc import Sequence
 
 from crowdbench.cli.running import new_app, run
+from studies.commands import checks, tables, trainings
 from studies.commands.cheats import cheats
 from studies.commands.diagrams import diagrams
 from studies.commands.encounters import encounters
@@ -15,9 +16,15 @@ from studies.commands.results import results
 from studies.commands.speed import speed
 from studies.commands.walks import walks
 
-STUDIES = (results, walks, cheats, paper, figures, encounters, speed, growth, diagrams)
+PAGES = (results, walks, paper, figures, encounters, cheats, growth, speed, diagrams, tables.plans)
+TABLES = (tables.sharing, tables.cheats_twins, tables.cheats_search)
+TRAININGS = (
+    *(trainings.ablation, trainings.across, trainings.compare_observations),
+    *(trainings.without_reward_parts, trainings.runners, trainings.training_speed),
+)
+CHECKS = (checks.busy_steps, checks.ray_cluster)
 app = new_app("python -m studies", "Studies of crowdbench, and the pages of its leaderboard.")
-for study in (*STUDIES, leaderboard, trip_limits):
+for study in (*PAGES, *TABLES, *TRAININGS, *CHECKS, leaderboard, trip_limits):
     app.command(study)
 
 

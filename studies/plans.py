@@ -1,13 +1,12 @@
 """How well models of plans describe companions, ways and stops.
 
-    python -m studies.plans eth-v0 gc-v0 > docs/plans.md
+    python -m studies plans eth-v0 gc-v0 > docs/plans.md
 
 writes a page with two tables for each scene. The first one has log-likelihoods of held-out people,
 beside those of simpler models. The second one compares statistics of samples with those of the
 recording.
 """
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +15,6 @@ import numpy as np
 
 from crowdbench.data.blocks import SPLITS
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import CrowdbenchError, SettingError
 from crowdbench.metrics import METRICS, Metric
 from crowdbench.registry import list_policies, policy, recording_of, spawn_model
 from crowdbench.report.text.markdown import table
@@ -57,7 +55,7 @@ INTRODUCTION = """# How well plans describe people
 [Models of plans](spawn-models.md#plans-companions-ways-and-stops) send people with companions, ways
 and stops. This page tests them in two ways. It is the output of
 
-    python -m studies.plans {scenes}
+    python -m studies plans {scenes}
 
 **Held-out people.** Companions, ways and stops are fitted to the training blocks of each fold. The
 first table of a scene has the log-likelihood of the people in the other blocks, all folds together,
@@ -286,19 +284,12 @@ def _signed(nats: float) -> str:
     return f"{nats:.3f}".replace("-", "−")
 
 
-def main(scenes: Sequence[str]) -> int:
-    """Print the tables; returns the exit code."""
-    try:
-        if not scenes:
-            raise SettingError("plans", got="no scene", expected="one or more scenes")
-        parts = [tables(scene) for scene in scenes]
-    except CrowdbenchError as error:
-        print(f"crowdbench: {error}", file=sys.stderr)
-        return 2
-    print(INTRODUCTION.format(scenes=" ".join(scenes), seeds=SEEDS))
-    print("\n".join(parts), end="")
-    return 0
+def page(scenes: Sequence[str], *, seeds: int = SEEDS) -> str:
+    """The page: an introduction and both tables of each scene.
 
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    Raises:
+        SceneError, WeightsError: a scene does not exist, or lacks fits or statistics.
+        RecordingError: a recording has not been imported.
+    """
+    parts = [tables(scene, seeds=seeds) for scene in scenes]
+    return "\n".join([INTRODUCTION.format(scenes=" ".join(scenes), seeds=seeds), *parts])

@@ -1,12 +1,11 @@
 """Does one network for all areas predict arrivals better than a network for each?
 
-    python -m studies.sharing eth-v0 hotel-v0 zara1-v0
+    python -m studies sharing eth-v0 hotel-v0 zara1-v0
 
 prints a table of held-out log-likelihoods of `ntpp-gmm`, trained with a network for each area
 (`own`) and with one for all (`shared`, see `crowdbench scene fit --shared`).
 """
 
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from crowdbench.data.blocks import SPLITS
-from crowdbench.errors import CrowdbenchError, SettingError
 from crowdbench.registry import recording_of
 from crowdbench.report.text.markdown import table
 from crowdbench.scene import Scene, load_scene
@@ -72,18 +70,7 @@ def line(scene: str, nats: Float[np.ndarray, "2 folds seeds"]) -> list[str]:
     return [scene, *means, each]
 
 
-def main(scenes: Sequence[str]) -> int:
-    """Print the table; returns the exit code."""
-    try:
-        if not scenes:
-            raise SettingError("sharing", got="no scene", expected="one or more scenes")
-        lines = [line(scene, compare(scene)) for scene in scenes]
-    except CrowdbenchError as error:
-        print(f"crowdbench: {error}", file=sys.stderr)
-        return 2
-    print(table(["scene", "own", "shared", "difference in each fold"], lines))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+def comparison(scenes: Sequence[str]) -> str:
+    """The table with a row for each scene; errors as of `compare`."""
+    lines = [line(scene, compare(scene)) for scene in scenes]
+    return table(["scene", "own", "shared", "difference in each fold"], lines)

@@ -132,6 +132,15 @@ def unadjusted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("crowdbench.scene_building.fit.adjustment", lambda *of: Adjustment())
 
 
+@pytest.fixture
+def brief_networks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """New scenes get `ntpp-gmm` of three epochs; `test_ntpp_training` tests what it learns."""
+    from crowdbench.spawn.ntpp.training import Settings  # not before annotations are checked
+
+    brief = Settings(epochs=3, patience=1, calibration_points=2000, step_groups=4000)
+    monkeypatch.setattr("crowdbench.scene_building.fit.training_settings", lambda *of: brief)
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
     """With `--dist loadgroup` one worker runs all tests of a module that has fixtures of its own.

@@ -13,7 +13,6 @@ class Published:
 
     address: str
     files: dict[str, bytes] = field(default_factory=dict, repr=False)
-    ranges: bool = True
     breaks: list[int] = field(default_factory=list)
     """Bytes after which each next answer breaks off."""
     status: int = 200
@@ -22,8 +21,8 @@ class Published:
     stalls: bool = False
     """Whether a broken answer leaves the line open and says nothing more."""
     stalled: Event = field(default_factory=Event)
-    asked: list[tuple[str, str | None]] = field(default_factory=list, repr=False)
-    """Path and range of each request."""
+    asked: list[str] = field(default_factory=list, repr=False)
+    """Path of each request."""
     over: Event = field(default_factory=Event)
 
 
@@ -51,29 +50,20 @@ def serving() -> Iterator[Published]:
 
 
 def answer(request: BaseHTTPRequestHandler, published: Published) -> None:
-    span = request.headers.get("Range")
-    published.asked.append((request.path, span))
+    published.asked.append(request.path)
     data = published.files.get(request.path)
     if published.status != 200 or data is None:
         request.send_error(404 if data is None else published.status)
         return
-    begin = int(span.removeprefix("bytes=").removesuffix("-")) if span and published.ranges else 0
-    if begin and begin >= len(data):
-        request.send_response(416)
-        request.send_header("Content-Range", f"bytes */{len(data)}")
-        request.end_headers()
-        return
-    request.send_response(206 if begin else 200)
+    request.send_response(200)
     request.send_header("Content-Type", published.kind)
-    if begin:
-        request.send_header("Content-Range", f"bytes {begin}-{len(data) - 1}/{len(data)}")
     if published.says_length:
-        request.send_header("Content-Length", str(len(data) - begin))
+        request.send_header("Content-Length", str(len(data)))
     request.end_headers()
     if not published.breaks:
-        request.wfile.write(data[begin:])
+        request.wfile.write(data)
         return
-    request.wfile.write(data[begin : begin + published.breaks.pop(0)])
+    request.wfile.write(data[: published.breaks.pop(0)])
     if published.stalls:
         published.stalled.set()
         published.over.wait()

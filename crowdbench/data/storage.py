@@ -28,7 +28,9 @@ _HINT = (
 )
 
 
-class _Metadata(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Metadata(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What a file states about its table, besides the columns."""
+
     schema: int
     scene: str
     dt_s: float
@@ -47,7 +49,7 @@ def write_parquet(trajectories: Trajectories, path: str | Path) -> None:
     from pyarrow import parquet
 
     t = trajectories
-    metadata = _Metadata(
+    metadata = Metadata(
         schema=SCHEMA,
         scene=t.scene,
         dt_s=t.dt_s,
@@ -114,16 +116,14 @@ def read(path: str | Path, *, scene: str, dt_s: float, frames: int | None = None
             are not finite, or belongs to another scene or time step.
     """
     path = Path(path)
-    return of_table(_read_table(path), path, scene=scene, dt_s=dt_s, frames=frames)
+    return of_table(read_table(path), path, scene=scene, dt_s=dt_s, frames=frames)
 
 
 def of_table(
     table: "pyarrow.Table", path: Path, *, scene: str, dt_s: float, frames: int | None = None
 ) -> Trajectories:
     """Convert a table that was read from `path` to `Trajectories`; see `read`."""
-    metadata = _own_metadata(path, table)
-    columns = _columns(path, table)
-    frame = _frames(path, columns, dt_s)
+    metadata = own_metadata(table, path)
     if metadata is not None:
         for name, got, expected in (
             ("scene", metadata.scene, scene),
@@ -133,6 +133,7 @@ def of_table(
                 raise RecordingError(
                     path, got=f"{name} {got}", expected=f"{name} {expected}", hint=_HINT
                 )
+    columns = columns_of(table, path)
     return from_rows(
         scene=scene,
         dt_s=dt_s,
@@ -140,7 +141,7 @@ def of_table(
         frames=metadata.frames if metadata else frames,
         observed=np.array(metadata.observed) if metadata else None,
         person_id=columns["person_id"],
-        frame=frame,
+        frame=_frames(path, columns, dt_s),
         xy=np.stack([columns["x"], columns["y"]], axis=1).astype(np.float64),
         persons=columns,
         provenance=metadata.provenance if metadata else {"file": path.name},
@@ -148,19 +149,14 @@ def of_table(
     )
 
 
-def read_columns(path: Path) -> dict[str, np.ndarray]:
+def columns_of(table: "pyarrow.Table", path: Path) -> dict[str, np.ndarray]:
     """The columns of a table that `read` understands, by name, with one value per row.
 
     `person_id` and `frame` are integers.
 
     Raises:
-        RecordingError: the file is missing, is not a table, lacks a column, or holds values that
-            are not numbers.
+        RecordingError: the table lacks a column, or holds values that are not numbers.
     """
-    return _columns(path, _read_table(path))
-
-
-def _columns(path: Path, table: "pyarrow.Table") -> dict[str, np.ndarray]:
     named = table.column_names
     for name in ("person_id", "x", "y"):
         if name not in named:
@@ -213,7 +209,12 @@ def read_own(path: str | Path) -> Trajectories:
         RecordingError: the file is missing, broken, or was not written by crowdbench.
     """
     path = Path(path)
-    metadata = _own_metadata(path, _read_table(path))
+    return own_table(read_table(path), path)
+
+
+def own_table(table: "pyarrow.Table", path: Path) -> Trajectories:
+    """Convert a table that was read from `path` to `Trajectories`; see `read_own`."""
+    metadata = own_metadata(table, path)
     if metadata is None:
         raise RecordingError(
             path,
@@ -223,19 +224,15 @@ def read_own(path: str | Path) -> Trajectories:
             "view --scene eth-v0`, `crowdbench score eth-v0`, or "
             '`crowdbench.read(path, "eth-v0")`.',
         )
-    return read(path, scene=metadata.scene, dt_s=metadata.dt_s)
+    return of_table(table, path, scene=metadata.scene, dt_s=metadata.dt_s)
 
 
-def is_own(path: Path) -> bool:
-    """Whether crowdbench wrote the table.
+def read_table(path: Path) -> "pyarrow.Table":
+    """The table in a Parquet or CSV file, as it is.
 
     Raises:
-        RecordingError: the file cannot be read, or its metadata are invalid.
+        RecordingError: the file is missing, or is not a table.
     """
-    return _own_metadata(path, _read_table(path)) is not None
-
-
-def _read_table(path: Path) -> "pyarrow.Table":
     import pyarrow as pa
     from pyarrow import csv, parquet
 
@@ -259,12 +256,17 @@ def _read_table(path: Path) -> "pyarrow.Table":
     return named.replace_schema_metadata(table.schema.metadata)
 
 
-def _own_metadata(path: Path, table: "pyarrow.Table") -> _Metadata | None:
+def own_metadata(table: "pyarrow.Table", path: Path) -> Metadata | None:
+    """What crowdbench wrote about a table that was read from `path`; None if it did not write it.
+
+    Raises:
+        RecordingError: it is invalid.
+    """
     raw = (table.schema.metadata or {}).get(_KEY)
     if raw is None:
         return None
     try:
-        metadata = msgspec.json.decode(raw, type=_Metadata)
+        metadata = msgspec.json.decode(raw, type=Metadata)
     except (msgspec.DecodeError, RecursionError) as error:
         raise RecordingError(
             path, got=f"invalid metadata ({error})", expected="crowdbench's metadata"

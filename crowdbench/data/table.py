@@ -134,6 +134,13 @@ class Trajectories:
         """N(t): the number of persons in each frame, including empty frames."""
         return np.bincount(self.row_frame(), minlength=self.frames)
 
+    def is_observed(self) -> Bool[np.ndarray, " frames"]:
+        """Whether each frame was observed."""
+        known = np.zeros(self.frames, dtype=bool)
+        for start, stop in self.observed.tolist():
+            known[start:stop] = True
+        return known
+
     def observed_in(self, observed: Int[np.ndarray, "I 2"]) -> "Trajectories":
         """The same crowd with other observed intervals; `entered` and `left` are set accordingly.
 

@@ -7,7 +7,9 @@ import numpy as np
 
 from crowdbench.data.table import Trajectories
 from crowdbench.files import replacing
-from crowdbench.report.plots import PlotData, draw_figure, picture
+from crowdbench.report.plots import panels
+from crowdbench.report.plots.canvas import picture
+from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import read_reference
 
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PICTURES = ("place.png", "time.png")
+_WIDTH = 5.0
 
 
 def draw_place(scene: Scene, recording: Trajectories, out: Path) -> list[Path]:
@@ -27,11 +30,24 @@ def draw_place(scene: Scene, recording: Trajectories, out: Path) -> list[Path]:
         OutputError: a picture cannot be written.
     """
     plot = PlotData.of(scene, read_reference(scene), {}, "full", recording)
-    place = draw_figure("paths.png", plot, out, named=PICTURES[0])
-    over_time = out / PICTURES[1]
-    with replacing(over_time) as temporary:
-        temporary.write_bytes(_over_time(plot, recording))
-    return [place, over_time]
+    drawn = (_paths(plot, recording), _over_time(plot, recording))
+    paths = [out / name for name in PICTURES]
+    for path, data in zip(paths, drawn, strict=True):
+        with replacing(path) as temporary:
+            temporary.write_bytes(data)
+    return paths
+
+
+def _paths(plot: PlotData, recording: Trajectories) -> bytes:
+    """A map of recorded paths in the colours of their goal areas, as PNG."""
+    b = plot.scene.bounds
+
+    def draw(axes: "list[Axes]") -> None:
+        panels.paths(axes[0], plot, recording)
+        axes[0].set_title("recorded; spawn areas (dashed) and goal areas, 2 σ")
+
+    height = _WIDTH * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m) + 0.6
+    return picture(draw, width=_WIDTH + 0.6, height=height, kind="small png")
 
 
 def _over_time(plot: PlotData, recording: Trajectories) -> bytes:

@@ -149,12 +149,11 @@ def walking_of(crowd: Trajectories) -> Walking:
     tick_s = tick * crowd.dt_s
     window = 2 * math.ceil(WINDOW_S / tick_s / 2 - 1e-6) + 1
     lag = max(2, *(of_axis.lag_ticks for of_axis in noise_of(crowd, tick)))
-    busy = len(crowd.xy) * crowd.dt_s > BUSY_PERSON_S
     return Walking(
         tick_frames=tick,
         window_ticks=max(LEAST_WINDOW, window),
         lags_ticks=(lag, max(lag + 1, round(4 / 3 * lag)), 2 * lag),
-        shifts_s=BUSY_SHIFTS_S if busy else Walking().shifts_s,
+        shifts_s=BUSY_SHIFTS_S if _busy(crowd) else Walking().shifts_s,
     )
 
 

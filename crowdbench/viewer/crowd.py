@@ -37,7 +37,7 @@ def log_crowd(stream: "RecordingStream", side: str, crowd: Trajectories, scene: 
     import rerun as rr
 
     log_looks(stream, side, scene)
-    known = observed_frames(crowd)
+    known = crowd.is_observed()
     frame, person = crowd.row_frame(), crowd.row_person()
     rows = np.argsort(frame, kind="stable")
     rows = rows[known[frame[rows]]]
@@ -78,7 +78,7 @@ def log_looks(stream: "RecordingStream", side: str, scene: Scene) -> None:
 
 def log_counts(stream: "RecordingStream", side: str, crowd: Trajectories) -> None:
     """Log agents over time and spawns per ten frames, with gaps in unobserved frames."""
-    known = observed_frames(crowd)
+    known = crowd.is_observed()
     frame = np.arange(crowd.frames)
     _log_scalars(stream, f"agents/{side}", frame, crowd.present(), known, crowd.dt_s)
     windows = frame[::WINDOW]
@@ -150,14 +150,6 @@ def trails(
     """
     back = np.arange(trail_steps(crowd.dt_s), -1, -1)
     return crowd.xy[np.maximum(rows[:, None] - back, first_row[:, None])]
-
-
-def observed_frames(crowd: Trajectories) -> Bool[np.ndarray, " frames"]:
-    """Whether each frame was observed."""
-    known = np.zeros(crowd.frames, dtype=bool)
-    for start, stop in crowd.observed.tolist():
-        known[start:stop] = True
-    return known
 
 
 def time_columns(frame: Int[np.ndarray, " n"], dt_s: float) -> "list[TimeColumn]":

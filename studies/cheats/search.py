@@ -1,17 +1,17 @@
 """A random search for blind wanderers that score well.
 
-    python -m studies.cheats.search [SCENE] [DRAWS]
+    python -m studies cheats-search [SCENE] [--draws N]
 
 Each draw is a crowd of straight walkers with random errors in their velocities: white noise, a slow
 wander along and across the path, a sinusoidal sway, and a personal deviation from the preferred
-speed. None of them sees anybody. Prints the best draws, and social forces for comparison.
+speed. None of them sees anybody.
 """
 
-import sys
 from pathlib import Path
 
 import numpy as np
 
+from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, SocialForce, StateView
 from crowdbench.registry import recording_of
 from crowdbench.run.judge import judge
@@ -45,10 +45,16 @@ class Drawn(Wanderer):
         return (actions + noise / self._scene.motion.max_speed_mps).astype(np.float32)
 
 
-def main() -> None:
-    """Search, and print the ten best draws by walk and the best by motion."""
-    scene = load_scene(sys.argv[1] if len(sys.argv) > 1 else "eth-v0")
-    draws = int(sys.argv[2]) if len(sys.argv) > 2 else 200
+def search(of_scene: str, draws: int) -> list[str]:
+    """Lines with the ten best draws by walk, the best by motion, and social forces.
+
+    Raises:
+        SceneError, RecordingError: the scene does not exist, or its recording is not imported.
+        SettingError: there are no draws.
+    """
+    if draws < 1:
+        raise SettingError("draws", got=str(draws), expected="1 or more")
+    scene = load_scene(of_scene)
     reference, crowd = reference_of(scene), recording_of(scene)
     scale, rng = read_anchors(scene).protocols["full"], np.random.default_rng(0)
     low = np.array([0.0, 0.0, 0.0, 0.5, 0.0, 2.0, 0.0])
@@ -68,13 +74,11 @@ def main() -> None:
     blind = [row for row in table if row.policy in drawn]
     moving = max(blind, key=lambda row: row.families["motion"].value)
     shown = [*best[:10], moving, next(r for r in table if r.policy == "social-force")]
+    lines = []
     for row in shown:
         families = {name: round(score.value, 2) for name, score in row.families.items()}
         of = drawn.get(row.policy)
         settings = {} if of is None else dict(zip(NAMES, of.round(2).tolist(), strict=True))
         walk = None if row.walk is None else round(row.walk.value, 2)
-        print(f"{row.policy:13} walk {walk} {families} {settings}")
-
-
-if __name__ == "__main__":
-    main()
+        lines.append(f"{row.policy:13} walk {walk} {families} {settings}")
+    return lines

@@ -1,6 +1,6 @@
 """What a policy can get that walks as recorded people do, but draws random numbers of its own.
 
-    python -m studies.cheats.twins eth-v0 gc-v0 forum-v0 --policy anticipate
+    python -m studies cheats-twins eth-v0 gc-v0 forum-v0 --policy anticipate
 
 prints a table for each scene. A policy is compared with the recording as in the protocol `heldout`,
 and with its own rollouts: if the recording were one of them, this would be its score. Two rollouts
@@ -8,8 +8,6 @@ differ by chance, the more so the less there is to count. So even a perfect mode
 numbers scores less than 1, and the second number is an estimate of how much it scores.
 """
 
-import argparse
-import sys
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
@@ -20,7 +18,7 @@ import numpy as np
 from crowdbench import registry
 from crowdbench.data.blocks import SPLITS
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import CrowdbenchError, SettingError
+from crowdbench.errors import SettingError
 from crowdbench.metrics import WALK
 from crowdbench.metrics.metric import Statistics, in_blocks, total
 from crowdbench.policies import Straight
@@ -109,27 +107,3 @@ def tables(scene: str | Path, policy: str, count: int = ROLLOUTS) -> str:
         lines.append([f"**{family}**", "mean", "", *(f"{mean:.2f}" for mean in means)])
     head = ["family", "metric", "recorded values", policy, "the same, if it were right"]
     return table(head, lines)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the tables; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m studies.cheats.twins",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("scenes", nargs="+", metavar="SCENE")
-    parser.add_argument("--policy", default="anticipate", help="(default: %(default)s)")
-    parser.add_argument("--rollouts", type=int, default=ROLLOUTS, help="(default: %(default)s)")
-    asked = parser.parse_args(arguments)
-    try:
-        for scene in asked.scenes:
-            print(f"{scene}\n\n{tables(scene, asked.policy, asked.rollouts)}\n", flush=True)
-    except CrowdbenchError as error:
-        print(f"twins: {error}", file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -33,7 +33,7 @@ def figures(
         seeds: rollouts of each spawn model
         out: output folder
     """
-    from studies.gallery import write_figures
+    from studies.figures import write_figures
 
     with progress_bar("rollouts") as progress:
         made = write_figures(

@@ -18,7 +18,7 @@ from crowdbench.errors import OutputError
 from crowdbench.files import read_struct, replacing, write_json, write_text
 from crowdbench.policies.export import revision
 from crowdbench.registry import raw_recording_of, recording_of, spawn_model
-from crowdbench.report.plots import PlotData
+from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.run.judge import draws_of
 from crowdbench.run.lock import alone_in
 from crowdbench.run.parallel import checked_workers

@@ -11,7 +11,7 @@ from crowdbench.crowds import POLICY, SPAWN
 from crowdbench.data.storage import read_own
 from crowdbench.files import replacing, write_text
 from crowdbench.registry import has_recording, recording_of
-from crowdbench.report.plots import PlotData
+from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.run.evaluate import evaluate
 from crowdbench.run.rollout_jobs import Job, Progress, plan, splits_of
 from crowdbench.scene import Scene, load_scene

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from crowdbench.report.html.pictures import medians
-from crowdbench.report.plots import PlotData, draw_figure
 from crowdbench.report.plots.panels import MOST_PATHS, block_means, in_blocks, recorded_means
+from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.report.text.words import plainly
+from studies.results.drawing import draw_figure, narrowed
 
 SHOWN = 6
 """Number of rollouts per crowd in the picture of agents over time."""
@@ -33,9 +34,9 @@ def draw_pictures(plot: PlotData, folder: Path, policy: str = POLICY) -> list[Pi
     Raises:
         OutputError: a picture cannot be written.
     """
-    one = plot.narrowed(policy=policy)
+    one = narrowed(plot, policy=policy)
     drawn = {
-        "agents_over_time.png": one.narrowed(rollouts=SHOWN),
+        "agents_over_time.png": narrowed(one, rollouts=SHOWN),
         "autocorrelation.png": plot,
         "inter_spawn.png": one,
         "spawns_per_10_frames.png": one,

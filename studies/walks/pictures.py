@@ -6,10 +6,10 @@ from itertools import cycle
 from pathlib import Path
 
 from crowdbench.colours import COLOURS
-from crowdbench.report.plots import draw_figure
 from crowdbench.report.plots.plot_data import DASHES, Crowds, PlotData
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import Reference
+from studies.results.drawing import draw_figure
 
 LEFT_OUT = ("random",)
 """Policies that are not drawn, as most of their trips end at the time limit."""

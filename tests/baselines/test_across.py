@@ -4,7 +4,6 @@ it.
 
 from collections import Counter
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +12,10 @@ import torch
 from torch import Tensor, nn
 
 from crowdbench import load_scene, policy, rollout, spawn_model
-from crowdbench.baselines import across, anticipate
+from crowdbench.baselines import anticipate
 from crowdbench.baselines.anticipate import (
     AHEAD_S,
     Samples,
-    Settings,
     decision_frames,
     frames_ahead,
     pooled,
@@ -99,12 +97,6 @@ def test_frames_must_be_about_equally_long(tmp_path: Path, monkeypatch: pytest.M
             "anticipate", ["eth-v0", "forum-v0", "fast"], None, ["full"], tmp_path, []
         )
     assert Command.of_several("anticipate", ["eth-v0", "forum-v0"], None, ["full"], tmp_path, [])
-
-
-def test_each_scene_is_named_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scenes = ["eth-v0", "hotel-v0", "zara1-v0", "eth-v0"]
-    assert across.main(["--scenes", *scenes, "--out", str(tmp_path)]) == 2
-    assert "expected each scene once" in capsys.readouterr().err
 
 
 def test_a_scene_may_have_no_samples() -> None:
@@ -191,7 +183,7 @@ def test_the_policy_for_any_place_is_found_on_each_scene() -> None:
     assert shipped.path.stat().st_size < 1e6
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_it_trains_on_two_scenes_and_validates_on_the_third(
     opentraj: Path,
     tmp_path: Path,
@@ -212,62 +204,3 @@ def test_it_trains_on_two_scenes_and_validates_on_the_third(
     assert "on zara1-v0" in said
     card = OnnxPolicy(tmp_path / "full.onnx").card
     assert (card.scene, card.interval, card.max_speed_mps) == ("eth-v0+hotel-v0", 1, 5.0)
-
-
-def test_the_page_trains_without_each_scene_and_with_all(tmp_path: Path) -> None:
-    commands = across.commands_of(["eth-v0", "hotel-v0", "zara1-v0"], tmp_path)
-    assert [len(command.scenes) for command in commands] == [2, 2, 2, 3]
-    assert [c.out.name for c in commands][2:] == ["without-zara1-v0", "anticipate-any"]
-    assert commands[0].line == (
-        "python -m crowdbench.baselines.anticipate "
-        "--scenes eth-v0 hotel-v0 zara1-v0 --leave-out eth-v0"
-    )
-
-
-@pytest.mark.long
-def test_the_page_has_a_row_for_each_scene_and_files_are_kept(
-    opentraj: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    for name in ("eth", "hotel", "zara01"):
-        import_recording(name, opentraj)
-
-    def constant(command: Command, split: str, settings: Settings) -> Path:
-        return command.write(split, Constant(), observation="social-1", noise=0)
-
-    monkeypatch.setattr(across, "learn", constant)
-    monkeypatch.setattr("crowdbench.baselines.command.revision", lambda folder: "0123456789ab")
-    monkeypatch.setattr(across, "OTHERS", ("straight", "social-force"))
-    monkeypatch.setattr(across, "evaluate", partial(evaluate, seeds=1))
-    scenes = ["eth-v0", "hotel-v0", "zara1-v0"]
-    arguments = ["--scenes", *scenes, "--workers", "1", "--out", str(tmp_path)]
-    assert across.main(arguments) == 0
-    page = capsys.readouterr().out
-    assert "python -m crowdbench.baselines.across --scenes eth-v0 hotel-v0" in page
-    found = [line.split(" | ") for line in page.splitlines()[-3:]]
-    assert [cells[0] for cells in found] == [f"| {scene}" for scene in scenes]
-    assert {len(cells) for cells in found} == {len(across.HEAD)}
-    assert OnnxPolicy(tmp_path / "without-eth-v0/full.onnx").card.scene == "hotel-v0+zara1-v0"
-    monkeypatch.setattr(across, "learn", None)  # nothing is trained again
-    for command in across.commands_of(scenes, tmp_path):
-        across.write(command)
-
-
-def test_what_is_missing_is_said_before_the_trainings(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("CROWDBENCH_HOME", str(tmp_path))
-    monkeypatch.setattr(across, "learn", None)
-    arguments = ["--scenes", "eth-v0", "hotel-v0", "zara1-v0", "--out", str(tmp_path / "out")]
-    assert across.main(arguments) == 2
-    assert (
-        "crowdbench.baselines.across: recording eth: got no imported table"
-        in capsys.readouterr().err
-    )
-
-
-def test_fewer_than_three_scenes_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert across.main(["--scenes", "eth-v0", "hotel-v0"]) == 2
-    assert "--scenes: got eth-v0 hotel-v0; expected three or more" in capsys.readouterr().err

@@ -279,7 +279,7 @@ def test_the_search_starts_with_values_of_the_grid() -> None:
     assert Guide.width == WIDTHS[0]
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_it_trains_chooses_a_guide_and_writes_a_policy_that_arrives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -160,6 +160,7 @@ def test_training_improves_the_reward(observation: str) -> None:
     assert np.mean(rewards[-5:]) > np.mean(rewards[:5]) + 0.03
 
 
+@pytest.mark.nightly
 def test_with_plans_people_keep_their_speeds_stops_and_companions(tmp_path: Path) -> None:
     asked = "--scene eth-v0 --observation social-1 --spawn cox-plans --frames 128000"
     assert ppo.main([*asked.split(), "--out", str(tmp_path)]) == 0

@@ -235,6 +235,7 @@ def test_the_fields_of_the_state_are_those_that_the_page_lists() -> None:
     assert set(re.findall(r"`(\w+)`", first_cells)) == {f.name for f in fields(StateView)}
 
 
+@pytest.mark.nightly
 # imitation logs tensors that know their gradient.
 @pytest.mark.filterwarnings("ignore:Converting a tensor with requires_grad")
 def test_the_imitation_example_trains(capsys: pytest.CaptureFixture[str]) -> None:
@@ -244,6 +245,7 @@ def test_the_imitation_example_trains(capsys: pytest.CaptureFixture[str]) -> Non
     assert reward > 5  # metres nearer to the goal
 
 
+@pytest.mark.nightly
 def test_the_example_in_closed_loop_walks_near_the_recording(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -263,7 +265,7 @@ def test_the_example_of_a_score_on_training_blocks_runs(
     assert float(arrive.split("%")[0]) > 50
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_recurrent_example_trains_and_walks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

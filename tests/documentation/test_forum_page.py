@@ -37,7 +37,7 @@ def another_day(text: str) -> str:
     return f"% Total number of trajectories in file are  {len(tracks)} \n" + "\n".join(tracks)
 
 
-@pytest.mark.usefixtures("no_report")
+@pytest.mark.usefixtures("no_report", "unadjusted", "brief_networks")
 def test_a_scene_of_another_day_is_made_by_the_command_of_the_page(
     tmp_path: Path,
     home: Path,
@@ -54,7 +54,7 @@ def test_a_scene_of_another_day_is_made_by_the_command_of_the_page(
     command = block.strip().replace("\\\n", "")
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
     # Fewer fits and rollouts than a benchmark needs, for the test's sake.
-    brief = "--fits 1 --rollouts-per-fit 2"
+    brief = "--fits 1 --rollouts-per-fit 2 --workers 1"
     with serving() as published:
         published.files["/Jul.14.zip"] = zipped.getvalue()
         monkeypatch.setattr(catalogue, "_FORUM_DAYS", published.address)

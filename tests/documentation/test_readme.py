@@ -29,6 +29,7 @@ def test_the_first_example_runs_to_the_end_and_scores(capsys: pytest.CaptureFixt
     assert "inter_spawn" in capsys.readouterr().out
 
 
+@pytest.mark.nightly
 def test_the_torchrl_example_trains(capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(pages.block_with(README, "CrowdEnv("), "README", "exec"), {})
     reward = float(capsys.readouterr().out.split()[0])

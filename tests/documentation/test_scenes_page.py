@@ -12,10 +12,10 @@ from crowdbench.data.recordings.own import FORMATS
 pytestmark = pytest.mark.long
 
 PAGE = (Path(__file__).parents[2] / "docs" / "scenes.md").read_text()
-SMALL = ["--fits", "1", "--rollouts-per-fit", "2"]
+SMALL = ["--fits", "1", "--rollouts-per-fit", "2", "--workers", "1"]
 
 
-@pytest.mark.usefixtures("no_report")  # the README's commands write it
+@pytest.mark.usefixtures("no_report", "unadjusted", "brief_networks")
 def test_every_command_runs_in_the_order_of_the_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

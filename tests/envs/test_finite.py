@@ -66,7 +66,7 @@ def test_rewards_observations_and_states_are_finite(
     assert assert_finite(env, steps=400, seed=0) > 0
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize("observation", OBSERVATIONS)
 @pytest.mark.parametrize(("scene", "model"), MODELS)
 def test_they_are_for_many_more_steps(scene: str, model: str, observation: str) -> None:

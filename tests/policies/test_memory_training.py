@@ -33,7 +33,7 @@ from crowdbench.registry import import_recording
 from crowdbench.run.rollout_jobs import SPLITS
 from crowdbench.scene import Scene
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.nightly
 
 PAGE = (pages.ROOT / "docs" / "reinforcement-learning.md").read_text()
 ROUTES = {"plain": "parallel_env(", "torchrl": "SlotEnv(", "sb3": "RecurrentPPO("}

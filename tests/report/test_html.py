@@ -18,7 +18,7 @@ from crowdbench import __version__
 from crowdbench.metrics import METRICS
 from crowdbench.registry import policy, spawn_model
 from crowdbench.report.html import write_report
-from crowdbench.report.plots import Crowds
+from crowdbench.report.plots.plot_data import Crowds
 from crowdbench.report.text.words import plainly
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
@@ -76,6 +76,12 @@ def anchor(spawn: str, policy: str, **changes: object) -> PairResult:
 def unscored(entry: PairResult) -> PairResult:
     metrics = {n: msgspec.structs.replace(m, energy=None) for n, m in entry.metrics.items()}
     return msgspec.structs.replace(entry, metrics=metrics)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages with captions and empty pictures."""
+    monkeypatch.setattr("crowdbench.report.html.pictures.picture", lambda draw, **of: b"")
 
 
 SCORED = card_of(
@@ -219,6 +225,7 @@ def test_without_a_recording_walking_reads_needs_recording(tmp_path: Path) -> No
     assert "needs recording" not in row_of(html, "replay × replay")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_single_crowd_without_scores(crowds: Crowds, tmp_path: Path) -> None:
     card = card_of(unscored(anchor("poisson-gmm", "straight")), rollouts=2)
     html = page(card, crowds, tmp_path)
@@ -236,6 +243,7 @@ def test_a_scene_without_scored_metrics(tmp_path: Path) -> None:
     assert "No metric of this scene is scored yet" in page(card, UNDRAWN, tmp_path)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_only_recorded_arrivals(crowds: Crowds, tmp_path: Path) -> None:
     replayed = {("replay", "straight", 0): crowds["poisson-gmm", "straight", 0]}
     html = page(card_of(anchor("replay", "straight")), replayed, tmp_path)
@@ -322,6 +330,7 @@ def test_the_command_asks_for_what_was_asked_for(scored: str) -> None:
     assert wanted in unescape(scored)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_held_out_blocks_are_shown_in_the_first_fold(crowds: Crowds, tmp_path: Path) -> None:
     heldout = card_of(anchor("poisson-gmm", "straight"), protocol="heldout")
     html = page(heldout, crowds, tmp_path)
@@ -329,6 +338,7 @@ def test_held_out_blocks_are_shown_in_the_first_fold(crowds: Crowds, tmp_path: P
     assert "three interleaved folds" in html
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_names_are_escaped(crowds: Crowds, tmp_path: Path) -> None:
     evil = msgspec.structs.replace(anchor("poisson-gmm", "straight"), spawn=EVIL, policy="<b>&")
     drawn = {(EVIL, "<b>&", 0): crowds["poisson-gmm", "straight", 0]}

@@ -13,7 +13,8 @@ from crowdbench.data.blocks import TimeBlocks
 from crowdbench.metrics import Place
 from crowdbench.metrics.presence import AgentsOverTime
 from crowdbench.registry import policy, spawn_model
-from crowdbench.report.plots import PlotData, panels
+from crowdbench.report.plots import panels
+from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.scoring.reference import Reference, read_reference

@@ -5,7 +5,7 @@ import sys
 import kill_runs
 import pytest
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.nightly
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")

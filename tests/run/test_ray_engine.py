@@ -71,7 +71,7 @@ def run(script: str, folder: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_dead_node_an_error_and_an_interrupt(tmp_path: Path) -> None:
     out = run(
         CLUSTER
@@ -144,7 +144,7 @@ print(len(names), "same" if not any(different) else different)
     assert out.split()[-1] == "same", out
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_collectors_of_the_page_collect(tmp_path: Path) -> None:
     (example,) = (
         block
@@ -273,7 +273,7 @@ def test_files_outside_the_working_directory_are_refused(
             ray_engine._place(path)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_whoever_asks_it_to_end_is_answered_in_order(tmp_path: Path) -> None:
     need(find_spec("ray"), "the extra ray")
     out = tmp_path / "out"

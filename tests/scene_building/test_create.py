@@ -32,6 +32,7 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building import check_scene, create, create_scene, rules
 from crowdbench.scene_building.toml import scene_toml, write_scored
 from crowdbench.scoring.reference import read_reference
+from crowdbench.spawn.plans.links import Adjustment
 
 Printed = pytest.CaptureFixture[str]
 SMALL = ["--fits", "1", "--rollouts-per-fit", "2", "--workers", "1"]
@@ -77,6 +78,8 @@ def made(yard: Trajectories, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CROWDBENCH_HOME", str(folder / "home"))
         patch.setattr(create, "has_torch", lambda: False)
+        # As `unadjusted`, which is a fixture of single tests.
+        patch.setattr("crowdbench.scene_building.fit.adjustment", lambda *of: Adjustment())
         patch.chdir(folder)
         with redirect_stdout(StringIO()) as printed:
             assert main(["scene", "create", "yard-v0", *asked]) == 0

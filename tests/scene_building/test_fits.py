@@ -97,6 +97,7 @@ def test_fits_explain_what_they_have_not_seen_better_than_poisson(case: Case, na
             assert found > poisson + 0.4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("split", "seed"), [("full", 0), ("fold1", 3)])
 def test_another_training_gives_the_shipped_likelihood(case: Case, split: str, seed: int) -> None:
     # Torch's last bits differ between machines, and training amplifies them a little.

@@ -69,6 +69,7 @@ def fitted(crowd: Trajectories, blocks: TimeBlocks) -> PlannedAreas:
     return fit_plans(crowd, blocks, read_areas(PLAZA))
 
 
+@pytest.mark.long
 def test_samples_of_a_model_have_companions_like_those_recorded(
     fitted: PlannedAreas, crowd: Trajectories, blocks: TimeBlocks
 ) -> None:

@@ -212,7 +212,7 @@ def test_an_area_of_a_few_groups_stays_poisson() -> None:
     assert (fitted.weights["out_weight"][0] != 0).any()
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_it_learns_what_poisson_cannot_and_keeps_the_number_of_persons() -> None:
     arrivals, horizon_s = bursty(2400.0), 4000.0
     fresh = bursty(6000.0, seed=1)

@@ -7,7 +7,7 @@ import pytest
 from worlds import Person, actions_of, simulate, square
 
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import RecordingError
+from crowdbench.errors import RecordingError, SettingError
 from crowdbench.registry import import_recording, recording_of
 from crowdbench.run.episode import generator
 from crowdbench.scene import load_scene
@@ -15,7 +15,8 @@ from crowdbench.scoring.scorecard import Row, rows
 from studies.__main__ import main as studies_main
 from studies.cheats import cheat, cheats_of
 from studies.cheats.recordings import shifted, smoothed, with_noise
-from studies.cheats.twins import main, twins
+from studies.cheats.search import search
+from studies.cheats.twins import twins
 from studies.cheats.walkers import Creeper, Runner, Wanderer
 
 OPEN = square(200.0)
@@ -157,11 +158,20 @@ def test_a_policy_without_random_numbers_equals_itself() -> None:
 
 
 def test_a_policy_that_draws_actions_does_not_equal_itself(capsys) -> None:
-    assert main(["plaza-v0", "--policy", "random", "--rollouts", "2"]) == 0
+    assert studies_main(["cheats-twins", "plaza-v0", "--policy", "random", "--rollouts", "2"]) == 0
     *_, motion, interaction = capsys.readouterr().out.strip().splitlines()
     assert "**motion**" in motion
     assert "**interaction**" in interaction
     recorded, own = (float(cell.replace("−", "-")) for cell in motion.split("|")[4:6])
     assert recorded < own < 1
-    assert main(["plaza-v0", "--rollouts", "1"]) == 2
+    assert studies_main(["cheats-twins", "plaza-v0", "--rollouts", "1"]) == 2
     assert "rollouts" in capsys.readouterr().err
+
+
+@pytest.mark.nightly
+def test_blind_wanderers_are_searched_beside_social_forces() -> None:
+    found = search("plaza-v0", 2)
+    assert {line.split()[0] for line in found} == {"draw", "social-force"}
+    assert all("memory" in line for line in found if line.startswith("draw"))
+    with pytest.raises(SettingError, match="draws: got 0"):
+        search("plaza-v0", 0)

@@ -149,6 +149,7 @@ def test_the_page_has_the_command_and_a_picture_of_each_recorded_scene() -> None
             assert f"](encounters/{scene}{suffix})" in text
 
 
+@pytest.mark.long
 def test_the_command_draws_and_measures_each_kind(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -177,8 +178,13 @@ def test_a_negative_seed_is_an_error(capsys: pytest.CaptureFixture[str]) -> None
     assert "seed: got -1; expected 0 or more" in capsys.readouterr().err
 
 
-def test_by_default_the_policy_for_any_place_walks_where_none_ships(tmp_path: Path) -> None:
+def test_by_default_the_policy_for_any_place_walks_where_none_ships(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """And a folder that cannot be made is said before anything is simulated."""
+    # Another test looks at the pictures, which take longest.
+    monkeypatch.setattr("studies.encounters.animation", lambda *of, **more: b"")
+    monkeypatch.setattr("studies.encounters.still", lambda *of, **more: b"")
     write_encounters("plaza-v0", out=tmp_path)
     assert json.loads((tmp_path / "plaza-v0.json").read_text())["policy"] == "anticipate-any"
     (tmp_path / "file").touch()

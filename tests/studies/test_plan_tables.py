@@ -53,6 +53,8 @@ def test_walkers_are_those_that_the_scene_has() -> None:
     assert plans.pairs_of(load_scene("eth-v0")) == list(plans.PAIRS)
 
 
-def test_no_scene_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
-    assert plans.main([]) == 2
-    assert "expected one or more scenes" in capsys.readouterr().err
+def test_the_page_says_how_it_was_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plans, "PAIRS", (("ntpp-gmm", "straight"),))
+    page = plans.page(["plaza-v0"], seeds=2)
+    assert "\n    python -m studies plans plaza-v0\n" in page
+    assert page.count("\n| --- |") == 2

@@ -13,7 +13,6 @@ from crowdbench import __version__
 from crowdbench.data.storage import read_own
 from crowdbench.metrics import METRICS
 from crowdbench.registry import import_recording
-from crowdbench.report.plots import FIGURES
 from crowdbench.report.text.words import plainly, with_interval
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.energy import RESAMPLES
@@ -29,6 +28,7 @@ from crowdbench.scoring.scorecard import (
 )
 from studies.__main__ import main as studies_main
 from studies.results.correlations import Lag, at_lags
+from studies.results.drawing import FIGURES
 from studies.results.misses import QUANTITIES
 from studies.results.page import of_recording, page
 from studies.results.pictures import Picture

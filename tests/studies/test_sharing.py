@@ -7,6 +7,7 @@ import pytest
 
 from crowdbench.spawn.ntpp import training as ntpp_training
 from studies import sharing
+from studies.__main__ import main
 
 
 @pytest.fixture(autouse=True)
@@ -27,6 +28,11 @@ def test_both_are_trained_for_each_fold_and_seed() -> None:
     np.testing.assert_allclose(told, (nats[1] - nats[0]).mean(axis=1), atol=6e-4)
 
 
-def test_no_scene_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
-    assert sharing.main([]) == 2
-    assert "expected one or more scenes" in capsys.readouterr().err
+def test_the_table_has_a_row_for_each_scene(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nats = np.zeros((2, 3, 2))
+    monkeypatch.setattr(sharing, "compare", lambda scene: nats)
+    assert main(["sharing", "eth-v0", "plaza-v0"]) == 0
+    rows = capsys.readouterr().out.splitlines()
+    assert [row.split(" | ")[0] for row in rows[2:]] == ["| eth-v0", "| plaza-v0"]

@@ -10,10 +10,7 @@ _PERCENTILES = (5, 50, 95, 99)
 def describe(crowd: Trajectories) -> dict[str, str]:
     """Summary figures of a crowd by name, as text for a table."""
     observed = np.diff(crowd.observed, axis=1)[:, 0]
-    inside = np.zeros(crowd.frames, dtype=bool)
-    for start, stop in crowd.observed:
-        inside[start:stop] = True
-    present = crowd.present()[inside]
+    present = crowd.present()[crowd.is_observed()]
     begins_with = int((crowd.first == 0).sum())
     dwell = (crowd.last - crowd.first)[crowd.entered & crowd.left] * crowd.dt_s
     person = crowd.row_person()

@@ -1,11 +1,10 @@
-"""Resumable download of a file."""
+"""Download of a file."""
 
 from collections.abc import Callable
-from pathlib import Path
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from crowdbench.errors import FetchError
-from crowdbench.files import unwritable
 
 if TYPE_CHECKING:
     import requests
@@ -17,23 +16,20 @@ PAUSE_S = 0.5
 """Pause before the second attempt; it doubles before each further attempt."""
 MAX_BYTES = 1 << 28
 """Maximum size of a download; every published recording is smaller."""
-_CHUNK = 1 << 13  # bytes that are lost at most when the connection breaks
-_OFFLINE = "Check that this machine can reach the address, and run the command again."
+_CHUNK = 1 << 16
 
 Progress = Callable[[int, int | None], None]
 """Called with the number of bytes received so far, and the size of the file or None if unknown."""
 
 
-def download(address: str, part: Path, progress: Progress) -> None:
-    """Download the file at `address` to `part`, and continue from the bytes that it already has.
+def download(address: str, progress: Progress) -> bytes:
+    """The content of the file at `address`.
 
-    A server without support for ranges sends the whole file again. Data received before an error
-    or an interrupt stay in `part` for the next call.
+    An interrupted transfer begins again, because recordings have a few megabytes only.
 
     Raises:
         FetchError: the address cannot be reached or sends something else, or the transfer was
             interrupted three times.
-        OutputError: `part` cannot be written.
     """
     import requests
     from requests.adapters import HTTPAdapter
@@ -49,63 +45,29 @@ def download(address: str, part: Path, progress: Progress) -> None:
     with requests.Session() as session:
         session.mount("http://", HTTPAdapter(max_retries=retry))
         session.mount("https://", HTTPAdapter(max_retries=retry))
-        try:
-            part.parent.mkdir(parents=True, exist_ok=True)
-            for _ in range(TRIES):
-                if _whole(session, address, part, progress):
-                    return
-        except requests.RequestException as error:
-            raise FetchError(
-                address, got=_reason(error), expected="a response", hint=_OFFLINE
-            ) from error
-        except OSError as error:
-            raise unwritable(part, error) from error
+        for _ in range(TRIES):
+            try:
+                answer = session.get(address, stream=True, timeout=TIMEOUT_S)
+            except requests.RequestException as error:
+                raise FetchError(
+                    address,
+                    got=_reason(error),
+                    expected="a response",
+                    hint="Check that this machine can reach the address, and run the command "
+                    "again.",
+                ) from error
+            with answer, suppress(requests.RequestException):
+                return _content(answer, address, progress)
     raise FetchError(
         address,
-        got=f"a transfer that was interrupted {TRIES} times, after {_size(part)} bytes",
+        got=f"a transfer that was interrupted {TRIES} times",
         expected="the whole file",
-        hint="Run the command again: it continues from there if the server supports it.",
+        hint="Run the command again.",
     )
 
 
-def _whole(session: "requests.Session", address: str, part: Path, progress: Progress) -> bool:
-    """Transfer the rest of the file to `part` once; returns whether the file is complete."""
-    import requests
-
-    have = _size(part)
-    headers = {"Accept-Encoding": "identity"}  # ranges refer to the bytes as sent
-    if have:
-        headers["Range"] = f"bytes={have}-"
-    with session.get(address, headers=headers, stream=True, timeout=TIMEOUT_S) as answer:
-        span = answer.headers.get("Content-Range", "")
-        if answer.status_code == 416 and span == f"bytes */{have}":
-            return True
-        if answer.status_code == 416 or (
-            answer.status_code == 206 and not span.startswith(f"bytes {have}-")
-        ):
-            part.unlink(missing_ok=True)  # the bytes in it belong to another file
-            return False
-        _check(answer, address)
-        if answer.status_code == 200:
-            have = 0
-        length = answer.headers.get("Content-Length", "")
-        total = have + int(length) if length.isdecimal() else None
-        with part.open("ab" if have else "wb") as file:
-            try:
-                for chunk in answer.iter_content(_CHUNK):
-                    file.write(chunk)
-                    have += len(chunk)
-                    progress(have, total)
-                    if have > MAX_BYTES:
-                        file.truncate(0)
-                        raise _too_large(address)
-            except requests.RequestException:
-                return False
-    return total is None or have == total
-
-
-def _check(answer: "requests.Response", address: str) -> None:
-    if answer.status_code not in (200, 206):
+def _content(answer: "requests.Response", address: str, progress: Progress) -> bytes:
+    if answer.status_code != 200:
         raise FetchError(
             address,
             got=f"the response {answer.status_code} {answer.reason}".rstrip(),
@@ -120,16 +82,18 @@ def _check(answer: "requests.Response", address: str) -> None:
             expected="a data file",
             hint="The network may require a login: open the address in a browser.",
         )
-
-
-def _too_large(address: str) -> FetchError:
-    return FetchError(
-        address, got=f"more than {MAX_BYTES} bytes", expected="a recording, which is smaller"
-    )
-
-
-def _size(part: Path) -> int:
-    return part.stat().st_size if part.exists() else 0
+    length = answer.headers.get("Content-Length", "")
+    data = bytearray()
+    for chunk in answer.iter_content(_CHUNK):
+        data += chunk
+        if len(data) > MAX_BYTES:
+            raise FetchError(
+                address,
+                got=f"more than {MAX_BYTES} bytes",
+                expected="a recording, which is smaller",
+            )
+        progress(len(data), int(length) if length.isdecimal() else None)
+    return bytes(data)
 
 
 def _reason(error: Exception) -> str:

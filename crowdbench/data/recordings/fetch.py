@@ -19,7 +19,7 @@ from crowdbench.data.recordings.catalogue import (
 )
 from crowdbench.data.recordings.download import Progress, download
 from crowdbench.data.recordings.first_use import note_of
-from crowdbench.errors import FetchError, RecordingError
+from crowdbench.errors import FetchError
 from crowdbench.files import home, replacing, sha256
 
 MAX_TRACKS_BYTES = 1 << 26
@@ -36,9 +36,7 @@ def default_folder() -> Path:
 def fetch(name: str, folder: Path, progress: Progress = lambda *_: None) -> bool:
     """Download a recording's file to its place in `folder`; returns whether a download was needed.
 
-    A correct existing file is kept, any other is replaced. Data are first written to a file ending
-    in .part. It is kept if the transfer is interrupted and removed if it is complete, so that only
-    verified data get the name of the recording's file.
+    A correct existing file is kept, any other is replaced by verified data only.
 
     Raises:
         SettingError: there is no recording of that name.
@@ -55,16 +53,9 @@ def fetch(name: str, folder: Path, progress: Progress = lambda *_: None) -> bool
     if published.format == "gc":
         raise _by_git(published, folder)
     path = folder / published.path
-    part = path.with_name(f"{path.name}.part")
-    download(published.address, part, progress)
-    try:
-        data = _checked(part.read_bytes(), published, path, known)
-    except (FetchError, RecordingError):
-        part.unlink()
-        raise
-    with replacing(path) as temporary:
-        temporary.write_bytes(data)
-    part.unlink()
+    with replacing(path) as temporary:  # before the download: the folder can be written
+        data = download(published.address, progress)
+        temporary.write_bytes(_checked(data, published, path, known))
     return True
 
 

@@ -1,7 +1,7 @@
 """Users' own recordings: read from files in several formats, stored by name."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,8 +58,8 @@ def read_recording(
         RecordingError: the file is missing or broken, states another time step, or contains
             implausible speeds or distances.
     """
-    crowd = read_rows(path, layout, name=name, dt_s=dt_s, gaps=gaps, offset_s=offset_s)
-    if not (layout == "csv" and storage.is_own(path)):
+    crowd, as_it_is = _read(path, layout, _Asked(name, dt_s, gaps, offset_s))
+    if not as_it_is:
         # Only human annotators pause. Automatic tracking does not, but it often loses people
         # mid-scene, which would look like a pause.
         crowd = at_scene_frames(crowd, pauses=layout not in ("gc", "forum"), where=path)
@@ -88,16 +88,35 @@ def read_rows(
         RecordingError: the file is missing or broken, states another time step, or needs repairs
             while `gaps` is None.
     """
+    return _read(path, layout, _Asked(name, dt_s, gaps, offset_s))[0]
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """The arguments of `read_rows`."""
+
+    name: str
+    dt_s: float | None
+    gaps: Gaps | None
+    offset_s: float | None
+
+
+def _read(path: Path, layout: str, asked: _Asked) -> tuple[Trajectories, bool]:
+    """The crowd in a file, and whether crowdbench wrote it, for a scene."""
     if layout not in FORMATS:
-        return _read_by_others(path, layout, name, dt_s, gaps, offset_s)
-    _check_mendable(layout, gaps, offset_s)
+        return _read_by_others(path, layout, asked), False
+    _check_mendable(layout, asked)
     hint = f"The format {layout}: {FORMATS[layout]}."
+    as_it_is = False
     if layout == "gc":
         files: Mapping[str, bytes] = gc.files_in(path, hint)
     else:
         files = {path.name: read_bytes(path, RecordingError, hint)}
     try:
-        crowd = _rows(files, path, layout, name, dt_s, gaps, offset_s)
+        if layout == "csv":
+            crowd, as_it_is = _table(path, asked)
+        else:
+            crowd = _rows(files, path, layout, asked)
     except RecordingError as error:
         asks = any(option in error.hint or option in error.expected for option in _OPTIONS)
         if layout in ("csv", "trajnet", "jupedsim") or asks:
@@ -106,19 +125,18 @@ def read_rows(
         raise RecordingError(
             error.where, got=error.got, expected=error.expected, hint=hint
         ) from error
-    notes = {**crowd.provenance.get("notes", {}), **_transform(layout)}
+    return _with_source(crowd, path, files, _transform(layout)), as_it_is
+
+
+def _with_source(
+    crowd: Trajectories, path: Path, files: Mapping[str, bytes], notes: Mapping[str, str]
+) -> Trajectories:
+    notes = {**crowd.provenance.get("notes", {}), **notes}
     provenance = {"source": path.name, "sha256": hash_of(files), "notes": notes}
     return replace(crowd, provenance=provenance)
 
 
-def _read_by_others(
-    path: Path,
-    layout: str,
-    name: str,
-    dt_s: float | None,
-    gaps: Gaps | None,
-    offset_s: float | None,
-) -> Trajectories:
+def _read_by_others(path: Path, layout: str, asked: _Asked) -> Trajectories:
     """Read a format that another package registered, by its function `read(path, name=, dt_s=)`."""
     read = part("recordings", layout)
     if read is None:
@@ -129,23 +147,21 @@ def _read_by_others(
             expected=f"one of {', '.join(known)}",
             hint=did_you_mean(layout, known),
         )
-    if gaps is not None or offset_s is not None:
+    if asked.gaps is not None or asked.offset_s is not None:
         raise SettingError(
-            "--gaps" if gaps is not None else "--offset-s",
+            "--gaps" if asked.gaps is not None else "--offset-s",
             got=f"the format {layout} of another package",
             expected=f"one of crowdbench's formats: {', '.join(FORMATS)}",
         )
     with blaming(f"format {layout}, {path}"):
-        crowd = read(path, name=name, dt_s=dt_s)
+        crowd = read(path, name=asked.name, dt_s=asked.dt_s)
     if not isinstance(crowd, Trajectories):
         raise OwnCodeError(f"format {layout}", got=repr(crowd)[:200], expected="Trajectories")
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
     hashed = {
         str(file.relative_to(path.parent)): file.read_bytes() for file in files if file.is_file()
     }
-    notes = crowd.provenance.get("notes", {})
-    provenance = {"source": path.name, "sha256": hash_of(hashed), "notes": notes}
-    return replace(crowd, provenance=provenance)
+    return _with_source(crowd, path, hashed, {})
 
 
 def import_own(
@@ -211,8 +227,9 @@ def keep(crowd: Trajectories) -> bool:
     )
 
 
-def _check_mendable(layout: str, gaps: Gaps | None, offset_s: float | None) -> None:
+def _check_mendable(layout: str, asked: _Asked) -> None:
     """Raise if the format does not support an option that is given."""
+    gaps, offset_s = asked.gaps, asked.offset_s
     if gaps is not None and layout in ("gc", "forum"):
         raise SettingError(
             "--gaps",
@@ -230,57 +247,48 @@ def _check_mendable(layout: str, gaps: Gaps | None, offset_s: float | None) -> N
         raise SettingError("--offset-s", got=f"{offset_s}", expected="a finite number of seconds")
 
 
-def _rows(
-    files: Mapping[str, bytes],
-    path: Path,
-    layout: str,
-    name: str,
-    dt_s: float | None,
-    gaps: Gaps | None,
-    offset_s: float | None,
-) -> Trajectories:
+def _rows(files: Mapping[str, bytes], path: Path, layout: str, asked: _Asked) -> Trajectories:
+    name, dt_s = asked.name, asked.dt_s
     if layout == "gc":
         checked_dt_s(path, gc.STEP / gc.FPS, dt_s)
         return gc.read_gc(files, path, name=name, video_frames=None)
-    if layout == "csv":
-        return _table(path, name, dt_s, gaps, offset_s)
     (data,) = files.values()
     if layout == "forum":
         checked_dt_s(path, 1 / FORUM_FPS, dt_s)
         return read_forum(data, name=name, where=path)
     if layout == "obsmat":
-        return _obsmat(data, path, name, dt_s, gaps)
+        return _obsmat(data, path, asked)
     read = {"trajnet": read_trajnet, "jupedsim": read_jupedsim}[layout]
-    return read(data, name=name, dt_s=dt_s, where=path, gaps=gaps)
+    return read(data, name=name, dt_s=dt_s, where=path, gaps=asked.gaps)
 
 
-def _table(
-    path: Path, name: str, dt_s: float | None, gaps: Gaps | None, offset_s: float | None
-) -> Trajectories:
-    if storage.is_own(path):
+def _table(path: Path, asked: _Asked) -> tuple[Trajectories, bool]:
+    """The crowd in a table, and whether crowdbench wrote it."""
+    table, offset_s = storage.read_table(path), asked.offset_s
+    if storage.own_metadata(table, path) is not None:
         if offset_s is not None:
             raise SettingError(
                 "--offset-s",
                 got=f"{path.name}, which crowdbench wrote",
                 expected="a table of another program",
             )
-        crowd = storage.read_own(path)
-        checked_dt_s(path, crowd.dt_s, dt_s)
-        return crowd
-    columns = storage.read_columns(path)
-    dt_s = checked_dt_s(path, None, dt_s)
+        crowd = storage.own_table(table, path)
+        checked_dt_s(path, crowd.dt_s, asked.dt_s)
+        return crowd, True
+    columns = storage.columns_of(table, path)
+    dt_s = checked_dt_s(path, None, asked.dt_s)
     rows = on_frames(
         columns["person_id"],
         _stamps(columns, path, dt_s, offset_s),
         np.stack([columns["x"], columns["y"]], axis=1).astype(np.float64),
-        gaps=gaps,
+        gaps=asked.gaps,
         where=path,
     )
     if offset_s:
         rows.notes["times"] = f"reduced by {offset_s:g} s"
         for column in {"spawn_s", "requested_s"} & set(columns):
             columns[column] = columns[column] - offset_s
-    return rows.crowd(scene=name, dt_s=dt_s, where=path, columns=columns)
+    return rows.crowd(scene=asked.name, dt_s=dt_s, where=path, columns=columns), False
 
 
 def _stamps(
@@ -332,11 +340,9 @@ def _check_agree(person: np.ndarray, frame: np.ndarray, stamps: Stamps, path: Pa
     )
 
 
-def _obsmat(
-    data: bytes, path: Path, name: str, dt_s: float | None, gaps: Gaps | None
-) -> Trajectories:
+def _obsmat(data: bytes, path: Path, asked: _Asked) -> Trajectories:
     step, by_speed_s = step_of(data, path)
-    dt_s = checked_dt_s(path, None, dt_s)
+    dt_s = checked_dt_s(path, None, asked.dt_s)
     if by_speed_s is not None and not np.isclose(by_speed_s, dt_s, rtol=0.1):
         raise RecordingError(
             path,
@@ -345,7 +351,9 @@ def _obsmat(
             hint="Correct --dt-s, or set the velocities to zero if they are wrong.",
         )
     fps = round(step / dt_s, 9)  # rounded, because otherwise 6 / (6 / 0.4) would not be 0.4
-    return read_obsmat(data, name=name, fps=fps, frame_step=step, where=path, gaps=gaps, hint=FEW)
+    return read_obsmat(
+        data, name=asked.name, fps=fps, frame_step=step, where=path, gaps=asked.gaps, hint=FEW
+    )
 
 
 def _transform(layout: str) -> dict[str, str]:

@@ -14,16 +14,15 @@ from crowdbench.report.html.pictures import pictures
 from crowdbench.report.html.render import html, own
 from crowdbench.report.html.shell import html_page
 from crowdbench.report.html.tables import metric_tables, outcome_table, score_table
-from crowdbench.report.plots import FIGURES, Crowds, PlotData
+from crowdbench.report.plots.plot_data import Crowds, PlotData
 from crowdbench.report.text.notes import made
 from crowdbench.report.text.words import PROTOCOLS, named
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.scorecard import ANCHOR, Scorecard, has_recorded_arrivals, rows
 
-FILES = ("report.html", *FIGURES)
-"""Names of the files of a report. Earlier versions wrote the pictures as files of their own too:
-these are removed, because they would not fit new rollouts."""
+FILES = ("report.html",)
+"""Names of the files of a report."""
 
 
 def write_report(

@@ -16,8 +16,9 @@ from markupsafe import Markup
 from crowdbench.colours import COLOURS
 from crowdbench.progress import steps
 from crowdbench.report.html.render import html
-from crowdbench.report.plots import PlotData, panels, picture
-from crowdbench.report.plots.plot_data import Curves
+from crowdbench.report.plots import panels
+from crowdbench.report.plots.canvas import picture
+from crowdbench.report.plots.plot_data import Curves, PlotData
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,18 +28,18 @@ _MOST_AREAS = 12
 _LEAST_GAPS = 20
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _Figure:
     """A picture with its caption; the template shows it."""
 
+    draw: Callable[["Axes"], None]
     title: str
-    note: str
+    note: str = ""
     """What the caption says after the title."""
     alt: str
-    draw: Callable[["Axes"], None]
-    width_in: float
     height_in: float
-    kind: Literal["small png", "svg"]
+    width_in: float = _WIDTH
+    kind: Literal["small png", "svg"] = "svg"
     address: str = ""
     """The picture itself, as a `data:` URL, once it is drawn."""
 
@@ -93,33 +94,20 @@ def pictures(plot: PlotData) -> Markup:
     )
 
 
-def _figure(
-    draw: Callable[["Axes"], None],
-    *,
-    title: str,
-    note: str = "",
-    alt: str,
-    height: float,
-    width: float = _WIDTH,
-    kind: Literal["small png", "svg"] = "svg",
-) -> _Figure:
-    return _Figure(title, note, alt, draw, width, height, kind)
-
-
 def _over_time(plot: PlotData) -> list[_Figure]:
     found = []
     for group in plot.groups:
         present = np.concatenate([crowd.present() for crowd in group.crowds])
         count = len(group.crowds)
         found.append(
-            _figure(
-                partial(panels.agents_over_time, plot=plot, group=group),
+            _Figure(
+                draw=partial(panels.agents_over_time, plot=plot, group=group),
                 title=group.label,
                 note=f", {count} rollout{'s' * (count > 1)}",
                 alt=f"Number of agents over time in rollouts of {group.label}: mean "
                 f"{present.mean():.1f}, maximum {present.max()}.",
-                width=4.6,
-                height=2.3,
+                width_in=4.6,
+                height_in=2.3,
                 kind="small png",
             )
         )
@@ -128,13 +116,13 @@ def _over_time(plot: PlotData) -> list[_Figure]:
 
 def _autocorrelation(plot: PlotData) -> list[_Figure]:
     return [
-        _figure(
-            partial(_correlated, plot=plot),
+        _Figure(
+            draw=partial(_correlated, plot=plot),
             title="Autocorrelation of the number of agents",
             alt="Autocorrelation of the number of agents over the lag: the recording at the lags "
             "that the metric compares, and of the mean over the rollouts of each crowd.",
-            width=4.6,
-            height=2.7,
+            width_in=4.6,
+            height_in=2.7,
         )
     ]
 
@@ -157,13 +145,15 @@ def _distributions(plot: PlotData) -> list[_Figure]:
         curves = plot.curves(name)
         cut_off = name == "dwell" and plot.scene.timeout_s < curves.longest() * unit
         found.append(
-            _figure(
-                partial(_distribution, plot=plot, name=name, curves=curves, unit=unit, what=what),
+            _Figure(
+                draw=partial(
+                    _distribution, plot=plot, name=name, curves=curves, unit=unit, what=what
+                ),
                 title=title,
                 note="; dotted: time limit of simulated trips" if cut_off else "",
                 alt=f"Survival curves, {title.lower()}. {medians(plot, curves, unit)}",
-                width=4.6,
-                height=2.7,
+                width_in=4.6,
+                height_in=2.7,
             )
         )
     return found
@@ -195,8 +185,8 @@ def _per_area(plot: PlotData, gaps: Sequence[int], busiest: Sequence[int]) -> li
         x, y = plot.areas.spawn.mean[k]
         where = f"({x:.1f}, {y:.1f})".replace("-", "−")
         found.append(
-            _figure(
-                partial(
+            _Figure(
+                draw=partial(
                     panels.survival,
                     plot=plot,
                     curves=curves,
@@ -208,8 +198,8 @@ def _per_area(plot: PlotData, gaps: Sequence[int], busiest: Sequence[int]) -> li
                 note=f" around {where} m, {gaps[k]} recorded gaps",
                 alt=f"Survival curves of gaps between arrivals at spawn area {k}. "
                 f"{medians(plot, curves, plot.scene.grid_s, k)}",
-                width=3.0,
-                height=2.2,
+                width_in=3.0,
+                height_in=2.2,
             )
         )
     return found
@@ -239,12 +229,12 @@ def _flows(plot: PlotData) -> list[_Figure]:
     for label, share in zip(labels, plot.cells("origin_destination"), strict=True):
         k, g = divmod(int(np.argmax(share)), goals)
         found.append(
-            _figure(
-                partial(panels.flows, plot=plot, share=share),
+            _Figure(
+                draw=partial(panels.flows, plot=plot, share=share),
                 title=label,
                 alt=f"Map of the flows from spawn areas to goal areas, {label}. The largest, "
                 f"{100 * share.max():.0f} %, leads from spawn area {k} to goal area {g}.",
-                height=_map_height(plot),
+                height_in=_map_height(plot),
             )
         )
     return found
@@ -259,13 +249,13 @@ def _occupancy(plot: PlotData) -> list[_Figure]:
     for label, share in zip(labels, shares, strict=True):
         differs = 50 * float(np.abs(share - shares[0]).sum())
         found.append(
-            _figure(
-                partial(_occupied, plot=plot, share=share, top=top),
+            _Figure(
+                draw=partial(_occupied, plot=plot, share=share, top=top),
                 title=label,
                 alt=f"Map of where people spend their time, {label}."
                 + (f" Total variation distance from the recording: {differs:.0f} %."
                    if label != "recorded" else ""),
-                height=_map_height(plot, 1.05),
+                height_in=_map_height(plot, 1.05),
             )
         )  # fmt: skip
     return found
@@ -282,13 +272,13 @@ def _paths(plot: PlotData) -> list[_Figure]:
     for group in plot.groups:
         count = min(len(group.crowds[0]), panels.MOST_PATHS)
         found.append(
-            _figure(
-                partial(panels.paths, plot=plot, crowd=group.crowds[0]),
+            _Figure(
+                draw=partial(panels.paths, plot=plot, crowd=group.crowds[0]),
                 title=group.label,
                 note=f", the first {count} people",
                 alt=f"Paths of {count} people in one rollout of {group.label}, drawn over walls, "
                 "spawn areas and goal areas.",
-                height=_map_height(plot),
+                height_in=_map_height(plot),
                 kind="small png",
             )
         )

@@ -11,7 +11,7 @@ from crowdbench.metrics import FAMILIES, WALK, Metric, all_metrics
 from crowdbench.metrics.arrivals import burstiness, memory
 from crowdbench.report.display_names import Names
 from crowdbench.report.html.render import html
-from crowdbench.report.plots import PlotData
+from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.report.text.notes import gate_notes, too_few_rollouts
 from crowdbench.scoring.ranking import competing_rows, ordered, ranked_by, steered
 from crowdbench.scoring.score import Score

@@ -1,7 +1,7 @@
 """Data of the pictures: an evaluation's crowds and the recording, in the same time blocks."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -126,22 +126,6 @@ class PlotData:
             for spawn, policy in pairs
         ]
         return cls(scene, seen, split, groups, recording)
-
-    def narrowed(self, *, policy: str | None = None, rollouts: int | None = None) -> "PlotData":
-        """A copy with only the groups of `policy` and the first `rollouts` of each; None keeps all.
-
-        The groups of a single policy are drawn without dashes.
-        """
-        groups = [
-            replace(
-                group,
-                dashes=group.dashes if policy is None else (),
-                crowds=group.crowds[:rollouts],
-            )
-            for group in self.groups
-            if policy in (None, group.policy)
-        ]
-        return replace(self, groups=groups)
 
     @cached_property
     def areas(self) -> Areas:

@@ -10,7 +10,7 @@ from crowdbench.colours import COLOURS
 from crowdbench.data.table import Trajectories
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.canvas import Draw, picture
-from crowdbench.report.plots.maps import CELL_M, draw_cells, in_cells
+from crowdbench.report.plots.cells import CELL_M, draw_cells, in_cells
 from crowdbench.report.steering.changes import Steering
 from crowdbench.scene import Scene
 from crowdbench.spawn import Areas

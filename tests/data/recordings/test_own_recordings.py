@@ -14,7 +14,7 @@ from crowdbench.cli import main, options
 from crowdbench.data.recordings.convert import WRITERS
 from crowdbench.data.recordings.own import FORMATS, import_own, read_recording
 from crowdbench.data.recordings.timing import at_scene_frames
-from crowdbench.data.storage import read_columns, write_csv, write_parquet
+from crowdbench.data.storage import columns_of, read_table, write_csv, write_parquet
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import CrowdbenchError, RecordingError, SettingError
 from crowdbench.registry import recording
@@ -133,7 +133,8 @@ def test_companions_that_a_table_states_are_kept(tmp_path: Path) -> None:
     assert found.group.tolist() == [-1, 4, 4]
     asked = ["--to", "csv", "--out", str(tmp_path / "b.csv"), "--dt-s", "0.4"]
     assert main(["data", "convert", str(tmp_path / "mine.csv"), *asked]) == 0
-    assert read_columns(tmp_path / "b.csv")["group"][-1] == 4
+    written = tmp_path / "b.csv"
+    assert columns_of(read_table(written), written)["group"][-1] == 4
 
 
 def test_a_table_that_crowdbench_wrote_is_taken_as_it_is(

@@ -1,18 +1,18 @@
-"""Evaluates on a Ray cluster of three nodes on this machine, one of which is killed in the middle.
+"""An evaluation on a Ray cluster of three nodes of this machine, one of which is killed.
 
-    python tests/ray_cluster.py plaza-v0
-    python tests/ray_cluster.py eth-v0 --protocol heldout
+    python -m studies ray-cluster plaza-v0
+    python -m studies ray-cluster eth-v0 --protocol heldout
 
 All arguments are those of `crowdbench evaluate`. It compares the bytes of the scorecard and of all
 rollouts with those of `--workers 1`. It needs the extra `ray`.
 """
 
 import filecmp
-import sys
 import tempfile
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import ray
 from ray.cluster_utils import Cluster
@@ -22,7 +22,7 @@ from crowdbench import cli
 NODES = 3
 
 
-def kill_later(cluster: Cluster, node: object, out: Path) -> None:
+def kill_later(cluster: Cluster, node: Any, out: Path) -> None:
     """Kill a node as soon as the first rollouts are there."""
     while not any((out / "rollouts").glob("*.parquet")):
         time.sleep(0.05)
@@ -42,8 +42,8 @@ def same(one: Path, other: Path) -> bool:
     return not any(wrong)
 
 
-def main(arguments: list[str]) -> int:
-    """Evaluate twice and compare; return the exit code."""
+def compare(arguments: list[str]) -> bool:
+    """Evaluate twice; whether the node was lost and the bytes are the same."""
     with tempfile.TemporaryDirectory() as folder:
         here, there = Path(folder) / "here", Path(folder) / "there"
         began = time.monotonic()
@@ -59,8 +59,4 @@ def main(arguments: list[str]) -> int:
         print(f"{NODES} nodes, of which {left} are left: {time.monotonic() - began:.0f} s")
         ray.shutdown()
         cluster.shutdown()
-        return 0 if left == NODES - 1 and same(here, there) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+        return left == NODES - 1 and same(here, there)

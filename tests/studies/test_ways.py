@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from crowdbench.data.table import OUTCOMES, Trajectories, from_rows
-from crowdbench.report.plots.ways import (
+from studies.figures.ways import (
     FRACTIONS,
     by_fraction,
     common_ways,

@@ -1,6 +1,7 @@
 """Figure `sheet`: agents over time, arrivals and dwell times of all scenes."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.canvas import picture
 from crowdbench.report.plots.plot_data import Curves, PlotData
-from crowdbench.report.plots.ways import Numbers
+from studies.figures.ways import Numbers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,8 +38,8 @@ def draw_sheet(sights: Sequence[PlotData]) -> tuple[bytes, Numbers]:
 def _row(axes: "list[Axes]", plot: PlotData) -> None:
     over_time, *of_curves = axes
     panels.recorded_bands(over_time, plot)
-    for group in plot.narrowed(rollouts=1).groups:
-        panels.rollouts_over_time(over_time, plot, group)
+    for group in plot.groups:
+        panels.rollouts_over_time(over_time, plot, replace(group, crowds=group.crowds[:1]))
     over_time.set_title(f"{plot.scene.title}, walked by {plot.groups[0].policy}")
     for axis, name in zip(of_curves, _CURVES, strict=True):
         panels.survival(

@@ -14,10 +14,11 @@ from jaxtyping import Float, Int
 from crowdbench.colours import COLOURS, goal_colour
 from crowdbench.data.table import Trajectories
 from crowdbench.report.plots import panels
-from crowdbench.report.plots.maps import CELL_M, draw_cells, in_cells, maps
-from crowdbench.report.plots.ways import LEAST_PEOPLE, MeanWay, Numbers, mean_way, sides, walking
+from crowdbench.report.plots.cells import CELL_M, draw_cells, in_cells
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
+from studies.figures.maps import maps
+from studies.figures.ways import LEAST_PEOPLE, MeanWay, Numbers, mean_way, sides, walking
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,17 +1,16 @@
-"""Does the default reward train walkers? A check to run by hand, minutes per scene and route.
+"""Does the default reward train walkers? Minutes per scene and route.
 
-    python tests/runners.py --scene eth-v0 --route plain     # PPO by name on parallel_env
-    python tests/runners.py --scene eth-v0 --route sb3       # Stable-Baselines3 on CrowdVecEnv
+    python -m studies runners eth-v0 --route plain     # PPO by name on parallel_env
+    python -m studies runners eth-v0 --route sb3       # Stable-Baselines3 on CrowdVecEnv
 
 Trains on the default reward and prints how fast the policy then walks beside how fast people
 prefer to, and how many arrive, for its mean actions and for sampled ones. It exits with 1 where
 the mean speed is more than 10 % off or fewer than 95 % arrive.
 """
 
-import argparse
-import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import torch
@@ -67,11 +66,14 @@ class Network(nn.Module):
 
         self.mean, self.value = layers(2), layers(1)
         self.log_std = nn.Parameter(torch.full((2,), LOG_STD))
-        nn.init.zeros_(self.mean[-1].bias)
+        last = self.mean[-1]
+        assert isinstance(last, nn.Linear)
+        nn.init.zeros_(last.bias)
         with torch.no_grad():
-            self.mean[-1].weight *= 0.01
+            last.weight *= 0.01
 
     def distribution(self, seen: torch.Tensor) -> torch.distributions.Normal:
+        """The distribution of actions."""
         return torch.distributions.Normal(self.mean(seen), self.log_std.exp())
 
 
@@ -82,7 +84,9 @@ def plain_ppo(scene: str, steps: int, gamma: float, seed: int) -> tuple[Act, Act
     seen, _ = env.reset(seed=seed)
     network = Network(len(next(iter(seen.values()))))
     optimizer = torch.optim.Adam(network.parameters(), 1e-3, eps=1e-5)
-    done, trips, batch = 0, {}, []
+    done = 0
+    trips: dict[str, list[Any]] = {}
+    batch: list[Any] = []
     while done < steps:
         names = env.agents
         rows = torch.from_numpy(np.stack([seen[name] for name in names]))
@@ -107,7 +111,7 @@ def plain_ppo(scene: str, steps: int, gamma: float, seed: int) -> tuple[Act, Act
 
     def mean(rows: np.ndarray) -> np.ndarray:
         with torch.no_grad():
-            return network.mean(torch.from_numpy(rows)).numpy()
+            return np.asarray(network.mean(torch.from_numpy(rows)))
 
     def sampled(rows: np.ndarray) -> np.ndarray:
         with torch.no_grad():
@@ -116,7 +120,9 @@ def plain_ppo(scene: str, steps: int, gamma: float, seed: int) -> tuple[Act, Act
     return mean, sampled
 
 
-def improve(network: Network, optimizer: torch.optim.Optimizer, batch: list, gamma: float) -> None:
+def improve(
+    network: Network, optimizer: torch.optim.Optimizer, batch: list[Any], gamma: float
+) -> None:
     """Ten epochs on pieces of trips, each with what was seen after it (None: it is over)."""
     rows, actions, chances, advantages, targets = [], [], [], [], []
     for life, last in batch:
@@ -124,12 +130,12 @@ def improve(network: Network, optimizer: torch.optim.Optimizer, batch: list, gam
         with torch.no_grad():
             value = network.value(seen)[:, 0].tolist()
             after = 0.0 if last is None else float(network.value(torch.from_numpy(last)))
-        advantage = 0.0
+        gained = 0.0
         found = []
         for t in reversed(range(len(life))):
-            advantage = life[t][3] + gamma * after - value[t] + gamma * 0.95 * advantage
+            gained = life[t][3] + gamma * after - value[t] + gamma * 0.95 * gained
             after = value[t]
-            found.append(advantage)
+            found.append(gained)
         advantages += found[::-1]
         targets += [a + v for a, v in zip(found[::-1], value, strict=True)]
         rows.append(seen)
@@ -169,32 +175,25 @@ def sb3_ppo(scene: str, steps: int, gamma: float, seed: int) -> tuple[Act, Act]:
     )
 
 
-def main() -> int:
-    """Train, walk, tell."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scene", default="plaza-v0")
-    parser.add_argument("--route", choices=("plain", "sb3"), default="plain")
-    parser.add_argument("--steps", type=int, default=200_000, help="of persons")
-    parser.add_argument("--gamma", type=float, default=0.99)
-    parser.add_argument("--seed", type=int, default=0)
-    asked = parser.parse_args()
+ROUTES = {"plain": plain_ppo, "sb3": sb3_ppo}
+
+
+def train_and_walk(
+    scene: str, route: str, *, steps: int, gamma: float, seed: int
+) -> Iterator[tuple[str, bool]]:
+    """Lines on how policies walk after a training by a route, and whether they walk well enough.
+
+    `steps` are of single persons.
+    """
     torch.set_num_threads(1)
-    train = {"plain": plain_ppo, "sb3": sb3_ppo}[asked.route]
     began = time.monotonic()
-    acts = train(asked.scene, asked.steps, asked.gamma, asked.seed)
+    acts = ROUTES[route](scene, steps, gamma, seed)
     took = time.monotonic() - began
-    fits = True
     for what, act in zip(("mean actions", "sampled actions"), acts, strict=True):
-        speed, wish, arrived = walked(asked.scene, act)
-        fits &= abs(speed / wish - 1) <= 0.1 and arrived >= 0.95
-        print(
-            f"{asked.scene} {asked.route} γ={asked.gamma:g} seed {asked.seed}, {took:.0f} s, "
+        speed, wish, arrived = walked(scene, act)
+        yield (
+            f"{scene} {route} γ={gamma:g} seed {seed}, {took:.0f} s, "
             f"{what}: {speed:.2f} m/s, preferred {wish:.2f} ({speed / wish - 1:+.1%}), "
             f"{arrived:.1%} arrive",
-            flush=True,
+            abs(speed / wish - 1) <= 0.1 and arrived >= 0.95,
         )
-    return 0 if fits else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,13 +1,12 @@
 """What each part of `anticipate` contributes: it is trained and scored without it, held out.
 
-    python -m crowdbench.baselines.ablation --scene eth-v0 > ablation.md
+    python -m studies ablation eth-v0 > docs/ablation.md
 
 For each variant and fold, the network is trained and its guide chosen anew, on the training blocks
 of the fold. Then all variants are scored together, so that their differences have intervals. Files
 of an earlier call of the same command and code are kept.
 """
 
-import argparse
 import contextlib
 import sys
 from collections.abc import Mapping, Sequence
@@ -16,27 +15,30 @@ from pathlib import Path
 
 import numpy as np
 
-from crowdbench.cli.workers import add_engine
+from crowdbench.baselines.packages import needs
 from crowdbench.data.blocks import SPLITS
-from crowdbench.errors import CrowdbenchError
 from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import interval
 from crowdbench.run.evaluate import evaluate  # without its report
-from crowdbench.run.parallel import call_each, checked_workers, engine
+from crowdbench.run.parallel import call_each, checked_workers
 from crowdbench.run.validation import Validator
 from crowdbench.scene import Scene
 from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import Row, rows
 from crowdbench.simulation import social
 
-from .packages import needs
-
 with needs("fit", __name__):
     import torch
     from torch import Tensor
 
-    from .anticipate import Settings, decision_frames, frames_ahead, guided, train
-    from .anticipation import (
+    from crowdbench.baselines.anticipate import (
+        Settings,
+        decision_frames,
+        frames_ahead,
+        guided,
+        train,
+    )
+    from crowdbench.baselines.anticipation import (
         NOISE,
         OBSERVATION,
         PLAIN,
@@ -45,7 +47,7 @@ with needs("fit", __name__):
         Sampler,
         Walker,
     )
-    from .command import Command, use_one_thread
+    from crowdbench.baselines.command import Command, use_one_thread
 
 NEIGHBOURS = np.arange(social.NEIGHBOURS.start, social.NEIGHBOURS.stop).reshape(
     social.NEAREST, social.FEATURES
@@ -124,6 +126,15 @@ because all variants are compared on the same resampled blocks. This page is the
 """
 
 
+class Training(Command):
+    """The trainings of this study."""
+
+    @property
+    def program(self) -> str:
+        """What `python -m` runs."""
+        return "studies ablation"
+
+
 class Blind(Perception):
     """A perception that sees some columns of the observation as zeros."""
 
@@ -196,28 +207,21 @@ def difference(one: Score | None, other: Score | None) -> str:
     )
 
 
-def command_line() -> argparse.ArgumentParser:
-    """Argument parser of this script."""
-    parser = argparse.ArgumentParser(
-        prog="python -m crowdbench.baselines.ablation",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--scene", required=True, help="id of a scene, or its folder")
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="output folder (default: results/ablation-SCENE)"
-    )
-    add_engine(parser)
-    return parser
+def write_ablation(scene: str, *, out: Path | None = None, workers: int | None = None) -> str:
+    """Train and score all variants on a scene; return the page.
 
+    Policies and rollouts are kept in `out`, by default `results/ablation-SCENE`.
 
-def page(asked: argparse.Namespace, given: list[str]) -> str:
-    """Train and score all variants; return the page."""
+    Raises:
+        SceneError, RecordingError, SettingError: the scene or its recording does not exist, or
+            `workers` is not positive.
+        OutputError: `out` cannot be written.
+    """
     folds = SPLITS[1:]
-    workers = checked_workers(asked.workers)
-    whole = Command.of("ablation", asked.scene, folds, asked.out, given)
+    workers = checked_workers(workers)
+    whole = Training.of("ablation", scene, folds, out, [scene])
     commands = [
-        Command.of("ablation", asked.scene, folds, whole.out / v.name, given) for v in VARIANTS
+        Training.of("ablation", scene, folds, whole.out / v.name, [scene]) for v in VARIANTS
     ]
     tasks = [
         (variant, fold, command)
@@ -228,7 +232,7 @@ def page(asked: argparse.Namespace, given: list[str]) -> str:
         print(f"{done} of {len(tasks)} policies trained", file=sys.stderr)
     folders = [str(command.out) for command in commands]
     card = evaluate(
-        asked.scene,
+        scene,
         spawn="replay",
         policy=folders,
         protocol="heldout",
@@ -244,23 +248,3 @@ def page(asked: argparse.Namespace, given: list[str]) -> str:
             table(head, lines([by_policy[folder] for folder in folders])),
         ]
     )
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Train and score all variants and print the page; return the exit code."""
-    given = sys.argv[1:] if arguments is None else arguments
-    asked = command_line().parse_args(given)
-    try:
-        with engine(asked.engine):
-            print(page(asked, given))
-    except CrowdbenchError as error:
-        print(f"crowdbench.baselines.ablation: {error}", file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    # Worker processes find functions in modules that they can import, which `__main__` is not.
-    from .ablation import main as imported_main
-
-    sys.exit(imported_main())

@@ -14,14 +14,14 @@ from crowdbench import cli
 from crowdbench.data.storage import read_own
 from crowdbench.errors import CrowdbenchError, RecordingError, SettingError
 from crowdbench.registry import import_recording, recording_of
-from crowdbench.report.plots.flows import CELL_M, DENSITY_PARTS, density, draw_flows
-from crowdbench.report.plots.ways import LEAST_PEOPLE, whole
 from crowdbench.scene import load_scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn.areas import Gaussians, read_areas
-from studies import gallery
+from studies import figures
 from studies.__main__ import main as studies_main
-from studies.gallery import FIGURES, with_areas, write_figures
+from studies.figures import FIGURES, with_areas, write_figures
+from studies.figures.flows import CELL_M, DENSITY_PARTS, density, draw_flows
+from studies.figures.ways import LEAST_PEOPLE, whole
 
 pytestmark = pytest.mark.long
 
@@ -34,7 +34,7 @@ ROLLOUTS = 2
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All figures of the plaza, with the rollouts they were drawn from."""
     import_recording("plaza")  # once: else it is generated wherever it is looked at
-    folder = tmp_path_factory.mktemp("gallery")
+    folder = tmp_path_factory.mktemp("figures")
     asked = pages.arguments("docs/figures.md", "python -m studies figures")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -134,7 +134,7 @@ def test_density_is_where_people_of_an_area_are(folder: Path) -> None:
 
 
 def test_areas_that_get_no_map_are_counted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("crowdbench.report.plots.flows.MOST_AREAS", 3)
+    monkeypatch.setattr("studies.figures.flows.MOST_AREAS", 3)
     crowds = [read_own(path) for path in rollouts(folder, "cox-plans")]
     _, found = draw_flows(PLAZA, AREAS, crowds, None, "a crowd")
     assert found["spawn_areas_left_out"] == 1
@@ -192,13 +192,13 @@ def test_what_cannot_be_drawn_is_said_before_anything_is_rolled_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for scenes, figures, error, said in (
+    for scenes, names, error, said in (
         ([], FIGURES, SettingError, "no scene"),
         (["plaza-v0"], ["portraits"], SettingError, "policies, flows, situations, sheet"),
         (["plaza-v0", "eth-v0"], FIGURES, RecordingError, "draw only --figure flows sheet"),
     ):
         with pytest.raises(error, match=said):
-            write_figures(scenes, figures=figures)
+            write_figures(scenes, figures=names)
     with pytest.raises(SettingError, match="generates new crowds"):
         write_figures(["plaza-v0"], spawn="replay")
     with pytest.raises(CrowdbenchError, match="no-policy"):
@@ -229,7 +229,7 @@ def test_the_command_draws_what_it_is_asked_for(
 
 def test_by_default_the_best_policy_that_comes_with_a_scene_walks(tmp_path: Path) -> None:
     def walker(scene: str) -> str:
-        of = gallery._Shown.of(load_scene(scene), ["flows"], "cox-plans", None, 1, tmp_path)
+        of = figures._Shown.of(load_scene(scene), ["flows"], "cox-plans", None, 1, tmp_path)
         (job,) = of.jobs
         return job.policy
 

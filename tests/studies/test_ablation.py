@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 import torch
 
-from crowdbench.baselines import ablation, anticipate
-from crowdbench.baselines.ablation import VARIANTS, lines, walker_of
+from crowdbench.baselines import anticipate
 from crowdbench.policies.network import read_card
 from crowdbench.run.evaluate import evaluate
 from crowdbench.scene import load_scene
 from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import PairResult, Row
 from crowdbench.simulation import social
+from studies import ablation
+from studies.__main__ import main
+from studies.ablation import VARIANTS, lines, walker_of
 
 PLAZA = load_scene("plaza-v0")
 NOTHING = PairResult(
@@ -63,7 +65,7 @@ def test_a_network_without_velocities_does_not_see_how_others_move() -> None:
         assert torch.equal(walker(seen, jitter)[0], walker(other, jitter)[0])
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_variants_are_trained_scored_and_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -73,16 +75,18 @@ def test_variants_are_trained_scored_and_kept(
     monkeypatch.setattr("crowdbench.baselines.command.revision", lambda folder: "0123456789ab")
     monkeypatch.setattr(ablation, "decision_frames", lambda scene: 3)
     monkeypatch.setattr(ablation, "evaluate", partial(evaluate, seeds=1))
-    arguments = ["--scene", "plaza-v0", "--workers", "1", "--out", str(tmp_path)]
-    assert ablation.main(arguments) == 0
+    arguments = ["ablation", "plaza-v0", "--workers", "1", "--out", str(tmp_path)]
+    assert main(arguments) == 0
     page = capsys.readouterr().out
-    assert "python -m crowdbench.baselines.ablation --scene plaza-v0" in page
+    assert "    python -m studies ablation plaza-v0\n" in page
     assert [line.split(" | ")[0] for line in page.splitlines()[-2:]] == [
         "| ---", f"| {slower.what}",
     ]  # fmt: skip
-    assert read_card(tmp_path / "slower" / "fold1.onnx").interval == 2 * 3
+    card = read_card(tmp_path / "slower" / "fold1.onnx")
+    assert card.interval == 2 * 3
+    assert card.command == "python -m studies ablation plaza-v0"
     monkeypatch.setattr(ablation, "train", None)  # nothing is trained again
-    assert ablation.main(arguments) == 0
+    assert main(arguments) == 0
     assert capsys.readouterr().out == page
 
 
@@ -111,5 +115,5 @@ def test_each_variant_has_a_row_with_its_difference_to_the_first() -> None:
 
 
 def test_a_scene_that_does_not_exist_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
-    assert ablation.main(["--scene", "nowhere-v0"]) == 2
-    assert "crowdbench.baselines.ablation: " in capsys.readouterr().err
+    assert main(["ablation", "nowhere-v0"]) == 2
+    assert "nowhere-v0" in capsys.readouterr().err

@@ -1,6 +1,6 @@
-"""Measures how fast `crowdbench.baselines.ppo` trains on this machine, and how long its parts take.
+"""How fast `crowdbench.baselines.ppo` trains on this machine, and how long its parts take.
 
-    NUMBA_NUM_THREADS=16 python tests/training_speed.py --device cuda --worlds 512 --max-alive 200
+    NUMBA_NUM_THREADS=16 python -m studies training-speed --device cuda --worlds 512 --max-alive 200
 
 Every row counts steps of single persons per second: of the simulation alone, of the environment
 with its copies, of collecting with a network, of learning, and of the whole loop. The last column
@@ -8,8 +8,6 @@ is the time per step as a share of that of the whole loop; each of the first thr
 those above it.
 """
 
-import argparse
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -20,6 +18,9 @@ import torch
 from crowdbench.baselines import ppo
 from crowdbench.baselines.command import use_one_thread
 
+SETTINGS = ppo.Settings(spawn="cox-plans", observation="social-1", frames=10**12)
+OPTIONS = ("worlds", "max_alive", "batch_frames", "minibatch", "collectors", "hidden")
+"""Whole numbers among the settings that the command has options for."""
 WHOLE = "whole loop"
 CHUNK = 10
 """Number of frames between two looks at the clock."""
@@ -85,12 +86,12 @@ def measured(scene: str, settings: ppo.Settings, seconds: float) -> Iterator[tup
     def timed(self: ppo.Learner, batch: object, progress: float) -> int:
         synchronize(device)
         began = time.perf_counter()
-        count = learn(self, batch, progress)  # type: ignore[arg-type]
+        count = learn(self, batch, progress)
         synchronize(device)
         took["learning"] += time.perf_counter() - began
         return count
 
-    ppo.Learner.learn = timed  # type: ignore[method-assign]
+    ppo.Learner.learn = timed
     rounds = ppo.train(scene, settings)
     next(rounds), next(rounds)
     took["learning"], steps, began = 0.0, 0, time.perf_counter()
@@ -98,35 +99,18 @@ def measured(scene: str, settings: ppo.Settings, seconds: float) -> Iterator[tup
         steps += next(rounds).steps
     whole_s = time.perf_counter() - began
     rounds.close()
-    ppo.Learner.learn = learn  # type: ignore[method-assign]
+    ppo.Learner.learn = learn
     yield "collecting with a network", steps / (whole_s - took["learning"])
     yield "learning", steps / took["learning"]
     yield WHOLE, steps / whole_s
 
 
-def main() -> int:
-    """Print a table; return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = ppo.Settings(spawn="cox-plans", observation="social-1", frames=10**12)
-    parser.add_argument("--scene", default="gc-v0")
-    parser.add_argument("--observation", default=default.observation)
-    parser.add_argument("--spawn", default=default.spawn)
-    parser.add_argument("--device", default="cpu")
-    parser.add_argument("--horizon-s", type=float, default=default.horizon_s)
-    parser.add_argument("--seconds", type=float, default=3.0)
-    for name in ("worlds", "max_alive", "batch_frames", "minibatch", "collectors", "hidden"):
-        parser.add_argument(f"--{name.replace('_', '-')}", type=int, default=getattr(default, name))
-    asked = vars(parser.parse_args())
-    scene, seconds = asked.pop("scene"), asked.pop("seconds")
+def measure(scene: str, settings: ppo.Settings, seconds: float) -> Iterator[str]:
+    """Measure each part for `seconds`, the whole loop for three times as long; lines of a table."""
     use_one_thread()
     found = {}
-    for name, speed in measured(scene, replace(default, **asked), seconds):
-        print(f"  measured: {name}, {speed:,.0f} steps/s", flush=True)
+    for name, speed in measured(scene, settings, seconds):
+        yield f"  measured: {name}, {speed:,.0f} steps/s"
         found[name] = speed
     for name, speed in found.items():
-        print(f"{name:<30} {speed / 1e6:8.3f} M/s {found[WHOLE] / speed:6.0%}")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        yield f"{name:<30} {speed / 1e6:8.3f} M/s {found[WHOLE] / speed:6.0%}"

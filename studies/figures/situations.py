@@ -12,11 +12,11 @@ from crowdbench.data.companions import groups_of
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError
 from crowdbench.report.plots import panels
-from crowdbench.report.plots.maps import Map, maps
-from crowdbench.report.plots.ways import Numbers
-from crowdbench.report.plots.windows import GROUP_S, WINDOW_S, Windows, situations
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
+from studies.figures.maps import Map, maps
+from studies.figures.ways import Numbers
+from studies.figures.windows import GROUP_S, WINDOW_S, Windows, situations
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

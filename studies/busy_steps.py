@@ -1,6 +1,6 @@
 """How long steps take beside four busy processes, and beside them on one thread that never spins.
 
-    python tests/busy_steps.py
+    python -m studies busy-steps
 
 280 steps of a `CrowdEnv` of 16 worlds, whatever was imported before it: each first as it is, then
 with `NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OMP_WAIT_POLICY=PASSIVE`. The ratio is to be below 3.
@@ -10,6 +10,7 @@ import os
 import statistics
 import subprocess
 import sys
+from collections.abc import Iterator
 
 BUSY = 4
 STEPS = 280
@@ -58,18 +59,14 @@ def took_s(before: str, environment: dict[str, str]) -> float:
     return statistics.median(float(line) for line in done.stdout.split()[1:])
 
 
-def main() -> None:
-    """Print the times of each order of imports."""
+def times() -> Iterator[str]:
+    """A line with the times for each order of imports."""
     loop = "while True: pass"
     busy = [subprocess.Popen([sys.executable, "-c", loop]) for _ in range(BUSY)]
     try:
         for name, before in BEFORE.items():
             plain, calm = took_s(before, {}), took_s(before, CALM)
-            print(f"{name:20}{plain:7.2f} s {calm:7.2f} s  ratio {plain / calm:.2f}", flush=True)
+            yield f"{name:20}{plain:7.2f} s {calm:7.2f} s  ratio {plain / calm:.2f}"
     finally:
         for process in busy:
             process.kill()
-
-
-if __name__ == "__main__":
-    main()

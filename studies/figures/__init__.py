@@ -18,17 +18,17 @@ from crowdbench.errors import RecordingError, SettingError, did_you_mean
 from crowdbench.files import replacing, unwritable, write_json
 from crowdbench.registry import has_recording, recording_of, trained_policies
 from crowdbench.registry import policy as find_policy
-from crowdbench.report.plots import PlotData
-from crowdbench.report.plots.flows import draw_flows
-from crowdbench.report.plots.policies import draw_policies
-from crowdbench.report.plots.sheet import draw_sheet
-from crowdbench.report.plots.situations import draw_situations
-from crowdbench.report.plots.ways import Numbers
+from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.run.lock import alone_in
 from crowdbench.run.rollout_jobs import Job, Progress, make, plan
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn.areas import Areas, read_areas
+from studies.figures.flows import draw_flows
+from studies.figures.policies import draw_policies
+from studies.figures.sheet import draw_sheet
+from studies.figures.situations import draw_situations
+from studies.figures.ways import Numbers
 
 FIGURES = ("policies", "flows", "situations", "sheet")
 """Names of the figures; `sheet` shows all scenes, the others one scene."""

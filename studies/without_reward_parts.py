@@ -1,6 +1,6 @@
-"""What does it cost to drop a part of the reward? A check to run by hand.
+"""What does it cost to drop a part of the reward?
 
-    python tests/without_reward_parts.py --scene eth-v0
+    python -m studies without-reward-parts eth-v0
 
 trains `crowdbench.baselines.ppo` with the observation `social-1`, with the default reward and with
 each part dropped, under arrivals with stops and companions. Each trained policy then walks in new
@@ -8,7 +8,7 @@ worlds. A row has the mean of each part there, with the default weights, in 1/10
 person, its speed divided by its preferred speed, and the share of trips that end at the goal.
 """
 
-import argparse
+from collections.abc import Iterator
 from dataclasses import replace
 
 import torch
@@ -54,22 +54,13 @@ def row(network: ppo.Around, scene: str, settings: ppo.Settings) -> str:
     return f"{numbers} | {torch.cat(ratio).mean():.2f} | {arrived:.1%}"
 
 
-def main() -> None:
-    """Train, walk and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scene", default="eth-v0")
-    parser.add_argument("--spawn", default="cox-plans")
-    parser.add_argument("--frames", type=int, default=ppo.Settings.frames)
-    args = parser.parse_args()
+def rows(scene: str, *, spawn: str, frames: int) -> Iterator[str]:
+    """The lines of the table, each after its training of `frames` frames."""
     use_one_thread()
-    settings = ppo.Settings(observation="social-1", spawn=args.spawn, frames=args.frames)
-    print(f"| dropped | {' | '.join(PARTS)} | speed / preferred | at goal |")
-    print("|---" * (len(PARTS) + 3) + "|")
+    settings = ppo.Settings(observation="social-1", spawn=spawn, frames=frames)
+    yield f"| dropped | {' | '.join(PARTS)} | speed / preferred | at goal |"
+    yield "|---" * (len(PARTS) + 3) + "|"
     for name in ("", *PARTS):
         reward = replace(Reward(), **{name: 0.0}) if name else Reward()
-        *_, last = ppo.train(args.scene, settings, reward)
-        print(f"| {name or 'nothing'} | {row(last.network, args.scene, settings)} |", flush=True)
-
-
-if __name__ == "__main__":
-    main()
+        *_, last = ppo.train(scene, settings, reward)
+        yield f"| {name or 'nothing'} | {row(last.network, scene, settings)} |"

@@ -11,9 +11,9 @@ from strategies import crowd_of
 
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError
-from crowdbench.report.plots.situations import draw_situations, search
-from crowdbench.report.plots.windows import GROUP_S, Windows, situations
 from crowdbench.scene import load_scene
+from studies.figures.situations import draw_situations, search
+from studies.figures.windows import GROUP_S, Windows, situations
 
 FRAMES = 500
 WINDOW = 50

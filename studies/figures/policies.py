@@ -6,7 +6,8 @@ import numpy as np
 
 from crowdbench.colours import COLOURS
 from crowdbench.data.table import Trajectories
-from crowdbench.report.plots.ways import (
+from crowdbench.scene import Scene
+from studies.figures.ways import (
     LEAST_PEOPLE,
     Numbers,
     by_fraction,
@@ -17,7 +18,6 @@ from crowdbench.report.plots.ways import (
     walking,
     whole,
 )
-from crowdbench.scene import Scene
 
 _Taken = dict[tuple[float, ...], np.ndarray]
 

@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float, Float32, Int
 from crowdbench.colours import COLOURS
 from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.report.plots import panels
-from crowdbench.report.plots.maps import maps
 from crowdbench.scene import Scene
+from studies.figures.maps import maps
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,0 +1,49 @@
+"""Studies that print tables: `plans`, `sharing`, `cheats-twins` and `cheats-search`."""
+
+
+def plans(scenes: list[str], /) -> None:
+    """Print the page on how well plans describe people.
+
+    Args:
+        scenes: ids of scenes, or their folders
+    """
+    from studies.plans import page
+
+    print(page(scenes), end="")
+
+
+def sharing(scenes: list[str], /) -> None:
+    """Compare one network for all spawn areas with one for each (minutes).
+
+    Args:
+        scenes: ids of scenes, or their folders
+    """
+    from studies.sharing import comparison
+
+    print(comparison(scenes))
+
+
+def cheats_twins(scenes: list[str], /, *, policy: str = "anticipate", rollouts: int = 6) -> None:
+    """Score a policy against the recording and against its own rollouts.
+
+    Args:
+        scenes: ids of scenes, or their folders
+        policy: policy whose rollouts are compared
+        rollouts: number of rollouts in each fold
+    """
+    from studies.cheats.twins import tables
+
+    for scene in scenes:
+        print(f"{scene}\n\n{tables(scene, policy, rollouts)}\n", flush=True)
+
+
+def cheats_search(scene: str = "eth-v0", /, *, draws: int = 200) -> None:
+    """Search at random for blind wanderers that score well (minutes).
+
+    Args:
+        scene: id of a scene, or its folder
+        draws: number of wanderers
+    """
+    from studies.cheats.search import search
+
+    print("\n".join(search(scene, draws)))
