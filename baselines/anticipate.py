@@ -68,7 +68,7 @@ import numpy as np
 
 from crowdbench import Demonstrations, Scene, demonstrations, registry
 from crowdbench.errors import CrowdbenchError, RecordingError
-from crowdbench.metrics.interaction import CLEARANCE_M
+from crowdbench.metrics.interaction import WALL_RANGE_M
 from crowdbench.policies import OnnxPolicy
 from crowdbench.run.validation import Validation, Validator
 from crowdbench.simulation import social
@@ -343,7 +343,7 @@ def corrected(guide: Guide, found: Sequence[Validation]) -> Guide:
     """
     change = np.zeros(len(KNOTS_M))
     for each in found:
-        distances_m = np.linspace(0, CLEARANCE_M, len(each.clearance[0]))
+        distances_m = np.linspace(0, WALL_RANGE_M, len(each.clearance[0]))
         near = np.stack([np.interp(distances_m, KNOTS_M, row) for row in np.eye(len(KNOTS_M))])
         recorded, simulated = (near @ np.array(shares) + FEWEST for shares in each.clearance)
         change += GAIN * np.log(simulated / recorded) / len(found)

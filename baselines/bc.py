@@ -46,7 +46,7 @@ with needs("imitation", __name__):
         NEAR_GOAL_M,
         NOISE,
         MixturePolicy,
-        Sampler,
+        MixtureSampler,
         features_of,
         target_distance_m,
     )
@@ -60,7 +60,7 @@ recording."""
 
 
 @dataclass(frozen=True)
-class Settings:
+class BcSettings:
     """Settings of the cloning."""
 
     observation: str = OBSERVATIONS[0]
@@ -102,7 +102,7 @@ SETTABLE = {
 """Settings with a command line option, and the help texts of the options."""
 
 
-def check(settings: Settings, prefix: str = "") -> None:
+def check(settings: BcSettings, prefix: str = "") -> None:
     """Check the settings; their options begin with `prefix`.
 
     Raises:
@@ -152,7 +152,7 @@ class Batches:
         return len(self.columns["acts"])
 
 
-def shown(scene: str | Scene, split: str, settings: Settings) -> list[Demonstrations]:
+def shown(scene: str | Scene, split: str, settings: BcSettings) -> list[Demonstrations]:
     """Demonstrations to learn from, one set for each copy of the recording."""
     return [
         demonstrations(
@@ -167,7 +167,7 @@ def shown(scene: str | Scene, split: str, settings: Settings) -> list[Demonstrat
     ]
 
 
-def everything(lots: list[Demonstrations], settings: Settings) -> Batches:
+def everything(lots: list[Demonstrations], settings: BcSettings) -> Batches:
     """Batches of all demonstrations, with nobody held out."""
     seen, did = (np.concatenate(each) for each in zip(*(lot.pairs() for lot in lots), strict=True))
     rng = np.random.default_rng(settings.seed)
@@ -175,7 +175,7 @@ def everything(lots: list[Demonstrations], settings: Settings) -> Batches:
 
 
 def clone(
-    lots: list[Demonstrations], settings: Settings, progress: Progress | None = None
+    lots: list[Demonstrations], settings: BcSettings, progress: Progress | None = None
 ) -> tuple[MixturePolicy, float, int]:
     """Clone a policy; `progress`, if given, is told of each epoch.
 
@@ -247,16 +247,16 @@ def _likelihood(policy: MixturePolicy, seen: torch.Tensor, did: torch.Tensor) ->
 
 
 def add_cloning(parser: argparse._ActionsContainer, prefix: str = "") -> None:
-    """Add options for `Settings`, except for the observation and the seed."""
+    """Add options for `BcSettings`, except for the observation and the seed."""
     parser.add_argument(
         f"--{prefix}hidden",
         nargs="+",
         type=int,
-        default=list(Settings.hidden),
+        default=list(BcSettings.hidden),
         metavar="N",
-        help=f"widths of the hidden layers (default: {' '.join(map(str, Settings.hidden))})",
+        help=f"widths of the hidden layers (default: {' '.join(map(str, BcSettings.hidden))})",
     )
-    add_settings(parser, Settings(), SETTABLE, prefix)
+    add_settings(parser, BcSettings(), SETTABLE, prefix)
 
 
 def add_observation(parser: argparse.ArgumentParser) -> None:
@@ -270,10 +270,10 @@ def add_observation(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def settings_from(asked: argparse.Namespace, prefix: str = "") -> Settings:
+def settings_from(asked: argparse.Namespace, prefix: str = "") -> BcSettings:
     """Settings from the parsed options."""
     named = {name: getattr(asked, prefix + name) for name in SETTABLE}
-    return Settings(hidden=tuple(getattr(asked, f"{prefix}hidden")), **named)
+    return BcSettings(hidden=tuple(getattr(asked, f"{prefix}hidden")), **named)
 
 
 def command_line() -> argparse.ArgumentParser:
@@ -284,12 +284,14 @@ def command_line() -> argparse.ArgumentParser:
     return parser
 
 
-def learn(split: str, command: Command, settings: Settings) -> str:
+def learn(split: str, command: Command, settings: BcSettings) -> str:
     """Clone and write the policy of a split; return lines about it."""
     lots = shown(command.scene, split, settings)
     with command.progress(split, settings.epochs, "epochs", "samples") as progress:
         policy, likelihood, epochs = clone(lots, settings, progress)
-    path = command.write(split, Sampler(policy), observation=settings.observation, noise=NOISE)
+    path = command.write(
+        split, MixtureSampler(policy), observation=settings.observation, noise=NOISE
+    )
     return (
         f"{likelihood:.4f} nats per action after {epochs} epochs\n{command.walk(path, 'ntpp-gmm')}"
     )

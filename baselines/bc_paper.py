@@ -60,7 +60,7 @@ LAYERS = {"pi": [32, 32], "vf": []}
 
 
 @dataclass(frozen=True)
-class Settings:
+class BcPaperSettings:
     """Settings of the cloning."""
 
     learning_rate: float = 1e-4
@@ -87,7 +87,7 @@ class PaperObservation(nn.Module):
         return torch.cat([seen[:, : GOAL_DIRECTION.start], angle, seen[:, SELF:]], dim=1)
 
 
-class Sampler(nn.Module):
+class PaperSampler(nn.Module):
     """Computes actions from observations (A, obs) and standard normal numbers (A, 2)."""
 
     std: Tensor
@@ -111,7 +111,9 @@ class Sampler(nn.Module):
         return drawn
 
 
-def clone(shown: Demonstrations, settings: Settings, progress: Progress | None = None) -> Sampler:
+def clone(
+    shown: Demonstrations, settings: BcPaperSettings, progress: Progress | None = None
+) -> PaperSampler:
     """Clone a policy from demonstrations with the observation `lidar-1`.
 
     `progress`, if given, is told of each epoch.
@@ -155,17 +157,17 @@ def clone(shown: Demonstrations, settings: Settings, progress: Progress | None =
             progress_bar=False,
             log_interval=10**9,
         )
-    return Sampler(policy, lowest, highest)
+    return PaperSampler(policy, lowest, highest)
 
 
 def command_line() -> argparse.ArgumentParser:
     """Argument parser of this script."""
     parser = new_parser("bc-paper", __doc__)
-    add_settings(parser, Settings(), SETTABLE)
+    add_settings(parser, BcPaperSettings(), SETTABLE)
     return parser
 
 
-def learn(split: str, command: Command, settings: Settings) -> str:
+def learn(split: str, command: Command, settings: BcPaperSettings) -> str:
     """Clone and write the policy of a split; return lines about it."""
     shown = demonstrations(command.scene, split=split, observation=OBSERVATION)
     with command.progress(split, settings.epochs, "epochs", "samples") as progress:
@@ -178,7 +180,7 @@ def learn(split: str, command: Command, settings: Settings) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Clone and write a policy for each split; return the exit code."""
     asked = command_line().parse_args(arguments)
-    settings = Settings(seed=asked.seed, **{name: getattr(asked, name) for name in SETTABLE})
+    settings = BcPaperSettings(seed=asked.seed, **{name: getattr(asked, name) for name in SETTABLE})
     try:
         check_numbers(settings, or_zero=("seed",))
         command = Command.of("bc-paper", asked.scene, asked.splits, asked.out, arguments)

@@ -15,14 +15,13 @@ import torch
 from torch import nn
 
 from crowdbench import load_scene, spawn_model
-from crowdbench.cli.workers import add_engine
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.files import unwritable
 from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy, revision
 from crowdbench.policies.network import read_card
 from crowdbench.registry import DEFAULT_SPAWN
-from crowdbench.run.parallel import call_each, checked_workers, engine, is_local
+from crowdbench.run.parallel import LOCAL, call_each, checked_workers, engine, is_local
 from crowdbench.scene import Scene
 from crowdbench.spawn.weights import check_split
 
@@ -108,6 +107,19 @@ def new_parser(
     )
     add_engine(parser, "1, or one per core of a cluster; more train several splits at once")
     return parser
+
+
+def add_engine(parser: argparse.ArgumentParser, default: str = "one per core") -> None:
+    """Add the options `--workers`, whose absence means `default`, and `--engine`."""
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help=f"worker processes (default: {default})"
+    )
+    parser.add_argument(
+        "--engine",
+        default=LOCAL,
+        help="where they run: local, ray, or the address ray://HOST:PORT of a Ray cluster "
+        "(default: local)",
+    )
 
 
 def train_each(

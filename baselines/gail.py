@@ -61,7 +61,7 @@ with needs("imitation", __name__):
         new_parser,
         train_each,
     )
-    from .mixture import BOUNDS, NOISE, MixturePolicy, Sampler
+    from .mixture import BOUNDS, NOISE, MixturePolicy, MixtureSampler
     from .progress import Progress
 
 CHANGES = 10.0
@@ -74,8 +74,8 @@ AGAINST = 10.0
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Settings of the training with GAIL; `bc.Settings` has those of the cloning before it."""
+class GailSettings:
+    """Settings of the training with GAIL; `bc.BcSettings` has those of the cloning before it."""
 
     spawn: str = DEFAULT_SPAWN
     observation: str = bc.OBSERVATIONS[0]
@@ -155,7 +155,7 @@ class Learner:
     sees: ClassVar[Literal["observation"]] = "observation"
 
     def __init__(self, policy: MixturePolicy, observation: str) -> None:
-        self.sampler = Sampler(policy)
+        self.sampler = MixtureSampler(policy)
         self.observation = observation
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
@@ -221,7 +221,7 @@ def train(
     scene: str | Scene,
     split: str,
     policy: MixturePolicy,
-    settings: Settings,
+    settings: GailSettings,
     seed: int,
     lessons: Iterable[Mapping[str, Tensor]] = (),
 ) -> Iterator[dict[str, float]]:
@@ -323,14 +323,16 @@ SETTABLE = {
 def command_line() -> argparse.ArgumentParser:
     """Argument parser of this script."""
     parser = new_parser("gail", __doc__)
-    add_settings(parser, Settings(), SETTABLE)
+    add_settings(parser, GailSettings(), SETTABLE)
     bc.add_observation(parser)
     cloning = parser.add_argument_group("cloning before GAIL (0 epochs: no cloning)")
     bc.add_cloning(cloning, "cloning-")
     return parser
 
 
-def learn(split: str, command: Command, settings: Settings, first: bc.Settings, seed: int) -> str:
+def learn(
+    split: str, command: Command, settings: GailSettings, first: bc.BcSettings, seed: int
+) -> str:
     """Clone, train and write the policy of a split; return a line about it."""
     lots = bc.shown(command.scene, split, first)
     # Reminders would undo the narrowing of the clone, so with them it is done at the end.
@@ -344,7 +346,9 @@ def learn(split: str, command: Command, settings: Settings, first: bc.Settings, 
     with command.progress(split, total, "steps", "agent-steps") as progress:
         curves = _watched(rounds, progress)
     policy.narrow(width)
-    path = command.write(split, Sampler(policy), observation=settings.observation, noise=NOISE)
+    path = command.write(
+        split, MixtureSampler(policy), observation=settings.observation, noise=NOISE
+    )
     _write(curves, path.with_suffix(".csv"))
     return str(command.walk(path, settings.spawn))
 
@@ -354,7 +358,7 @@ def main(arguments: list[str] | None = None) -> int:
     asked = command_line().parse_args(arguments)
     first = bc.settings_from(asked, "cloning_")
     first = replace(first, observation=asked.observation, seed=asked.seed)
-    settings = Settings(
+    settings = GailSettings(
         observation=first.observation,
         smoothing_s=first.smoothing_s,
         **{name: getattr(asked, name) for name in SETTABLE},

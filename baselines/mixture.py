@@ -6,7 +6,7 @@ the weight, mean and standard deviation of several changes of velocity (mixture 
 Bishop 1994, Neural Computing Research Group Report NCRG/94/004, eqs. 22-27).
 
 `MixturePolicy` is a policy of Stable-Baselines3, so that `imitation` can clone it and GAIL can
-train it with PPO. `Sampler` is the part that is exported to an ONNX file.
+train it with PPO. `MixtureSampler` is the part that is exported to an ONNX file.
 """
 
 import math
@@ -192,7 +192,7 @@ class MixturePolicy(ActorCriticPolicy):
         return self.predict_values(obs), self.get_distribution(obs).log_prob(actions), None
 
 
-class Sampler(nn.Module):
+class MixtureSampler(nn.Module):
     """Computes actions from observations (A, obs) and standard normal numbers (A, 3)."""
 
     def __init__(self, policy: MixturePolicy) -> None:

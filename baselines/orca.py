@@ -34,7 +34,7 @@ from crowdbench.policies import StateView
 from crowdbench.scene import Scene
 from crowdbench.simulation.routes import Routes
 
-BODY_M = 0.2  # radius; no more than crowdbench.simulation.routes.CLEARANCE_M
+BODY_M = 0.2  # radius; no more than crowdbench.simulation.routes.CORNER_M
 NEIGHBOURS = 10  # maximum number of people that a person avoids
 NEIGHBOUR_RANGE_M = 5.0
 HORIZON_S = 2.5  # τ, time without collisions with people

@@ -64,7 +64,7 @@ VELOCITY = slice(0, 2)
 
 
 @dataclass(frozen=True)
-class Settings:
+class PpoSettings:
     """Settings of the training; those in `SETTABLE` are described there."""
 
     spawn: str = DEFAULT_SPAWN
@@ -118,7 +118,7 @@ class Around(nn.Module):
         return walks * seen[..., social.ROUTE_DIRECTION] * seen[..., social.PREFERRED_SPEED]
 
 
-class Sampler(nn.Module):
+class GaussianSampler(nn.Module):
     """Computes actions from observations (A, obs) and standard normal numbers (A, 2)."""
 
     def __init__(self, network: Around) -> None:
@@ -191,7 +191,7 @@ class Round:
 class Learner:
     """Network, critic and optimizer."""
 
-    def __init__(self, numbers: int, settings: Settings) -> None:
+    def __init__(self, numbers: int, settings: PpoSettings) -> None:
         self.settings = settings
         self.network = Around(settings.observation, numbers, settings.hidden, settings.std)
         self.network.to(settings.device)
@@ -244,7 +244,7 @@ class Learner:
 
 
 def train(
-    scene: str | Scene, settings: Settings, reward: Reward | None = None, split: str = "full"
+    scene: str | Scene, settings: PpoSettings, reward: Reward | None = None, split: str = "full"
 ) -> Generator[Round, None, None]:
     """Train a network; yield it after each update, with figures of the last batch."""
     check_device(settings.device)
@@ -299,7 +299,7 @@ def train(
 
 
 def _environment(
-    scene: str | Scene, settings: Settings, reward: Reward | None, split: str, seed: int
+    scene: str | Scene, settings: PpoSettings, reward: Reward | None, split: str, seed: int
 ) -> CrowdEnv:
     """The environment of one collector, with its share of the worlds."""
     return CrowdEnv(
@@ -310,7 +310,7 @@ def _environment(
         on_full="drop",
         horizon_s=settings.horizon_s,
         observation=settings.observation,
-        reward=reward,
+        reward=reward or Reward(),
         seed=seed,
         device=settings.device if settings.collectors == 1 else "cpu",
     )
@@ -371,16 +371,16 @@ def command_line() -> argparse.ArgumentParser:
         help="observation of the policy; social-1 shows stops and companions, which the spawn "
         "models cox-plans and ntpp-plans send (default: %(default)s)",
     )
-    add_settings(parser, Settings(), SETTABLE)
+    add_settings(parser, PpoSettings(), SETTABLE)
     return parser
 
 
-def learn(split: str, command: Command, settings: Settings) -> str:
+def learn(split: str, command: Command, settings: PpoSettings) -> str:
     """Train and write the policy of a split; return a line about it."""
     with command.progress(split, settings.frames, "frames", "agent-steps") as progress:
         for last in train(command.scene, settings, split=split):
             progress(last.frames, last.steps, last.figures)
-    network = Sampler(last.network).to("cpu")
+    network = GaussianSampler(last.network).to("cpu")
     path = command.write(split, network, observation=settings.observation, noise=NOISE)
     return str(command.walk(path, settings.spawn))
 
@@ -388,7 +388,7 @@ def learn(split: str, command: Command, settings: Settings) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Train and write a policy for each split; return the exit code."""
     asked = command_line().parse_args(arguments)
-    settings = Settings(
+    settings = PpoSettings(
         **{name: getattr(asked, name) for name in (*SETTABLE, "observation", "seed")}
     )
     try:

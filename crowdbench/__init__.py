@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from crowdbench.crowds import evaluate, read, rollout, score, score_rollouts
     from crowdbench.data.storage import read_own, write_parquet
     from crowdbench.data.table import Trajectories
+    from crowdbench.envs.config import EnvConfig
     from crowdbench.envs.demonstrations import Demonstrations, demonstrations
     from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
     from crowdbench.errors import CrowdbenchError
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "crowds": ("evaluate", "read", "rollout", "score", "score_rollouts"),
+    "envs.config": ("EnvConfig",),
     "envs.demonstrations": ("Demonstrations", "demonstrations"),
     "envs.parallel_env": ("CrowdParallelEnv", "parallel_env"),
     "errors": ("CrowdbenchError",),
@@ -67,6 +69,7 @@ __all__ = [
     "CrowdParallelEnv",
     "CrowdbenchError",
     "Demonstrations",
+    "EnvConfig",
     "MetricResult",
     "Reward",
     "Scene",

@@ -143,7 +143,11 @@ class _Store(caching.FunctionCache):
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
         # Not before it is called: only then do all the functions exist that it calls.
         self._cache_file._source_stamp = fingerprint(self._py_func) + self._options
-        found = super()._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        try:
+            found = super()._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        except (AttributeError, ImportError):  # a named tuple has been renamed or moved since
+            self.flush()  # type: ignore[no-untyped-call]
+            found = None
         if found is not None:
             return found
         # One process compiles; others that need the same code meanwhile wait for it.

@@ -3,27 +3,32 @@
 An installed package names them as entry points of the groups `crowdbench.metrics`,
 `crowdbench.spawn_models`, `crowdbench.policies`, `crowdbench.recordings` and
 `crowdbench.observations`; `register` adds one in a program or a notebook. Either way the part is
-known by its name wherever a part of crowdbench is, in worker processes too. `told` describes an
+known by its name wherever a part of crowdbench is, in worker processes too. Metrics, spawn models
+and policies can also be named as `pkg.module:Class`, without registration. `told` describes an
 error in code of others in one line.
 """
 
 import functools
+import importlib
+import importlib.util
 import inspect
 import os
 import re
+import sys
 import sysconfig
 import traceback
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Literal
 
-from crowdbench.errors import CrowdbenchError, OwnCodeError, SettingError
+from crowdbench.errors import CrowdbenchError, OwnCodeError, SettingError, did_you_mean
 
 Kind = Literal["metrics", "spawn_models", "policies", "recordings", "observations"]
 KINDS: tuple[Kind, ...] = ("metrics", "spawn_models", "policies", "recordings", "observations")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+_SHOWN = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,39}")
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in KINDS}
 
 _OURS = Path(__file__).parent
@@ -64,7 +69,7 @@ def part(kind: Kind, name: str) -> Any:
     if name in _registered[kind]:
         return _registered[kind][name]
     entry = _installed(kind).get(name)
-    return None if entry is None else _loaded(entry)
+    return None if entry is None else _load(entry)
 
 
 def parts(kind: Kind, ours: Collection[str] = ()) -> dict[str, Any]:
@@ -93,21 +98,128 @@ def names(kind: Kind, ours: Collection[str] = ()) -> list[str]:
     return list(found)
 
 
-def made(part: Any) -> Any:
+def instance_of(part: Any) -> Any:
     """An instance of a part that may be a class."""
     return part() if inspect.isclass(part) else part
 
 
-def code_of(part: Any) -> list[Path] | bytes:
-    """What a part depends on: the files beside its module, or itself where it has no file."""
-    import cloudpickle
+def find(kind: Kind, name: str, known: Iterable[str] = ()) -> Any:
+    """The part that somebody registered under a name, or the class `pkg.module:Class`.
 
-    kind = part if inspect.isclass(part) or inspect.isroutine(part) else type(part)
+    `known` are crowdbench's own names, for the error.
+
+    Raises:
+        SettingError: there is no such part, or it cannot be imported.
+        OwnCodeError: its module raised an exception.
+    """
+    word = {"policies": "policy"}.get(kind, kind.removesuffix("s").replace("_", " "))
+    module, colon, attribute = name.partition(":")
+    if not colon:
+        found = part(kind, name)
+        if found is None:
+            known = (*known, *names(kind))
+            raise SettingError(
+                word,
+                got=repr(name),
+                expected=", ".join([*known, ""]) + "or pkg.module:Class",
+                hint=did_you_mean(name, known),
+            )
+        return found
     try:
-        folder = Path(inspect.getfile(kind)).parent
-    except (TypeError, OSError):  # of a notebook
-        return bytes(cloudpickle.dumps(part))
-    return sorted(path for path in folder.iterdir() if path.is_file())
+        return getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError, TypeError) as error:
+        raise SettingError(
+            word,
+            got=f"{name!r} ({error})",
+            expected="a class that can be imported",
+            hint="Install its package, or run the command where Python can import it.",
+        ) from error
+    except Exception as error:
+        raise OwnCodeError(
+            f"{word} {name}", got=f"{told(error)} on import", expected="a module without errors"
+        ) from error
+
+
+def takes(kind: Any, name: str) -> bool:
+    """Whether a class or function has a parameter of this name."""
+    try:
+        return name in inspect.signature(kind).parameters
+    except (TypeError, ValueError):
+        return False
+
+
+def create(
+    kind: Any, where: str, *arguments: object, needed: tuple[str, ...], **offered: object
+) -> Any:
+    """Call a user's class with `arguments`, and with those of `offered` that it takes.
+
+    Raises:
+        SettingError: it does not take the arguments, or what it makes lacks a `needed` attribute.
+        OwnCodeError: it raised an exception that is not a `CrowdbenchError`.
+    """
+    offered = {name: value for name, value in offered.items() if takes(kind, name)}
+    try:
+        found = kind(*arguments, **offered)
+    except CrowdbenchError:
+        raise
+    except Exception as error:
+        called = error.__traceback__ is not None and error.__traceback__.tb_next is not None
+        if isinstance(error, TypeError) and not called:
+            raise SettingError(
+                where,
+                got=str(error),
+                expected="a class that is called with the scene (spawn models) or without "
+                "arguments (policies)",
+            ) from error
+        raise OwnCodeError(where, got=told(error), expected="a call without errors") from error
+    if missing := [name for name in needed if not hasattr(found, name)]:
+        raise SettingError(
+            where, got=f"an object without {', '.join(missing)}", expected=", ".join(needed)
+        )
+    return found
+
+
+def add_metric(name: str) -> None:
+    """Register the metric `pkg.module:Class` in this process and its workers.
+
+    Raises:
+        SettingError: it cannot be imported or lacks an attribute of a metric.
+        OwnCodeError: its module or class raised an exception.
+    """
+    if name not in names("metrics"):
+        needed = ("name", "family", "summarise", "embed")
+        metric = create(find("metrics", name), name, needed=needed)
+        register("metrics", metric.name, metric)
+
+
+def imported_name(path: str) -> str | None:
+    """The attribute `name` of the class `pkg.module:Class`, if it has been imported and has one."""
+    module, _, attribute = path.partition(":")
+    name = getattr(getattr(sys.modules.get(module), attribute, None), "name", None)
+    return name if isinstance(name, str) and _SHOWN.fullmatch(name) else None
+
+
+def code_of(kind: Kind, name: str) -> tuple[list[Path], bytes]:
+    """What a user's part depends on: files, and its pickle if it was defined in a notebook.
+
+    The files are all those in the folder of its module, because weights may be stored there.
+    """
+    module, colon, _ = name.partition(":")
+    if colon:
+        found = importlib.util.find_spec(module)
+        origin = None if found is None else found.origin
+    else:
+        import cloudpickle
+
+        own = part(kind, name)
+        of = own if inspect.isclass(own) or inspect.isroutine(own) else type(own)
+        try:
+            origin = inspect.getfile(of)
+        except (TypeError, OSError):
+            return [], bytes(cloudpickle.dumps(own))
+    if origin is None:
+        return [], b""
+    return sorted(path for path in Path(origin).parent.iterdir() if path.is_file()), b""
 
 
 def shared() -> bytes:
@@ -138,7 +250,7 @@ def _installed(kind: Kind) -> dict[str, EntryPoint]:
 
 
 @functools.cache
-def _loaded(entry: EntryPoint) -> Any:
+def _load(entry: EntryPoint) -> Any:
     try:
         return entry.load()
     except Exception as error:

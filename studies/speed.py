@@ -33,7 +33,6 @@ from crowdbench.scoring.reference import Reference, read_reference, summarise
 from crowdbench.scoring.score import Score, combined, ranks, score_of
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION
-from crowdbench.simulation.reward import Reward
 from crowdbench.spawn import SpawnModel, arrivals_of
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.events import blocks_of
@@ -166,12 +165,10 @@ def _core(worlds: int, persons: int, observation: str = OBSERVATION) -> float:
 def _pettingzoo(persons: int) -> float:
     env = CrowdParallelEnv(
         open_square(persons),
-        AtOnce(persons),
+        spawn=AtOnce(persons),
         horizon_s=1e8,
-        start=None,
-        settings=Settings(max_alive=persons, max_persons=persons),
-        on_full="error",
-        reward=Reward(),
+        max_alive=persons,
+        max_persons=persons,
     )
     actions = to_and_fro((persons, 2))
 
@@ -237,11 +234,11 @@ def _training() -> Iterator[Figure]:
     import torch
 
     from crowdbench.baselines.command import use_one_thread
-    from crowdbench.baselines.ppo import Settings, train
+    from crowdbench.baselines.ppo import PpoSettings, train
 
     threads = torch.get_num_threads()
     use_one_thread()  # as the command does
-    settings = Settings()
+    settings = PpoSettings()
     scene = load_scene("plaza-v0")
     rounds = train(scene.id, settings)
     batches = round(scene.frames(settings.horizon_s) * settings.worlds / settings.batch_frames)

@@ -18,7 +18,7 @@ import torch
 from crowdbench.baselines import ppo
 from crowdbench.baselines.command import use_one_thread
 
-SETTINGS = ppo.Settings(spawn="cox-plans", observation="social-1", frames=10**12)
+SETTINGS = ppo.PpoSettings(spawn="cox-plans", observation="social-1", frames=10**12)
 OPTIONS = ("worlds", "max_alive", "batch_frames", "minibatch", "collectors", "hidden")
 """Whole numbers among the settings that the command has options for."""
 WHOLE = "whole loop"
@@ -43,7 +43,7 @@ def rate(chunk: Callable[[], int], device: str, seconds: float) -> float:
     return steps / (time.perf_counter() - began)
 
 
-def measured(scene: str, settings: ppo.Settings, seconds: float) -> Iterator[tuple[str, float]]:
+def measured(scene: str, settings: ppo.PpoSettings, seconds: float) -> Iterator[tuple[str, float]]:
     """Names of parts and their steps of single persons per second."""
     device = settings.device
     env = ppo._environment(scene, replace(settings, collectors=1), None, "full", 0)
@@ -105,7 +105,7 @@ def measured(scene: str, settings: ppo.Settings, seconds: float) -> Iterator[tup
     yield WHOLE, steps / whole_s
 
 
-def measure(scene: str, settings: ppo.Settings, seconds: float) -> Iterator[str]:
+def measure(scene: str, settings: ppo.PpoSettings, seconds: float) -> Iterator[str]:
     """Measure each part for `seconds`, the whole loop for three times as long; lines of a table."""
     use_one_thread()
     found = {}

@@ -23,7 +23,7 @@ from crowdbench.simulation.reward import PARTS
 WORLDS, SEED = 16, 1_000
 
 
-def row(network: ppo.Around, scene: str, settings: ppo.Settings) -> str:
+def row(network: ppo.Around, scene: str, settings: ppo.PpoSettings) -> str:
     """Means over all steps in new worlds, as a row of a table."""
     env = CrowdEnv(
         scene,
@@ -57,7 +57,7 @@ def row(network: ppo.Around, scene: str, settings: ppo.Settings) -> str:
 def rows(scene: str, *, spawn: str, frames: int) -> Iterator[str]:
     """The lines of the table, each after its training of `frames` frames."""
     use_one_thread()
-    settings = ppo.Settings(observation="social-1", spawn=spawn, frames=frames)
+    settings = ppo.PpoSettings(observation="social-1", spawn=spawn, frames=frames)
     yield f"| dropped | {' | '.join(PARTS)} | speed / preferred | at goal |"
     yield "|---" * (len(PARTS) + 3) + "|"
     for name in ("", *PARTS):

@@ -146,6 +146,23 @@ def test_everything_that_kernels_read_is_known_to_be_constant(function: Any) -> 
     assert fingerprint(plain) == fingerprint(plain)
 
 
+def test_code_for_a_named_tuple_that_has_been_renamed_is_made_anew(tmp_path: Path) -> None:
+    (tmp_path / "kernels.py").write_text(
+        "from crowdbench.compilation import compiled\n"
+        "@compiled\n"
+        "def twice(pair):\n"
+        "    return 2.0 * pair.one\n"
+    )
+    for name in ("Pair", "Couple"):
+        (tmp_path / "tuples.py").write_text(
+            f"from typing import NamedTuple\nclass {name}(NamedTuple):\n    one: float\n"
+        )
+        code = f"import kernels, tuples; print(kernels.twice(tuples.{name}(1.5)))"
+        path = f"{tmp_path}{os.pathsep}{PACKAGE.parent}"
+        done = run(code, PACKAGE, PYTHONPATH=path, PYTHONDONTWRITEBYTECODE="1")
+        assert (done.returncode, done.stdout) == (0, "3.0\n"), done.stderr
+
+
 def test_other_functions_have_other_fingerprints() -> None:
     found = {fingerprint(f.function if isinstance(f, Kernel) else f.py_func) for f in FUNCTIONS}
     assert len(found) == len(FUNCTIONS)

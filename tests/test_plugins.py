@@ -290,7 +290,7 @@ def test_a_package_that_cannot_be_imported_is_named(monkeypatch: pytest.MonkeyPa
         load=lambda: 1 / 0,
     )
     monkeypatch.setattr(plugins, "_installed", lambda kind: {"broken": entry})
-    monkeypatch.setattr(plugins, "_loaded", plugins._loaded.__wrapped__)
+    monkeypatch.setattr(plugins, "_load", plugins._load.__wrapped__)
     with pytest.raises(OwnCodeError, match="broken-package"):
         plugins.part("metrics", "broken")
 

@@ -16,6 +16,7 @@ from crowdbench.data.table import Trajectories
 HALF_S = 0.8
 """Half of the time over which displacements are measured."""
 STANDING_MPS = 0.3
+"""Slower people stand; their displacements have no reliable direction."""
 APART_S = 4.0
 APART_M = 2.0
 LEAST_S = 4.0

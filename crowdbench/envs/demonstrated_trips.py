@@ -140,19 +140,24 @@ class Demonstrations:
         """
         from crowdbench.envs.minari_export import write_minari
 
-        return write_minari(self, dataset_id)
+        episodes = []
+        for k in range(len(self)):
+            start, stop = self.offsets[k : k + 2].tolist()
+            notes = {
+                "person": int(self.person[k]),
+                "first_frame": int(self.first[k]),
+                "entered": bool(self.entered[k]),
+            }
+            actions = self.actions[start : stop - 1]
+            episodes.append((self.observations[start:stop], actions, self.complete[k], notes))
+        return write_minari(dataset_id, episodes, self.provenance)
 
 
 @dataclass
 class Rows:
     """Rows of demonstrations, frame by frame."""
 
-    _person: list[np.ndarray] = field(default_factory=list)
-    _frame: list[np.ndarray] = field(default_factory=list)
-    _step: list[np.ndarray] = field(default_factory=list)
-    _observations: list[np.ndarray] = field(default_factory=list)
-    _actions: list[np.ndarray] = field(default_factory=list)
-    _deviation_m: list[np.ndarray] = field(default_factory=list)
+    _frames: list[tuple[np.ndarray, ...]] = field(default_factory=list)
 
     def add(
         self,
@@ -168,12 +173,8 @@ class Rows:
 
         `step` is the number of decisions that the person has made before.
         """
-        self._person.append(person)
-        self._frame.append(np.full(len(person), frame))
-        self._step.append(step)
-        self._observations.append(observations)
-        self._actions.append(actions)
-        self._deviation_m.append(deviation_m)
+        frames = np.full(len(person), frame)
+        self._frames.append((person, frames, step, observations, actions, deviation_m))
 
     def pieces(
         self,
@@ -187,22 +188,21 @@ class Rows:
         the scene, −1 if they did not. Runs of a single row are dropped, because they contain no
         action.
         """
-        person, frame, step = map(np.concatenate, (self._person, self._frame, self._step))
-        order = np.lexsort((step, person))
-        person, frame, step = person[order], frame[order], step[order]
+        columns = [np.concatenate(column) for column in zip(*self._frames, strict=True)]
+        order = np.lexsort((columns[2], columns[0]))
+        person, frame, step, observations, actions, deviation_m = (c[order] for c in columns)
         begins = (np.diff(person, prepend=-1) != 0) | (np.diff(step, prepend=-2) != 1)
         run = np.cumsum(begins) - 1
         length = np.bincount(run)
         kept = length[run] > 1
-        order, person, frame, begins = order[kept], person[kept], frame[kept], begins[kept]
+        frame, begins, actions = frame[kept], begins[kept], actions[kept]
         offsets = np.concatenate([[0], np.cumsum(length[length > 1])])
-        actions = np.concatenate(self._actions)[order]
         actions[offsets[1:] - 1] = np.nan
-        whose = person[begins].astype(np.int64)
+        whose = person[kept][begins].astype(np.int64)
         return Demonstrations(
-            observations=np.concatenate(self._observations)[order],
+            observations=observations[kept],
             actions=actions,
-            deviation_m=np.concatenate(self._deviation_m)[order],
+            deviation_m=deviation_m[kept],
             person=whose,
             offsets=offsets,
             first=frame[begins],

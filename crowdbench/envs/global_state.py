@@ -27,12 +27,12 @@ def global_state(simulation: Simulation) -> Float32[np.ndarray, "W N 9"]:
     b, most = scene.bounds, scene.motion.max_speed_mps
     low = np.array([b.x_min_m, b.y_min_m])
     size = np.array([b.x_max_m, b.y_max_m]) - low
-    found = np.zeros((*slots.alive.shape, SIZE), np.float32)
-    found[..., PRESENT] = 1.0
-    found[..., POSITION] = 2 * (slots.position - low) / size - 1
-    found[..., VELOCITY] = slots.velocity / most
-    found[..., TARGET] = 2 * (slots.target - low) / size - 1
-    found[..., PREFERRED_SPEED] = slots.speed[..., None] / most
-    found[..., WAITS] = (slots.stage == WAITING)[..., None]
-    found[~slots.alive] = 0.0
-    return found.clip(-1, 1)
+    state = np.zeros((*slots.alive.shape, SIZE), np.float32)
+    state[..., PRESENT] = 1.0
+    state[..., POSITION] = 2 * (slots.position - low) / size - 1
+    state[..., VELOCITY] = slots.velocity / most
+    state[..., TARGET] = 2 * (slots.target - low) / size - 1
+    state[..., PREFERRED_SPEED] = slots.speed[..., None] / most
+    state[..., WAITS] = (slots.stage == WAITING)[..., None]
+    state[~slots.alive] = 0.0
+    return state.clip(-1, 1)

@@ -2,8 +2,8 @@
 
 import shutil
 import warnings
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -12,15 +12,19 @@ from crowdbench.errors import OutputError, SettingError
 if TYPE_CHECKING:
     from minari import MinariDataset
 
-    from crowdbench.envs.demonstrated_trips import Demonstrations
+Episode: TypeAlias = tuple[np.ndarray, np.ndarray, bool | np.bool_, Mapping[str, Any]]
+"""Observations (T + 1, obs) and actions (T, 2), whether the person left the scene (else the episode
+is truncated), and metadata."""
 
 
-def write_minari(shown: "Demonstrations", dataset_id: str) -> "MinariDataset":
-    """Write demonstrations as a dataset; see `Demonstrations.to_minari`."""
+def write_minari(
+    dataset_id: str, episodes: Sequence[Episode], provenance: Mapping[str, Any]
+) -> "MinariDataset":
+    """Write episodes as a dataset; see `Demonstrations.to_minari`."""
     from minari.dataset.minari_dataset import parse_dataset_id
     from minari.storage import get_dataset_path
 
-    if not len(shown):
+    if not episodes:
         raise SettingError("to_minari", got="no demonstrations", expected="at least one")
     try:
         parse_dataset_id(dataset_id)
@@ -38,7 +42,7 @@ def write_minari(shown: "Demonstrations", dataset_id: str) -> "MinariDataset":
                 hint=f"Increase its version, or run `minari delete {dataset_id}`.",
             )
         try:
-            return _write(shown, dataset_id)
+            return _write(dataset_id, episodes, provenance)
         except (FileExistsError, ValueError):  # another process has created it meanwhile
             raise
         except BaseException:  # an incomplete dataset would look like a complete one
@@ -53,42 +57,38 @@ def write_minari(shown: "Demonstrations", dataset_id: str) -> "MinariDataset":
         ) from error
 
 
-def _write(shown: "Demonstrations", dataset_id: str) -> "MinariDataset":
+def _write(
+    dataset_id: str, episodes: Sequence[Episode], provenance: Mapping[str, Any]
+) -> "MinariDataset":
     from gymnasium.spaces import Box
     from minari import create_dataset_from_buffers
     from minari.data_collector import EpisodeBuffer
 
-    episodes, notes = [], []
-    for k, complete in enumerate(shown.complete.tolist()):
-        start, stop = shown.offsets[k : k + 2].tolist()
-        last = np.arange(start + 1, stop) == stop - 1
-        episodes.append(
+    buffers = []
+    for observations, actions, complete, _ in episodes:
+        last = np.arange(len(actions)) == len(actions) - 1
+        buffers.append(
             EpisodeBuffer(
-                observations=shown.observations[start:stop],
-                actions=shown.actions[start : stop - 1],
-                rewards=np.zeros(len(last), np.float32),
+                observations=observations,
+                actions=actions,
+                rewards=np.zeros(len(actions), np.float32),
                 terminations=last & complete,
-                truncations=last & (not complete),
+                truncations=last & ~np.bool_(complete),
             )
         )
-        notes.append({
-            "person": int(shown.person[k]),
-            "first_frame": int(shown.first[k]),
-            "entered": bool(shown.entered[k]),
-        })  # fmt: skip
     with warnings.catch_warnings():
         # Minari warns if a dataset has no author, e-mail address or Gymnasium environment.
         warnings.filterwarnings("ignore", ".* is set to None|env_spec is None", UserWarning)
         dataset = create_dataset_from_buffers(
             dataset_id,
-            episodes,
-            observation_space=Box(-1.0, 1.0, shown.observations.shape[1:], np.float32),
-            action_space=Box(-1.0, 1.0, shown.actions.shape[1:], np.float32),
+            buffers,
+            observation_space=Box(-1.0, 1.0, episodes[0][0].shape[1:], np.float32),
+            action_space=Box(-1.0, 1.0, episodes[0][1].shape[1:], np.float32),
             algorithm_name="recorded persons",
-            description=_description(shown.provenance),
+            description=_description(provenance),
         )
-    dataset.storage.update_episode_metadata(notes)
-    dataset.storage.update_metadata({"crowdbench": dict(shown.provenance)})
+    dataset.storage.update_episode_metadata([notes for *_, notes in episodes])
+    dataset.storage.update_metadata({"crowdbench": dict(provenance)})
     return dataset
 
 

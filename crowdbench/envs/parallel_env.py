@@ -6,7 +6,7 @@ It adds names, dictionaries and a reward to `Simulation`; all physics is in `Sim
 import operator
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, get_args
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from gymnasium import logger, spaces
@@ -16,29 +16,13 @@ from pettingzoo import ParallelEnv
 
 from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.envs.actions import commands_of
+from crowdbench.envs.config import EnvConfig, EnvCrowd
 from crowdbench.envs.global_state import SIZE as STATE_SIZE
 from crowdbench.envs.global_state import global_state
 from crowdbench.errors import ActionError, SettingError
-from crowdbench.policies import Straight
-from crowdbench.registry import DEFAULT_SPAWN, spawn_model
-from crowdbench.run.episode import (
-    OnFull,
-    Recorder,
-    begin,
-    check_capacity,
-    check_horizon,
-    check_on_full,
-    dropped,
-    sample_of,
-    slots_for,
-)
-from crowdbench.scene import Scene, load_scene
-from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.observations import OBSERVATION
-from crowdbench.simulation.reward import Reward, Rewarder
+from crowdbench.run.episode import Recorder
+from crowdbench.scene import Scene
 from crowdbench.simulation.state import TERMINAL
-from crowdbench.spawn import SpawnModel
-from crowdbench.spawn.model import Start
 
 if TYPE_CHECKING:
     from crowdbench.viewer.renderer import Renderer, RenderMode
@@ -63,7 +47,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
       observation: the world frame, or with `social-1` the own frame. Values out of range are
       clipped. NaN, infinity, or missing or unknown agents raise an `ActionError`.
     - Reward: see `crowdbench.simulation.reward.Reward`. `infos` contain its parts as
-      `reward_parts`, in the order of `reward.PARTS`.
+      `reward_parts`, in the order of `reward.PARTS`, or those of a reward of one's own.
     - `state()`: everyone's state for a centralised critic, see `crowdbench.envs.global_state`.
     - Rendering: with `render_mode="rgb_array"`, `render` returns an image. With `"human"`, a rerun
       viewer shows each frame. Rendering does not affect the simulation.
@@ -78,51 +62,57 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
 
     def __init__(
         self,
-        scene: Scene,
-        spawn: SpawnModel,
+        scene: str | Path | Scene,
+        config: EnvConfig | None = None,
         *,
-        horizon_s: float | None,
-        start: Start | None,
-        settings: Settings,
-        on_full: OnFull,
-        reward: Reward,
+        max_persons: int | None = None,
         render_mode: "RenderMode | None" = None,
+        **settings: Any,
     ) -> None:
-        check_on_full(on_full)
-        if start not in (None, *get_args(Start)):
-            raise SettingError(
-                "start", got=repr(start), expected=f"one of {', '.join(get_args(Start))}"
-            )
+        """Create the environment.
+
+        Args:
+            scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
+            config: the settings, by default those of `EnvConfig()`.
+            max_persons: maximum number of people in an episode and its warm-up, and the length of
+                `possible_agents`; default: twice the size of a sample of the spawn model, plus 100.
+            render_mode: `rgb_array` for images from `render`, or `human` for a live rerun viewer
+                (needs the extra `viewer`). If your program logs to rerun, the crowd is added to its
+                recording stream.
+            settings: fields of `EnvConfig`, such as `spawn` and `observation`; they replace those
+                of `config`.
+
+        Raises:
+            SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or
+                recording does not exist or does not fit.
+        """
+        config = EnvConfig.of(type(self), config, settings)
         if render_mode not in (None, *RENDER_MODES):
             raise SettingError(
                 "render_mode", got=repr(render_mode), expected="None, 'human' or 'rgb_array'"
             )
-        horizon_s = scene.horizon_s if horizon_s is None else horizon_s
-        check_horizon(horizon_s)
         self.render_mode = render_mode
-        self.scene = scene
-        self.spawn = spawn
-        self.frames = scene.frames(horizon_s)
-        self._start = start
-        self._on_full = on_full
-        self._simulation = Simulation(scene, settings=settings)
-        self._rewarder = Rewarder(reward, self._simulation)
+        self._crowd = EnvCrowd(scene, config, max_persons=max_persons)
+        self.scene, self.spawn = self._crowd.scene, self._crowd.spawn
+        self.frames, self._simulation = self._crowd.frames, self._crowd.simulation
         self._seeds, _ = seeding.np_random(None)
-        self.possible_agents = [f"person_{k}" for k in range(settings.max_persons)]
+        sizes = self._simulation.settings
+        self.possible_agents = [f"person_{k}" for k in range(sizes.max_persons)]
         self.agents: list[str] = []
         self._there = np.empty(0, np.int64)  # slots of `agents`
-        self._actions = np.zeros((1, settings.max_alive, 2), np.float32)
+        self._actions = np.zeros((1, sizes.max_alive, 2), np.float32)
         size = self._simulation.observation.shape[-1]
         self._observation_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
         self._action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self.state_space = spaces.Box(-1.0, 1.0, (settings.max_alive, STATE_SIZE), np.float32)
+        self.state_space = spaces.Box(-1.0, 1.0, (sizes.max_alive, STATE_SIZE), np.float32)
         self._recorder: Recorder | None = None
         self._seed = 0
         self._renderer: Renderer | None = None
         if render_mode is not None:
             from crowdbench.viewer import renderer
 
-            self._renderer = renderer.Renderer(scene, render_mode, f"{spawn.name} × environment")
+            title = f"{self.spawn.name} × environment"
+            self._renderer = renderer.Renderer(self.scene, render_mode, title)
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Observation space, the same for each agent."""
@@ -152,21 +142,13 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             self._seeds, _ = seeding.np_random(seed)
         self._seed = int(self._seeds.integers(2**31)) if seed is None else seed
         simulation = self._simulation
-        begin(
-            simulation,
-            self.spawn,
-            seed=self._seed,
-            frames=self.frames,
-            start=self._start,
-            walker=Straight(),
-        )
-        self._rewarder.begin()
+        self._crowd.begin(self._seed)
         self._recorder = Recorder(simulation)
         self._recorder.write()
         if self._renderer is not None:
             self._renderer.begin(self._recorder)
         skipped = self._skip_empty()
-        self._check_capacity()
+        self._crowd.check_capacity()
         self._there = simulation.slots.alive[0].nonzero()[0]
         self.agents = self._names(self._there)
         observations = simulation.observe()[0, self._there]
@@ -201,7 +183,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
 
         frame = int(simulation.clock.frame[0])
         observations = dict(zip(acting, simulation.observe()[0].take(acted, axis=0), strict=True))
-        parts = self._rewarder.parts()[0].take(acted, axis=0)
+        parts = self._crowd.reward_parts()[0].take(acted, axis=0)
         rewards = dict(zip(acting, parts.sum(axis=1).tolist(), strict=True))
         terminations = dict.fromkeys(acting, False)
         truncations = dict.fromkeys(acting, False)
@@ -228,7 +210,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             infos.update(self._infos(names, skipped))
             self._there = slots.alive[0].nonzero()[0]
             self.agents = self._names(self._there)
-            self._check_capacity()
+            self._crowd.check_capacity()
         return observations, rewards, terminations, truncations, infos
 
     def trajectories(self) -> Trajectories:
@@ -247,7 +229,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     @property
     def dropped(self) -> int:
         """Number of people who could not enter in this episode for lack of slots or ids."""
-        return dropped(self._simulation)
+        return self._crowd.dropped
 
     def render(self) -> UInt8[np.ndarray, "h w 3"] | None:
         """The current frame as an RGB image if `render_mode` is `rgb_array`, else None.
@@ -297,77 +279,6 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         frame = int(self._simulation.clock.frame[0])
         return {name: {"frame": frame, "frames_skipped": skipped} for name in names}
 
-    def _check_capacity(self) -> None:
-        if self._on_full == "error" and self.dropped:
-            check_capacity(self._simulation)
 
-
-def parallel_env(
-    scene: str | Path | Scene,
-    *,
-    spawn: str | SpawnModel = DEFAULT_SPAWN,
-    horizon_s: float | None = None,
-    start: Start | None = None,
-    rays: int = 32,
-    ray_range_m: float = 10.0,
-    observation: str = OBSERVATION,
-    max_alive: int | None = None,
-    max_persons: int | None = None,
-    on_full: OnFull = "error",
-    reward: Reward | None = None,
-    render_mode: "RenderMode | None" = None,
-) -> CrowdParallelEnv:
-    """Create a PettingZoo environment of a scene.
-
-    Args:
-        scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
-        spawn: the spawn model: a name (default `ntpp-gmm`), `pkg.module:Class`, or an object.
-        horizon_s: length of an episode in seconds; default: the length of the recording.
-        start: `stationary` (after a discarded warm-up with straight walkers), `recorded` (replay
-            only) or `empty`; default: the spawn model's attribute `start`.
-        rays: number of rays of an observation.
-        ray_range_m: range of the rays in metres.
-        observation: `lidar-1`; `lidar-2` (default), which contains the preferred speed and the
-            path around walls; `lidar-3`, which also contains the distances to the bounds; or
-            `social-1`, the nearest people in the person's own frame, without rays.
-        max_alive: maximum number of people at the same time; default: 256, or twice the size of a
-            crowd in which nobody reaches a goal, if that is more.
-        max_persons: maximum number of people in an episode and its warm-up, and the length of
-            `possible_agents`; default: twice the size of a sample of the spawn model, plus 100.
-        on_full: what happens if either maximum is exceeded: `error` raises an error, `drop` omits
-            the person and counts it in `env.dropped`.
-        reward: weights of the parts of the reward; default: `Reward()`.
-        render_mode: `rgb_array` for images from `render`, or `human` for a live rerun viewer
-            (needs the extra `viewer`). If your program logs to rerun, the crowd is added to its
-            recording stream.
-
-    Raises:
-        SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or recording
-            does not exist or does not fit.
-    """
-    scene = load_scene(scene)
-    model = spawn_model(spawn, scene)
-    horizon_s = scene.horizon_s if horizon_s is None else horizon_s
-    check_horizon(horizon_s)
-    if max_persons is None or max_alive is None:
-        sample = sample_of(model, scene, horizon_s)
-        if max_persons is None:
-            max_persons = 2 * len(sample) + 100
-        if max_alive is None:
-            max_alive = slots_for(sample, scene)
-    return CrowdParallelEnv(
-        scene,
-        model,
-        horizon_s=horizon_s,
-        start=start,
-        settings=Settings(
-            max_alive=max_alive,
-            max_persons=max_persons,
-            rays=rays,
-            ray_range_m=ray_range_m,
-            observation=observation,
-        ),
-        on_full=on_full,
-        reward=reward or Reward(),
-        render_mode=render_mode,
-    )
+parallel_env = CrowdParallelEnv
+"""The name by which PettingZoo's users create a parallel environment."""

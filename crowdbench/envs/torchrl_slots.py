@@ -46,19 +46,19 @@ class SlotEnv(CrowdEnv):
             over &= asked.reshape(len(over), -1).any(dim=1).cpu().numpy()
         if over.any():
             self._begin(over.nonzero()[0])
-        found: TensorDict = self._present()["agents"].to(self.device)
-        there = found["mask"]  # without those whose trips have just ended
-        found["observation"] *= there[..., None]
-        found["person_id"][~there] = -1
+        agents: TensorDict = self._first()["agents"].to(self.device)
+        there = agents["mask"]  # without those whose trips have just ended
+        agents["observation"] *= there[..., None]
+        agents["person_id"][~there] = -1
         for name in ("done", "terminated", "truncated"):
-            found[name][:] = False
-        return found
+            agents[name][:] = False
+        return agents
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        after = self._after(tensordict["action"]).to(self.device)
-        found: TensorDict = after["agents"]
-        waiting = (found["person_id"] < 0)[..., None]
-        found["terminated"] &= ~waiting
-        found["truncated"] |= waiting & after["done"][:, None]
-        found["done"] = found["terminated"] | found["truncated"]
-        return found
+        after = self._advance(tensordict["action"]).to(self.device)
+        agents: TensorDict = after["agents"]
+        waiting = (agents["person_id"] < 0)[..., None]
+        agents["terminated"] &= ~waiting
+        agents["truncated"] |= waiting & after["done"][:, None]
+        agents["done"] = agents["terminated"] | agents["truncated"]
+        return agents

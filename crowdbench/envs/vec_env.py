@@ -7,6 +7,7 @@ adds the selection of persons and a reward to `Simulation`; all physics is in `S
 import math
 import time
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,25 +18,16 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from crowdbench.data.table import OUTCOMES
+from crowdbench.envs.config import EnvConfig, EnvCrowd, check_count
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Policy, Straight
-from crowdbench.registry import DEFAULT_SPAWN, spawn_model
+from crowdbench.registry import spawn_model
 from crowdbench.run.acting import Actor
-from crowdbench.run.episode import (
-    begin,
-    check_capacity,
-    check_horizon,
-    generator,
-    slots_for,
-)
+from crowdbench.run.episode import generator
 from crowdbench.run.shown import needs
 from crowdbench.scene import Scene, load_scene
-from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.observations import OBSERVATION
-from crowdbench.simulation.reward import Reward, Rewarder
 from crowdbench.simulation.state import TERMINAL
-from crowdbench.spawn import SpawnEvents, SpawnModel
-from crowdbench.spawn.model import Start
+from crowdbench.spawn import SpawnModel
 
 RESERVE = 3
 """Expected number of people present per sub-environment, so that it rarely waits for a person."""
@@ -67,75 +59,50 @@ class CrowdVecEnv(VecEnv):
         self,
         scene: str | Path | Scene,
         num_envs: int = 16,
+        config: EnvConfig | None = None,
         *,
-        spawn: str | SpawnModel = DEFAULT_SPAWN,
         others: Policy | None = None,
         worlds: int | None = None,
-        max_alive: int | None = None,
-        horizon_s: float | None = None,
-        start: Start | None = None,
-        rays: int = 32,
-        ray_range_m: float = 10.0,
-        observation: str = OBSERVATION,
-        reward: Reward | None = None,
         seed: int | None = None,
+        **settings: Any,
     ) -> None:
         """Create the environment.
 
         Args:
             scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
             num_envs: number of sub-environments, that is, of controlled persons in all worlds.
-            spawn: the spawn model: a name (default `ntpp-gmm`), `pkg.module:Class`, or an object.
+            config: the settings, by default those of `EnvConfig()`.
             others: policy of all other people; default: `straight`. If it names an observation, it
                 sees that one, whichever the environment has. It can be replaced later, and moves
                 people from the next `reset` on.
             worlds: number of worlds; default: enough for three people per sub-environment.
-            max_alive: maximum number of people at the same time per world; default as in
-                `parallel_env`.
-            horizon_s: time after which all worlds end; default: the length of the recording.
-            start: how an episode of the worlds begins, as in `parallel_env`.
-            rays: number of rays of an observation.
-            ray_range_m: range of the rays in metres.
-            observation: `lidar-1`, `lidar-2` (default), `lidar-3` or `social-1`.
-            reward: weights of the parts of the reward; default: `Reward()`.
             seed: seed of the first episode, from which the seeds of later episodes are drawn;
                 `seed()` also sets it.
+            settings: fields of `EnvConfig`, such as `spawn` and `observation`; they replace those
+                of `config`.
 
         Raises:
             SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or
                 recording does not exist or does not fit.
         """
-        for name, value in (("num_envs", num_envs), ("worlds", 1 if worlds is None else worlds)):
-            if not isinstance(value, int | np.integer) or value < 1:
-                raise SettingError(name, got=repr(value), expected="a whole number, 1 or more")
-        self.scene = load_scene(scene)
-        self.spawn = spawn_model(spawn, self.scene)
-        horizon_s = self.scene.horizon_s if horizon_s is None else horizon_s
-        check_horizon(horizon_s)
-        self.frames = self.scene.frames(horizon_s)
+        config = EnvConfig.of(type(self), config, settings)
+        check_count("num_envs", num_envs)
+        place = load_scene(scene)
+        spawn = spawn_model(config.spawn, place)
+        if worlds is None:
+            worlds = max(1, math.ceil(RESERVE * num_envs / _persons_at_once(spawn, place)))
+        self._crowd = EnvCrowd(place, replace(config, spawn=spawn), worlds=worlds)
+        self.scene, self.spawn, self.frames = place, spawn, self._crowd.frames
+        self._simulation = self._crowd.simulation
         self.others: Policy = others or Straight()
         self.waited = 0
-        sample = self.spawn.sample(self.scene.horizon_s, self.scene, np.random.default_rng(0))
-        if worlds is None:
-            worlds = max(1, math.ceil(RESERVE * num_envs / _persons_at_once(sample, self.scene)))
-        if max_alive is None:
-            max_alive = slots_for(sample, self.scene)
-        self._start = start
-        self._simulation = Simulation(
-            self.scene,
-            worlds=worlds,
-            settings=Settings(
-                max_alive=max_alive, rays=rays, ray_range_m=ray_range_m, observation=observation
-            ),
-        )
-        self._rewarder = Rewarder(reward or Reward(), self._simulation)
         self._actions = np.zeros((num_envs, 2), np.float32)
         self._at = np.zeros((2, num_envs), np.int64)  # world and slot of each person
         self._waits = np.ones(num_envs, bool)
         self._collected = np.zeros(num_envs)  # rewards and steps of each trip so far
         self._steps = np.zeros(num_envs, np.int64)
         self._made = time.monotonic()
-        self._taken = np.zeros((worlds, max_alive), bool)
+        self._taken = np.zeros(self._simulation.slots.alive.shape, bool)
         size = self._simulation.observation.shape[-1]
         super().__init__(
             num_envs,
@@ -170,16 +137,8 @@ class CrowdVecEnv(VecEnv):
         simulation = self._simulation
         seed = int(self._rng.integers(2**31)) if self._next_seed is None else self._next_seed
         self._next_seed = None
-        begin(
-            simulation,
-            self.spawn,
-            seed=seed,
-            frames=self.frames,
-            start=self._start,
-            walker=Straight(),
-        )
-        self._rewarder.begin()
-        check_capacity(simulation)
+        self._crowd.begin(seed)
+        self._crowd.check_capacity()
         shown = simulation.settings.shown
         theirs = shown._replace(**needs(self.others))
         self._actor = Actor(
@@ -191,8 +150,8 @@ class CrowdVecEnv(VecEnv):
         self._taken[:] = False
         self._collected[:] = 0
         self._steps[:] = 0
-        self._choose()
-        return self._seen()
+        self._assign()
+        return self._observations()
 
     def step_async(self, actions: np.ndarray) -> None:
         """Set the actions of the next step.
@@ -226,12 +185,12 @@ class CrowdVecEnv(VecEnv):
         actions[at] = self._actions[acting]
         own_frame = simulation.settings.own_frame  # of the observations of those taken
         simulation.step(actions, own_frame=np.where(self._taken, own_frame, self._actor.own_frame))
-        check_capacity(simulation)
+        self._crowd.check_capacity()
         simulation.observe()
 
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         rewards = np.zeros(self.num_envs, np.float32)
-        parts = self._rewarder.parts()[at]
+        parts = self._crowd.reward_parts()[at]
         rewards[acting] = parts.sum(axis=1)
         self._collected += rewards
         self._steps += acting
@@ -246,7 +205,7 @@ class CrowdVecEnv(VecEnv):
         )
         for k, person, world, of_person in whose:
             infos[k] = {"person_id": person, "world": world, "reward_parts": of_person}
-        before = self._seen()
+        before = self._observations()
         seconds = time.monotonic() - self._made
         for k in np.flatnonzero(ended).tolist():
             how = int(ended[k])
@@ -276,10 +235,10 @@ class CrowdVecEnv(VecEnv):
         self._waits |= over
         self._collected[over] = 0
         self._steps[over] = 0
-        self._choose()
-        return self._seen(), rewards, dones, infos
+        self._assign()
+        return self._observations(), rewards, dones, infos
 
-    def _choose(self) -> None:
+    def _assign(self) -> None:
         """Assign the people who entered last to the waiting sub-environments."""
         free = np.flatnonzero(self._waits)
         if not len(free):
@@ -292,7 +251,7 @@ class CrowdVecEnv(VecEnv):
         self._taken[w, i] = True
         self._waits[free] = False
 
-    def _seen(self) -> Float32[np.ndarray, "num_envs obs"]:
+    def _observations(self) -> Float32[np.ndarray, "num_envs obs"]:
         seen = self._simulation.observation[*self._at]
         seen[self._waits] = 0
         return seen
@@ -340,8 +299,9 @@ class CrowdVecEnv(VecEnv):
         return list(self._get_indices(indices))
 
 
-def _persons_at_once(events: SpawnEvents, scene: Scene) -> float:
+def _persons_at_once(spawn: SpawnModel, scene: Scene) -> float:
     """Mean number of people present if all walk straight to their goals or until the timeout."""
+    events = spawn.sample(scene.horizon_s, scene, np.random.default_rng(0))
     via = np.where(np.isnan(events.via), events.start, events.via)
     way = np.linalg.norm(via - events.start, axis=1) + np.linalg.norm(events.goal - via, axis=1)
     dwell_s = way / np.maximum(events.speed, 1e-3) + events.wait_s

@@ -45,7 +45,7 @@ from crowdbench.metrics.presence import (
 )
 from crowdbench.metrics.space import GoalDensity, NearestNeighbour, Occupancy, StartDensity
 from crowdbench.metrics.trips import Detour, Dwell, GoalShare, OriginDestination
-from crowdbench.plugins import blaming, made, parts
+from crowdbench.plugins import blaming, instance_of, parts
 
 METRICS: tuple[Metric, ...] = (
     InterSpawn(),
@@ -102,11 +102,11 @@ def all_metrics() -> tuple[Metric, ...]:
             crowdbench's own metrics already has its name.
     """
     found = parts("metrics", [metric.name for metric in METRICS])
-    return (*METRICS, *(_checked(name, part) for name, part in found.items()))
+    return (*METRICS, *(_check(name, part) for name, part in found.items()))
 
 
-def _checked(name: str, part: Metric | type[Metric]) -> Metric:
-    metric = made(part)
+def _check(name: str, part: Metric | type[Metric]) -> Metric:
+    metric = instance_of(part)
     if not isinstance(metric, Metric):
         raise SettingError(
             f"metric {name}", got=f"{metric!r}", expected="a subclass of crowdbench.metrics.Metric"

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.companions import groups_of
+from crowdbench.data.stops import STANDING_MPS
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
 from crowdbench.metrics.lattice import counted, histograms, rounded
@@ -22,8 +23,6 @@ from crowdbench.metrics.ticks import ticks_of
 APART_M = 5.0
 """Distances between companions are clipped at this value."""
 STEP_M = 0.05
-SLOW_MPS = 0.3
-"""Slower people have no direction."""
 
 
 class CompanionShare(ShareDifference):
@@ -119,8 +118,8 @@ class CompanionOffset(_OfPairs):
         return {"counts": histograms(rounded(across, STEP_M), pairs.block[walks], len(blocks))}
 
 
-class Pairs(NamedTuple):
-    """Pairs of companions at `n` ticks in blocks."""
+class CompanionPairs(NamedTuple):
+    """CompanionPairs of companions at `n` ticks in blocks."""
 
     gap: Float[np.ndarray, "n 2"]
     """From one to the other, metres."""
@@ -131,14 +130,14 @@ class Pairs(NamedTuple):
     def abreast(self) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, "m 2"]]:
         """Who walks, and the gaps of those along and across the direction in which both walk."""
         speed = np.hypot(*self.velocity.T)
-        walks = speed >= SLOW_MPS
+        walks = speed >= STANDING_MPS
         (x, y), (vx, vy) = self.gap[walks].T, self.velocity[walks].T
         along, across = x * vx + y * vy, x * vy - y * vx
         return walks, np.column_stack([along, across]) / speed[walks, None]
 
 
 @lru_cache(maxsize=1)  # two metrics use the pairs of the same crowd
-def pairs_of(crowd: Trajectories, blocks: TimeBlocks, tick_frames: int) -> Pairs:
+def pairs_of(crowd: Trajectories, blocks: TimeBlocks, tick_frames: int) -> CompanionPairs:
     """All pairs of companions at the ticks at which both are there."""
     at = ticks_of(crowd, blocks, tick_frames)
     group = groups_of(crowd)
@@ -167,4 +166,4 @@ def pairs_of(crowd: Trajectories, blocks: TimeBlocks, tick_frames: int) -> Pairs
     both = (velocity[one] + velocity[other]) / 2
     known = (velocity[one] != 0).any(axis=1) & (velocity[other] != 0).any(axis=1)
     both[~known] = 0.0
-    return Pairs(at.xy[other] - at.xy[one], both, at.block[one])
+    return CompanionPairs(at.xy[other] - at.xy[one], both, at.block[one])

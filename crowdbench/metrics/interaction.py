@@ -19,7 +19,7 @@ ENCOUNTER_M = 2.0
 STRANGERS_MPS = 0.7
 BIN_M = 0.05
 BINS = round(ENCOUNTER_M / BIN_M)
-CLEARANCE_M = 2.0
+WALL_RANGE_M = 2.0
 """Distances to walls are clipped at this value."""
 
 
@@ -128,7 +128,7 @@ class WallClearance(RelativeWasserstein):
 
     def if_empty(self, blocks: TimeBlocks) -> int:
         """Value of an empty sample: 2 m, in lattice steps."""
-        return round(CLEARANCE_M / 0.05)
+        return round(WALL_RANGE_M / 0.05)
 
 
 def clearance(
@@ -140,9 +140,9 @@ def clearance(
     from crowdbench.metrics.wall_distance import clearances
 
     if not walls:
-        return np.full(len(xy), CLEARANCE_M)
+        return np.full(len(xy), WALL_RANGE_M)
     solid, grid = _walls_by_cell(walls)
-    distance = clearances(xy, CLEARANCE_M, *grid)
+    distance = clearances(xy, WALL_RANGE_M, *grid)
     solids: Bool[np.ndarray, " n"] = shapely.contains_xy(solid, xy[:, 0], xy[:, 1])
     distance[solids] = 0.0
     return np.asarray(distance)
@@ -162,9 +162,9 @@ def _walls_by_cell(
     rings = [np.array([*corners, corners[0]], dtype=np.float64) for corners in walls]
     segments = np.concatenate([np.hstack([ring[:-1], ring[1:]]) for ring in rings])
     points = np.concatenate(rings)
-    lower = points.min(axis=0) - CLEARANCE_M
-    columns, rows = (np.ceil((points.max(axis=0) + CLEARANCE_M - lower) / CELL_M)).astype(int)
-    start, near = near_segments(segments, lower, int(columns), int(rows), CLEARANCE_M)
+    lower = points.min(axis=0) - WALL_RANGE_M
+    columns, rows = (np.ceil((points.max(axis=0) + WALL_RANGE_M - lower) / CELL_M)).astype(int)
+    start, near = near_segments(segments, lower, int(columns), int(rows), WALL_RANGE_M)
     return solid, (segments, lower, int(columns), int(rows), start, near)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.stops import STANDING_MPS
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein
 from crowdbench.metrics.lattice import histograms, rounded
@@ -23,8 +24,6 @@ FASTEST_MPS = 100.0
 LARGEST = 1e6
 """Speeds, and products of accelerations (m²/s⁴), are clipped at these values. Larger ones only
 occur in broken tables."""
-STANDING_MPS = 0.3
-"""Slower displacements have no reliable direction."""
 PRODUCT = 1e-6
 """Unit of stored products of accelerations, m²/s⁴."""
 SHORTEST_M = 3.0
@@ -131,18 +130,18 @@ class _NoiseCancelled(Metric):
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`lag k`: per block the sum of products, in 1e-6 m²/s⁴, and their number."""
-        found = {}
+        sums = {}
         for lag in place.walking.lags_ticks:
             of_lag = _products(crowd, blocks, place.walking.tick_frames, lag)
-            found[f"lag {lag}"] = of_lag[:, [self._component, 2]]
-        return found
+            sums[f"lag {lag}"] = of_lag[:, [self._component, 2]]
+        return sums
 
     def embed(
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
         """√max(0, mean product) at each lag, m/s²."""
-        each = [s[..., 0] * PRODUCT / np.maximum(s[..., 1], 1) for s in sums.values()]
-        return np.sqrt(np.maximum(np.stack(each, axis=-1), 0.0))
+        by_lag = [s[..., 0] * PRODUCT / np.maximum(s[..., 1], 1) for s in sums.values()]
+        return np.sqrt(np.maximum(np.stack(by_lag, axis=-1), 0.0))
 
     def weights(
         self, recorded: Sums, support: Support, blocks: TimeBlocks

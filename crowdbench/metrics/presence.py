@@ -106,8 +106,8 @@ class Autocorrelation(Metric):
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
         """The correlation at each lag that is used."""
-        each = [correlation(sums[lag_key(lag_s)]) for lag_s in usable_lags(LAGS_S, blocks)]
-        return np.stack(each, axis=-1)
+        by_lag = [correlation(sums[lag_key(lag_s)]) for lag_s in usable_lags(LAGS_S, blocks)]
+        return np.stack(by_lag, axis=-1)
 
     def weights(
         self, recorded: Sums, support: Support, blocks: TimeBlocks
@@ -149,20 +149,20 @@ class SlowAutocorrelation(Metric):
         block, since = np.full(last, -1), np.full(last, last)
         for b, (start, stop) in enumerate(blocks.frames):
             block[start:stop], since[start:stop] = b, blocks.since[b]
-        found = {}
+        sums = {}
         for lag_s in SLOW_LAGS_S:
             lag = min(_in_frames(lag_s, blocks), last)
             counts = np.arange(last - lag) >= since[lag:]
             x, y = present[: last - lag][counts], present[lag:][counts]
-            found[lag_key(lag_s)] = lagged_sums(x, y, block[lag:][counts], len(blocks))
-        return found
+            sums[lag_key(lag_s)] = lagged_sums(x, y, block[lag:][counts], len(blocks))
+        return sums
 
     def embed(
         self, sums: Sums, support: Support, blocks: TimeBlocks
     ) -> Float[np.ndarray, "*batch F"]:
         """The correlation at each lag that is used."""
-        each = [correlation(sums[lag_key(lag_s)]) for lag_s in _late_enough(blocks)]
-        return np.stack(each, axis=-1)
+        by_lag = [correlation(sums[lag_key(lag_s)]) for lag_s in _late_enough(blocks)]
+        return np.stack(by_lag, axis=-1)
 
     def weights(
         self, recorded: Sums, support: Support, blocks: TimeBlocks

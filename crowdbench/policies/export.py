@@ -15,7 +15,7 @@ import numpy as np
 from crowdbench.errors import SceneError, SettingError, WeightsError, to_install
 from crowdbench.files import replacing
 from crowdbench.policies.card import PolicyCard
-from crowdbench.policies.network import KEY, MOST_NOISE, OnnxPolicy, check_onnx
+from crowdbench.policies.network import KEY, MOST_NOISE, OnnxPolicy, check_onnx, random_inputs
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation.observations import OBSERVATIONS, size_of
 
@@ -56,11 +56,7 @@ def export_policy(
         raise SettingError("noise", got=str(noise), expected=f"0 to {MOST_NOISE}")
     import torch
 
-    rng = np.random.default_rng(0)
-    sizes = {"noise": noise, "state": card.memory, "style": card.style}
-    tried = {"observation": rng.uniform(-1, 1, (7, card.inputs))}
-    tried |= {name: rng.standard_normal((7, n)) for name, n in sizes.items() if n}
-    fed = {name: torch.tensor(x, dtype=torch.float32) for name, x in tried.items()}
+    fed = {name: torch.tensor(x) for name, x in random_inputs(card, noise, 7).items()}
     training = network.training
     network.eval()
     try:

@@ -12,7 +12,7 @@ JSON under the key `crowdbench`. A file can only contain standard ONNX operators
 executes: no pickle, no custom operators and no external data.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -26,20 +26,14 @@ from crowdbench.errors import SettingError, WeightsError, to_install
 from crowdbench.files import read_bytes
 from crowdbench.policies.card import HINT, PolicyCard
 from crowdbench.policies.memory import Memory
-from crowdbench.policies.rows import ROWS, Watch, check_rows, observed
+from crowdbench.policies.rows import ROWS, Watch, check_rows, sample_observations
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings, Shown
 from crowdbench.simulation.social import with_velocities_times
 
 if TYPE_CHECKING:
-    from onnx import (
-        AttributeProto,
-        GraphProto,
-        ModelProto,
-        NodeProto,
-        TensorProto,
-        ValueInfoProto,
-    )
+    from google.protobuf.message import Message
+    from onnx import ModelProto, NodeProto, ValueInfoProto
 
 KEY = "crowdbench"
 LARGEST = 20_000_000  # bytes
@@ -65,7 +59,7 @@ class OnnxPolicy:
             SettingError: onnx or onnxruntime is not installed.
         """
         self.path = Path(path)
-        self.card, self.noise, self._session = _read(self.path)
+        self.card, self.noise, self._session = _open(self.path)
         card = self.card
         self.name, self.observation = card.name, card.observation
         self.rays, self.ray_range_m = card.rays, card.ray_range_m
@@ -98,8 +92,8 @@ class OnnxPolicy:
         if self.noise and (memory is None or memory.noise.size == 0):
             fed["noise"] = self._rng.standard_normal((len(seen), self.noise), dtype=np.float32)
         if memory is not None:
-            each = {"state": memory.state, "style": memory.style, "noise": memory.noise}
-            fed |= {name: values for name, values in each.items() if values.shape[1]}
+            inputs = {"state": memory.state, "style": memory.style, "noise": memory.noise}
+            fed |= {name: values for name, values in inputs.items() if values.shape[1]}
         answer = self._run(fed)
         self._watch.look(self._run, fed, answer)
         if memory is not None:
@@ -115,24 +109,16 @@ class OnnxPolicy:
         Raises:
             WeightsError: the network mixes rows or cannot be run.
         """
-        rng = np.random.default_rng(0)
-        seen = rng.uniform(-1, 1, (ROWS, self.card.inputs)).astype(np.float32)
-        needed = {name: getattr(self, name) for name in Shown._fields}
-        shown = Settings(**needed)
+        seen = None
         with suppress(WeightsError):
-            seen = seen if scene is None else observed(scene, shown)
+            if scene is not None:
+                needed = {name: getattr(self, name) for name in Shown._fields}
+                seen = sample_observations(scene, Settings(**needed))
+        persons = ROWS if seen is None else len(seen)
+        fed = random_inputs(self.card, self.noise, persons)
         check_rows(
-            where or self.path, self._run, {"observation": seen} | self._drawn(len(seen), rng)
+            where or self.path, self._run, fed if seen is None else fed | {"observation": seen}
         )
-
-    def _drawn(self, persons: int, rng: Generator) -> dict[str, np.ndarray]:
-        """Random values of all inputs but the observation."""
-        sizes = {"noise": self.noise, "state": self.memory, "style": self.style}
-        return {
-            name: rng.standard_normal((persons, size), dtype=np.float32)
-            for name, size in sizes.items()
-            if size
-        }
 
     def _run(self, fed: dict[str, np.ndarray]) -> Float32[np.ndarray, "A _"]:
         """Actions and, beside them, the next states."""
@@ -143,6 +129,20 @@ class OnnxPolicy:
             raise _unrunnable(self.path, error) from error
         action: np.ndarray = found[0] if len(found) == 1 else np.concatenate(found, axis=1)
         return action
+
+
+def random_inputs(
+    card: PolicyCard, noise: int, persons: int, seed: int = 0
+) -> dict[str, np.ndarray]:
+    """Random values of all inputs of a network, float32 (persons, size), in their order."""
+    rng = np.random.default_rng(seed)
+    sizes = {"noise": noise, "state": card.memory, "style": card.style}
+    seen = rng.uniform(-1, 1, (persons, card.inputs)).astype(np.float32)
+    return {"observation": seen} | {
+        name: rng.standard_normal((persons, size), dtype=np.float32)
+        for name, size in sizes.items()
+        if size
+    }
 
 
 def check_onnx() -> None:
@@ -170,10 +170,10 @@ def read_card(path: Path) -> PolicyCard:
         WeightsError: the file is missing, too large, not ONNX, or has no valid card.
         SettingError: onnx or onnxruntime is not installed.
     """
-    return _card(path, _model(path)[1])
+    return _card_of(path, _read_model(path)[1])
 
 
-def _model(path: Path) -> tuple[bytes, "ModelProto"]:
+def _read_model(path: Path) -> tuple[bytes, "ModelProto"]:
     """Content of a file, as bytes and as an ONNX model."""
     check_onnx()
     import onnx
@@ -189,16 +189,14 @@ def _model(path: Path) -> tuple[bytes, "ModelProto"]:
     try:
         return data, onnx.ModelProto.FromString(data)
     except (DecodeError, ValueError) as error:
-        raise WeightsError(
-            path, got=f"invalid data ({error})", expected="an ONNX file", hint=HINT
-        ) from error
+        raise _invalid(path, f"invalid data ({error})", "an ONNX file") from error
 
 
-def _read(path: Path) -> tuple[PolicyCard, int, Any]:
-    data, model = _model(path)
+def _open(path: Path) -> tuple[PolicyCard, int, Any]:
+    data, model = _read_model(path)
     import onnxruntime
 
-    card = _card(path, model)
+    card = _card_of(path, model)
     _check_operators(path, model)
     noise = _check_shapes(path, model, card)
     options = onnxruntime.SessionOptions()
@@ -218,64 +216,47 @@ def _read(path: Path) -> tuple[PolicyCard, int, Any]:
 
 
 def _unrunnable(path: Path, error: Exception) -> WeightsError:
-    told = (str(error) or type(error).__name__).splitlines()[0][:200]
-    return WeightsError(
-        path,
-        got=f"a network that onnxruntime cannot run ({told})",
-        expected="one that runs",
-        hint=HINT,
-    )
+    told = (str(error) or type(error).__name__).splitlines()[0][:150]
+    return _invalid(path, f"a network that onnxruntime cannot run ({told})", "one that runs")
 
 
-def _card(path: Path, model: "ModelProto") -> PolicyCard:
+def _card_of(path: Path, model: "ModelProto") -> PolicyCard:
     found = [entry.value for entry in model.metadata_props if entry.key == KEY]
     if len(found) != 1:
-        raise WeightsError(
-            path,
-            got=f"{len(found)} metadata entries {KEY!r}",
-            expected="one entry with the policy's card",
-            hint=HINT,
-        )
+        found_entries = f"{len(found)} metadata entries {KEY!r}"
+        raise _invalid(path, found_entries, "one entry with the policy's card")
     try:
         # protobuf returns text that is not UTF-8 as bytes.
         text = found[0] if isinstance(found[0], bytes) else found[0].encode()
         card = msgspec.json.decode(text, type=PolicyCard)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise WeightsError(
-            path, got=f"an invalid card ({error})", expected="a valid card", hint=HINT
-        ) from error
+        raise _invalid(path, f"an invalid card ({error})", "a valid card") from error
     return card.checked(path)
 
 
 def _check_operators(path: Path, model: "ModelProto") -> None:
     """Reject non-standard operators, operators that draw random numbers, and external data."""
+    from onnx import NodeProto, TensorProto
+
     if model.functions:
-        raise WeightsError(
-            path, got="custom functions", expected="operators of the ONNX standard", hint=HINT
-        )
-    for graph in _graphs(model.graph):
-        for node in graph.node:
-            if node.domain not in _STANDARD:
-                raise WeightsError(
-                    path,
-                    got=f"the operator {node.domain}.{node.op_type}"[:200],
-                    expected="operators of the ONNX standard",
-                    hint=HINT,
-                )
-            if _draws(node):
-                raise WeightsError(
-                    path,
-                    got=f"the operator {node.op_type}, which draws random numbers",
-                    expected="the input noise (A, Z) instead, so that the same seed gives the same "
-                    "crowd",
-                    hint=HINT,
-                )
-    for tensor in _tensors(model.graph):
-        if tensor.external_data or tensor.data_location == tensor.EXTERNAL:
-            raise WeightsError(
+        raise _invalid(path, "custom functions", "operators of the ONNX standard")
+    for part in _parts(model.graph):
+        if isinstance(part, NodeProto) and part.domain not in _STANDARD:
+            found = f"the operator {part.domain}.{part.op_type}"
+            raise _invalid(path, found, "operators of the ONNX standard")
+        if isinstance(part, NodeProto) and _draws(part):
+            raise _invalid(
                 path,
-                got=f"the tensor {tensor.name!r}, whose data is in another file"[:200],
-                expected="all weights in this file",
+                f"the operator {part.op_type}, which draws random numbers",
+                "the input noise (A, Z) instead, so that the same seed gives the same crowd",
+            )
+        if isinstance(part, TensorProto) and (
+            part.external_data or part.data_location == part.EXTERNAL
+        ):
+            raise _invalid(
+                path,
+                f"the tensor {part.name!r}, whose data is in another file",
+                "all weights in this file",
                 hint="Save the model without external data.",
             )
 
@@ -286,30 +267,17 @@ def _draws(node: "NodeProto") -> bool:
     return node.op_type in _DRAWING or in_training
 
 
-def _graphs(graph: "GraphProto") -> "Iterator[GraphProto]":
-    """The graph and all nested graphs."""
-    yield graph
-    for attribute in _attributes(graph):
-        for inner in (attribute.g, *attribute.graphs):
-            yield from _graphs(inner)
+def _parts(message: "Message") -> "Iterator[Message]":
+    """A message and all messages in it: nodes, tensors and nested graphs among them."""
+    yield message
+    for field, value in message.ListFields():
+        if field.message_type is not None:
+            for inner in value if isinstance(value, Sequence) else (value,):
+                yield from _parts(inner)
 
 
-def _attributes(graph: "GraphProto") -> "Iterator[AttributeProto]":
-    for node in graph.node:
-        yield from node.attribute
-
-
-def _tensors(graph: "GraphProto") -> "Iterator[TensorProto]":
-    for each in _graphs(graph):
-        yield from each.initializer
-        sparse = list(each.sparse_initializer)
-        for attribute in _attributes(each):
-            yield attribute.t
-            yield from attribute.tensors
-            sparse += [attribute.sparse_tensor, *attribute.sparse_tensors]
-        for tensor in sparse:
-            yield tensor.values
-            yield tensor.indices
+def _invalid(path: Path, got: str, expected: str, hint: str = HINT) -> WeightsError:
+    return WeightsError(path, got=got[:200], expected=expected, hint=hint)
 
 
 def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
@@ -321,32 +289,22 @@ def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
     expected: dict[str, tuple[int | None, ...]] = {"observation": (None, card.inputs)}
     expected |= {n: (None, s) for n, s in (("state", card.memory), ("style", card.style)) if s}
     if inputs != expected:
-        raise WeightsError(
+        raise _invalid(
             path,
-            got=f"inputs {_written(inputs)}",
-            expected=f"float32 {_written(expected)} and optionally noise (A, Z): "
+            f"inputs {_describe(inputs)}",
+            f"float32 {_describe(expected)} and optionally noise (A, Z): "
             f"{card.observation}{card.with_rays} has {card.inputs} numbers",
-            hint=HINT,
         )
     returned: dict[str, tuple[int | None, ...]] = {"action": (None, 2)}
     returned |= {"next_state": (None, card.memory)} if card.memory else {}
     if outputs != returned:
-        raise WeightsError(
-            path,
-            got=f"outputs {_written(outputs)}",
-            expected=f"float32 {_written(returned)}",
-            hint=HINT,
-        )
+        raise _invalid(path, f"outputs {_describe(outputs)}", f"float32 {_describe(returned)}")
     if noise is None:
         return 0
     width = noise[1] if noise[0] is None and len(noise) == 2 else None
     if width is None or not 1 <= width <= MOST_NOISE:
-        raise WeightsError(
-            path,
-            got=_written({"noise": noise}),
-            expected=f"float32 noise (A, Z) with Z from 1 to {MOST_NOISE}",
-            hint=HINT,
-        )
+        expected_noise = f"float32 noise (A, Z) with Z from 1 to {MOST_NOISE}"
+        raise _invalid(path, _describe({"noise": noise}), expected_noise)
     return width
 
 
@@ -358,7 +316,7 @@ def _shape(value: "ValueInfoProto") -> tuple[int | None, ...]:
     return tuple(d.dim_value if d.HasField("dim_value") else None for d in tensor.shape.dim)
 
 
-def _written(shapes: dict[str, tuple[int | None, ...]]) -> str:
+def _describe(shapes: dict[str, tuple[int | None, ...]]) -> str:
     def size(shape: tuple[int | None, ...]) -> str:
         if shape == (-1,):
             return "of another type"
@@ -369,30 +327,15 @@ def _written(shapes: dict[str, tuple[int | None, ...]]) -> str:
 
 def _try(path: Path, session: Any, card: PolicyCard, noise: int) -> None:
     """Run the network for one and for three persons and check what it returns."""
-    rng = np.random.default_rng(0)
-    sizes = {"noise": noise, "state": card.memory, "style": card.style}
     returned = {"action": 2} | ({"next_state": card.memory} if card.memory else {})
     for persons in (1, 3):
-        fed = {"observation": rng.uniform(-1, 1, (persons, card.inputs)).astype(np.float32)}
-        fed |= {
-            name: rng.standard_normal((persons, size), dtype=np.float32)
-            for name, size in sizes.items()
-            if size
-        }
-        for (name, size), found in zip(
-            returned.items(), session.run(list(returned), fed), strict=True
-        ):
-            if found.shape != (persons, size) or found.dtype != np.float32:
-                raise WeightsError(
+        answers = session.run(list(returned), random_inputs(card, noise, persons))
+        for (name, size), answer in zip(returned.items(), answers, strict=True):
+            if answer.shape != (persons, size) or answer.dtype != np.float32:
+                raise _invalid(
                     path,
-                    got=f"{found.dtype} {name} of shape {found.shape} for {persons} persons",
-                    expected=f"float32 {name} of shape ({persons}, {size})",
-                    hint=HINT,
+                    f"{answer.dtype} {name} of shape {answer.shape} for {persons} persons",
+                    f"float32 {name} of shape ({persons}, {size})",
                 )
-            if not np.isfinite(found).all():
-                raise WeightsError(
-                    path,
-                    got=f"values of {name} that are not finite",
-                    expected="finite numbers",
-                    hint=HINT,
-                )
+            if not np.isfinite(answer).all():
+                raise _invalid(path, f"values of {name} that are not finite", "finite numbers")

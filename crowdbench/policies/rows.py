@@ -40,7 +40,7 @@ Run = Callable[[Fed], Float32[np.ndarray, "A _"]]
 _known: dict[tuple[Path, Settings], np.ndarray] = {}
 
 
-def observed(scene: Scene, shown: Settings) -> Float32[np.ndarray, "rows obs"]:
+def sample_observations(scene: Scene, shown: Settings) -> Float32[np.ndarray, "rows obs"]:
     """Up to 256 observations of straight walkers with Poisson arrivals, from at most 10 minutes.
 
     Raises:
@@ -48,11 +48,11 @@ def observed(scene: Scene, shown: Settings) -> Float32[np.ndarray, "rows obs"]:
     """
     key = (scene.folder, shown)
     if key not in _known:
-        _known[key] = _observed(scene, shown)
+        _known[key] = _sample_observations(scene, shown)
     return _known[key]
 
 
-def _observed(scene: Scene, shown: Settings) -> Float32[np.ndarray, "rows obs"]:
+def _sample_observations(scene: Scene, shown: Settings) -> Float32[np.ndarray, "rows obs"]:
     rng = np.random.default_rng(0)
     events = PoissonGMM.read(scene, read_areas(scene)).sample(_LONGEST_S, scene, rng)
     simulation = Simulation(scene, settings=shown)

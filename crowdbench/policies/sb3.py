@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 NEEDED = ("policy_class", "observation_space", "action_space", "policy_kwargs")
 TOLERANCE = 1e-5
+ZIP = "a zip written by `model.save` of Stable-Baselines3"
 AGAIN = "Save the model again with `model.save` of Stable-Baselines3 2.2 or newer."
 
 
@@ -55,8 +56,8 @@ def read_sb3(path: Path, *, noise: int = 0) -> "Sb3Network":
         ) from error
     if noise not in (0, 2):
         raise SettingError("noise", got=str(noise), expected="0 for the mean action, 2 to sample")
-    stored, weights = _stored(path)
-    data = {name: _unpickled(path, name, stored[name]) for name in NEEDED}
+    stored, weights = _read_zip(path)
+    data = {name: _unpickle(path, name, stored[name]) for name in NEEDED}
     _check_spaces(path, data["observation_space"], data["action_space"])
     policy = _policy(path, data, bool(stored.get("use_sde")), weights)
     network = _network(path, policy, noise)
@@ -68,7 +69,7 @@ def read_sb3(path: Path, *, noise: int = 0) -> "Sb3Network":
     return network
 
 
-def _stored(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+def _read_zip(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Data of the model, with pickles that are not yet read, and the weights of its policy.
 
     Raises:
@@ -77,7 +78,7 @@ def _stored(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     import torch
 
     if not path.is_file():
-        raise WeightsError(path, got="no file", expected="a zip written by `model.save`")
+        raise _invalid(path, "no file", ZIP)
     try:
         with zipfile.ZipFile(path) as archive:
             stored = json.loads(archive.read("data"))
@@ -85,24 +86,14 @@ def _stored(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
                 io.BytesIO(archive.read("policy.pth")), map_location="cpu", weights_only=True
             )
     except Exception as error:  # each of the readers has errors of its own
-        raise WeightsError(
-            path,
-            got=f"a file that cannot be read ({_short(error)})",
-            expected="a zip written by `model.save` of Stable-Baselines3",
-            hint=AGAIN,
-        ) from error
+        raise _invalid(path, f"a file that cannot be read ({_short(error)})", ZIP) from error
     missing = [name for name in NEEDED if name not in stored]
     if missing:
-        raise WeightsError(
-            path,
-            got=f"no {' and no '.join(missing)}",
-            expected="a zip written by `model.save` of Stable-Baselines3",
-            hint=AGAIN,
-        )
+        raise _invalid(path, f"no {' and no '.join(missing)}", ZIP)
     return stored, weights
 
 
-def _unpickled(path: Path, name: str, item: Any) -> Any:
+def _unpickle(path: Path, name: str, item: Any) -> Any:
     """An item of the data; what JSON cannot express is a pickle.
 
     Raises:
@@ -115,13 +106,13 @@ def _unpickled(path: Path, name: str, item: Any) -> Any:
     except Exception as error:  # a pickle may raise any exception
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         module = (missing or "").split(".")[0]
-        raise WeightsError(
+        raise _invalid(
             path,
-            got=f"a {name} that cannot be read ({_short(error)})",
-            expected=f"the package {module} to be installed"
+            f"a {name} that cannot be read ({_short(error)})",
+            f"the package {module} to be installed"
             if module
             else "one that the installed packages can read",
-            hint=to_install("sb3") if module == "sb3_contrib" else AGAIN,
+            to_install("sb3") if module == "sb3_contrib" else AGAIN,
         ) from error
 
 
@@ -133,25 +124,14 @@ def _check_spaces(path: Path, observations: Any, actions: Any) -> None:
     """
     from gymnasium import spaces
 
+    hint = "Train it in crowdbench.vec_env.CrowdVecEnv."
     if not isinstance(observations, spaces.Box) or len(observations.shape) != 1:
-        raise WeightsError(
-            path,
-            got=f"a policy that observes {_space(observations)}",
-            expected="one vector, as `CrowdVecEnv` returns",
-            hint="Train it in crowdbench.vec_env.CrowdVecEnv.",
-        )
+        found = f"a policy that observes {observations}"
+        raise _invalid(path, found, "one vector, as `CrowdVecEnv` returns", hint)
     box = isinstance(actions, spaces.Box) and actions.shape == (2,)
     if not box or (actions.low != -1).any() or (actions.high != 1).any():
-        raise WeightsError(
-            path,
-            got=f"a policy whose actions are {_space(actions)}",
-            expected="Box(-1.0, 1.0, (2,), float32), as in `CrowdVecEnv`",
-            hint="Train it in crowdbench.vec_env.CrowdVecEnv.",
-        )
-
-
-def _space(space: Any) -> str:
-    return str(space).replace("\n", " ")[:200]
+        expected = "Box(-1.0, 1.0, (2,), float32), as in `CrowdVecEnv`"
+        raise _invalid(path, f"a policy whose actions are {actions}", expected, hint)
 
 
 def _policy(path: Path, data: dict[str, Any], use_sde: bool, weights: dict[str, Any]) -> Any:
@@ -176,12 +156,8 @@ def _policy(path: Path, data: dict[str, Any], use_sde: bool, weights: dict[str, 
     try:
         policy.load_state_dict(weights)
     except Exception as error:
-        raise WeightsError(
-            path,
-            got=f"weights that do not fit ({_short(error)})",
-            expected=f"those of its {_name(kind)}",
-            hint=AGAIN,
-        ) from error
+        found = f"weights that do not fit ({_short(error)})"
+        raise _invalid(path, found, f"those of its {_name(kind)}") from error
     policy.set_training_mode(False)
     return policy
 
@@ -256,6 +232,10 @@ def _unsupported(path: Path, kind: Any, reason: str = "") -> WeightsError:
         hint="Wrap it in a torch.nn.Module that returns its actions, and name that instead of the "
         "zip.",
     )
+
+
+def _invalid(path: Path, got: str, expected: str, hint: str = AGAIN) -> WeightsError:
+    return WeightsError(path, got=" ".join(got.split())[:240], expected=expected, hint=hint)
 
 
 def _name(of: Any) -> str:

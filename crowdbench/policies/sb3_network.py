@@ -72,7 +72,7 @@ class Sb3Network(nn.Module):
         noise, state = (first, second) if self.noise else (None, first)
         latent = self.features(seen)
         if state is not None:
-            latent, state = self._remembered(latent, state)
+            latent, state = self._step_lstm(latent, state)
         latent = self.body(latent)
         action = self.mean(latent)
         if noise is not None and self.deviation is not None:
@@ -80,7 +80,7 @@ class Sb3Network(nn.Module):
         action = torch.tanh(action) if self.squashed else action.clamp(-1.0, 1.0)
         return action if state is None else (action, state)
 
-    def _remembered(self, latent: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    def _step_lstm(self, latent: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """One step of the LSTM. A state has the outputs of all layers, then their cell states."""
         parts = state.chunk(2 * len(self.cells), dim=1)
         outputs, insides = [], []

@@ -1,6 +1,6 @@
 """Recordings, spawn models, policies and metrics by name."""
 
-from crowdbench.registry.own_code import add_metric
+from crowdbench.plugins import add_metric
 from crowdbench.registry.policies import (
     ANY_PLACE,
     POLICIES,

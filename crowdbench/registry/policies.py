@@ -17,7 +17,6 @@ from crowdbench.policies import (
     SocialForce,
     Straight,
 )
-from crowdbench.registry.own_code import code_of, having, made, own_class, understood
 from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene, scenes_folder
 from crowdbench.spawn.weights import check_split
@@ -51,7 +50,7 @@ class PolicySource:
     def per_split(self) -> bool:
         """Whether there is a network for each split, or a class that is called with the split."""
         if self.own:
-            return "split" in understood(self._own_class(), split="full")
+            return plugins.takes(self._own_class(), "split")
         return self.networks is not None and self.networks.suffix != ".onnx"
 
     def network(self, split: str) -> Path | None:
@@ -79,9 +78,10 @@ class PolicySource:
             if self.name in _RECORDED:
                 return _RECORDED[self.name](recording_of(self.scene))
             return _PLAIN[self.name]()
-        kind = self._own_class()
-        policy: Policy = made(kind, self.name, **understood(kind, scene=self.scene, split=split))
-        having(policy, self.name, ("name", "sees", "reset", "act"))
+        needed = ("name", "sees", "reset", "act")
+        policy: Policy = plugins.create(
+            self._own_class(), self.name, needed=needed, scene=self.scene, split=split
+        )
         if policy.sees not in ("observation", "state"):
             raise SettingError(
                 self.name, got=f"sees = {policy.sees!r}", expected="'observation' or 'state'"
@@ -99,16 +99,16 @@ class PolicySource:
                 hint=f"Export it first: `crowdbench policy export {network} {file} --name NAME "
                 f"--scene {self.scene.asked}`, with the observation that it was trained with.",
             )
-        shipped, others = trained_policies(self.scene), plugins.names("policies")
-        known = (*POLICIES, *shipped, ANY_PLACE, *others, "an ONNX file, a folder of ONNX files")
-        return plugins.part("policies", self.name) or own_class(self.name, "policy", known)
+        known = (*POLICIES, *trained_policies(self.scene), ANY_PLACE)
+        files = ("an ONNX file", "a folder of ONNX files")
+        kind: Callable[..., Policy] = plugins.find("policies", self.name, (*known, *files))
+        return kind
 
     def dependencies(self, split: str) -> tuple[list[Path], bytes]:
         """Files that its rollouts depend on, and code that is in no file."""
         file = self.network(split)
-        code = code_of("policies", self.name) if self.own else []
-        files = [file] if file is not None else []
-        return (files, code) if isinstance(code, bytes) else ([*files, *code], b"")
+        files, code = plugins.code_of("policies", self.name) if self.own else ([], b"")
+        return [*([file] if file is not None else []), *files], code
 
 
 def policy_source(name: str, scene: Scene) -> PolicySource:

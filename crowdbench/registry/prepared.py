@@ -24,7 +24,7 @@ from crowdbench.errors import OutputError, RecordingError
 from crowdbench.files import sha256
 from crowdbench.scene import Scene
 
-_CODE = ("trajectories", "recordings", "spawn", "simulation", "policies", "registry", "rollouts")
+_CODE = ("data", "spawn", "simulation", "policies", "registry", "run")
 """Parts that prepare recordings, and that generate the plaza's."""
 _LIBRARIES = ("numpy", "scipy", "scikit-learn")
 _IN_MEMORY = 4

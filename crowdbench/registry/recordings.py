@@ -29,14 +29,14 @@ def recording(name: str) -> Trajectories:
     """
     if name in GENERATED:
         path = catalogue.cached(name)
-        return read_own(path) if path.exists() else _generated(name)
+        return read_own(path) if path.exists() else _generate(name)
     return catalogue.load_imported(name)
 
 
 def import_recording(name: str, source: Path | None = None) -> Trajectories:
     """Import a recording into the user's cache and return it; see `catalogue.import_recording`."""
     if name in GENERATED:
-        crowd = _generated(name)
+        crowd = _generate(name)
         write_parquet(crowd, catalogue.cached(name))
         return crowd
     return catalogue.import_recording(name, source)
@@ -79,13 +79,13 @@ def has_recording(scene: Scene) -> bool:
     return name in GENERATED or catalogue.cached(name).exists()
 
 
-def _generated(name: str) -> Trajectories:
+def _generate(name: str) -> Trajectories:
     """Generated once in each process; everyone gets a copy of their own."""
-    return deepcopy(_simulated(name))
+    return deepcopy(_simulate_once(name))
 
 
 @cache
-def _simulated(name: str) -> Trajectories:
+def _simulate_once(name: str) -> Trajectories:
     module, _, function = GENERATED[name].partition(":")
     crowd: Trajectories = getattr(importlib.import_module(module), function)()
     return crowd

@@ -6,7 +6,6 @@ from pathlib import Path
 from crowdbench import plugins
 from crowdbench.data.recordings import catalogue
 from crowdbench.errors import SettingError, WeightsError
-from crowdbench.registry.own_code import code_of, having, made, own_class, understood
 from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import (
@@ -86,8 +85,8 @@ class SpawnSource:
     def model(self, split: str = "full", fit: int = 0) -> SpawnModel:
         """The model, fitted to a split; see `spawn_model`."""
         check_split(split, fit)
-        model = self._unsteered(split, fit)
-        return model if self.scenario is None else _steered(model, self.scene, self.scenario)
+        model = self._build(split, fit)
+        return model if self.scenario is None else _steer(model, self.scene, self.scenario)
 
     def dependencies(self) -> tuple[list[Path], bytes]:
         """Files besides the scene's that its rollouts depend on, and code that is in no file."""
@@ -97,10 +96,10 @@ class SpawnSource:
         cached = catalogue.cached(self.scene.recording.name)
         if self.base in ("replay", "block-replay") and cached.exists():
             files.append(cached)
-        code = code_of("spawn_models", self.base) if self.own else []
-        return (files, code) if isinstance(code, bytes) else ([*files, *code], b"")
+        own, code = plugins.code_of("spawn_models", self.base) if self.own else ([], b"")
+        return [*files, *own], code
 
-    def _unsteered(self, split: str, fit: int) -> SpawnModel:
+    def _build(self, split: str, fit: int) -> SpawnModel:
         scene = self.scene
         if self.fits is not None:
             holding = replace(scene, folder=self.fits.parent)
@@ -110,13 +109,13 @@ class SpawnSource:
             fitted = FITTED[WEIGHTS[self.fits.name]].read(holding, areas, split, fit)
             return replace(fitted, name=self.base) if self.base in PLANNED else fitted
         if self.own:
-            others = (*plugins.names("spawn_models"), "a folder with the fits of one model")
-            known = (*SPAWN_MODELS, *others)
-            part = plugins.part("spawn_models", self.base)
-            kind = part or own_class(self.base, "spawn model", known)
-            offered = understood(kind, split=split, fit=fit)
-            model: SpawnModel = made(kind, self.base, scene, **offered)
-            return having(model, self.base, ("name", "start", "sample"))
+            known = (*SPAWN_MODELS, "a folder with the fits of one model")
+            kind = plugins.find("spawn_models", self.base, known)
+            needed = ("name", "start", "sample")
+            model: SpawnModel = plugins.create(
+                kind, self.base, scene, needed=needed, split=split, fit=fit
+            )
+            return model
         crowd = recording_of(scene)
         if self.base == "replay":
             return Replay(crowd)
@@ -165,10 +164,10 @@ def spawn_model(
     if isinstance(model, str):
         check_split(split, fit)
         model = spawn_source(model, place).model(split, fit)
-    return model if scenario is None else _steered(model, place, scenario)
+    return model if scenario is None else _steer(model, place, scenario)
 
 
-def _steered(model: SpawnModel, scene: Scene, scenario: Scenario | Path) -> Steered:
+def _steer(model: SpawnModel, scene: Scene, scenario: Scenario | Path) -> Steered:
     own = getattr(model, "areas", None)
     areas = own if isinstance(own, Areas) else read_areas(scene)
     if isinstance(scenario, Path):

@@ -10,9 +10,9 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from crowdbench.plugins import imported_name
 from crowdbench.policies.network import read_card
 from crowdbench.registry import POLICIES, SPAWN_MODELS, policy_source, trained_policies
-from crowdbench.registry.own_code import imported_name
 from crowdbench.scene import Scene
 from crowdbench.spawn.steering.scenario import split_scenario
 

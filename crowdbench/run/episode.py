@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, Int
@@ -22,10 +22,6 @@ from crowdbench.spawn.model import Start
 PURPOSES = ("spawn", "policy", "warm-up")
 WARM_UP_S = 60.0
 LEAST_SLOTS = Settings.max_alive
-
-OnFull = Literal["error", "drop"]
-"""What an environment does when someone enters and all slots or ids are in use: `error` raises a
-`CapacityError`, `drop` omits the person and counts it in `dropped`."""
 
 
 def generator(seed: int, world: int, purpose: str) -> Generator:
@@ -53,7 +49,7 @@ def begin(
     """Begin an episode of `frames` frames in all worlds of a simulation; return its actor.
 
     World k draws its arrivals with the random generator of the world `first_world` + k. See `draw`
-    for the start, and `Drawn.begin` for the actor.
+    for the start, and `EpisodeArrivals.begin` for the actor.
 
     Raises:
         SettingError: see `draw`.
@@ -77,7 +73,7 @@ class World:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class EpisodeArrivals:
     """The arrivals of an episode in all its worlds."""
 
     worlds: Sequence[World]
@@ -109,7 +105,7 @@ def draw(
     frames: int,
     start: Start | None,
     scripted: bool = False,
-) -> Drawn:
+) -> EpisodeArrivals:
     """Draw the arrivals of an episode of `frames` frames in each of several worlds.
 
     `start` defaults to that of the spawn models. `stationary`: after a discarded warm-up of 60 s or
@@ -154,7 +150,7 @@ def draw(
         if start == "empty":
             sample = sample[sample.entered]
         events.append(sample)
-    return Drawn(worlds, events, warm_up, frames)
+    return EpisodeArrivals(worlds, events, warm_up, frames)
 
 
 def arrivals(
@@ -321,21 +317,6 @@ def check_horizon(horizon_s: float) -> None:
     """
     if not (np.isfinite(horizon_s) and horizon_s > 0):
         raise SettingError("horizon_s", got=str(horizon_s), expected="a positive number of seconds")
-
-
-def check_on_full(on_full: str) -> None:
-    """Check an option of an environment.
-
-    Raises:
-        SettingError: it is not one of `OnFull`.
-    """
-    if on_full not in get_args(OnFull):
-        raise SettingError("on_full", got=repr(on_full), expected="'error' or 'drop'")
-
-
-def dropped(simulation: Simulation) -> int:
-    """Number of people, in all worlds, who could not enter for lack of slots or ids."""
-    return int(simulation.clock.no_slot.sum() + simulation.clock.no_id.sum())
 
 
 def check_capacity(simulation: Simulation) -> None:

@@ -15,7 +15,7 @@ from crowdbench.scoring.power import Power, power
 from crowdbench.scoring.reference import read_reference
 from crowdbench.scoring.scorecard import (
     ANCHOR,
-    ANCHORS,
+    BASELINES,
     SCHEMA,
     WALK_ANCHOR,
     Anchors,
@@ -36,7 +36,7 @@ def make_anchors(
     reference = read_reference(place)
     seeds = place.protocol.fits * place.protocol.rollouts_per_fit
     todo = {
-        protocol: plan(str(scene), place, ANCHORS, protocol, seeds, folder)
+        protocol: plan(str(scene), place, BASELINES, protocol, seeds, folder)
         for protocol in ("full", "heldout")
     }
     total, before = sum(map(len, todo.values())), 0

@@ -79,7 +79,7 @@ class Draws:
         edges = [*range(0, len(blocks), run), len(blocks)]
         units = tuple((a, b) for a, b in pairwise(edges))
         rng = np.random.default_rng([*seed, 0])
-        return cls(_drawn(rng, np.ones(len(units)), len(units), RESAMPLES, units), units, seed)
+        return cls(_draw(rng, np.ones(len(units)), len(units), RESAMPLES, units), units, seed)
 
     def fits(self, fits: int) -> Int[np.ndarray, "R fits"]:
         """Indices of the fits in each resample, drawn with replacement."""
@@ -91,7 +91,7 @@ class Draws:
         return rng.integers(rollouts, size=(RESAMPLES, fits, rollouts))
 
 
-def _drawn(
+def _draw(
     rng: np.random.Generator,
     weight: Float[np.ndarray, " U"],
     times: int,
@@ -145,13 +145,13 @@ class FloorDraws:
     def centre(self) -> Int[np.ndarray, "count B"]:
         """Resamples of the recording, as counts per block."""
         rng = np.random.default_rng([*self.seed, 4])
-        return _drawn(rng, np.ones(len(self.units)), self.times, FLOOR_DRAWS, self.units)
+        return _draw(rng, np.ones(len(self.units)), self.times, FLOOR_DRAWS, self.units)
 
     def nested(self, resample: int) -> Int[np.ndarray, "count B"]:
         """Resamples of one resample, as counts per block."""
         rng = np.random.default_rng([*self.seed, 1, resample])
         weight = np.array([self.blocks[resample, start] for start, _ in self.units], dtype=float)
-        return _drawn(rng, weight, self.times, NESTED_DRAWS, self.units)
+        return _draw(rng, weight, self.times, NESTED_DRAWS, self.units)
 
 
 def energy(

@@ -87,11 +87,11 @@ def summarise(
     `metrics` are by default all of crowdbench's own that apply to these blocks.
     """
     metrics = metrics_for(blocks) if metrics is None else metrics
-    found = {}
+    statistics = {}
     for metric in metrics:
         with blamed(metric):
-            found[metric.name] = metric.summarise(crowd, blocks, place)
-    return found
+            statistics[metric.name] = metric.summarise(crowd, blocks, place)
+    return statistics
 
 
 def score_against(
@@ -242,8 +242,8 @@ def read_reference(scene: Scene) -> Reference:
         if computed != stated:
             raise WeightsError(
                 path,
-                got=f"statistics computed with {name} = {_shown(computed)}",
-                expected=f"{name} = {_shown(stated)}, as in scene.toml",
+                got=f"statistics computed with {name} = {_format(computed)}",
+                expected=f"{name} = {_format(stated)}, as in scene.toml",
                 hint=hint,
             )
     place = place_of(scene, read_areas(scene))
@@ -294,7 +294,7 @@ def read_reference(scene: Scene) -> Reference:
     return Reference(blocks, place, statistics)
 
 
-def _shown(value: float | int | tuple[float, ...]) -> str:
+def _format(value: float | int | tuple[float, ...]) -> str:
     return ", ".join(f"{v:g}" for v in value) if isinstance(value, tuple) else f"{value:g}"
 
 

@@ -69,8 +69,8 @@ def family_scores(
     """Mean score over the scored metrics of each family; families without any are omitted."""
     families: dict[str, Score] = {}
     for family in FAMILIES:
-        each = [scores.get(m.name) for m in metrics if m.family == family and m.name in scored]
-        score = combined([s for s in each if s is not None])
+        asked = [m.name for m in metrics if m.family == family and m.name in scored]
+        score = combined([s for name in asked if (s := scores.get(name)) is not None])
         if score is not None:
             families[family] = score
     return families
@@ -88,11 +88,11 @@ def walk_score(families: Mapping[str, Score], *, passes: bool) -> Score | None:
     move smoothly, and people who wander at random may keep their distances. If the policy does not
     pass the scene's gate (see `crowdbench.scene.Gate`), the score is at most 0.
     """
-    each = [families[name] for name in WALK if name in families]
-    if not each:
+    walks = [families[name] for name in WALK if name in families]
+    if not walks:
         return None
-    value = min(score.value for score in each)
-    resampled = np.min([score.resampled for score in each], axis=0)
+    value = min(score.value for score in walks)
+    resampled = np.min([score.resampled for score in walks], axis=0)
     if passes:
         return Score(value, resampled)
     return Score(min(0.0, value), np.minimum(0.0, resampled))

@@ -6,7 +6,7 @@ be compared on the same resamples. The anchors that define the scale of the scor
 scene (`anchors.json`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +18,7 @@ from crowdbench.files import read_struct, sha256, write_json
 from crowdbench.metrics import METRICS, WALK
 from crowdbench.scene import Gate, Scene
 from crowdbench.scoring.energy import RESAMPLES, Energy
-from crowdbench.scoring.ranking import ranked
+from crowdbench.scoring.ranking import ranks_of
 from crowdbench.scoring.reference import scored_statistics
 from crowdbench.scoring.score import (
     Score,
@@ -39,7 +39,7 @@ ANCHOR = ("poisson-gmm", "straight")
 """The spawn model and policy that score 0 in arrivals, presence, trips and space."""
 WALK_ANCHOR = ("replay", "straight")
 """The spawn model and policy that score 0 in motion and interaction."""
-ANCHORS = (
+BASELINES = (
     ANCHOR,
     WALK_ANCHOR,
     ("replay", "replay"),
@@ -112,7 +112,7 @@ class Scale(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     floor: dict[str, EnergyCard]
     """Noise floor F by metric."""
     anchors: list[PairResult]
-    """Results of the pairs in `ANCHORS`."""
+    """Results of the pairs in `BASELINES`."""
 
 
 class Anchors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -153,7 +153,7 @@ class Row:
 
     spawn: str
     policy: str
-    kind: Literal["entry", "anchor"]
+    kind: Literal["entry", "baseline"]
     entry: PairResult
     families: dict[str, Score]
     """Score of each family; motion and interaction are scored under the recorded arrivals."""
@@ -183,7 +183,7 @@ def has_recorded_arrivals(card: Scorecard) -> bool:
 def scale_of(card: Scorecard) -> dict[str, tuple[Energy, Energy]]:
     """Noise floor and energy score of the anchor for each scored metric."""
     by_pair = {(e.spawn, e.policy): e for e in card.scale.anchors}
-    found = {}
+    scale = {}
     for metric in METRICS:
         walks = metric.family in WALK
         anchor = by_pair[WALK_ANCHOR if walks else ANCHOR].metrics.get(metric.name)
@@ -192,8 +192,8 @@ def scale_of(card: Scorecard) -> dict[str, tuple[Energy, Energy]]:
             continue
         if anchor.energy is not None:
             nothing = Energy(0.0, np.zeros(card.resamples))
-            found[metric.name] = (nothing if walks else floor.energy(), anchor.energy.energy())
-    return found
+            scale[metric.name] = (nothing if walks else floor.energy(), anchor.energy.energy())
+    return scale
 
 
 def metric_scores(
@@ -208,7 +208,7 @@ def metric_scores(
 
 
 def rows(card: Scorecard) -> list[Row]:
-    """The table of a scorecard: its entries in their order, then the anchors.
+    """The table of a scorecard: its entries in their order, then the baselines.
 
     The scores of motion and interaction are those of the policy under the recorded arrivals
     (spawn model `replay`). They apply to all entries with the same policy.
@@ -220,15 +220,15 @@ def rows(card: Scorecard) -> list[Row]:
     walkers = {policy: of_entry[id(e)] for policy, e in under_recorded.items()}
     recorded = has_recorded_arrivals(card)
 
-    def row(entry: PairResult, kind: Literal["entry", "anchor"]) -> Row:
+    def row(entry: PairResult, kind: Literal["entry", "baseline"]) -> Row:
         scores = dict(of_entry[id(entry)])
-        # The walk scores of anchors are shipped; those of entries need the imported recording.
-        if kind == "anchor" or recorded:
+        # The walk scores of baselines are shipped; those of entries need the imported recording.
+        if kind == "baseline" or recorded:
             for metric in METRICS:
                 if metric.family in WALK and metric.name in walkers.get(entry.policy, {}):
                     scores[metric.name] = walkers[entry.policy][metric.name]
         families = family_scores(METRICS, scores, card.scored)
-        walker = under_recorded.get(entry.policy) if kind == "anchor" or recorded else None
+        walker = under_recorded.get(entry.policy) if kind == "baseline" or recorded else None
         fails = () if walker is None else failures(card, walker)
         crowd, walk = crowd_score(families), walk_score(families, passes=not fails)
         whole = overall_score(crowd, walk)
@@ -238,8 +238,9 @@ def rows(card: Scorecard) -> list[Row]:
 
     pairs = {(e.spawn, e.policy) for e in card.entries}
     entries = [row(e, "entry") for e in card.entries]
-    anchors = [row(e, "anchor") for e in card.scale.anchors if (e.spawn, e.policy) not in pairs]
-    return [*ranked(entries), *anchors]
+    others = [e for e in card.scale.anchors if (e.spawn, e.policy) not in pairs]
+    ranked = [replace(r, rank=k) for r, k in zip(entries, ranks_of(entries), strict=True)]
+    return [*ranked, *(row(e, "baseline") for e in others)]
 
 
 def walker_of(card: Scorecard, policy: str) -> PairResult | None:
@@ -261,15 +262,15 @@ def failures(card: Scorecard, entry: PairResult) -> tuple[Limit, ...]:
     unknown, as for the policy `replay`, is not compared.
     """
     standard = gate_standard(card)
-    found: list[Limit] = []
+    exceeded: list[Limit] = []
     if standard.speed_mps is not None:
         speed = 0.0 if entry.speed_mps is None else entry.speed_mps
         if abs(speed / standard.speed_mps - 1) > card.gate.speed:
-            found.append("speed")
+            exceeded.append("speed")
     at_goal = 1.0 if entry.at_goal is None else entry.at_goal
     if standard.at_goal is not None and at_goal < card.gate.arrivals * standard.at_goal:
-        found.append("arrivals")
-    return tuple(found)
+        exceeded.append("arrivals")
+    return tuple(exceeded)
 
 
 def files_of(scene: Scene) -> str:
@@ -353,7 +354,7 @@ def _schema_of(path: Path) -> object:
 
 def _check(scale: Scale, path: Path, hint: str, error: type[CrowdbenchError]) -> None:
     """Raise `error` if anchors are missing or a number of resamples is wrong."""
-    missing = set(ANCHORS) - {(e.spawn, e.policy) for e in scale.anchors}
+    missing = set(BASELINES) - {(e.spawn, e.policy) for e in scale.anchors}
     lengths = {
         len(m.energy.resampled) for e in scale.anchors for m in e.metrics.values() if m.energy
     } | {len(f.resampled) for f in scale.floor.values()}

@@ -35,7 +35,7 @@ distance 0 in the half-plane towards the centre of that disc.
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float32
@@ -43,13 +43,11 @@ from numba import njit, prange
 
 from crowdbench.compilation import kernel
 from crowdbench.errors import SettingError, did_you_mean
-from crowdbench.plugins import made, names, part
+from crowdbench.plugins import instance_of, names, part
 from crowdbench.simulation import social
 from crowdbench.simulation.cells import CHUNK, list_persons, neighbours, sort_into_cells
+from crowdbench.simulation.state import CrowdState
 from crowdbench.simulation.walls import CELL_M, cell_of
-
-if TYPE_CHECKING:
-    from crowdbench.simulation.simulation import Simulation
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,7 @@ class Observation(ABC):
     """Number of additional values."""
 
     @abstractmethod
-    def observe(self, simulation: "Simulation", out: Float32[np.ndarray, "W N extra"]) -> None:
+    def observe(self, simulation: CrowdState, out: Float32[np.ndarray, "W N extra"]) -> None:
         """Write the additional values, in [−1, 1], for everyone present or just ended to `out`.
 
         `simulation.slots` contains the state of everyone, and `simulation.observation` starts with
@@ -113,7 +111,7 @@ def observation_of(name: str) -> Observation | None:
     """
     if name in OBSERVATIONS:
         return None
-    found = made(part("observations", name))
+    found = instance_of(part("observations", name))
     if not isinstance(found, Observation) or found.base not in OBSERVATIONS or found.extra < 1:
         raise SettingError(
             "observation",

@@ -1,20 +1,22 @@
-"""The reward of the environments: a weighted sum of seven parts.
+"""Rewards: functions of the state of a crowd. The usual one is a weighted sum of seven parts.
 
 Its unit is one metre of progress to the target. Walking at the preferred speed is optimal for every
 discount factor; see `Reward`.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Float32
 from numba import njit, prange
 
 from crowdbench.compilation import kernel
-from crowdbench.errors import SettingError
-from crowdbench.simulation.simulation import Simulation
-from crowdbench.simulation.state import GOAL, TO_GOAL, TO_VIA, WAITING
+from crowdbench.errors import OwnCodeError, SettingError
+from crowdbench.plugins import blaming
+from crowdbench.simulation.state import GOAL, TO_GOAL, TO_VIA, WAITING, CrowdState
 from crowdbench.spawn.recorded_plans import PASSED_M, VISIT_M
 
 PACE_MPS = 0.5
@@ -73,56 +75,99 @@ class Reward:
 
 
 PARTS = tuple(f.name for f in fields(Reward))
-"""Names of the parts, in the order of `Rewarder.parts`."""
+"""Names of the parts, in the order in which a `Rewarder` returns them."""
+
+RewardFn: TypeAlias = Callable[[CrowdState], np.ndarray]
+"""A reward: called once after each step, it returns the parts of everyone's reward, float32
+(W, N, parts), whose sum is the reward. Only those of people who acted in the step count, see
+`Slots.acted`. `CrowdEnv` also calls it once when it is made, with empty slots."""
+
+
+def reward_function(reward: Reward | RewardFn) -> RewardFn:
+    """The function of a reward; what a function of a user's own returns is checked."""
+    return Rewarder(reward) if isinstance(reward, Reward) else _Checked(reward)
 
 
 class Rewarder:
-    """Computes the rewards of a simulation and tracks how far people are behind their schedules."""
+    """The weighted parts of `Reward`, in the order of `PARTS`.
 
-    def __init__(self, reward: Reward, simulation: Simulation) -> None:
-        self._simulation = simulation
+    Each simulation needs one of its own, because it tracks how far people are behind their
+    schedules. Everyone is on schedule when an episode begins.
+    """
+
+    def __init__(self, reward: Reward) -> None:
         self._weights = np.array([getattr(reward, name) for name in PARTS], np.float64)
-        shape = simulation.slots.alive.shape
-        self._person = np.full(shape, -1, np.int32)
-        self._behind = np.zeros(shape, np.float32)
-        self._apart = np.zeros(shape, np.float32)
-        self._parts = pay.fresh()
+        self._episode = np.zeros(0, np.int64)
+        self._person = np.zeros((0, 0), np.int32)
+        self._behind = self._apart = np.zeros((0, 0), np.float32)
+        self._pay = pay.fresh()
 
-    def begin(self, worlds: Int[np.ndarray, " n"] | slice = slice(None)) -> None:
-        """Begin an episode of these worlds, or of all, with everyone on schedule."""
-        self._person[worlds] = -1
+    def __call__(self, state: CrowdState) -> Float32[np.ndarray, "W N 7"]:
+        """The parts of everyone who acted in the last step, zeros in other slots.
 
-    def parts(self) -> Float32[np.ndarray, "W N 7"]:
-        """Weighted parts, in the order of `PARTS`, for everyone who acted in the last step.
-
-        Call it once per step, after `observe`, which must also have been called before the step.
-        The sum over the last axis is the reward. Other slots are zero.
+        `Simulation.observe` must have been called before the step and after it.
         """
-        simulation = self._simulation
-        slots, motion = simulation.slots, simulation.scene.motion
-        found = np.zeros((*slots.alive.shape, len(PARTS)), np.float32)
-        self._parts(
-            slots.alive.size if simulation.worlds > 1 else 1,
+        slots, motion = state.slots, state.scene.motion
+        shape = slots.alive.shape
+        if self._person.shape != shape:
+            self._episode = np.zeros(shape[0], np.int64)
+            self._person = np.full(shape, -1, np.int32)
+            self._behind, self._apart = np.zeros((2, *shape), np.float32)
+        begun = state.episode != self._episode
+        if begun.any():
+            self._person[begun] = -1
+            self._episode[:] = state.episode
+        parts = np.zeros((*shape, len(PARTS)), np.float32)
+        self._pay(
+            slots.alive.size if shape[0] > 1 else 1,
             slots,
-            simulation.queue,
-            simulation.remaining,
-            simulation.remaining_before,
-            simulation.nearest,
-            simulation.limits,
+            state.queue,
+            state.remaining,
+            state.remaining_before,
+            state.nearest,
+            state.scene.dt_s,
+            motion.goal_radius_m,
             2 * motion.person_radius_m,
             self._weights,
             self._person,
             self._behind,
             self._apart,
-            found,
+            parts,
         )
-        return found
+        return parts
+
+
+class _Checked:
+    """A reward function of a user's own, with zeros for those who did not act."""
+
+    def __init__(self, function: RewardFn) -> None:
+        self._function = function
+
+    def __call__(self, state: CrowdState) -> Float32[np.ndarray, "W N _"]:
+        with blaming("reward"):
+            parts = np.asarray(self._function(state), np.float32)
+        acted = state.slots.acted
+        if parts.shape[:-1] != acted.shape or not parts.shape[-1]:
+            raise OwnCodeError(
+                "reward",
+                got=f"an array of shape {parts.shape}",
+                expected=f"one of shape {acted.shape} and a number of parts, 1 or more",
+                hint="Return reward[..., None] if it has no parts.",
+            )
+        parts = np.where(acted[..., None], parts, np.float32(0))
+        if not np.isfinite(parts).all():
+            raise OwnCodeError(
+                "reward",
+                got=f"{int((~np.isfinite(parts)).sum())} values that are not finite",
+                expected="finite numbers for everyone who acted",
+            )
+        return parts
 
 
 @kernel
 def pay(
-    slots, queue, remaining, remaining_before, nearest, limits, diameter, weights, person, behind,
-    apart, out,
+    slots, queue, remaining, remaining_before, nearest, dt, goal_radius, diameter, weights, person,
+    behind, apart, out,
 ):  # fmt: skip
     """Write the weighted parts of everyone who acted in the last step to `out` (W, N, 7).
 
@@ -149,18 +194,18 @@ def pay(
                 progress, arrival, pace, stop, late = trip_parts(
                     stage_before[w, i], stage[w, i], ended[w, i] == GOAL,
                     np.float64(remaining_before[w, i]), np.float64(remaining[w, i]), to_via, before,
-                    np.float64(speed[w, i]), math.sqrt(vx * vx + vy * vy), limits.dt,
-                    limits.goal_radius,
+                    np.float64(speed[w, i]), math.sqrt(vx * vx + vy * vy), dt,
+                    goal_radius,
                 )  # fmt: skip
                 behind[w, i] = late
-                usual = np.float64(speed[w, i]) * limits.dt
+                usual = np.float64(speed[w, i]) * dt
                 depth = max(0.0, 1.0 - np.float64(nearest[w, i]) / diameter)
-                wall = limits.dt if hit_wall[w, i] else 0.0
+                wall = dt if hit_wall[w, i] else 0.0
                 beyond = max(0.0, np.float64(apart[w, i]) - TOGETHER_M) / APART_M
                 me = out[w, i]
                 me[0] = weights[0] * progress
                 me[1] = weights[1] * arrival
-                me[2] = weights[2] * limits.dt * depth
+                me[2] = weights[2] * dt * depth
                 me[3] = weights[3] * wall
                 me[4] = weights[4] * pace
                 me[5] = weights[5] * stop

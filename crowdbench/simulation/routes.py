@@ -18,7 +18,7 @@ from crowdbench.scene import Bounds, Scene, Wall
 from crowdbench.simulation.rules import distance_to_segment
 from crowdbench.simulation.walls import CELL_M, cell_of, walls_near
 
-CLEARANCE_M = 0.2
+CORNER_M = 0.2
 """Distance of paths from the corners of walls."""
 _GRAZE_M = 0.05  # walls are thicker by this between corners, so that people near one see the next
 _ROUNDING_M = 0.1
@@ -152,7 +152,7 @@ class Routes:
 def _corners(scene: Scene) -> Float[np.ndarray, "C 2"]:
     """Convex corners of the walls, moved away from the walls by the clearance."""
     solid = scene.obstacles
-    grown = solid.buffer(CLEARANCE_M, join_style="mitre", mitre_limit=2.0)
+    grown = solid.buffer(CORNER_M, join_style="mitre", mitre_limit=2.0)
     # Grown a little further, so that simplification does not move corners closer to the walls.
     grown = grown.buffer(_ROUNDING_M, join_style="mitre").simplify(_ROUNDING_M / 2)
     found: list[tuple[float, float]] = []

@@ -8,8 +8,8 @@ import math
 import numpy as np
 from numba import njit
 
-CLEARANCE_M = 1e-3  # distance of a stopped person from the wall, far above float32 rounding
-AHEAD_M = 10 * CLEARANCE_M  # distance beyond the end of a move at which a wall can still stop it
+STOP_M = 1e-3  # distance of a stopped person from the wall, far above float32 rounding
+AHEAD_M = 10 * STOP_M  # distance beyond the end of a move at which a wall can still stop it
 JOINT = 1e-9  # share of its length by which a segment is extended, to close gaps at joints
 
 
@@ -65,7 +65,7 @@ def crossing(px, py, dx, dy, ax, ay, bx, by):
     beyond = along_move - 1.0
     if beyond <= 0.0:
         return along_move
-    close = (beyond * cross) ** 2 < CLEARANCE_M**2 * (ex * ex + ey * ey)
+    close = (beyond * cross) ** 2 < STOP_M**2 * (ex * ex + ey * ey)
     ahead = beyond**2 * (dx * dx + dy * dy) < AHEAD_M**2
     return along_move if close and ahead else np.inf
 
@@ -96,7 +96,7 @@ def walk(px, py, dx, dy, segments, near, start, stop):
         ex, ey = ex / length, ey / length
         into_wall = abs(dx * ey - dy * ex)
         # Step back along the move, so that no other wall can be in between.
-        t = max(0.0, first - CLEARANCE_M / into_wall)
+        t = max(0.0, first - STOP_M / into_wall)
         px, py = px + t * dx, py + t * dy
         along = (1.0 - t) * (dx * ex + dy * ey)
         dx, dy = along * ex, along * ey

@@ -21,7 +21,7 @@ from crowdbench.simulation.observations import (
 )
 from crowdbench.simulation.routes import Routes
 from crowdbench.simulation.social import RANGE_M, observe_social
-from crowdbench.simulation.state import Clock, Limits, Queue, Slots
+from crowdbench.simulation.state import Clock, Constants, Queue, Slots
 from crowdbench.simulation.step import advance
 from crowdbench.simulation.walls import wall_table
 from crowdbench.spawn.events import SpawnEvents, no_events
@@ -136,7 +136,7 @@ class Simulation:
         self._free = None if rays else FreeSpace.of(scene)
         range_m = shown.ray_range_m if rays else RANGE_M
         self._cells = Cells.between(worlds, s.max_alive, lower, upper, range_m / 2)
-        self.limits = Limits(
+        self.constants = Constants(
             dt=scene.dt_s,
             max_speed=motion.max_speed_mps,
             goal_radius=motion.goal_radius_m,
@@ -171,6 +171,7 @@ class Simulation:
         self.slots = Slots.empty(worlds, s.max_alive)
         self.clock = Clock.at(worlds, 0, 0)
         self.events: list[SpawnEvents] = [no_events()] * worlds
+        self.episode: Int[np.ndarray, " W"] = np.zeros(worlds, np.int64)
         self.queue = Queue.of(self.events, scene.dt_s)
         self._advance = advance.fresh()
         self._observe = (observe if rays else observe_social).fresh()
@@ -185,6 +186,7 @@ class Simulation:
         self.queue = Queue.of(self.events, self.scene.dt_s)
         self.slots = Slots.empty(self.worlds, self.settings.max_alive)
         self.clock = Clock.at(self.worlds, first_frame - 1, horizon)
+        self.episode += 1
         self._go(1, np.zeros(self.slots.position.shape, np.float32), self._own)  # people enter
 
     def showing(self, shown: Shown) -> "Simulation":
@@ -196,7 +198,7 @@ class Simulation:
             self.scene, worlds=self.worlds, settings=replace(self.settings, **shown._asdict())
         )
         other.events, other.queue = self.events, self.queue
-        other.slots, other.clock = self.slots, self.clock
+        other.slots, other.clock, other.episode = self.slots, self.clock, self.episode
         return other
 
     def copy_world(self, world: int, alone: "Simulation") -> None:
@@ -207,6 +209,7 @@ class Simulation:
         for mine, its in zip((*self.slots, *self.clock), (*alone.slots, *alone.clock), strict=True):
             mine[world] = its[0]
         self.events[world] = alone.events[0]
+        self.episode[world] += 1
         status = self.queue.status
         self.queue = Queue.of(self.events, self.scene.dt_s)
         for w, events in enumerate(self.events):
@@ -253,7 +256,7 @@ class Simulation:
     def _go(
         self, persons: int, actions: Float32[np.ndarray, "W N 2"], own: Bool[np.ndarray, "W N"]
     ) -> None:
-        bundles = (self.slots, self.queue, self.clock, self.limits, self._walls)
+        bundles = (self.slots, self.queue, self.clock, self.constants, self._walls)
         self._advance(persons, actions, own, *bundles)
 
     def observe(self) -> Float32[np.ndarray, "W N obs"]:
@@ -269,10 +272,10 @@ class Simulation:
         if self._version.rays:
             radius_m, range_m = self.scene.motion.person_radius_m, self._shown.ray_range_m
             what = (slots, target, beyond, self._version.head, self._bounds, self._cells,
-                    self._walls, self.limits.max_speed, radius_m, range_m)  # fmt: skip
+                    self._walls, self.constants.max_speed, radius_m, range_m)  # fmt: skip
         else:
             what = (slots, self.queue, self.clock, target, beyond, self._cells, self._free,
-                    self.limits)  # fmt: skip
+                    self.constants)  # fmt: skip
         results = (self.remaining, self.nearest, self._seen)
         self._observe(int(np.count_nonzero(slots.alive)), *what, *results)
         if self._more is not None:

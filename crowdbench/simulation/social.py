@@ -118,7 +118,7 @@ def in_own_frame(
 
 @kernel
 def observe_social(
-    slots, queue, clock, target, beyond, cells, free, limits, remaining, nearest, out
+    slots, queue, clock, target, beyond, cells, free, constants, remaining, nearest, out
 ):
     """Write the observations of everyone present or ended in this step to `out` (W, N, SIZE).
 
@@ -130,7 +130,7 @@ def observe_social(
     position, velocity, heading = slots.position, slots.velocity, slots.heading
     start, sorted_xy, sorted_slot, person = cells.start, cells.xy, cells.slot, cells.person
     grid = (cells.origin[0], cells.origin[1], cells.size, cells.columns, cells.rows)
-    group, max_speed = queue.group, limits.max_speed
+    group, max_speed = queue.group, constants.max_speed
     distance, free_grid = (
         free.distance,
         (free.x_min, free.y_min, free.per_x, free.per_y, free.columns, free.rows),
@@ -146,7 +146,7 @@ def observe_social(
         for at in range(chunk * CHUNK, min(total, (chunk + 1) * CHUNK)):
             w, i = person[at, 0], person[at, 1]
             me = out[w, i]
-            remaining[w, i] = _see_itself(w, i, slots, queue, clock, target, beyond, limits, me)
+            remaining[w, i] = _see_itself(w, i, slots, queue, clock, target, beyond, constants, me)
             x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
             cos, sin = np.float64(heading[w, i, 0]), np.float64(heading[w, i, 1])
             _probe(x, y, cos, sin, distance, free_grid, me[_PROBES:_NEIGHBOURS])
@@ -176,13 +176,13 @@ def _clipped(value):
 
 
 @njit(error_model="numpy")
-def _see_itself(w, i, slots, queue, clock, target, beyond, limits, me):
+def _see_itself(w, i, slots, queue, clock, target, beyond, constants, me):
     """Write the parts before the probes to `me` and return the length of the path in metres."""
     cos, sin = np.float64(slots.heading[w, i, 0]), np.float64(slots.heading[w, i, 1])
     vx, vy = to_own_frame(
         np.float64(slots.velocity[w, i, 0]), np.float64(slots.velocity[w, i, 1]), cos, sin
     )
-    me[0], me[1] = _clipped(vx / limits.max_speed), _clipped(vy / limits.max_speed)
+    me[0], me[1] = _clipped(vx / constants.max_speed), _clipped(vy / constants.max_speed)
     me[2], me[3] = _clipped(cos), _clipped(sin)
     gx = np.float64(target[w, i, 0]) - np.float64(slots.position[w, i, 0])
     gy = np.float64(target[w, i, 1]) - np.float64(slots.position[w, i, 1])
@@ -192,16 +192,16 @@ def _see_itself(w, i, slots, queue, clock, target, beyond, limits, me):
     me[4] = _clipped(gx / distance) if distance > 0.0 else 1.0
     me[5] = _clipped(gy / distance) if distance > 0.0 else 0.0
     me[6] = min(remaining, ROUTE_RANGE_M) / ROUTE_RANGE_M
-    me[7] = min(1.0, np.float64(slots.speed[w, i]) / limits.max_speed)
+    me[7] = min(1.0, np.float64(slots.speed[w, i]) / constants.max_speed)
     wait, frame = queue.wait[w, slots.event[w, i]], clock.frame[w]
     stop = slots.stage[w, i] != TO_GOAL and wait > 0
     if slots.stage[w, i] == WAITING:
         wait = slots.until[w, i] - frame
     me[8] = 1.0 if stop else 0.0
-    me[9] = min(1.0, wait * limits.dt / WAIT_S) if stop else 0.0
-    me[10] = min(1.0, (frame - slots.born[w, i]) * limits.dt / AGE_S)
+    me[9] = min(1.0, wait * constants.dt / WAIT_S) if stop else 0.0
+    me[10] = min(1.0, (frame - slots.born[w, i]) * constants.dt / AGE_S)
     me[11] = min(1.0, np.float64(slots.walked[w, i]) / WALKED_M)
-    me[12] = min(1.0, slots.stood[w, i] * limits.dt / STOOD_S)
+    me[12] = min(1.0, slots.stood[w, i] * constants.dt / STOOD_S)
     return remaining
 
 

@@ -1,10 +1,12 @@
 """State of a simulation: named tuples of arrays, which are passed to the compiled kernels."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+from jaxtyping import Bool, Float32, Int
 
+from crowdbench.scene import Scene
 from crowdbench.spawn.events import SpawnEvents
 
 GOAL, EXIT, TIMEOUT, RECORDED, HORIZON = 1, 2, 3, 4, 5  # indices into trajectories.OUTCOMES
@@ -63,6 +65,12 @@ class Slots(NamedTuple):
     scripted: np.ndarray
     """Whether the person leaves in the frame `leave` only, regardless of its position."""
 
+    @property
+    def acted(self) -> Bool[np.ndarray, "W N"]:
+        """Who acted in this step: those present who did not enter in it, and those who ended."""
+        acted: np.ndarray = (self.alive & ~self.spawned) | (self.ended != 0)
+        return acted
+
     @classmethod
     def empty(cls, worlds: int, size: int) -> "Slots":
         """Slots of `worlds` worlds with `size` slots each, all empty."""
@@ -114,7 +122,7 @@ class Queue(NamedTuple):
     """(W, E, 2) velocity at entry in m/s."""
     group: np.ndarray
     """(W, E) group that the person walks with, −1 if alone."""
-    waits: np.ndarray
+    may_wait: np.ndarray
     """(W, E) whether the person waits for free space."""
     leave: np.ndarray
     """(W, E) frame in which the person is removed, −1 for never."""
@@ -149,7 +157,7 @@ class Queue(NamedTuple):
             speed=stacked([e.speed for e in events], 0, np.float32),
             velocity=stacked([e.velocity for e in events], 0, np.float32),
             group=stacked([e.group for e in events], -1, np.int32),
-            waits=stacked([e.entered & ~e.scripted for e in events], 0, np.bool_),
+            may_wait=stacked([e.entered & ~e.scripted for e in events], 0, np.bool_),
             leave=stacked([e.leave_frame for e in events], -1, np.int32),
             scripted=stacked([e.scripted for e in events], 0, np.bool_),
             status=np.zeros((len(events), size), np.int8),
@@ -182,7 +190,7 @@ class Clock(NamedTuple):
         return cls(first, np.full(worlds, horizon, np.int32), *zeros)
 
 
-class Limits(NamedTuple):
+class Constants(NamedTuple):
     """Constants of a simulation, in metres, seconds and m/s unless stated otherwise."""
 
     dt: float
@@ -201,3 +209,25 @@ class Limits(NamedTuple):
     x_max: float
     y_min: float
     y_max: float
+
+
+@runtime_checkable  # tests check annotations at run time
+class CrowdState(Protocol):
+    """What observations and rewards of one's own read: a `Simulation` of W worlds of N slots."""
+
+    scene: Scene
+    slots: Slots
+    """The state of everyone after the step, by world and slot."""
+    queue: Queue
+    """The spawn events; those of a person are at `slots.event`."""
+    clock: Clock
+    observation: Float32[np.ndarray, "W N obs"]
+    """What everyone present or just ended sees after the step."""
+    nearest: Float32[np.ndarray, "W N"]
+    """Distance to the nearest visible person in metres, infinite if there is none."""
+    remaining: Float32[np.ndarray, "W N"]
+    """Length of the path to the target in metres: straight in `lidar-1`, else around walls."""
+    remaining_before: Float32[np.ndarray, "W N"]
+    """`remaining` before the step."""
+    episode: Int[np.ndarray, " W"]
+    """Number of episodes that have begun in each world."""

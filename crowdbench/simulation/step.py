@@ -35,7 +35,7 @@ CLOSER_M = 0.5
 
 
 @kernel
-def advance(actions, own, slots, queue, clock, limits, walls):
+def advance(actions, own, slots, queue, clock, constants, walls):
     """Advance every world by one step, as described in `Simulation`.
 
     `actions` is (W, N, 2). It is in the own frames of the people in `own` (W, N), that is, relative
@@ -50,7 +50,7 @@ def advance(actions, own, slots, queue, clock, limits, walls):
     segments, near, near_start = walls.segments, walls.step_segment, walls.step_start
     clear = walls.clear
     grid = (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows)
-    dt, max_speed = limits.dt, limits.max_speed
+    dt, max_speed = constants.dt, constants.max_speed
     frames, horizons, changed = clock.frame, clock.horizon, clock.changed
     for w in prange(alive.shape[0]):
         frames[w] += 1
@@ -90,23 +90,24 @@ def advance(actions, own, slots, queue, clock, limits, walls):
                     heading[w, i, 1] = (to_y - y) / length
                 to_goal = np.inf
                 if stage[w, i] != TO_GOAL:
-                    _visit(w, i, frame, x, y, to_x, to_y, slots, queue, limits)
+                    _visit(w, i, frame, x, y, to_x, to_y, slots, queue, constants)
                 if stage[w, i] == TO_GOAL:
                     goal_x, goal_y = np.float64(goal[w, i, 0]), np.float64(goal[w, i, 1])
                     to_goal = distance_to_segment(goal_x, goal_y, x, y, to_x, to_y)
                 since = born[w, i] + wait[w, event[w, i]]
                 how = outcome(
-                    to_goal, to_x, to_y, frame, since, leave[w, i], scripted[w, i], horizon, limits,
+                    to_goal, to_x, to_y, frame, since, leave[w, i], scripted[w, i], horizon,
+                    constants,
                 )  # fmt: skip
                 ended[w, i] = how
                 alive[w, i] = how == 0
                 if how != 0:
                     changed[w] = 1
-        _spawn_due(w, slots, queue, clock, limits)
+        _spawn_due(w, slots, queue, clock, constants)
 
 
 @njit(error_model="numpy")
-def outcome(to_goal, x, y, frame, since, leave, scripted, horizon, limits):
+def outcome(to_goal, x, y, frame, since, leave, scripted, horizon, constants):
     """Outcome of a trip that ends in this frame, by the first rule that applies; 0 if it goes on.
 
     `to_goal` is the distance between the goal and the path walked in this step, infinite before the
@@ -114,11 +115,11 @@ def outcome(to_goal, x, y, frame, since, leave, scripted, horizon, limits):
     step over. `since` is the frame of entry plus the frames of waiting.
     """
     if not scripted:
-        if to_goal <= limits.goal_radius:
+        if to_goal <= constants.goal_radius:
             return GOAL
-        if not (limits.x_min < x < limits.x_max and limits.y_min < y < limits.y_max):
+        if not (constants.x_min < x < constants.x_max and constants.y_min < y < constants.y_max):
             return EXIT
-        if frame - since >= limits.timeout:
+        if frame - since >= constants.timeout:
             return TIMEOUT
     if 0 <= leave <= frame:
         return RECORDED
@@ -128,7 +129,7 @@ def outcome(to_goal, x, y, frame, since, leave, scripted, horizon, limits):
 
 
 @njit(error_model="numpy")
-def _visit(w, i, frame, x, y, to_x, to_y, slots, queue, limits):
+def _visit(w, i, frame, x, y, to_x, to_y, slots, queue, constants):
     """Advance the visit of a person to its via point; see `Simulation` for the rules."""
     if slots.stage[w, i] == TO_VIA:
         e = slots.event[w, i]
@@ -137,7 +138,7 @@ def _visit(w, i, frame, x, y, to_x, to_y, slots, queue, limits):
         if distance < slots.closest[w, i] - CLOSER_M:
             slots.closest[w, i] = distance
             slots.nearer[w, i] = frame
-        given_up = frame - slots.nearer[w, i] >= limits.patience_via
+        given_up = frame - slots.nearer[w, i] >= constants.patience_via
         passed = False
         if distance <= PASSED_M:
             way_x, way_y = via_x - queue.start[w, e, 0], via_y - queue.start[w, e, 1]
@@ -152,7 +153,7 @@ def _visit(w, i, frame, x, y, to_x, to_y, slots, queue, limits):
 
 
 @njit(error_model="numpy")
-def _spawn_due(w, slots, queue, clock, limits):
+def _spawn_due(w, slots, queue, clock, constants):
     frame = clock.frame[w]
     if frame >= clock.horizon[w]:
         return
@@ -160,13 +161,13 @@ def _spawn_due(w, slots, queue, clock, limits):
     e = np.int64(clock.cursor[w])  # of one type, for which all that is called is compiled once
     while e < queue.due.shape[1] and queue.due[w, e] <= frame:
         if queue.status[w, e] == PENDING:
-            patient = queue.waits[w, e] and frame - queue.due[w, e] < limits.patience
-            if not (patient and _blocked(w, e, slots, queue, frame, limits.clearance)):
+            patient = queue.may_wait[w, e] and frame - queue.due[w, e] < constants.patience
+            if not (patient and _blocked(w, e, slots, queue, frame, constants.clearance)):
                 while free < slots.alive.shape[1] and (
                     slots.alive[w, free] or slots.ended[w, free] != 0
                 ):
                     free += 1
-                if clock.ids[w] >= limits.max_persons:
+                if clock.ids[w] >= constants.max_persons:
                     clock.no_id[w] += 1
                     clock.changed[w] = 1
                     queue.status[w, e] = DROPPED

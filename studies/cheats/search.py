@@ -26,7 +26,7 @@ from studies.cheats.walkers import Wanderer
 NAMES = ("white", "wander along", "wander across", "memory", "sway", "period, s", "speeds")
 
 
-class Drawn(Wanderer):
+class RandomWanderer(Wanderer):
     """A blind wanderer with random parameters."""
 
     def __init__(self, name: str, of: np.ndarray) -> None:
@@ -61,7 +61,7 @@ def search(of_scene: str, draws: int) -> list[str]:
     high = np.array([0.2, 0.5, 0.5, 0.98, 0.4, 12.0, 0.15])
     drawn = {f"draw {k}": low + rng.random(7) * (high - low) for k in range(draws)}
     policies: dict[str, Policy] = {"social-force": SocialForce()}
-    policies |= {name: Drawn(name, of) for name, of in drawn.items()}
+    policies |= {name: RandomWanderer(name, of) for name, of in drawn.items()}
     rolled = {}
     for name, policy in policies.items():
         job = Job(scene.id, "replay", name, "full", 0, 0, Path(), "")

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.stops import STANDING_MPS
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics.interaction import clearance
 from crowdbench.scene import Scene
@@ -31,7 +32,6 @@ NEAR_M = 2.5
 WALKS_MPS = 0.5
 WALL_M = 1.0
 CELL_M = 1.0
-STANDS_MPS = 0.3
 _HEAD_ON, _ACROSS, _ALONG = 150.0, (60.0, 120.0), 30.0
 _BEHIND_M = 0.5
 _LEAST = 3
@@ -74,7 +74,7 @@ class Encounter:
             return None
         if self.kind == "stop":
             speed = np.hypot(*np.diff(own[0], axis=0).T) / dt_s
-            return float((speed < STANDS_MPS).sum() * dt_s)  # NaN is not slow
+            return float((speed < STANDING_MPS).sum() * dt_s)  # NaN is not slow
         if self.kind == "passage":
             there = own[0][~np.isnan(own[0][:, 0])]
             return float(clearance(self.walls, there).min())

@@ -122,7 +122,7 @@ def _crowd(row: Row) -> Score:
 
 def _compared(card: Scorecard) -> tuple[list[Row], list[tuple[int, int]]]:
     """The crowds with scores (the last is the memorisation baseline), and `significant_pairs`."""
-    memory = [r for r in rows(card) if r.kind == "anchor" and (r.spawn, r.policy) == MEMORY]
+    memory = [r for r in rows(card) if r.kind == "baseline" and (r.spawn, r.policy) == MEMORY]
     known = [row for row in (*_competing(card), *memory) if row.crowd is not None]
     return known, significant_pairs([_crowd(row) for row in known])
 

@@ -21,7 +21,7 @@ from crowdbench.baselines.mixture import (  # noqa: E402
     NOISE,
     Mixture,
     MixturePolicy,
-    Sampler,
+    MixtureSampler,
     features_of,
     target_distance_m,
 )
@@ -100,8 +100,8 @@ def trips(persons: int = 60, steps: int = 20) -> Demonstrations:
 
 
 def test_cloning_learns_what_was_shown_and_the_same_from_the_same_seed() -> None:
-    brief = bc.Settings(learning_rate=5e-3, batch_size=64, epochs=1)
-    longer = bc.Settings(learning_rate=5e-3, batch_size=64, epochs=30)
+    brief = bc.BcSettings(learning_rate=5e-3, batch_size=64, epochs=1)
+    longer = bc.BcSettings(learning_rate=5e-3, batch_size=64, epochs=30)
     (_, little, _), (policy, much, epochs) = (bc.clone([trips()], s) for s in (brief, longer))
     assert much > little + 1.0
     assert 1 < epochs <= 30
@@ -115,7 +115,7 @@ def test_cloning_learns_what_was_shown_and_the_same_from_the_same_seed() -> None
 
 
 def test_training_stops_when_nothing_gets_better() -> None:
-    hasty = bc.Settings(learning_rate=0.3, batch_size=64, epochs=1000, patience=2)
+    hasty = bc.BcSettings(learning_rate=0.3, batch_size=64, epochs=1000, patience=2)
     _, _, epochs = bc.clone([trips()], hasty)
     assert epochs < 200
 
@@ -141,7 +141,7 @@ def test_the_sampler_draws_from_the_policy() -> None:
     )  # fmt: skip
     seen, noise = torch.rand(5, 7) - 0.5, torch.randn(5, NOISE)
     expected = policy.get_distribution(seen).drawn(noise).clamp(-1, 1)
-    torch.testing.assert_close(Sampler(policy)(seen, noise), expected)
+    torch.testing.assert_close(MixtureSampler(policy)(seen, noise), expected)
     actions, values, log_prob = policy(seen)
     assert actions.shape == (5, 2)
     again, same, entropy = policy.evaluate_actions(seen, actions)
@@ -194,7 +194,7 @@ def test_a_narrower_policy_does_the_same_more_steadily() -> None:
 def test_what_is_done_near_goals_can_be_shown_more_often() -> None:
     near = trips()
     near.observations[:, 2] = np.tile(np.repeat([0.01, 0.5], 21), 30)[: len(near.observations)]
-    brief = bc.Settings(learning_rate=5e-3, batch_size=64, epochs=3)
+    brief = bc.BcSettings(learning_rate=5e-3, batch_size=64, epochs=3)
     (_, once, _), (_, often, _) = (
         bc.clone([near], replace(brief, homing=homing)) for homing in (1, 5)
     )

@@ -14,7 +14,7 @@ import torch  # noqa: E402
 
 from crowdbench import Demonstrations, rollout, spawn_model  # noqa: E402
 from crowdbench.baselines import bc_paper  # noqa: E402
-from crowdbench.baselines.bc_paper import NOISE, PaperObservation, Settings, clone  # noqa: E402
+from crowdbench.baselines.bc_paper import NOISE, BcPaperSettings, PaperObservation, clone  # noqa: E402
 from crowdbench.policies import OnnxPolicy  # noqa: E402
 from crowdbench.scene import load_scene  # noqa: E402
 
@@ -58,7 +58,7 @@ def test_the_direction_to_the_goal_is_an_angle_over_two_pi(direction, turn: floa
 
 
 def test_cloning_learns_what_was_shown_and_the_same_from_the_same_seed() -> None:
-    brief = Settings(learning_rate=5e-3, batch_size=128, epochs=1)
+    brief = BcPaperSettings(learning_rate=5e-3, batch_size=128, epochs=1)
     longer = replace(brief, epochs=50)
     sampler, again = clone(trips(), longer), clone(trips(), longer)
     for name, values in sampler.state_dict().items():
@@ -66,7 +66,7 @@ def test_cloning_learns_what_was_shown_and_the_same_from_the_same_seed() -> None
     seen, _ = trips().pairs()
     expected = 0.2 * seen[:, 3:5]
 
-    def misses(network: bc_paper.Sampler) -> float:
+    def misses(network: bc_paper.PaperSampler) -> float:
         with torch.no_grad():
             mean = network(torch.from_numpy(seen), torch.zeros(len(seen), NOISE))
         return float(np.abs(mean.numpy() - expected).mean())
@@ -77,7 +77,7 @@ def test_cloning_learns_what_was_shown_and_the_same_from_the_same_seed() -> None
 
 
 def test_actions_are_drawn_from_the_gaussian_within_the_recorded_range() -> None:
-    sampler = clone(trips(), Settings(epochs=1))
+    sampler = clone(trips(), BcPaperSettings(epochs=1))
     seen, _ = trips().pairs()
     _, did = trips().pairs()
     one = torch.from_numpy(seen[:1]).expand(50_000, -1)

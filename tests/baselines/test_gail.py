@@ -24,7 +24,9 @@ from crowdbench.policies import OnnxPolicy  # noqa: E402
 from crowdbench.scene import load_scene  # noqa: E402
 
 PLAZA = load_scene("plaza-v0")
-TINY = gail.Settings(persons=8, steps=512, round_steps=32, horizon_s=60.0, discriminator_batch=64)
+TINY = gail.GailSettings(
+    persons=8, steps=512, round_steps=32, horizon_s=60.0, discriminator_batch=64
+)
 
 
 def fresh(hidden: int = 16) -> MixturePolicy:
@@ -88,7 +90,7 @@ def test_training_changes_the_policy_and_the_same_seed_changes_it_alike() -> Non
 
 
 def test_a_discriminator_tells_wanderers_from_recorded_people() -> None:
-    settings = gail.Settings(
+    settings = gail.GailSettings(
         persons=16, steps=4096, round_steps=32, horizon_s=60.0, discriminator_batch=256,
         discriminator_rate=3e-3, learning_rate=0.0,
     )  # fmt: skip
@@ -98,7 +100,7 @@ def test_a_discriminator_tells_wanderers_from_recorded_people() -> None:
 
 
 def test_reminders_make_what_recorded_people_did_likelier() -> None:
-    lots, first = [demonstrations("plaza-v0", observation="lidar-3")], bc.Settings(batch_size=256)
+    lots, first = [demonstrations("plaza-v0", observation="lidar-3")], bc.BcSettings(batch_size=256)
     settings = replace(TINY, steps=256, learning_rate=1e-3)
     told = next(iter(bc.everything(lots, first)))
     likely = {}
@@ -162,7 +164,7 @@ def test_the_file_and_the_curves_are_written(tmp_path: Path, capsys) -> None:
 
 
 def test_it_can_begin_with_nothing() -> None:
-    settings = bc.Settings(hidden=(8, 8), epochs=0)
+    settings = bc.BcSettings(hidden=(8, 8), epochs=0)
     policy, _, epochs = bc.clone([demonstrations("plaza-v0")], settings)
     assert epochs == 0
     assert [layer.out_features for layer in gail._hidden(policy)] == [8, 8]

@@ -126,10 +126,10 @@ def test_it_trains_and_its_file_acts_as_it_does(
 def test_the_untrained_network_walks_towards_the_goal() -> None:
     network = ppo.Around("lidar-2", 38, 16, std=0.1)
     seen = torch.rand(100, 38) * 0.4
-    acted = ppo.Sampler(network)(seen, torch.zeros(100, ppo.NOISE))
+    acted = ppo.GaussianSampler(network)(seen, torch.zeros(100, ppo.NOISE))
     torch.testing.assert_close(acted, seen[:, 3:5] * seen[:, 5:6])
     noise = torch.ones(100, ppo.NOISE)
-    torch.testing.assert_close(ppo.Sampler(network)(seen, noise), acted + 0.1)
+    torch.testing.assert_close(ppo.GaussianSampler(network)(seen, noise), acted + 0.1)
 
 
 def test_in_the_own_frame_it_stands_at_stops() -> None:
@@ -148,7 +148,7 @@ def test_in_the_own_frame_it_stands_at_stops() -> None:
 @pytest.mark.parametrize("observation", ["lidar-2", "social-1"])
 def test_training_improves_the_reward(observation: str) -> None:
     # A wide Gaussian leaves more to be learned.
-    settings = ppo.Settings(
+    settings = ppo.PpoSettings(
         observation=observation,
         worlds=16,
         frames=48_000,
@@ -180,7 +180,7 @@ def test_unknown_scenes_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_several_processes_act_by_the_network_as_it_is_now() -> None:
-    settings = ppo.Settings(
+    settings = ppo.PpoSettings(
         worlds=8, frames=3200, batch_frames=800, collectors=2, learning_rate=1e-12, gamma=0.5
     )
     rounds = ppo.train("plaza-v0", settings)
@@ -197,6 +197,6 @@ def test_several_processes_act_by_the_network_as_it_is_now() -> None:
     ("changes", "told"), [({"collectors": 3}, "divisor"), ({"device": "cuda:99"}, "device")]
 )
 def test_what_cannot_be_trained_with_is_said(changes: dict[str, object], told: str) -> None:
-    settings = ppo.Settings(worlds=8, **changes)  # type: ignore[arg-type]
+    settings = ppo.PpoSettings(worlds=8, **changes)  # type: ignore[arg-type]
     with pytest.raises(SettingError, match=told):
         next(ppo.train("plaza-v0", settings))

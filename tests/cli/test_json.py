@@ -51,7 +51,7 @@ def test_several_rollouts_are_scored_beside_the_anchors(
     rows = printed(["score", "plaza-v0", *map(str, files), "--json", "-"], capsys)
     mine, *others = rows
     assert (mine["spawn"], mine["policy"], mine["kind"]) == ("trajectories",) * 2 + ("entry",)
-    assert {row["kind"] for row in others} == {"anchor"}
+    assert {row["kind"] for row in others} == {"baseline"}
     assert set(CROWD) <= set(mine["families"])
     assert mine["rollouts"] == 2
     assert mine["walk"] is None  # people did not enter as recorded

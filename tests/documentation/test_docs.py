@@ -71,11 +71,15 @@ def test_the_table_of_contents_lists_every_page() -> None:
     assert {p.resolve() for p in PAGES} - {DOCS / "README.md"} <= listed
 
 
-def test_the_environments_example_runs_to_the_end() -> None:
-    (example,) = pages.blocks(page("environment.md"), "python")
-    world: dict[str, object] = {}
-    exec(compile(example, "environment.md", "exec"), world)
+def test_the_examples_of_the_page_on_environments_run_in_their_order() -> None:
+    world: dict[str, Any] = {}
+    first, *others = pages.blocks(page("environment.md"), "python")
+    exec(compile(first, "environment.md", "exec"), world)
     assert world["observations"]
+    for example in others:
+        exec(compile(example, "environment.md", "exec"), world)
+    assert world["near"] <= 0
+    assert world["env"].spawn.name == "ntpp-gmm"
 
 
 @pytest.mark.long

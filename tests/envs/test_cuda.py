@@ -71,7 +71,7 @@ def test_what_is_seen_stays_when_the_world_goes_on() -> None:
 
 @pytest.mark.parametrize("collectors", [1, 2])
 def test_ppo_trains_on_a_gpu(collectors: int) -> None:
-    settings = ppo.Settings(
+    settings = ppo.PpoSettings(
         worlds=8, frames=3200, batch_frames=800, device="cuda", collectors=collectors
     )
     rounds = list(ppo.train("plaza-v0", settings))

@@ -301,7 +301,7 @@ def test_recorded_arrivals_are_walked_where_the_recording_is_at_hand(tmp_path: P
     assert first.families["motion"].value == pytest.approx(0)
     assert first.walk is not None
     assert second.crowd is not None
-    assert {row.kind for row in anchors} == {"anchor"}
+    assert {row.kind for row in anchors} == {"baseline"}
     replayed = next(row for row in anchors if row.policy == "replay")
     assert replayed.walk is not None
     assert replayed.walk.value == pytest.approx(1)

@@ -192,12 +192,11 @@ def test_companions_of_other_worlds_do_not_count() -> None:
     ]
     simulation = Simulation(square(60.0), worlds=2, settings=Settings(max_alive=4))
     simulation.reset(worlds, horizon=10)
-    rewarder = Rewarder(only("companions", -1.0), simulation)
-    rewarder.begin()
+    rewarder = Rewarder(only("companions", -1.0))
     simulation.observe()
     simulation.step(np.zeros((2, 4, 2), np.float32))
     simulation.observe()
-    found = rewarder.parts()[..., PARTS.index("companions")]
+    found = rewarder(simulation)[..., PARTS.index("companions")]
     assert (found[0, :2] < -0.3).all()
     assert not found[1].any()
 

@@ -51,7 +51,7 @@ def score_table(card: Scorecard, table: Sequence[Row], names: Names) -> Markup:
         parts={
             f"Evaluated crowds{_ordered_by(crowds, by)}": crowds,
             f"Policies under the recorded arrivals{_ordered_by(walkers, by)}": walkers,
-            "Baselines (not ranked)": [row for row in table if row.kind == "anchor"],
+            "Baselines (not ranked)": [row for row in table if row.kind == "baseline"],
         },
         too_few_rollouts=too_few_rollouts,
         beyond_gate=gate_notes(card, table, names),

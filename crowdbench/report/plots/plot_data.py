@@ -18,7 +18,7 @@ from crowdbench.scene import Scene
 from crowdbench.scoring.energy import Draws
 from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.score import LEVEL
-from crowdbench.scoring.scorecard import ANCHORS
+from crowdbench.scoring.scorecard import BASELINES
 from crowdbench.spawn.areas import Areas, read_areas
 
 Crowds = Mapping[tuple[str, str, int], Trajectories]
@@ -110,7 +110,7 @@ class PlotData:
             },
         )
         pairs = list(dict.fromkeys((spawn, policy) for spawn, policy, _ in crowds))
-        names = names_of([*pairs, *ANCHORS], scene)  # the tables show the baselines too
+        names = names_of([*pairs, *BASELINES], scene)  # the tables show the baselines too
         pairs = [pair for pair in pairs if pair[0] != "replay"] or pairs
         colours = spawn_colours([spawn for spawn, _ in pairs])
         policies = list(dict.fromkeys(policy for _, policy in pairs))

@@ -88,7 +88,7 @@ def _score_table(columns: Sequence[Column], table: Sequence[Row], names: Names) 
     grid = new_table("spawn × policy", *(head for head, _ in columns))
     grid.columns[0].min_width = _NAME
     for k, row in enumerate(table):
-        if row.kind == "anchor" and table[k - 1].kind == "entry":
+        if row.kind == "baseline" and table[k - 1].kind == "entry":
             grid.add_section()
         grid.add_row(names.pair(row.spawn, row.policy), *(cell(row) for _, cell in columns))
     return grid

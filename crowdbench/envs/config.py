@@ -1,0 +1,192 @@
+"""The settings that the environments have in common, and the simulation that they run."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from inspect import signature
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from jaxtyping import Float32
+
+from crowdbench.errors import SettingError, did_you_mean
+from crowdbench.policies import Straight
+from crowdbench.registry import DEFAULT_SPAWN, spawn_model
+from crowdbench.run.episode import begin, check_capacity, check_horizon, sample_of, slots_for
+from crowdbench.scene import Scene, load_scene
+from crowdbench.simulation import Settings, Simulation
+from crowdbench.simulation.observations import OBSERVATION
+from crowdbench.simulation.reward import Reward, RewardFn, reward_function
+from crowdbench.spawn import SpawnModel
+from crowdbench.spawn.model import Start
+
+OnFull = Literal["error", "drop"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvConfig:
+    """Settings of `parallel_env`, `CrowdEnv`, `SlotEnv` and `CrowdVecEnv`.
+
+    Each environment takes them as keywords, or a config, whose values keywords replace.
+
+    Raises:
+        SettingError: a value is out of range.
+    """
+
+    spawn: str | SpawnModel = DEFAULT_SPAWN
+    """The spawn model: a name (default `ntpp-gmm`), `pkg.module:Class`, or an object."""
+    horizon_s: float | None = None
+    """Length of an episode in seconds; default: the length of the recording."""
+    start: Start | None = None
+    """How an episode begins: `stationary` (after a discarded warm-up with straight walkers),
+    `recorded` (replay only) or `empty`; default: the spawn model's attribute `start`."""
+    observation: str = OBSERVATION
+    """`lidar-1`; `lidar-2` (default), which contains the preferred speed and the path around walls;
+    `lidar-3`, which also contains the distances to the bounds; `social-1`, the nearest people in
+    the person's own frame, without rays; or a registered observation."""
+    rays: int = 32
+    """Number of rays of an observation."""
+    ray_range_m: float = 10.0
+    """Range of the rays in metres."""
+    reward: Reward | RewardFn = field(default_factory=Reward)
+    """Weights of the parts of the usual reward, or a reward of one's own, see
+    `crowdbench.simulation.reward.RewardFn`."""
+    max_alive: int | None = None
+    """Number of slots: maximum number of people at the same time per world; default: 256, or twice
+    the size of a crowd in which nobody reaches a goal, if that is more. Fewer slots are faster."""
+    on_full: OnFull = "error"
+    """What happens if someone enters and all slots (or, in `parallel_env`, ids) are in use: `error`
+    raises a `CapacityError`, `drop` omits the person and counts it in the environment's
+    `dropped`."""
+
+    def __post_init__(self) -> None:
+        for name, known in (("start", get_args(Start)), ("on_full", get_args(OnFull))):
+            value = getattr(self, name)
+            if value not in known and (name, value) != ("start", None):
+                raise SettingError(
+                    name,
+                    got=repr(value),
+                    expected=f"one of {', '.join(known)}",
+                    hint=did_you_mean(value, known),
+                )
+        if not isinstance(self.reward, Reward) and not callable(self.reward):
+            raise SettingError(
+                "reward", got=repr(self.reward), expected="a crowdbench.Reward or a function"
+            )
+        if self.horizon_s is not None:
+            check_horizon(self.horizon_s)
+
+    @classmethod
+    def of(cls, env: type, config: "EnvConfig | None", settings: Mapping[str, Any]) -> "EnvConfig":
+        """The config of an environment, whose values those in `settings` replace.
+
+        Raises:
+            SettingError: the environment has no such setting, or a value is out of range.
+        """
+        known = [f.name for f in fields(cls)]
+        for name in settings:
+            if name not in known:
+                parameters = signature(env.__init__).parameters.values()  # type: ignore[misc]
+                ours = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
+                raise SettingError(
+                    env.__name__,
+                    got=f"the setting {name!r}",
+                    expected=f"one of {', '.join([*known, *ours])}",
+                    hint=did_you_mean(name, [*known, *ours]),
+                )
+        return replace(config or cls(), **settings)
+
+
+class EnvCrowd:
+    """The simulation that an environment runs, how its episodes begin, and its reward."""
+
+    def __init__(
+        self,
+        scene: str | Path | Scene,
+        config: EnvConfig,
+        *,
+        worlds: int = 1,
+        max_persons: int | None = Settings.max_persons,
+    ) -> None:
+        """Create the simulation.
+
+        Args:
+            scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
+            config: the settings.
+            worlds: number of worlds.
+            max_persons: maximum number of people per world, in an episode and its warm-up; None:
+                twice the size of a sample of the spawn model, plus 100.
+
+        Raises:
+            SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or
+                recording does not exist or does not fit.
+        """
+        check_count("worlds", worlds)
+        self.config = config
+        self.scene = load_scene(scene)
+        self.spawn = spawn_model(config.spawn, self.scene)
+        horizon_s = self.scene.horizon_s if config.horizon_s is None else config.horizon_s
+        self.frames = self.scene.frames(horizon_s)
+        max_alive = config.max_alive
+        if max_persons is None or max_alive is None:
+            sample = sample_of(self.spawn, self.scene, horizon_s)
+            max_persons = 2 * len(sample) + 100 if max_persons is None else max_persons
+            max_alive = slots_for(sample, self.scene) if max_alive is None else max_alive
+        settings = Settings(
+            max_alive=max_alive,
+            max_persons=max_persons,
+            rays=config.rays,
+            ray_range_m=config.ray_range_m,
+            observation=config.observation,
+        )
+        self.simulation = Simulation(self.scene, worlds=worlds, settings=settings)
+        self._reward = reward_function(config.reward)
+
+    def begin(
+        self, seed: int, *, simulation: Simulation | None = None, first_world: int = 0
+    ) -> None:
+        """Begin an episode in all worlds, or in another simulation from `first_world` on."""
+        begin(
+            simulation or self.simulation,
+            self.spawn,
+            seed=seed,
+            frames=self.frames,
+            start=self.config.start,
+            walker=Straight(),
+            first_world=first_world,
+        )
+
+    def reward_parts(self) -> Float32[np.ndarray, "W N parts"]:
+        """Parts of the reward of everyone who acted in the last step, zeros in other slots.
+
+        Raises:
+            OwnCodeError: a reward function of a user's own raised an exception, or returned an
+                array of another shape or numbers that are not finite.
+        """
+        parts: np.ndarray = self._reward(self.simulation)
+        return parts
+
+    @property
+    def dropped(self) -> int:
+        """Number of people, in all worlds, who could not enter for lack of slots or ids."""
+        clock = self.simulation.clock
+        return int(clock.no_slot.sum() + clock.no_id.sum())
+
+    def check_capacity(self) -> None:
+        """Check that everyone could enter, unless `on_full` is `drop`.
+
+        Raises:
+            CapacityError: there are more people than slots or ids.
+        """
+        if self.config.on_full == "error":
+            check_capacity(self.simulation)
+
+
+def check_count(name: str, value: object) -> None:
+    """Check a number of worlds or persons.
+
+    Raises:
+        SettingError: it is not a whole number of at least 1.
+    """
+    if not isinstance(value, int | np.integer) or value < 1:
+        raise SettingError(name, got=repr(value), expected="a whole number, 1 or more")
