@@ -40,7 +40,7 @@ if TYPE_CHECKING:
         recording_of,
         spawn_model,
     )
-    from crowdbench.run.parallel import engine
+    from crowdbench.run.executor import engine
     from crowdbench.scene import Scene, list_scenes, load_scene
     from crowdbench.simulation.reward import Reward
 
@@ -50,7 +50,7 @@ _HOME = {
     "envs.demonstrations": ("Demonstrations", "demonstrations"),
     "envs.parallel_env": ("CrowdParallelEnv", "parallel_env"),
     "errors": ("CrowdbenchError",),
-    "run.parallel": ("engine",),
+    "run.executor": ("engine",),
     "metrics": ("METRICS", "MetricResult", "distance"),
     "plugins": ("register",),
     "registry": (

@@ -1,9 +1,16 @@
-"""Atomic writing of files, and strict readers for JSON and TOML."""
+"""Atomic writing of files, temporary folders, and strict readers for JSON and TOML.
+
+A process that is killed cannot remove its temporary files. It holds a lock on each of them, which
+ends with it. So whoever next needs a folder, or writes the same file, removes those of the dead.
+"""
 
 import hashlib
 import os
 import re
 import secrets
+import shutil
+import tempfile
+import time
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,10 +20,12 @@ from typing import Any, TypeVar
 import msgspec
 import platformdirs
 
-from crowdbench import leftovers
 from crowdbench.errors import CrowdbenchError, OutputError, did_you_mean
 
 T = TypeVar("T")
+_PREFIX = "crowdbench-tmp-"
+_YOUNG_S = 1.0
+"""A folder that was made less than this time ago may not be locked yet."""
 
 
 def home() -> Path:
@@ -39,19 +48,78 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         made = [folder for folder in path.parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
-        with leftovers.temporary(temporary):
-            try:
-                temporary.touch(exist_ok=False)
+        _remove_abandoned(
+            path.parent, f"{re.escape(f'.{path.stem}-')}[0-9a-f]{{8}}{re.escape(path.suffix)}"
+        )
+        temporary.touch(exist_ok=False)
+        try:
+            with _held(temporary):
                 yield temporary
                 temporary.replace(path)
-            finally:
-                temporary.unlink(missing_ok=True)
+        finally:
+            temporary.unlink(missing_ok=True)
     except OSError as error:
         raise unwritable(path, error) from error
     finally:
         with suppress(OSError):  # stops at the first folder that is not empty
             for folder in made:
                 folder.rmdir()
+
+
+@contextmanager
+def temporary_folder(what: str, parent: Path | None = None) -> Iterator[Path]:
+    """Yield an empty folder, removed at the end of the block.
+
+    It is hidden in `parent`, or in the system's folder for temporary files. What killed processes
+    have left there is removed; in `parent`, what has the same name `what`.
+    """
+    place = parent or Path(tempfile.gettempdir())
+    prefix = f".{what}-" if parent else f"{_PREFIX}{what}-"
+    _remove_abandoned(place, re.escape(prefix if parent else _PREFIX) + ".*", _YOUNG_S)
+    with (
+        tempfile.TemporaryDirectory(dir=place, prefix=prefix, ignore_cleanup_errors=True) as name,
+        _held(Path(name)),
+    ):
+        yield Path(name)
+
+
+def _remove_abandoned(place: Path, names: str, young_s: float = 0.0) -> None:
+    """Remove the temporary files and folders of killed processes, by a pattern of their names."""
+    with suppress(OSError):
+        for path in [place / name for name in os.listdir(place) if re.fullmatch(names, name)]:
+            if time.time() - path.lstat().st_mtime >= young_s:
+                descriptor = _lock(path)
+                if descriptor is not None:
+                    shutil.rmtree(path) if path.is_dir() else path.unlink()
+                    os.close(descriptor)
+
+
+@contextmanager
+def _held(path: Path) -> Iterator[None]:
+    """Lock a file or folder; the operating system ends the lock when this process ends."""
+    descriptor = _lock(path)
+    try:
+        yield
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
+
+
+def _lock(path: Path) -> int | None:
+    """File descriptor that holds the lock on a path; None if another one does."""
+    try:
+        import fcntl
+    except ImportError:  # Windows: what a killed process leaves there is not found
+        return None
+    descriptor = None
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        if descriptor is not None:
+            os.close(descriptor)
+        return None
+    return descriptor
 
 
 def unwritable(path: Path, error: OSError) -> OutputError:

@@ -20,7 +20,7 @@ from crowdbench.data.blocks import SPLITS
 from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import interval
 from crowdbench.run.evaluate import evaluate  # without its report
-from crowdbench.run.parallel import call_each, checked_workers
+from crowdbench.run.executor import call_each, checked_workers
 from crowdbench.run.validation import Validator
 from crowdbench.scene import Scene
 from crowdbench.scoring.score import Score

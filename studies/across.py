@@ -20,7 +20,7 @@ from crowdbench.errors import SettingError
 from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import interval
 from crowdbench.run.evaluate import evaluate  # without its report
-from crowdbench.run.parallel import call_each, checked_workers
+from crowdbench.run.executor import call_each, checked_workers
 from crowdbench.scoring.scorecard import Row, rows
 
 with needs("fit", __name__):

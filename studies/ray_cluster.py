@@ -8,6 +8,7 @@ rollouts with those of `--workers 1`. It needs the extra `ray`.
 """
 
 import filecmp
+import os
 import tempfile
 import threading
 import time
@@ -51,10 +52,11 @@ def compare(arguments: list[str]) -> bool:
         print(f"--workers 1: {time.monotonic() - began:.0f} s")
         cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
         others = [cluster.add_node(num_cpus=1) for _ in range(NODES - 1)]
-        ray.init(address=cluster.address, log_to_driver=False)
+        os.environ["RAY_ADDRESS"] = cluster.address
         threading.Thread(target=kill_later, args=(cluster, others[0], there), daemon=True).start()
         began = time.monotonic()
         assert cli.main(["evaluate", *arguments, "--out", str(there), "--engine", "ray"]) == 0
+        ray.init(address=cluster.address, log_to_driver=False)
         left = sum(node["Alive"] for node in ray.nodes())
         print(f"{NODES} nodes, of which {left} are left: {time.monotonic() - began:.0f} s")
         ray.shutdown()

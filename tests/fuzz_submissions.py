@@ -25,8 +25,6 @@ from pathlib import Path
 from spoiling import spoilt
 from submissions import SHIPPED_FITS, listed_submission, spawn_submission, walk_submission
 
-from crowdbench.leftovers import swept
-
 LIMIT_S = 5.0
 LIMIT_BYTES = 2**30
 _WAIT_S = 12 * LIMIT_S
@@ -101,12 +99,7 @@ class _Child:
 
 
 def _work(pipe: Connection, temporary: Path, sound: list[Path]) -> None:
-    """Open what is sent, and tell how that ended, with the sweeper that every run has."""
-    with swept():
-        _answer(pipe, temporary, sound)
-
-
-def _answer(pipe: Connection, temporary: Path, sound: list[Path]) -> None:
+    """Open what is sent, and tell how that ended."""
     from crowdbench.errors import CrowdbenchError
     from crowdbench.leaderboard.submission.submission import open_submission
 

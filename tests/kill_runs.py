@@ -3,8 +3,8 @@
     python tests/kill_runs.py --kills 30
 
 Each run is killed by SIGTERM or SIGKILL, the main process alone; 2 s later there must be no
-process, no file in shared memory and no temporary file of it. Every run takes up what the killed
-ones before it made; what the last ones end with must be the same bytes as an undisturbed run's.
+process and no file in shared memory of it. Every run takes up what the killed ones before it made;
+what the last ones end with must be the same bytes as an undisturbed run's, and no temporary file.
 One line for each kill; exits with 1 if anything was wrong. Needs Linux.
 """
 
@@ -93,13 +93,13 @@ def processes(mark: str) -> dict[int, str]:
     return found
 
 
-def temporaries(out: Path, temporary: Path, known: set[str]) -> Iterator[str]:
+def temporaries(outs: list[Path], temporary: Path, known: set[str]) -> Iterator[str]:
     """Hidden files among the results, and what is in the folder of temporary files.
 
     `known` are names there that runs leave that nobody kills: onnxruntime has one.
     """
     yield from (str(path) for path in temporary.iterdir() if path.name not in known)
-    yield from (str(path) for path in out.rglob(".*"))
+    yield from (str(path) for out in outs for path in out.rglob(".*"))
 
 
 def shared(by: set[int]) -> Iterator[str]:
@@ -113,7 +113,6 @@ def kill(
     case: Case,
     out: Path,
     temporary: Path,
-    known: set[str],
     mark: str,
     number: signal.Signals,
     after_s: float,
@@ -128,7 +127,7 @@ def kill(
         os.kill(process.pid, number)
     time.sleep(GRACE_S)
     wrong = [f"process {pid}: {told}" for pid, told in processes(mark).items()]
-    wrong += [f"left: {name}" for name in (*shared(ever), *temporaries(out, temporary, known))]
+    wrong += [f"left: {name}" for name in shared(ever)]
     if process.poll() is None:
         process.kill()
     said = process.communicate()[1].decode()
@@ -171,7 +170,7 @@ def run(kills: int, seeds: int, seed: int) -> int:
             number = (signal.SIGTERM, signal.SIGKILL)[k // 2 % 2]
             after_s = float(rng.uniform(0.05, 1.0) * expected[case.name][1])
             out = folder / f"{case.name}-{round_of[case.name]}"
-            killed, wrong = kill(case, out, temporary, known, f"{k}", number, after_s)
+            killed, wrong = kill(case, out, temporary, f"{k}", number, after_s)
             if not killed and not wrong:  # it had ended: what it made is looked at, then made anew
                 late += 1
                 wrong += differing(case, out, expected[case.name][0])
@@ -187,6 +186,10 @@ def run(kills: int, seeds: int, seed: int) -> int:
             wrong = differing(case, out, expected[case.name][0])
             faults += bool(wrong)
             print(f"     {case.name:8}  resumed: {'; '.join(wrong) or 'the same bytes'}")
+        outs = [folder / f"{case.name}-{round_of[case.name]}" for case in every]
+        left = list(temporaries(outs, temporary, known))
+        faults += bool(left)
+        print(f"     after the next starts: {'; '.join(left) or 'nothing is left'}")
     print(f"{kills} kills, {late} of them too late, {faults} faults")
     return faults
 

@@ -15,7 +15,7 @@ from crowdbench.run.resolved import MAKES_ROLLOUTS
 PACKAGE = Path(crowdbench.__file__).parent
 
 FLOORS = (
-    ("baselines", "colours", "errors", "leftovers", "progress"),  # of baselines, the package alone
+    ("baselines", "colours", "errors", "progress"),  # of baselines, the package alone
     ("compilation", "files", "plugins"),
     ("data", "scene"),
     ("metrics", "spawn"),
@@ -121,7 +121,6 @@ def test_rollouts_depend_on_no_room_that_their_fingerprint_leaves_out() -> None:
     assert found - listed <= {
         "errors",
         "files",
-        "leftovers",
         "plugins",
         "progress",
     }  # which decide nothing

@@ -98,7 +98,7 @@ def test_baselines_come_with_an_installed_wheel(installed: Path, tmp_path: Path)
     ("code", "missing", "hint"),
     [
         (
-            "from crowdbench.run.ray_engine import connect; connect('ray')",
+            "from crowdbench.run.executor import engine; engine('ray').__enter__()",
             "ray",
             'Run pip install "crowdbench[ray]".',
         ),

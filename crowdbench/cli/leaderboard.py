@@ -12,7 +12,7 @@ from crowdbench.cli.printing import progress_bar
 from crowdbench.cli.running import new_app
 from crowdbench.errors import CrowdbenchError, SettingError
 from crowdbench.report.text.terminal import print_table
-from crowdbench.run.parallel import LOCAL, is_local
+from crowdbench.run.executor import LOCAL, is_local
 
 if TYPE_CHECKING:
     from crowdbench.leaderboard.sandbox.parent import Limits

@@ -9,7 +9,8 @@ from inspect import BoundArguments
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
 from crowdbench.errors import CrowdbenchError
-from crowdbench.run.parallel import LOCAL, Stopped, engine, stopping_in_order
+from crowdbench.run.executor import LOCAL, engine
+from crowdbench.run.processes import Stopped, stopping_in_order
 
 
 def new_app(name: str, help: str, version: str | None = None) -> App:  # noqa: A002

@@ -22,7 +22,7 @@ from crowdbench.report.text.terminal import (
     print_note,
     print_table,
 )
-from crowdbench.run.parallel import LOCAL
+from crowdbench.run.executor import LOCAL
 
 if TYPE_CHECKING:
     from crowdbench.run.rollout_jobs import Progress
@@ -240,7 +240,7 @@ def fit(
 @app.command
 def anchors(scene: SceneName, /, *, workers: Workers = None, engine: EngineName = LOCAL) -> None:
     """Roll out the crowds that define a scene's score scale (minutes)."""
-    from crowdbench.leftovers import temporary_folder
+    from crowdbench.files import temporary_folder
     from crowdbench.scene_building.anchors import make_anchors
     from crowdbench.scoring.scorecard import write_anchors
 
@@ -257,7 +257,7 @@ def power(scene: SceneName, /, *, write: bool = False) -> None:
     Args:
         write: write them to scene.toml as the scored metrics
     """
-    from crowdbench.leftovers import temporary_folder
+    from crowdbench.files import temporary_folder
     from crowdbench.scene_building.anchors import power_study
     from crowdbench.scene_building.toml import write_scored
 

@@ -16,12 +16,11 @@ from crowdbench.data.storage import read_own
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.files import unwritable, write_json
-from crowdbench.leftovers import swept
 from crowdbench.metrics import METRICS
 from crowdbench.registry import add_metric, has_recording
+from crowdbench.run.executor import checked_workers
 from crowdbench.run.judge import judge
 from crowdbench.run.lock import alone_in
-from crowdbench.run.parallel import checked_workers
 from crowdbench.run.references import reference_of
 from crowdbench.run.rollout_jobs import (
     Job,
@@ -84,7 +83,7 @@ def evaluate(
             expected=f"at least {FOLDS}, one per fold",
         )
     jobs = plan(place.asked, place, pairs, protocol, seeds, out / "rollouts")
-    with swept(), alone_in(out):
+    with alone_in(out):
         _prepare(out, published)
         rolled = roll_out(jobs, reference, workers, progress)
         card = judge(place, reference, rolled, protocol, seeds, scale)
@@ -146,10 +145,6 @@ def _prepare(out: Path, published: Sequence[str]) -> None:
         (out / "rollouts").mkdir(parents=True, exist_ok=True)
         for name in ("scorecard.json", "run.json", *published):
             (out / name).unlink(missing_ok=True)
-            # Temporary files of a run that was killed.
-            stem, _, suffix = name.partition(".")
-            for half in out.glob(f".{stem}-*.{suffix}"):
-                half.unlink(missing_ok=True)
     except OSError as error:
         raise unwritable(out, error) from error
 

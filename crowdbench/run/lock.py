@@ -6,7 +6,6 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from crowdbench import leftovers
 from crowdbench.errors import OutputError
 from crowdbench.files import unwritable
 
@@ -33,13 +32,9 @@ def alone_in(out: Path) -> Iterator[None]:
         ) from error
     except OSError as error:
         raise unwritable(out, error) from error
-    file = Path(lock.lock_file)
     try:
-        with leftovers.temporary(file):
-            try:
-                yield
-            finally:
-                # Removed before it is released: a process that has opened it notices that.
-                file.unlink(missing_ok=True)
+        yield
     finally:
+        # Removed before it is released: a process that has opened it notices that.
+        Path(lock.lock_file).unlink(missing_ok=True)
         lock.release()

@@ -31,7 +31,8 @@ from crowdbench.files import sha256
 from crowdbench.metrics import Metric, Statistics
 from crowdbench.plugins import told
 from crowdbench.policies import OnnxPolicy, Policy
-from crowdbench.run.parallel import Stopped, call_each, checked_workers, is_local
+from crowdbench.run.executor import call_each, checked_workers, is_local
+from crowdbench.run.processes import Stopped
 from crowdbench.run.resolved import Resolved
 from crowdbench.run.rollout import batchable, rollouts
 from crowdbench.scene import Scene, load_scene, scenes_folder
@@ -203,7 +204,6 @@ def roll_out(
     faster.
     """
     rolled: dict[Job, RolloutSummary] = {}
-    _remove_halves(jobs)
     progress(0, len(jobs))
     each = batches(jobs)
     # Closing ends the worker processes even if this function is left early.
@@ -216,7 +216,6 @@ def roll_out(
 
 def make(jobs: list[Job], workers: int | None, progress: Progress) -> None:
     """Make all missing rollouts like `roll_out`, without summaries."""
-    _remove_halves(jobs)
     progress(0, len(jobs))
     each, made = batches(jobs), 0
     with closing(_each(_make, each, workers)) as done:
@@ -272,13 +271,6 @@ def _own_files(batch: tuple[Job, ...]) -> list[Path]:
 def _told(batch: tuple[Job, ...]) -> str:
     first, last = batch[0], batch[-1]
     return str(first) if first is last else f"{first} to {last.seed}"
-
-
-def _remove_halves(jobs: list[Job]) -> None:
-    """Remove temporary files of runs that were killed."""
-    for folder in {job.path.parent for job in jobs}:
-        for half in folder.glob(".*-*.parquet"):
-            half.unlink(missing_ok=True)
 
 
 def _make(batch: tuple[Job, ...]) -> None:

@@ -5,7 +5,6 @@ scene is left after an error.
 """
 
 import re
-import tempfile
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
@@ -20,12 +19,11 @@ from crowdbench.data.recordings.mending import Gaps
 from crowdbench.data.recordings.noise import noise_of
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import OutputError, SceneError, SettingError
-from crowdbench.files import unwritable, write_text
-from crowdbench.leftovers import swept, temporary, temporary_folder
+from crowdbench.files import temporary_folder, unwritable, write_text
 from crowdbench.metrics import METRICS, metrics_for
 from crowdbench.registry import recording as named_recording
 from crowdbench.registry import recording_of
-from crowdbench.run.parallel import checked_workers
+from crowdbench.run.executor import checked_workers
 from crowdbench.run.rollout_jobs import Progress
 from crowdbench.scene import Gate, Recording, Scene, list_scenes, load_scene
 from crowdbench.scene_building import rules
@@ -161,12 +159,8 @@ def _build(place: Path, toml: str, crowd: Trajectories, workers: int, stage: Sta
     """Make a scene with this `scene.toml` in a temporary folder, and move it to its place."""
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
-        with (
-            swept(),
-            tempfile.TemporaryDirectory(dir=place.parent, prefix=f".{place.name}-") as half,
-            temporary(Path(half)),
-        ):
-            built = Path(half) / place.name
+        with temporary_folder(place.name, place.parent) as half:
+            built = half / place.name
             built.mkdir()
             write_text(built / "scene.toml", toml)
             facts = _fill(built, crowd, workers, stage)

@@ -17,7 +17,7 @@ from crowdbench.errors import SceneError, SettingError, did_you_mean, to_install
 from crowdbench.files import unwritable, write_text
 from crowdbench.progress import steps, whole
 from crowdbench.registry import FITTED, PLANNED, fitted_models
-from crowdbench.run.parallel import call_each, checked_workers
+from crowdbench.run.executor import call_each, checked_workers
 from crowdbench.scene import Scene
 from crowdbench.scene_building.plan_calibration import adjustment
 from crowdbench.scene_building.toml import with_default_clustering, with_recording

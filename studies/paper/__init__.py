@@ -5,8 +5,6 @@ and strides, samples them and crowdbench's models, and writes a Markdown page wi
 scene and an overview, meant to be kept under version control. The same samples give the same bytes.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +17,9 @@ from crowdbench.files import read_struct, replacing, write_json, write_text
 from crowdbench.policies.export import revision
 from crowdbench.registry import raw_recording_of, recording_of, spawn_model
 from crowdbench.report.plots.plot_data import PlotData
+from crowdbench.run.executor import checked_workers
 from crowdbench.run.judge import draws_of
 from crowdbench.run.lock import alone_in
-from crowdbench.run.parallel import checked_workers
 from crowdbench.run.rollout_jobs import Progress
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building.fit import check_torch
@@ -78,7 +76,7 @@ def write_paper(
     commit = revision(Path(__file__).parent)
     path, folder = out / "paper" / f"{place.id}.md", work / f"paper-{place.id}"
     _verdicts_in(out)  # fails here, too
-    with _without_halves(path), replacing(path) as temporary:  # fails early without access
+    with replacing(path) as temporary:  # fails early without access
         with alone_in(folder):
             studied = _studied(place, recording, folder, out, workers, progress)
         write_text(temporary, page(studied, commit))
@@ -100,8 +98,6 @@ def _studied(
     place: Scene, recording: Trajectories, folder: Path, out: Path, workers: int, progress: Progress
 ) -> Studied:
     """Make the study of a scene, and draw its pictures."""
-    for half in (*folder.glob(".*-*.json"), *folder.glob("fits/.*-*.safetensors")):
-        half.unlink(missing_ok=True)  # of an earlier call that was killed
     reference, areas = read_reference(place), read_areas(place)
     arrivals = arrivals_of(recording, reference.blocks.training("full"), len(areas.spawn))
     jobs = plan(place, arrivals, folder)
@@ -146,14 +142,6 @@ def _areas(place: Scene, recording: Trajectories) -> dict[str, str]:
             f"{len(areas.goal)} goal areas, {100 * areas.left_out[1]:.0f} % of ends in none"
         )
     return found
-
-
-@contextmanager
-def _without_halves(path: Path) -> Iterator[None]:
-    """Remove the temporary files of an earlier call that was killed."""
-    for half in path.parent.glob(f".{path.stem}-*.md"):
-        half.unlink(missing_ok=True)
-    yield
 
 
 __all__ = ["write_paper"]

@@ -17,7 +17,7 @@ import numpy as np
 import crowdbench
 from crowdbench.errors import WeightsError
 from crowdbench.files import read_bytes, replacing, sha256
-from crowdbench.run.parallel import call_each
+from crowdbench.run.executor import call_each
 from crowdbench.run.rollout_jobs import Progress
 from crowdbench.scene import Scene
 from crowdbench.spawn import Areas, Arrivals, NtppGMM, SpawnModel

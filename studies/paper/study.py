@@ -24,7 +24,7 @@ from crowdbench.policies import Straight
 from crowdbench.registry import policy as find_policy
 from crowdbench.registry import spawn_model, trained_policies
 from crowdbench.run.episode import arrivals as draw_arrivals
-from crowdbench.run.parallel import call_each
+from crowdbench.run.executor import call_each
 from crowdbench.run.resolved import fingerprint
 from crowdbench.run.rollout import rollout
 from crowdbench.run.rollout_jobs import Progress

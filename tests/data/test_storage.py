@@ -1,4 +1,5 @@
 import inspect
+import os
 import pickle
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from crowdbench import errors
 from crowdbench.data.storage import read, read_own, write_parquet
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import CrowdbenchError, OutputError, RecordingError
-from crowdbench.files import replacing, write_json, write_text
+from crowdbench.files import replacing, temporary_folder, write_json, write_text
 
 
 @pytest.fixture(scope="module")
@@ -276,3 +277,52 @@ def test_errors_travel_between_processes_whole(kind):
     assert type(copy) is kind
     assert str(copy) == str(error) == "place: got this; expected that. Do so."
     assert (copy.where, copy.got, copy.expected, copy.hint) == ("place", "this", "that", "Do so.")
+
+
+def test_the_next_write_removes_what_killed_processes_left_of_the_same_file(tmp_path):
+    path = tmp_path / "a.json"
+    (tmp_path / ".a-0123abcd.json").touch()
+    others = {tmp_path / name for name in (".b-0123abcd.json", ".a-b-0123abcd.json", ".a-x.json")}
+    for other in others:
+        other.touch()
+    with replacing(path) as used:
+        write_text(path, "meanwhile")
+        assert used.exists()
+        used.write_text("last")
+    assert path.read_text() == "last"
+    assert set(tmp_path.iterdir()) == {path, *others}
+
+
+LONG_AGO = 1_000_000_000
+
+
+@pytest.fixture
+def temporaries(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    return tmp_path
+
+
+def test_a_folder_is_there_in_the_block_and_not_after_it(temporaries):
+    with temporary_folder("test") as folder:
+        (folder / "inside").mkdir()
+        assert folder.parent == temporaries
+    assert list(temporaries.iterdir()) == []
+
+
+def test_folders_of_killed_processes_are_removed_and_those_in_use_are_not(temporaries):
+    names = ("crowdbench-tmp-a-old", "crowdbench-tmp-b-new", "somebodys-old", ".scene-old")
+    old, new, other, hidden = (temporaries / name for name in names)
+    for folder in (old, new, other, hidden):
+        folder.mkdir()
+        (folder / "file").touch()
+        if folder.name.endswith("old"):
+            os.utime(folder, (LONG_AGO, LONG_AGO))
+    with temporary_folder("test") as used:
+        os.utime(used, (LONG_AGO, LONG_AGO))
+        with temporary_folder("test"):
+            assert not old.exists()
+            assert used.exists()
+    with temporary_folder("scene", temporaries) as made:
+        assert made.name.startswith(".scene-")
+        assert not hidden.exists()
+    assert set(temporaries.iterdir()) == {new, other}

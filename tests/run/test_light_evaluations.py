@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from crowdbench.run import parallel, rollout_jobs
+from crowdbench.run import executor, rollout_jobs
 from crowdbench.run.rollout_jobs import plan
 from crowdbench.run.rollout_jobs import roll_out as roll_out_jobs
 from crowdbench.scene import load_scene
@@ -20,7 +20,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     def call_each(function: object, tasks: list, workers: int, **options: object) -> object:
         found.append(workers)
-        return parallel.call_each(function, tasks, 1, **options)  # type: ignore[arg-type]
+        return executor.call_each(function, tasks, 1, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(rollout_jobs, "call_each", call_each)
     monkeypatch.setattr(rollout_jobs, "checked_workers", lambda asked: asked or 7)

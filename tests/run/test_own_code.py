@@ -144,7 +144,7 @@ def test_a_spawn_model_that_raises_is_told_likewise(
 @pytest.mark.parametrize(
     ("name", "message"),
     [("Act", "ZeroDivisionError: division by zero (mine.py:28, helped)"),
-     ("Dying", "a worker process that was killed by SIGKILL")],
+     ("Dying", "a worker process that ended with SIGKILL")],
 )  # fmt: skip
 def test_workers_tell_it_too_and_what_was_made_before_is_kept(
     name: str, message: str, mine: Path, capsys: pytest.CaptureFixture[str]

@@ -189,7 +189,10 @@ class TestPage:
         stale = made.work / "ntpp-gmm-1000-50_0.json"
         stale.write_bytes(stale.read_bytes().replace(b'"made_from":"', b'"made_from":"0'))
         (made.work / "fits/ntpp-paper-100-50_0.safetensors").write_bytes(b"half")
-        halves = [made.work / ".poisson-gmm_0-x1.json", made.page.parent / ".plaza-v0-x1.md"]
+        halves = [
+            made.work / ".poisson-gmm_0-0123abcd.json",
+            made.page.parent / ".plaza-v0-0123abcd.md",
+        ]
         for half in halves:  # as a call that is killed leaves behind
             half.touch()
         told = made.again()

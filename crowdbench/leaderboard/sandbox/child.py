@@ -15,10 +15,9 @@ from pathlib import Path
 
 import msgspec
 
-from crowdbench import leftovers
 from crowdbench.errors import CrowdbenchError
 from crowdbench.leaderboard.sandbox.parent import ErrorPayload, Failure, Limits
-from crowdbench.run.parallel import end_with
+from crowdbench.run.processes import end_with
 
 _CLONE_NEWUSER, _CLONE_NEWNET = 0x10000000, 0x40000000
 
@@ -29,7 +28,6 @@ def main(arguments: Sequence[str]) -> None:
     asked = json.loads((desk / "asked.json").read_text())
     network = _leave_network()
     end_with(int(asked["parent"]))  # after the namespace: new credentials reset this setting
-    leftovers.share(asked["sweeper"])
     _limit(Limits(**asked["limits"]))
     answer: dict[str, object] = {"network": network}
     try:

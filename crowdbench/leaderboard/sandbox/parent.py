@@ -22,8 +22,8 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from crowdbench import leftovers
 from crowdbench.errors import CrowdbenchError
+from crowdbench.files import temporary_folder
 from crowdbench.leaderboard.sandbox.process_tree import Process, end, family
 
 Result = TypeVar("Result")
@@ -135,13 +135,12 @@ def call(
             expected="Linux or macOS: the sandbox uses process groups and resource limits of POSIX",
             hint="On Windows, use the Windows Subsystem for Linux (WSL).",
         )
-    with leftovers.temporary_folder("sandbox") as desk:
+    with temporary_folder("sandbox") as desk:
         asked = {
             "target": target,
             "arguments": arguments,
             "limits": asdict(limits),
             "parent": os.getpid(),
-            "sweeper": leftovers.pipe(),
         }
         (desk / "asked.json").write_text(json.dumps(asked))
         ran = _run(desk, where, limits, progress)
@@ -179,7 +178,6 @@ def _run(
             stderr=said,
             env=_environment(),
             start_new_session=True,
-            pass_fds=[pipe] if (pipe := leftovers.pipe()) is not None else [],
         )
         broken, ran = _watched(child, desk, limits, progress)
         if broken:

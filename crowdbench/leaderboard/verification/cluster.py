@@ -1,4 +1,4 @@
-"""Verification of several submissions at once, on the engine of `evaluation.parallel`.
+"""Verification of several submissions at once, on the engine of `run.executor`.
 
 Each submission is one task: it is rolled out and scored by one process, in a sandbox as elsewhere.
 """
@@ -13,7 +13,7 @@ from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage
 from crowdbench.leaderboard.verification.check import check_unused
 from crowdbench.leaderboard.verification.entry import Entry
 from crowdbench.leaderboard.verification.verify import DEFAULT, entry_of, owners_of, write_run
-from crowdbench.run.parallel import call_each, checked_workers
+from crowdbench.run.executor import call_each, checked_workers
 
 Verified = tuple[Entry, ResourceUsage]
 

@@ -19,7 +19,6 @@ from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage, Sandbox
 from crowdbench.leaderboard.verification.check import check_unused
 from crowdbench.leaderboard.verification.entry import Entry, read_entry
 from crowdbench.leaderboard.verification.soundness import check_entry
-from crowdbench.leftovers import swept
 
 DEFAULT = Limits()
 
@@ -49,13 +48,12 @@ def verify(
         CrowdbenchError: the id is taken, `out` contains an entry with that id by other authors, or
             something it needs, such as a recording, is missing.
     """
-    with swept():
-        owners = owners_of(out) | {name: [] for name in taken}
-        entry, ran = entry_of(submission, out / "work", workers, limits, progress, owners)
-        # The child has checked this before the first rollout, but its answer is not trusted.
-        check_unused(submission, entry.id, entry.declared.authors, owners)
-        write_json(out / f"{entry.id}.json", entry)
-        write_run(out / f"{entry.id}.run.json", ran)
+    owners = owners_of(out) | {name: [] for name in taken}
+    entry, ran = entry_of(submission, out / "work", workers, limits, progress, owners)
+    # The child has checked this before the first rollout, but its answer is not trusted.
+    check_unused(submission, entry.id, entry.declared.authors, owners)
+    write_json(out / f"{entry.id}.json", entry)
+    write_run(out / f"{entry.id}.run.json", ran)
     return entry, ran
 
 

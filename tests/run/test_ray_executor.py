@@ -4,11 +4,8 @@ import os
 import shlex
 import subprocess
 import sys
-import tempfile
 import time
-import zipfile
 from importlib.util import find_spec
-from io import BytesIO
 from pathlib import Path
 
 import pages
@@ -18,7 +15,7 @@ from submissions import declare
 
 from crowdbench import cli
 from crowdbench.errors import SettingError
-from crowdbench.run import node, parallel, ray_engine
+from crowdbench.run import executor, ray_executor
 
 ROOT = Path(__file__).parents[2]
 
@@ -27,6 +24,7 @@ OWN = '''
 import os, time
 from pathlib import Path
 import numpy as np
+import crowdbench
 
 def half(number, out, by):
     """Append to a file of the task; 13 is bad luck."""
@@ -36,7 +34,9 @@ def half(number, out, by):
     path = out / f"{number}.txt"
     before = path.read_text() if path.exists() else ""
     path.write_text(before + f"{number / by}")
-    return number / by, str(path), Path("given.txt").read_text(), os.environ["CROWDBENCH_HOME"]
+    return number / by, str(path), Path("given.txt").read_text(), os.environ["CROWDBENCH_HOME"], (
+        crowdbench.__file__
+    )
 
 class Slow:
     """Walks slowly to the target."""
@@ -48,12 +48,12 @@ class Slow:
 '''
 
 CLUSTER = """
-import threading, time
+import os, threading, time
 import ray
 from ray.cluster_utils import Cluster
 cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
 nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
-ray.init(address=cluster.address, log_to_driver=False)
+os.environ["RAY_ADDRESS"] = cluster.address
 """
 
 
@@ -79,7 +79,7 @@ def test_a_dead_node_an_error_and_an_interrupt(tmp_path: Path) -> None:
 from contextlib import closing
 from pathlib import Path
 import crowdbench, own
-from crowdbench.run.parallel import call_each, checked_workers
+from crowdbench.run.executor import call_each, checked_workers
 out = Path("out")
 out.mkdir()
 (out / "2.txt").write_text("before ")
@@ -92,9 +92,10 @@ with crowdbench.engine("ray"):
         if len(found) == 2:
             cluster.remove_node(nodes[0], allow_graceful=False)
     assert sorted(found) == list(range(12))
-    for k, (number, path, text, home) in found.items():
+    for k, (number, path, text, home, code) in found.items():
         assert (number, text) == (k / 2, "given")
-        assert "crowdbench-home" in home
+        assert Path(home).parent.name.startswith("crowdbench-tmp-node-")
+        assert "py_modules_files" in code
         assert not Path(path).exists() or out not in Path(path).parents
         assert (out / f"{k}.txt").read_text() == ("before 1.0" if k == 2 else f"{k / 2}")
     try:
@@ -110,7 +111,7 @@ with crowdbench.engine("ray"):
             break
         time.sleep(0.1)
     print("free:", free, "alive:", alive, flush=True)
-ray.shutdown()
+assert not ray.is_initialized()
 cluster.shutdown()
 """,
         tmp_path,
@@ -131,7 +132,6 @@ shutil.copytree(scenes_folder() / "plaza-v0", "mine")
 shutil.copy(scenes_folder() / "eth-v0" / "policies" / "bc" / "full.onnx", "walker.onnx")
 what = dict(spawn=["poisson-gmm", "replay"], policy=["own:Slow", "walker.onnx"], seeds=2)
 crowdbench.evaluate("mine", **what, workers=1, out="here")
-ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False)
 with crowdbench.engine("ray"):
     for _ in range(2):  # once more, from the files that are there
         crowdbench.evaluate("mine", **what, out="there")
@@ -192,9 +192,9 @@ def test_the_commands_of_the_page_exist() -> None:
 
 
 def test_an_unknown_engine_is_named() -> None:
-    with pytest.raises(SettingError, match="ray://HOST:PORT"), parallel.engine("slurm"):
+    with pytest.raises(SettingError, match="ray://HOST:PORT"), executor.engine("slurm"):
         pass
-    with pytest.raises(SettingError, match="set RAY_ADDRESS=HOST:PORT"), parallel.engine("a:6379"):
+    with pytest.raises(SettingError, match="set RAY_ADDRESS=HOST:PORT"), executor.engine("a:6379"):
         pass
 
 
@@ -211,52 +211,35 @@ def test_no_cluster_at_the_address() -> None:
 
 
 def test_the_engine_ends_with_the_block() -> None:
-    with parallel.engine("local"):
-        assert parallel.is_local()
-        assert parallel.checked_workers(3) == 3
-
-
-def test_what_killed_workers_left_is_removed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
-    old = time.time() - 8 * 24 * 3600
-    names = {
-        f"crowdbench-task-{ended.pid}-x": False,
-        f"crowdbench-task-{os.getpid()}-x": True,
-        "crowdbench-code-0-old": False,
-        "crowdbench-code-0-new": True,
-        "crowdbench-home-0-old": False,
-        "crowdbench-other-old": True,
-    }
-    for name in names:
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "file").touch()
-        if name.endswith("old"):
-            os.utime(tmp_path / name, (old, old))
-    node._clean.__wrapped__()
-    assert {name: (tmp_path / name).exists() for name in names} == names
+    with executor.engine("local"):
+        assert executor.is_local()
+        assert executor.checked_workers(3) == 3
 
 
 def test_what_is_sent_to_nodes_is_as_in_a_wheel(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "empty").mkdir()
-    monkeypatch.chdir(tmp_path / "empty")
-    zipfile.ZipFile(BytesIO(ray_engine._code())).extractall(tmp_path / "node")
+    here = tmp_path / "here"
+    for name in ("own.py", "inside/other.py", "data.txt", "results/a.py", ".b/c.py", "env/d.py"):
+        (here / name).parent.mkdir(parents=True, exist_ok=True)
+        (here / name).touch()
+    (here / "env" / "pyvenv.cfg").touch()
+    monkeypatch.chdir(here)
+    (tmp_path / "node").mkdir()
+    env = ray_executor._code(tmp_path / "node")
+    working = Path(env["working_dir"])
+    sent = {str(p.relative_to(working)) for p in working.rglob("*") if p.is_file()}
+    assert sent == {"own.py", "inside/other.py"}
+    assert env["py_modules"] == [str(tmp_path / "node" / "crowdbench")]
     code = (
         "import crowdbench, crowdbench.baselines.heuristic as found; print(found.__file__); "
         "print(len(crowdbench.list_scenes()))"
     )
     plain = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     run = [sys.executable, "-c", f"import sys; sys.path.insert(0, '../node'); {code}"]
-    done = subprocess.run(
-        run, cwd=tmp_path / "empty", env=plain, capture_output=True, text=True, check=True
-    )
+    done = subprocess.run(run, cwd=here, env=plain, capture_output=True, text=True, check=True)
     file, scenes = done.stdout.split()
-    assert Path(file).resolve() == tmp_path / "node" / "crowdbench" / "baselines" / "heuristic.py"
+    assert Path(file) == here / "../node/crowdbench/baselines/heuristic.py"
     assert int(scenes) >= 6
 
 
@@ -267,10 +250,10 @@ def test_files_outside_the_working_directory_are_refused(
     here.mkdir()
     (here / "own.onnx").touch()
     monkeypatch.chdir(here)
-    assert ray_engine._place(Path("own.onnx")) == "own.onnx"
+    assert ray_executor._place(Path("own.onnx")) == Path("own.onnx")
     for path in (Path("../here/own.onnx"), here / "own.onnx", Path("../own.onnx")):
         with pytest.raises(SettingError, match="relative to it"):
-            ray_engine._place(path)
+            ray_executor._place(path)
 
 
 @pytest.mark.nightly

@@ -1,0 +1,101 @@
+"""How the processes of a run end, and how they pass on what a call returned or raised."""
+
+import ctypes
+import os
+import pickle
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, ClassVar
+
+_PR_SET_PDEATHSIG = 1
+
+
+class Stopped(SystemExit):
+    """The process was asked to end, by SIGTERM or by the end of its terminal."""
+
+    last: ClassVar["Stopped | None"] = None
+    """The one that was raised last."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+        """The exit code."""
+
+
+@contextmanager
+def stopping_in_order() -> Iterator[None]:
+    """Turn SIGTERM and SIGHUP into `Stopped`, so that resources and temporary files are cleaned up.
+
+    The exit code is that of shells, 128 + the signal's number. Signals that are ignored stay
+    ignored (`nohup`).
+    """
+
+    def stop(number: int, frame: object) -> None:
+        Stopped.last = Stopped(128 + number)
+        raise Stopped.last
+
+    changed = []
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)  # Windows has only SIGTERM
+            if number is not None and signal.getsignal(number) == signal.SIG_DFL:
+                signal.signal(number, stop)
+                changed.append(number)
+    try:
+        yield
+    finally:
+        for number in changed:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def end_with(parent: int) -> None:
+    """Make this process end as soon as the process `parent` ends.
+
+    On Linux the kernel kills it; on other systems a thread watches the parent.
+    """
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    else:
+        threading.Thread(target=_watch, args=(parent,), daemon=True).start()
+    if os.getppid() != parent:  # it ended before this was set up
+        os._exit(1)
+
+
+def _watch(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)
+
+
+def outcome_of(call: Callable[[], object]) -> bytes:
+    """What a call returned or raised, pickled for `result_of` in another process."""
+    try:
+        return pickle.dumps((True, call()))
+    except BaseException as error:
+        told = f"In a worker process:\n{traceback.format_exc()}"
+        try:
+            error.add_note(told)
+            data = pickle.dumps((False, error))
+            pickle.loads(data)  # some exceptions can be pickled but not unpickled
+        except Exception:
+            plain = RuntimeError(f"{type(error).__name__}: {error}")
+            plain.add_note(told)
+            data = pickle.dumps((False, plain))
+        return data
+
+
+def result_of(outcome: bytes) -> Any:
+    """The result of a call from its `outcome_of`.
+
+    Raises:
+        Exception: the exception that the call raised.
+    """
+    returned, what = pickle.loads(outcome)
+    if returned:
+        return what
+    raise what
