@@ -21,7 +21,8 @@ from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy, revision
 from crowdbench.policies.network import read_card
 from crowdbench.registry import DEFAULT_SPAWN
-from crowdbench.run.executor import LOCAL, call_each, checked_workers, engine, is_local
+from crowdbench.run.executor import call_each, checked_workers, engine, is_local
+from crowdbench.run.processes import LOCAL
 from crowdbench.scene import Scene
 from crowdbench.spawn.weights import check_split
 

@@ -11,7 +11,7 @@ import crowdbench
 from crowdbench.cli.options import EngineName, Json, SceneName, Workers
 from crowdbench.cli.printing import json_written, progress_bar
 from crowdbench.report.text.terminal import print_facts
-from crowdbench.run.executor import LOCAL
+from crowdbench.run.processes import LOCAL
 
 if TYPE_CHECKING:
     from crowdbench.scoring.scorecard import Scorecard

@@ -12,7 +12,7 @@ from crowdbench.cli.printing import progress_bar
 from crowdbench.cli.running import new_app
 from crowdbench.errors import CrowdbenchError, SettingError
 from crowdbench.report.text.terminal import print_table
-from crowdbench.run.executor import LOCAL, is_local
+from crowdbench.run.processes import LOCAL
 
 if TYPE_CHECKING:
     from crowdbench.leaderboard.sandbox.parent import Limits
@@ -47,6 +47,7 @@ def verify(
     """
     from crowdbench.leaderboard.verification import verify as verification
     from crowdbench.leaderboard.verification.cluster import verify_each
+    from crowdbench.run.executor import is_local
 
     limits = _limits(hours, memory_gib)
     if is_local():

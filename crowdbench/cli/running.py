@@ -9,8 +9,7 @@ from inspect import BoundArguments
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
 from crowdbench.errors import CrowdbenchError
-from crowdbench.run.executor import LOCAL, engine
-from crowdbench.run.processes import Stopped, stopping_in_order
+from crowdbench.run.processes import LOCAL, Stopped, stopping_in_order
 
 
 def new_app(name: str, help: str, version: str | None = None) -> App:  # noqa: A002
@@ -88,7 +87,11 @@ def _run(app: App, arguments: Sequence[str]) -> int:
 def _engine_of(bound: BoundArguments) -> AbstractContextManager[None]:
     """The engine that a command line names; to open that of this machine would import numpy."""
     name = bound.arguments.get("engine", LOCAL)
-    return nullcontext() if name == LOCAL else engine(name)
+    if name == LOCAL:
+        return nullcontext()
+    from crowdbench.run.executor import engine
+
+    return engine(name)
 
 
 def _usage_error(app: App, error: CycloptsError) -> str:

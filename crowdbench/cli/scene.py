@@ -22,7 +22,7 @@ from crowdbench.report.text.terminal import (
     print_note,
     print_table,
 )
-from crowdbench.run.executor import LOCAL
+from crowdbench.run.processes import LOCAL
 
 if TYPE_CHECKING:
     from crowdbench.run.rollout_jobs import Progress

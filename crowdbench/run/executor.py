@@ -17,11 +17,10 @@ from typing import Any, TypeVar
 from crowdbench import plugins
 from crowdbench.errors import SettingError, WorkerError
 from crowdbench.run import ray_executor
-from crowdbench.run.processes import end_with, outcome_of, result_of
+from crowdbench.run.processes import LOCAL, end_with, outcome_of, result_of
 
 Result = TypeVar("Result")
 
-LOCAL = "local"
 ALONE_S = 3.0
 """Seconds after which the first worker process gets help: twice what it needs to start."""
 _THREADS = (

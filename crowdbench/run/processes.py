@@ -15,6 +15,10 @@ from typing import Any, ClassVar
 _PR_SET_PDEATHSIG = 1
 
 
+LOCAL = "local"
+"""Name of the engine of this machine; see `crowdbench.run.executor.engine`."""
+
+
 class Stopped(SystemExit):
     """The process was asked to end, by SIGTERM or by the end of its terminal."""
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from crowdbench.cli.options import EngineName, Workers
 from crowdbench.cli.printing import progress_bar
-from crowdbench.run.executor import LOCAL
+from crowdbench.run.processes import LOCAL
 
 
 def figures(

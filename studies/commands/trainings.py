@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from crowdbench.cli.options import EngineName, SceneName, Workers
-from crowdbench.run.executor import LOCAL
+from crowdbench.run.processes import LOCAL
 
 
 def ablation(
