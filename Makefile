@@ -4,6 +4,7 @@
 # make test-nightly  trainings, processes and nodes that are killed, and all combinations
 # make coverage      the fast tests, and which share of the lines they run
 # make lint          format, lint and types
+# make results       the generated files that are stale (hours); ARGS=--plan only says which and why
 #
 # Another set of dependencies: make test VENV=.venv-imitation EXTRAS=all
 # With RLlib, about a minute:  make test VENV=.venv-rllib EXTRAS=dev,rllib ARGS="-m slow"
@@ -14,7 +15,7 @@ EXTRAS ?= dev,fit,minari,onnx,orca,ray,torchrl,viewer
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: evaluate test test-all test-nightly coverage lint clean
+.PHONY: evaluate test test-all test-nightly coverage lint results clean
 
 evaluate: $(VENV)/core.stamp
 	$(BIN)/crowdbench evaluate eth-v0 --out results/eth
@@ -37,6 +38,10 @@ lint: $(VENV)/dev.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+results: ARGS =
+results: $(VENV)/dev.stamp
+	$(BIN)/python -m studies.remake $(ARGS)
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "crowdbench needs Python 3.11 or newer; name one with make PYTHON=…")'

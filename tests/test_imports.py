@@ -10,12 +10,11 @@ from pathlib import Path
 import pytest
 
 import crowdbench
-from crowdbench.run.resolved import MAKES_ROLLOUTS
 
 PACKAGE = Path(crowdbench.__file__).parent
 
 FLOORS = (
-    ("baselines", "colours", "errors", "progress"),  # of baselines, the package alone
+    ("baselines", "code", "colours", "errors", "progress"),  # of baselines, the package alone
     ("compilation", "files", "plugins"),
     ("data", "scene"),
     ("metrics", "spawn"),
@@ -106,24 +105,6 @@ def test_modules_import_only_from_lower_floors(path: Path) -> None:
     room = part_of(path)
     own = {room} if (PACKAGE / room).is_dir() else set()
     assert imported(path.read_text()) - own <= {r for r in ROOMS if ROOMS[r] < ROOMS[room]}
-
-
-def test_rollouts_depend_on_no_room_that_their_fingerprint_leaves_out() -> None:
-    needs: dict[str, set[str]] = {}
-    for path in MODULES:
-        needs.setdefault(part_of(path), set()).update(imported(path.read_text()))
-    found, todo = set(), ["data", "policies", "registry", "simulation", "spawn"]
-    while todo:
-        room = todo.pop()
-        found.add(room)
-        todo += needs[room] - found
-    listed = {name.split("/")[0].removesuffix(".py") for name in MAKES_ROLLOUTS}
-    assert found - listed <= {
-        "errors",
-        "files",
-        "plugins",
-        "progress",
-    }  # which decide nothing
 
 
 @pytest.mark.parametrize("name", SHORT_NAMES)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from crowdbench import plugins
 from crowdbench.data.blocks import SPLITS
@@ -17,6 +18,7 @@ from crowdbench.policies import (
     SocialForce,
     Straight,
 )
+from crowdbench.registry.dependencies import Dependencies
 from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene, scenes_folder
 from crowdbench.spawn.weights import check_split
@@ -104,11 +106,16 @@ class PolicySource:
         kind: Callable[..., Policy] = plugins.find("policies", self.name, (*known, *files))
         return kind
 
-    def dependencies(self, split: str) -> tuple[list[Path], bytes]:
-        """Files that its rollouts depend on, and code that is in no file."""
+    def dependencies(self, split: str) -> Dependencies:
+        """What its rollouts depend on."""
+        if self.own:
+            return Dependencies.of_own("policies", self.name)
         file = self.network(split)
-        files, code = plugins.code_of("policies", self.name) if self.own else ([], b"")
-        return [*([file] if file is not None else []), *files], code
+        if file is not None:
+            return Dependencies("network", (OnnxPolicy.__module__,), (file,))
+        recorded = self.name in _RECORDED
+        kind: Any = _RECORDED[self.name] if recorded else _PLAIN[self.name]
+        return Dependencies(self.name, (kind.__module__,), recording=recorded)
 
 
 def policy_source(name: str, scene: Scene) -> PolicySource:

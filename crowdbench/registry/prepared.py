@@ -10,13 +10,11 @@ and a damaged one is not used: either is made anew.
 from collections.abc import Callable
 from contextlib import suppress
 from copy import deepcopy
-from functools import cache
 from importlib.metadata import version
-from pathlib import Path
 
 import msgspec
 
-from crowdbench import __version__
+from crowdbench.code import code_hash
 from crowdbench.data.recordings import catalogue
 from crowdbench.data.storage import read_own, write_parquet
 from crowdbench.data.table import Trajectories
@@ -24,8 +22,10 @@ from crowdbench.errors import OutputError, RecordingError
 from crowdbench.files import sha256
 from crowdbench.scene import Scene
 
-_CODE = ("data", "spawn", "simulation", "policies", "registry", "run")
-"""Parts that prepare recordings, and that generate the plaza's."""
+_READERS = "crowdbench.data.recordings"
+"""Their product, the recording's table, is hashed itself."""
+_PLAZA = "crowdbench.run.plaza_recording"
+"""The module that generates the plaza's recording."""
 _LIBRARIES = ("numpy", "scipy", "scikit-learn")
 _IN_MEMORY = 4
 _ON_DISK = 8
@@ -51,25 +51,19 @@ def prepared(scene: Scene, make: Callable[[], Trajectories]) -> Trajectories:
     return deepcopy(crowd)
 
 
-def key_of(scene: Scene) -> str:
-    """Hash of everything that a prepared recording depends on."""
+def recording_hash(scene: Scene) -> str:
+    """Hash of what a scene's recording is prepared from: table, settings and code."""
     table = catalogue.cached(scene.recording.name)
-    what = sha256(table.read_bytes()) if table.exists() else "generated"
+    what, code = (sha256(table.read_bytes()), ()) if table.exists() else ("generated", (_PLAZA,))
     settings = msgspec.json.encode([scene.id, scene.clustering["default"]], order="deterministic")
-    return sha256(b"".join([what.encode(), settings, scene.rules, _code()]))[:32]
+    hashed = code_hash("crowdbench.registry.recordings", *code, cut=(_READERS,))
+    return sha256(b"".join([what.encode(), settings, scene.rules, hashed.encode()]))[:32]
 
 
-@cache
-def _code() -> bytes:
-    package = Path(__file__).parents[1]
-    files = [
-        package / "compilation.py",
-        package / "scene.py",
-        *(f for p in _CODE for f in sorted(package.glob(f"{p}/**/*.py"))),
-    ]
+def key_of(scene: Scene) -> str:
+    """Hash of everything that a prepared recording depends on: also the libraries that cluster."""
     made_with = [f"{name} {version(name)}" for name in _LIBRARIES]
-    hashes = [sha256(file.read_bytes()) for file in files]
-    return "\n".join([__version__, *made_with, *hashes]).encode()
+    return sha256("\n".join([recording_hash(scene), *made_with]).encode())[:32]
 
 
 def _read(scene: Scene, key: str) -> Trajectories | None:

@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from crowdbench import plugins
-from crowdbench.data.recordings import catalogue
 from crowdbench.errors import SettingError, WeightsError
+from crowdbench.registry.dependencies import Dependencies
 from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import (
@@ -66,6 +67,8 @@ PLANNED = {
 SPAWN_MODELS = (*FITTED, *PLANNED, "block-replay", "replay")
 DEFAULT_SPAWN = "ntpp-gmm"
 """Default spawn model of the environments."""
+_SCORING = ("scene.toml", "anchors.json", "reference.json")
+"""Files of a scene that rollouts do not depend on; of `scene.toml` only `Scene.rules` matters."""
 
 
 @dataclass(frozen=True)
@@ -88,16 +91,25 @@ class SpawnSource:
         model = self._build(split, fit)
         return model if self.scenario is None else _steer(model, self.scene, self.scenario)
 
-    def dependencies(self) -> tuple[list[Path], bytes]:
-        """Files besides the scene's that its rollouts depend on, and code that is in no file."""
-        files = [self.scenario] if self.scenario is not None else []
-        if self.fits is not None and self.fits.parent != self.scene.folder:
-            files.append(self.fits)
-        cached = catalogue.cached(self.scene.recording.name)
-        if self.base in ("replay", "block-replay") and cached.exists():
-            files.append(cached)
-        own, code = plugins.code_of("spawn_models", self.base) if self.own else ([], b"")
-        return [*files, *own], code
+    def dependencies(self) -> Dependencies:
+        """What its rollouts depend on."""
+        folder = self.scene.folder
+        scenario = () if self.scenario is None else (self.scenario,)
+        if self.own:  # it may read any file of the scene
+            beside = sorted(f for f in folder.iterdir() if f.is_file() and f.name not in _SCORING)
+            return Dependencies.of_own("spawn_models", self.base, *scenario, *beside)
+        files = (folder / "areas.json", *scenario)
+        steered: tuple[str, ...] = () if self.scenario is None else (Steered.__module__,)
+        if self.fits is None:
+            kind: Any = Replay if self.base == "replay" else BlockReplay
+            modules = (kind.__module__, *steered)
+            return Dependencies(self.base, modules, files, recording=True)
+        times = WEIGHTS[self.fits.name]
+        modules = (FITTED[times].__module__, *steered)
+        if self.base in PLANNED:
+            modules += (read_plans.__module__,)
+            return Dependencies(self.base, modules, (*files, self.fits, folder / PLANS))
+        return Dependencies(times, modules, (*files, self.fits))
 
     def _build(self, split: str, fit: int) -> SpawnModel:
         scene = self.scene

@@ -18,7 +18,8 @@ from crowdbench.metrics.motion import Speed
 from crowdbench.progress import steps
 from crowdbench.registry import recording_of
 from crowdbench.run.recorded_arrivals import recognised
-from crowdbench.run.rollout_jobs import Job, RolloutSummary, splits_of
+from crowdbench.run.rollout_jobs import Job, splits_of
+from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import RESAMPLES, Draws, FloorDraws, energy, floor, mean_of
 from crowdbench.scoring.reference import Reference, check_fits

@@ -1,25 +1,39 @@
 """Resolves the names of a spawn model and a policy, and hashes everything a rollout depends on."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from crowdbench import __version__
+from crowdbench import plugins
+from crowdbench.code import code_hash
 from crowdbench.files import sha256
 from crowdbench.registry import PolicySource, SpawnSource, policy_source, spawn_source
+from crowdbench.registry.prepared import recording_hash
 from crowdbench.scene import Scene
 
 MAKES_ROLLOUTS = (
-    "compilation.py",
-    "scene.py",
-    *(f"{room}/**/*.py" for room in ("data", "spawn", "simulation", "policies", "registry")),
-    *(f"run/{name}.py" for name in ("acting", "episode", "plaza_recording", "rollout", "shown")),
-    "run/rollout_jobs.py",
+    "crowdbench.run.rollout",
+    "crowdbench.registry.spawn_models",
+    "crowdbench.registry.policies",
 )
-"""Code that rollouts depend on. Changes to other code do not invalidate them."""
-MAKES_NO_ROLLOUTS = ("scene.toml", "anchors.json", "reference.json")
-"""Files of a scene that rollouts do not depend on; of `scene.toml` only `Scene.rules` matters."""
-_LARGE = 2**26  # bytes above which the file's modification time is hashed instead of its content
+"""Modules that every rollout runs. Those of its own spawn model and policy are added."""
+MODELS = (
+    *(f"crowdbench.spawn.{name}" for name in ("block_replay", "ntpp", "paper", "plans", "plaza")),
+    *(f"crowdbench.spawn.{name}" for name in ("replay", "steering.steered", "times")),
+    *(f"crowdbench.policies.{name}" for name in ("network", "social_force", "walkers")),
+)
+"""Spawn models and policies. A rollout depends only on those that are in it."""
+PREPARE_RECORDINGS = (
+    "crowdbench.data.recordings",
+    "crowdbench.registry.prepared",
+    "crowdbench.registry.recordings",
+)
+"""What rollouts without the recording do not depend on; see `recording_hash` for the others."""
+TRAINING = tuple(
+    f"crowdbench.spawn.*.{name}" for name in ("fit", "fit_frames", "log_likelihood", "write")
+)
+"""Functions of spawn models that no rollout calls."""
+_LARGE = 2**26  # bytes above which the time of a user's file is hashed instead of its content
 
 
 @dataclass(frozen=True)
@@ -47,35 +61,44 @@ class Resolved:
         spawn = [f"spawn model {self.spawn.name}"] if self.spawn.own else []
         return [*policy, *spawn]
 
+    @property
+    def foreign(self) -> bool:
+        """Whether it runs code of others, which may use more files than those beside it."""
+        sources = ((self.policy.own, self.policy.name), (self.spawn.own, self.spawn.name))
+        own = any(own and not name.startswith("crowdbench.") for own, name in sources)
+        return own or bool(plugins.names("observations"))
+
     def fingerprint(self, split: str) -> str:
-        """Hash of everything that a rollout depends on.
+        """Hash of everything that a rollout depends on, but its fit and seed.
 
-        This includes crowdbench's code, the scene's rules and models, the recording, the scenario,
-        the files of the spawn model and of the policy, and the code of user-defined classes.
+        This includes the scene's rules, the files of the spawn model and of the policy, the
+        recording if one of them plays it, the code of crowdbench that is run, and the code of
+        user-defined classes. Names do not count: the same models give the same hash.
         """
-        spawn_files, spawn_code = self.spawn.dependencies()
-        policy_files, policy_code = self.policy.dependencies(split)
-        what = f"{self.spawn.name} {self.policy.name}"
-        if code := spawn_code + policy_code:
-            what = f"{what} {sha256(code)}"
-        return fingerprint(self.scene, what, [*spawn_files, *policy_files])
+        spawn, policy = self.spawn.dependencies(), self.policy.dependencies(split)
+        parts: list[str | bytes] = [self.scene.id, self.scene.rules, split]
+        parts += [code_of_rollouts((*spawn.modules, *policy.modules), foreign=self.foreign)]
+        if spawn.recording or policy.recording:
+            parts += [recording_hash(self.scene)]
+        for needs, own in ((spawn, self.spawn.own), (policy, self.policy.own)):
+            parts += [needs.what, needs.code, *(_hash_of(file, own) for file in needs.files)]
+        hashes = [sha256(p.encode() if isinstance(p, str) else p) for p in parts]
+        return sha256(" ".join(hashes).encode())[:16]
 
 
-def fingerprint(scene: Scene, what: str, more: Sequence[Path] = ()) -> str:
-    """Hash of everything that the rollout `what` depends on.
+def code_of_rollouts(models: Iterable[str] = (), *, foreign: bool = False) -> str:
+    """Hash of the code that makes rollouts with spawn models and policies in the modules `models`.
 
-    This includes the code that makes rollouts, the scene's rules and models, and the files `more`.
+    Code of others (`foreign`) may use all that crowdbench has.
     """
-    package = Path(__file__).parents[1]
-    files = [file for name in MAKES_ROLLOUTS for file in sorted(package.glob(name))]
-    beside = sorted(path for path in scene.folder.iterdir() if path.is_file())
-    files += [*(file for file in beside if file.name not in MAKES_NO_ROLLOUTS), *more]
-    first = [f"{__version__} {scene.id} {what}".encode(), scene.rules]
-    return sha256(b"".join([*first, *(_hash_of(f) for f in files)]))[:16]
+    if foreign:
+        return code_hash(*MAKES_ROLLOUTS, *models, unused=TRAINING)
+    shared = code_hash(*MAKES_ROLLOUTS, cut=(*MODELS, *PREPARE_RECORDINGS), unused=TRAINING)
+    return shared + code_hash(*models, cut=PREPARE_RECORDINGS, unused=TRAINING)
 
 
-def _hash_of(file: Path) -> bytes:
+def _hash_of(file: Path, own: bool) -> str:
     stat = file.stat()
-    if stat.st_size > _LARGE:
-        return f"{file.name} {stat.st_size} {stat.st_mtime_ns}".encode()
-    return sha256(file.read_bytes()).encode()
+    if own and stat.st_size > _LARGE:
+        return f"{file.name} {stat.st_size} {stat.st_mtime_ns}"
+    return sha256(file.read_bytes())

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from crowdbench.data.blocks import SPLITS
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, ReplayPolicy
@@ -52,6 +53,11 @@ def rollout(
     return _simulated(
         scene, [World(spawn, seed)], policy, horizon_s=horizon_s, start=start, settings=settings
     )[0]
+
+
+def seed_of(split: str, seed: int) -> int:
+    """The seed of a rollout: those of different splits must not share their random numbers."""
+    return seed * len(SPLITS) + SPLITS.index(split)
 
 
 def rollouts(

@@ -1,7 +1,8 @@
 """Rollouts as jobs: which rollouts are needed, and which of them exist already.
 
 Each rollout is a job. It is written as Parquet with a fingerprint of everything that it depends on,
-so that interrupted work can continue and outdated rollouts are never reused.
+so that interrupted work can continue and outdated rollouts are never reused. What another
+evaluation has made already is taken from the store (`crowdbench.run.store`).
 
 Up to `BATCH` rollouts of the same models are made at once, if the policy allows it. The results of
 a network depend on the size of its batch in the last bits. Therefore the rollouts of a batch are
@@ -11,16 +12,14 @@ of the fingerprint: if one of them is missing, all are made again.
 
 import functools
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from crowdbench.data.blocks import SPLITS
 from crowdbench.data.storage import read_own, write_parquet
-from crowdbench.data.table import OUTCOMES, Trajectories
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import (
     CrowdbenchError,
     OwnCodeError,
@@ -28,15 +27,16 @@ from crowdbench.errors import (
     SettingError,
 )
 from crowdbench.files import sha256
-from crowdbench.metrics import Metric, Statistics
 from crowdbench.plugins import told
 from crowdbench.policies import OnnxPolicy, Policy
+from crowdbench.run import store
 from crowdbench.run.executor import call_each, checked_workers, is_local
 from crowdbench.run.processes import Stopped
 from crowdbench.run.resolved import Resolved
-from crowdbench.run.rollout import batchable, rollouts
+from crowdbench.run.rollout import batchable, rollouts, seed_of
+from crowdbench.run.summaries import RolloutSummary, summary_key
 from crowdbench.scene import Scene, load_scene, scenes_folder
-from crowdbench.scoring.reference import Reference, summarise
+from crowdbench.scoring.reference import Reference
 from crowdbench.spawn import SpawnModel
 
 Result = TypeVar("Result")
@@ -74,37 +74,6 @@ class Job:
 
     def __str__(self) -> str:
         return f"rollout {self.seed} of {self.spawn} × {self.policy} on {self.scene} ({self.split})"
-
-
-@dataclass(frozen=True, eq=False)
-class RolloutSummary:
-    """The statistics of a rollout, stored sparsely, and its outcomes."""
-
-    statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]]
-    """By metric and name: indices of non-zero columns, their values, number of all columns."""
-    outcomes: np.ndarray
-    """Number of persons by index in `OUTCOMES`."""
-
-    @classmethod
-    def of_crowd(cls, crowd: Trajectories, reference: Reference) -> "RolloutSummary":
-        """Summarise a crowd in the time blocks of the reference."""
-        statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]] = {}
-        for metric, of_metric in summarise(
-            crowd, reference.blocks, reference.place, reference.metrics
-        ).items():
-            statistics[metric] = {}
-            for name, values in of_metric.items():
-                columns = np.flatnonzero(values.any(axis=0))
-                statistics[metric][name] = (columns, values[:, columns], values.shape[1])
-        return cls(statistics, np.bincount(crowd.outcome, minlength=len(OUTCOMES)))
-
-    def of(self, metric: Metric) -> Statistics:
-        """The statistics of a metric, as dense arrays."""
-        dense = {}
-        for name, (columns, values, size) in self.statistics[metric.name].items():
-            dense[name] = np.zeros((len(values), size), dtype=np.int64)
-            dense[name][:, columns] = values
-        return dense
 
 
 def splits_of(protocol: str) -> tuple[str, ...]:
@@ -278,19 +247,38 @@ def _make(batch: tuple[Job, ...]) -> None:
 
 
 def _roll_out(batch: tuple[Job, ...], reference: Reference) -> list[RolloutSummary]:
-    return [RolloutSummary.of_crowd(crowd, reference) for crowd in _made(batch)]
+    return [_summary(job, crowd, reference) for job, crowd in zip(batch, _made(batch), strict=True)]
+
+
+def _summary(job: Job, crowd: Trajectories, reference: Reference) -> RolloutSummary:
+    """The summary of a rollout, from the store if it is there, otherwise made and kept there."""
+    key = summary_key(_key(job), reference) if _shared(job) else None
+    if key is None:
+        return RolloutSummary.of_crowd(crowd, reference)
+    if (file := store.find(key, ".npz")) is not None:
+        with suppress(OSError):  # another process may remove it
+            return RolloutSummary.decoded(file.read_bytes())
+    summary = RolloutSummary.of_crowd(crowd, reference)
+    store.keep(key, ".npz", summary.encoded())
+    return summary
 
 
 def _made(batch: tuple[Job, ...]) -> list[Trajectories]:
-    """The rollouts, read from files that belong to the jobs, otherwise made and written."""
+    """The rollouts, from files of the jobs or from the store, otherwise made; then in both."""
+    shared = _shared(batch[0])
     crowds = {job: crowd for job in batch if (crowd := _kept(job)) is not None}
     missing = [job for job in batch if job not in crowds]
-    if missing and not batch[0].exact:
-        missing = list(batch)
-    if missing:
-        crowds |= zip(missing, _rolled_out(missing), strict=True)
+    found = {job: crowd for job in missing if shared and (crowd := _in_store(job))}
+    to_make = [job for job in missing if job not in found]
+    if to_make and not batch[0].exact:
+        missing = to_make = list(batch)
+    made = zip(to_make, _rolled_out(to_make), strict=True) if to_make else ()
+    crowds |= {job: _of_job(crowd, job) for job, crowd in (found | dict(made)).items()}
     for job in missing:
         write_parquet(crowds[job], job.path)
+    if shared:
+        for job in to_make:
+            store.keep(_key(job), ".parquet", job.path.read_bytes())
     return [crowds[job] for job in batch]
 
 
@@ -303,6 +291,27 @@ def _kept(job: Job) -> Trajectories | None:
     except RecordingError:  # not a valid rollout: it is overwritten
         return None
     return crowd if dict(crowd.provenance) == _provenance(job) else None
+
+
+def _shared(job: Job) -> bool:
+    """Whether the store has such rollouts: not those of other people's code."""
+    return not _resolved(job.scene, job.spawn, job.policy, job.fingerprint).foreign
+
+
+def _in_store(job: Job) -> Trajectories | None:
+    file = store.find(_key(job), ".parquet")
+    with suppress(RecordingError):  # another process may remove it
+        return None if file is None else read_own(file)
+    return None
+
+
+def _key(job: Job) -> str:
+    """Key of a rollout in the store: its models may have other names elsewhere."""
+    return sha256(f"{job.fingerprint} {job.fit} {job.seed}".encode())[:32]
+
+
+def _of_job(crowd: Trajectories, job: Job) -> Trajectories:
+    return replace(crowd, provenance=_provenance(job))
 
 
 def _provenance(job: Job) -> dict[str, object]:
@@ -323,10 +332,8 @@ def _rolled_out(jobs: Sequence[Job]) -> list[Trajectories]:
         of_all = (first.scene, first.spawn, first.policy)
         scene = _resolved(*of_all, first.fingerprint).scene
         models = [_models(*of_all, j.split, j.fit, j.fingerprint) for j in jobs]
-        # Rollouts of different splits must not share their random numbers.
-        seeds = [j.seed * len(SPLITS) + SPLITS.index(j.split) for j in jobs]
-        crowds = rollouts(scene, [spawn for spawn, _ in models], models[0][1], seeds=seeds)
-    return [replace(c, provenance=_provenance(j)) for c, j in zip(crowds, jobs, strict=True)]
+        seeds = [seed_of(j.split, j.seed) for j in jobs]
+        return rollouts(scene, [spawn for spawn, _ in models], models[0][1], seeds=seeds)
 
 
 @contextmanager

@@ -21,7 +21,8 @@ from crowdbench.report.text.words import to_import
 from crowdbench.run.judge import judge
 from crowdbench.run.references import reference_of
 from crowdbench.run.rollout import rollout
-from crowdbench.run.rollout_jobs import Job, Progress, RolloutSummary
+from crowdbench.run.rollout_jobs import Job, Progress
+from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.scorecard import Scorecard, read_anchors
 from crowdbench.spawn import Replay

@@ -17,7 +17,8 @@ from crowdbench.registry import recording_of
 from crowdbench.run.judge import judge
 from crowdbench.run.references import reference_of
 from crowdbench.run.rollout import rollout
-from crowdbench.run.rollout_jobs import Job, RolloutSummary
+from crowdbench.run.rollout_jobs import Job
+from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import load_scene
 from crowdbench.scoring.scorecard import read_anchors, rows
 from crowdbench.spawn import Replay

@@ -81,8 +81,17 @@ def write_paper(
             studied = _studied(place, recording, folder, out, workers, progress)
         write_text(temporary, page(studied, commit))
         write_json(path.with_suffix("") / VERDICTS, Verdicts.of(studied))
-    write_text(out / "paper.md", overview(_verdicts_in(out)))
+    write_overview(out)
     return path
+
+
+def write_overview(out: Path) -> None:
+    """Write the overview `paper.md` of all scenes that have a page in `out`.
+
+    Raises:
+        OutputError: verdicts in `out` cannot be read.
+    """
+    write_text(out / "paper.md", overview(_verdicts_in(out)))
 
 
 def _verdicts_in(out: Path) -> list[Verdicts]:
@@ -144,4 +153,4 @@ def _areas(place: Scene, recording: Trajectories) -> dict[str, str]:
     return found
 
 
-__all__ = ["write_paper"]
+__all__ = ["write_overview", "write_paper"]

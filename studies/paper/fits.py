@@ -3,18 +3,16 @@
 A fit is made again only if its arrivals, its settings or the code of its training have changed.
 """
 
-import ast
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
-import crowdbench
+from crowdbench.code import code_hash
 from crowdbench.errors import WeightsError
 from crowdbench.files import read_bytes, replacing, sha256
 from crowdbench.run.executor import call_each
@@ -74,13 +72,11 @@ RECORDED = Configuration("replay")
 COMPARED = (POISSON, POISSON_CODE, LITERAL, CODE, SHIPPED)
 """The models that are compared with the recording."""
 _TRAINED_BY = {
-    "ntpp-paper": ("paper/training", "ntpp/sequences"),
-    "ntpp-gmm": (
-        *("ntpp/training", "ntpp/likelihood", "ntpp/calibration", "ntpp/kernels", "ntpp/model"),
-        *("ntpp/sequences", "times/groups"),
-    ),
+    "ntpp-paper": "crowdbench.spawn.paper.training",
+    "ntpp-gmm": "crowdbench.spawn.ntpp.training",
 }
-"""Modules that the fits of a model depend on."""
+"""Modules that train a model. Fits depend on the arrivals themselves, not on how they are read."""
+_ARRIVALS = ("crowdbench.data", "crowdbench.scene", "crowdbench.spawn.areas")
 
 
 def windowed() -> list[Configuration]:
@@ -135,33 +131,10 @@ def fit_of(
     lengths_s = f"{scene.dt_s} {arrivals.grid_s} {scene.protocol.block_s}"
     what = f"{settings} {seed} {arrivals.areas} {lengths_s}".encode()
     data = [arrivals.tick, arrivals.area, arrivals.windows]
-    made_from = sha256(b"".join([what, _code(configuration.spawn), *(a.tobytes() for a in data)]))[
-        :16
-    ]
+    code = code_hash(_TRAINED_BY[configuration.spawn], cut=_ARRIVALS).encode()
+    made_from = sha256(b"".join([what, code, *(a.tobytes() for a in data)]))[:16]
     path = folder / f"{configuration.stem}_{seed}.safetensors"
     return Fit(configuration, seed, settings, path, made_from)
-
-
-@cache
-def _code(spawn: str) -> bytes:
-    """The code that trains a model, without comments and docstrings: fits take hours."""
-    folder = Path(crowdbench.__file__).parent / "spawn"
-    files = [folder / f"{name}.py" for name in _TRAINED_BY[spawn]]
-    return b"".join(without_words(file.read_text(encoding="utf-8")) for file in files)
-
-
-def without_words(code: str) -> bytes:
-    """The syntax tree of Python code without its comments and docstrings."""
-    tree = ast.parse(code)
-    for node in ast.walk(tree):
-        for name in ("body", "orelse", "finalbody"):
-            if isinstance(body := getattr(node, name, None), list):
-                setattr(node, name, [part for part in body if not _is_text(part)])
-    return ast.dump(tree).encode()
-
-
-def _is_text(node: ast.AST) -> bool:
-    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
 def make_fits(

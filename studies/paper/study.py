@@ -14,18 +14,18 @@ import msgspec
 import numpy as np
 from jaxtyping import Int
 
+from crowdbench.code import code_hash
 from crowdbench.data.recordings.catalogue import cached
 from crowdbench.data.storage import read_own, write_parquet
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError
-from crowdbench.files import read_struct, write_json
+from crowdbench.files import read_struct, sha256, write_json
 from crowdbench.metrics import PAPER, MetricResult
 from crowdbench.policies import Straight
 from crowdbench.registry import policy as find_policy
-from crowdbench.registry import spawn_model, trained_policies
+from crowdbench.registry import spawn_model, spawn_source, trained_policies
 from crowdbench.run.episode import arrivals as draw_arrivals
 from crowdbench.run.executor import call_each
-from crowdbench.run.resolved import fingerprint
 from crowdbench.run.rollout import rollout
 from crowdbench.run.rollout_jobs import Progress
 from crowdbench.scene import Scene
@@ -40,6 +40,7 @@ from studies.paper.fits import (
     POISSON_CODE,
     RECORDED,
     SAMPLES,
+    SHIPPED,
     Configuration,
     Fit,
     fit_of,
@@ -54,6 +55,8 @@ DRAWS = 20
 """Number of samples of the arrivals alone, for each of `SAMPLES`."""
 WALKER = "bc-paper"
 """The paper's policy; scenes without it use straight walkers."""
+_READERS = ("crowdbench.data.recordings",)
+"""The recording itself is hashed, not how it is read."""
 _SCHEMA = 2
 
 
@@ -107,10 +110,11 @@ def walker_of(scene: Scene) -> str:
 def plan(scene: Scene, arrivals: Arrivals, folder: Path) -> list[Job]:
     """The samples of all configurations."""
     recording = cached(scene.recording.name)
-    here = Path(__file__).parent
-    files = [here / name for name in ("study.py", "bursts.py", "presence.py")]
+    files = [scene.folder / "areas.json", spawn_source(SHIPPED.spawn, scene).fits]
     files += sorted(scene.folder.glob("policies/*/full.onnx"))
     files += [recording] if recording.exists() else []  # the recording of the plaza is generated
+    hashes = [sha256(file.read_bytes()) for file in files if file is not None]
+    of_scene = f"{scene.rules!r} {code_hash(__name__, cut=_READERS)} {hashes}"
     walker = walker_of(scene)
     shown = tuple(dict.fromkeys([walker, "straight"]))
     shown += tuple(p for p in ("bc",) if p in trained_policies(scene))
@@ -121,7 +125,8 @@ def plan(scene: Scene, arrivals: Arrivals, folder: Path) -> list[Job]:
             fit = fit_of(of, seed, scene, arrivals, folder / "fits") if of.window_frames else None
             what = f"{of} {seed} {policies} {SCHEMES} {DRAWS} {fit.made_from if fit else ''}"
             path = folder / f"{of.stem}_{seed}.json"
-            jobs.append(Job(of, seed, fit, policies, path, fingerprint(scene, what, files)))
+            made_from = sha256(f"{of_scene} {what}".encode())[:16]
+            jobs.append(Job(of, seed, fit, policies, path, made_from))
     return jobs
 
 

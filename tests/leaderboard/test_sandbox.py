@@ -14,6 +14,7 @@ import pytest
 from crowdbench.errors import CrowdbenchError
 from crowdbench.leaderboard.sandbox.parent import Limits, SandboxError, call
 from crowdbench.leaderboard.submission.errors import SubmissionError
+from crowdbench.run import store
 
 NARROW = Limits(
     memory_bytes=2**29, wall_s=20.0, cpu_s=10, file_bytes=2**24, open_files=64, processes=16
@@ -39,6 +40,13 @@ def test_a_result_comes_back_with_what_it_took_and_progress_is_told() -> None:
     assert 0 < ran.wall_s < 20
     assert ran.peak_bytes > 2**20
     assert set(told) == {(1, 1)}
+
+
+def test_a_child_adds_nothing_to_the_store_of_rollouts() -> None:
+    tried("keep_in_the_store", str, key="mine")
+    assert not store.folder().exists()
+    store.keep("mine", ".parquet", b"here")
+    assert tried("keep_in_the_store", str, key="mine") == "here"
 
 
 @pytest.mark.parametrize(

@@ -146,7 +146,10 @@ def made(jobs: Sequence[Job]) -> dict[str, tuple[int, bytes]]:
     return {j.path.name: (j.path.stat().st_mtime_ns, j.path.read_bytes()) for j in jobs}
 
 
-def test_a_network_that_misses_one_rollout_makes_its_whole_batch_again(tmp_path: Path) -> None:
+def test_a_network_that_misses_one_rollout_makes_its_whole_batch_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CROWDBENCH_STORE", "read")  # which has nothing
     jobs = jobs_of("anticipate", 3, tmp_path)
     first = made(jobs)
     jobs[1].path.unlink()

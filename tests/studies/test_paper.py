@@ -45,7 +45,6 @@ from studies.paper.fits import (
     SHIPPED,
     Configuration,
     windowed,
-    without_words,
 )
 from studies.paper.measures import _welch, difference, signs
 from studies.paper.page import Verdicts, overview
@@ -556,12 +555,6 @@ def test_samples_that_do_not_follow_their_density() -> None:
     text = own_density(evidence(code={"p": 1e-6}))
     assert [line.split(" | ")[-1] for line in text.splitlines()[2:]] == ["yes |", "no |"]
     assert "1e-06" in text
-
-
-def test_words_in_the_code_do_not_make_fits_stale() -> None:
-    code = 'def f(x):\n    """Words."""\n    return x + 1  # more\n'
-    assert without_words(code) == without_words("def f(x):\n    return x + 1\n")
-    assert without_words(code) != without_words("def f(x):\n    return x + 2\n")
 
 
 def test_the_overview_is_about_all_scenes_with_a_page() -> None:

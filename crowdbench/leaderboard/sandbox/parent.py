@@ -33,6 +33,8 @@ _KEPT = (
     "PATH", "HOME", "USER", "LANG", "LC_ALL", "TMPDIR", "TZ", "VIRTUAL_ENV", "LD_LIBRARY_PATH",
 )  # fmt: skip
 _KEPT_STARTS = ("CROWDBENCH_", "NUMBA_", "OMP_", "PYTHON", "XDG_")
+_READS = {"CROWDBENCH_STORE": "read"}
+"""A submission's rollouts are not kept where other evaluations would find them, see `run.store`."""
 _WATCH_S = 0.1
 
 
@@ -229,7 +231,7 @@ def _environment() -> dict[str, str]:
     }
     # Each thread of OpenBLAS would reserve memory. With PYTHONSAFEPATH, nothing is imported from
     # the current folder, which may be a submission's.
-    return {"OPENBLAS_NUM_THREADS": "1", **kept, "PYTHONSAFEPATH": "1"}
+    return {"OPENBLAS_NUM_THREADS": "1", **kept, "PYTHONSAFEPATH": "1", **_READS}
 
 
 def _broken(limits: Limits, processes: int, peak: int, wall_s: float) -> str:

@@ -23,7 +23,8 @@ from crowdbench.leaderboard.verification.scene_entry import Rollouts, scene_entr
 from crowdbench.registry import has_recording, recording_of
 from crowdbench.run.judge import TRAJECTORIES, judge
 from crowdbench.run.lock import alone_in
-from crowdbench.run.rollout_jobs import Job, Pair, RolloutSummary, plan, roll_out
+from crowdbench.run.rollout_jobs import Job, Pair, plan, roll_out
+from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.scoring.scorecard import Protocol, read_anchors

@@ -26,7 +26,8 @@ from crowdbench.leaderboard.verification.flags import evenness, flags_of
 from crowdbench.metrics import METRICS, WALK, Metric, metrics_for
 from crowdbench.progress import steps
 from crowdbench.run.judge import MetricSlice, seen_in
-from crowdbench.run.rollout_jobs import Job, Pair, RolloutSummary
+from crowdbench.run.rollout_jobs import Job, Pair
+from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import Energy, FitEnergies, energies_of_fits
 from crowdbench.scoring.reference import Reference

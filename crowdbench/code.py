@@ -1,0 +1,168 @@
+"""What a result depends on in crowdbench's own code: modules without comments and docstrings.
+
+`code_hash` follows the imports of modules from their source, without importing them. It is part of
+the fingerprint of everything that is kept: rollouts, prepared recordings, fits and pages.
+"""
+
+import ast
+import hashlib
+from collections.abc import Collection, Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+DECIDE_NOTHING = tuple(
+    f"crowdbench.{name}"
+    for name in (
+        *("cli", "code", "errors", "files", "plugins", "progress"),
+        *("run.executor", "run.lock", "run.processes", "run.ray_executor", "run.store"),
+    )
+)
+"""Modules whose code changes no result: messages, reading and writing, finding code of others,
+which is hashed itself, and where something is computed."""
+_ROOT = Path(__file__).parents[1]
+"""The folder of the package, and of `studies` in a clone."""
+_OURS = ("crowdbench", "studies")
+_SCRIPTS = "crowdbench.baselines."
+
+
+class _Module(NamedTuple):
+    digest: str
+    imports: tuple[tuple[str, str], ...]
+    """Module and name, as in `from module import name`; the name is empty in `import module`."""
+
+
+def code_hash(*roots: str, cut: Collection[str] = (), unused: Collection[str] = ()) -> str:
+    """Hash of the code of modules and of all that they import, see `closure`.
+
+    Comments, docstrings and the layout of the code are left out, so that changing them changes no
+    hash, and so are fields of the syntax that only newer versions of Python have.
+
+    Args:
+        roots: full names of modules, such as `crowdbench.run.rollout`.
+        cut: modules, or packages with all that is in them, whose imports are not followed.
+        unused: functions that are left out, as `module.name`, or `package.*.name` for all modules
+            in a package: they are never called for this result.
+    """
+    each = sorted(closure(roots, cut=cut, unused=unused))
+    digests = [f"{name} {_module(_file(name), _left_out(name, unused))[0]}" for name in each]
+    return hashlib.sha256("\n".join(digests).encode()).hexdigest()[:16]
+
+
+def closure(
+    roots: Iterable[str],
+    *,
+    cut: Collection[str] = (),
+    unused: Collection[str] = (),
+) -> set[str]:
+    """Full names of modules and of all modules of ours that they import, directly or not.
+
+    Imports in functions count, those for types alone do not. Of a package's `__init__`, only the
+    names that are imported from it are followed: to the modules that define them. See `code_hash`
+    for the arguments.
+    """
+    found: set[str] = set()
+    todo = list(roots)
+    left = (*cut, *DECIDE_NOTHING)
+    while todo:
+        name = todo.pop()
+        if name in found:
+            continue
+        found.add(name)
+        imports = _module(_file(name), _left_out(name, unused)).imports
+        wanted = (_defined_in(module, of) for module, of in imports)
+        todo += [m for m in wanted if m and not any(_is_in(m, each) for each in left)]
+    return found
+
+
+def _is_in(module: str, package: str) -> bool:
+    return module == package or module.startswith(package + ".")
+
+
+def _left_out(module: str, unused: Collection[str]) -> frozenset[str]:
+    """The names of the functions of a module that are left out."""
+    pairs = (each.rpartition(".")[::2] for each in unused)
+    return frozenset(
+        name
+        for where, name in pairs
+        if where == module or (where.endswith(".*") and _is_in(module, where[:-2]))
+    )
+
+
+def _defined_in(module: str, name: str) -> str | None:
+    """The module that defines a name which another imports from `module`; None if it is not ours.
+
+    What the package `crowdbench` itself offers is found on first use, and not followed.
+    """
+    if module.split(".")[0] not in _OURS:
+        return None
+    if name and _exists(f"{module}.{name}"):
+        return f"{module}.{name}"
+    if module == "crowdbench" or not _exists(module):
+        return None
+    if name and _file(module).stem == "__init__":
+        for other, passed in _module(_file(module), frozenset()).imports:
+            if passed == name:
+                return _defined_in(other, name)
+    return module
+
+
+def _exists(module: str) -> bool:
+    return _file(module).exists()
+
+
+@cache
+def _file(module: str) -> Path:
+    path = _ROOT.joinpath(*module.split("."))
+    if module.startswith(_SCRIPTS) and not path.with_suffix(".py").exists():  # of a clone
+        path = _ROOT.joinpath(*module.split(".")[1:])
+    return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+
+
+@cache
+def _module(path: Path, left_out: frozenset[str]) -> _Module:
+    tree = ast.parse(path.read_bytes())
+    imports = dict.fromkeys(_imports(tree, left_out))
+    digest = hashlib.sha256("\n".join(_words(tree, left_out)).encode()).hexdigest()
+    return _Module(digest, tuple(imports))
+
+
+def _imports(node: ast.AST, left_out: frozenset[str]) -> Iterator[tuple[str, str]]:
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.Import):
+            yield from ((alias.name, "") for alias in child.names)
+        elif isinstance(child, ast.ImportFrom):
+            yield from ((child.module or "", alias.name) for alias in child.names)
+        elif _is_for_types(child):
+            assert isinstance(child, ast.If)
+            for other in child.orelse:
+                yield from _imports(ast.Module([other], []), left_out)
+        elif not _is_named(child, left_out):
+            yield from _imports(child, left_out)
+
+
+def _is_for_types(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
+
+
+def _is_named(node: ast.AST, names: frozenset[str]) -> bool:
+    return isinstance(node, ast.FunctionDef) and node.name in names
+
+
+def _words(value: object, left_out: frozenset[str]) -> Iterator[str]:
+    """The abstract syntax as words; empty fields differ between versions of Python, and go."""
+    if isinstance(value, ast.AST):
+        if _is_named(value, left_out):
+            return
+        yield type(value).__name__
+        for name, field in ast.iter_fields(value):
+            if field is not None and field != [] and name not in ("ctx", "kind", "type_comment"):
+                yield name
+                yield from _words(field, left_out)
+    elif isinstance(value, list):
+        for each in value:
+            if not (isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant)):
+                yield from _words(each, left_out)
+        yield "end"
+    else:
+        yield repr(value)

@@ -1,0 +1,68 @@
+"""The store of rollouts and their summaries, which all evaluations of a user share.
+
+It is the folder `rollouts` of `CROWDBENCH_HOME`. A rollout's key is the hash of everything that it
+depends on (`Resolved.fingerprint`), its fit and its seed, never its name. That of its summary adds
+the blocks of time, the metrics and their code (`summary_key`). A file's name holds the
+key and the hash of its content, so that a damaged file is not used. When the files have more than
+`LIMIT_BYTES`, those that were used least recently are removed. The folder may be deleted at any
+time. Several processes may use it at once: files are renamed when they are complete.
+
+`CROWDBENCH_STORE=read` adds nothing to it: what runs in a sandbox must not.
+"""
+
+import os
+import secrets
+from contextlib import suppress
+from pathlib import Path
+
+from crowdbench.files import home, sha256
+
+LIMIT_BYTES = 4 * 2**30
+"""Size of all files; a rollout of Grand Central has 7.5 MB."""
+
+
+def folder() -> Path:
+    """The folder of the store."""
+    return home() / "rollouts"
+
+
+def find(key: str, suffix: str) -> Path | None:
+    """The file of a key; None if there is none, or if it is damaged."""
+    for path in folder().glob(f"{key}-*{suffix}"):
+        with suppress(OSError):
+            if path.stem == f"{key}-{sha256(path.read_bytes())[:32]}":
+                path.touch()
+                return path
+        with suppress(OSError):
+            path.unlink()
+    return None
+
+
+def keep(key: str, suffix: str, data: bytes) -> None:
+    """Keep the content of a file under its key, if that is possible."""
+    if os.environ.get("CROWDBENCH_STORE") == "read":
+        return
+    half = folder() / f".{key}-{secrets.token_hex(4)}"
+    with suppress(OSError):
+        folder().mkdir(parents=True, exist_ok=True)
+        half.write_bytes(data)
+        half.replace(folder() / f"{key}-{sha256(data)[:32]}{suffix}")
+        _clean()
+    with suppress(OSError):
+        half.unlink(missing_ok=True)
+
+
+def _clean() -> None:
+    """Remove the rollouts that were used least recently, if all together are too large."""
+    files = []
+    for entry in os.scandir(folder()):  # also what killed processes have left
+        with suppress(OSError):  # another process removes files too
+            stat = entry.stat()
+            files.append((stat.st_mtime_ns, stat.st_size, entry.path))
+    total = sum(size for _, size, _ in files)
+    for _, size, path in sorted(files):
+        if total <= LIMIT_BYTES:
+            return
+        with suppress(OSError):
+            os.unlink(path)
+        total -= size

@@ -1,0 +1,63 @@
+"""`python -m studies.remake`, which `make results` runs."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Annotated
+
+from cyclopts import Group, Parameter
+from cyclopts.validators import MutuallyExclusive
+
+from crowdbench.cli.running import new_app, run
+from studies.remake import graph
+from studies.remake.lock import LOCK, Line, read_lock
+from studies.remake.pages import results
+
+app = new_app("make results", "Make the generated files of the repository that are stale.")
+_ONLY = Group("Only", validator=MutuallyExclusive())  # type: ignore[no-untyped-call]
+
+
+@app.default
+def remake(
+    *,
+    plan: Annotated[bool, Parameter(group=_ONLY)] = False,
+    keep: Annotated[str | None, Parameter(group=_ONLY)] = None,
+) -> None:
+    """Make the generated files of the repository that are stale.
+
+    Args:
+        plan: print what would be made and why
+        keep: record why changes of code changed nothing
+    """
+    declared = results()
+    if plan:
+        lines = read_lock(LOCK)
+        _print(graph.plan(declared, lines), lines)
+    elif keep is not None:
+        kept = graph.keep(declared, LOCK, keep)
+        print(f"kept {len(kept)} results: {', '.join(kept)}")
+    else:
+        graph.make(declared, LOCK, lambda text: print(text, flush=True))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Make what is stale, or say what it is; returns the exit code."""
+    return run(app, arguments)
+
+
+def _print(steps: Mapping[str, tuple[list[str], list[str]]], lines: Mapping[str, Line]) -> None:
+    known = []
+    for name, (reasons, after) in steps.items():
+        cpu_s = lines[name].cpu_s if name in lines else None
+        known += [] if cpu_s is None else [cpu_s]
+        cost = "CPU time unknown" if cpu_s is None else f"{cpu_s / 60:.1f} CPU minutes"
+        why = ", ".join(reasons) or f"if {' or '.join(after)} changes"
+        print(f"{name} ({cost}): {why}")
+    if steps:
+        total = f"{sum(known) / 60:.1f} CPU minutes, and {len(steps) - len(known)} unknown times"
+        print(f"{len(steps)} to make: {total}")
+    else:
+        print("nothing to make")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,29 @@
+"""`python -m studies.remake.entry ID`: verify a submission, and replace all but its history."""
+
+import sys
+from pathlib import Path
+
+import msgspec
+
+from crowdbench.cli.printing import progress_bar
+from crowdbench.files import write_json
+from crowdbench.leaderboard.sandbox.parent import Limits
+from crowdbench.leaderboard.verification.entry import read_entry
+from crowdbench.leaderboard.verification.verify import entry_of, write_run
+
+ROOT, OUT = Path("leaderboard"), Path("results/leaderboard")
+
+
+def main(entry_id: str) -> None:
+    """Verify the submission of an entry, and write the entry."""
+    path = ROOT / "entries" / f"{entry_id}.json"
+    history = read_entry(path).history if path.exists() else []
+    submission = ROOT / "submissions" / entry_id
+    with progress_bar(entry_id) as progress:
+        entry, ran = entry_of(submission, OUT / "work", None, Limits(), progress)
+    write_json(path, msgspec.structs.replace(entry, history=history))
+    write_run(OUT / f"{entry_id}.run.json", ran)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

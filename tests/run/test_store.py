@@ -1,0 +1,193 @@
+"""The store of rollouts: what one evaluation has made, another takes from it."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crowdbench.data.table import Trajectories
+from crowdbench.metrics.trips import Dwell
+from crowdbench.run import rollout_jobs, store
+from crowdbench.run.rollout_jobs import Job, make, plan, roll_out
+from crowdbench.run.summaries import RolloutSummary, summary_key
+from crowdbench.scene import load_scene
+from crowdbench.scoring.reference import Reference, read_reference
+
+PLAZA = load_scene("plaza-v0")
+PAIRS = [("poisson-gmm", "straight")]
+
+
+def jobs(folder: Path, pairs: list[tuple[str, str]] = PAIRS) -> list[Job]:
+    return plan("plaza-v0", PLAZA, pairs, "full", 2, folder)
+
+
+def made(folder: Path, pairs: list[tuple[str, str]] = PAIRS) -> dict[str, bytes]:
+    planned = jobs(folder, pairs)
+    make(planned, 1, lambda done, total: None)
+    return {job.path.name: job.path.read_bytes() for job in planned}
+
+
+@pytest.fixture
+def simulated(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The rollouts that are simulated, not found."""
+    found: list[str] = []
+    original = rollout_jobs._rolled_out
+
+    def counted(each: list[Job]) -> object:
+        found.extend(str(job) for job in each)
+        return original(each)
+
+    monkeypatch.setattr(rollout_jobs, "_rolled_out", counted)
+    return found
+
+
+def test_another_folder_gets_the_same_bytes_without_simulation(
+    tmp_path: Path, simulated: list[str]
+) -> None:
+    first = made(tmp_path / "one")
+    assert len(simulated) == 2
+    assert made(tmp_path / "two") == first
+    assert len(simulated) == 2
+
+
+def test_the_same_fits_under_another_name_are_the_same_rollouts(
+    tmp_path: Path, simulated: list[str]
+) -> None:
+    made(tmp_path / "one")
+    (tmp_path / "fits").mkdir()
+    file = "poisson-gmm.json"
+    (tmp_path / "fits" / file).write_bytes((PLAZA.folder / file).read_bytes())
+    pairs = [(str(tmp_path / "fits"), "straight")]
+    made(tmp_path / "two", pairs)
+    assert len(simulated) == 2
+    assert all(rollout_jobs._kept(job) for job in jobs(tmp_path / "two", pairs))
+    (tmp_path / "fits" / file).write_text((PLAZA.folder / file).read_text() + " ")
+    made(tmp_path / "three", pairs)
+    assert len(simulated) == 4
+
+
+def test_a_damaged_file_is_not_used(tmp_path: Path, simulated: list[str]) -> None:
+    first = made(tmp_path / "one")
+    kept = sorted(store.folder().glob("*.parquet"))
+    other = kept[0].read_bytes()
+    kept[1].write_bytes(other)  # a valid table, but another one
+    assert made(tmp_path / "two") == first
+    assert len(simulated) == 3
+    assert sorted(store.folder().glob("*.parquet")) == kept
+
+
+def test_nothing_is_added_in_a_sandbox(
+    tmp_path: Path, simulated: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CROWDBENCH_STORE", "read")
+    made(tmp_path / "one")
+    assert not store.folder().exists()
+    monkeypatch.delenv("CROWDBENCH_STORE")
+    made(tmp_path / "two")
+    monkeypatch.setenv("CROWDBENCH_STORE", "read")
+    made(tmp_path / "three")
+    assert len(simulated) == 4  # the third are found
+
+
+def test_classes_of_others_are_neither_kept_nor_found(
+    tmp_path: Path, simulated: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = "from crowdbench.policies import Straight\nclass Mine(Straight):\n    pass\n"
+    (tmp_path / "mine_in_the_store.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    pairs = [("poisson-gmm", "mine_in_the_store:Mine")]
+    made(tmp_path / "one", pairs)
+    made(tmp_path / "two", pairs)
+    assert len(simulated) == 4
+    assert not store.folder().exists()
+
+
+def test_what_was_used_least_recently_goes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = tmp_path / "table.parquet"
+    made(tmp_path / "one")
+    table.write_bytes(next((tmp_path / "one").iterdir()).read_bytes())
+    for path in store.folder().iterdir():
+        path.unlink()
+    monkeypatch.setattr(store, "LIMIT_BYTES", 3 * table.stat().st_size)
+    for k, key in enumerate("abc"):
+        store.keep(key, ".parquet", table.read_bytes())
+        (kept,) = store.folder().glob(f"{key}-*")
+        os.utime(kept, (k, k))
+    assert store.find("a", ".parquet") is not None  # used again: `b` is now the oldest
+    store.keep("d", ".parquet", table.read_bytes())
+    assert {path.name[0] for path in store.folder().iterdir()} == {"a", "c", "d"}
+
+
+def test_a_store_that_cannot_be_written_is_done_without(
+    tmp_path: Path, home: Path, simulated: list[str]
+) -> None:
+    (home / "rollouts").write_text("in the way")
+    made(tmp_path / "one")
+    assert len(simulated) == 2
+
+
+def test_of_two_processes_that_keep_the_same_rollout_one_file_stays(tmp_path: Path) -> None:
+    made(tmp_path / "one")
+    table = next((tmp_path / "one").iterdir())
+    for _ in range(2):
+        store.keep("same", ".parquet", table.read_bytes())
+    assert len(list(store.folder().glob("same-*"))) == 1
+    assert not list(store.folder().glob(".*"))
+
+
+@pytest.fixture
+def summarised(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """The crowds that are summarised, whose summaries are not found."""
+    found: list[object] = []
+    original = RolloutSummary.of_crowd
+
+    def counted(crowd: Trajectories, reference: Reference) -> RolloutSummary:
+        found.append(crowd)
+        return original(crowd, reference)
+
+    monkeypatch.setattr(RolloutSummary, "of_crowd", counted)
+    return found
+
+
+def test_summaries_are_found_and_are_the_same(tmp_path: Path, summarised: list[object]) -> None:
+    reference = read_reference(PLAZA)
+    of_scene = [
+        roll_out(jobs(tmp_path / name), reference, 1, lambda done, total: None)
+        for name in ("one", "two")
+    ]
+    assert len(summarised) == 2
+    for first, second in zip(*(each.values() for each in of_scene), strict=True):
+        assert np.array_equal(first.outcomes, second.outcomes)
+        assert list(first.statistics) == list(second.statistics)
+        for metric in reference.metrics:
+            seen, found = first.of(metric), second.of(metric)
+            assert seen.keys() == found.keys()
+            for name, values in seen.items():
+                assert np.array_equal(values, found[name])
+                assert values.dtype == found[name].dtype
+
+
+def test_other_blocks_and_metrics_have_other_summaries() -> None:
+    reference = read_reference(PLAZA)
+    later = replace(reference.blocks, frames=reference.blocks.frames + 1)
+    keys = {
+        summary_key("rollout", reference),
+        summary_key("another", reference),
+        summary_key("rollout", replace(reference, place=replace(reference.place, radius_m=0.4))),
+        summary_key("rollout", replace(reference, blocks=later)),
+    }
+    assert len(keys) == 4
+
+
+def test_with_metrics_of_others_no_summary_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Mine(Dwell):
+        name = "mine"
+
+    reference = read_reference(PLAZA)
+    assert summary_key("rollout", reference) is not None
+    monkeypatch.setattr(Reference, "metrics", (*reference.metrics, Mine()))
+    assert summary_key("rollout", reference) is None

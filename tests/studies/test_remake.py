@@ -1,0 +1,226 @@
+"""The graph of results: what is stale is made, in order, and nothing twice."""
+
+from pathlib import Path
+
+import pytest
+
+import crowdbench
+from crowdbench.errors import SettingError
+from studies.remake import graph
+from studies.remake.__main__ import main
+from studies.remake.graph import Result, keep, make, plan
+from studies.remake.lock import LOCK, file_hash, read_lock
+from studies.remake.pages import results
+
+REPOSITORY = Path(crowdbench.__file__).parents[1]
+COPY = """from pathlib import Path
+Path('{to}').write_text({text} + '\\n')
+Path('log').open('a').write('{to} ')"""
+
+
+def copies(name: str, source: str, to: str, text: str = "", code: str = "1") -> Result:
+    """A result that is the first word of a file."""
+    text = text or f"Path('{source}').read_text().split()[0]"
+    command = ("python", "-c", COPY.format(to=to, text=text))
+    return Result(name, (to,), (command,), files=(source,), facts={"code": code})
+
+
+def chain(code: str = "1") -> list[Result]:
+    """`c` is made from `b`, which is made from `a.txt`; listed in the wrong order."""
+    return [copies("c", "b.txt", "c.txt"), copies("b", "a.txt", "b.txt", code=code)]
+
+
+@pytest.fixture(autouse=True)
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.txt").write_text("one two")
+    return tmp_path
+
+
+def made(declared: list[Result]) -> str:
+    """The files that are made, in order."""
+    Path("log").unlink(missing_ok=True)
+    make(declared, LOCK, lambda text: None)
+    return Path("log").read_text().strip() if Path("log").exists() else ""
+
+
+def test_what_is_missing_is_made_in_order_and_never_twice() -> None:
+    assert list(plan(chain(), {})) == ["b", "c"]
+    assert made(chain()) == "b.txt c.txt"
+    assert Path("c.txt").read_text() == "one\n"
+    assert plan(chain(), read_lock(LOCK)) == {}
+    assert made(chain()) == ""
+
+
+def test_what_is_behind_is_made_only_if_bytes_changed() -> None:
+    made(chain())
+    Path("a.txt").write_text("one three")  # `b` stays the same
+    assert plan(chain(), read_lock(LOCK)) == {"b": (["a.txt"], []), "c": ([], ["b"])}
+    assert made(chain()) == "b.txt"
+    Path("a.txt").write_text("four")
+    assert made(chain()) == "b.txt c.txt"
+    assert Path("c.txt").read_text() == "four\n"
+
+
+def test_an_output_that_somebody_changed_is_made_again() -> None:
+    made(chain())
+    Path("b.txt").write_text("mine")
+    assert plan(chain(), read_lock(LOCK)) == {
+        "b": (["its outputs"], []),
+        "c": (["b.txt"], ["b"]),
+    }
+    assert made(chain()) == "b.txt"
+    Path("c.txt").unlink()
+    assert plan(chain(), read_lock(LOCK)) == {"c": (["missing outputs"], [])}
+
+
+def test_changes_of_code_can_be_kept_with_a_reason_and_no_others() -> None:
+    made(chain())
+    before = read_lock(LOCK)["b"]
+    assert plan(chain("2"), read_lock(LOCK)) == {"b": (["code"], []), "c": ([], ["b"])}
+    assert keep(chain("2"), LOCK, "Names alone") == ["b"]
+    line = read_lock(LOCK)["b"]
+    assert (line.kept, line.cpu_s, line.outputs) == ("Names alone", before.cpu_s, before.outputs)
+    assert made(chain("2")) == ""
+    Path("a.txt").write_text("three")
+    with pytest.raises(SettingError, match=r"got other changes: b \(a\.txt\)"):
+        keep(chain("3"), LOCK, "Names alone")
+    assert read_lock(LOCK)["b"] == line
+
+
+def test_what_was_there_before_the_lock_is_kept_and_what_is_missing_is_not() -> None:
+    for name in ("b.txt", "c.txt"):
+        Path(name).write_text("one\n")
+    assert keep(chain(), LOCK, "Made before") == ["c", "b"]
+    assert read_lock(LOCK)["c"].kept == "Made before"
+    assert read_lock(LOCK)["c"].cpu_s is None
+    assert plan(chain(), read_lock(LOCK)) == {}
+    LOCK.unlink()
+    Path("c.txt").unlink()
+    with pytest.raises(SettingError, match=r"c \(missing outputs\)"):
+        keep(chain(), LOCK, "Made before")
+    assert not LOCK.exists()
+
+
+def test_a_command_that_fails_leaves_what_was_made_before_it() -> None:
+    broken = copies("c", "b.txt", "c.txt", text="1 / 0")
+    with pytest.raises(SettingError, match="exit code 1 of python -c"):
+        make([broken, chain()[1]], LOCK, lambda text: None)
+    assert list(read_lock(LOCK)) == ["b"]
+    assert made(chain()) == "c.txt"
+
+
+def test_a_page_can_be_what_a_command_prints() -> None:
+    page = Result("p", ("p.md",), (("python", "-c", "print('new')"),), stdout="p.md")
+    make([page], LOCK, lambda text: None)
+    assert Path("p.md").read_text() == "new\n"
+    assert read_lock(LOCK)["p"].cpu_s is not None
+
+
+def test_a_page_by_hand_is_asked_for_and_taken_when_its_tables_are_written() -> None:
+    def page() -> list[Result]:
+        return [Result("p", ("p.md",), (("python", "-V"),), by_hand=True, files=("a.txt",))]
+
+    Path("p.md").write_text("Words.\n| 1 |\n")
+    keep(page(), LOCK, "Made before")
+    Path("p.md").write_text("Other words.\n| 1 |\n")
+    assert plan(page(), read_lock(LOCK)) == {}
+    Path("a.txt").write_text("two")
+    told: list[str] = []
+    with pytest.raises(SettingError, match="not made: p"):
+        make(page(), LOCK, told.append)
+    assert told == ["p: run python -V, and write its numbers into p.md"]
+    Path("p.md").write_text("Other words.\n| 2 |\n")
+    make(page(), LOCK, told.append)
+    assert plan(page(), read_lock(LOCK)) == {}
+
+
+def test_results_in_a_circle_are_an_error() -> None:
+    with pytest.raises(SettingError, match="a circle among b, c"):
+        plan([copies("b", "c.txt", "b.txt"), copies("c", "b.txt", "c.txt")], {})
+
+
+def test_a_broken_lock_is_an_error() -> None:
+    LOCK.write_text('{"name": 1}\n')
+    with pytest.raises(SettingError, match=r"results\.lock: got Expected `str`"):
+        read_lock(LOCK)
+
+
+@pytest.fixture(scope="module")
+def declared() -> list[Result]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(REPOSITORY)
+        return results()
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(REPOSITORY)
+
+
+@pytest.mark.usefixtures("here")
+def test_the_lock_and_the_repository_agree(declared: list[Result]) -> None:
+    lines = read_lock(LOCK)
+    assert plan(declared, lines) == {}, "run `make results`, or record why a change changed nothing"
+    assert set(lines) == {result.name for result in declared}
+
+
+@pytest.mark.usefixtures("here")
+def test_a_clone_has_nothing_to_make(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--plan"]) == 0
+    assert capsys.readouterr().out == "nothing to make\n"
+
+
+def touch(monkeypatch: pytest.MonkeyPatch, touched: str) -> None:
+    def other(path: Path, tables_only: bool = False) -> str:
+        return "other" if str(path) == touched else file_hash(path, tables_only)
+
+    monkeypatch.setattr(graph, "file_hash", other)
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("touched", "stale", "behind"),
+    [
+        (
+            "scenes/eth-v0/policies/bc/fold0.onnx",
+            {"entries/bc", "entries/ntpp-gmm-bc", "docs/walks"},
+            {"leaderboard"},
+        ),
+        (
+            "scenes/gc-v0/policies/anticipate/fold1.onnx",
+            {
+                *("entries/anticipate", "entries/cox-plans-anticipate", "docs/walks"),
+                *("docs/encounters/gc-v0", "docs/across"),
+            },
+            {"leaderboard"},
+        ),
+        ("leaderboard/submissions/orca/submission.toml", {"entries/orca"}, {"leaderboard"}),
+        ("docs/paper/eth-v0/verdicts.json", {"docs/paper/eth-v0", "docs/paper"}, set()),
+    ],
+)
+def test_after_a_change_of_one_file_only_what_reads_it_is_made(
+    declared: list[Result],
+    touched: str,
+    stale: set[str],
+    behind: set[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert Path(touched).exists()
+    touch(monkeypatch, touched)
+    steps = plan(declared, read_lock(LOCK))
+    assert {name for name, (reasons, _) in steps.items() if reasons} == stale
+    assert {name for name, (reasons, _) in steps.items() if not reasons} == behind
+
+
+@pytest.mark.usefixtures("here")
+def test_every_generated_file_of_the_leaderboard_and_the_pages_is_a_result(
+    declared: list[Result],
+) -> None:
+    known = {str(p) for r in declared for pattern in r.outputs for p in Path().glob(pattern)}
+    pictures = {str(p) for p in Path("docs").rglob("*") if p.suffix in (".png", ".gif", ".json")}
+    by_hand = {"docs/scenes/place.png", "docs/viewer/eth-v0.png", "docs/viewer/gc-v0.png"}
+    assert pictures - known == by_hand
+    assert {str(p) for p in Path("leaderboard/entries").iterdir()} <= known
+    assert {str(p) for p in Path("leaderboard/pages").iterdir()} <= known
+    assert {str(p) for p in Path("scenes").glob("*/*.json")} <= known
