@@ -21,6 +21,7 @@ from crowdbench.cli import app, main
 from crowdbench.data.table import OUTCOMES, PERSON_COLUMNS
 from crowdbench.leaderboard.verification.entry import read_entry
 from crowdbench.policies import StateView
+from studies.__main__ import app as studies
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -329,6 +330,14 @@ def test_every_command_that_a_sentence_mentions_exists(path: Path) -> None:
         # A command may be named without what it needs.
         with suppress(MissingArgumentError):
             app.parse_args(shlex.split(mentioned), print_error=False, exit_on_error=False)
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_command_of_a_page_can_be_read(path: Path) -> None:
+    for command in pages.commands(path.read_text().replace("\\\n", "")):
+        asked = shlex.split(command)
+        program, words = (app, asked[1:]) if asked[0] == "crowdbench" else (studies, asked[3:])
+        program.parse_args(words, print_error=False, exit_on_error=False)
 
 
 def test_every_page_of_results_says_how_it_was_made() -> None:
