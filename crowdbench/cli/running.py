@@ -77,7 +77,7 @@ def _run(app: App, arguments: Sequence[str]) -> int:
             with suppress(OSError):
                 stream.flush()
         # All files are closed by now. A normal exit would unload libraries for up to a second.
-        os._exit(stopped.number)
+        os._exit(stopped.code)
     except KeyboardInterrupt:
         print("crowdbench: interrupted", file=sys.stderr)
         return 130

@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -178,27 +178,23 @@ def _begin(parent: int) -> None:
     numba.set_num_threads(1)  # the processes already use all cores
 
 
-def _call(task: tuple[object, ...], given: tuple[bytes, bytes] | None) -> bytes:
-    """The outcome of a task in a process; `given` is sent with its first one."""
-    global _given
-    if given is not None:
-        _given = given
-    return outcome_of(lambda: _called(task, *_given))
+_taken: tuple[Callable[..., object], tuple[object, ...]]
+"""In a worker process: the function of the tasks, and their common arguments."""
 
 
-_given = b"", b""
-"""What the tasks of this process have in common: the function and arguments, and plugins."""
+def _call(task: tuple[object, ...], first: tuple[bytes, bytes] | None) -> bytes:
+    """The outcome of a task in a worker process; `first` comes with its first task."""
 
+    def call() -> object:
+        global _taken
+        if first is not None:
+            packed, registered = first
+            plugins.restore(registered)
+            _taken = pickle.loads(packed)
+        function, common = _taken
+        return function(*task, *common)
 
-def _called(task: tuple[object, ...], packed: bytes, registered: bytes) -> object:
-    function, common = _unpacked(packed, registered)
-    return function(*task, *common)
-
-
-@lru_cache(maxsize=1)
-def _unpacked(packed: bytes, registered: bytes) -> tuple[Callable[..., object], tuple[Any, ...]]:
-    plugins.restore(registered)
-    return pickle.loads(packed)
+    return outcome_of(call)
 
 
 def _result(future: "Future[bytes]", where: str) -> Any:

@@ -24,11 +24,8 @@ class Stopped(SystemExit):
 
     last: ClassVar["Stopped | None"] = None
     """The one that was raised last."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
-        """The exit code."""
+    code: int
+    """The exit code."""
 
 
 @contextmanager

@@ -6,6 +6,7 @@ read or write, and the imported recordings, are copied there and back: this proc
 writes all results. If a node dies, Ray does its tasks again.
 """
 
+import copyreg
 import logging
 import os
 import pickle
@@ -16,8 +17,8 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 from io import BytesIO
-from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import crowdbench
@@ -67,7 +68,9 @@ def connected(address: str) -> Iterator[None]:
     named = os.environ.get("RAY_ADDRESS", "")
     stopping = signal.getsignal(signal.SIGTERM)
     try:
-        _check_reachable(where or named)
+        host, _, port = (where or named).removeprefix(CLIENT).rpartition(":")
+        if host and port.isdecimal():  # Ray would wait for up to 14 minutes
+            socket.create_connection((host.strip("[]"), int(port)), _REACHED_S).close()
         with temporary_folder("code") as folder:
             ray.init(
                 address=where,
@@ -92,13 +95,6 @@ def connected(address: str) -> Iterator[None]:
         ray.shutdown()
 
 
-def _check_reachable(address: str) -> None:
-    """Check that somebody listens at HOST:PORT, because Ray waits for up to 14 minutes."""
-    host, _, port = address.removeprefix(CLIENT).rpartition(":")
-    if host and port.isdecimal():
-        socket.create_connection((host.strip("[]"), int(port)), timeout=_REACHED_S).close()
-
-
 def _code(folder: Path) -> dict[str, Any]:
     """Ray's `runtime_env`, of links in an empty folder."""
     package, working = folder / "crowdbench", folder / "working"
@@ -109,24 +105,13 @@ def _code(folder: Path) -> dict[str, Any]:
     inside |= {"baselines": Path(baselines.__path__[0]), "_scenes": scenes_folder()}
     for name, path in inside.items():
         (package / name).symlink_to(path.resolve())
-    here = Path.cwd()
-    for found, folders, names in os.walk(here):
-        folders[:] = [
-            name
-            for name in folders
-            if not name.startswith(".")
-            and name not in _NOT_CODE
-            and not Path(found, name, "pyvenv.cfg").exists()
-        ]
-        for path in (Path(found, name) for name in names if name.endswith(".py")):
-            link = working / path.relative_to(here)
-            link.parent.mkdir(parents=True, exist_ok=True)
-            link.symlink_to(path)
-    return {
-        "py_modules": [str(package)],
-        "working_dir": str(working),
-        "excludes": ["__pycache__"],
-    }
+    for path in Path.cwd().rglob("*.py"):
+        place = path.relative_to(Path.cwd())
+        if not any(part.startswith(".") or part in _NOT_CODE for part in place.parts):
+            (working / place).parent.mkdir(parents=True, exist_ok=True)
+            (working / place).symlink_to(path)
+    modules = {"py_modules": [str(package)], "excludes": ["__pycache__"]}
+    return modules | {"working_dir": str(working)}
 
 
 def cpus() -> int:
@@ -214,30 +199,26 @@ def _place(path: Path) -> Path:
     return there.relative_to(Path.cwd())
 
 
-class _Packer(ForkingPickler):
-    """Pickles paths so that they name the same files on a node as here."""
+def _packed(value: object, names: Mapping[Path, str] = MappingProxyType({})) -> bytes:
+    """A value, pickled so that its paths name the same files on a node as here.
 
-    places: Mapping[Path, tuple[str, str]]
-    """Files of the task, and their folders."""
+    `names` are the files of the task.
+    """
+    of_task = {path.parent: name.partition("/")[0] for path, name in names.items()} | dict(names)
+    roots = {"scenes": scenes_folder(), "working": Path.cwd()}
 
-    def reducer_override(self, value: object) -> Any:
-        if not isinstance(value, Path):
-            return NotImplemented
-        if value in self.places:
-            return _on_node, self.places[value]
-        for place, root in {"scenes": scenes_folder(), "working": Path.cwd()}.items():
-            if value.is_absolute() and value.is_relative_to(root):
-                return _on_node, (place, str(value.relative_to(root)))
-        return NotImplemented
+    def reduced(path: Path) -> Any:
+        if path in of_task:
+            return _on_node, ("task", of_task[path])
+        for place, root in roots.items():
+            if path.is_absolute() and path.is_relative_to(root):
+                return _on_node, (place, str(path.relative_to(root)))
+        return path.__reduce__()
 
-
-def _packed(value: object, names: Mapping[Path, str] | None = None) -> bytes:
     buffer = BytesIO()
-    packer = _Packer(buffer)
-    named = (names or {}).items()
-    packer.places = {path.parent: ("task", name.partition("/")[0]) for path, name in named}
-    packer.places |= {path: ("task", name) for path, name in named}
-    packer.dump(value)
+    pickler = pickle.Pickler(buffer)
+    pickler.dispatch_table = copyreg.dispatch_table | {type(Path()): reduced}
+    pickler.dump(value)
     return buffer.getvalue()
 
 

@@ -220,10 +220,9 @@ def test_what_is_sent_to_nodes_is_as_in_a_wheel(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     here = tmp_path / "here"
-    for name in ("own.py", "inside/other.py", "data.txt", "results/a.py", ".b/c.py", "env/d.py"):
+    for name in ("own.py", "inside/other.py", "data.txt", "results/a.py", ".b/c.py"):
         (here / name).parent.mkdir(parents=True, exist_ok=True)
         (here / name).touch()
-    (here / "env" / "pyvenv.cfg").touch()
     monkeypatch.chdir(here)
     (tmp_path / "node").mkdir()
     env = ray_executor._code(tmp_path / "node")
