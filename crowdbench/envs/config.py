@@ -183,7 +183,7 @@ class EnvCrowd:
 
 
 def check_count(name: str, value: object) -> None:
-    """Check a number of worlds or persons.
+    """Check a number of worlds, persons or frames.
 
     Raises:
         SettingError: it is not a whole number of at least 1.

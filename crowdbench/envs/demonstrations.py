@@ -19,6 +19,7 @@ from crowdbench.data.recordings.catalogue import source
 from crowdbench.data.smoothing import smoothed
 from crowdbench.data.stops import STANDING_MPS
 from crowdbench.envs.closed_loop import NearestCandidate
+from crowdbench.envs.config import check_count
 from crowdbench.envs.demonstrated_trips import Demonstrations, Rows
 from crowdbench.envs.perturbation import HOMING_S, PathPerturbation
 from crowdbench.envs.recorded_paths import RecordedContinuation
@@ -128,8 +129,8 @@ def demonstrations(
                 name, got=str(value), expected=f"a finite number of at least {least:g}"
             )
     for name, count in (("interval", interval), ("candidates", candidates)):
-        if count is not None and (not isinstance(count, int | np.integer) or count < 1):
-            raise SettingError(name, got=repr(count), expected="a whole number, 1 or more")
+        if count is not None:
+            check_count(name, count)
     if policy is not None and displaced_m > 0:
         raise SettingError("demonstrations", got="displaced_m and a policy", expected="one of them")
     recording = smoothed(registry.recording_of(place), smoothing_s)
