@@ -6,6 +6,7 @@ import subprocess
 from dataclasses import dataclass, field
 from html import escape, unescape
 from html.parser import HTMLParser
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 
@@ -81,7 +82,9 @@ def unscored(entry: PairResult) -> PairResult:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages with captions and empty pictures."""
-    monkeypatch.setattr("crowdbench.report.html.pictures.picture", lambda draw, **of: b"")
+    # The package has a function of the name of its module `pictures`.
+    module = import_module("crowdbench.report.html.pictures")
+    monkeypatch.setattr(module, "picture", lambda draw, **of: b"")
 
 
 SCORED = card_of(
