@@ -85,41 +85,34 @@ def temporary_folder(what: str, parent: Path | None = None) -> Iterator[Path]:
 
 def _remove_abandoned(place: Path, names: str, young_s: float = 0.0) -> None:
     """Remove the temporary files and folders of killed processes, by a pattern of their names."""
+    found: list[str] = []
     with suppress(OSError):
-        for path in [place / name for name in os.listdir(place) if re.fullmatch(names, name)]:
+        found = [name for name in os.listdir(place) if re.fullmatch(names, name)]
+    for path in (place / name for name in found):
+        with suppress(OSError):
             if time.time() - path.lstat().st_mtime >= young_s:
-                descriptor = _lock(path)
-                if descriptor is not None:
-                    shutil.rmtree(path) if path.is_dir() else path.unlink()
-                    os.close(descriptor)
+                with _held(path) as abandoned:
+                    if abandoned:
+                        shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 @contextmanager
-def _held(path: Path) -> Iterator[None]:
-    """Lock a file or folder; the operating system ends the lock when this process ends."""
-    descriptor = _lock(path)
-    try:
-        yield
-    finally:
-        if descriptor is not None:
-            os.close(descriptor)
-
-
-def _lock(path: Path) -> int | None:
-    """File descriptor that holds the lock on a path; None if another one does."""
+def _held(path: Path) -> Iterator[bool]:
+    """Lock a file or folder until the block or this process ends; False if another one does."""
+    descriptor = -1
     try:
         import fcntl
-    except ImportError:  # Windows: what a killed process leaves there is not found
-        return None
-    descriptor = None
-    try:
+
         descriptor = os.open(path, os.O_RDONLY)
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        if descriptor is not None:
+        held = True
+    except (ImportError, OSError):  # on Windows, what a killed process leaves stays
+        held = False
+    try:
+        yield held
+    finally:
+        if descriptor >= 0:
             os.close(descriptor)
-        return None
-    return descriptor
 
 
 def unwritable(path: Path, error: OSError) -> OutputError:

@@ -5,6 +5,7 @@ import statistics
 import subprocess
 import sys
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -105,6 +106,20 @@ def test_modules_import_only_from_lower_floors(path: Path) -> None:
     room = part_of(path)
     own = {room} if (PACKAGE / room).is_dir() else set()
     assert imported(path.read_text()) - own <= {r for r in ROOMS if ROOMS[r] < ROOMS[room]}
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    names = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts) for path in MODULES}
+    needs: dict[str, set[str]] = {}
+    for path in MODULES:
+        nodes = [
+            n for n in run_time_nodes(ast.parse(path.read_text())) if isinstance(n, ast.ImportFrom)
+        ]
+        parts = {f"{n.module}.{alias.name}" for n in nodes for alias in n.names}
+        name = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+        needs[name] = ({str(n.module) for n in nodes} | parts) & names
+    assert "crowdbench.run.ray_executor" in needs["crowdbench.run.executor"]
+    TopologicalSorter(needs).prepare()  # raises CycleError
 
 
 @pytest.mark.parametrize("name", SHORT_NAMES)

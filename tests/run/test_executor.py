@@ -152,6 +152,16 @@ def test_workers_see_the_callers_surroundings_but_for_threads(
     assert "OMP_NUM_THREADS" not in os.environ
 
 
+def memory_that_may_grow(_: int) -> int:
+    from loky import process_executor
+
+    return process_executor._MAX_MEMORY_LEAK_SIZE
+
+
+def test_a_worker_keeps_what_it_has_loaded_however_much_that_is() -> None:
+    assert all(most > 2**40 for _, most in call_each(memory_that_may_grow, [(0,), (1,)], 2))
+
+
 SCRIPT = """
 import math, sys
 from crowdbench.run.executor import call_each
