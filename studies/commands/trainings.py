@@ -119,10 +119,20 @@ def training_speed(
 ) -> None:
     """Measure how fast the parts of PPO's training are (a minute).
 
-    All other options are those of `crowdbench.baselines.ppo`.
+    The defaults are those of `crowdbench.baselines.ppo`.
 
     Args:
         seconds: time for each part
+        observation: what persons see
+        spawn: spawn model
+        device: where the network learns
+        horizon_s: length of an episode in seconds
+        worlds: number of worlds
+        max_alive: number of slots per world
+        batch_frames: frames of a batch
+        minibatch: frames of a minibatch
+        collectors: processes that collect
+        hidden: width of the hidden layers
     """
     given = {name: value for name, value in locals().items() if value is not None}
     from dataclasses import fields, replace

@@ -1,7 +1,6 @@
 """The commands of the baselines say what is wrong before they train anything."""
 
 import importlib
-import runpy
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -115,19 +114,6 @@ def test_every_option_is_told(name: str) -> None:
     assert [a.dest for a in parser._actions if not a.help] == []
     assert "%(" not in parser.format_help()
     assert "(default: results/" in parser.format_help()
-
-
-@pytest.mark.parametrize("name", ["ablation", "across"])
-def test_scripts_call_what_worker_processes_can_import(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    module = importlib.import_module(f"crowdbench.baselines.{name}")
-    monkeypatch.setattr(module, "main", lambda: 7)
-    with (
-        pytest.warns(RuntimeWarning, match="found in sys.modules"),
-        pytest.raises(SystemExit, match="7"),
-    ):
-        runpy.run_module(module.__name__, run_name="__main__")
 
 
 def test_a_card_names_the_options_that_change_the_policy(tmp_path: Path) -> None:

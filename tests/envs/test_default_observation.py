@@ -34,7 +34,7 @@ def default_of(function: Callable[..., object]) -> object:
 
 def test_everything_has_the_same_default_and_it_shows_the_preferred_speed() -> None:
     assert OBSERVATION == "lidar-2"
-    assert default_of(crowdbench.parallel_env) == OBSERVATION
+    assert crowdbench.EnvConfig().observation == OBSERVATION
     assert default_of(crowdbench.demonstrations) == OBSERVATION
     assert Settings().shown.observation == OBSERVATION
     assert settings_for(Unspecific()).observation == OBSERVATION
@@ -46,7 +46,8 @@ def test_everything_has_the_same_default_and_it_shows_the_preferred_speed() -> N
 
 def test_so_has_the_torchrl_view() -> None:
     torchrl_env = pytest.importorskip("crowdbench.envs.torchrl_env")
-    assert default_of(torchrl_env.CrowdEnv.__init__) == OBSERVATION
+    env = torchrl_env.CrowdEnv("plaza-v0", horizon_s=10.0)
+    assert env.observation_spec["agents", "observation"].shape[-1] == SIZE
 
 
 def test_so_has_the_stable_baselines_view() -> None:
@@ -55,4 +56,5 @@ def test_so_has_the_stable_baselines_view() -> None:
     need_imitation()
     from crowdbench.envs.vec_env import CrowdVecEnv
 
-    assert default_of(CrowdVecEnv.__init__) == OBSERVATION
+    env = CrowdVecEnv("plaza-v0", horizon_s=10.0, max_alive=8)
+    assert env.observation_space.shape == (SIZE,)
