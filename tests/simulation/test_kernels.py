@@ -133,6 +133,7 @@ def test_many_worlds_are_many_enough_for_several_threads() -> None:
     assert most >= PARALLEL_FROM
 
 
+@pytest.mark.long
 def test_the_number_of_threads_changes_no_byte() -> None:
     one, two = (digest_elsewhere(MANY, NUMBA_NUM_THREADS=threads) for threads in "12")
     assert one == two
