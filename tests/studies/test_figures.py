@@ -10,7 +10,6 @@ import numpy as np
 import pages
 import pytest
 
-from crowdbench import cli
 from crowdbench.data.storage import read_own
 from crowdbench.errors import CrowdbenchError, RecordingError, SettingError
 from crowdbench.registry import import_recording, recording_of
@@ -220,7 +219,7 @@ def test_the_command_draws_what_it_is_asked_for(
     monkeypatch.chdir(tmp_path)
     asked = ["figures", "eth-v0", "--figure", "flows", "--policy", "straight", "--seeds", "1",
              "--spawn", "renewal-gmm", "--workers", "1", "--out", "here"]  # fmt: skip
-    assert cli.main(asked) == 0
+    assert studies_main(asked) == 0
     assert "written to here/eth-v0/flows.png and flows.json" in capsys.readouterr().out
     found = json.loads((tmp_path / "here/eth-v0/flows.json").read_bytes())
     assert (found["spawn"], found["policy"], found["rollouts"]) == ("renewal-gmm", "straight", 1)
