@@ -5,6 +5,7 @@
 # make coverage      the fast tests, and which share of the lines they run
 # make lint          format, lint and types
 # make results       the generated files that are stale (hours); ARGS=--plan only says which and why
+# make site          the pages of the site, in site/
 #
 # Another set of dependencies: make test VENV=.venv-imitation EXTRAS=all
 # With RLlib, about a minute:  make test VENV=.venv-rllib EXTRAS=dev,rllib ARGS="-m slow"
@@ -15,7 +16,7 @@ EXTRAS ?= dev,fit,minari,onnx,orca,ray,torchrl,viewer
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: evaluate test test-all test-nightly coverage lint results clean
+.PHONY: evaluate test test-all test-nightly coverage lint results site clean
 
 evaluate: $(VENV)/core.stamp
 	$(BIN)/crowdbench evaluate eth-v0 --out results/eth
@@ -43,6 +44,10 @@ results: ARGS =
 results: $(VENV)/dev.stamp
 	$(BIN)/python -m studies.remake $(ARGS)
 
+# Another page of the site is another line here.
+site: $(VENV)/dev.stamp
+	$(BIN)/python -m studies leaderboard --site site/leaderboard
+
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "crowdbench needs Python 3.11 or newer; name one with make PYTHON=…")'
 	$(PYTHON) -m venv $(VENV)
@@ -56,4 +61,4 @@ $(VENV)/dev.stamp: $(BIN)/python pyproject.toml constraints.txt
 	touch $@ $(VENV)/core.stamp
 
 clean:
-	rm -rf .venv .venv-* results build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage
+	rm -rf .venv .venv-* results site build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage

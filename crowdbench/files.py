@@ -4,6 +4,7 @@ A process that is killed cannot remove its temporary files. It holds a lock on e
 ends with it. So whoever next needs a folder, or writes the same file, removes those of the dead.
 """
 
+import gzip
 import hashlib
 import os
 import re
@@ -12,6 +13,7 @@ import shutil
 import tempfile
 import time
 import tomllib
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -26,6 +28,7 @@ T = TypeVar("T")
 _PREFIX = "crowdbench-tmp-"
 _YOUNG_S = 1.0
 """A folder that was made less than this time ago may not be locked yet."""
+LARGEST_UNPACKED = 2**26  # bytes of a compressed file's content; the largest has 4 million
 
 
 def home() -> Path:
@@ -130,26 +133,50 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, value: Any, *, compact: bool = False) -> None:
-    """Write `value` as JSON, indented or on one line. Equal values give identical bytes."""
+    """Write `value` as JSON, indented or on one line. Equal values give identical bytes.
+
+    A file whose name ends in .gz is compressed, and has one line.
+    """
     encoded = msgspec.json.encode(value, order="deterministic")
-    if not compact:
+    packs = path.suffix == ".gz"
+    if not (compact or packs):
         encoded = msgspec.json.format(encoded, indent=1)
-    write_text(path, encoded.decode() + "\n")
+    with replacing(path) as temporary:
+        data = encoded + b"\n"
+        temporary.write_bytes(gzip.compress(data, 9, mtime=0) if packs else data)
 
 
 def read_bytes(path: Path, error: type[CrowdbenchError], hint: str) -> bytes:
-    """Content of the file `path`; raises `error` if it cannot be read."""
+    """Content of the file `path`, unpacked if its name ends in .gz; raises `error` without one."""
     try:
-        return path.read_bytes()
+        data = path.read_bytes()
     except IsADirectoryError as cause:  # `hint` tells how to mend a file
         raise error(path, got="a folder", expected="a file", hint="Name a file in it.") from cause
     except OSError as cause:
         got = "no such file" if isinstance(cause, FileNotFoundError) else str(cause.strerror)
         raise error(path, got=got, expected="a readable file", hint=hint) from cause
+    return _unpacked(data, path, error, hint) if path.suffix == ".gz" else data
+
+
+def _unpacked(data: bytes, path: Path, error: type[CrowdbenchError], hint: str) -> bytes:
+    """The content of a gzip file, which may come from strangers: no more is unpacked than fits."""
+    reader = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
+    try:
+        content = reader.decompress(data, LARGEST_UNPACKED)
+    except zlib.error as cause:
+        raise error(path, got=str(cause), expected="a gzip file", hint=hint) from cause
+    if not reader.eof or reader.unused_data:
+        raise error(
+            path,
+            got="a gzip file that is cut, too large, or followed by other bytes",
+            expected=f"one gzip stream of at most {LARGEST_UNPACKED / 1e6:.0f} MB, unpacked",
+            hint=hint,
+        )
+    return content
 
 
 def read_struct(path: Path, kind: type[T], error: type[CrowdbenchError], hint: str) -> T:
-    """Read a JSON or TOML file as an object of type `kind`.
+    """Read a JSON (also .json.gz) or TOML file as an object of type `kind`.
 
     Raises:
         error: the file is missing, is not valid JSON or TOML, or has unknown, missing or mistyped
@@ -159,7 +186,7 @@ def read_struct(path: Path, kind: type[T], error: type[CrowdbenchError], hint: s
     try:
         raw = tomllib.loads(data.decode()) if path.suffix == ".toml" else msgspec.json.decode(data)
     except (ValueError, RecursionError) as cause:  # not UTF-8, not JSON or TOML, or nested deeply
-        kind_of_file = path.suffix.lstrip(".").upper()
+        kind_of_file = "TOML" if path.suffix == ".toml" else "JSON"
         raise error(path, got=str(cause), expected=f"valid {kind_of_file}", hint=hint) from cause
     try:
         # Three conversions are allowed: integers to floats (TOML files often state 1 for 1.0),

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from crowdbench.files import write_json
-from crowdbench.leaderboard.pages.standings import FAMILIES_OF
+from crowdbench.leaderboard.standings import FAMILIES_OF
 from crowdbench.leaderboard.submission.schema import SCENES, Declared, Kind, Track, Trained
 from crowdbench.leaderboard.verification.entry import (
     SCHEMA,
@@ -21,6 +21,7 @@ from crowdbench.leaderboard.verification.entry import (
     SceneEntry,
     ScoreCard,
     Status,
+    entry_path,
 )
 from crowdbench.metrics import METRICS, WALK
 from crowdbench.scoring.energy import RESAMPLES
@@ -201,5 +202,5 @@ def put(entries: list[Entry], root: Path) -> Path:
     (root / "entries").mkdir(parents=True, exist_ok=True)
     (root / "RULES.md").touch()
     for entry in entries:
-        write_json(root / "entries" / f"{entry.id}.json", entry)
+        write_json(entry_path(root / "entries", entry.id), entry)
     return root

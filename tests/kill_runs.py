@@ -72,7 +72,7 @@ def cases(folder: Path, seeds: int) -> list[Case]:
         Case(
             "verify",
             ["leaderboard", "verify", str(submission), "--workers", "2"],
-            ("a-walker.json", "work/a-walker/plaza-v0/*.parquet"),
+            ("a-walker.json.gz", "work/a-walker/plaza-v0/*.parquet"),
         ),
     ]
 

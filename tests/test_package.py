@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from crowdbench.files import write_json
-
 ROOT = Path(__file__).parents[1]
+
+ENTRIES = ROOT / "leaderboard" / "entries"
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +38,8 @@ def test_the_wheel_carries_the_scenes_and_the_types(wheel: Path) -> None:
         "crowdbench",
         f"{wheel.name.split('-py3')[0]}.dist-info",
     }
+    board = {name for name in carried if name.startswith("crowdbench/_leaderboard/")}
+    assert board == {f"crowdbench/_leaderboard/entries/{path.name}" for path in ENTRIES.glob("*")}
     assert {name for name in carried if name.startswith("crowdbench/baselines/")} == {
         f"crowdbench/baselines/{path.name}" for path in (ROOT / "baselines").glob("*.*")
     }
@@ -168,18 +170,6 @@ def test_an_installed_wheel_evaluates(installed: Path, tmp_path: Path) -> None:
     assert (tmp_path / "found" / "report.html").is_file()
 
 
-def test_an_installed_wheel_previews_beside_the_shipped_entries(
-    installed: Path, tmp_path: Path
-) -> None:
-    from entries import made_up
-
-    (tmp_path / "entries").mkdir()
-    lone = made_up("lone", "walk", 0.5, scenes=("plaza-v0",))
-    write_json(tmp_path / "entries" / "lone.json", lone)
-    code = "from pathlib import Path; from crowdbench.leaderboard.pages import build; "
-    out = run(installed, "-c", f"{code}print(len(build(Path())))", folder=tmp_path)
-    shipped = len(list((ROOT / "leaderboard" / "entries").glob("*.json")))
-    assert int(out) == 2 + 1 + shipped  # README.md, index.html and a page for each entry
-    assert (tmp_path / "pages" / "RULES.md").read_text() == (
-        ROOT / "leaderboard" / "RULES.md"
-    ).read_text()
+def test_an_installed_wheel_shows_the_shipped_entries(installed: Path, tmp_path: Path) -> None:
+    out = run(installed, "-m", "crowdbench", "leaderboard", "show", "bc", folder=tmp_path)
+    assert "bc (ranked)" in out

@@ -1,4 +1,4 @@
-"""`crowdbench leaderboard`: verify submissions, and score entries again."""
+"""`crowdbench leaderboard`: verify submissions, show entries, and score them again."""
 
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -10,8 +10,8 @@ from cyclopts import Parameter
 from crowdbench.cli.options import EngineName, Workers
 from crowdbench.cli.printing import progress_bar
 from crowdbench.cli.running import new_app
-from crowdbench.errors import CrowdbenchError, SettingError
-from crowdbench.report.text.terminal import print_table
+from crowdbench.errors import CrowdbenchError, SettingError, did_you_mean
+from crowdbench.report.text.terminal import print_facts, print_table
 from crowdbench.run.processes import LOCAL
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ MemoryGiB: TypeAlias = Annotated[
     float, Parameter("--memory-gib", help="memory limit per submission, in GiB")
 ]
 
-app = new_app("leaderboard", "Verify submissions, and score entries again.")
+app = new_app("leaderboard", "Verify submissions, show entries, and score them again.")
 
 
 @app.command
@@ -43,7 +43,7 @@ def verify(
 
     Args:
         submissions: folders of submissions
-        out: output folder of ID.json, ID.run.json and the rollouts (work/)
+        out: output folder of ID.json.gz, ID.run.json and the rollouts (work/)
     """
     from crowdbench.leaderboard.verification import verify as verification
     from crowdbench.leaderboard.verification.cluster import verify_each
@@ -74,6 +74,34 @@ def verify(
 
 
 @app.command
+def show(entry: str, /) -> None:
+    """Print an entry of the leaderboard.
+
+    Args:
+        entry: id of an entry that comes with crowdbench, or an entry's file
+    """
+    from crowdbench.leaderboard.standings import shipped_leaderboard
+    from crowdbench.leaderboard.verification.entry import entry_paths, read_entry
+    from crowdbench.leaderboard.verification.soundness import check_entry
+
+    path = Path(entry)
+    if not path.is_file():
+        shipped = entry_paths(shipped_leaderboard() / "entries")
+        if entry not in shipped:
+            raise SettingError(
+                "leaderboard show",
+                got=repr(entry),
+                expected=f"a file, or one of {', '.join(shipped)}",
+                hint=did_you_mean(entry, shipped),
+            )
+        path = shipped[entry]
+    known = read_entry(path)
+    check_entry(known, path)
+    print_entry(known)
+    _print_details(known)
+
+
+@app.command
 def rescore(
     entries: Sequence[str] = (),
     /,
@@ -94,6 +122,7 @@ def rescore(
         out: output folder of ID.run.json and the rollouts
     """
     from crowdbench.leaderboard.verification import rescore as rescoring
+    from crowdbench.leaderboard.verification.entry import entry_paths
 
     limits = _limits(hours, memory_gib)
 
@@ -102,7 +131,7 @@ def rescore(
             entry, root, reason=reason, out=out, workers=workers, limits=limits, progress=progress
         )
 
-    named = entries or rescoring.entry_ids(root)
+    named = entries or list(entry_paths(root / "entries"))
     if not named:
         raise SettingError(
             f"{root}/entries",
@@ -158,12 +187,11 @@ def _print_entries(judged: Iterable[tuple[Named, "Entry | CrowdbenchError"]], to
 
 def print_entry(entry: "Entry") -> None:
     """Print the scores of an entry, its copy index, and what readers should know about them."""
-    from crowdbench.leaderboard.pages.standings import View, gate_notes, scores
-    from crowdbench.leaderboard.pages.text import copied_share
+    from crowdbench.leaderboard.standings import View, gate_notes, scores
     from crowdbench.leaderboard.submission.errors import plain
     from crowdbench.leaderboard.verification.trip_limits import trip_limit
     from crowdbench.metrics import FAMILIES
-    from crowdbench.report.text.words import interval, number
+    from crowdbench.report.text.words import NOTHING, interval, number, share
 
     families = [f for f in FAMILIES if any(f in s.families for s in entry.scenes.values())]
     found = scores(entry)
@@ -172,8 +200,10 @@ def print_entry(entry: "Entry") -> None:
             name,
             *(number(found.get(View(f, name))) for f in families),
             interval(found.get(View(scene=name))),
-            "–" if scene.copy.arrivals is None else f"{scene.copy.arrivals:.2f}",
-            copied_share(scene.copy.trips, trip_limit(name)).replace("\u00a0", " "),
+            NOTHING if scene.copy.arrivals is None else f"{scene.copy.arrivals:.2f}",
+            NOTHING
+            if scene.copy.trips is None
+            else f"{share(scene.copy.trips)} (limit {share(trip_limit(name))})",
         )
         for name, scene in entry.scenes.items()
     ]
@@ -183,3 +213,42 @@ def print_entry(entry: "Entry") -> None:
         print(f"{name}: {note}")
     for flag in entry.flags:
         print(f"{flag.what}: {plain(flag.text)}")
+
+
+def _print_details(entry: "Entry") -> None:
+    """Print what a submitter declares, and the results of each metric."""
+    from crowdbench.leaderboard.submission.errors import plain
+    from crowdbench.report.text.words import NOTHING, digits, plainly
+
+    def cell(value: float | None, text: Callable[[float], str] = digits) -> str:
+        return NOTHING if value is None else text(value)
+
+    declared = entry.declared
+    facts = {
+        "track": f"{declared.track}, {declared.kind}, trained: {declared.training.protocol}",
+        "authors": ", ".join(declared.authors),
+        "link": declared.link,
+        "licence": declared.licence,
+        "scorer": f"{entry.scorer} (crowdbench {entry.crowdbench})",
+    }
+    print_facts(plain(declared.name), {name: plain(text) for name, text in facts.items()})
+    heads = ("recorded", "simulated", "unit", "distance", "score", "interval")
+    for name, scene in entry.scenes.items():
+        rows = []
+        for metric, found in scene.metrics.items():
+            low, high = found.interval or (None, None)
+            rows.append(
+                (
+                    metric,
+                    cell(found.recorded),
+                    cell(found.simulated),
+                    plain(found.unit),
+                    cell(found.distance, plainly),
+                    cell(found.score, plainly) if found.scored else "not scored",
+                    "" if low is None else f"[{cell(low, plainly)}, {cell(high, plainly)}]",
+                )
+            )
+        print_table(f"{name}: {scene.persons} persons", *heads, rows=rows)
+    for earlier in entry.history:
+        overall = cell(earlier.overall, plainly)
+        print(f"scorer {earlier.scorer}: {overall} ({plain(earlier.reason)})")

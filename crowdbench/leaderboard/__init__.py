@@ -1,6 +1,6 @@
-"""The leaderboard: submissions, their verification, and the pages that show them.
+"""The leaderboard: submissions, their verification, and their ranks.
 
 A submission is a folder. Neither its files nor its numbers are trusted: crowdbench
-runs the rollouts itself, scores them and writes an entry. The pages are generated from the entries
-alone.
+runs the rollouts itself, scores them and writes an entry. Tables and pages are drawn
+from the entries alone, by `studies.site`.
 """

@@ -67,7 +67,7 @@ PLANNED = {
 SPAWN_MODELS = (*FITTED, *PLANNED, "block-replay", "replay")
 DEFAULT_SPAWN = "ntpp-gmm"
 """Default spawn model of the environments."""
-_SCORING = ("scene.toml", "anchors.json", "reference.json")
+_SCORING = ("scene.toml", "anchors.json.gz", "reference.json.gz")
 """Files of a scene that rollouts do not depend on; of `scene.toml` only `Scene.rules` matters."""
 
 

@@ -50,7 +50,8 @@ def make_anchors(
         )
         before += len(jobs)
         entries = entries_of(place, reference, rolled, protocol, seeds)
-        protocols[protocol] = Scale(floor=floors(place, reference, protocol), anchors=entries)
+        scale = Scale(floor=floors(place, reference, protocol), anchors=entries)
+        protocols[protocol] = scale.of(place.protocol.scored)
     return Anchors(schema=SCHEMA, scene=place.id, made_from=files_of(place), protocols=protocols)
 
 

@@ -157,7 +157,7 @@ def _recording(scene: Scene, areas: Areas | None, reference: Reference | None) -
     )
     for file, same in (
         ("areas.json", _same_areas(areas, fresh_areas)),
-        ("reference.json", _same_statistics(reference, fresh)),
+        ("reference.json.gz", _same_statistics(reference, fresh)),
     ):
         if not same:
             raise WeightsError(

@@ -186,7 +186,7 @@ class _ReferenceFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 def write_reference(reference: Reference, scene: Scene) -> Path:
     """Write the statistics into the scene's folder."""
-    path = scene.folder / "reference.json"
+    path = scene.folder / "reference.json.gz"
     file = _ReferenceFile(
         schema=SCHEMA,
         scene=scene.id,
@@ -205,19 +205,19 @@ def write_reference(reference: Reference, scene: Scene) -> Path:
             for metric, statistics in reference.statistics.items()
         },
     )
-    write_json(path, file, compact=True)
+    write_json(path, file)
     return path
 
 
 def read_reference(scene: Scene) -> Reference:
-    """Read the statistics that a scene ships (`reference.json`).
+    """Read the statistics that a scene ships (`reference.json.gz`).
 
     Raises:
         WeightsError: the file is missing or broken, or belongs to another scene.
         SceneError: `protocol.scored` names a metric that does not exist.
     """
     _check_scored(scene)
-    path = scene.folder / "reference.json"
+    path = scene.folder / "reference.json.gz"
     hint = f"Run `crowdbench scene fit {scene.asked}`."
     file = read_struct(path, _ReferenceFile, WeightsError, hint)
     if (file.scene, file.schema) != (scene.id, SCHEMA):
@@ -305,17 +305,17 @@ class _RawStatistics(msgspec.Struct, frozen=True):
 
 
 def scored_statistics(scene: Scene) -> bytes:
-    """The time blocks and the statistics of the scored metrics, as bytes of `reference.json`.
+    """The time blocks and the statistics of the scored metrics, as bytes of `reference.json.gz`.
 
     Raises:
         WeightsError: the file is missing or broken, or lacks a scored metric.
     """
-    path, hint = scene.folder / "reference.json", f"Run `crowdbench scene fit {scene.asked}`."
+    path, hint = scene.folder / "reference.json.gz", f"Run `crowdbench scene fit {scene.asked}`."
     try:
         file = msgspec.json.decode(read_bytes(path, WeightsError, hint), type=_RawStatistics)
     except msgspec.DecodeError as error:
         raise WeightsError(
-            path, got=str(error), expected="the fields of reference.json", hint=hint
+            path, got=str(error), expected="the fields of reference.json.gz", hint=hint
         ) from error
     scored = sorted(scene.protocol.scored)
     if lacking := [name for name in scored if name not in file.statistics]:

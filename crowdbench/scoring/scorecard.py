@@ -3,9 +3,10 @@
 An entry is a spawn model with a policy. For each metric it keeps the plain distance and the energy
 score with its resamples (averaged over fits and folds), so that entries of several scorecards can
 be compared on the same resamples. The anchors that define the scale of the scores are part of the
-scene (`anchors.json`).
+scene (`anchors.json.gz`).
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -107,16 +108,28 @@ class PairResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class Scale(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The reference points of the scores in one protocol."""
+    """The reference points of the scores in one protocol; energies only of the scored metrics."""
 
     floor: dict[str, EnergyCard]
     """Noise floor F by metric."""
     anchors: list[PairResult]
     """Results of the pairs in `BASELINES`."""
 
+    def of(self, scored: Collection[str]) -> "Scale":
+        """The scale without energies of other metrics than these; distances are kept."""
+        change = msgspec.structs.replace
+        anchors = [
+            change(pair, metrics={
+                name: card if name in scored else change(card, energy=None)
+                for name, card in pair.metrics.items()
+            })
+            for pair in self.anchors
+        ]  # fmt: skip
+        return Scale(floor={n: f for n, f in self.floor.items() if n in scored}, anchors=anchors)
+
 
 class Anchors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The content of `anchors.json`."""
+    """The content of `anchors.json.gz`."""
 
     schema: int
     scene: str
@@ -285,9 +298,9 @@ def files_of(scene: Scene) -> str:
 
 
 def write_anchors(anchors: Anchors, folder: Path) -> Path:
-    """Write `anchors.json` into a scene's folder."""
-    path = folder / "anchors.json"
-    write_json(path, anchors, compact=True)
+    """Write `anchors.json.gz` into a scene's folder."""
+    path = folder / "anchors.json.gz"
+    write_json(path, anchors)
     return path
 
 
@@ -297,7 +310,7 @@ def read_anchors(scene: Scene) -> Anchors:
     Raises:
         WeightsError: the file is missing or broken, or belongs to another scene or other fits.
     """
-    path = scene.folder / "anchors.json"
+    path = scene.folder / "anchors.json.gz"
     hint = f"Run `crowdbench scene anchors {scene.asked}`."
     anchors = read_struct(path, Anchors, WeightsError, hint)
     got = (anchors.scene, anchors.schema, anchors.made_from)

@@ -7,21 +7,17 @@ from crowdbench.errors import SettingError
 from crowdbench.report.text.terminal import print_table
 
 
-def leaderboard(*, root: Path = Path("leaderboard")) -> None:
-    """Write the leaderboard's table and the pages of all entries.
+def leaderboard(*, root: Path = Path("leaderboard"), site: Path | None = None) -> None:
+    """Write the leaderboard's tables, or the pages of its site.
 
     Args:
         root: folder of the leaderboard, which contains entries/
+        site: write a page per entry into this folder instead
     """
-    from crowdbench.leaderboard.pages import build
-    from crowdbench.leaderboard.pages.standings import entry_paths
+    from studies.site import build
 
-    written = build(root)
-    entries = len(entry_paths(root / "entries"))
-    number = f"{entries} {'entry' if entries == 1 else 'entries'}"
-    if shipped := len(written) - 2 - entries:
-        number += f" of yours and {shipped} that ship with crowdbench"
-    print(f"{number}: written to {root}: README.md, index.html and pages/")
+    written = build(root, site)
+    print(f"{len(written)} files written to {site or root}")
 
 
 def trip_limits(scenes: Sequence[str] = (), /) -> None:
@@ -30,8 +26,9 @@ def trip_limits(scenes: Sequence[str] = (), /) -> None:
     Args:
         scenes: ids of scenes (default: all)
     """
-    from crowdbench.leaderboard.verification.trip_limits import HONEST, measure, trip_limit, write
+    from crowdbench.leaderboard.verification.trip_limits import trip_limit
     from crowdbench.scene import list_scenes, load_scene
+    from studies.trip_limits import HONEST, measure, write
 
     unknown = sorted(set(scenes) - set(list_scenes()))
     if unknown:

@@ -14,10 +14,9 @@ from crowdbench.code import code_hash
 from crowdbench.data.blocks import SPLITS
 from crowdbench.data.recordings.catalogue import SOURCES
 from crowdbench.files import sha256
-from crowdbench.leaderboard.pages.standings import View, scores
+from crowdbench.leaderboard.standings import View, scores
 from crowdbench.leaderboard.submission.models import shipped_class
 from crowdbench.leaderboard.verification.entry import read_entry
-from crowdbench.leaderboard.verification.trip_limits import HONEST
 from crowdbench.registry import FITTED, GENERATED, PLANNED, WEIGHTS
 from crowdbench.run.resolved import MODELS, Resolved, code_of_rollouts
 from crowdbench.run.rollout_jobs import splits_of
@@ -25,13 +24,14 @@ from crowdbench.scene import list_scenes, load_scene
 from crowdbench.scene_building.fit import NEURAL
 from crowdbench.scoring.scorecard import BASELINES
 from studies.remake.graph import Result
+from studies.trip_limits import HONEST
 
 AREAS, PLANS = "scenes/{}/areas.json", "scenes/{}/plans.json"
-REFERENCE, ANCHORS_FILE = "scenes/{}/reference.json", "scenes/{}/anchors.json"
+REFERENCE, ANCHORS_FILE = "scenes/{}/reference.json.gz", "scenes/{}/anchors.json.gz"
 FIT = "scenes/{}/{}"
-ENTRY = "leaderboard/entries/{}.json"
+ENTRY = "leaderboard/entries/{}.json.gz"
 LIMITS = "crowdbench/leaderboard/verification/copied_trips.json"
-PAGES = ("leaderboard/README.md", "leaderboard/index.html", "leaderboard/pages/*.html")
+PAGES = ("leaderboard/README.md", "leaderboard/index.html")
 
 REAL = ("eth-v0", "hotel-v0", "zara1-v0", "gc-v0", "forum-v0")
 """Scenes with recordings of people."""
@@ -49,7 +49,7 @@ def scenes_and_entries() -> list[Result]:
         PAGES,
         (("python", "-m", "studies", "leaderboard"),),
         files=(*tables, LIMITS),
-        facts={"code": joined([code_hash("crowdbench.leaderboard.pages", cut=MODELS)])},
+        facts={"code": joined([code_hash("studies.site", cut=MODELS)])},
     )
     return [*of_scenes, _limits(), *entries, board]
 
@@ -58,7 +58,7 @@ def _limits() -> Result:
     """The shares of copied trips by which the leaderboard flags."""
     files: dict[str, None] = {}
     facts: dict[str, str] = {}
-    codes = [code_hash("crowdbench.leaderboard.verification.trip_limits", cut=MODELS)]
+    codes = [code_hash("studies.trip_limits", cut=MODELS)]
     for scene in list_scenes():
         of_models, code = rollouts_of(scene, [("replay", policy) for policy in HONEST], SPLITS[:1])
         files |= of_models

@@ -131,7 +131,7 @@ def test_a_scene_is_fitted_into_another_folder(tmp_path: Path, capsys: Printed) 
     assert re.search(rf"written to +{re.escape(str(tmp_path))}", capsys.readouterr().out)
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         *("areas.json", "plans.json", "poisson-gmm.json"),
-        *("reference.json", "renewal-gmm.json", "scene.toml"),
+        *("reference.json.gz", "renewal-gmm.json", "scene.toml"),
     ]  # fmt: skip
 
 

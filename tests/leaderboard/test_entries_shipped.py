@@ -8,8 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from crowdbench.cli import main
 from crowdbench.leaderboard.submission.submission import open_submission
-from crowdbench.leaderboard.verification.entry import SCHEMA, SCORER, read_entry
+from crowdbench.leaderboard.verification.entry import SCHEMA, SCORER, entry_paths, read_entry
 from crowdbench.leaderboard.verification.verify import verify
 from crowdbench.registry import import_recording, trained_policies
 from crowdbench.scene import load_scene
@@ -18,13 +19,13 @@ from crowdbench.scoring.scorecard import files_of
 pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).parents[2] / "leaderboard"
-ENTRIES = sorted((ROOT / "entries").glob("*.json"))
+ENTRIES = entry_paths(ROOT / "entries")
 SUBMISSIONS = sorted(folder for folder in (ROOT / "submissions").iterdir() if folder.is_dir())
 
 
 def test_all_that_is_shipped_is_an_entry() -> None:
-    assert {path.stem for path in ENTRIES} == {folder.name for folder in SUBMISSIONS}
-    declared = [read_entry(path).declared for path in ENTRIES]
+    assert set(ENTRIES) == {folder.name for folder in SUBMISSIONS}
+    declared = [read_entry(path).declared for path in ENTRIES.values()]
     assert {d.shipped_spawn for d in declared} >= {
         *("poisson-gmm", "renewal-gmm", "ntpp-gmm", "block-replay")
     }
@@ -39,7 +40,7 @@ def test_all_that_is_shipped_is_an_entry() -> None:
     assert networks <= walked
 
 
-@pytest.mark.parametrize("path", ENTRIES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", ENTRIES.values(), ids=list(ENTRIES))
 def test_an_entry_is_of_the_present_files(path: Path) -> None:
     """Who adds one by hand, or changes it or its submission, is found out; and what was trained
     anew is to be verified anew."""
@@ -89,7 +90,10 @@ def test_a_shipped_baseline_gives_its_entry_again(opentraj: Path, tmp_path: Path
     (tmp_path / "ppo").mkdir()
     (tmp_path / "ppo/submission.toml").write_text(on_eth, "utf-8")
     verify(tmp_path / "ppo", tmp_path, workers=1)
-    entry, committed = read_entry(tmp_path / "ppo.json"), read_entry(ROOT / "entries/ppo.json")
+    entry, committed = (
+        read_entry(tmp_path / "ppo.json.gz"),
+        read_entry(ROOT / "entries/ppo.json.gz"),
+    )
     assert entry.flags == committed.flags == []
     made, expected = (
         msgspec.to_builtins(e.scenes["eth-v0"], builtin_types=(bytes,)) for e in (entry, committed)
@@ -100,3 +104,13 @@ def test_a_shipped_baseline_gives_its_entry_again(opentraj: Path, tmp_path: Path
     np.testing.assert_allclose(
         np.array(numbers(made)), np.array(numbers(expected)), rtol=0.02, atol=0.03
     )
+
+
+def test_an_entry_is_shown_by_its_id_or_its_file(capsys: pytest.CaptureFixture[str]) -> None:
+    for asked in ("bc", str(ENTRIES["bc"])):
+        assert main(["leaderboard", "show", asked]) == 0
+        out = capsys.readouterr().out
+        assert "bc (ranked)" in out
+        assert "acceleration" in out
+    assert main(["leaderboard", "show", "bcc"]) == 2
+    assert "Did you mean `bc`?" in capsys.readouterr().err

@@ -13,7 +13,7 @@ from numpy.random import default_rng
 
 from crowdbench.data.table import Trajectories
 from crowdbench.leaderboard.verification.copying import ArrivalCopies, TripCopies, independent_limit
-from crowdbench.leaderboard.verification.entry import Copy, Flag, read_entry
+from crowdbench.leaderboard.verification.entry import Copy, Flag, entry_paths, read_entry
 from crowdbench.leaderboard.verification.flags import (
     MARGIN,
     evenness,
@@ -21,10 +21,8 @@ from crowdbench.leaderboard.verification.flags import (
     with_current_limits,
 )
 from crowdbench.leaderboard.verification.trip_limits import (
-    HONEST,
     PATH,
     honest_share,
-    measure,
     trip_limit,
 )
 from crowdbench.registry import recording_of, spawn_model
@@ -33,6 +31,7 @@ from crowdbench.scoring.energy import FitEnergies
 from crowdbench.scoring.score import Score
 from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.plaza.process import PlazaArrivals
+from studies.trip_limits import HONEST, measure
 
 PLAZA = load_scene("plaza-v0")
 ENTRIES = Path(__file__).parents[2] / "leaderboard" / "entries"
@@ -134,7 +133,7 @@ def test_half_a_recording_is_flagged_everywhere() -> None:
 
 
 def test_shipped_entries_have_the_flags_of_the_present_limits() -> None:
-    entries = [read_entry(path) for path in sorted(ENTRIES.glob("*.json"))]
+    entries = [read_entry(path) for path in entry_paths(ENTRIES).values()]
     assert [e.id for e in entries if with_current_limits(e) != e] == []
     flagged = {e.id for e in entries if any(f.what == "copied trips" for f in e.flags)}
     assert flagged == {"replay"}

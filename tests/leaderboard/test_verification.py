@@ -1,5 +1,6 @@
 """Verification: entries are the same whoever makes them, and copies do not pass unflagged."""
 
+import gzip
 import json
 import re
 import shutil
@@ -125,7 +126,7 @@ def test_curves_are_short_and_distributions_rise_to_one(walked: tuple[Path, Entr
 
 
 def test_the_file_is_the_entry(walked: tuple[Path, Entry]) -> None:
-    assert read_entry(walked[0] / "out" / "mine-v2.json") == walked[1]
+    assert read_entry(walked[0] / "out" / "mine-v2.json.gz") == walked[1]
 
 
 def test_the_command_line_goes_on_after_a_refusal_and_writes_the_same_bytes(
@@ -141,8 +142,8 @@ def test_the_command_line_goes_on_after_a_refusal_and_writes_the_same_bytes(
     assert "Traceback" not in printed.err
     (head,) = [line for line in printed.out.splitlines() if "mine-v2 (ranked)" in line]
     assert head.split("  ")[-1].strip() == "copied trips"
-    before = walked[0] / "out" / "mine-v2.json"
-    assert (tmp_path / "mine-v2.json").read_bytes() == before.read_bytes()
+    before = walked[0] / "out" / "mine-v2.json.gz"
+    assert (tmp_path / "mine-v2.json.gz").read_bytes() == before.read_bytes()
 
 
 def test_time_and_memory_stand_beside_the_entry(walked: tuple[Path, Entry]) -> None:
@@ -151,7 +152,7 @@ def test_time_and_memory_stand_beside_the_entry(walked: tuple[Path, Entry]) -> N
     assert ran["wall_s"] > 0
     assert ran["peak_bytes"] > 2**20
     assert "network" in ran
-    assert "wall_s" not in (out / "mine-v2.json").read_text()
+    assert b"wall_s" not in gzip.decompress((out / "mine-v2.json.gz").read_bytes())
 
 
 def test_rollouts_lie_in_the_folder_of_work(walked: tuple[Path, Entry]) -> None:
@@ -273,7 +274,7 @@ def test_who_takes_too_long_is_refused_and_leaves_no_entry(tmp_path: Path) -> No
     mine = submitted(tmp_path / "mine", "walk", shipped_policy="straight")
     with pytest.raises(SandboxError, match="no end after"):
         verify(mine, tmp_path / "out", workers=1, limits=Limits(wall_s=0.3))
-    assert list((tmp_path / "out").glob("*.json")) == []
+    assert list((tmp_path / "out").glob("*.json*")) == []
 
 
 def test_an_answer_that_would_be_written_elsewhere_is_refused(
@@ -285,7 +286,7 @@ def test_an_answer_that_would_be_written_elsewhere_is_refused(
     )
     with pytest.raises(SandboxError, match="an entry with an invalid id or scene name"):
         verify(walked[0] / "mine", tmp_path / "out")
-    assert not (tmp_path / "elsewhere.json").exists()
+    assert not (tmp_path / "elsewhere.json.gz").exists()
 
 
 def test_an_answer_of_anothers_id_is_refused(
@@ -296,11 +297,11 @@ def test_an_answer_of_anothers_id_is_refused(
     monkeypatch.setattr(
         "crowdbench.leaderboard.verification.verify.call", lambda *a, **k: (forged, ran)
     )
-    others = Path(__file__).parents[2] / "leaderboard" / "entries" / "orca.json"
+    others = Path(__file__).parents[2] / "leaderboard" / "entries" / "orca.json.gz"
     shutil.copy(others, tmp_path)
     with pytest.raises(CrowdbenchError, match="the id orca of another submission by crowdbench"):
         verify(walked[0] / "mine", tmp_path)
-    assert (tmp_path / "orca.json").read_bytes() == others.read_bytes()
+    assert (tmp_path / "orca.json.gz").read_bytes() == others.read_bytes()
 
 
 def test_two_submissions_of_one_id_are_not_both_verified(
@@ -312,16 +313,16 @@ def test_two_submissions_of_one_id_are_not_both_verified(
     asked = ["leaderboard", "verify", str(walked[0] / "mine"), str(twin), "--out", str(tmp_path)]
     assert main([*asked, "--workers", "1"]) == 2
     assert "got the id mine-v2 of another submission; expected" in capsys.readouterr().err
-    assert read_entry(tmp_path / "mine-v2.json") == walked[1]
+    assert read_entry(tmp_path / "mine-v2.json.gz") == walked[1]
 
 
 def test_an_entry_by_others_is_not_overwritten(walked: tuple[Path, Entry], tmp_path: Path) -> None:
-    before = (walked[0] / "out" / "mine-v2.json").read_bytes()
+    before = (walked[0] / "out" / "mine-v2.json.gz").read_bytes()
     other = submitted(tmp_path / "other", "walk", shipped_policy="straight")
     edit(other, "A. Person", "B. Person")
     with pytest.raises(CrowdbenchError, match=r"another submission by A\. Person"):
         verify(other, walked[0] / "out", workers=1)
-    assert (walked[0] / "out" / "mine-v2.json").read_bytes() == before
+    assert (walked[0] / "out" / "mine-v2.json.gz").read_bytes() == before
 
 
 @pytest.fixture
@@ -330,7 +331,7 @@ def root(walked: tuple[Path, Entry], tmp_path: Path) -> Path:
     shutil.copytree(walked[0] / "out" / "work", tmp_path / "out" / "work")
     root = tmp_path / "leaderboard"
     shutil.copytree(walked[0] / "mine", root / "submissions" / "mine-v2")
-    write_json(root / "entries" / "mine-v2.json", walked[1])
+    write_json(root / "entries" / "mine-v2.json.gz", walked[1])
     return root
 
 
@@ -342,16 +343,16 @@ def rescored(root: Path, *named: str, reason: str = "Turning is measured anew.")
 def test_the_same_scorer_scores_nothing_anew(
     root: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before = (root / "entries" / "mine-v2.json").read_bytes()
+    before = (root / "entries" / "mine-v2.json.gz").read_bytes()
     assert rescored(root) == 2
     assert "The scores would be the same." in capsys.readouterr().err
-    assert (root / "entries" / "mine-v2.json").read_bytes() == before
+    assert (root / "entries" / "mine-v2.json.gz").read_bytes() == before
 
 
 def test_a_newer_scorer_keeps_the_earlier_result_with_the_reason(
     root: Path, walked: tuple[Path, Entry]
 ) -> None:
-    path = root / "entries" / "mine-v2.json"
+    path = root / "entries" / "mine-v2.json.gz"
     old = msgspec.structs.replace(walked[1], scorer=0)
     write_json(path, old)
     assert rescored(root, "mine-v2") == 0

@@ -95,8 +95,8 @@ def test_a_change_of_code_voids_what_runs_it(
         ("plans.json", {"cox-plans straight"}),
         ("ntpp-gmm.safetensors", {"ntpp-gmm anticipate-any"}),
         ("areas.json", ALL),
-        ("reference.json", set()),
-        ("anchors.json", set()),
+        ("reference.json.gz", set()),
+        ("anchors.json.gz", set()),
     ],
 )
 def test_a_change_of_a_file_voids_what_reads_it(tmp_path: Path, file: str, voids: set[str]) -> None:

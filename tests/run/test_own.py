@@ -153,7 +153,7 @@ def test_statistics_of_another_time_grid_are_refused(
     text = (PLAZA.folder / "scene.toml").read_text()
     assert was in text
     (tmp_path / "scene.toml").write_text(text.replace(was, becomes))
-    (tmp_path / "reference.json").write_bytes((PLAZA.folder / "reference.json").read_bytes())
+    (tmp_path / "reference.json.gz").write_bytes((PLAZA.folder / "reference.json.gz").read_bytes())
     with pytest.raises(WeightsError, match=f"computed with {name}"):
         read_reference(load_scene(tmp_path))
 

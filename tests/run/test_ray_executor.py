@@ -173,9 +173,10 @@ from crowdbench.leaderboard.verification.verify import verify
 ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False)
 with crowdbench.engine("ray"):
     found = dict(verify_each([Path("good"), Path("bad")], Path("there")))
-print("nobody" in str(found[Path("bad")]), len(list(Path("there").glob("*.json"))))
+print("nobody" in str(found[Path("bad")]), len(list(Path("there").glob("*.json*"))))
 entry, _ = verify(Path("good"), Path("here"), workers=1)
-same = Path(f"here/{entry.id}.json").read_bytes() == Path(f"there/{entry.id}.json").read_bytes()
+here, there = (Path(f"{folder}/{entry.id}.json.gz").read_bytes() for folder in ("here", "there"))
+same = here == there
 print("same" if same else "different")
 """,
         tmp_path,

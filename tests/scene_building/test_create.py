@@ -103,8 +103,8 @@ def copied(made: Made, tmp_path: Path) -> Path:
 @pytest.mark.long
 def test_one_command_makes_all_of_a_scene(made: Made) -> None:
     assert {path.name for path in made.scene.folder.iterdir()} == {
-        "anchors.json", "areas.json", "cox-gmm.json", "place.png", "plans.json",
-        "poisson-gmm.json", "poisson-groups.json", "reference.json", "renewal-gmm.json",
+        "anchors.json.gz", "areas.json", "cox-gmm.json", "place.png", "plans.json",
+        "poisson-gmm.json", "poisson-groups.json", "reference.json.gz", "renewal-gmm.json",
         "scene.toml", "time.png",
     }  # fmt: skip
     assert [path.name for path in made.home.glob("recordings/*")] == ["yard.parquet"]
@@ -219,7 +219,7 @@ def test_other_fits_than_the_anchors_are_told(copied: Path) -> None:
 
 def test_each_missing_file_is_told_once(copied: Path) -> None:
     (copied / "areas.json").unlink()
-    (copied / "anchors.json").unlink()
+    (copied / "anchors.json.gz").unlink()
     assert list(problems(copied)) == ["areas"]  # what needs the areas is not looked at
     (copied / "scene.toml").unlink()
     with pytest.raises(SceneError):
@@ -256,7 +256,7 @@ def test_a_power_study_that_found_no_metric_is_no_problem(copied: Path) -> None:
 
 
 def test_the_command_tells_each_problem_and_exits_with_2(copied: Path, capsys: Printed) -> None:
-    (copied / "reference.json").unlink()
+    (copied / "reference.json.gz").unlink()
     (copied / "poisson-gmm.json").unlink()
     assert main(["scene", "check", str(copied)]) == 2
     told = capsys.readouterr()

@@ -1,5 +1,6 @@
 """Reference statistics: distances from them are distances from the recording."""
 
+import gzip
 import json
 import shutil
 from collections.abc import Callable
@@ -7,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from msgspec import structs
@@ -16,6 +16,7 @@ from crowdbench.crowds import score
 from crowdbench.data.recordings.catalogue import SOURCES, read_published
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import OutputError, RecordingError, SceneError, SettingError, WeightsError
+from crowdbench.files import write_json
 from crowdbench.metrics import distance, metrics_for
 from crowdbench.policies import Random, Straight
 from crowdbench.registry import recording, spawn_model
@@ -29,7 +30,7 @@ from crowdbench.spawn.areas import read_areas
 
 ETH, PLAZA = load_scene("eth-v0"), load_scene("plaza-v0")
 FITTED = (
-    *("areas.json", "poisson-gmm.json", "poisson-groups.json", "reference.json"),
+    *("areas.json", "poisson-gmm.json", "poisson-groups.json", "reference.json.gz"),
     "renewal-gmm.json",
 )
 EXACT = ("poisson-gmm", "poisson-groups", "renewal-gmm")  # torch's last bits are the machine's own
@@ -44,6 +45,10 @@ def raw(opentraj: Path) -> Trajectories:
 def eth(raw: Trajectories) -> Trajectories:
     """The recording with its persons in the scene's areas."""
     return fit_areas(raw, ETH, ETH.clustering["default"])[1]
+
+
+def unpacked(path: Path) -> Any:
+    return json.loads(gzip.decompress(path.read_bytes()))
 
 
 def reference_of(crowd: Trajectories, scene: Scene) -> Reference:
@@ -240,9 +245,9 @@ BROKEN: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
 @pytest.mark.parametrize("what", BROKEN)
 def test_broken_statistics_are_refused(what: str, tmp_path: Path) -> None:
     spoil, message = BROKEN[what]
-    file = json.loads((ETH.folder / "reference.json").read_text())
+    file = unpacked(ETH.folder / "reference.json.gz")
     spoil(file)
-    (tmp_path / "reference.json").write_text(json.dumps(file))
+    write_json(tmp_path / "reference.json.gz", file)
     shutil.copy(ETH.folder / "areas.json", tmp_path)
     with pytest.raises(WeightsError, match=rf"{message}.*Run `crowdbench scene fit "):
         read_reference(replace(ETH, folder=tmp_path))
@@ -250,9 +255,9 @@ def test_broken_statistics_are_refused(what: str, tmp_path: Path) -> None:
 
 def test_a_metric_that_is_newer_than_the_statistics_is_left_out(tmp_path: Path) -> None:
     assert "dwell" not in ETH.protocol.scored
-    file = json.loads((ETH.folder / "reference.json").read_text())
+    file = unpacked(ETH.folder / "reference.json.gz")
     del file["statistics"]["dwell"]
-    (tmp_path / "reference.json").write_text(json.dumps(file))
+    write_json(tmp_path / "reference.json.gz", file)
     shutil.copy(ETH.folder / "areas.json", tmp_path)
     reference = read_reference(replace(ETH, folder=tmp_path))
     assert set(reference.statistics) == set(read_reference(ETH).statistics) - {"dwell"}
@@ -264,10 +269,10 @@ def test_anchors_and_entries_depend_on_scored_statistics_alone(
 ) -> None:
     folder = tmp_path / "eth-v0"
     shutil.copytree(ETH.folder, folder, ignore=shutil.ignore_patterns("policies"))
-    file = json.loads((folder / "reference.json").read_text())
+    file = unpacked(folder / "reference.json.gz")
     columns, rows = next(iter(file["statistics"][metric].values()))
     rows[0].append([columns + 3, 1])
-    (folder / "reference.json").write_bytes(msgspec.json.encode(file))
+    write_json(folder / "reference.json.gz", file)
     changed = load_scene(folder)
     assert (files_of(changed) != files_of(ETH)) == counts
     if counts:
@@ -283,7 +288,7 @@ def test_missing_statistics_say_how_to_make_them(tmp_path: Path) -> None:
 
 
 def test_what_is_no_json_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "reference.json").write_bytes(b"{\xff")
+    (tmp_path / "reference.json.gz").write_bytes(gzip.compress(b"{\xff"))
     with pytest.raises(WeightsError, match="valid JSON"):
         read_reference(replace(ETH, folder=tmp_path))
 

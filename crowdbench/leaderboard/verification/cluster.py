@@ -11,7 +11,7 @@ from crowdbench.errors import CrowdbenchError, OutputError
 from crowdbench.files import write_json
 from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage
 from crowdbench.leaderboard.verification.check import check_unused
-from crowdbench.leaderboard.verification.entry import Entry
+from crowdbench.leaderboard.verification.entry import Entry, entry_path
 from crowdbench.leaderboard.verification.verify import DEFAULT, entry_of, owners_of, write_run
 from crowdbench.run.executor import call_each, checked_workers
 
@@ -48,7 +48,7 @@ def verify_each(
                 verified = error
             else:
                 made.add(entry.id)
-                write_json(out / f"{entry.id}.json", entry)
+                write_json(entry_path(out, entry.id), entry)
                 write_run(out / f"{entry.id}.run.json", ran)
         progress(done, len(tasks))
         yield submissions[k], verified

@@ -24,6 +24,8 @@ SCORER = 4
 """Version of the scoring. Any change that alters the scores of an entry increases it; then
 `crowdbench leaderboard rescore` scores the entries again."""
 
+SUFFIX = ".json.gz"
+"""Ending of an entry's file; `crowdbench leaderboard show` prints it as text."""
 _HINT = "Create it with `crowdbench leaderboard verify`."
 LARGEST = 1e12
 """Limit of all numbers in an entry; the number of learned parameters comes closest to it."""
@@ -142,7 +144,7 @@ class Earlier(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The contents of `entries/ID.json`."""
+    """The contents of `entries/ID.json.gz`."""
 
     schema: int
     id: str
@@ -160,6 +162,16 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     history: list[Earlier]
 
 
+def entry_path(folder: Path, name: str) -> Path:
+    """The file of the entry with the id `name`."""
+    return folder / f"{name}{SUFFIX}"
+
+
+def entry_paths(folder: Path) -> dict[str, Path]:
+    """The files of the entries in a folder, by id."""
+    return {p.name.removesuffix(SUFFIX): p for p in sorted(folder.glob(f"*{SUFFIX}"))}
+
+
 def read_entry(path: Path) -> Entry:
     """Read an entry.
 
@@ -169,7 +181,11 @@ def read_entry(path: Path) -> Entry:
     entry = read_struct(path, Entry, WeightsError, _HINT)
     for got, holds, expected in (
         (f"schema {entry.schema}", entry.schema == SCHEMA, f"schema {SCHEMA}"),
-        (f"the id {entry.id}", entry.id == path.stem, "the id of the file's name"),
+        (
+            f"the id {entry.id}",
+            entry_path(path.parent, entry.id) == path,
+            "the id in the file's name",
+        ),
     ):
         if not holds:
             raise WeightsError(path, got=got, expected=expected, hint=_HINT)

@@ -7,17 +7,17 @@ import msgspec
 
 from crowdbench.errors import SettingError, did_you_mean
 from crowdbench.files import write_json
-from crowdbench.leaderboard.pages.standings import View, scores
 from crowdbench.leaderboard.sandbox.parent import Limits
+from crowdbench.leaderboard.standings import View, scores
 from crowdbench.leaderboard.verification.check import check
-from crowdbench.leaderboard.verification.entry import SCORER, Earlier, Entry, read_entry
+from crowdbench.leaderboard.verification.entry import (
+    SCORER,
+    Earlier,
+    Entry,
+    entry_paths,
+    read_entry,
+)
 from crowdbench.leaderboard.verification.verify import DEFAULT, entry_of, write_run
-
-
-def entry_ids(root: Path) -> list[str]:
-    """Ids of the entries of a leaderboard."""
-    stems = {path.stem for path in (root / "entries").glob("*.json")}
-    return sorted(stem for stem in stems if "." not in stem)  # not ID.run.json
 
 
 def rescore(
@@ -32,7 +32,7 @@ def rescore(
 ) -> Entry:
     """Verify the submission of an entry again, and move its earlier scores to its `history`.
 
-    `root` contains `entries/ID.json`, which is replaced, and `submissions/ID/`. Rollouts and
+    `root` contains `entries/ID.json.gz`, which is replaced, and `submissions/ID/`. Rollouts and
     `ID.run.json` are written to `out`.
 
     Raises:
@@ -44,15 +44,15 @@ def rescore(
         raise SettingError(
             "reason", got=repr(reason), expected="one line that says why it is scored again"
         )
-    if entry_id not in entry_ids(root):
-        known = entry_ids(root)
+    known = entry_paths(root / "entries")
+    if entry_id not in known:
         raise SettingError(
             "entry",
             got=repr(entry_id),
             expected=f"one of {root}/entries ({', '.join(known) or 'none yet'})",
             hint=did_you_mean(entry_id, known),
         )
-    path = root / "entries" / f"{entry_id}.json"
+    path = known[entry_id]
     old = read_entry(path)
     submission = root / "submissions" / entry_id
     _check_changed(old, submission)

@@ -15,15 +15,9 @@ from pathlib import Path
 import msgspec
 
 from crowdbench.errors import WeightsError
-from crowdbench.files import read_struct, write_json
-from crowdbench.leaderboard.verification.copying import TripCopies
-from crowdbench.registry import policy, recording_of, spawn_model
-from crowdbench.run.rollout import rollout
-from crowdbench.scene import Scene
+from crowdbench.files import read_struct
 
 PATH = Path(__file__).with_name("copied_trips.json")
-HONEST = ("straight", "social-force")
-"""Walkers who cannot copy. The entry `orca` has the shares of `straight` on its scenes."""
 MARGIN = 0.05
 """Tolerated excess over these walkers. It is more than two standard errors of the shares, which are
 at most 0.02 (on Hotel, with about 200 trips). Who memorises copies far more: nearly all trips."""
@@ -45,7 +39,7 @@ def honest_share(scene: str) -> float:
     Raises:
         WeightsError: the file of shares is missing or broken.
     """
-    return max(_read().shares.get(scene, {}).values(), default=0.0)
+    return max(read_shares().shares.get(scene, {}).values(), default=0.0)
 
 
 def trip_limit(scene: str) -> float:
@@ -57,34 +51,11 @@ def trip_limit(scene: str) -> float:
     return round(honest_share(scene) + MARGIN, 3)
 
 
-def measure(scene: Scene) -> dict[str, float]:
-    """Roll out the walkers who cannot copy; return the share of copied trips of each.
+@cache
+def read_shares() -> MeasuredShares:
+    """The measured shares.
 
     Raises:
-        RecordingError: the recording is not imported.
+        WeightsError: their file is missing or broken.
     """
-    copies = TripCopies(recording_of(scene), scene)
-    arrivals = spawn_model("replay", scene)
-    found = {}
-    for walker in HONEST:
-        share = copies.share(rollout(scene, arrivals, policy(walker, scene), seed=0))
-        found[walker] = 0.0 if share is None else round(share, 4)
-    return found
-
-
-def write(measured: dict[str, dict[str, float]]) -> Path:
-    """Write the shares of these scenes; those of other scenes are kept. Returns the path."""
-    shares = (_read().shares if PATH.is_file() else {}) | measured
-    write_json(
-        PATH,
-        MeasuredShares(
-            command="python -m studies trip-limits", shares=dict(sorted(shares.items()))
-        ),
-    )
-    _read.cache_clear()
-    return PATH
-
-
-@cache
-def _read() -> MeasuredShares:
     return read_struct(PATH, MeasuredShares, WeightsError, _HINT)

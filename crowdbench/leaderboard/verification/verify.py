@@ -17,7 +17,7 @@ from crowdbench.errors import WeightsError
 from crowdbench.files import write_json
 from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage, SandboxError, call
 from crowdbench.leaderboard.verification.check import check_unused
-from crowdbench.leaderboard.verification.entry import Entry, read_entry
+from crowdbench.leaderboard.verification.entry import Entry, entry_path, entry_paths, read_entry
 from crowdbench.leaderboard.verification.soundness import check_entry
 
 DEFAULT = Limits()
@@ -32,9 +32,9 @@ def verify(
     progress: Callable[[int, int], None] = lambda done, total: None,
     taken: Collection[str] = (),
 ) -> tuple[Entry, ResourceUsage]:
-    """Roll out and score a submission; write `ID.json` and `ID.run.json` into `out`.
+    """Roll out and score a submission; write `ID.json.gz` and `ID.run.json` into `out`.
 
-    The same submission gives the same bytes in `ID.json`; time, memory and machine are in
+    The same submission gives the same bytes in `ID.json.gz`; time, memory and machine are in
     `ID.run.json`. Rollouts stay in `out/work/ID`, so that an interrupted verification can be
     continued. `taken` are the ids of other submissions.
 
@@ -52,7 +52,7 @@ def verify(
     entry, ran = entry_of(submission, out / "work", workers, limits, progress, owners)
     # The child has checked this before the first rollout, but its answer is not trusted.
     check_unused(submission, entry.id, entry.declared.authors, owners)
-    write_json(out / f"{entry.id}.json", entry)
+    write_json(entry_path(out, entry.id), entry)
     write_run(out / f"{entry.id}.run.json", ran)
     return entry, ran
 
@@ -60,7 +60,7 @@ def verify(
 def owners_of(out: Path) -> dict[str, list[str]]:
     """Authors of the entries in a folder, by id; a broken entry has none and may be overwritten."""
     found = {}
-    for path in sorted(out.glob("*.json")):
+    for path in entry_paths(out).values():
         with suppress(WeightsError):
             entry = read_entry(path)
             found[entry.id] = list(entry.declared.authors)

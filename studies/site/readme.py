@@ -1,0 +1,80 @@
+"""`README.md`: the tables in Markdown, for readers on GitHub."""
+
+from collections.abc import Sequence
+
+from crowdbench.leaderboard.standings import Line, Standing, View
+from crowdbench.leaderboard.submission.schema import SCENES
+from crowdbench.report.text.markdown import flowed, table
+from crowdbench.report.text.words import interval, number
+from studies.site.index import JUDGED, LEAD, LISTED, SUBMIT, rules_of
+from studies.site.render import markdown
+from studies.site.tables import COPIED, GATE, OVERALL, copied, gated
+from studies.site.text import copied_share, decimals, in_markdown
+
+
+def readme(standings: Sequence[Standing]) -> str:
+    """The text of the file."""
+    text = markdown(
+        "readme.md.j2",
+        tracks=[(standing, _ranked(standing)) for standing in standings],
+        listed=_listed(standings),
+        preview=standings[0].yours is not None,
+        rules=rules_of(standings[0]),
+        scenes=SCENES,
+        lead=LEAD,
+        judged=JUDGED,
+        listing=LISTED,
+        submit=SUBMIT,
+    )
+    return flowed(text.replace("\n  ", " "))  # `flowed` expects every list item on one line
+
+
+def _ranked(standing: Standing) -> str:
+    """The table of a track; empty without entries."""
+    ranks = standing.ranks[OVERALL]
+    ordered = standing.ordered(OVERALL)
+    lines = [line for line in ordered if line.entry.status == "ranked"]
+    lines.sort(key=lambda line: line.entry.id not in ranks)  # without an overall score: last
+    lines += [line for line in ordered if line.entry.status == "reference"]
+    rows = [
+        [standing.rank(line, OVERALL), *_cells(line, standing, standing.scenes, copied(standing))]
+        for line in lines
+    ]
+    return _table("rank", standing.scenes, copied(standing), rows)
+
+
+def _listed(standings: Sequence[Standing]) -> str:
+    """The table of the listed entries of all tracks; empty without entries."""
+    scenes = tuple(dict.fromkeys(name for standing in standings for name in standing.scenes))
+    tracks = [(standing, line) for standing in standings for line in standing.listed]
+    rows = [[o.entry.declared.track, *_cells(o, each, scenes, COPIED)] for each, o in tracks]
+    return _table("track", scenes, COPIED, rows)
+
+
+def _table(
+    first: str, scenes: Sequence[str], copies: Sequence[str], rows: Sequence[Sequence[str]]
+) -> str:
+    head = [first, "entry", "kind", "flags", "overall", *GATE, *scenes]
+    head += [f"copy of {c}" for c in copies]
+    return table(head, rows, text=4) if rows else ""
+
+
+def _cells(
+    line: Line, standing: Standing, scenes: Sequence[str], copies: Sequence[str]
+) -> list[str]:
+    """The cells of an entry's row: name, kind, flags, scores and copy index."""
+    entry = line.entry
+    name = f"[{in_markdown(entry.declared.name)}]({standing.address(line)})"
+    yours = " (yours)" if entry.id in (standing.yours or ()) else ""
+    copy = line.copied()
+    trips = copied_share(copy.trips, copy.trip_limit)
+    shown = {"arrivals": decimals(copy.arrivals), "trips": trips}
+    return [
+        (f"*{name}*" if entry.status == "reference" else name) + yours,
+        line.kind,
+        ", ".join(dict.fromkeys(flag.what for flag in entry.flags)),
+        interval(line.scores.get(OVERALL)),
+        *gated(line),
+        *(number(line.scores.get(View(scene=scene))) for scene in scenes),
+        *(shown[what] for what in copies),
+    ]

@@ -1,0 +1,53 @@
+"""Render the templates of the leaderboard's pages."""
+
+from pathlib import Path
+
+from markupsafe import Markup
+
+from crowdbench.leaderboard.standings import View
+from crowdbench.report.text.templates import environment
+from crowdbench.report.text.words import NOTHING, digits, speed
+from crowdbench.report.text.words import share as shown_share
+from studies.site import axis
+from studies.site.tables import GATE, gated
+from studies.site.text import (
+    copied_share,
+    decimals,
+    in_html,
+    link,
+    plain,
+    share,
+    short,
+)
+
+_FOLDER = Path(__file__).parent
+_HTML = environment(_FOLDER / "templates")
+_HTML.globals |= {"GATE": GATE, "axis": axis, "gated": gated, "NOTHING": NOTHING, "View": View}
+_HTML.globals |= {"copied_share": copied_share}
+_HTML.filters |= {
+    "decimals": decimals,
+    "digits": digits,
+    "in_html": in_html,
+    "link": link,
+    "plain": plain,
+    "share": share,
+    "short": short,
+    "shown_share": shown_share,
+    "speed": speed,
+}
+_MARKDOWN = environment(_FOLDER / "templates", html=False)
+
+
+def html(template: str, **values: object) -> Markup:
+    """A rendered template as HTML; values are escaped unless they are `Markup`."""
+    return Markup(_HTML.get_template(template).render(values))
+
+
+def markdown(template: str, **values: object) -> str:
+    """A rendered template as Markdown; values are Markdown already."""
+    return _MARKDOWN.get_template(template).render(values)
+
+
+def own(name: str) -> str:
+    """The text of a file in this package's folder."""
+    return (_FOLDER / name).read_text(encoding="utf-8")

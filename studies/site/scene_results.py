@@ -1,0 +1,40 @@
+"""An entry's results on one scene: every metric, every fit, and plots."""
+
+from markupsafe import Markup
+
+from crowdbench.leaderboard.standings import FAMILIES_OF, are_trajectories, gate_notes
+from crowdbench.leaderboard.verification.entry import Entry
+from crowdbench.leaderboard.verification.soundness import FAMILY_OF
+from crowdbench.leaderboard.verification.trip_limits import trip_limit
+from crowdbench.metrics import METRICS
+from studies.site.curves import figure
+from studies.site.render import html
+
+
+def scene_results(name: str, entry: Entry) -> Markup:
+    """The section of one scene as HTML: facts, tables and plots."""
+    scene = entry.scenes[name]
+    # Families and metrics have the same order in all tables; unknown metrics are not shown.
+    known = {m.name: scene.metrics[m.name] for m in METRICS if m.name in scene.metrics}
+    families = [
+        (family, {n: metric for n, metric in known.items() if FAMILY_OF[n] == family})
+        for family in FAMILIES_OF[entry.declared.track]
+    ]
+    shown = [(family, metrics) for family, metrics in families if metrics]
+    declared = entry.declared
+    return html(
+        "scene.html.j2",
+        name=name,
+        scene=scene,
+        track=declared.track,
+        given=are_trajectories(entry),
+        # A policy that is trained on no recording is the same in all folds: its rollouts of the
+        # whole recording serve each of them.
+        per_fold=declared.track != "walk" or declared.training.protocol == "heldout",
+        trip_limit=trip_limit(name),
+        gate=gate_notes(entry).get(name, ""),
+        families=shown,
+        splits=list(dict.fromkeys(split for m in scene.metrics.values() for split in m.splits)),
+        fits={n: m for _, each in shown for n, m in each.items() if any(m.splits.values())},
+        figures=[figure(title, curve) for title, curve in scene.curves.items()],
+    )
