@@ -27,7 +27,7 @@ from crowdbench.errors import CrowdbenchError, OutputError, did_you_mean
 T = TypeVar("T")
 _PREFIX = "crowdbench-tmp-"
 _YOUNG_S = 1.0
-"""A folder that was made less than this time ago may not be locked yet."""
+"""What was made less than this time ago may not be locked yet."""
 LARGEST_UNPACKED = 2**26  # bytes of a compressed file's content; the largest has 4 million
 
 
@@ -51,9 +51,8 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         made = [folder for folder in path.parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
-        _remove_abandoned(
-            path.parent, f"{re.escape(f'.{path.stem}-')}[0-9a-f]{{8}}{re.escape(path.suffix)}"
-        )
+        names = f"{re.escape(f'.{path.stem}-')}[0-9a-f]{{8}}{re.escape(path.suffix)}"
+        _remove_abandoned(path.parent, names)
         temporary.touch(exist_ok=False)
         try:
             with _held(temporary):
@@ -78,7 +77,7 @@ def temporary_folder(what: str, parent: Path | None = None) -> Iterator[Path]:
     """
     place = parent or Path(tempfile.gettempdir())
     prefix = f".{what}-" if parent else f"{_PREFIX}{what}-"
-    _remove_abandoned(place, re.escape(prefix if parent else _PREFIX) + ".*", _YOUNG_S)
+    _remove_abandoned(place, re.escape(prefix if parent else _PREFIX) + ".*")
     with (
         tempfile.TemporaryDirectory(dir=place, prefix=prefix, ignore_cleanup_errors=True) as name,
         _held(Path(name)),
@@ -86,14 +85,14 @@ def temporary_folder(what: str, parent: Path | None = None) -> Iterator[Path]:
         yield Path(name)
 
 
-def _remove_abandoned(place: Path, names: str, young_s: float = 0.0) -> None:
+def _remove_abandoned(place: Path, names: str) -> None:
     """Remove the temporary files and folders of killed processes, by a pattern of their names."""
     found: list[str] = []
     with suppress(OSError):
         found = [name for name in os.listdir(place) if re.fullmatch(names, name)]
     for path in (place / name for name in found):
         with suppress(OSError):
-            if time.time() - path.lstat().st_mtime >= young_s:
+            if time.time() - path.lstat().st_mtime >= _YOUNG_S:
                 with _held(path) as abandoned:
                     if abandoned:
                         shutil.rmtree(path) if path.is_dir() else path.unlink()

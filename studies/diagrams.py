@@ -244,7 +244,7 @@ def submission() -> str:
             "The workflow",
             ("Check", "again, with the code", "of the target branch"),
             ("Verify in a sandbox", "rollouts with crowdbench's", "seeds, then scores"),
-            ("Entry ID.json", "scores, intervals, flags;", "an artifact of the run"),
+            ("Entry", "scores, intervals, flags;", "an artifact of the run"),
         ),
         (
             "A maintainer",

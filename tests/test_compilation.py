@@ -103,7 +103,7 @@ def test_a_constant_of_plans_reaches_the_compiled_step(tmp_path: Path) -> None:
     code = REPORT + WALK
     assert run(code, package).stdout.endswith("step\n")
     assert not run(code, package).stdout.endswith("step\n")
-    plans = package / "spawn" / "plans.py"
+    plans = package / "spawn" / "recorded_plans.py"
     source = plans.read_text()
     assert "VISIT_M = 1.0\n" in source
     plans.write_text(source.replace("VISIT_M = 1.0\n", "VISIT_M = 1.5\n"))

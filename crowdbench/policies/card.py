@@ -101,7 +101,12 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
                 f"one of {', '.join(known_observations())}",
             ),
             ("rays", self.rays, 1 <= self.rays <= 1024, "a number from 1 to 1024"),
-            ("ray_range_m", self.ray_range_m, 0 < self.ray_range_m <= 1000, "metres up to 1000"),
+            (
+                "ray_range_m",
+                self.ray_range_m,
+                0.1 <= self.ray_range_m <= 1000,
+                "0.1 to 1000 metres",
+            ),
             ("memory", self.memory, 0 <= self.memory <= MOST, f"a number from 0 to {MOST}"),
             ("style", self.style, 0 <= self.style <= MOST, f"a number from 0 to {MOST}"),
             ("interval", self.interval, 1 <= self.interval <= 1000, "1 to 1000 frames"),

@@ -72,9 +72,9 @@ class Settings:
         ):
             if not isinstance(value, int | np.integer) or value < 1:
                 raise SettingError(name, got=repr(value), expected="a whole number, 1 or more")
-        if not (np.isfinite(shown.ray_range_m) and shown.ray_range_m > 0):
+        if not 0.1 <= shown.ray_range_m <= 1000:
             raise SettingError(
-                "ray_range_m", got=str(shown.ray_range_m), expected="a positive number of metres"
+                "ray_range_m", got=str(shown.ray_range_m), expected="0.1 to 1000 metres"
             )
         observation_of(shown.observation)  # raises an error if it does not exist
 

@@ -281,7 +281,9 @@ def test_errors_travel_between_processes_whole(kind):
 
 def test_the_next_write_removes_what_killed_processes_left_of_the_same_file(tmp_path):
     path = tmp_path / "a.json"
-    (tmp_path / ".a-0123abcd.json").touch()
+    (left := tmp_path / ".a-0123abcd.json").touch()
+    os.utime(left, (0, 0))
+    (young := tmp_path / ".a-4567cdef.json").touch()  # perhaps its writer has not locked it yet
     others = {tmp_path / name for name in (".b-0123abcd.json", ".a-b-0123abcd.json", ".a-x.json")}
     for other in others:
         other.touch()
@@ -290,7 +292,7 @@ def test_the_next_write_removes_what_killed_processes_left_of_the_same_file(tmp_
         assert used.exists()
         used.write_text("last")
     assert path.read_text() == "last"
-    assert set(tmp_path.iterdir()) == {path, *others}
+    assert set(tmp_path.iterdir()) == {path, young, *others}
 
 
 LONG_AGO = 1_000_000_000

@@ -93,7 +93,7 @@ def test_a_trained_policy_gets_to_a_page_of_the_leaderboard(
             assert ": 4 problems." in capsys.readouterr().err
             fill_in(Path("my-walker"))
         assert main(arguments) == 0, f"{command}: {capsys.readouterr().err}"
-    entry = read_entry(Path("results/leaderboard/entries/my-walker.json"))
+    entry = read_entry(Path("results/leaderboard/entries/my-walker.json.gz"))
     assert entry.status == "ranked"
     assert set(entry.scenes[scene].families) == {"motion", "interaction"}
     page = Path("results/leaderboard/index.html").read_text()

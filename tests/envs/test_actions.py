@@ -146,6 +146,7 @@ def test_as_many_agents_are_possible_as_asked_for() -> None:
         ("horizon_s", float("inf")),
         ("rays", 0),
         ("ray_range_m", 0.0),
+        ("ray_range_m", 1e-320),
         ("ray_range_m", float("nan")),
         ("max_alive", 0),
         ("max_persons", 0),

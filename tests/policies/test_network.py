@@ -381,6 +381,7 @@ def of_the_future(model: onnx.ModelProto) -> None:
         (carded(rays=9), "15 numbers"),
         (carded(rays=100_000), "rays"),
         (carded(ray_range_m=-1.0), "ray_range_m"),
+        (carded(ray_range_m=1e-320), "ray_range_m"),
         (carded(split="half"), "split"),
         (carded(scene="../eth"), "scene"),
         (carded(command="\x1b[31m"), "command"),

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import re
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -263,7 +264,9 @@ def test_what_is_there_is_kept_and_what_is_missing_is_made(tmp_path: Path) -> No
     since = kept.stat().st_mtime_ns
     lost.unlink()
     (tmp_path / "scorecard.json").unlink()
-    (tmp_path / "rollouts" / f".{kept.stem}-half.parquet").write_bytes(b"half a file")
+    half = tmp_path / "rollouts" / f".{lost.stem}-0123abcd.parquet"  # of a killed process
+    half.write_bytes(b"half a file")
+    os.utime(half, (0, 0))
     assert run() == whole
     assert kept.stat().st_mtime_ns == since
     broken.write_bytes(b"no table")

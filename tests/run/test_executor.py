@@ -236,8 +236,8 @@ def test_whoever_is_killed_leaves_no_process_and_no_file_after_the_next_start(
     assert not any(map(alive, workers))
     assert not shared_by(process.pid)
     monkeypatch.setattr("tempfile.tempdir", str(temporary))
-    for folder in temporary.iterdir():
-        os.utime(folder, (LONG_AGO, LONG_AGO))
+    for path in left(out, temporary):
+        os.utime(path, (LONG_AGO, LONG_AGO))
     with temporary_folder("test"):
         for name in ("0", "1", "mine.txt"):
             with replacing(out / name):

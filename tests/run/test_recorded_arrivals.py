@@ -82,7 +82,7 @@ def test_people_who_enter_at_other_times_are_nobody_recorded(walked, recording) 
 
 def test_other_arrivals_are_rejected(recording) -> None:
     other = rollout("plaza-v0", "poisson-gmm", "straight", seed=1)
-    with pytest.raises(RecordingError, match=r"spawn plaza-v0 --model replay --sample"):
+    with pytest.raises(RecordingError, match=r"spawn sample plaza-v0 --model replay"):
         score_rollouts(PLAZA, [other, other], recorded_arrivals=True)
 
 
