@@ -121,7 +121,7 @@ def find(kind: Kind, name: str, known: Iterable[str] = ()) -> Any:
             raise SettingError(
                 word,
                 got=repr(name),
-                expected=", ".join([*known, ""]) + "or pkg.module:Class",
+                expected="one of " * bool(known) + ", ".join([*known, "or pkg.module:Class"]),
                 hint=did_you_mean(name, known),
             )
         return found

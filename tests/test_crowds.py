@@ -63,7 +63,7 @@ def test_unknown_names_are_refused_with_those_that_are_known(
 
 def test_an_evaluation_takes_a_scene_and_single_names(tmp_path: Path) -> None:
     for scene in (PLAZA, "plaza-v0"):
-        with pytest.raises(SettingError, match="got 'nobody'; expected poisson-gmm"):
+        with pytest.raises(SettingError, match="got 'nobody'; expected one of poisson-gmm"):
             crowdbench.evaluate(scene, spawn="nobody", policy="straight", out=str(tmp_path))
 
 

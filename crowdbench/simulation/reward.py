@@ -151,7 +151,8 @@ class _Checked:
             raise OwnCodeError(
                 "reward",
                 got=f"an array of shape {parts.shape}",
-                expected=f"one of shape {acted.shape} and a number of parts, 1 or more",
+                expected=f"one of shape ({acted.shape[0]}, {acted.shape[1]}, parts), with at least "
+                "one part",
                 hint="Return reward[..., None] if it has no parts.",
             )
         parts = np.where(acted[..., None], parts, np.float32(0))

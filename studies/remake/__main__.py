@@ -2,32 +2,28 @@
 
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Annotated
-
-from cyclopts import Group, Parameter
-from cyclopts.validators import MutuallyExclusive
 
 from crowdbench.cli.running import new_app, run
+from crowdbench.errors import SettingError
 from studies.remake import graph
 from studies.remake.lock import LOCK, Line, read_lock
 from studies.remake.pages import results
 
 app = new_app("make results", "Make the generated files of the repository that are stale.")
-_ONLY = Group("Only", validator=MutuallyExclusive())  # type: ignore[no-untyped-call]
 
 
 @app.default
-def remake(
-    *,
-    plan: Annotated[bool, Parameter(group=_ONLY)] = False,
-    keep: Annotated[str | None, Parameter(group=_ONLY)] = None,
-) -> None:
+def remake(*, plan: bool = False, keep: str | None = None) -> None:
     """Make the generated files of the repository that are stale.
 
     Args:
         plan: print what would be made and why
         keep: record why changes of code changed nothing
     """
+    if plan and keep is not None:
+        raise SettingError("make results", got="--plan and --keep", expected="one of them")
+    if keep is not None and not keep.strip():
+        raise SettingError("--keep", got="no reason", expected="why the results are the same")
     declared = results()
     if plan:
         lines = read_lock(LOCK)

@@ -148,7 +148,7 @@ BAD = {
         "Run `crowdbench data fetch eth`, or copy https://",
     ),
     "no folder": (["data", "import", "eth"], "CROWDBENCH_DATA"),
-    "unknown policy": (["evaluate", "eth-v0", "--policy", "crawl"], "expected straight"),
+    "unknown policy": (["evaluate", "eth-v0", "--policy", "crawl"], "one of straight"),
     "unknown spawn model": (
         ["evaluate", "eth-v0", "--spawn", "no_such_module:Model"],
         "No module named 'no_such_module'",

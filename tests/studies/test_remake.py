@@ -223,3 +223,14 @@ def test_every_generated_file_of_the_leaderboard_and_the_pages_is_a_result(
     assert pictures - known == by_hand
     assert {str(p) for p in Path("leaderboard/entries").iterdir()} <= known
     assert {str(p) for p in Path("scenes").glob("*/*.json*")} <= known
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [(["--keep", " "], "got no reason"), (["--plan", "--keep", "x"], "expected one of them")],
+)
+def test_a_reason_is_one_and_a_plan_keeps_nothing(
+    asked: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(asked) == 2
+    assert told in capsys.readouterr().err
