@@ -202,7 +202,7 @@ def score() -> str:
         _text(190, 246, "recording y"),
         _text(330, 118, "rollouts of a model", "a", "start"),
         _text(330, 138, "lines: d(X, y), dashed: d(X, X′)", "soft", "start"),
-        _text(40, 300, "other mornings of the same place", "soft", "start"),
+        _text(40, 300, "other recordings of the same place", "soft", "start"),
         _text(338, 398, "rollouts of the anchor: too far, too alike", "b"),
     ]
     top, bottom, x = 110.0, 350.0, 640.0
