@@ -66,6 +66,7 @@ INNER = (
 )
 
 
+@pytest.mark.long
 def test_machine_code_is_made_anew_exactly_when_what_it_is_made_from_changes(
     tmp_path: Path,
 ) -> None:
@@ -146,6 +147,7 @@ def test_everything_that_kernels_read_is_known_to_be_constant(function: Any) -> 
     assert fingerprint(plain) == fingerprint(plain)
 
 
+@pytest.mark.long
 def test_code_for_a_named_tuple_that_has_been_renamed_is_made_anew(tmp_path: Path) -> None:
     (tmp_path / "kernels.py").write_text(
         "from crowdbench.compilation import compiled\n"
@@ -168,6 +170,7 @@ def test_other_functions_have_other_fingerprints() -> None:
     assert len(found) == len(FUNCTIONS)
 
 
+@pytest.mark.long
 def test_it_works_where_no_folder_can_be_written(tmp_path: Path) -> None:
     """Modules lie in a folder that takes no machine code, and there is no home."""
     (tmp_path / "constants.py").write_text("FACTOR = 3.0\n")

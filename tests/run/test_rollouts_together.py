@@ -44,6 +44,7 @@ def test_crowds_of_built_in_policies_are_those_of_single_rollouts(policy: Policy
         assert same(crowd, rollout(ETH, model, policy, seed=seed))
 
 
+@pytest.mark.long
 def test_crowds_of_a_network_with_noise_are_those_of_single_rollouts_but_for_rounding() -> None:
     network, models = registry.policy("anticipate", ETH), spawn_models(len(SEEDS))
     assert batchable(network)
@@ -125,6 +126,7 @@ class Noisy:
         return 0.1 * memory.noise
 
 
+@pytest.mark.long
 def test_noise_is_drawn_for_each_world_by_its_own_seed() -> None:
     models = spawn_models(3)
     several = rollouts(ETH, models, Noisy(), seeds=SEEDS)  # type: ignore[arg-type]
@@ -146,6 +148,7 @@ def made(jobs: Sequence[Job]) -> dict[str, tuple[int, bytes]]:
     return {j.path.name: (j.path.stat().st_mtime_ns, j.path.read_bytes()) for j in jobs}
 
 
+@pytest.mark.long
 def test_a_network_that_misses_one_rollout_makes_its_whole_batch_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

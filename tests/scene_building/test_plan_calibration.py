@@ -99,6 +99,7 @@ def test_samples_of_a_model_have_companions_like_those_recorded(
     assert again.across_m == pytest.approx(recorded.across_m, rel=0.1)
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_numbers(
     fitted: PlannedAreas, crowd: Trajectories, blocks: TimeBlocks
 ) -> None:

@@ -45,6 +45,7 @@ def test_the_energy_score_is_the_fair_crps_of_each_coordinate(
     assert found.centre == pytest.approx(np.mean(expected), rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.long
 @settings(max_examples=20)
 @given(p=st.lists(st.floats(0, 1), min_size=1, max_size=40))
 def test_holms_procedure_is_that_of_statsmodels(p: list[float]) -> None:

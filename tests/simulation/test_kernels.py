@@ -176,6 +176,7 @@ def compiled_elsewhere(first: str, **environment: str) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("first", FIRST)
 def test_kernels_run_on_one_thread_whatever_was_imported_before(first: str) -> None:
     # What runs on one thread waits for no other, and nothing of the user's has to be changed.

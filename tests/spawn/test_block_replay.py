@@ -53,6 +53,7 @@ def test_one_block_is_the_recording_over_and_over(crowd: Trajectories) -> None:
     )
 
 
+@pytest.mark.long
 def test_every_grid_point_expects_the_recorded_rate(crowd: Trajectories) -> None:
     model, samples, points = model_of(crowd), 2500, 25
     count = np.zeros(points)

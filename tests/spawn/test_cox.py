@@ -67,6 +67,7 @@ def test_the_number_of_persons_is_a_poisson_number_of_geometric_groups(
     assert np.exp(log_probability(number, rate, more)) == pytest.approx(expected, rel=1e-8)
 
 
+@pytest.mark.long
 def test_without_waves_the_filter_is_exact() -> None:
     counts = np.random.default_rng(0).poisson(0.1, (200, 2))
     rate, more = np.array([0.1, 0.15]), np.array([0.2, 0.1])
@@ -145,6 +146,7 @@ def test_the_truth_is_likelier_than_a_process_without_waves() -> None:
     assert cox().log_likelihood(arrivals) > nobody_follows.log_likelihood(arrivals) + 0.01
 
 
+@pytest.mark.long
 def test_followers_come_as_often_as_the_model_says() -> None:
     """Without waves the likelihood is exact: the mean of its slope over samples is 0."""
     truth, step = cox(CALM), 0.01

@@ -88,6 +88,7 @@ def test_the_gradient_is_that_of_the_likelihood() -> None:
     np.testing.assert_allclose(slope, numeric, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.long
 def test_samples_have_the_probabilities_of_the_model() -> None:
     time_s, area = np.array([0.0, 0.0, 1.5]), np.zeros(3, dtype=np.int64)
     model, rng = links(tendency=(0.2,)), np.random.default_rng(0)

@@ -102,6 +102,7 @@ def test_windows_overlap_and_end_with_their_stretch() -> None:
     np.testing.assert_allclose([gaps.sum() for gaps in found], 100)
 
 
+@pytest.mark.long
 def test_training_lowers_the_loss_and_is_reproducible() -> None:
     arrivals = bursty()
     net = training._Network(linear=False)

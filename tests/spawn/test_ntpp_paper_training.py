@@ -92,6 +92,7 @@ def test_windows_without_events_have_a_gradient_by_the_head_alone(count: int) ->
     assert moved == {"hidden_weight", "hidden_bias", "out_weight", "out_bias"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("code", [False, True])
 def test_training_follows_that_by_torch(code: bool) -> None:
     settings = Settings(epochs=30, published_code=code)
