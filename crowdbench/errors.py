@@ -5,7 +5,8 @@ The command line prints the message and exits with code 2.
 """
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 _CONSTRAINTS = Path(__file__).parents[1] / "constraints.txt"  # in a clone; a wheel has none
@@ -53,6 +54,18 @@ def did_you_mean(name: object, known: Iterable[str], hint: str = "") -> str:
     """A hint that suggests the known name most like `name`, if one is, followed by `hint`."""
     found = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.6)
     return " ".join([*(f"Did you mean `{near}`?" for near in found), hint]).rstrip()
+
+
+@contextmanager
+def hinting(hint: str) -> Iterator[None]:
+    """Add a hint to errors that have none: what reads a file need not know where it is from."""
+    try:
+        yield
+    except CrowdbenchError as error:
+        if error.hint:
+            raise
+        kind = type(error)
+        raise kind(error.where, got=error.got, expected=error.expected, hint=hint) from error
 
 
 class RecordingError(CrowdbenchError):

@@ -3,14 +3,13 @@
 An installed package names them as entry points of the groups `crowdbench.metrics`,
 `crowdbench.spawn_models`, `crowdbench.policies`, `crowdbench.recordings` and
 `crowdbench.observations`; `register` adds one in a program or a notebook. Either way the part is
-known by its name wherever a part of crowdbench is, in worker processes too. Metrics, spawn models
-and policies can also be named as `pkg.module:Class`, without registration. `told` describes an
-error in code of others in one line.
+known by its name wherever a part of crowdbench is, in worker processes too. All but observations
+can also be named as `pkg.module:NAME`, without registration. `told` describes an error in code of
+others in one line.
 """
 
 import functools
 import importlib
-import importlib.util
 import inspect
 import os
 import re
@@ -72,18 +71,8 @@ def part(kind: Kind, name: str) -> Any:
     return None if entry is None else _load(entry)
 
 
-def parts(kind: Kind, ours: Collection[str] = ()) -> dict[str, Any]:
-    """All parts of a kind that somebody registered, by name; `ours` are names of crowdbench's own.
-
-    Raises:
-        SettingError: somebody has taken one of our names.
-        OwnCodeError: a package raised something on import.
-    """
-    return {name: part(kind, name) for name in names(kind, ours)}
-
-
 def names(kind: Kind, ours: Collection[str] = ()) -> list[str]:
-    """The names alone: no package is imported.
+    """Names of the parts that somebody registered; no package is imported for this.
 
     Raises:
         SettingError: somebody has taken one of `ours`, crowdbench's own names.
@@ -112,7 +101,8 @@ def find(kind: Kind, name: str, known: Iterable[str] = ()) -> Any:
         SettingError: there is no such part, or it cannot be imported.
         OwnCodeError: its module raised an exception.
     """
-    word = {"policies": "policy"}.get(kind, kind.removesuffix("s").replace("_", " "))
+    words = {"policies": "policy", "recordings": "format"}
+    word = words.get(kind, kind.removesuffix("s").replace("_", " "))
     module, colon, attribute = name.partition(":")
     if not colon:
         found = part(kind, name)
@@ -125,19 +115,16 @@ def find(kind: Kind, name: str, known: Iterable[str] = ()) -> Any:
                 hint=did_you_mean(name, known),
             )
         return found
-    try:
-        return getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError, TypeError) as error:
-        raise SettingError(
-            word,
-            got=f"{name!r} ({error})",
-            expected="a class that can be imported",
-            hint="Install its package, or run the command where Python can import it.",
-        ) from error
-    except Exception as error:
-        raise OwnCodeError(
-            f"{word} {name}", got=f"{told(error)} on import", expected="a module without errors"
-        ) from error
+    with blaming(f"{word} {name}, on import"):
+        try:
+            return getattr(importlib.import_module(module), attribute)
+        except (ImportError, AttributeError, ValueError, TypeError) as error:
+            raise SettingError(
+                word,
+                got=f"{name!r} ({error})",
+                expected="a class that can be imported",
+                hint="Install its package, or run the command where Python can import it.",
+            ) from error
 
 
 def takes(kind: Any, name: str) -> bool:
@@ -158,20 +145,18 @@ def create(
         OwnCodeError: it raised an exception that is not a `CrowdbenchError`.
     """
     offered = {name: value for name, value in offered.items() if takes(kind, name)}
-    try:
-        found = kind(*arguments, **offered)
-    except CrowdbenchError:
-        raise
-    except Exception as error:
-        called = error.__traceback__ is not None and error.__traceback__.tb_next is not None
-        if isinstance(error, TypeError) and not called:
+    with blaming(where):
+        try:
+            found = kind(*arguments, **offered)
+        except TypeError as error:
+            if len(traceback.extract_tb(error.__traceback__)) > 1:  # it was called
+                raise
             raise SettingError(
                 where,
                 got=str(error),
                 expected="a class that is called with the scene (spawn models) or without "
                 "arguments (policies)",
             ) from error
-        raise OwnCodeError(where, got=told(error), expected="a call without errors") from error
     if missing := [name for name in needed if not hasattr(found, name)]:
         raise SettingError(
             where, got=f"an object without {', '.join(missing)}", expected=", ".join(needed)
@@ -197,29 +182,6 @@ def imported_name(path: str) -> str | None:
     module, _, attribute = path.partition(":")
     name = getattr(getattr(sys.modules.get(module), attribute, None), "name", None)
     return name if isinstance(name, str) and _SHOWN.fullmatch(name) else None
-
-
-def code_of(kind: Kind, name: str) -> tuple[list[Path], bytes]:
-    """What a user's part depends on: files, and its pickle if it was defined in a notebook.
-
-    The files are all those in the folder of its module, because weights may be stored there.
-    """
-    module, colon, _ = name.partition(":")
-    if colon:
-        found = importlib.util.find_spec(module)
-        origin = None if found is None else found.origin
-    else:
-        import cloudpickle
-
-        own = part(kind, name)
-        of = own if inspect.isclass(own) or inspect.isroutine(own) else type(own)
-        try:
-            origin = inspect.getfile(of)
-        except (TypeError, OSError):
-            return [], bytes(cloudpickle.dumps(own))
-    if origin is None:
-        return [], b""
-    return sorted(path for path in Path(origin).parent.iterdir() if path.is_file()), b""
 
 
 def shared() -> bytes:
@@ -251,16 +213,9 @@ def _installed(kind: Kind) -> dict[str, EntryPoint]:
 
 @functools.cache
 def _load(entry: EntryPoint) -> Any:
-    try:
+    package = entry.dist.name if entry.dist else "a package"
+    with blaming(f"{entry.group} {entry.name} of {package}, on import of {entry.value}"):
         return entry.load()
-    except Exception as error:
-        package = entry.dist.name if entry.dist else "a package"
-        raise OwnCodeError(
-            f"{entry.group} {entry.name}",
-            got=f"{told(error)} on import of {entry.value}",
-            expected="a module without errors",
-            hint=f"Mend {package}, or uninstall it.",
-        ) from error
 
 
 @contextmanager

@@ -10,7 +10,7 @@ import pytest
 from crowdbench.data.recordings.catalogue import cached, prepared_folder, remove_imported
 from crowdbench.data.storage import write_parquet
 from crowdbench.data.table import Trajectories
-from crowdbench.registry import prepared, recording, recording_of, recordings
+from crowdbench.registry import recording, recording_of, recordings
 from crowdbench.scene import load_scene
 
 PLAZA = load_scene("plaza-v0")
@@ -19,7 +19,7 @@ PLAZA = load_scene("plaza-v0")
 @pytest.fixture(autouse=True)
 def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The clusterings that were done; no recording is in memory."""
-    monkeypatch.setattr(prepared, "_memory", {})
+    monkeypatch.setattr(recordings, "_memory", {})
     found: list[str] = []
     fit = recordings.fit_areas
 
@@ -50,7 +50,7 @@ def test_a_recording_is_prepared_once(made: list[str]) -> None:
 
 def test_another_process_finds_the_same(made: list[str]) -> None:
     first = recording_of(PLAZA)
-    prepared._memory.clear()
+    recordings._memory.clear()
     assert same(recording_of(PLAZA), first)
     assert len(made) == 1
 
@@ -61,7 +61,7 @@ def test_a_damaged_file_is_made_anew(made: list[str]) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
-    prepared._memory.clear()
+    recordings._memory.clear()
     assert same(recording_of(PLAZA), first)
     assert len(made) == 2
     assert sorted(prepared_folder("plaza").iterdir()) == [path]

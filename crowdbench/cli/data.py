@@ -183,11 +183,18 @@ def convert(
         to: format to write
         out: file to write
     """
-    from crowdbench.data.recordings import convert as formats
+    from crowdbench.data.recordings.own import WRITERS, read_recording
 
-    crowd = formats.convert(
-        table, out, to=to, layout=layout or "csv", dt_s=dt_s, gaps=gaps, offset_s=offset_s
+    crowd = read_recording(
+        table,
+        layout or "csv",
+        name=table.stem,
+        dt_s=dt_s,
+        gaps=gaps,
+        offset_s=offset_s,
+        resample=False,
     )
+    WRITERS[to](crowd, out)
     for name, fact in repairs(crowd, gaps).items():
         print(f"{name}: {fact}")
     print(f"{len(crowd)} persons, {crowd.frames} frames of {crowd.dt_s:.4g} s")

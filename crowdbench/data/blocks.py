@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from crowdbench.data.table import PERSON_COLUMNS, Trajectories
+from crowdbench.data.table import PERSON_COLUMNS, Trajectories, is_within
 
 FOLDS = 3
 SPLITS = ("full", *(f"fold{k}" for k in range(FOLDS)))
@@ -59,14 +59,10 @@ class TimeBlocks:
         """The blocks that models fitted for `split` are scored on."""
         return self.take(self.in_split(split))
 
-    def in_training(self, split: str) -> Bool[np.ndarray, " B"]:
-        """Whether models are fitted on each block for `split`."""
-        inside = self.in_split(split)
-        return inside if split == "full" else ~inside
-
     def training(self, split: str) -> "TimeBlocks":
         """The blocks that models are fitted on for `split`."""
-        return self.take(self.in_training(split))
+        inside = self.in_split(split)
+        return self.take(inside if split == "full" else ~inside)
 
     def take(self, chosen: Bool[np.ndarray, " B"] | Int[np.ndarray, " b"]) -> "TimeBlocks":
         """A subset of the blocks, by mask or by ascending indices."""
@@ -103,9 +99,7 @@ class TimeBlocks:
 
         Areas, group, goal, entry times and outcome of a part are those of its person.
         """
-        seen = np.zeros(trajectories.frames, dtype=bool)
-        for start, stop in self.frames:
-            seen[start:stop] = True
+        seen = is_within(self.frames, trajectories.frames)
         edges = np.flatnonzero(np.diff(seen, prepend=False, append=False))
         frame, person = trajectories.row_frame(), trajectories.row_person()
         rows = np.flatnonzero(seen[frame])

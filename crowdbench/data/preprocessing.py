@@ -7,32 +7,17 @@ and 20 steps or more, 258 people are left on ETH, as in the paper. The order of 
 matter for who is left.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool
 
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import PERSON_COLUMNS, Trajectories
 
 LEAST_SQUARED_M2 = 2.0
 SHORTEST_STEPS = 20
 LONGEST_POSITIONS = 99
-PUBLISHED: Mapping[str, tuple[int, str, str]] = {
-    "eth": (258, "people on ETH", ""),
-    "gc": (
-        12_255,
-        "people in 11,999 frames",
-        "The number of steps depends on the length of a frame, which the paper does not state. Its "
-        "code has no lower limit here.",
-    ),
-    "forum": (
-        1_331,
-        "people in 58,480 frames of 14 July",
-        "This recording is of 1 July. That of 14 July is not in OpenTraj.",
-    ),
-}
-"""The number of people that the paper states, of what, and why it differs, by recording."""
 
 
 @dataclass(frozen=True)
@@ -49,23 +34,17 @@ class Counts:
     coarse: int
     """People who move and have fewer than 100 positions on the annotation grid, as in the code."""
 
-    def facts(self, recording: str) -> dict[str, str]:
-        """The counts as text for a table, beside the paper's."""
-        facts = {
+    def facts(self) -> dict[str, str]:
+        """The counts as text for a table."""
+        return {
             "recorded": f"{self.recorded} people",
             "who move": f"{self.moving} end more than 1.41 m from their start",
             "not too short": f"{self.long_enough} of them have {SHORTEST_STEPS} steps or more",
             "not too long": f"{self.kept} of them have fewer than {LONGEST_POSITIONS + 1} "
             "positions",
-            "published code": f"{self.coarse} move and have fewer than {LONGEST_POSITIONS + 1} "
-            "annotated positions",
+            "published code": f"{self.coarse} move and have fewer than "
+            f"{LONGEST_POSITIONS + 1} annotated positions",
         }
-        if recording in PUBLISHED:
-            number, what, why = PUBLISHED[recording]
-            facts["paper"] = f"{number:,} {what}"
-            if why:
-                facts["difference"] = why
-        return facts
 
 
 def paper_preprocessed(crowd: Trajectories) -> tuple[Trajectories, Counts]:
@@ -85,11 +64,7 @@ def only(crowd: Trajectories, chosen: Bool[np.ndarray, " P"]) -> Trajectories:
     """The crowd of the chosen people."""
     rows = chosen[crowd.row_person()]
     lengths = np.diff(crowd.offsets)[chosen]
-    shared = {"observed", "offsets", "xy", "provenance"}
-    persons = {
-        f.name: getattr(crowd, f.name)[chosen]
-        for f in fields(crowd)
-        if f.name not in shared and isinstance(getattr(crowd, f.name), np.ndarray)
-    }
+    columns = ("person_id", "first", *PERSON_COLUMNS)
+    persons: dict[str, Any] = {name: getattr(crowd, name)[chosen] for name in columns}
     offsets = np.concatenate([[0], np.cumsum(lengths)])
     return replace(crowd, xy=crowd.xy[rows], offsets=offsets, **persons)

@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from crowdbench.data.table import OUTCOMES, PERSON_COLUMNS, Trajectories, from_rows
-from crowdbench.errors import RecordingError
+from crowdbench.data.table import OUTCOMES, PERSON_COLUMNS, Trajectories, from_rows, integers
+from crowdbench.errors import RecordingError, hinting
 from crowdbench.files import read_bytes, replacing
 
 if TYPE_CHECKING:
@@ -21,7 +21,12 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 _KEY = b"crowdbench"
-_COLUMNS = ("person_id", "frame", "time_s", "x", "y", *PERSON_COLUMNS)
+_COLUMNS: dict[str, type] = {
+    "person_id": np.int64,
+    "frame": np.int64,
+    **dict.fromkeys(("time_s", "x", "y"), np.float64),
+    **PERSON_COLUMNS,
+}
 _HINT = (
     "Use a file written by crowdbench, or a table with the columns person_id, frame (or time_s), "
     "x, y."
@@ -39,6 +44,16 @@ class Metadata(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     observed: list[tuple[int, int]]
     provenance: dict[str, Any]
 
+    def __post_init__(self) -> None:
+        edges = np.array(self.observed).ravel()
+        if self.schema != SCHEMA:
+            raise ValueError(f"schema version {self.schema} instead of {SCHEMA}")
+        if (np.diff(edges, prepend=0, append=self.frames) < 0).any() or len(edges) == 0:
+            raise ValueError(
+                f"observed intervals {self.observed[:3]} are not disjoint and ascending within "
+                f"{self.frames} frames"
+            )
+
 
 def write_parquet(trajectories: Trajectories, path: str | Path) -> None:
     """Write the table to `path` atomically; equal tables give equal bytes.
@@ -55,7 +70,7 @@ def write_parquet(trajectories: Trajectories, path: str | Path) -> None:
         dt_s=t.dt_s,
         grid_s=t.grid_s,
         frames=t.frames,
-        observed=[(int(a), int(b)) for a, b in t.observed],
+        observed=t.observed.tolist(),
         provenance=dict(t.provenance),
     )
     table = _flat(t).replace_schema_metadata(
@@ -84,8 +99,7 @@ def rounded_s(times_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
 
     1e-9 s is far below the tolerance within which times are assigned to frames, 1e-6 frames.
     """
-    rounded: np.ndarray = np.round(times_s, 9)
-    return rounded
+    return np.asarray(np.round(times_s, 9))
 
 
 def _flat(t: Trajectories) -> "pyarrow.Table":
@@ -97,9 +111,8 @@ def _flat(t: Trajectories) -> "pyarrow.Table":
         "frame": t.row_frame().astype(np.int32),
         "x": t.xy[:, 0],
         "y": t.xy[:, 1],
+        **{name: np.repeat(getattr(t, name), per_row) for name in PERSON_COLUMNS},
     }
-    for name in PERSON_COLUMNS:
-        columns[name] = np.repeat(getattr(t, name), per_row)
     return pa.table(columns)
 
 
@@ -119,20 +132,43 @@ def read(path: str | Path, *, scene: str, dt_s: float, frames: int | None = None
     return of_table(read_table(path), path, scene=scene, dt_s=dt_s, frames=frames)
 
 
+def read_own(path: str | Path) -> Trajectories:
+    """Read a Parquet file that crowdbench wrote, whatever its scene.
+
+    Raises:
+        RecordingError: the file is missing, broken, or was not written by crowdbench.
+    """
+    path = Path(path)
+    return of_table(read_table(path), path)
+
+
 def of_table(
-    table: "pyarrow.Table", path: Path, *, scene: str, dt_s: float, frames: int | None = None
+    table: "pyarrow.Table",
+    path: Path,
+    *,
+    scene: str | None = None,
+    dt_s: float | None = None,
+    frames: int | None = None,
 ) -> Trajectories:
-    """Convert a table that was read from `path` to `Trajectories`; see `read`."""
+    """Convert a table that was read from `path`; see `read`, without a scene see `read_own`."""
     metadata = own_metadata(table, path)
     if metadata is not None:
-        for name, got, expected in (
-            ("scene", metadata.scene, scene),
-            ("time step", metadata.dt_s, dt_s),
-        ):
-            if got != expected:
+        asked = (("scene", metadata.scene, scene), ("time step", metadata.dt_s, dt_s))
+        for name, got, expected in asked:
+            if expected not in (None, got):
                 raise RecordingError(
                     path, got=f"{name} {got}", expected=f"{name} {expected}", hint=_HINT
                 )
+        scene, dt_s = metadata.scene, metadata.dt_s
+    elif scene is None or dt_s is None:
+        raise RecordingError(
+            path,
+            got="a table without crowdbench's metadata",
+            expected="a file that crowdbench wrote",
+            hint="Tables of other programs do not state their scene; name it, as in `crowdbench "
+            "view --scene eth-v0`, `crowdbench score eth-v0`, or "
+            '`crowdbench.read(path, "eth-v0")`.',
+        )
     columns = columns_of(table, path)
     return from_rows(
         scene=scene,
@@ -149,6 +185,7 @@ def of_table(
     )
 
 
+@hinting(_HINT)
 def columns_of(table: "pyarrow.Table", path: Path) -> dict[str, np.ndarray]:
     """The columns of a table that `read` understands, by name, with one value per row.
 
@@ -158,18 +195,20 @@ def columns_of(table: "pyarrow.Table", path: Path) -> dict[str, np.ndarray]:
         RecordingError: the table lacks a column, or holds values that are not numbers.
     """
     named = table.column_names
-    for name in ("person_id", "x", "y"):
-        if name not in named:
-            raise _missing(path, name, table)
-    if "frame" not in named and "time_s" not in named:
-        raise _missing(path, "frame (or time_s)", table)
-    if ("goal_x" in named) != ("goal_y" in named):
-        raise _missing(path, "goal_y" if "goal_x" in named else "goal_x", table)
+    missing = [name for name in ("person_id", "x", "y") if name not in named]
+    if not {"frame", "time_s"} & set(named):
+        missing.append("frame (or time_s)")
+    if len(goal := {"goal_x", "goal_y"} - set(named)) == 1:
+        missing += goal
+    if missing:
+        raise RecordingError(
+            path,
+            got=f"columns {', '.join(named)}",
+            expected=f"a column {' and a column '.join(missing)}",
+        )
     if len(table) == 0:
-        raise RecordingError(path, got="no rows", expected="at least one row", hint=_HINT)
+        raise RecordingError(path, got="no rows", expected="at least one row")
     columns = {name: _numbers(path, table, name) for name in _COLUMNS if name in named}
-    for name in {"person_id", "frame"} & set(columns):
-        columns[name] = _integers(path, name, columns[name])
     outcome = columns.get("outcome", np.zeros(1))
     if not ((outcome >= 0) & (outcome < len(OUTCOMES))).all():
         raise RecordingError(
@@ -180,53 +219,52 @@ def columns_of(table: "pyarrow.Table", path: Path) -> dict[str, np.ndarray]:
     return columns
 
 
-def _frames(path: Path, columns: dict[str, np.ndarray], dt_s: float) -> np.ndarray:
-    """The frame of each row from `frame` or `time_s`; if both columns exist, they must agree."""
-    frame = columns.get("frame")
-    if "time_s" in columns:
-        ticks = columns["time_s"] / dt_s
-        expected = np.round(ticks) if frame is None else frame
-        wrong = ~(np.abs(ticks - expected) < 0.05)
-        if wrong.any():
-            row = int(np.flatnonzero(wrong)[0])
-            raise RecordingError(
-                path,
-                got=f"person {columns['person_id'][row]} at {columns['time_s'][row]:.10g} s "
-                f"({wrong.sum()} of {len(wrong)} times are not on the scene's frames)",
-                expected=f"time_s in multiples of {dt_s:g} s"
-                + ("" if frame is None else f", equal to frame × {dt_s:g} s"),
-                hint="Resample the trajectories to the scene's time step.",
-            )
-        frame = expected.astype(np.int64)
-    assert frame is not None
-    return frame
-
-
-def read_own(path: str | Path) -> Trajectories:
-    """Read a Parquet file that crowdbench wrote, whatever its scene.
-
-    Raises:
-        RecordingError: the file is missing, broken, or was not written by crowdbench.
-    """
-    path = Path(path)
-    return own_table(read_table(path), path)
-
-
-def own_table(table: "pyarrow.Table", path: Path) -> Trajectories:
-    """Convert a table that was read from `path` to `Trajectories`; see `read_own`."""
-    metadata = own_metadata(table, path)
-    if metadata is None:
+def _numbers(path: Path, table: "pyarrow.Table", name: str) -> np.ndarray:
+    if table.column_names.count(name) > 1:
+        raise RecordingError(path, got=f"more than one column {name}", expected="only one")
+    values = table.column(name)
+    if values.null_count:
+        first = int(values.is_null().to_numpy().argmax()) + 1
         raise RecordingError(
             path,
-            got="a table without crowdbench's metadata",
-            expected="a file that crowdbench wrote",
-            hint="Tables of other programs do not state their scene; name it, as in `crowdbench "
-            "view --scene eth-v0`, `crowdbench score eth-v0`, or "
-            '`crowdbench.read(path, "eth-v0")`.',
+            got=f"an empty or NaN value in {values.null_count} rows of column {name}, first in "
+            f"row {first}",
+            expected="a value in each row",
+            hint="Remove these rows or correct them in the source.",
         )
-    return of_table(table, path, scene=metadata.scene, dt_s=metadata.dt_s)
+    column: np.ndarray = values.to_numpy()
+    if column.dtype.kind not in "biuf":
+        kind = "text" if column.dtype == object else f"{values.type} values"
+        raise RecordingError(path, got=f"{kind} in column {name}", expected="numbers in each row")
+    if np.issubdtype(_COLUMNS[name], np.integer):
+        return integers(column, name, path, _COLUMNS[name])
+    if name in PERSON_COLUMNS and not np.isfinite(column).all():
+        bad = column[~np.isfinite(column)][0]
+        raise RecordingError(path, got=f"{name} {bad}", expected=f"finite numbers in column {name}")
+    return column
 
 
+def _frames(path: Path, columns: dict[str, np.ndarray], dt_s: float) -> np.ndarray:
+    """The frame of each row from `frame` or `time_s`; if both columns exist, they must agree."""
+    if "time_s" not in columns:
+        return columns["frame"]
+    ticks = columns["time_s"] / dt_s
+    expected: np.ndarray = columns.get("frame", np.round(ticks))
+    wrong = ~(np.abs(ticks - expected) < 0.05)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise RecordingError(
+            path,
+            got=f"person {columns['person_id'][row]} at {columns['time_s'][row]:.10g} s "
+            f"({wrong.sum()} of {len(wrong)} times are not on the scene's frames)",
+            expected=f"time_s in multiples of {dt_s:g} s"
+            + (f", equal to frame × {dt_s:g} s" if "frame" in columns else ""),
+            hint="Resample the trajectories to the scene's time step.",
+        )
+    return expected.astype(np.int64)
+
+
+@hinting(_HINT)
 def read_table(path: Path) -> "pyarrow.Table":
     """The table in a Parquet or CSV file, as it is.
 
@@ -244,14 +282,12 @@ def read_table(path: Path) -> "pyarrow.Table":
             path,
             got=f"a {path.suffix} file" if path.suffix else "a file without a suffix",
             expected=".parquet or .csv",
-            hint=_HINT,
         )
     try:
         table = readers[suffix](data)
     except (pa.ArrowException, OSError) as error:
-        raise RecordingError(
-            path, got=str(error).splitlines()[0], expected="a readable table", hint=_HINT
-        ) from error
+        got = str(error).splitlines()[0]
+        raise RecordingError(path, got=got, expected="a readable table") from error
     named = table.rename_columns([name.strip() for name in table.column_names])
     return named.replace_schema_metadata(table.schema.metadata)
 
@@ -266,77 +302,11 @@ def own_metadata(table: "pyarrow.Table", path: Path) -> Metadata | None:
     if raw is None:
         return None
     try:
-        metadata = msgspec.json.decode(raw, type=Metadata)
+        return msgspec.json.decode(raw, type=Metadata)
     except (msgspec.DecodeError, RecursionError) as error:
         raise RecordingError(
-            path, got=f"invalid metadata ({error})", expected="crowdbench's metadata"
-        ) from error
-    edges = np.array(metadata.observed).ravel()
-    if len(edges) == 0 or (np.diff(edges) < 0).any() or edges[0] < 0 or edges[-1] > metadata.frames:
-        raise RecordingError(
             path,
-            got=f"observed intervals {metadata.observed[:3]} of {metadata.frames} frames",
-            expected="disjoint intervals within the frames, in ascending order",
-        )
-    if metadata.schema != SCHEMA:
-        raise RecordingError(
-            path,
-            got=f"schema version {metadata.schema}",
-            expected=f"schema version {SCHEMA}",
+            got=f"invalid metadata ({error})",
+            expected="crowdbench's metadata",
             hint="Read it with the crowdbench version that wrote it.",
-        )
-    return metadata
-
-
-def _numbers(path: Path, table: "pyarrow.Table", name: str) -> np.ndarray:
-    if table.column_names.count(name) > 1:
-        raise RecordingError(
-            path, got=f"more than one column {name}", expected="only one", hint=_HINT
-        )
-    values = table.column(name)
-    if values.null_count:
-        first = int(np.flatnonzero(values.is_null().to_numpy())[0]) + 1
-        raise RecordingError(
-            path,
-            got=f"an empty or NaN value in {values.null_count} rows of column {name}, first in "
-            f"row {first}",
-            expected="a value in each row",
-            hint="Remove these rows or correct them in the source.",
-        )
-    column: np.ndarray = values.to_numpy()
-    if column.dtype.kind not in "biuf":
-        kind = "text" if column.dtype == object else f"{values.type} values"
-        raise RecordingError(
-            path, got=f"{kind} in column {name}", expected="numbers in each row", hint=_HINT
-        )
-    if np.issubdtype(PERSON_COLUMNS.get(name, np.bool_), np.integer):
-        return _integers(path, name, column, PERSON_COLUMNS[name])
-    if name in PERSON_COLUMNS and not np.isfinite(column).all():
-        bad = column[~np.isfinite(column)][0]
-        raise RecordingError(
-            path, got=f"{name} {bad}", expected=f"finite numbers in column {name}", hint=_HINT
-        )
-    return column
-
-
-def _integers(path: Path, name: str, values: np.ndarray, kind: type = np.int64) -> np.ndarray:
-    limit = 2.0 ** (np.iinfo(kind).bits - 1)
-    whole = (np.abs(values) < limit) & (values == np.floor(values))  # false for NaN
-    if not whole.all():
-        bad = values[~whole][0]
-        raise RecordingError(
-            path,
-            got=f"{name} {bad}",
-            expected=f"integers of {np.iinfo(kind).bits} bits in column {name}",
-            hint=_HINT,
-        )
-    return values.astype(kind)
-
-
-def _missing(path: Path, name: str, table: "pyarrow.Table") -> RecordingError:
-    return RecordingError(
-        path,
-        got=f"columns {', '.join(table.column_names)}",
-        expected=f"a column {name}",
-        hint=_HINT,
-    )
+        ) from error

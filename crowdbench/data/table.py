@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int, Shaped
 
 from crowdbench.errors import RecordingError
 
@@ -136,10 +136,7 @@ class Trajectories:
 
     def is_observed(self) -> Bool[np.ndarray, " frames"]:
         """Whether each frame was observed."""
-        known = np.zeros(self.frames, dtype=bool)
-        for start, stop in self.observed.tolist():
-            known[start:stop] = True
-        return known
+        return is_within(self.observed, self.frames)
 
     def observed_in(self, observed: Int[np.ndarray, "I 2"]) -> "Trajectories":
         """The same crowd with other observed intervals; `entered` and `left` are set accordingly.
@@ -166,6 +163,41 @@ class Trajectories:
         """Mean speed of each person, m/s: path length over duration; NaN for a single row."""
         with np.errstate(invalid="ignore"):
             return self.path_lengths() / ((self.last - self.first) * self.dt_s)
+
+
+def is_within(intervals: Int[np.ndarray, "I 2"], frames: int) -> Bool[np.ndarray, " frames"]:
+    """Whether each of the first `frames` frames lies in one of the `intervals` [start, stop)."""
+    within = np.zeros(frames, dtype=bool)
+    for start, stop in intervals.tolist():
+        within[start:stop] = True
+    return within
+
+
+def integers(
+    values: Shaped[np.ndarray, " R"], column: str, where: object, kind: type = np.int64
+) -> Int[np.ndarray, " R"]:
+    """A column of a table as integers of the type `kind`.
+
+    Raises:
+        RecordingError: a value is no such integer; `where` names the source in the message.
+    """
+    bits = np.iinfo(kind).bits
+    right = (np.abs(values) < 2.0 ** (bits - 1)) & (values == np.floor(values))  # false for NaN
+    if not right.all():
+        row = int(right.argmin())
+        raise RecordingError(
+            where,
+            got=f"{column} {values[row]} in row {row + 1}",
+            expected=f"integers of {bits} bits in column {column}",
+        )
+    return values.astype(kind)
+
+
+def interpolated(
+    at: Shaped[np.ndarray, " n"], known: Shaped[np.ndarray, " k"], xy: Shaped[np.ndarray, "k 2"]
+) -> Float[np.ndarray, "n 2"]:
+    """Positions at the times `at`, linear between the positions `xy` at ascending times `known`."""
+    return np.stack([np.interp(at, known, xy[:, k]) for k in (0, 1)], axis=1)
 
 
 def from_rows(
@@ -197,7 +229,7 @@ def from_rows(
         raise RecordingError(where, got="no rows", expected="at least one row")
     finite = (np.abs(xy) < np.finfo(np.float32).max).all(axis=1)  # false for NaN
     if not finite.all():
-        row = int(np.flatnonzero(~finite)[0])
+        row = int(finite.argmin())
         raise RecordingError(
             where,
             got=f"{int((~finite).sum())} rows whose position is not finite, the first for person "
@@ -225,7 +257,7 @@ def from_rows(
     ids, frame, xy = person_id[order], frame[order], xy[order].astype(np.float32)
     twice = (np.diff(ids) == 0) & (np.diff(frame) == 0)
     if twice.any():
-        row = int(np.flatnonzero(twice)[0])
+        row = int(twice.argmax())
         raise RecordingError(
             where,
             got=f"person {ids[row]} twice in frame {frame[row]} ({int(twice.sum())} such rows)",
@@ -234,54 +266,42 @@ def from_rows(
         )
 
     begins = np.flatnonzero(np.r_[True, np.diff(ids) != 0])
-    requested_s = frame[begins] * dt_s
-    for name in ("spawn_s", "requested_s"):  # people who did not wait entered when requested
-        if persons and name in persons:
-            requested_s = np.asarray(persons[name])[order[begins]]
-    by_entry = np.lexsort((ids[begins], requested_s, frame[begins]))
-    counts = np.diff(np.r_[begins, len(ids)])
-    first, last = frame[begins], frame[begins + counts - 1]
-    pieces, sizes = [], []
-    for p in by_entry:
-        known = slice(begins[p], begins[p] + counts[p])
-        piece = xy[known]
-        if counts[p] != last[p] - first[p] + 1:
-            every = np.arange(first[p], last[p] + 1)
-            piece = np.stack([np.interp(every, frame[known], piece[:, k]) for k in (0, 1)], axis=1)
-        pieces.append(piece.astype(np.float32))
-        sizes.append(len(piece))
-    first, last = first[by_entry], last[by_entry]
-
+    ends = np.r_[begins[1:], len(ids)]
+    first, last, goal = frame[begins], frame[ends - 1], xy[ends - 1]
     if observed is None:
         observed = np.array([[0, length]])
-    grid = dt_s if grid_s is None else grid_s
-    ends = np.array([piece[-1] for piece in pieces])
+    of_person = order[begins]
+    given = {k: np.asarray(v)[of_person] for k, v in (persons or {}).items() if k in PERSON_COLUMNS}
+    spawn_s = given.get("spawn_s", first * dt_s)
     columns: dict[str, np.ndarray] = {
-        "spawn_area": np.full(len(first), -1),
-        "goal_area": np.full(len(first), -1),
-        "group": np.full(len(first), -1),
-        "goal_x": ends[:, 0],
-        "goal_y": ends[:, 1],
+        **dict.fromkeys(("spawn_area", "goal_area", "group"), np.full(len(first), -1)),
+        "goal_x": goal[:, 0],
+        "goal_y": goal[:, 1],
         "entered": ~np.isin(first, observed[:, 0]),
         "left": ~np.isin(last, observed[:, 1] - 1),
-        "spawn_s": first * dt_s,
+        "spawn_s": spawn_s,
+        "requested_s": spawn_s,  # people who did not wait entered when requested
         "outcome": np.zeros(len(first)),
+        **given,
     }
-    rows_of_persons = order[begins][by_entry]
-    for name, values in (persons or {}).items():
-        if name in PERSON_COLUMNS:
-            columns[name] = np.asarray(values)[rows_of_persons]
-    columns.setdefault("requested_s", columns["spawn_s"])
+    by_entry = np.lexsort((ids[begins], columns["requested_s"], first))
+    pieces = []
+    for p in by_entry:
+        known, every = slice(begins[p], ends[p]), np.arange(first[p], last[p] + 1)
+        piece = xy[known]
+        if len(piece) < len(every):
+            piece = interpolated(every, frame[known], piece).astype(np.float32)
+        pieces.append(piece)
     return Trajectories(
         scene=scene,
         dt_s=dt_s,
-        grid_s=grid,
+        grid_s=dt_s if grid_s is None else grid_s,
         frames=length,
         observed=observed,
         person_id=ids[begins][by_entry],
-        first=first,
-        offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        first=first[by_entry],
+        offsets=np.concatenate([[0], np.cumsum((last - first + 1)[by_entry])]),
         xy=np.concatenate(pieces),
         provenance=dict(provenance or {}),
-        **{name: columns[name].astype(kind) for name, kind in PERSON_COLUMNS.items()},
+        **{name: columns[name][by_entry].astype(kind) for name, kind in PERSON_COLUMNS.items()},
     )

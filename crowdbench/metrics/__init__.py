@@ -45,7 +45,7 @@ from crowdbench.metrics.presence import (
 )
 from crowdbench.metrics.space import GoalDensity, NearestNeighbour, Occupancy, StartDensity
 from crowdbench.metrics.trips import Detour, Dwell, GoalShare, OriginDestination
-from crowdbench.plugins import blaming, instance_of, parts
+from crowdbench.plugins import blaming, instance_of, names, part
 
 METRICS: tuple[Metric, ...] = (
     InterSpawn(),
@@ -101,12 +101,12 @@ def all_metrics() -> tuple[Metric, ...]:
         SettingError: a registered object is not a metric, its name or family is invalid, or one of
             crowdbench's own metrics already has its name.
     """
-    found = parts("metrics", [metric.name for metric in METRICS])
-    return (*METRICS, *(_check(name, part) for name, part in found.items()))
+    found = names("metrics", [metric.name for metric in METRICS])
+    return (*METRICS, *(_check(name, part("metrics", name)) for name in found))
 
 
-def _check(name: str, part: Metric | type[Metric]) -> Metric:
-    metric = instance_of(part)
+def _check(name: str, given: Metric | type[Metric]) -> Metric:
+    metric = instance_of(given)
     if not isinstance(metric, Metric):
         raise SettingError(
             f"metric {name}", got=f"{metric!r}", expected="a subclass of crowdbench.metrics.Metric"

@@ -1,10 +1,8 @@
-"""Recordings, spawn models, policies and metrics by name."""
+"""Recordings, spawn models and policies by name."""
 
-from crowdbench.plugins import add_metric
 from crowdbench.registry.policies import (
     ANY_PLACE,
     POLICIES,
-    PolicySource,
     list_policies,
     policy,
     policy_source,
@@ -25,7 +23,6 @@ from crowdbench.registry.spawn_models import (
     PLANNED,
     SPAWN_MODELS,
     WEIGHTS,
-    SpawnSource,
     fitted_models,
     list_spawn_models,
     spawn_model,
@@ -42,9 +39,6 @@ __all__ = [
     "RECORDINGS",
     "SPAWN_MODELS",
     "WEIGHTS",
-    "PolicySource",
-    "SpawnSource",
-    "add_metric",
     "fitted_models",
     "has_recording",
     "import_recording",

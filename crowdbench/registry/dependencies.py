@@ -1,5 +1,7 @@
 """What the rollouts of a spawn model or policy depend on."""
 
+import importlib.util
+import inspect
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,5 +28,28 @@ class Dependencies:
         module = name.partition(":")[0]
         if module.startswith("crowdbench."):
             return cls(name, (module,), files)
-        own, code = plugins.code_of(kind, name)
+        own, code = _code_of(kind, name)
         return cls(name, (), (*files, *own), code)
+
+
+def _code_of(kind: plugins.Kind, name: str) -> tuple[list[Path], bytes]:
+    """What a user's part depends on: files, and its pickle if it was defined in a notebook.
+
+    The files are all those in the folder of its module, because weights may be stored there.
+    """
+    module, colon, _ = name.partition(":")
+    if colon:
+        found = importlib.util.find_spec(module)
+        origin = None if found is None else found.origin
+    else:
+        import cloudpickle
+
+        own = plugins.part(kind, name)
+        of = own if inspect.isclass(own) or inspect.isroutine(own) else type(own)
+        try:
+            origin = inspect.getfile(of)
+        except (TypeError, OSError):
+            return [], bytes(cloudpickle.dumps(own))
+    if origin is None:
+        return [], b""
+    return sorted(path for path in Path(origin).parent.iterdir() if path.is_file()), b""

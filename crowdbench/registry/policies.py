@@ -3,11 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from crowdbench import plugins
 from crowdbench.data.blocks import SPLITS
-from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.policies import (
     OnnxPolicy,
@@ -23,15 +21,8 @@ from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene, scenes_folder
 from crowdbench.spawn.weights import check_split
 
-_PLAIN: dict[str, Callable[[], Policy]] = {
-    "straight": Straight,
-    "social-force": SocialForce,
-    "random": Random,
-}
-_RECORDED: dict[str, Callable[[Trajectories], Policy]] = {
-    "replay": ReplayPolicy,
-    "recorded-paths": RecordedPaths,
-}
+_PLAIN: dict[str, Callable[..., Policy]] = {k.name: k for k in (Straight, SocialForce, Random)}
+_RECORDED: dict[str, Callable[..., Policy]] = {k.name: k for k in (ReplayPolicy, RecordedPaths)}
 POLICIES = (*_PLAIN, *_RECORDED)
 ANY_PLACE = "anticipate-any"
 """The network that walks on any scene."""
@@ -113,9 +104,8 @@ class PolicySource:
         file = self.network(split)
         if file is not None:
             return Dependencies("network", (OnnxPolicy.__module__,), (file,))
-        recorded = self.name in _RECORDED
-        kind: Any = _RECORDED[self.name] if recorded else _PLAIN[self.name]
-        return Dependencies(self.name, (kind.__module__,), recording=recorded)
+        kind = {**_PLAIN, **_RECORDED}[self.name]
+        return Dependencies(self.name, (kind.__module__,), recording=self.name in _RECORDED)
 
 
 def policy_source(name: str, scene: Scene) -> PolicySource:

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from crowdbench import plugins
 from crowdbench.errors import SettingError, WeightsError
@@ -30,14 +29,7 @@ from crowdbench.spawn.plans.files import read_plans
 from crowdbench.spawn.steering.scenario import check_scenario, read_scenario, split_scenario
 from crowdbench.spawn.weights import check_split
 
-Fitted = (
-    type[PoissonGMM]
-    | type[PoissonGroups]
-    | type[RenewalGMM]
-    | type[NtppGMM]
-    | type[CoxGMM]
-    | type[NtppPaper]
-)
+Fitted = type[PoissonGMM | PoissonGroups | RenewalGMM | NtppGMM | CoxGMM | NtppPaper]
 FITTED: dict[str, Fitted] = {
     "poisson-gmm": PoissonGMM,
     "poisson-groups": PoissonGroups,
@@ -48,23 +40,13 @@ FITTED: dict[str, Fitted] = {
     "ntpp-paper": NtppPaper,
 }
 """Spawn models that are fitted to a recording; scenes ship their fits."""
-WEIGHTS = {
-    "poisson-gmm.json": "poisson-gmm",
-    "poisson-groups.json": "poisson-groups",
-    "renewal-gmm.json": "renewal-gmm",
-    "ntpp-gmm.safetensors": "ntpp-gmm",
-    "cox-gmm.json": "cox-gmm",
-    "poisson-paper.json": "poisson-paper",
-    "ntpp-paper.safetensors": "ntpp-paper",
-}
+_NETWORKS = ("ntpp-gmm", "ntpp-paper")
+WEIGHTS = {f"{name}.safetensors" if name in _NETWORKS else f"{name}.json": name for name in FITTED}
 """File name of the fits of each spawn model in `FITTED`."""
-PLANNED = {
-    "poisson-plans": "poisson-groups",
-    "ntpp-plans": "ntpp-gmm",
-    "cox-plans": "cox-gmm",
-}
+PLANNED = {"poisson-plans": "poisson-groups", "ntpp-plans": "ntpp-gmm", "cox-plans": "cox-gmm"}
 """Models of plans, and the model in `FITTED` that their times are from."""
-SPAWN_MODELS = (*FITTED, *PLANNED, "block-replay", "replay")
+_PLAYED: dict[str, type[BlockReplay | Replay]] = {"block-replay": BlockReplay, "replay": Replay}
+SPAWN_MODELS = (*FITTED, *PLANNED, *_PLAYED)
 DEFAULT_SPAWN = "ntpp-gmm"
 """Default spawn model of the environments."""
 _SCORING = ("scene.toml", "anchors.json.gz", "reference.json.gz")
@@ -99,13 +81,12 @@ class SpawnSource:
             beside = sorted(f for f in folder.iterdir() if f.is_file() and f.name not in _SCORING)
             return Dependencies.of_own("spawn_models", self.base, *scenario, *beside)
         files = (folder / "areas.json", *scenario)
-        steered: tuple[str, ...] = () if self.scenario is None else (Steered.__module__,)
+        modules = (Steered.__module__,) * len(scenario)
         if self.fits is None:
-            kind: Any = Replay if self.base == "replay" else BlockReplay
-            modules = (kind.__module__, *steered)
+            modules += (_PLAYED[self.base].__module__,)
             return Dependencies(self.base, modules, files, recording=True)
         times = WEIGHTS[self.fits.name]
-        modules = (FITTED[times].__module__, *steered)
+        modules += (FITTED[times].__module__,)
         if self.base in PLANNED:
             modules += (read_plans.__module__,)
             return Dependencies(self.base, modules, (*files, self.fits, folder / PLANS))
@@ -114,12 +95,12 @@ class SpawnSource:
     def _build(self, split: str, fit: int) -> SpawnModel:
         scene = self.scene
         if self.fits is not None:
-            holding = replace(scene, folder=self.fits.parent)
+            holding, times = replace(scene, folder=self.fits.parent), WEIGHTS[self.fits.name]
             areas = read_areas(scene)
-            if self.base in PLANNED:
-                areas = read_plans(scene, areas, split, WEIGHTS[self.fits.name])
-            fitted = FITTED[WEIGHTS[self.fits.name]].read(holding, areas, split, fit)
-            return replace(fitted, name=self.base) if self.base in PLANNED else fitted
+            if self.base not in PLANNED:
+                return FITTED[times].read(holding, areas, split, fit)
+            areas = read_plans(scene, areas, split, times)
+            return replace(FITTED[times].read(holding, areas, split, fit), name=self.base)
         if self.own:
             known = (*SPAWN_MODELS, "a folder with the fits of one model")
             kind = plugins.find("spawn_models", self.base, known)
@@ -215,7 +196,7 @@ def _fits_of(model: str, scene: Scene) -> Path | None:
 def _shipped_fits(model: str, scene: Scene) -> Path:
     file = next(scene.folder / file for file, name in WEIGHTS.items() if name == model)
     if not file.is_file():
-        torch = " (it needs torch, the extra `fit`)" if model.startswith("ntpp") else ""
+        torch = " (it needs torch, the extra `fit`)" if model in _NETWORKS else ""
         extra = " --models " + model if model.endswith("-paper") else ""
         others = ", ".join(fitted_models(scene))
         raise WeightsError(
@@ -235,20 +216,13 @@ def list_spawn_models(scene: str | Path | Scene) -> list[str]:
         SceneError: the scene does not exist.
     """
     place = load_scene(scene)
-    simulated = (*FITTED, *PLANNED)
-    played = [name for name in SPAWN_MODELS if name not in simulated] * has_recording(place)
-    fitted = [*fitted_models(place), *planned_models(place)]
-    return [*fitted, *played, *plugins.names("spawn_models", SPAWN_MODELS)]
+    fitted = fitted_models(place)
+    planned = [name for name, times in PLANNED.items() if times in fitted]
+    planned *= (place.folder / PLANS).is_file()
+    played = [*_PLAYED] * has_recording(place)
+    return [*fitted, *planned, *played, *plugins.names("spawn_models", SPAWN_MODELS)]
 
 
 def fitted_models(scene: Scene) -> list[str]:
     """Names of the spawn models whose fits are in a scene's folder."""
     return [name for file, name in WEIGHTS.items() if (scene.folder / file).is_file()]
-
-
-def planned_models(scene: Scene) -> list[str]:
-    """Names of the models of plans whose fits are in a scene's folder."""
-    if not (scene.folder / PLANS).is_file():
-        return []
-    fitted = fitted_models(scene)
-    return [name for name, times in PLANNED.items() if times in fitted]

@@ -17,7 +17,8 @@ from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.files import unwritable, write_json
 from crowdbench.metrics import METRICS
-from crowdbench.registry import add_metric, has_recording
+from crowdbench.plugins import add_metric
+from crowdbench.registry import has_recording
 from crowdbench.run.executor import checked_workers
 from crowdbench.run.judge import judge
 from crowdbench.run.lock import alone_in

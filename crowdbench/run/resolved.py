@@ -7,8 +7,9 @@ from pathlib import Path
 from crowdbench import plugins
 from crowdbench.code import code_hash
 from crowdbench.files import sha256
-from crowdbench.registry import PolicySource, SpawnSource, policy_source, spawn_source
-from crowdbench.registry.prepared import recording_hash
+from crowdbench.registry.policies import PolicySource, policy_source
+from crowdbench.registry.recordings import recording_hash
+from crowdbench.registry.spawn_models import SpawnSource, spawn_source
 from crowdbench.scene import Scene
 
 MAKES_ROLLOUTS = (
@@ -23,11 +24,7 @@ MODELS = (
     *(f"crowdbench.policies.{name}" for name in ("network", "social_force", "walkers")),
 )
 """Spawn models and policies. A rollout depends only on those that are in it."""
-PREPARE_RECORDINGS = (
-    "crowdbench.data.recordings",
-    "crowdbench.registry.prepared",
-    "crowdbench.registry.recordings",
-)
+PREPARE_RECORDINGS = ("crowdbench.data.recordings", "crowdbench.registry.recordings")
 """What rollouts without the recording do not depend on; see `recording_hash` for the others."""
 TRAINING = tuple(
     f"crowdbench.spawn.*.{name}" for name in ("fit", "fit_frames", "log_likelihood", "write")

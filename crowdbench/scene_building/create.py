@@ -81,7 +81,7 @@ def create_scene(
     are rolled out. The scene is written to the new folder `out`, by default one with the scene's
     name in the working directory. The recording is stored in the user's data under the scene's name
     without `-vN`. `dt_s` is the time between consecutive rows of a person in seconds. `gaps` and
-    `offset_s` repair small faults; see `own.read_rows`.
+    `offset_s` repair small faults; see `own.read_recording`.
 
     Raises:
         SettingError: the name or a number is invalid, or the recording's name is taken.

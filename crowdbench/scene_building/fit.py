@@ -165,7 +165,7 @@ def _preprocessed(
     of = structs.replace(
         scene.recording, preprocess="paper", dwell_p99_s=round(dwell_p99_s(recording), 6)
     )
-    return replace(scene, recording=of), recording, counts.facts(scene.recording.name)
+    return replace(scene, recording=of), recording, counts.facts()
 
 
 def _write_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: Scene) -> None:

@@ -68,7 +68,7 @@ def twins(scene: Scene, policy: str, count: int = ROLLOUTS) -> list[Twins]:
     (anchor,) = summarised([rollout(scene, arrivals, Straight(), seed=0)])
     found: dict[str, list[tuple[int, float, float]]] = {m.name: [] for m in metrics}
     for fold in SPLITS[1:]:
-        held_out = ~reference.blocks.in_training(fold)
+        held_out = reference.blocks.in_split(fold)
         blocks = reference.blocks.take(held_out)
         walker = registry.policy(policy, scene, fold)
         own = summarised(rollouts(scene, [arrivals] * count, walker, seeds=range(count)))

@@ -44,6 +44,21 @@ from studies.results.pictures import draw_pictures
 
 VERDICTS = "verdicts.json"
 """Beside the pictures of a scene."""
+PUBLISHED = {
+    "eth": (258, "people on ETH", ""),
+    "gc": (
+        12_255,
+        "people in 11,999 frames",
+        "The number of steps depends on the length of a frame, which the paper does not state. Its "
+        "code has no lower limit here.",
+    ),
+    "forum": (
+        1_331,
+        "people in 58,480 frames of 14 July",
+        "This recording is of 1 July. That of 14 July is not in OpenTraj.",
+    ),
+}
+"""The number of people that the paper states, of what, and why it differs, by recording."""
 
 
 def write_paper(
@@ -135,10 +150,21 @@ def _studied(
             draw_agents(evidence, pictures),
             *draw_pictures(plot, pictures, walker),
         ],
-        kept=paper_preprocessed(raw)[1].facts(place.recording.name),
+        kept=kept_people(raw, place.recording.name),
         areas=_areas(place, raw),
         longest_s=float(np.diff(recording.observed).max() * recording.dt_s),
     )
+
+
+def kept_people(recording: Trajectories, name: str) -> dict[str, str]:
+    """How many people are left after each rule of the paper, beside its own number."""
+    facts = paper_preprocessed(recording)[1].facts()
+    if name in PUBLISHED:
+        number, what, why = PUBLISHED[name]
+        facts["paper"] = f"{number:,} {what}"
+        if why:
+            facts["difference"] = why
+    return facts
 
 
 def _areas(place: Scene, recording: Trajectories) -> dict[str, str]:

@@ -51,7 +51,6 @@ def test_the_others_stay_as_they_were(crowd: Trajectories, seed: int) -> None:
 def test_the_papers_number_on_eth_is_met(opentraj: Path) -> None:
     _, counts = paper_preprocessed(read_published(SOURCES["eth"], opentraj))
     assert counts.kept == 258
-    assert counts.facts("eth")["paper"] == "258 people on ETH"
 
 
 @pytest.mark.usefixtures("unadjusted")

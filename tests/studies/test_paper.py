@@ -32,7 +32,7 @@ from crowdbench.spawn.ntpp import training as ntpp_training
 from crowdbench.spawn.paper import training as ntpp_paper_training
 from crowdbench.spawn.times.rescaling import KolmogorovSmirnov
 from studies.__main__ import main as studies_main
-from studies.paper import fits, study, write_paper
+from studies.paper import fits, kept_people, study, write_paper
 from studies.paper.bursts import Bursts, interval_of, mode, share
 from studies.paper.claims import claims
 from studies.paper.evidence import Evidence, noise
@@ -266,6 +266,15 @@ def test_without_the_recording_nothing_is_begun(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="crowdbench data import eth"):
         write_paper("eth-v0", out=tmp_path / "docs", work=tmp_path / "work")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_papers_number_of_people_stands_beside_ours() -> None:
+    crowd = recording_of(PLAZA)
+    kept = kept_people(crowd, "eth")
+    assert kept["recorded"] == f"{len(crowd)} people"
+    assert kept["paper"] == "258 people on ETH"
+    assert "difference" in kept_people(crowd, "gc")
+    assert "paper" not in kept_people(crowd, "plaza")
 
 
 def test_no_workers_are_refused(tmp_path: Path) -> None:

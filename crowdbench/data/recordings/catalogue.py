@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+import msgspec
+
 from crowdbench.data import storage
 from crowdbench.data.companions import with_companions
-from crowdbench.data.recordings import first_use
 from crowdbench.data.recordings.forum import read_forum
 from crowdbench.data.recordings.gc import files_in, read_gc
 from crowdbench.data.recordings.obsmat import read_obsmat
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import RecordingError, SettingError, did_you_mean
-from crowdbench.files import home, read_bytes, sha256, unwritable
+from crowdbench.errors import CrowdbenchError, RecordingError, SettingError, did_you_mean, hinting
+from crowdbench.files import home, read_bytes, read_struct, sha256, unwritable, write_json
 
 REPOSITORY = "https://github.com/crowdbotp/OpenTraj"
 COMMIT = "97ec1d5e1b579f26febeaa9083705952deac338a"
@@ -42,69 +43,45 @@ class Source:
     """Video frames from one annotation to the next; for the format `obsmat` only."""
 
 
-def _copy(path: str) -> str:
-    return f"https://raw.githubusercontent.com/crowdbotp/OpenTraj/{COMMIT}/{path}"
-
-
 _EWAP = "Pellegrini et al., You'll Never Walk Alone, ICCV 2009"
 _UCY = "Lerner et al., Crowds by Example, Eurographics 2007"
 _GC = (
     "Zhou et al., Random Field Topic Model for Semantic Region Analysis, CVPR 2011, and "
     "Yi et al., Understanding Pedestrian Behaviors from Stationary Crowd Groups, CVPR 2015"
 )
-_FORUM = (
+_MAJECKA = (
     "Majecka, Statistical Models of Pedestrian Behaviour in the Forum, MSc dissertation, "
     "University of Edinburgh, 2009"
 )
+_GC_ADDRESS = f"{REPOSITORY}/tree/{COMMIT}/datasets/GC"
+_SHA256 = {
+    "eth": "d452ae2185ecb1164c2fdf31e75f6236f4c2ffc02c751a6b2ae921740cbc60d1",
+    "hotel": "2b8577595204a6b780b80258fd50da35adb7293e3e06ad6f8e1b60965e7dde6e",
+    "zara01": "bd999ebcfbc506821fa5032a10b9101e150defcff85f1ef037d09ce7c6a8c2aa",
+    "gc": "8225802df781dcae75d771b5bf78950122f4f2f9ebb8f8734fd5f5d2565ff990",
+    "forum": "89646c7d4be4bcbf7d067e77f9dcc9321b3eba7b499ed651050f6b639bfae726",
+}
+_RAW = f"https://raw.githubusercontent.com/crowdbotp/OpenTraj/{COMMIT}"
 
 
-def _obsmat(name: str, path: str, sha256: str, fps: float, frame_step: int, cite: str) -> Source:
-    return Source(name, path, "obsmat", sha256, _copy(path), cite, fps, frame_step)
+def _obsmat(name: str, folder: str, cite: str, fps: float, frame_step: int) -> Source:
+    path, known = f"datasets/{folder}/obsmat.txt", _SHA256[name]
+    return Source(name, path, "obsmat", known, f"{_RAW}/{path}", cite, fps, frame_step)
+
+
+def _forum(name: str, day: str, address: str = "") -> Source:
+    path = f"datasets/Edinburgh/annotations/tracks.{day}.txt"
+    return Source(name, path, "forum", _SHA256.get(name), address or f"{_RAW}/{path}", _MAJECKA)
 
 
 SOURCES = {
     source.name: source
     for source in (
-        _obsmat(
-            "eth",
-            "datasets/ETH/seq_eth/obsmat.txt",
-            "d452ae2185ecb1164c2fdf31e75f6236f4c2ffc02c751a6b2ae921740cbc60d1",
-            fps=15.0,
-            frame_step=6,
-            cite=_EWAP,
-        ),
-        _obsmat(
-            "hotel",
-            "datasets/ETH/seq_hotel/obsmat.txt",
-            "2b8577595204a6b780b80258fd50da35adb7293e3e06ad6f8e1b60965e7dde6e",
-            fps=25.0,
-            frame_step=10,
-            cite=_EWAP,
-        ),
-        _obsmat(
-            "zara01",
-            "datasets/UCY/zara01/obsmat.txt",
-            "bd999ebcfbc506821fa5032a10b9101e150defcff85f1ef037d09ce7c6a8c2aa",
-            fps=25.0,
-            frame_step=10,
-            cite=_UCY,
-        ),
-        Source(
-            "gc",
-            "datasets/GC",
-            "gc",
-            "8225802df781dcae75d771b5bf78950122f4f2f9ebb8f8734fd5f5d2565ff990",
-            f"{REPOSITORY}/tree/{COMMIT}/datasets/GC",
-            _GC,
-        ),
-        Source(
-            "forum",
-            "datasets/Edinburgh/annotations/tracks.01Jul.txt",
-            "forum",
-            "89646c7d4be4bcbf7d067e77f9dcc9321b3eba7b499ed651050f6b639bfae726",
-            _copy("datasets/Edinburgh/annotations/tracks.01Jul.txt"),
-            _FORUM,
-        ),
+        _obsmat("eth", "ETH/seq_eth", _EWAP, fps=15.0, frame_step=6),
+        _obsmat("hotel", "ETH/seq_hotel", _EWAP, fps=25.0, frame_step=10),
+        _obsmat("zara01", "UCY/zara01", _UCY, fps=25.0, frame_step=10),
+        Source("gc", "datasets/GC", "gc", _SHA256["gc"], _GC_ADDRESS, _GC),
+        _forum("forum", "01Jul"),
     )
 }
 """Recordings with known hashes, by name. `source` also accepts other days of the Forum, with names
@@ -128,14 +105,7 @@ def source(name: str) -> Source:
         return SOURCES[name]
     if day := _FORUM_DAY.fullmatch(name):
         number, month = day[1], day[2].capitalize()
-        return Source(
-            name,
-            f"datasets/Edinburgh/annotations/tracks.{number}{month}.txt",
-            "forum",
-            None,
-            f"{_FORUM_DAYS}/{month}.{number}.zip",
-            _FORUM,
-        )
+        return _forum(name, f"{number}{month}", f"{_FORUM_DAYS}/{month}.{number}.zip")
     raise SettingError(
         "recording",
         got=f"the name {name!r}",
@@ -224,8 +194,18 @@ def import_recording(name: str, folder: Path | None = None) -> Trajectories:
     crowd = read_published(published, _folder(folder))
     storage.write_parquet(crowd, cached(name))
     if known_sha256(published) is None:
-        first_use.note(name, crowd.provenance["sha256"], published.address)
+        write_json(note_of(name), _Note(crowd.provenance["sha256"], published.address))
     return crowd
+
+
+class _Note(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    sha256: str
+    address: str
+
+
+def note_of(name: str) -> Path:
+    """Path of the file that holds the stored hash of a recording, whether it exists or not."""
+    return home() / "recordings" / f"{name}.json"
 
 
 def known_sha256(source: Source) -> str | None:
@@ -237,7 +217,11 @@ def known_sha256(source: Source) -> str | None:
     Raises:
         RecordingError: the file with the stored hash is broken.
     """
-    return source.sha256 or first_use.noted(source.name)
+    path = note_of(source.name)
+    if source.sha256 is not None or not path.exists():
+        return source.sha256
+    hint = "Delete it, and import the recording again."
+    return read_struct(path, _Note, RecordingError, hint).sha256
 
 
 def sha256_in(source: Source, folder: Path) -> str | None:
@@ -264,30 +248,44 @@ def read_files(source: Source, files: Mapping[str, bytes], where: object) -> Tra
     Raises:
         RecordingError: a file is broken, or the data differ from the published ones.
     """
-    crowd = _read(source, files, where)
+    again = f"Run `crowdbench data fetch {source.name}` to get {source.address}."
+    with hinting(f"The data may be truncated or altered. {again}"):
+        if source.format == "gc":
+            crowd = read_gc(files, where)
+        else:
+            (data,) = files.values()
+            if source.format == "forum":
+                crowd = read_forum(data, name=source.name, where=where)
+            else:
+                name, fps, step = source.name, source.fps, source.frame_step
+                crowd = read_obsmat(data, name=name, fps=fps, frame_step=step, where=where)
     found = hash_of(files)
-    known = known_sha256(source)
-    if known is not None and found != known:
-        raise _changed(source, crowd, found, known, where)
+    hint = "They may be truncated, altered, or have converted line endings; scores would not be "
+    verify(source, found, where, RecordingError, f"{hint}comparable. {again}")
     provenance = {**crowd.provenance, "source": source.address, "sha256": found}
     return with_companions(replace(crowd, provenance=provenance))
 
 
-def _changed(
-    source: Source, crowd: Trajectories, found: str, known: str, where: object
-) -> RecordingError:
-    hint = "They may be truncated, altered, or have converted line endings; scores would not be "
-    hint += f"comparable. Run `crowdbench data fetch {source.name}` to get {source.address}."
-    expected = f"the published data with SHA-256 {known[:12]}…"
+def verify(
+    source: Source,
+    found: str,
+    where: object,
+    error: type[CrowdbenchError],
+    hint: str,
+    also: str = "",
+) -> None:
+    """Raise `error` if a recording's data with the SHA-256 `found` are not the known ones.
+
+    `also` names what to delete besides the stored hash in order to use new data.
+    """
+    known = known_sha256(source)
+    if known in (None, found):
+        return
+    expected = f"the published data with SHA-256 {known}"
     if source.sha256 is None:
-        expected = f"data with SHA-256 {known[:12]}…, as stored at first use"
-        hint += f" To use the new data, delete {first_use.note_of(source.name)}."
-    return RecordingError(
-        where,
-        got=f"data with SHA-256 {found[:12]}… and {len(crowd)} persons",
-        expected=expected,
-        hint=hint,
-    )
+        expected = f"data with SHA-256 {known}, as stored at first use"
+        hint += f" To use the new data, delete {note_of(source.name)}{also}."
+    raise error(where, got=f"data with SHA-256 {found}", expected=expected, hint=hint)
 
 
 def _files(source: Source, path: Path) -> dict[str, bytes]:
@@ -296,17 +294,6 @@ def _files(source: Source, path: Path) -> dict[str, bytes]:
     if source.format != "gc":
         return {path.name: read_bytes(path, RecordingError, hint)}
     return files_in(path, hint)
-
-
-def _read(source: Source, files: Mapping[str, bytes], where: object) -> Trajectories:
-    if source.format == "gc":
-        return read_gc(files, where)
-    (data,) = files.values()
-    if source.format == "forum":
-        return read_forum(data, name=source.name, where=where)
-    return read_obsmat(
-        data, name=source.name, fps=source.fps, frame_step=source.frame_step, where=where
-    )
 
 
 def hash_of(files: Mapping[str, bytes]) -> str:

@@ -6,7 +6,10 @@ import shlex
 import struct
 import zipfile
 import zlib
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from crowdbench.data.recordings.catalogue import (
     COMMIT,
@@ -16,16 +19,29 @@ from crowdbench.data.recordings.catalogue import (
     read_files,
     sha256_in,
     source,
+    verify,
 )
-from crowdbench.data.recordings.download import Progress, download
-from crowdbench.data.recordings.first_use import note_of
 from crowdbench.errors import FetchError
 from crowdbench.files import home, replacing, sha256
+
+if TYPE_CHECKING:
+    import requests
 
 MAX_TRACKS_BYTES = 1 << 26
 """Maximum size of an unpacked tracks file; ten times that of the busiest day."""
 _HEAD = 1 << 16
 """Bytes at the beginning of a file in which the first track must begin."""
+TIMEOUT_S = 30.0
+"""Time after which a server that sends nothing counts as unreachable."""
+TRIES = 3
+PAUSE_S = 0.5
+"""Pause before the second attempt; it doubles before each further attempt."""
+MAX_BYTES = 1 << 28
+"""Maximum size of a download; every published recording is smaller."""
+_CHUNK = 1 << 16
+
+Progress = Callable[[int, int | None], None]
+"""Called with the number of bytes received so far, and the size of the file or None if unknown."""
 
 
 def default_folder() -> Path:
@@ -54,8 +70,17 @@ def fetch(name: str, folder: Path, progress: Progress = lambda *_: None) -> bool
         raise _by_git(published, folder)
     path = folder / published.path
     with replacing(path) as temporary:  # before the download: the folder can be written
-        data = download(published.address, progress)
-        temporary.write_bytes(_checked(data, published, path, known))
+        data = _download(published.address, progress)
+        if published.address.endswith(".zip"):
+            data = _tracks(data, published, path)
+        hint = "The download was discarded. Run the command again. If that does not help, the "
+        hint += "network alters the data, or the publisher has changed them."
+        also = " and the day's tracks file, and run the command again"
+        verify(published, sha256(data), published.address, FetchError, hint, also)
+        if known is None:
+            # Its hash will be stored and required from now on, so it must be readable.
+            read_files(published, {path.name: data}, published.address)
+        temporary.write_bytes(data)
     return True
 
 
@@ -86,37 +111,6 @@ def _by_git(published: Source, folder: Path) -> FetchError:
         got="thousands of files that cannot be downloaded as one, so nothing was downloaded",
         expected="a checkout of their folder with git",
         hint=hint,
-    )
-
-
-def _checked(data: bytes, published: Source, path: Path, known: str | None) -> bytes:
-    """Extract the recording's file from the transferred data and verify it."""
-    if published.address.endswith(".zip"):
-        data = _tracks(data, published, path)
-    if known is not None and sha256(data) != known:
-        raise _wrong(published, sha256(data), known)
-    if known is None:
-        # Its hash will be stored and required from now on, so it must be readable.
-        read_files(published, {path.name: data}, published.address)
-    return data
-
-
-def _wrong(published: Source, found: str, known: str) -> FetchError:
-    if published.sha256 is not None:
-        return FetchError(
-            published.address,
-            got=f"data with SHA-256 {found}",
-            expected=f"the published data with SHA-256 {known}",
-            hint="The download was discarded. Run the command again. If that does not help, the "
-            "network alters the data, or the publisher has changed them.",
-        )
-    return FetchError(
-        published.address,
-        got=f"data with SHA-256 {found}",
-        expected=f"data with SHA-256 {known}, as stored at first use",
-        hint="The download was discarded, because scores would not be comparable. To use the new "
-        f"data, delete {note_of(published.name)} and the day's tracks file, and run the command "
-        "again.",
     )
 
 
@@ -156,3 +150,82 @@ def _tracks(data: bytes, published: Source, path: Path) -> bytes:
 def _unpacked(archive: zipfile.ZipFile, member: zipfile.ZipInfo, most: int) -> bytes:
     with archive.open(member) as file:
         return file.read(most)
+
+
+def _download(address: str, progress: Progress) -> bytes:
+    """The content of the file at `address`.
+
+    An interrupted transfer begins again, because recordings have a few megabytes only.
+    """
+    import requests
+    from requests.adapters import HTTPAdapter
+    from urllib3.util import Retry
+
+    retry = Retry(
+        TRIES - 1,
+        backoff_factor=PAUSE_S,
+        status_forcelist=(502, 503, 504),
+        raise_on_status=False,
+        respect_retry_after_header=False,  # it may be hours
+    )
+    with requests.Session() as session:
+        for scheme in ("http://", "https://"):
+            session.mount(scheme, HTTPAdapter(max_retries=retry))
+        for _ in range(TRIES):
+            try:
+                answer = session.get(address, stream=True, timeout=TIMEOUT_S)
+            except requests.RequestException as error:
+                raise FetchError(
+                    address,
+                    got=_reason(error),
+                    expected="a response",
+                    hint="Check that this machine can reach the address, and run the command "
+                    "again.",
+                ) from error
+            with answer, suppress(requests.RequestException):
+                return _content(answer, address, progress)
+    raise FetchError(
+        address,
+        got=f"a transfer that was interrupted {TRIES} times",
+        expected="the whole file",
+        hint="Run the command again.",
+    )
+
+
+def _content(answer: "requests.Response", address: str, progress: Progress) -> bytes:
+    if answer.status_code != 200:
+        raise FetchError(
+            address,
+            got=f"the response {answer.status_code} {answer.reason}".rstrip(),
+            expected="a file",
+            hint="The file may have moved, or the server may be temporarily unavailable: open the "
+            "address in a browser.",
+        )
+    if answer.headers.get("Content-Type", "").startswith("text/html"):
+        raise FetchError(
+            address,
+            got="an HTML page",
+            expected="a data file",
+            hint="The network may require a login: open the address in a browser.",
+        )
+    length = answer.headers.get("Content-Length", "")
+    data = bytearray()
+    for chunk in answer.iter_content(_CHUNK):
+        data += chunk
+        if len(data) > MAX_BYTES:
+            raise FetchError(
+                address,
+                got=f"more than {MAX_BYTES} bytes",
+                expected="a recording, which is smaller",
+            )
+        progress(len(data), int(length) if length.isdecimal() else None)
+    return bytes(data)
+
+
+def _reason(error: Exception) -> str:
+    """The message of the innermost error; requests wraps it several times."""
+    below: object = error
+    while isinstance(below, Exception):
+        error = below
+        below = getattr(error, "reason", None) or next(iter(error.args), None)
+    return str(error).rpartition(": ")[2] or type(error).__name__

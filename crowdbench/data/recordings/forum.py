@@ -5,13 +5,13 @@ The file is Matlab code. For each track it has `Properties.Rn= [...]`, which is 
 """
 
 import re
-from collections import defaultdict
-from dataclasses import replace
+from collections import Counter, defaultdict
+from itertools import permutations
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from crowdbench.data.table import Trajectories, from_rows
+from crowdbench.data.table import Trajectories, from_rows, interpolated
 from crowdbench.errors import RecordingError
 
 FPS = 9.0
@@ -27,7 +27,6 @@ MAX_SHARING = 100
 """Maximum number of tracks that share a detection; on 1 July 2010 it is at most four."""
 
 _STATED = re.compile(rb"Total number of trajectories in file are\s+(\d{1,9})\b")
-_HINT = "Delete the file and fetch it again with `crowdbench data fetch`."
 
 
 def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
@@ -50,10 +49,9 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
             where,
             got=f"{spans} rows (persons times frames)",
             expected=f"at most {MAX_ROWS}",
-            hint=f"A time may be wrong. {_HINT}",
+            hint="A time may be wrong.",
         )
-    persons, frames, positions, entered_s = [], [], [], []
-    fast = short = 0
+    pieces, fast, short = [], 0, 0
     for number, rows in tracks.items():
         tick, at = _at_each_time(rows)
         speed = np.linalg.norm(np.diff(at, axis=0), axis=1) / np.diff(tick) * FPS
@@ -64,35 +62,31 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
         if len(frame) == 0:
             short += 1
             continue
-        persons.append(np.full(len(frame), number))
-        frames.append(frame)
-        positions.append(
-            np.stack([np.interp(frame * FRAME, tick, at[:, k]) for k in (0, 1)], axis=1)
-        )
-        entered_s.append(np.full(len(frame), tick[0] / FPS))
-    if not persons:
+        of_person = (np.full(len(frame), value) for value in (number, tick[0] / FPS))
+        pieces.append((*of_person, frame, interpolated(frame * FRAME, tick, at)))
+    if not pieces:
         raise RecordingError(
             where,
             got=f"{len(tracks)} tracks, all of them between two frames of {FRAME}/9 s",
             expected="at least one track that spans a frame",
-            hint=_HINT,
         )
-    crowd = from_rows(
-        scene=name,
-        dt_s=FRAME / FPS,
-        grid_s=1 / FPS,
-        person_id=np.concatenate(persons),
-        frame=np.concatenate(frames),
-        xy=np.concatenate(positions),
-        persons={"spawn_s": np.concatenate(entered_s)},
-        where=where,
-    )
+    person, entered_s, frame, xy = (np.concatenate(part) for part in zip(*pieces, strict=True))
     notes = {
         "tracks": f"{len(tracks)}; left out: {len(doubles)} duplicates of other tracks, {short} "
         "between two frames",
         "jitter": f"{fast} tracks with a step above 3 m/s within 1/9 s",
     }
-    return replace(crowd, provenance={"notes": notes})
+    return from_rows(
+        scene=name,
+        dt_s=FRAME / FPS,
+        grid_s=1 / FPS,
+        person_id=person,
+        frame=frame,
+        xy=xy,
+        persons={"spawn_s": entered_s},
+        provenance={"notes": notes},
+        where=where,
+    )
 
 
 def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
@@ -103,16 +97,13 @@ def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
             where,
             got="no line with the number of trajectories",
             expected="a tracks file of the Edinburgh Informatics Forum",
-            hint=_HINT,
         )
     tracks: dict[int, Int[np.ndarray, "n 3"]] = {}
     for piece in data.split(b"TRACK.R")[1:]:
         label, _, body = piece.partition(b"=")
         number = _number(label, where)
         if number in tracks:
-            raise RecordingError(
-                where, got=f"TRACK.R{number} twice", expected="each track once", hint=_HINT
-            )
+            raise RecordingError(where, got=f"TRACK.R{number} twice", expected="each track once")
         body = body.partition(b"Properties")[0].partition(b"%")[0]
         tracks[number] = _detections(body, f"{where}, TRACK.R{number}")
     if len(tracks) != int(stated[1]) or not tracks:
@@ -120,7 +111,6 @@ def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
             where,
             got=f"{len(tracks)} tracks",
             expected=f"{int(stated[1])}, as stated in the file's first line, and at least one",
-            hint=f"The file may be truncated. {_HINT}",
         )
     return tracks
 
@@ -128,20 +118,14 @@ def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
 def _number(label: bytes, where: object) -> int:
     if not label.strip().isdigit() or len(label) > 18:
         raise RecordingError(
-            where,
-            got=f"a track named TRACK.R{_shown(label)}",
-            expected="TRACK.RNUMBER=[...]",
-            hint=_HINT,
+            where, got=f"a track named TRACK.R{_shown(label)}", expected="TRACK.RNUMBER=[...]"
         )
     return int(label)
 
 
 def _detections(body: bytes, where: str) -> Int[np.ndarray, "n 3"]:
-    """The rows of `[[x y t];[x y t];...];`.
-
-    The text is split at brackets, because a regular expression could backtrack for very long on a
-    broken file.
-    """
+    """The rows of `[[x y t];[x y t];...];`."""
+    # Split at brackets: a regular expression could backtrack for very long on a broken file.
     body = body.strip().removesuffix(b";").rstrip()
     if not (body.startswith(b"[") and body.endswith(b"]")) or len(body) < 2:
         raise _no_detections(body[-40:], where)
@@ -159,16 +143,13 @@ def _detections(body: bytes, where: str) -> Int[np.ndarray, "n 3"]:
         detections = np.array(rows, dtype=np.int64)
     except (ValueError, OverflowError) as error:
         raise RecordingError(
-            where, got=str(error)[:100], expected="[column row time] in whole numbers", hint=_HINT
+            where, got=str(error)[:100], expected="[column row time] in whole numbers"
         ) from error
     back = np.flatnonzero(np.diff(detections[:, 2]) < 0)
     if len(back):
         before, after = detections[back[0] : back[0] + 2, 2]
         raise RecordingError(
-            where,
-            got=f"time {after} after time {before}",
-            expected="times in ascending order",
-            hint=_HINT,
+            where, got=f"time {after} after time {before}", expected="times in ascending order"
         )
     return detections
 
@@ -178,7 +159,6 @@ def _no_detections(got: bytes, where: str) -> RecordingError:
         where,
         got=f"{_shown(got)} among the detections",
         expected="[[column row time];…], all in brackets",
-        hint=f"The file may be truncated. {_HINT}",
     )
 
 
@@ -212,12 +192,9 @@ def _doubles(tracks: dict[int, Int[np.ndarray, "n 3"]], where: object) -> set[in
             where,
             got=f"a detection that {most} tracks share",
             expected=f"at most {MAX_SHARING} tracks per detection",
-            hint=_HINT,
         )
-    shared: dict[tuple[int, int], int] = defaultdict(int)
-    for of in owners.values():
-        for a in of:
-            for b in of:
-                if (-len(detections[a]), a) > (-len(detections[b]), b):
-                    shared[a, b] += 1
-    return {a for (a, _), count in shared.items() if count >= len(detections[a]) / 2}
+    shared = Counter(pair for of in owners.values() for pair in permutations(of, 2))
+    length = {number: (len(each), -number) for number, each in detections.items()}
+    return {
+        a for (a, b), count in shared.items() if length[a] < length[b] and 2 * count >= length[a][0]
+    }

@@ -4,15 +4,15 @@ A person's file is a list of numbers, three per annotated frame: column and row 
 1920 x 1080 pixels, and the frame of the 25 fps video. Every 20th frame was annotated.
 """
 
-import json
+import re
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 
-from crowdbench.data.table import Trajectories, from_rows
+from crowdbench.data.table import Trajectories, from_rows, interpolated
 from crowdbench.errors import RecordingError
 from crowdbench.files import read_bytes
 
@@ -26,8 +26,12 @@ FRAME = 10
 HOMOGRAPHY = "H.json"
 UNIT_M = 0.8
 """Metres per unit of the homography's plane."""
+_PERSON = re.compile(r"Annotation/([0-9]{6})\.txt")  # six digits, so that numbers are unique
+_Row = tuple[float, float, float]
 
-_HINT = "Use the folder datasets/GC of github.com/crowdbotp/OpenTraj without changes."
+
+class _Homography(msgspec.Struct):
+    homog: tuple[_Row, _Row, _Row]
 
 
 def read_gc(
@@ -47,11 +51,19 @@ def read_gc(
     Raises:
         RecordingError: a file is missing or broken.
     """
-    homography = homography_of(files.get(HOMOGRAPHY), where)
-    tracks = annotations(files, where)
+    homography = _homography(files.get(HOMOGRAPHY), where)
+    tracks = {
+        _person(name, where): _annotations(data, f"{where}/{name}")
+        for name, data in files.items()
+        if name != HOMOGRAPHY
+    }
+    if not tracks:
+        raise RecordingError(
+            where, got="no file of a person", expected="files Annotation/NUMBER.txt"
+        )
     if video_frames is None:
         video_frames = max(int(rows[-1, 2]) for rows in tracks.values()) + FRAME
-    pieces, persons, single, beyond = [], [], 0, 0
+    pieces, single, beyond = [], 0, 0
     for person, rows in tracks.items():
         inside = rows[:, 2] < video_frames
         beyond += int((~inside).sum())
@@ -59,35 +71,34 @@ def read_gc(
             single += 1
             continue
         upto = inside.sum() + (not inside.all())  # one more row, to interpolate up to the end
-        frame, at = _each_frame(rows[:upto], video_frames)
-        pieces.append(np.column_stack([frame, at]))
-        persons.append(np.full(len(frame), person))
+        video, at = _each_frame(rows[:upto], video_frames)
+        pieces.append(np.column_stack([np.full(len(video), person), video // FRAME, at]))
     if not pieces:
         raise RecordingError(
             where,
             got=f"{single} files with a single annotation each",
             expected="at least one person with two annotations",
-            hint=_HINT,
         )
     table = np.concatenate(pieces)
-    crowd = from_rows(
+    return from_rows(
         scene=name,
         dt_s=FRAME / FPS,
         grid_s=STEP / FPS,
         frames=video_frames // FRAME,
-        person_id=np.concatenate(persons),
-        frame=table[:, 0].astype(np.int64),
-        xy=metres(table[:, 1:], homography),
+        person_id=table[:, 0].astype(np.int64),
+        frame=table[:, 1].astype(np.int64),
+        xy=_metres(table[:, 2:], homography),
+        provenance={
+            "notes": {
+                "files": f"{len(tracks)}, {single} of them left out for having a single annotation",
+                "cut off": f"{beyond} positions after video frame {video_frames}",
+            }
+        },
         where=where,
     )
-    notes = {
-        "files": f"{len(tracks)}, {single} of them left out for having a single annotation",
-        "cut off": f"{beyond} positions after video frame {video_frames}",
-    }
-    return replace(crowd, provenance={"notes": notes})
 
 
-def files_in(folder: Path, hint: str = _HINT) -> dict[str, bytes]:
+def files_in(folder: Path, hint: str) -> dict[str, bytes]:
     """The files that `read_gc` reads, by name.
 
     Raises:
@@ -97,55 +108,32 @@ def files_in(folder: Path, hint: str = _HINT) -> dict[str, bytes]:
     return {name: read_bytes(folder / name, RecordingError, hint) for name in sorted(names)}
 
 
-def annotations(files: Mapping[str, bytes], where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
-    """Column, row and video frame of each annotation, by person.
-
-    Raises:
-        RecordingError: there is no file of a person, or one is broken.
-    """
-    tracks = {
-        _person(name, where): _rows(data, f"{where}/{name}")
-        for name, data in files.items()
-        if name != HOMOGRAPHY
-    }
-    if not tracks:
-        raise RecordingError(
-            where, got="no file of a person", expected="files Annotation/NUMBER.txt", hint=_HINT
-        )
-    return tracks
-
-
-def _rows(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
+def _annotations(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
     """Column, row and video frame of each annotation of a person, in order of time."""
     try:
         numbers = np.array(data.split(), dtype=np.int64)
     except (ValueError, OverflowError) as error:
-        raise RecordingError(
-            where, got=str(error)[:100], expected="whole numbers", hint=_HINT
-        ) from error
+        raise RecordingError(where, got=str(error)[:100], expected="whole numbers") from error
     if len(numbers) == 0 or len(numbers) % 3:
         raise RecordingError(
             where,
             got=f"{len(numbers)} numbers",
             expected="three per annotation: column, row, frame",
-            hint=f"The file may be truncated. {_HINT}",
         )
     rows = numbers.reshape(-1, 3)
-    if (rows[:, 2] % STEP).any() or (rows[:, 2] < 0).any():
-        wrong = rows[(rows[:, 2] % STEP != 0) | (rows[:, 2] < 0), 2]
+    frame = rows[:, 2]
+    wrong = (frame % STEP != 0) | (frame < 0)
+    if wrong.any():
         raise RecordingError(
             where,
-            got=f"an annotation of frame {wrong[0]}",
+            got=f"an annotation of frame {frame[wrong][0]}",
             expected=f"annotations of every {STEP}th frame",
-            hint=_HINT,
         )
-    if (np.diff(rows[:, 2]) <= 0).any():
-        at = int(np.flatnonzero(np.diff(rows[:, 2]) <= 0)[0])
+    back = np.flatnonzero(np.diff(frame) <= 0)
+    if len(back):
+        before, after = frame[back[0] : back[0] + 2]
         raise RecordingError(
-            where,
-            got=f"frame {rows[at + 1, 2]} after frame {rows[at, 2]}",
-            expected="frames in ascending order",
-            hint=_HINT,
+            where, got=f"frame {after} after frame {before}", expected="frames in ascending order"
         )
     return rows
 
@@ -153,18 +141,17 @@ def _rows(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
 def _each_frame(
     rows: Int[np.ndarray, "n 3"], stop: int
 ) -> tuple[Int[np.ndarray, " f"], Float[np.ndarray, "f 2"]]:
-    """Frames of the scene and pixel positions in them, from the first annotation to `stop`.
+    """Video frames of the scene's frames from the first annotation to `stop`, and the pixels.
 
     Positions are interpolated in pixels, as in the published data. Between consecutive annotations
     the result is practically the same as in metres. Where a person was lost for minutes, the true
     path is unknown in any case.
     """
     video = np.arange(rows[0, 2], min(rows[-1, 2] + 1, stop), FRAME)
-    at = np.stack([np.interp(video, rows[:, 2], rows[:, k]) for k in (0, 1)], axis=1)
-    return video // FRAME, at
+    return video, interpolated(video, rows[:, 2], rows[:, :2])
 
 
-def metres(
+def _metres(
     pixels: Float[np.ndarray, "n 2"], homography: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "n 2"]:
     """World positions in metres of pixels (column, row).
@@ -176,38 +163,25 @@ def metres(
         return UNIT_M * plane[:, :2] / plane[:, 2:]
 
 
-def homography_of(data: bytes | None, where: object) -> Float[np.ndarray, "3 3"]:
-    """The matrix in `H.json`.
-
-    Raises:
-        RecordingError: the file is missing or broken.
-    """
+def _homography(data: bytes | None, where: object) -> Float[np.ndarray, "3 3"]:
     if data is None:
-        raise RecordingError(where, got=f"no {HOMOGRAPHY}", expected="the homography", hint=_HINT)
+        raise RecordingError(where, got=f"no {HOMOGRAPHY}", expected="the homography")
     try:
-        matrix = np.array(json.loads(data)["homog"], dtype=np.float64)
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        got = str(error)[:100]
-        raise RecordingError(
-            f"{where}/{HOMOGRAPHY}", got=got, expected='{"homog": 3 x 3 numbers}', hint=_HINT
-        ) from error
-    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        return np.array(msgspec.json.decode(data, type=_Homography).homog)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RecordingError(
             f"{where}/{HOMOGRAPHY}",
-            got=f"shape {matrix.shape}",
-            expected="3 x 3 finite numbers",
-            hint=_HINT,
-        )
-    return matrix
+            got=str(error)[:100],
+            expected='{"homog": 3 x 3 finite numbers}',
+        ) from error
 
 
 def _person(name: str, where: object) -> int:
-    stem = name.removeprefix("Annotation/").removesuffix(".txt")
-    if not (stem.isascii() and stem.isdecimal() and len(stem) == 6):  # so that numbers are unique
+    number = _PERSON.fullmatch(name)
+    if number is None:
         raise RecordingError(
             where,
             got=f"a file {name}",
             expected="Annotation/NUMBER.txt with a number of six digits",
-            hint=_HINT,
         )
-    return int(stem)
+    return int(number[1])

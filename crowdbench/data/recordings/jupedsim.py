@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from crowdbench.data.recordings.mending import Gaps, Stamps, on_frames
-from crowdbench.data.recordings.timing import checked_dt_s, plain_positions, usual_step
-from crowdbench.data.table import Trajectories
+from crowdbench.data.recordings.mending import Stamped
+from crowdbench.data.recordings.timing import plain_positions
+from crowdbench.data.table import Trajectories, integers
 from crowdbench.errors import RecordingError
 from crowdbench.files import write_text
 
@@ -23,36 +23,23 @@ _RATE = re.compile(r"framerate\D*(\d+(?:\.\d+)?)")
 _HINT = "PedPy's loaders may describe the problem in more detail."
 
 
-def read_jupedsim(
-    data: bytes, *, name: str, dt_s: float | None, where: object, gaps: Gaps | None = None
-) -> Trajectories:
-    """Read the bytes of a text or SQLite file; `dt_s` is required if a text file states no rate.
+def parse_jupedsim(data: bytes, where: object) -> tuple[Stamped, float | None]:
+    """The rows of a text or SQLite file, and seconds from one row of a person to the next.
 
-    Frame numbers are divided by their usual step. `gaps` says how steps of another length are
-    repaired (see `mending`); if it is None they are rejected.
+    The time is None if a text file states no rate. Frame numbers may be the camera's, with fewer
+    rows.
 
     Raises:
-        RecordingError: the file is broken or empty, states another rate than `dt_s`, or has gaps.
+        RecordingError: the file is broken or empty.
     """
     rate, rows = (_sqlite if data.startswith(_SQLITE) else _text)(data, where)
     if rate is not None and not 0 < rate < np.inf:
         raise RecordingError(where, got=f"{rate:g} frames per second", expected="a positive rate")
     if not len(rows):
         raise RecordingError(where, got="no rows", expected="at least one row", hint=_HINT)
-    whole = (np.abs(rows[:, :2]) < 2.0**53) & (rows[:, :2] == np.floor(rows[:, :2]))
-    if not whole.all():
-        raise RecordingError(
-            where,
-            got="an id or a frame that is not an integer",
-            expected="integers in the columns id and frame",
-        )
-    person, frame = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
-    step = usual_step(person, frame)  # some files have the camera's frame numbers but fewer rows
-    dt_s = checked_dt_s(where, step / rate if rate is not None else None, dt_s)
-    whole_rows = on_frames(
-        person, Stamps(frame, "frame", step=float(step)), rows[:, 2:4], gaps=gaps, where=where
-    )
-    return whole_rows.crowd(scene=name, dt_s=dt_s, where=where)
+    person, frame = (integers(rows[:, k], what, where) for k, what in enumerate(("id", "frame")))
+    stamped = Stamped.of_frames(person, frame, rows[:, 2:4])
+    return stamped, None if rate is None else stamped.step / rate
 
 
 def write_jupedsim(crowd: Trajectories, path: Path) -> None:

@@ -6,13 +6,13 @@ notes of the imported table.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 
-from crowdbench.data.table import MAX_FRAMES, Trajectories, from_rows
+from crowdbench.data.table import MAX_FRAMES, Trajectories, from_rows, interpolated
 from crowdbench.errors import RecordingError
 
 Gaps = Literal["interpolate", "split"]
@@ -32,26 +32,46 @@ FEW = (
 )
 
 
-@dataclass(frozen=True)
-class Stamps:
-    """The time stamp of each row, as frame number or time."""
+@dataclass(frozen=True, eq=False)
+class Stamped:
+    """Rows as in a file, in any order, with time stamps that are frame numbers or times."""
 
-    values: np.ndarray
-    """(R,), video frame numbers or seconds, as in the file."""
+    person: Int[np.ndarray, " R"]
+    values: Shaped[np.ndarray, " R"]
+    """Time stamp of each row: video frame number or seconds."""
+    xy: Float[np.ndarray, "R 2"]
     unit: Literal["frame", "s"]
     step: float
     """Interval from one row of a person to the next, in `unit`."""
     origin: float = 0.0
     """Value at the first frame of the scene, in `unit`."""
 
+    @classmethod
+    def of_frames(
+        cls,
+        person: Int[np.ndarray, " R"],
+        frame: Int[np.ndarray, " R"],
+        xy: Float[np.ndarray, "R 2"],
+        origin: float = 0.0,
+    ) -> "Stamped":
+        """Rows with frame numbers whose step is the most frequent one within a person."""
+        order = np.lexsort((frame, person))
+        steps = np.diff(frame[order])[np.diff(person[order]) == 0]
+        counts = np.bincount(np.minimum(steps[steps > 0], 10**6), minlength=2)
+        return cls(person, frame, xy, "frame", float(counts.argmax() or 1), origin)
+
     def ticks(self) -> Float[np.ndarray, " R"]:
         """Time of each row in steps since the first frame of the scene."""
         return (self.values - self.origin) / self.step
 
-    def of(self, row: int | np.integer) -> str:
+    def stamp(self, row: int | np.integer) -> str:
         """The time stamp of a row as text, such as `frame 12` or `4.8 s`."""
         value = self.values[row]
         return f"frame {value:.0f}" if self.unit == "frame" else f"{value:.10g} s"
+
+    def named(self, row: int | np.integer, at: str = "at") -> str:
+        """A row as text, such as `person 3 at frame 12`."""
+        return f"person {self.person[row]} {at} {self.stamp(row)}"
 
     def long(self, steps: float) -> str:
         """A duration in steps as text, such as `10 frames` or `0.4 s`."""
@@ -68,10 +88,8 @@ class Rows:
     xy: Float[np.ndarray, "R 2"]
     source: Int[np.ndarray, " R"]
     """Index of an input row of the same person."""
-    cut_before: Bool[np.ndarray, " R"]
-    """True if the person was split before these rows, so it entered earlier."""
-    cut_after: Bool[np.ndarray, " R"]
-    """True if the person was split after these rows, so it left later."""
+    continued: dict[int, int]
+    """Persons who were split, and the new number under which each goes on."""
     notes: dict[str, str]
     """The repairs, as text for a table."""
 
@@ -92,19 +110,12 @@ class Rows:
             RecordingError: see `from_rows`.
         """
         persons = {name: np.asarray(of)[self.source] for name, of in (columns or {}).items()}
-        if self.cut_before.any() or self.cut_after.any():
-            number, index = np.unique(self.person, return_inverse=True)
-            first = np.full(len(number), MAX_FRAMES)
-            np.minimum.at(first, index, self.frame)
-            for name in {"spawn_s", "requested_s"} & set(persons):
-                persons[name] = np.where(self.cut_before, first[index] * dt_s, persons[name])
-            there = {
-                "entered": first[index] > 0,
-                "left": ~np.isin(self.person, self.person[self.frame == self.frame.max()]),
-            }
-            persons["entered"] = persons.get("entered", there["entered"]) & ~self.cut_before
-            persons["left"] = persons.get("left", there["left"]) & ~self.cut_after
-        return from_rows(
+        for name in {"spawn_s", "requested_s"} & set(persons):
+            persons[name] = persons[name].astype(np.float64)
+            for new in self.continued.values():
+                mine = self.person == new
+                persons[name][mine] = self.frame[mine].min(initial=MAX_FRAMES) * dt_s
+        crowd = from_rows(
             scene=scene,
             dt_s=dt_s,
             person_id=self.person,
@@ -114,17 +125,14 @@ class Rows:
             provenance={"notes": self.notes} if self.notes else {},
             where=where,
         )
+        return replace(
+            crowd,
+            entered=crowd.entered & ~np.isin(crowd.person_id, [*self.continued.values()]),
+            left=crowd.left & ~np.isin(crowd.person_id, [*self.continued]),
+        )
 
 
-def on_frames(
-    person: Int[np.ndarray, " R"],
-    stamps: Stamps,
-    xy: Float[np.ndarray, "R 2"],
-    *,
-    gaps: Gaps | None,
-    where: object,
-    hint: str = FEW,
-) -> Rows:
+def on_frames(rows: Stamped, *, gaps: Gaps | None, where: object, hint: str = FEW) -> Rows:
     """Assign rows to the frames of a scene, and repair faults as `gaps` says.
 
     Frame numbers are rounded down, because each person may have a different phase (annotators
@@ -139,98 +147,136 @@ def on_frames(
         RecordingError: a person has two rows at the same time; or rows are missing or between two
             frames, and `gaps` is None or most rows are affected.
     """
-    ticks = stamps.ticks()
+    ticks = rows.ticks()
     if not np.isfinite(ticks).all():
         row = int(np.flatnonzero(~np.isfinite(ticks))[0])
-        raise RecordingError(
-            where, got=f"person {person[row]} at {ticks[row]}", expected="finite times", hint=hint
-        )
-    beside = _BESIDE[stamps.unit]
-    order = np.lexsort((ticks, person))
-    same = np.diff(person[order]) == 0
-    steps = np.where(same, np.diff(ticks[order]), 1.0)
-    if (steps <= beside).any():
-        rows = order[1:][steps <= beside]
+        got = f"person {rows.person[row]} at {ticks[row]}"
+        raise RecordingError(where, got=got, expected="finite times", hint=hint)
+    order = np.lexsort((ticks, rows.person))
+    rows = replace(rows, person=rows.person[order], values=rows.values[order], xy=rows.xy[order])
+    ticks, beside = ticks[order], _BESIDE[rows.unit]
+    steps, same = np.diff(ticks), np.diff(rows.person) == 0
+    twice = np.flatnonzero(same & (steps <= beside)) + 1
+    if len(twice):
         raise RecordingError(
             where,
-            got=f"person {person[rows[0]]} twice at {stamps.of(rows[0])} ({len(rows)} such rows)",
+            got=f"person {rows.person[twice[0]]} twice at {rows.stamp(twice[0])} ({len(twice)} "
+            "such rows)",
             expected="one row per person and frame",
             hint="Remove the duplicates, or give each person a separate id.",
         )
-    if stamps.unit == "s":
+    if rows.unit == "s":
         astray = np.abs(ticks - np.round(ticks)) >= beside
-        wrong = (np.round(steps) != 1) | astray[order[1:]] | astray[order[:-1]]
+        wrong = same & ((np.round(steps) != 1) | astray[1:] | astray[:-1])
     else:
         astray = np.zeros(len(ticks), dtype=bool)
-        wrong = np.abs(steps - 1) > beside
-    wrong &= same
+        wrong = same & (np.abs(steps - 1) > beside)
     if not (wrong.any() or astray.any()):
-        return _as_they_are(person, stamps, xy)
-    _refuse_most(person, stamps, steps[same], astray, where)
+        return _as_they_are(rows, order)
+    _refuse_most(rows, steps[same], astray, where)
     if gaps is None:
-        raise _refused(person, stamps, order, steps, wrong, astray, where, hint)
+        got = f"{wrong.sum()} of {same.sum()} intervals differ from {rows.long(1.0)}"
+        if astray.any():
+            first = f"{rows.named(int(astray.argmax()))}, between two frames"
+            got = f"{astray.sum()} of {len(astray)} rows are between two frames"
+        else:
+            k = int(wrong.argmax())
+            first = f"{rows.named(k + 1)}, {rows.long(float(steps[k]))} after its previous row"
+        raise RecordingError(
+            where,
+            got=f"{first} ({got})",
+            expected=f"a row of each person every {rows.long(1.0)}",
+            hint=hint,
+        )
     if ticks.max() - ticks.min() > MAX_FRAMES:  # `from_rows` rejects this
-        return _as_they_are(person, stamps, xy)
-    faulty = np.isin(person, np.r_[person[order[1:][wrong]], person[astray]])
-    return _mended(person, stamps, xy, order[faulty[order]], gaps)
+        return _as_they_are(rows, order)
+    faulty = np.isin(rows.person, np.r_[rows.person[1:][wrong], rows.person[astray]])
+    return _mended(rows, order, faulty, gaps)
 
 
-def _as_they_are(
-    person: Int[np.ndarray, " R"], stamps: Stamps, xy: Float[np.ndarray, "R 2"]
-) -> Rows:
-    no = np.zeros(len(person), dtype=bool)
-    ticks = stamps.ticks()
-    frame = np.round(ticks) if stamps.unit == "s" else np.floor(ticks)
-    return Rows(person, frame.astype(np.int64), xy, np.arange(len(person)), no, no, {})
+def _as_they_are(rows: Stamped, order: Int[np.ndarray, " R"]) -> Rows:
+    frame = np.round(rows.ticks()) if rows.unit == "s" else np.floor(rows.ticks())
+    return Rows(rows.person, frame.astype(np.int64), rows.xy, order, {}, {})
 
 
 def _refuse_most(
-    person: Int[np.ndarray, " R"],
-    stamps: Stamps,
-    steps: Float[np.ndarray, " S"],
-    astray: Bool[np.ndarray, " R"],
-    where: object,
+    rows: Stamped, steps: Float[np.ndarray, " S"], astray: Bool[np.ndarray, " R"], where: object
 ) -> None:
     """Raise if most rows have the same fault, because then an option or the file is wrong."""
-    if astray.mean() > 0.5:
-        row = int(np.flatnonzero(astray)[0])
-        late = _usual_phase(stamps.ticks())
-        by = "" if late is None else f", most of them {late * stamps.step:.4g} s after a frame"
+    values, counts = np.unique(np.round(steps * rows.step, 3), return_counts=True)
+    usual = float(values[counts.argmax()]) if len(values) else rows.step
+    usually = counts.max(initial=0) > len(steps) / 3
+    if usually and abs(usual / rows.step - 1) >= _BESIDE["s"]:
         raise RecordingError(
             where,
-            got=f"person {person[row]} at {stamps.of(row)} ({astray.sum()} of {len(astray)} rows "
-            f"between two frames{by})",
-            expected=f"times in multiples of {stamps.long(1.0)}",
-            hint=_other_step(stamps, steps)
-            or f"Correct --dt-s, or resample the trajectories to {stamps.long(1.0)}."
+            got=f"rows of a person mostly {rows.long(usual / rows.step)} apart",
+            expected=rows.long(1.0),
+            hint=f"Use --dt-s {usual:g} if that is right, or resample the trajectories to "
+            f"{rows.long(1.0)}."
+            if rows.unit == "s"
+            else "Correct the frame numbers, or --dt-s.",
+        )
+    if astray.mean() > 0.5:
+        late = _usual_phase(rows.ticks())
+        by = "" if late is None else f", most of them {late * rows.step:.4g} s after a frame"
+        raise RecordingError(
+            where,
+            got=f"{rows.named(astray.argmax())} ({astray.sum()} of {len(astray)} rows between "
+            f"two frames{by})",
+            expected=f"times in multiples of {rows.long(1.0)}",
+            hint=f"Correct --dt-s, or resample the trajectories to {rows.long(1.0)}."
             if late is None
-            else f"Use --offset-s {late * stamps.step + stamps.origin:.4g} to start the frames at "
+            else f"Use --offset-s {late * rows.step + rows.origin:.4g} to start the frames at "
             "that time.",
         )
-    whole = np.clip(np.round(steps), 0, 10**6).astype(np.int64)
-    usual = int(np.bincount(whole, minlength=1).argmax())
-    if usual > 1:
-        numbers = "" if stamps.unit == "s" else "the frame numbers, or "
-        raise RecordingError(
-            where,
-            got=f"rows of a person mostly {stamps.long(float(usual))} apart",
-            expected=stamps.long(1.0),
-            hint=_other_step(stamps, steps) or f"Correct {numbers}--dt-s.",
-        )
 
 
-def _other_step(stamps: Stamps, steps: Float[np.ndarray, " S"]) -> str:
-    """A hint that names the time between most rows if it is not the step; else empty."""
-    values, counts = np.unique(np.round(steps * stamps.step, 3), return_counts=True)
-    if stamps.unit == "frame" or not len(values) or counts.max() <= len(steps) / 2:
-        return ""
-    found_s = float(values[counts.argmax()])
-    if abs(found_s / stamps.step - 1) < _BESIDE["s"]:
-        return ""
-    return (
-        f"Rows of a person are mostly {found_s:g} s apart. Use --dt-s {found_s:g} if that is "
-        f"right, or resample the trajectories to {stamps.long(1.0)}."
-    )
+def _mended(
+    rows: Stamped, order: Int[np.ndarray, " R"], faulty: Bool[np.ndarray, " R"], gaps: Gaps
+) -> Rows:
+    """All rows, with those of the `faulty` persons repaired; rows are sorted, see `on_frames`."""
+    right, ticks, free = _as_they_are(rows, order), rows.ticks(), int(rows.person.max()) + 1
+    pieces = [tuple(each[~faulty] for each in (right.person, right.frame, right.xy, right.source))]
+    continued: dict[int, int] = {}
+    filled: list[str] = []
+    moved: list[str] = []
+    split: list[str] = []
+    lost: list[str] = []
+    put_in, of_faulty = 0, np.flatnonzero(faulty)
+    for mine in np.split(of_faulty, np.flatnonzero(np.diff(rows.person[of_faulty])) + 1):
+        at = ticks[mine] - (_phase(ticks[mine]) if rows.unit == "frame" else 0.0)
+        astray = np.abs(at - np.round(at)) > _BESIDE[rows.unit]
+        at[~astray] = np.round(at[~astray])
+        moved += [rows.named(row) for row in mine[astray]]
+        ends = np.flatnonzero(np.diff(at) >= _MISSING)
+        words = [rows.named(mine[k], "after") for k in ends]
+        if gaps == "interpolate":
+            put_in += int((np.round(np.diff(at)[ends]) - 1).sum())
+            filled += words
+            ends = ends[:0]
+        for piece, part in enumerate(np.split(np.arange(len(mine)), ends + 1)):
+            if piece == 0:
+                person = int(rows.person[mine[0]])
+            else:
+                continued[person] = free
+                person, free = free, free + 1
+                split.append(f"{words[piece - 1]}, now person {person}")
+            frame = np.arange(np.ceil(at[part[0]]), np.floor(at[part[-1]]) + 1)
+            if len(frame) == 0:
+                lost += [f"person {person} at {rows.stamp(row)}" for row in mine[part]]
+                continue
+            number, source = (np.full(len(frame), value) for value in (person, order[mine[0]]))
+            xy = interpolated(frame, at[part], rows.xy[mine[part]])
+            pieces.append((number, frame.astype(np.int64), xy, source))
+    told = [
+        _counted(put_in, "row", "interpolated", filled),
+        _counted(len(moved), "row", "moved to frames", moved),
+        _counted(len(split), "gap", "where a person was split into two", split),
+        _counted(len(lost), "row", "between two frames left out", lost),
+    ]
+    notes = {"mended": "; ".join(part for part in told if part)}
+    person_id, frame, xy, source = (np.concatenate(each) for each in zip(*pieces, strict=True))
+    return Rows(person_id, frame, xy, source, continued, notes)
 
 
 def _usual_phase(ticks: Float[np.ndarray, " R"]) -> float | None:
@@ -239,101 +285,6 @@ def _usual_phase(ticks: Float[np.ndarray, " R"]) -> float | None:
     apart = ticks - usual
     most = (np.abs(apart - np.round(apart)) < _BESIDE["s"]).mean() > 0.5
     return usual if most else None
-
-
-def _refused(
-    person: Int[np.ndarray, " R"],
-    stamps: Stamps,
-    order: Int[np.ndarray, " R"],
-    steps: Float[np.ndarray, " S"],
-    wrong: Bool[np.ndarray, " S"],
-    astray: Bool[np.ndarray, " R"],
-    where: object,
-    hint: str,
-) -> RecordingError:
-    """The error for a recording with faults; it names the first and counts the others."""
-    within = int((np.diff(person[order]) == 0).sum())
-    counted = f"{wrong.sum()} of {within} intervals differ from {stamps.long(1.0)}"
-    if astray.any():
-        row = int(np.flatnonzero(astray)[0])
-        first = f"person {person[row]} at {stamps.of(row)}, between two frames"
-        counted = f"{astray.sum()} of {len(astray)} rows are between two frames"
-    else:
-        k = int(np.flatnonzero(wrong)[0])
-        first = (
-            f"person {person[order[k]]} at {stamps.of(order[k + 1])}, "
-            f"{stamps.long(float(steps[k]))} after its previous row"
-        )
-    return RecordingError(
-        where,
-        got=f"{first} ({counted})",
-        expected=f"a row of each person every {stamps.long(1.0)}",
-        hint=_other_step(stamps, steps[np.diff(person[order]) == 0]) or hint,
-    )
-
-
-def _mended(
-    person: Int[np.ndarray, " R"],
-    stamps: Stamps,
-    xy: Float[np.ndarray, "R 2"],
-    faulty: Int[np.ndarray, " F"],
-    gaps: Gaps,
-) -> Rows:
-    """Repair the rows `faulty`, which are all rows of the affected persons, by person and time."""
-    rest = np.setdiff1d(np.arange(len(person)), faulty)
-    whole = _as_they_are(person, stamps, xy)
-    pieces = [
-        (person[rest], whole.frame[rest], xy[rest], rest, whole.cut_before[rest],
-         whole.cut_after[rest])
-    ]  # fmt: skip
-    ticks, free = stamps.ticks(), int(person.max()) + 1
-    filled: list[str] = []
-    moved: list[str] = []
-    split: list[str] = []
-    lost: list[str] = []
-    put_in = off = 0
-    for rows in np.split(faulty, np.flatnonzero(np.diff(person[faulty])) + 1):
-        number = int(person[rows[0]])
-        at = ticks[rows] - (_phase(ticks[rows]) if stamps.unit == "frame" else 0.0)
-        astray = np.abs(at - np.round(at)) > _BESIDE[stamps.unit]
-        at[~astray] = np.round(at[~astray])
-        off += int(astray.sum())
-        moved += [f"person {number} at {stamps.of(row)}" for row in rows[astray]]
-        ends = np.flatnonzero(np.diff(at) >= _MISSING)
-        words = [f"person {number} after {stamps.of(rows[k])}" for k in ends]
-        if gaps == "interpolate":
-            put_in += int((np.round(np.diff(at)[ends]) - 1).sum())
-            filled += words
-            ends = ends[:0]
-        for piece, part in enumerate(np.split(np.arange(len(rows)), ends + 1)):
-            frame = np.arange(np.ceil(at[part[0]]), np.floor(at[part[-1]]) + 1)
-            known = xy[rows[part]]
-            own = number if piece == 0 else free
-            if piece:
-                free += 1
-                split.append(f"{words[piece - 1]}, now person {own}")
-            if len(frame) == 0:
-                lost += [f"person {own} at {stamps.of(row)}" for row in rows[part]]
-                continue
-            pieces.append(
-                (
-                    np.full(len(frame), own),
-                    frame.astype(np.int64),
-                    np.stack([np.interp(frame, at[part], known[:, k]) for k in (0, 1)], axis=1),
-                    np.full(len(frame), rows[0]),
-                    np.full(len(frame), piece > 0),
-                    np.full(len(frame), part[-1] + 1 < len(rows)),
-                )
-            )
-    told = [
-        _counted(put_in, "row", "interpolated", filled),
-        _counted(off, "row", "moved to frames", moved),
-        _counted(len(split), "gap", "where a person was split into two", split),
-        _counted(len(lost), "row", "between two frames left out", lost),
-    ]
-    notes = {"mended": "; ".join(part for part in told if part)}
-    a, b, c, d, e, f = (np.concatenate(column) for column in zip(*pieces, strict=True))
-    return Rows(a, b, c, d, e, f, notes)
 
 
 def _phase(ticks: Float[np.ndarray, " n"], digits: int = 6) -> float:

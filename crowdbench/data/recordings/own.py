@@ -1,6 +1,6 @@
 """Users' own recordings: read from files in several formats, stored by name."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,15 +12,15 @@ from crowdbench.data.recordings import gc
 from crowdbench.data.recordings.catalogue import OWN_NAME, SOURCES, cached, hash_of
 from crowdbench.data.recordings.forum import FPS as FORUM_FPS
 from crowdbench.data.recordings.forum import PIXEL_M, read_forum
-from crowdbench.data.recordings.jupedsim import read_jupedsim
-from crowdbench.data.recordings.mending import FEW, Gaps, Stamps, on_frames
-from crowdbench.data.recordings.obsmat import read_obsmat, step_of
+from crowdbench.data.recordings.jupedsim import parse_jupedsim, write_jupedsim
+from crowdbench.data.recordings.mending import Gaps, Stamped, on_frames
+from crowdbench.data.recordings.obsmat import parse_obsmat, step_by_speed_s
 from crowdbench.data.recordings.timing import at_scene_frames, checked_dt_s
-from crowdbench.data.recordings.trajnet import read_trajnet
+from crowdbench.data.recordings.trajnet import parse_trajnet, write_trajnet
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import OwnCodeError, RecordingError, SettingError, did_you_mean
+from crowdbench.errors import OwnCodeError, RecordingError, SettingError, hinting
 from crowdbench.files import read_bytes
-from crowdbench.plugins import blaming, names, part
+from crowdbench.plugins import blaming, find
 
 FORMATS = {
     "obsmat": "rows `frame person x z y vx vz vy`, in metres, each person in every n-th frame",
@@ -32,10 +32,33 @@ FORMATS = {
 }
 """The formats of recordings, each with a short description."""
 
-_OPTIONS = ("--dt-s", "--gaps", "--offset-s")
+WRITERS: dict[str, Callable[[Trajectories, Path], None]] = {
+    "csv": storage.write_csv,
+    "trajnet": write_trajnet,
+    "jupedsim": write_jupedsim,
+}
+"""The formats that a crowd can be written in, and what writes it."""
+
+_METRES = {
+    "gc": f"by H.json × {gc.UNIT_M} m, as for Grand Central",
+    "forum": f"{1000 * PIXEL_M:.1f} mm per pixel, as for the Edinburgh Forum",
+}
+"""How pixels are converted to metres, as a note that the user can check."""
 _SPEEDS_MPS = (0.2, 3.0)
 """Plausible range of the median of people's mean speeds; outside it the units are wrong."""
 _LONGEST_M = 300.0
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """The arguments of `read_recording`."""
+
+    path: Path
+    layout: str
+    name: str
+    dt_s: float | None
+    gaps: Gaps | None
+    offset_s: float | None
 
 
 def read_recording(
@@ -46,122 +69,37 @@ def read_recording(
     dt_s: float | None = None,
     gaps: Gaps | None = None,
     offset_s: float | None = None,
+    resample: bool = True,
 ) -> Trajectories:
     """Read a recording in one of `FORMATS` and convert it to the frames of a scene.
 
     `dt_s` is the time between consecutive rows of a person in seconds; if the file states it, the
-    two must agree. `gaps` and `offset_s` repair small faults; see `read_rows`. A table that
-    crowdbench wrote is not resampled.
+    two must agree. `gaps` says how missing rows, and rows between two frames, are repaired (see
+    `mending`). `offset_s` is the time of the first frame for tables with a column `time_s`. The
+    repairs are listed in the notes of the provenance. A table that crowdbench wrote is not
+    resampled. Without `resample`, rows and frames are those of the file.
 
     Raises:
         SettingError: the format does not exist, or does not support `gaps` or `offset_s`.
-        RecordingError: the file is missing or broken, states another time step, or contains
-            implausible speeds or distances.
+        RecordingError: the file is missing or broken, states another time step, or needs repairs
+            while `gaps` is None; or, with `resample`, speeds or distances are implausible.
     """
-    crowd, as_it_is = _read(path, layout, _Asked(name, dt_s, gaps, offset_s))
-    if not as_it_is:
+    asked = _Asked(path, layout, name, dt_s, gaps, offset_s)
+    crowd, files, ours = (_read if layout in FORMATS else _read_by_others)(asked)
+    notes = dict(crowd.provenance.get("notes", {}))
+    if layout in _METRES:
+        notes["metres"] = _METRES[layout]
+    provenance = {"source": path.name, "sha256": hash_of(files), "notes": notes}
+    crowd = replace(crowd, provenance=provenance)
+    if not resample:
+        return crowd
+    if not ours:
         # Only human annotators pause. Automatic tracking does not, but it often loses people
         # mid-scene, which would look like a pause.
         crowd = at_scene_frames(crowd, pauses=layout not in ("gc", "forum"), where=path)
     _check_motion(crowd, path)
     crowd = replace(crowd, scene=name)
     return crowd if (crowd.group >= 0).any() else with_companions(crowd)
-
-
-def read_rows(
-    path: Path,
-    layout: str,
-    *,
-    name: str,
-    dt_s: float | None = None,
-    gaps: Gaps | None = None,
-    offset_s: float | None = None,
-) -> Trajectories:
-    """Read a crowd in one of `FORMATS` without resampling; see `read_recording`.
-
-    `gaps` says how missing rows, and rows between two frames, are repaired (see `mending`).
-    `offset_s` is the time of the first frame for tables with a column `time_s`. The repairs are
-    listed in the notes of the provenance.
-
-    Raises:
-        SettingError: the format does not exist, or does not support `gaps` or `offset_s`.
-        RecordingError: the file is missing or broken, states another time step, or needs repairs
-            while `gaps` is None.
-    """
-    return _read(path, layout, _Asked(name, dt_s, gaps, offset_s))[0]
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """The arguments of `read_rows`."""
-
-    name: str
-    dt_s: float | None
-    gaps: Gaps | None
-    offset_s: float | None
-
-
-def _read(path: Path, layout: str, asked: _Asked) -> tuple[Trajectories, bool]:
-    """The crowd in a file, and whether crowdbench wrote it, for a scene."""
-    if layout not in FORMATS:
-        return _read_by_others(path, layout, asked), False
-    _check_mendable(layout, asked)
-    hint = f"The format {layout}: {FORMATS[layout]}."
-    as_it_is = False
-    if layout == "gc":
-        files: Mapping[str, bytes] = gc.files_in(path, hint)
-    else:
-        files = {path.name: read_bytes(path, RecordingError, hint)}
-    try:
-        if layout == "csv":
-            crowd, as_it_is = _table(path, asked)
-        else:
-            crowd = _rows(files, path, layout, asked)
-    except RecordingError as error:
-        asks = any(option in error.hint or option in error.expected for option in _OPTIONS)
-        if layout in ("csv", "trajnet", "jupedsim") or asks:
-            raise
-        # The hint of these readers is to fetch the published recording again.
-        raise RecordingError(
-            error.where, got=error.got, expected=error.expected, hint=hint
-        ) from error
-    return _with_source(crowd, path, files, _transform(layout)), as_it_is
-
-
-def _with_source(
-    crowd: Trajectories, path: Path, files: Mapping[str, bytes], notes: Mapping[str, str]
-) -> Trajectories:
-    notes = {**crowd.provenance.get("notes", {}), **notes}
-    provenance = {"source": path.name, "sha256": hash_of(files), "notes": notes}
-    return replace(crowd, provenance=provenance)
-
-
-def _read_by_others(path: Path, layout: str, asked: _Asked) -> Trajectories:
-    """Read a format that another package registered, by its function `read(path, name=, dt_s=)`."""
-    read = part("recordings", layout)
-    if read is None:
-        known = (*FORMATS, *names("recordings", FORMATS))
-        raise SettingError(
-            "--format",
-            got=repr(layout),
-            expected=f"one of {', '.join(known)}",
-            hint=did_you_mean(layout, known),
-        )
-    if asked.gaps is not None or asked.offset_s is not None:
-        raise SettingError(
-            "--gaps" if asked.gaps is not None else "--offset-s",
-            got=f"the format {layout} of another package",
-            expected=f"one of crowdbench's formats: {', '.join(FORMATS)}",
-        )
-    with blaming(f"format {layout}, {path}"):
-        crowd = read(path, name=asked.name, dt_s=asked.dt_s)
-    if not isinstance(crowd, Trajectories):
-        raise OwnCodeError(f"format {layout}", got=repr(crowd)[:200], expected="Trajectories")
-    files = sorted(path.rglob("*")) if path.is_dir() else [path]
-    hashed = {
-        str(file.relative_to(path.parent)): file.read_bytes() for file in files if file.is_file()
-    }
-    return _with_source(crowd, path, hashed, {})
 
 
 def import_own(
@@ -227,15 +165,53 @@ def keep(crowd: Trajectories) -> bool:
     )
 
 
-def _check_mendable(layout: str, asked: _Asked) -> None:
+def _read(asked: _Asked) -> tuple[Trajectories, Mapping[str, bytes], bool]:
+    """The crowd in a file, the files that were read, and whether crowdbench wrote them."""
+    path, layout, name, dt_s = asked.path, asked.layout, asked.name, asked.dt_s
+    _check_options(asked)
+    hint = f"The format {layout}: {FORMATS[layout]}."
+    if layout == "gc":
+        files = gc.files_in(path, hint)
+        with hinting(hint):
+            checked_dt_s(path, gc.STEP / gc.FPS, dt_s)
+            return gc.read_gc(files, path, name=name, video_frames=None), files, False
+    data = read_bytes(path, RecordingError, hint)
+    files, ours = {path.name: data}, False
+    with hinting(hint):
+        if layout == "csv":
+            crowd, ours = _table(asked)
+        elif layout == "forum":
+            checked_dt_s(path, 1 / FORUM_FPS, dt_s)
+            crowd = read_forum(data, name=name, where=path)
+        else:
+            crowd = _numbered(data, asked)
+    return crowd, files, ours
+
+
+def _read_by_others(asked: _Asked) -> tuple[Trajectories, Mapping[str, bytes], bool]:
+    """Read a format that another package registered, by its function `read(path, name=, dt_s=)`."""
+    path, layout = asked.path, asked.layout
+    read = find("recordings", layout, FORMATS)
+    _check_options(asked)
+    with blaming(f"format {layout}, {path}"):
+        crowd = read(path, name=asked.name, dt_s=asked.dt_s)
+    if not isinstance(crowd, Trajectories):
+        raise OwnCodeError(f"format {layout}", got=repr(crowd)[:200], expected="Trajectories")
+    files = (file for file in (path, *sorted(path.rglob("*"))) if file.is_file())
+    data = {str(file.relative_to(path.parent)): file.read_bytes() for file in files}
+    return crowd, data, False
+
+
+def _check_options(asked: _Asked) -> None:
     """Raise if the format does not support an option that is given."""
-    gaps, offset_s = asked.gaps, asked.offset_s
-    if gaps is not None and layout in ("gc", "forum"):
+    gaps, offset_s, layout = asked.gaps, asked.offset_s, asked.layout
+    mendable = [name for name in FORMATS if name not in ("gc", "forum")]
+    if gaps is not None and layout not in mendable:
         raise SettingError(
             "--gaps",
             got=f"{gaps} with the format {layout}",
-            expected="another format",
-            hint="In this format missing rows are always interpolated linearly.",
+            expected=f"one of the formats {', '.join(mendable)}",
+            hint="In the formats gc and forum, missing rows are always interpolated linearly.",
         )
     if offset_s is not None and layout != "csv":
         raise SettingError(
@@ -247,43 +223,24 @@ def _check_mendable(layout: str, asked: _Asked) -> None:
         raise SettingError("--offset-s", got=f"{offset_s}", expected="a finite number of seconds")
 
 
-def _rows(files: Mapping[str, bytes], path: Path, layout: str, asked: _Asked) -> Trajectories:
-    name, dt_s = asked.name, asked.dt_s
-    if layout == "gc":
-        checked_dt_s(path, gc.STEP / gc.FPS, dt_s)
-        return gc.read_gc(files, path, name=name, video_frames=None)
-    (data,) = files.values()
-    if layout == "forum":
-        checked_dt_s(path, 1 / FORUM_FPS, dt_s)
-        return read_forum(data, name=name, where=path)
-    if layout == "obsmat":
-        return _obsmat(data, path, asked)
-    read = {"trajnet": read_trajnet, "jupedsim": read_jupedsim}[layout]
-    return read(data, name=name, dt_s=dt_s, where=path, gaps=asked.gaps)
-
-
-def _table(path: Path, asked: _Asked) -> tuple[Trajectories, bool]:
+def _table(asked: _Asked) -> tuple[Trajectories, bool]:
     """The crowd in a table, and whether crowdbench wrote it."""
-    table, offset_s = storage.read_table(path), asked.offset_s
-    if storage.own_metadata(table, path) is not None:
-        if offset_s is not None:
-            raise SettingError(
-                "--offset-s",
-                got=f"{path.name}, which crowdbench wrote",
-                expected="a table of another program",
-            )
-        crowd = storage.own_table(table, path)
+    path, offset_s = asked.path, asked.offset_s
+    table = storage.read_table(path)
+    ours = storage.own_metadata(table, path) is not None
+    if offset_s is not None and (ours or "time_s" not in table.column_names):
+        raise SettingError(
+            "--offset-s",
+            got=f"{path.name}, which crowdbench wrote or which has no column time_s",
+            expected="a table of another program with that column",
+        )
+    if ours:
+        crowd = storage.of_table(table, path)
         checked_dt_s(path, crowd.dt_s, asked.dt_s)
         return crowd, True
     columns = storage.columns_of(table, path)
     dt_s = checked_dt_s(path, None, asked.dt_s)
-    rows = on_frames(
-        columns["person_id"],
-        _stamps(columns, path, dt_s, offset_s),
-        np.stack([columns["x"], columns["y"]], axis=1).astype(np.float64),
-        gaps=asked.gaps,
-        where=path,
-    )
+    rows = on_frames(_stamped(columns, dt_s, asked), gaps=asked.gaps, where=path)
     if offset_s:
         rows.notes["times"] = f"reduced by {offset_s:g} s"
         for column in {"spawn_s", "requested_s"} & set(columns):
@@ -291,58 +248,62 @@ def _table(path: Path, asked: _Asked) -> tuple[Trajectories, bool]:
     return rows.crowd(scene=asked.name, dt_s=dt_s, where=path, columns=columns), False
 
 
-def _stamps(
-    columns: Mapping[str, np.ndarray], path: Path, dt_s: float, offset_s: float | None
-) -> Stamps:
-    """Time stamps from `frame` or `time_s`; if both columns exist, they must agree."""
-    person, frame = columns["person_id"], columns.get("frame")
+def _stamped(columns: Mapping[str, np.ndarray], dt_s: float, asked: _Asked) -> Stamped:
+    """Rows of a table with their `frame` or `time_s`; if both columns exist, they must agree."""
+    person, frame, offset_s = columns["person_id"], columns.get("frame"), asked.offset_s
+    xy = np.stack([columns["x"], columns["y"]], axis=1).astype(np.float64)
     if "time_s" not in columns:
-        if offset_s is not None:
-            raise SettingError(
-                "--offset-s",
-                got=f"{path.name} without a column time_s",
-                expected="a table with that column",
-            )
-        return Stamps(columns["frame"], "frame", step=1.0)
-    stamps = Stamps(columns["time_s"], "s", step=dt_s, origin=offset_s or 0.0)
-    ticks = stamps.ticks()
+        return Stamped(person, columns["frame"], xy, "frame", step=1.0)
+    rows = Stamped(person, columns["time_s"], xy, "s", step=dt_s, origin=offset_s or 0.0)
     if frame is not None:
-        _check_agree(person, frame, stamps, path)
+        _check_agree(rows, frame, asked.path)
+    ticks = rows.ticks()
     if offset_s is not None and ticks.min() < -0.05:
-        row = int(ticks.argmin())
         raise RecordingError(
-            path,
-            got=f"person {person[row]} at {stamps.of(row)}",
+            asked.path,
+            got=rows.named(int(ticks.argmin())),
             expected=f"times of at least {offset_s:g} s, as set by --offset-s",
             hint="--offset-s must not be later than the first row.",
         )
-    return stamps
+    return rows
 
 
-def _check_agree(person: np.ndarray, frame: np.ndarray, stamps: Stamps, path: Path) -> None:
+def _check_agree(rows: Stamped, frame: np.ndarray, path: Path) -> None:
     """Raise if the columns `frame` and `time_s` of a table contradict each other."""
-    late = stamps.ticks() - frame
+    late = rows.ticks() - frame
     wrong = ~(np.abs(late) < 0.05)
     if not wrong.any():
         return
-    row = int(np.flatnonzero(wrong)[0])
+    row = int(wrong.argmax())
     usual = float(np.median(late))
     constant = (np.abs(late - usual) < 0.05).mean() > 0.5 and abs(usual) >= 0.05
     raise RecordingError(
         path,
-        got=f"person {person[row]} in frame {frame[row]} at {stamps.of(row)} ({wrong.sum()} of "
-        f"{len(wrong)} rows whose time does not match their frame)",
-        expected=f"time_s equal to frame × {stamps.step:g} s",
-        hint=f"Use --offset-s {usual * stamps.step + stamps.origin:.4g} to start frame 0 at that "
-        "time."
+        got=f"{rows.named(row, f'in frame {frame[row]} at')} ({wrong.sum()} of {len(wrong)} rows "
+        "whose time does not match their frame)",
+        expected=f"time_s equal to frame × {rows.step:g} s",
+        hint=f"Use --offset-s {usual * rows.step + rows.origin:.4g} to start frame 0 at that time."
         if constant
         else "Remove the wrong column; the other one is sufficient.",
     )
 
 
-def _obsmat(data: bytes, path: Path, asked: _Asked) -> Trajectories:
-    step, by_speed_s = step_of(data, path)
-    dt_s = checked_dt_s(path, None, asked.dt_s)
+def _numbered(data: bytes, asked: _Asked) -> Trajectories:
+    """The crowd in a file whose rows have frame numbers."""
+    path = asked.path
+    if asked.layout == "obsmat":
+        rows, velocity = parse_obsmat(data, path)
+        dt_s = checked_dt_s(path, None, asked.dt_s)
+        _check_speeds(step_by_speed_s(rows, velocity), dt_s, path)
+    else:
+        parse = {"trajnet": parse_trajnet, "jupedsim": parse_jupedsim}[asked.layout]
+        rows, stated_s = parse(data, path)
+        dt_s = checked_dt_s(path, stated_s, asked.dt_s)
+    whole = on_frames(rows, gaps=asked.gaps, where=path)
+    return whole.crowd(scene=asked.name, dt_s=dt_s, where=path)
+
+
+def _check_speeds(by_speed_s: float | None, dt_s: float, path: Path) -> None:
     if by_speed_s is not None and not np.isclose(by_speed_s, dt_s, rtol=0.1):
         raise RecordingError(
             path,
@@ -350,18 +311,6 @@ def _obsmat(data: bytes, path: Path, asked: _Asked) -> Trajectories:
             expected=f"rows {dt_s:g} s apart, as set by --dt-s",
             hint="Correct --dt-s, or set the velocities to zero if they are wrong.",
         )
-    fps = round(step / dt_s, 9)  # rounded, because otherwise 6 / (6 / 0.4) would not be 0.4
-    return read_obsmat(
-        data, name=asked.name, fps=fps, frame_step=step, where=path, gaps=asked.gaps, hint=FEW
-    )
-
-
-def _transform(layout: str) -> dict[str, str]:
-    """How pixels were converted to metres, as a note that the user can check."""
-    return {
-        "gc": {"metres": f"by H.json × {gc.UNIT_M} m, as for Grand Central"},
-        "forum": {"metres": f"{1000 * PIXEL_M:.1f} mm per pixel, as for the Edinburgh Forum"},
-    }.get(layout, {})
 
 
 def _check_motion(crowd: Trajectories, path: Path) -> None:

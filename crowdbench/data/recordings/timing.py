@@ -3,14 +3,17 @@
 The frames of a scene are about 0.4 s apart: shorter intervals increase computing time and the
 effect of camera jitter. Of a recording with a higher rate, every k-th frame is kept, but entry
 times keep the resolution of the recording.
+
+Annotators pause. If people vanish or appear in the middle of the scene at the edges of a run of
+empty frames, the annotation paused there. Such a gap is *unobserved*: the crowd is unknown, and the
+people at its edges have neither left nor entered.
 """
 
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
 
-from crowdbench.data.recordings.gaps import observed_intervals
 from crowdbench.data.table import Trajectories, from_rows
 from crowdbench.errors import RecordingError
 
@@ -19,14 +22,8 @@ LONGEST_DT_S = 1.0
 FINEST_GRID_S = 0.1
 """Smallest step of the annotation grid, seconds. On a finer grid, people who enter together would
 have different arrival times."""
-
-
-def usual_step(person: Int[np.ndarray, " R"], frame: Int[np.ndarray, " R"]) -> int:
-    """The most frequent interval between consecutive rows of a person, in frame numbers."""
-    order = np.lexsort((frame, person))
-    steps = np.diff(frame[order])[np.diff(person[order]) == 0]
-    steps = steps[steps > 0]
-    return int(np.bincount(np.minimum(steps, 10**6)).argmax()) if len(steps) else 1
+NEIGHBOURHOOD_M = 1.0
+USUAL_SHARE = 0.1
 
 
 def checked_dt_s(where: object, stated_s: float | None, asked_s: float | None) -> float:
@@ -75,7 +72,7 @@ def at_scene_frames(crowd: Trajectories, *, pauses: bool, where: object) -> Traj
     such that the interval is as close to 0.4 s as possible. `spawn_s` is unchanged; the annotation
     grid is that of the rows, or that of the frames if rows are less than 0.1 s apart. People who
     have no row in a kept frame are left out. With `pauses`, pauses of the annotation become
-    unobserved; see `gaps.observed_intervals`.
+    unobserved; see `observed_intervals`.
 
     Raises:
         RecordingError: no row is in a kept frame.
@@ -96,6 +93,11 @@ def at_scene_frames(crowd: Trajectories, *, pauses: bool, where: object) -> Traj
         "left": crowd.left,
         "group": crowd.group,
     }
+    notes = dict(crowd.provenance.get("notes", {}))
+    if every > 1:
+        notes["rows"] = f"every {crowd.dt_s:.4g} s, of which 1 in {every} is kept"
+        if lost := len(crowd) - len(np.unique(person[kept])):
+            notes["left out"] = f"{lost} persons who are present only between two kept rows"
     thinned = from_rows(
         scene=crowd.scene,
         dt_s=dt_s,
@@ -104,15 +106,58 @@ def at_scene_frames(crowd: Trajectories, *, pauses: bool, where: object) -> Traj
         frame=frame[kept] // every,
         xy=crowd.xy[kept].astype(np.float64),
         persons={name: values[person[kept]] for name, values in persons.items()},
-        provenance=crowd.provenance,
+        provenance={**crowd.provenance, "notes": notes},
         where=where,
     )
-    known = thinned.observed_in(observed_intervals(thinned)) if pauses else thinned
-    entered, left = known.entered & thinned.entered, known.left & thinned.left
-    notes = dict(crowd.provenance.get("notes", {}))
-    if every > 1:
-        notes["rows"] = f"every {crowd.dt_s:.4g} s, of which 1 in {every} is kept"
-        if lost := len(crowd) - len(known):
-            notes["left out"] = f"{lost} persons who are present only between two kept rows"
-    provenance = {**crowd.provenance, "notes": notes}
-    return replace(known, entered=entered, left=left, provenance=provenance)
+    return with_pauses(thinned) if pauses else thinned
+
+
+def with_pauses(crowd: Trajectories) -> Trajectories:
+    """The recording with its pauses unobserved, and people at their edges neither left nor entered.
+
+    Whom the recording itself states as not `entered` or not `left` remains so.
+    """
+    known = crowd.observed_in(observed_intervals(crowd))
+    return replace(known, entered=known.entered & crowd.entered, left=known.left & crowd.left)
+
+
+def observed_intervals(crowd: Trajectories) -> Int[np.ndarray, "I 2"]:
+    """Find the observed intervals [start, stop), in frames, of a recording.
+
+    A run of empty frames is unobserved if a track ends mid-scene in the frame before it, or starts
+    mid-scene in the frame after it. A place is *mid-scene* if people pass there but rarely start
+    (end) there: of the persons who come within 1 m of it, fewer than 10 % start (end) there.
+    Starts (ends) at the edges of a pause are not counted.
+    """
+    present = crowd.present() > 0
+    edges = np.flatnonzero(np.diff(present.astype(np.int8)))
+    before, after = edges[::2], edges[1::2] + 1  # last frame before and first after each pause
+    starts_at_edge = np.isin(crowd.first, np.r_[0, after])
+    ends_at_edge = np.isin(crowd.last, np.r_[before, crowd.frames - 1])
+    born_mid = starts_at_edge & _unusual(crowd.start, ~starts_at_edge, crowd)
+    died_mid = ends_at_edge & _unusual(crowd.end, ~ends_at_edge, crowd)
+
+    intervals, start = [], 0
+    for last_before, first_after in zip(before, after, strict=True):
+        unobserved = died_mid[crowd.last == last_before].any() or (
+            born_mid[crowd.first == first_after].any()
+        )
+        if unobserved:
+            intervals.append((start, last_before + 1))
+            start = first_after
+    intervals.append((start, crowd.frames))
+    return np.array(intervals, dtype=np.int64)
+
+
+def _unusual(
+    points: Float[np.ndarray, "P 2"], usual: Bool[np.ndarray, " P"], crowd: Trajectories
+) -> Bool[np.ndarray, " P"]:
+    """Whether each person's start (end) is a place where people pass but rarely start (end)."""
+    person = crowd.row_person()
+    result = np.zeros(len(points), dtype=bool)
+    for p in np.flatnonzero(~usual):
+        close = np.linalg.norm(crowd.xy - points[p], axis=1) <= NEIGHBOURHOOD_M
+        passing = len(np.unique(person[close]))
+        starting = (np.linalg.norm(points[usual] - points[p], axis=1) <= NEIGHBOURHOOD_M).sum()
+        result[p] = starting / passing < USUAL_SHARE
+    return result

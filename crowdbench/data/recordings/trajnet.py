@@ -6,14 +6,13 @@ only the latter. Frame numbers are those of a video, so consecutive rows of a pe
 frame numbers apart.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from crowdbench.data.recordings.mending import Gaps, Stamps, on_frames
-from crowdbench.data.recordings.timing import checked_dt_s, plain_positions, usual_step
+from crowdbench.data.recordings.mending import Stamped
+from crowdbench.data.recordings.timing import plain_positions
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError
 from crowdbench.files import write_text
@@ -38,32 +37,38 @@ class _Line(msgspec.Struct, frozen=True):
     scene: _Scene | None = None
 
 
-def read_trajnet(
-    data: bytes, *, name: str, dt_s: float | None, where: object, gaps: Gaps | None = None
-) -> Trajectories:
-    """Read the bytes of a file; `dt_s` is required if no scene states its `fps`.
-
-    Frame numbers are divided by their usual step. `gaps` says how steps of another length are
-    repaired (see `mending`); if it is None they are rejected.
+def parse_trajnet(data: bytes, where: object) -> tuple[Stamped, float | None]:
+    """The rows of a file, and seconds from one row of a person to the next if a scene states it.
 
     Raises:
         RecordingError: a line is broken, there are no tracks, the rates differ, or the tracks are
-            predictions or have gaps.
+            predictions.
     """
+    decoder = msgspec.json.Decoder(_Line)
     tracks, rates = [], set()
-    for number, line in _lines(data, where):
-        if line.scene is not None and line.scene.fps is not None:
-            rates.add(line.scene.fps)
-        if line.track is None:
+    for number, text in enumerate(data.splitlines(), start=1):
+        if not text.strip():
             continue
-        if line.track.prediction_number is not None:
+        try:
+            line = decoder.decode(text)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
             raise RecordingError(
                 f"{where}, line {number}",
-                got="a predicted track",
-                expected="tracks of observed people",
-                hint="Use the file that the predictions were made from.",
-            )
-        tracks.append(line.track)
+                got=str(error),
+                expected="a JSON object with a track or a scene",
+                hint=_HINT,
+            ) from error
+        if line.scene is not None and line.scene.fps is not None:
+            rates.add(line.scene.fps)
+        if line.track is not None:
+            if line.track.prediction_number is not None:
+                raise RecordingError(
+                    f"{where}, line {number}",
+                    got="a predicted track",
+                    expected="tracks of observed people",
+                    hint="Use the file that the predictions were made from.",
+                )
+            tracks.append(line.track)
     if not tracks:
         raise RecordingError(where, got="no track", expected="at least one", hint=_HINT)
     if len(rates) > 1 or not all(0 < rate < np.inf for rate in rates):
@@ -73,13 +78,9 @@ def read_trajnet(
             got=f"scenes of {shown} rows per second",
             expected="the same positive rate in all scenes",
         )
-    person = np.array([track.p for track in tracks])
-    frame = np.array([track.f for track in tracks])
-    dt_s = checked_dt_s(where, 1 / rates.pop() if rates else None, dt_s)
+    person, frame = (np.array([getattr(track, name) for track in tracks]) for name in "pf")
     xy = np.array([(track.x, track.y) for track in tracks], dtype=np.float64)
-    stamps = Stamps(frame, "frame", step=float(usual_step(person, frame)))
-    rows = on_frames(person, stamps, xy, gaps=gaps, where=where)
-    return rows.crowd(scene=name, dt_s=dt_s, where=where)
+    return Stamped.of_frames(person, frame, xy), 1 / rates.pop() if rates else None
 
 
 def write_trajnet(crowd: Trajectories, path: Path) -> None:
@@ -104,19 +105,3 @@ def write_trajnet(crowd: Trajectories, path: Path) -> None:
         )
     ]
     write_text(path, b"\n".join([*lines, b""]).decode())
-
-
-def _lines(data: bytes, where: object) -> Iterator[tuple[int, _Line]]:
-    decoder = msgspec.json.Decoder(_Line)
-    for number, line in enumerate(data.splitlines(), start=1):
-        if not line.strip():
-            continue
-        try:
-            yield number, decoder.decode(line)
-        except (msgspec.DecodeError, UnicodeDecodeError) as error:
-            raise RecordingError(
-                f"{where}, line {number}",
-                got=str(error),
-                expected="a JSON object with a track or a scene",
-                hint=_HINT,
-            ) from error

@@ -14,7 +14,7 @@ from crowdbench.data.recordings.catalogue import (
     read_published,
 )
 from crowdbench.data.recordings.describe import describe
-from crowdbench.data.recordings.gaps import observed_intervals
+from crowdbench.data.recordings.timing import observed_intervals
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.scene import load_scene

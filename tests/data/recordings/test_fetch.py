@@ -16,10 +16,16 @@ from hypothesis import strategies as st
 from servers import Published, serving, unused_address
 
 from crowdbench.cli import main
-from crowdbench.data.recordings import catalogue, download, fetch
-from crowdbench.data.recordings.catalogue import SOURCES, cached, import_recording
+from crowdbench.data.recordings import catalogue, fetch
+from crowdbench.data.recordings.catalogue import (
+    SOURCES,
+    cached,
+    import_recording,
+    known_sha256,
+    note_of,
+    source,
+)
 from crowdbench.data.recordings.fetch import default_folder
-from crowdbench.data.recordings.first_use import note_of, noted
 from crowdbench.errors import FetchError, OutputError, RecordingError, SettingError
 from crowdbench.files import sha256
 
@@ -53,7 +59,7 @@ def zipped(**members: bytes) -> bytes:
 def server(monkeypatch: Patch) -> Iterator[Published]:
     """A server that publishes `CROWD` as the recording `eth`, and days of the Forum."""
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
-    monkeypatch.setattr(download, "PAUSE_S", 0.0)
+    monkeypatch.setattr(fetch, "PAUSE_S", 0.0)
     with serving() as published:
         published.files["/obsmat.txt"] = CROWD
         eth = replace(
@@ -255,7 +261,7 @@ def test_a_server_that_cannot_be_reached_is_a_message_and_exit_code_2(
 def test_more_bytes_than_any_recording_has_are_refused_and_dropped(
     server: Published, tmp_path: Path, monkeypatch: Patch
 ):
-    monkeypatch.setattr(download, "MAX_BYTES", 100_000)
+    monkeypatch.setattr(fetch, "MAX_BYTES", 100_000)
     with pytest.raises(FetchError, match="more than 100000 bytes"):
         fetch.fetch("eth", tmp_path)
     assert files_in(tmp_path) == []
@@ -285,7 +291,7 @@ def test_a_day_of_the_forum_is_unpacked_and_its_hash_noted(
     assert "Majecka" in out
     assert files_in(tmp_path) == [FORUM]
     assert forum.read_bytes() == TRACKS
-    assert noted("forum-14jul") == sha256(TRACKS)
+    assert known_sha256(source("forum-14jul")) == sha256(TRACKS)
 
 
 def test_the_hash_is_told_as_noted_only_once(server: Published, tmp_path: Path, capsys: Printed):
@@ -306,7 +312,7 @@ def test_an_import_notes_the_hash_too(forum: Path, tmp_path: Path, capsys: Print
     forum.write_bytes(OTHER_TRACKS)
     assert main(["data", "import", "forum-14jul", "--source", str(tmp_path)]) == 2
     error = capsys.readouterr().err
-    assert f"expected data with SHA-256 {sha256(TRACKS)[:12]}…, as stored at first use" in error
+    assert f"expected data with SHA-256 {sha256(TRACKS)}, as stored at first use" in error
     assert f"delete {note_of('forum-14jul')}" in error
     assert main(["data", "describe", "forum-14jul"]) == 0
 
@@ -328,7 +334,7 @@ def test_a_day_that_changed_since_its_first_use_is_refused(
     assert files_in(elsewhere) == []
     note_of("forum-14jul").unlink()  # as the message says
     assert main(arguments) == 0
-    assert noted("forum-14jul") == sha256(OTHER_TRACKS)
+    assert known_sha256(source("forum-14jul")) == sha256(OTHER_TRACKS)
 
 
 def test_the_same_tracks_in_another_zip_are_the_same_day(server: Published, tmp_path: Path):
@@ -367,7 +373,7 @@ def test_a_zip_without_a_days_tracks_is_refused_and_dropped(
     assert str(caught.value).startswith(f"{server.address}/Jul.14.zip")
     assert caught.value.hint
     assert files_in(tmp_path) == []
-    assert noted("forum-14jul") is None
+    assert known_sha256(source("forum-14jul")) is None
 
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])

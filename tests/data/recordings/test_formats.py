@@ -11,9 +11,11 @@ from hypothesis import strategies as st
 from strategies import crowds
 
 from crowdbench.cli import main
-from crowdbench.data.recordings.jupedsim import read_jupedsim, write_jupedsim
-from crowdbench.data.recordings.own import read_rows
-from crowdbench.data.recordings.trajnet import read_trajnet, write_trajnet
+from crowdbench.data.recordings.jupedsim import parse_jupedsim, write_jupedsim
+from crowdbench.data.recordings.mending import Stamped, on_frames
+from crowdbench.data.recordings.own import read_recording
+from crowdbench.data.recordings.timing import checked_dt_s
+from crowdbench.data.recordings.trajnet import parse_trajnet, write_trajnet
 from crowdbench.data.storage import write_csv
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError
@@ -33,14 +35,19 @@ def scene(fps: float) -> object:
     return {"scene": {"id": 0, "p": 3, "s": 10, "e": 20, "fps": fps, "tag": [1, []]}}
 
 
+def crowd_in(rows: Stamped, stated_s: float | None, asked_s: float | None) -> Trajectories:
+    dt_s = checked_dt_s("here", stated_s, asked_s)
+    whole = on_frames(rows, gaps="interpolate", where="here")
+    return whole.crowd(scene="here", dt_s=dt_s, where="here")
+
+
 def trajnet(*lines: object, dt_s: float | None = None) -> Trajectories:
-    raw = ndjson(*lines)
-    return read_trajnet(raw, name="here", dt_s=dt_s, where="here.ndjson", gaps="interpolate")
+    return crowd_in(*parse_trajnet(ndjson(*lines), "here.ndjson"), dt_s)
 
 
 def jupedsim(data: str | bytes, dt_s: float | None = None) -> Trajectories:
     raw = data.encode() if isinstance(data, str) else data
-    return read_jupedsim(raw, name="here", dt_s=dt_s, where="here.txt", gaps="interpolate")
+    return crowd_in(*parse_jupedsim(raw, "here.txt"), dt_s)
 
 
 def test_tracks_are_people_and_scenes_say_the_rate() -> None:
@@ -115,7 +122,7 @@ def test_frames_far_apart_at_the_rate_of_the_camera_are_rows() -> None:
         ("# framerate: 2.5\n1 0\n", "expected rows of numbers: id frame x y z"),
         ("# framerate: 2.5\n1 0 here 2 0\n", "expected rows of numbers"),
         ("# framerate: 0\n1 0 1 2 0\n", "got 0 frames per second"),
-        ("# framerate: 2.5\n1 0.5 1 2 0\n", "not an integer"),
+        ("# framerate: 2.5\n1 0.5 1 2 0\n", "frame 0.5 in row 1; expected integers"),
         ("# framerate: 2.5\n1 0 nan 2 0\n", "not finite"),
         ("# framerate: 2.5\n1 0 1 2 0\n1 0 1 2 0\n", "person 1 twice at frame 0"),
     ],
@@ -169,7 +176,7 @@ def test_what_is_written_is_read_again(
     write = {"csv": write_csv, "trajnet": write_trajnet, "jupedsim": write_jupedsim}[layout]
     path = tmp_path_factory.mktemp("crowd") / "crowd.csv"
     write(crowd, path)
-    again = read_rows(path, layout, name="again", dt_s=0.4)
+    again = read_recording(path, layout, name="again", dt_s=0.4, resample=False)
     of_ids = {p: k for k, p in enumerate(again.person_id.tolist())}
     assert set(of_ids) == set(crowd.person_id.tolist())
     for k, person in enumerate(crowd.person_id.tolist()):
@@ -214,8 +221,9 @@ def test_converting_goes_round(tmp_path: Path, capsys: pytest.CaptureFixture[str
         str(back),
     ]
     assert main(asked) == 0
-    crowd = read_rows(back, "csv", name="back", dt_s=0.4)
-    np.testing.assert_array_equal(crowd.xy, read_rows(here, "jupedsim", name="here").xy)
+    crowd = read_recording(back, "csv", name="back", dt_s=0.4, resample=False)
+    other = read_recording(here, "jupedsim", name="here", resample=False)
+    np.testing.assert_array_equal(crowd.xy, other.xy)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crowdbench.data.recordings.catalogue import SOURCES, read_published
+from crowdbench.data.recordings.catalogue import SOURCES, read_files, read_published
 from crowdbench.data.recordings.gc import read_gc
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError
@@ -211,9 +211,9 @@ BROKEN = {
     "an empty folder": ({}, "no H.json"),
     "no homography": ({"Annotation/000001.txt": WELL}, "no H.json"),
     "no persons": ({"H.json": DECIMETRES}, "no file of a person"),
-    "another shape": (homography(b'{"homog":[[1,2],[3,4]]}'), "shape (2, 2)"),
+    "another shape": (homography(b'{"homog":[[1,2],[3,4]]}'), "`array` of length 3"),
     "not finite": (homography(b'{"homog":[[1,2,3],[4,5,6],[7,8,1e999]]}'), "finite"),
-    "words": (homography(b'{"homog":"none"}'), "could not convert"),
+    "words": (homography(b'{"homog":"none"}'), "got `str`"),
     "another key": (homography(b'{"H":[]}'), "homog"),
     "no JSON": (homography(b"homog"), "H.json"),
     "nested without end": (homography(b"[" * 100_000), "H.json"),
@@ -238,7 +238,7 @@ BROKEN = {
 @pytest.mark.parametrize(("files", "got"), BROKEN.values(), ids=BROKEN)
 def test_broken_files_are_refused_with_what_was_got_and_expected(files: Files, got: str):
     with pytest.raises(RecordingError) as caught:
-        read_gc(files, "here")
+        read_files(GC, files, "here")
     error = caught.value
     assert error.where.startswith("here")
     assert got in str(error)

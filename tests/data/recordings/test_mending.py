@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crowdbench.cli import main, options
-from crowdbench.data.recordings.mending import GAPS, Gaps, Stamps, on_frames
+from crowdbench.data.recordings.mending import GAPS, Gaps, Stamped, on_frames
 from crowdbench.data.recordings.own import read_recording
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError, SettingError
@@ -123,9 +123,9 @@ def test_another_time_between_rows_is_told_with_both_mends(asked_s: float, tmp_p
     path.write_text("\n".join(["person_id,time_s,x,y", *rows]))
     with pytest.raises(RecordingError) as refused:
         read_recording(path, "csv", name="walk", dt_s=asked_s)
+    assert refused.value.got == "rows of a person mostly 0.5 s apart"
     assert refused.value.hint == (
-        "Rows of a person are mostly 0.5 s apart. Use --dt-s 0.5 if that is right, or resample "
-        f"the trajectories to {asked_s:g} s."
+        f"Use --dt-s 0.5 if that is right, or resample the trajectories to {asked_s:g} s."
     )
     assert read_recording(path, "csv", name="walk", dt_s=0.5).dt_s == 0.5
 
@@ -252,9 +252,10 @@ def test_what_is_mended_stands_on_the_ways_that_were_seen(
             if state != "missing":
                 rows.append((person, start + k, 0.3 * (state == "late")))
     person, frame, by = (np.array(column) for column in zip(*rows, strict=True))
-    stamps = Stamps(10 * frame + np.round(10 * by), "frame", step=10.0)
-    xy = np.stack([stamps.ticks() * (1 + person), -stamps.ticks()], axis=1)
-    found = on_frames(person, stamps, xy, gaps=gaps, where="here")
+    ticks = frame + np.round(10 * by) / 10
+    xy = np.stack([ticks * (1 + person), -ticks], axis=1)
+    rows = Stamped(person, 10 * frame + np.round(10 * by), xy, "frame", step=10.0)
+    found = on_frames(rows, gaps=gaps, where="here")
     mine = person[found.source]
     np.testing.assert_allclose(found.xy[:, 0], found.frame * (1 + mine), atol=1e-9)
     crowd = found.crowd(scene="here", dt_s=0.4, where="here")

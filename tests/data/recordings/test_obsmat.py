@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from crowdbench.data.recordings.catalogue import SOURCES, read_published
+from crowdbench.data.recordings.catalogue import SOURCES, read_files, read_published
 from crowdbench.data.recordings.obsmat import read_obsmat
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError
@@ -66,10 +66,10 @@ BROKEN = {
     "comment": (line(0, 1) + "# 1 2 3 4 5 6 7\n", "#", "numbers in each row"),
     "nan": (line(0, 1) + line(6, 1, "nan"), "not finite, the first for person 1", "finite x and y"),
     "inf": (line(0, 1, 1, "-inf"), "not finite, the first for person 1", "finite x and y"),
-    "nan frame": (line(0, 1) + line("nan", 1), "frame nan in row 2", "a whole number"),
-    "half frame": (line(0, 1) + line(6.5, 1), "frame 6.5 in row 2", "a whole number"),
-    "huge frame": (line("1e300", 1), "frame 1e+300 in row 1", "a whole number"),
-    "half person": (line(0, 1.5), "person 1.5 in row 1", "a whole number"),
+    "nan frame": (line(0, 1) + line("nan", 1), "frame nan in row 2", "integers"),
+    "half frame": (line(0, 1) + line(6.5, 1), "frame 6.5 in row 2", "integers"),
+    "huge frame": (line("1e300", 1), "frame 1e+300 in row 1", "integers"),
+    "half person": (line(0, 1.5), "person 1.5 in row 1", "integers"),
     "duplicate": (line(0, 1) + line(6, 1) * 2, "person 1 twice at frame 6", "one row per person"),
     "hole": (
         line(0, 1) + line(6, 1) + line(18, 1),
@@ -82,7 +82,7 @@ BROKEN = {
 @pytest.mark.parametrize(("text", "got", "expected"), BROKEN.values(), ids=BROKEN)
 def test_broken_data_are_refused_with_what_was_got_and_expected(text, got, expected):
     with pytest.raises(RecordingError) as caught:
-        read(text)
+        read_files(ETH, {"obsmat.txt": text.encode()}, "here/obsmat.txt")
     error = caught.value
     assert error.where == "here/obsmat.txt"
     assert got in error.got

@@ -11,8 +11,7 @@ import pytest
 from strategies import crowd_of
 
 from crowdbench.cli import main, options
-from crowdbench.data.recordings.convert import WRITERS
-from crowdbench.data.recordings.own import FORMATS, import_own, read_recording
+from crowdbench.data.recordings.own import FORMATS, WRITERS, import_own, read_recording
 from crowdbench.data.recordings.timing import at_scene_frames
 from crowdbench.data.storage import columns_of, read_table, write_csv, write_parquet
 from crowdbench.data.table import Trajectories
@@ -208,6 +207,25 @@ def test_the_command_line_knows_all_formats() -> None:
     _, layout = get_args(options.Layout)
     assert set(FORMATS) <= set(re.findall(r"\w+", layout.help))
     assert tuple(WRITERS) == get_args(options.Written)
+
+
+def test_a_format_is_named_by_the_function_that_reads_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "of_mine.py").write_text(
+        "from crowdbench import read\n"
+        "def rows(path, *, name, dt_s):\n"
+        "    return read(path, 'eth-v0')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    lines = [f"3,{t},{0.4 * t},0" for t in range(9)]
+    (tmp_path / "mine.csv").write_text("\n".join(["person_id,frame,x,y", *lines]))
+    crowd = read_recording(tmp_path / "mine.csv", "of_mine:rows", name="mine")
+    assert (crowd.scene, crowd.frames, crowd.provenance["source"]) == ("mine", 9, "mine.csv")
+    with pytest.raises(SettingError, match="got the format of_mine:rows, whose frames"):
+        read_recording(tmp_path / "mine.csv", "of_mine:rows", name="mine", offset_s=0.4)
+    with pytest.raises(SettingError, match=r"format: got 'cvs'.*Did you mean `csv`"):
+        read_recording(tmp_path / "mine.csv", "cvs", name="mine")
 
 
 def test_eth_as_an_own_recording_is_the_published_one(opentraj: Path) -> None:
