@@ -1,7 +1,7 @@
 """Compilation by numba, and the store of machine code.
 
 `compiled` compiles a function when it is called first and stores its machine code for later
-processes. `kernel` does so for functions over many persons, for one thread and for several.
+processes. `Kernel` does so for functions over many persons, for one thread and for several.
 
 numba stores machine code by the file of a function and does not notice when a function or a
 constant of another file changes. Here, stored code is used only if everything is unchanged that
@@ -20,7 +20,6 @@ import tempfile
 import types
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -35,9 +34,8 @@ THREADS = "NUMBA_NUM_THREADS"
 """Environment variable that enables several threads; without it, kernels run on one thread.
 
 Threads wait for each other at the end of each kernel. On an idle machine, two threads gain at most
-a factor of two. On a busy machine, each wait lasts until the operating system runs the other
-thread, and steps take ten times as long or more. The waiting cannot be configured here: OpenMP
-reads `OMP_WAIT_POLICY` when it is loaded, and another package may have loaded it before.
+a factor of two. On a busy machine, steps take ten times as long or more, because each wait lasts
+until the operating system runs the other thread.
 """
 PARALLEL_FROM = 64
 """Number of people from which several threads are faster than one on an idle machine."""
@@ -64,17 +62,18 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     return dispatcher
 
 
-@dataclass
 class Kernel:
-    """A function over many persons, compiled for one thread and for several.
+    """Decorator: a function over many persons, compiled for one thread and for several.
 
-    The machine code is called directly, because numba's look-up of the types of array bundles
-    takes as long as a step of ten people. All calls of a `Kernel` object must therefore have
-    arguments of the same types; `fresh` returns an object for other types.
+    Its loops over worlds and persons are written with `prange`. The machine code is called
+    directly, because numba's look-up of the types of array bundles takes as long as a step of ten
+    people. All calls of a `Kernel` object must therefore have arguments of the same types; `fresh`
+    returns an object for other types.
     """
 
-    function: Callable[..., None]
-    _code: dict[bool, Callable[..., None]] = field(default_factory=dict)
+    def __init__(self, function: Callable[..., None]) -> None:
+        self.function = function
+        self._code: dict[bool, Callable[..., None]] = {}
 
     def fresh(self) -> "Kernel":
         """A new object for the same function, which may be called with other types."""
@@ -86,11 +85,11 @@ class Kernel:
 
     def __call__(self, persons: int, *arguments: object) -> None:
         """Run on several threads if they are enabled and `persons` is large enough, else on one."""
-        parallel = persons >= PARALLEL_FROM and several_threads()
-        code = self._code.get(parallel)
-        if code is None:
-            code = self._code[parallel] = self._compiled(parallel, arguments)
-        code(*arguments)
+        several = THREADS in os.environ and numba.get_num_threads() > 1
+        parallel = several and persons >= PARALLEL_FROM
+        if parallel not in self._code:
+            self._code[parallel] = self._compiled(parallel, arguments)
+        self._code[parallel](*arguments)
 
     def _compiled(self, parallel: bool, arguments: tuple[object, ...]) -> Callable[..., None]:
         if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
@@ -100,16 +99,6 @@ class Kernel:
         dispatcher.compile(signature)
         code: Callable[..., None] = dispatcher.overloads[signature].entry_point
         return code
-
-
-def several_threads() -> bool:
-    """Whether several threads are enabled by `THREADS` and available to this process."""
-    return THREADS in os.environ and numba.get_num_threads() > 1
-
-
-def kernel(function: Callable[..., None]) -> Kernel:
-    """Decorator for functions whose loops over worlds and persons are written with `prange`."""
-    return Kernel(function)
 
 
 def _named(module: str, name: str) -> Kernel:
@@ -156,11 +145,11 @@ class _Store(caching.FunctionCache):
         with suppress(filelock.Timeout):
             self._lock.acquire()
         found = super()._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-        if found is not None:
+        if found is None:
+            _announce()
+        else:
             self._lock.release(force=True)
-            return found
-        _announce()
-        return None
+        return found
 
     def _save_overload(self, sig: Any, data: Any) -> None:
         try:
@@ -255,15 +244,12 @@ def _parts(function: Any, seen: set[Any]) -> Iterator[bytes]:
 def _code(code: types.CodeType) -> Iterator[bytes]:
     yield code.co_code
     yield repr((code.co_names, code.co_varnames, code.co_freevars)).encode()
-    for constant in code.co_consts[_has_docstring(code) :]:
+    docstring = isinstance(next(iter(code.co_consts), None), str)
+    for constant in code.co_consts[docstring:]:
         if isinstance(constant, types.CodeType):
             yield from _code(constant)
         else:
             yield repr(constant).encode()
-
-
-def _has_docstring(code: types.CodeType) -> bool:
-    return bool(code.co_consts) and isinstance(code.co_consts[0], str)
 
 
 def _names(code: types.CodeType) -> list[str]:

@@ -1,4 +1,4 @@
-"""Short import path for `crowdbench.envs.torchrl_env` and `crowdbench.envs.torchrl_slots`."""
+"""Short import path for `crowdbench.envs.torchrl_env`."""
 
 from crowdbench.envs.torchrl_env import CrowdEnv as CrowdEnv
-from crowdbench.envs.torchrl_slots import SlotEnv as SlotEnv
+from crowdbench.envs.torchrl_env import SlotEnv as SlotEnv

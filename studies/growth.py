@@ -116,7 +116,7 @@ def _speed(scene: Scene, worlds: int, persons: int) -> dict[str, float]:
     def chunk() -> int:
         steps = 0
         for action in actions[: max(2, min(40, 200_000 // (worlds * persons)))]:
-            simulation.step(action, world_frame=True)
+            simulation.step(action, own_frame=False)
             simulation.observe()
             steps += int(simulation.slots.alive.sum())
         return steps

@@ -154,7 +154,7 @@ def _core(worlds: int, persons: int, observation: str = OBSERVATION) -> float:
         steps = 0
         for action in actions:
             # In the world frame, because people turn round when they walk back.
-            simulation.step(action, world_frame=True)
+            simulation.step(action, own_frame=False)
             simulation.observe()
             steps += int(simulation.slots.alive.sum())
         return steps

@@ -26,7 +26,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 _LOOSE = (
-    *("crowdbench.envs.actions", "crowdbench.envs.config", "crowdbench.envs.parallel_env"),
+    *("crowdbench.envs.config", "crowdbench.envs.parallel_env"),
     "crowdbench.plugins",
     "crowdbench.baselines",
 )

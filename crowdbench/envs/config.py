@@ -1,10 +1,9 @@
 """The settings that the environments have in common, and the simulation that they run."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from inspect import signature
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, TypedDict, Unpack, get_args
 
 import numpy as np
 from jaxtyping import Float32
@@ -17,10 +16,25 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION
 from crowdbench.simulation.reward import Reward, RewardFn, reward_function
+from crowdbench.simulation.simulation import check_count
 from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.model import Start
 
 OnFull = Literal["error", "drop"]
+
+
+class EnvSettings(TypedDict, total=False):
+    """The fields of `EnvConfig` as keywords, for type checkers."""
+
+    spawn: str | SpawnModel
+    horizon_s: float | None
+    start: Start | None
+    observation: str
+    rays: int
+    ray_range_m: float
+    reward: Reward | RewardFn
+    max_alive: int | None
+    on_full: OnFull
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +91,10 @@ class EnvConfig:
             check_horizon(self.horizon_s)
 
     @classmethod
-    def of(cls, env: type, config: "EnvConfig | None", settings: Mapping[str, Any]) -> "EnvConfig":
-        """The config of an environment, whose values those in `settings` replace.
+    def of(
+        cls, env: type, config: "EnvConfig | None", **settings: Unpack[EnvSettings]
+    ) -> "EnvConfig":
+        """The config of an environment, whose values `settings` replace.
 
         Raises:
             SettingError: the environment has no such setting, or a value is out of range.
@@ -110,12 +126,8 @@ class EnvCrowd:
     ) -> None:
         """Create the simulation.
 
-        Args:
-            scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
-            config: the settings.
-            worlds: number of worlds.
-            max_persons: maximum number of people per world, in an episode and its warm-up; None:
-                twice the size of a sample of the spawn model, plus 100.
+        `max_persons` is the maximum number of people per world, in an episode and its warm-up;
+        None: twice the size of a sample of the spawn model, plus 100.
 
         Raises:
             SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or
@@ -182,11 +194,14 @@ class EnvCrowd:
             check_capacity(self.simulation)
 
 
-def check_count(name: str, value: object) -> None:
-    """Check a number of worlds, persons or frames.
+class Seeds:
+    """The seeds of an environment's episodes: a given one, then those that are drawn from it."""
 
-    Raises:
-        SettingError: it is not a whole number of at least 1.
-    """
-    if not isinstance(value, int | np.integer) or value < 1:
-        raise SettingError(name, got=repr(value), expected="a whole number, 1 or more")
+    def __init__(self, first: int | None = None) -> None:
+        self._first = first
+        self._rng = np.random.default_rng(first)
+
+    def draw(self) -> int:
+        """The seed of the next episode."""
+        first, self._first = self._first, None
+        return int(self._rng.integers(2**31)) if first is None else first

@@ -1,8 +1,8 @@
 """`Demonstrations`: trips of recorded people as observations and actions, and their rows."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int
@@ -83,17 +83,18 @@ class Demonstrations:
         offsets = np.concatenate([[0], np.cumsum(length)])
         within = np.arange(offsets[-1]) - np.repeat(offsets[:-1], length)
         rows = np.repeat(self.offsets[:-1][chosen], length) + within
-        return Demonstrations(
-            observations=self.observations[rows],
-            actions=self.actions[rows],
-            deviation_m=self.deviation_m[rows],
-            person=self.person[chosen],
-            offsets=offsets,
-            first=self.first[chosen],
-            entered=self.entered[chosen],
-            complete=self.complete[chosen],
-            provenance=self.provenance,
+        of_rows, of_pieces = (
+            {name: getattr(self, name)[which] for name in names}
+            for names, which in (
+                (("observations", "actions", "deviation_m"), rows),
+                (("person", "first", "entered", "complete"), chosen),
+            )
         )
+        return replace(self, offsets=offsets, **of_rows, **of_pieces)
+
+    def rows(self) -> Iterator[slice]:
+        """The rows of each piece."""
+        return map(slice, self.offsets[:-1].tolist(), self.offsets[1:].tolist())
 
     def split(self, share: float, seed: int) -> tuple["Demonstrations", "Demonstrations"]:
         """Two disjoint sets of persons, the second with about `share` of them."""
@@ -108,14 +109,12 @@ class Demonstrations:
 
         return [
             Trajectory(
-                obs=self.observations[start:stop],
-                acts=self.actions[start : stop - 1],
+                obs=self.observations[rows],
+                acts=self.actions[rows][:-1],
                 infos=None,
                 terminal=bool(complete),
             )
-            for start, stop, complete in zip(
-                self.offsets[:-1].tolist(), self.offsets[1:].tolist(), self.complete, strict=True
-            )
+            for rows, complete in zip(self.rows(), self.complete, strict=True)
         ]
 
     def to_minari(self, dataset_id: str) -> "MinariDataset":
@@ -140,73 +139,51 @@ class Demonstrations:
         """
         from crowdbench.envs.minari_export import write_minari
 
-        episodes = []
-        for k in range(len(self)):
-            start, stop = self.offsets[k : k + 2].tolist()
-            notes = {
-                "person": int(self.person[k]),
-                "first_frame": int(self.first[k]),
-                "entered": bool(self.entered[k]),
-            }
-            actions = self.actions[start : stop - 1]
-            episodes.append((self.observations[start:stop], actions, self.complete[k], notes))
-        return write_minari(dataset_id, episodes, self.provenance)
+        return write_minari(dataset_id, self)
 
 
-@dataclass
-class Rows:
-    """Rows of demonstrations, frame by frame."""
+class Rows(NamedTuple):
+    """A row for each of the `n` persons who decide, or whose trips ended, in a frame."""
 
-    _frames: list[tuple[np.ndarray, ...]] = field(default_factory=list)
+    person: Int[np.ndarray, " n"]
+    frame: Int[np.ndarray, " n"]
+    step: Int[np.ndarray, " n"]
+    """Number of decisions that the person has made before."""
+    observations: Float32[np.ndarray, "n obs"]
+    actions: Float32[np.ndarray, "n 2"]
+    deviation_m: Float32[np.ndarray, " n"]
 
-    def add(
-        self,
-        *,
-        frame: int,
-        person: Int[np.ndarray, " n"],
-        step: Int[np.ndarray, " n"],
-        observations: Float32[np.ndarray, "n obs"],
-        actions: Float32[np.ndarray, "n 2"],
-        deviation_m: Float32[np.ndarray, " n"],
-    ) -> None:
-        """Add a row each for the `n` persons who decide, or whose trips ended, in a frame.
 
-        `step` is the number of decisions that the person has made before.
-        """
-        frames = np.full(len(person), frame)
-        self._frames.append((person, frames, step, observations, actions, deviation_m))
+def pieces_of(
+    rows: Sequence[Rows],
+    first: Int[np.ndarray, " P"],
+    last: Int[np.ndarray, " P"],
+    provenance: Mapping[str, Any],
+) -> Demonstrations:
+    """Demonstrations from the rows of all frames: runs of consecutive decisions of one person.
 
-    def pieces(
-        self,
-        first: Int[np.ndarray, " P"],
-        last: Int[np.ndarray, " P"],
-        provenance: Mapping[str, Any],
-    ) -> Demonstrations:
-        """Demonstrations from the rows: runs of consecutive decisions of one person.
-
-        `first` are the frames in which the recorded trips begin, `last` those in which people left
-        the scene, −1 if they did not. Runs of a single row are dropped, because they contain no
-        action.
-        """
-        columns = [np.concatenate(column) for column in zip(*self._frames, strict=True)]
-        order = np.lexsort((columns[2], columns[0]))
-        person, frame, step, observations, actions, deviation_m = (c[order] for c in columns)
-        begins = (np.diff(person, prepend=-1) != 0) | (np.diff(step, prepend=-2) != 1)
-        run = np.cumsum(begins) - 1
-        length = np.bincount(run)
-        kept = length[run] > 1
-        frame, begins, actions = frame[kept], begins[kept], actions[kept]
-        offsets = np.concatenate([[0], np.cumsum(length[length > 1])])
-        actions[offsets[1:] - 1] = np.nan
-        whose = person[kept][begins].astype(np.int64)
-        return Demonstrations(
-            observations=observations[kept],
-            actions=actions,
-            deviation_m=deviation_m[kept],
-            person=whose,
-            offsets=offsets,
-            first=frame[begins],
-            entered=frame[begins] == first[whose],
-            complete=frame[offsets[1:] - 1] == last[whose],
-            provenance=provenance,
-        )
+    `first` are the frames in which the recorded trips begin, `last` those in which people left
+    the scene, −1 if they did not. Runs of a single row are dropped, because they contain no action.
+    """
+    found = Rows(*map(np.concatenate, zip(*rows, strict=True)))
+    order = np.lexsort((found.step, found.person))
+    found = Rows(*(column[order] for column in found))
+    begins = (np.diff(found.person, prepend=-1) != 0) | (np.diff(found.step, prepend=-2) != 1)
+    run = np.cumsum(begins) - 1
+    length = np.bincount(run)
+    kept = length[run] > 1
+    begins, found = begins[kept], Rows(*(column[kept] for column in found))
+    offsets = np.concatenate([[0], np.cumsum(length[length > 1])])
+    found.actions[offsets[1:] - 1] = np.nan
+    person, frame = found.person[begins].astype(np.int64), found.frame[begins]
+    return Demonstrations(
+        observations=found.observations,
+        actions=found.actions,
+        deviation_m=found.deviation_m,
+        person=person,
+        offsets=offsets,
+        first=frame,
+        entered=frame == first[person],
+        complete=found.frame[offsets[1:] - 1] == last[person],
+        provenance=provenance,
+    )

@@ -19,8 +19,7 @@ from crowdbench.data.recordings.catalogue import source
 from crowdbench.data.smoothing import smoothed
 from crowdbench.data.stops import STANDING_MPS
 from crowdbench.envs.closed_loop import NearestCandidate
-from crowdbench.envs.config import check_count
-from crowdbench.envs.demonstrated_trips import Demonstrations, Rows
+from crowdbench.envs.demonstrated_trips import Demonstrations, Rows, pieces_of
 from crowdbench.envs.perturbation import HOMING_S, PathPerturbation
 from crowdbench.envs.recorded_paths import RecordedContinuation
 from crowdbench.errors import SettingError
@@ -31,6 +30,7 @@ from crowdbench.run.shown import settings_for
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION
+from crowdbench.simulation.simulation import check_count
 from crowdbench.simulation.social import in_own_frame
 from crowdbench.spawn import Replay
 from crowdbench.spawn.events import blocks_of
@@ -171,7 +171,7 @@ def demonstrations(
     if walker is not None:
         provenance |= {"policy": walker.name, "candidates": int(candidates)}
     left = np.where(recording.left, recording.last, -1)
-    return watched.rows.pieces(recording.first, left, provenance)
+    return pieces_of(watched.rows, recording.first, left, provenance)
 
 
 def _interval(policy: Policy, settings: Settings, interval: int | None) -> int:
@@ -199,7 +199,7 @@ class _Watched:
     aside: PathPerturbation | None
     recovery_s: float
     """Time constant with which actions lead back to recorded positions; 0: at once."""
-    rows: Rows = field(default_factory=Rows)
+    rows: list[Rows] = field(default_factory=list)
 
     def replay(self, mover: Any, split: str, seed: int) -> None:
         """Let a policy move the recorded people; write the rows on which `split` is trained."""
@@ -251,14 +251,15 @@ class _Watched:
         actions[~alive] = np.nan
         slots.position[0, there], slots.velocity[0, there], slots.heading[0, there] = before
         due = ~alive | (age % recorded.interval == 0)
-        self.rows.add(
-            frame=frame,
-            person=person[due],
-            step=-(-age[due] // recorded.interval),  # rounded up
-            observations=simulation.observation[0, there[due]],
-            actions=actions[due],
-            deviation_m=recorded.deviation_m(person, frame, position)[due],
+        rows = Rows(
+            person=person,
+            frame=np.full(len(person), frame),
+            step=-(-age // recorded.interval),  # rounded up
+            observations=simulation.observation[0, there],
+            actions=actions,
+            deviation_m=recorded.deviation_m(person, frame, position),
         )
+        self.rows.append(Rows(*(column[due] for column in rows)))
 
     def _recovering(
         self, person: Int[np.ndarray, " n"], frame: int, position: Float32[np.ndarray, "n 2"]

@@ -2,8 +2,8 @@
 
 import shutil
 import warnings
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,19 +12,15 @@ from crowdbench.errors import OutputError, SettingError
 if TYPE_CHECKING:
     from minari import MinariDataset
 
-Episode: TypeAlias = tuple[np.ndarray, np.ndarray, bool | np.bool_, Mapping[str, Any]]
-"""Observations (T + 1, obs) and actions (T, 2), whether the person left the scene (else the episode
-is truncated), and metadata."""
+    from crowdbench.envs.demonstrated_trips import Demonstrations
 
 
-def write_minari(
-    dataset_id: str, episodes: Sequence[Episode], provenance: Mapping[str, Any]
-) -> "MinariDataset":
-    """Write episodes as a dataset; see `Demonstrations.to_minari`."""
+def write_minari(dataset_id: str, shown: "Demonstrations") -> "MinariDataset":
+    """Write demonstrations as a dataset; see `Demonstrations.to_minari`."""
     from minari.dataset.minari_dataset import parse_dataset_id
     from minari.storage import get_dataset_path
 
-    if not episodes:
+    if not len(shown):
         raise SettingError("to_minari", got="no demonstrations", expected="at least one")
     try:
         parse_dataset_id(dataset_id)
@@ -42,7 +38,7 @@ def write_minari(
                 hint=f"Increase its version, or run `minari delete {dataset_id}`.",
             )
         try:
-            return _write(dataset_id, episodes, provenance)
+            return _write(dataset_id, shown)
         except (FileExistsError, ValueError):  # another process has created it meanwhile
             raise
         except BaseException:  # an incomplete dataset would look like a complete one
@@ -57,38 +53,39 @@ def write_minari(
         ) from error
 
 
-def _write(
-    dataset_id: str, episodes: Sequence[Episode], provenance: Mapping[str, Any]
-) -> "MinariDataset":
+def _write(dataset_id: str, shown: "Demonstrations") -> "MinariDataset":
     from gymnasium.spaces import Box
     from minari import create_dataset_from_buffers
     from minari.data_collector import EpisodeBuffer
 
     buffers = []
-    for observations, actions, complete, _ in episodes:
+    for rows, complete in zip(shown.rows(), shown.complete, strict=True):
+        actions = shown.actions[rows][:-1]
         last = np.arange(len(actions)) == len(actions) - 1
         buffers.append(
             EpisodeBuffer(
-                observations=observations,
+                observations=shown.observations[rows],
                 actions=actions,
                 rewards=np.zeros(len(actions), np.float32),
                 terminations=last & complete,
-                truncations=last & ~np.bool_(complete),
+                truncations=last & ~complete,
             )
         )
+    columns = zip(shown.person.tolist(), shown.first.tolist(), shown.entered.tolist(), strict=True)
+    notes = [dict(zip(("person", "first_frame", "entered"), of, strict=True)) for of in columns]
     with warnings.catch_warnings():
         # Minari warns if a dataset has no author, e-mail address or Gymnasium environment.
         warnings.filterwarnings("ignore", ".* is set to None|env_spec is None", UserWarning)
         dataset = create_dataset_from_buffers(
             dataset_id,
             buffers,
-            observation_space=Box(-1.0, 1.0, episodes[0][0].shape[1:], np.float32),
-            action_space=Box(-1.0, 1.0, episodes[0][1].shape[1:], np.float32),
+            observation_space=Box(-1.0, 1.0, shown.observations.shape[1:], np.float32),
+            action_space=Box(-1.0, 1.0, shown.actions.shape[1:], np.float32),
             algorithm_name="recorded persons",
-            description=_description(provenance),
+            description=_description(shown.provenance),
         )
-    dataset.storage.update_episode_metadata([notes for *_, notes in episodes])
-    dataset.storage.update_metadata({"crowdbench": dict(provenance)})
+    dataset.storage.update_episode_metadata(notes)
+    dataset.storage.update_metadata({"crowdbench": dict(shown.provenance)})
     return dataset
 
 

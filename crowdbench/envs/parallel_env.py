@@ -4,19 +4,17 @@ It adds names, dictionaries and a reward to `Simulation`; all physics is in `Sim
 """
 
 import operator
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 
 import numpy as np
 from gymnasium import logger, spaces
-from gymnasium.utils import seeding
 from jaxtyping import UInt8
 from pettingzoo import ParallelEnv
 
 from crowdbench.data.table import OUTCOMES, Trajectories
-from crowdbench.envs.actions import commands_of
-from crowdbench.envs.config import EnvConfig, EnvCrowd
+from crowdbench.envs.config import EnvConfig, EnvCrowd, EnvSettings, Seeds
 from crowdbench.envs.global_state import SIZE as STATE_SIZE
 from crowdbench.envs.global_state import global_state
 from crowdbench.errors import ActionError, SettingError
@@ -67,7 +65,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         *,
         max_persons: int | None = None,
         render_mode: "RenderMode | None" = None,
-        **settings: Any,
+        **settings: Unpack[EnvSettings],
     ) -> None:
         """Create the environment.
 
@@ -79,14 +77,13 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             render_mode: `rgb_array` for images from `render`, or `human` for a live rerun viewer
                 (needs the extra `viewer`). If your program logs to rerun, the crowd is added to its
                 recording stream.
-            settings: fields of `EnvConfig`, such as `spawn` and `observation`; they replace those
-                of `config`.
+            settings: fields of `EnvConfig`, which replace those of `config`.
 
         Raises:
             SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or
                 recording does not exist or does not fit.
         """
-        config = EnvConfig.of(type(self), config, settings)
+        config = EnvConfig.of(type(self), config, **settings)
         if render_mode not in (None, *RENDER_MODES):
             raise SettingError(
                 "render_mode", got=repr(render_mode), expected="None, 'human' or 'rgb_array'"
@@ -95,7 +92,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         self._crowd = EnvCrowd(scene, config, max_persons=max_persons)
         self.scene, self.spawn = self._crowd.scene, self._crowd.spawn
         self.frames, self._simulation = self._crowd.frames, self._crowd.simulation
-        self._seeds, _ = seeding.np_random(None)
+        self._seeds = Seeds()
         sizes = self._simulation.settings
         self.possible_agents = [f"person_{k}" for k in range(sizes.max_persons)]
         self.agents: list[str] = []
@@ -138,9 +135,8 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             CapacityError: there are more people than slots or ids, unless `on_full` is `drop`.
         """
         if seed is not None:
-            seed = operator.index(seed)  # also accepts numpy integers, which gymnasium rejects
-            self._seeds, _ = seeding.np_random(seed)
-        self._seed = int(self._seeds.integers(2**31)) if seed is None else seed
+            self._seeds = Seeds(operator.index(seed))
+        self._seed = self._seeds.draw()
         simulation = self._simulation
         self._crowd.begin(self._seed)
         self._recorder = Recorder(simulation)
@@ -174,13 +170,9 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         simulation, slots = self._simulation, self._simulation.slots
         acted, acting = self._there, self.agents
         commands = self._actions  # rows of empty slots are not read
-        commands[0][acted] = commands_of(actions, self.agents)
+        commands[0][acted] = _commands_of(actions, self.agents)
         simulation.step(commands)
-        assert self._recorder is not None
-        self._recorder.write()
-        if self._renderer is not None:
-            self._renderer.go_on(self._recorder)
-
+        self._record()
         frame = int(simulation.clock.frame[0])
         observations = dict(zip(acting, simulation.observe()[0].take(acted, axis=0), strict=True))
         parts = self._crowd.reward_parts()[0].take(acted, axis=0)
@@ -220,9 +212,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             ActionError: `reset` has not been called.
             RecordingError: nobody has entered.
         """
-        if self._recorder is None:
-            raise ActionError("trajectories", got="no episode", expected="a call of reset first")
-        return self._recorder.trajectories(
+        return self._recorded("trajectories").trajectories(
             {"spawn": self.spawn.name, "policy": "environment", "seed": self._seed}
         )
 
@@ -242,9 +232,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         if self._renderer is None:
             logger.warn("render draws nothing: the environment was created without a render_mode.")
             return None
-        if self._recorder is None:
-            raise ActionError("render", got="no episode", expected="a call of reset first")
-        return self._renderer.picture(self._recorder)
+        return self._renderer.picture(self._recorded("render"))
 
     def close(self) -> None:
         """Send the remaining frames to the viewer, if there is one. The viewer stays open."""
@@ -264,13 +252,21 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             due = simulation.next_due()
             simulation.skip_to(self.frames if due is None else min(due, self.frames))
             simulation.step(nobody)
-        assert self._recorder is not None
         skipped = int(clock.frame[0]) - first
         if skipped:
-            self._recorder.write()
-            if self._renderer is not None:
-                self._renderer.go_on(self._recorder, skipped)
+            self._record(skipped)
         return skipped
+
+    def _record(self, skipped: int = 0) -> None:
+        recorder = self._recorded("step")
+        recorder.write()
+        if self._renderer is not None:
+            self._renderer.go_on(recorder, skipped)
+
+    def _recorded(self, where: str) -> Recorder:
+        if self._recorder is None:
+            raise ActionError(where, got="no episode", expected="a call of reset first")
+        return self._recorder
 
     def _names(self, slots: np.ndarray) -> list[str]:
         return [self.possible_agents[k] for k in self._simulation.slots.person[0, slots].tolist()]
@@ -278,6 +274,55 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     def _infos(self, names: list[str], skipped: int) -> dict[str, dict[str, Any]]:
         frame = int(self._simulation.clock.frame[0])
         return {name: {"frame": frame, "frames_skipped": skipped} for name in names}
+
+
+def _commands_of(actions: Mapping[str, np.ndarray], agents: Sequence[str]) -> np.ndarray:
+    """Velocity commands of shape (A, 2) in [−1, 1], in the order of `agents`."""
+    if not agents:
+        raise ActionError(
+            "step", got="no agents", expected="a call of reset first",
+            hint="The episode is over or has not begun.",
+        )  # fmt: skip
+    try:
+        given = [actions[name] for name in agents]
+    except KeyError:
+        given = []
+    except (TypeError, IndexError) as error:
+        raise ActionError(
+            "step",
+            got=f"actions of type {type(actions).__name__}",
+            expected="a dictionary from the names in env.agents to arrays of shape (2,)",
+        ) from error
+    if not given or len(actions) != len(given):
+        missing = [name for name in agents if name not in actions]
+        unknown = sorted(set(actions) - set(agents))
+        raise ActionError(
+            "step",
+            got=f"missing actions for {missing[:3]}, actions for unknown agents {unknown[:3]}",
+            expected=f"one action for each of the {len(agents)} agents",
+            hint="Pass one action for each name in env.agents.",
+        )
+    try:
+        commands = np.array(given)
+    except ValueError:  # rows of different shapes
+        commands = np.array(None)
+    if commands.dtype.kind not in "fiu" or commands.shape != (len(agents), 2):
+        raise ActionError(
+            "step",
+            got=f"actions of shape {commands.shape[1:]}"
+            if commands.dtype.kind in "fiu"
+            else "actions that are not pairs of numbers",
+            expected="arrays of shape (2,): a velocity in units of the maximum speed",
+        )
+    if not np.isfinite(commands).all():
+        name = agents[int(np.flatnonzero(~np.isfinite(commands).all(axis=1))[0])]
+        raise ActionError(
+            "step", got=f"{actions[name]} from {name}", expected="finite numbers",
+            hint="Check the policy for a division by zero or a diverged network.",
+        )  # fmt: skip
+    if commands.dtype != np.float32:
+        commands = commands.clip(-1, 1)  # before the conversion to float32, which may overflow
+    return commands
 
 
 parallel_env = CrowdParallelEnv

@@ -1,11 +1,11 @@
-"""The TorchRL environment: `W` worlds of `N` slots as tensors, with a mask.
+"""The TorchRL environments: `W` worlds of `N` slots as tensors, with a mask.
 
 It adds names and a reward to `Simulation`; all physics is in `Simulation`.
 """
 
 import weakref
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from crowdbench.envs.config import EnvConfig, EnvCrowd
+from crowdbench.envs.config import EnvConfig, EnvCrowd, EnvSettings, Seeds
 from crowdbench.envs.global_state import global_state
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
@@ -62,7 +62,7 @@ class CrowdEnv(EnvBase):
         worlds: int = 1,
         seed: int | None = None,
         device: torch.device | str = "cpu",
-        **settings: Any,
+        **settings: Unpack[EnvSettings],
     ) -> None:
         """Create the environment.
 
@@ -72,14 +72,13 @@ class CrowdEnv(EnvBase):
             worlds: number of worlds W.
             seed: seed of the first episode, from which the seeds of later episodes are drawn.
             device: device of all tensors.
-            settings: fields of `EnvConfig`, such as `spawn` and `observation`; they replace those
-                of `config`.
+            settings: fields of `EnvConfig`, which replace those of `config`.
 
         Raises:
             SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or
                 recording does not exist or does not fit.
         """
-        crowd = EnvCrowd(scene, EnvConfig.of(type(self), config, settings), worlds=worlds)
+        crowd = EnvCrowd(scene, EnvConfig.of(type(self), config, **settings), worlds=worlds)
         slots = crowd.simulation.settings.max_alive
         super().__init__(device=device, batch_size=self._batch(worlds, slots))
         self._crowd, self._simulation = crowd, crowd.simulation
@@ -133,8 +132,8 @@ class CrowdEnv(EnvBase):
         }
 
     def _set_seed(self, seed: int | None) -> None:
-        self._rng = np.random.default_rng(seed)
-        self._seeds = [] if seed is None else [seed]
+        self._seeds = Seeds(seed)
+        self._drawn: list[int] = []
         self._episodes = np.zeros(self._simulation.worlds, np.int64)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
@@ -143,11 +142,14 @@ class CrowdEnv(EnvBase):
         if asked is not None:
             worlds = worlds[asked.reshape(len(worlds), -1).any(dim=1).cpu().numpy()]
         self._begin(worlds)
-        return self._first().to(self.device)
+        return self._first()
 
     def _begin(self, worlds: Int[np.ndarray, " n"]) -> None:
         """Begin the next episodes of these worlds."""
-        seeds = [self._seed_of(int(k)) for k in self._episodes[worlds]]
+        episodes = self._episodes[worlds].tolist()
+        while len(self._drawn) <= max(episodes):
+            self._drawn.append(self._seeds.draw())
+        seeds = [self._drawn[k] for k in episodes]
         self._episodes[worlds] += 1
         simulation = self._simulation
         if len(worlds) == simulation.worlds and len(set(seeds)) == 1:
@@ -160,20 +162,13 @@ class CrowdEnv(EnvBase):
         self._crowd.check_capacity()
         simulation.observe()
 
-    def _seed_of(self, episode: int) -> int:
-        while len(self._seeds) <= episode:
-            self._seeds.append(int(self._rng.integers(2**31)))
-        return self._seeds[episode]
-
     def _first(self) -> TensorDict:
         """Tensors at the beginning of an episode, when nobody has acted."""
         shape = self._simulation.slots.alive.shape
-        tensors = self._describe(np.zeros((*shape, self._parts), np.float32))
-        tensors.update(self._end_flags(np.zeros(shape, bool)))
-        return tensors
+        return self._tensors(np.zeros((*shape, self._parts), np.float32), np.zeros(shape, bool))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        return self._advance(tensordict["agents", "action"]).to(self.device)
+        return self._advance(tensordict["agents", "action"])
 
     def _advance(self, action: torch.Tensor) -> TensorDict:
         """Tensors after a step with these actions (W, N, 2)."""
@@ -192,26 +187,42 @@ class CrowdEnv(EnvBase):
         self._crowd.check_capacity()
         simulation.observe()
         parts = self._crowd.reward_parts()
-        tensors = self._describe(parts)
+        tensors = self._tensors(parts, ~acted)
         tensors["agents", "reward"] = torch.from_numpy(parts.sum(axis=2, keepdims=True))
-        tensors.update(self._end_flags(~acted))
         return tensors
 
-    def _describe(self, parts: np.ndarray) -> TensorDict:
-        """Tensors of everyone present or just ended; zeros, and −1 as id, in empty slots."""
-        slots = self._simulation.slots
+    def _tensors(self, parts: np.ndarray, nobody: np.ndarray) -> TensorDict:
+        """Tensors of everyone present or just ended; zeros, and −1 as id, in empty slots.
+
+        The slots `nobody`, in which nobody acted, are terminated, so that no value is propagated
+        through them.
+        """
+        simulation, slots = self._simulation, self._simulation.slots
         there = slots.alive | (slots.ended != 0)
-        agents = {
+        terminated = np.isin(slots.ended, TERMINAL) | nobody
+        truncated = (slots.ended != 0) & ~terminated
+        flags = {
+            "terminated": terminated,
+            "truncated": truncated,
+            "done": terminated | truncated,
+        }
+        agents = {name: torch.from_numpy(flag)[..., None] for name, flag in flags.items()} | {
             "observation": self._copy_observation(there),
             "mask": torch.from_numpy(slots.alive.copy()),
             "person_id": torch.from_numpy(np.where(there, slots.person, -1).astype(np.int64)),
             "just_spawned": torch.from_numpy(slots.spawned & slots.alive),
             "reward_parts": torch.from_numpy(parts),
         }
+        over = torch.from_numpy(simulation.clock.frame >= self.frames)[:, None]
         return TensorDict(
-            {"agents": TensorDict(agents, batch_size=slots.alive.shape)},
-            batch_size=[len(slots.alive)],
-        )
+            {
+                "agents": TensorDict(agents, batch_size=there.shape),
+                "done": over,
+                "terminated": torch.zeros_like(over),
+                "truncated": over.clone(),
+            },
+            batch_size=[len(there)],
+        ).to(self.device)
 
     def _copy_observation(self, there: Bool[np.ndarray, "W N"]) -> torch.Tensor:
         """A copy of the observations, zeros in empty slots; on a GPU if that is the device."""
@@ -225,35 +236,64 @@ class CrowdEnv(EnvBase):
     def _on_gpu(self) -> bool:
         return self.device is not None and self.device.type == "cuda"
 
-    def _end_flags(self, nobody: np.ndarray) -> TensorDict:
-        """The flags `done`, `terminated` and `truncated`; in the slots `nobody`, nobody acted.
-
-        Those slots are terminated, so that no value is propagated through them.
-        """
-        simulation = self._simulation
-        ended = simulation.slots.ended
-        terminated = np.isin(ended, TERMINAL) | nobody
-        truncated = (ended != 0) & ~terminated
-        over = torch.from_numpy(simulation.clock.frame >= self.frames)[:, None]
-        agents = {
-            "terminated": torch.from_numpy(terminated)[..., None],
-            "truncated": torch.from_numpy(truncated)[..., None],
-            "done": torch.from_numpy(terminated | truncated)[..., None],
-        }
-        return TensorDict(
-            {
-                "agents": TensorDict(agents, batch_size=ended.shape),
-                "done": over,
-                "terminated": torch.zeros_like(over),
-                "truncated": over.clone(),
-            },
-            batch_size=[len(ended)],
-        )
-
     @property
     def dropped(self) -> int:
         """Number of people who could not enter in this episode, in all worlds."""
         return self._crowd.dropped
+
+
+class SlotEnv(CrowdEnv):
+    """A `CrowdEnv` with batch size (W, N): an episode is the trip of one person.
+
+    It has the same arguments. All tensors of the group `agents` are at the root: `observation`,
+    `action`, `mask`, `reward` (W, N, 1), `done` (W, N, 1) and so on. When a person has ended its
+    trip, its slot waits for the next person. The wait is an episode too, which ends (`terminated`)
+    in the step in which that person enters. Its rewards are zero and its `mask` is false: leave it
+    out of losses.
+
+    So whatever TorchRL does where an environment is done, it does for each person: `InitTracker`
+    marks the first step of each person in `is_init`, with which `GRUModule` and `LSTMModule` begin
+    with an empty state, both when acting and when training on sequences; value estimators do not
+    pass from one person to the next; `RewardSum` sums the rewards of a trip.
+
+    A reset of slots that are done, as by TorchRL's collectors, shows their next episodes and leaves
+    everyone else alone. At the horizon all slots of a world are done, and their reset begins a new
+    episode of the world. `reset()` begins one in all worlds.
+    """
+
+    @staticmethod
+    def _batch(worlds: int, slots: int) -> torch.Size:
+        return torch.Size([worlds, slots])
+
+    def _specs(self, worlds: int, slots: int, numbers: int) -> dict[str, Composite]:
+        specs = super()._specs(worlds, slots, numbers)
+        return {name: spec["agents"] for name, spec in specs.items()}
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: object) -> TensorDictBase:
+        asked = None if tensordict is None else tensordict.get("_reset", None)
+        over = self._simulation.clock.frame >= self.frames
+        if asked is None:
+            over[:] = True
+        else:
+            over &= asked.reshape(len(over), -1).any(dim=1).cpu().numpy()
+        if over.any():
+            self._begin(over.nonzero()[0])
+        agents: TensorDict = self._first()["agents"]
+        there = agents["mask"]  # without those whose trips have just ended
+        agents["observation"] *= there[..., None]
+        agents["person_id"][~there] = -1
+        for name in ("done", "terminated", "truncated"):
+            agents[name][:] = False
+        return agents
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        after = self._advance(tensordict["action"])
+        agents: TensorDict = after["agents"]
+        waiting = (agents["person_id"] < 0)[..., None]
+        agents["terminated"] &= ~waiting
+        agents["truncated"] |= waiting & after["done"][:, None]
+        agents["done"] = agents["terminated"] | agents["truncated"]
+        return agents
 
 
 def _lock_pages(array: np.ndarray) -> None:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from gymnasium import spaces
@@ -18,7 +18,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from crowdbench.data.table import OUTCOMES
-from crowdbench.envs.config import EnvConfig, EnvCrowd, check_count
+from crowdbench.envs.config import EnvConfig, EnvCrowd, EnvSettings, Seeds
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Policy, Straight
 from crowdbench.registry import spawn_model
@@ -26,6 +26,7 @@ from crowdbench.run.acting import Actor
 from crowdbench.run.episode import generator
 from crowdbench.run.shown import needs
 from crowdbench.scene import Scene, load_scene
+from crowdbench.simulation.simulation import check_count
 from crowdbench.simulation.state import TERMINAL
 from crowdbench.spawn import SpawnModel
 
@@ -64,7 +65,7 @@ class CrowdVecEnv(VecEnv):
         others: Policy | None = None,
         worlds: int | None = None,
         seed: int | None = None,
-        **settings: Any,
+        **settings: Unpack[EnvSettings],
     ) -> None:
         """Create the environment.
 
@@ -78,14 +79,13 @@ class CrowdVecEnv(VecEnv):
             worlds: number of worlds; default: enough for three people per sub-environment.
             seed: seed of the first episode, from which the seeds of later episodes are drawn;
                 `seed()` also sets it.
-            settings: fields of `EnvConfig`, such as `spawn` and `observation`; they replace those
-                of `config`.
+            settings: fields of `EnvConfig`, which replace those of `config`.
 
         Raises:
             SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or
                 recording does not exist or does not fit.
         """
-        config = EnvConfig.of(type(self), config, settings)
+        config = EnvConfig.of(type(self), config, **settings)
         check_count("num_envs", num_envs)
         place = load_scene(scene)
         spawn = spawn_model(config.spawn, place)
@@ -124,8 +124,7 @@ class CrowdVecEnv(VecEnv):
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Set the seed of the next episode, from which the seeds of later episodes are drawn."""
-        self._rng = np.random.default_rng(seed)
-        self._next_seed = seed
+        self._episode_seeds = Seeds(seed)
         return [seed] * self.num_envs
 
     def reset(self) -> Float32[np.ndarray, "num_envs obs"]:
@@ -135,8 +134,7 @@ class CrowdVecEnv(VecEnv):
             CapacityError: there are more people than `max_alive`.
         """
         simulation = self._simulation
-        seed = int(self._rng.integers(2**31)) if self._next_seed is None else self._next_seed
-        self._next_seed = None
+        seed = self._episode_seeds.draw()
         self._crowd.begin(seed)
         self._crowd.check_capacity()
         shown = simulation.settings.shown
@@ -196,15 +194,10 @@ class CrowdVecEnv(VecEnv):
         self._steps += acting
         ended = np.zeros(self.num_envs, np.int8)
         ended[acting] = simulation.slots.ended[at]
-        whose = zip(
-            np.flatnonzero(acting).tolist(),
-            self.person_id[acting].tolist(),
-            at[0].tolist(),
-            parts.tolist(),
-            strict=True,
-        )
-        for k, person, world, of_person in whose:
-            infos[k] = {"person_id": person, "world": world, "reward_parts": of_person}
+        persons = self.person_id
+        for k, of_person in zip(np.flatnonzero(acting).tolist(), parts.tolist(), strict=True):
+            world = int(self._at[0, k])
+            infos[k] = {"person_id": int(persons[k]), "world": world, "reward_parts": of_person}
         before = self._observations()
         seconds = time.monotonic() - self._made
         for k in np.flatnonzero(ended).tolist():

@@ -1,13 +1,13 @@
 """The card of a policy file: metadata on its observation and training data."""
 
+import math
 import re
 
 import msgspec
-import numpy as np
 
 from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import SettingError, WeightsError
-from crowdbench.policies.memory import MOST
+from crowdbench.policies.memory import RANGES
 from crowdbench.simulation.observations import known_observations, size_of, version_of
 
 SCHEMA = 1
@@ -16,6 +16,7 @@ ACTION = "velocity-1"
 frame of the observation."""
 HINT = "Export the network again with `crowdbench policy export`."
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,39}")
+_RANGES = RANGES | {"rays": (1, 1024), "ray_range_m": (0.1, 1000.0)}
 
 
 class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -65,6 +66,16 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         """Number of values in an observation."""
         return size_of(self.observation, self.rays)
 
+    def input_sizes(self, noise: int) -> dict[str, int]:
+        """Size of each input of its network, in their order, with `noise` random numbers."""
+        sizes = {"noise": noise, "state": self.memory, "style": self.style}
+        return {"observation": self.inputs} | {name: size for name, size in sizes.items() if size}
+
+    @property
+    def output_sizes(self) -> dict[str, int]:
+        """Size of each output of its network, in their order."""
+        return {"action": 2} | ({"next_state": self.memory} if self.memory else {})
+
     @property
     def with_rays(self) -> str:
         """Words on the rays for messages, ` with 32 rays`; empty if the observation has none."""
@@ -91,37 +102,31 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         Raises:
             WeightsError: the card has another version, or a value is out of range.
         """
+        ranged = (
+            (name, getattr(self, name), low <= getattr(self, name) <= high, f"{low:g} to {high:g}")
+            for name, (low, high) in _RANGES.items()
+            if name != "noise"
+        )
+        chosen = (
+            (name, getattr(self, name), getattr(self, name) in known, f"one of {', '.join(known)}")
+            for name, known in (
+                ("observation", known_observations()), ("action", (ACTION,)), ("split", SPLITS),
+            )
+        )  # fmt: skip
+        own_unit = self.max_speed_mps is None or (
+            0 < self.max_speed_mps < math.inf and self.observation == "social-1"
+        )
+        named, unit = "1 to 40 letters, digits, or ' ._+-'", "a positive number, only with social-1"
+        text = "plain text of up to 1000 characters"
         problems = (
             ("schema", self.schema, self.schema == SCHEMA, str(SCHEMA)),
-            ("name", self.name, _NAME.fullmatch(self.name), "1 to 40 letters, digits, or ' ._+-'"),
-            (
-                "observation",
-                self.observation,
-                self.observation in known_observations(),
-                f"one of {', '.join(known_observations())}",
-            ),
-            ("rays", self.rays, 1 <= self.rays <= 1024, "a number from 1 to 1024"),
-            (
-                "ray_range_m",
-                self.ray_range_m,
-                0.1 <= self.ray_range_m <= 1000,
-                "0.1 to 1000 metres",
-            ),
-            ("memory", self.memory, 0 <= self.memory <= MOST, f"a number from 0 to {MOST}"),
-            ("style", self.style, 0 <= self.style <= MOST, f"a number from 0 to {MOST}"),
-            ("interval", self.interval, 1 <= self.interval <= 1000, "1 to 1000 frames"),
-            ("action", self.action, self.action == ACTION, ACTION),
-            (
-                "max_speed_mps",
-                self.max_speed_mps,
-                self.max_speed_mps is None
-                or (0 < self.max_speed_mps < np.inf and self.observation == "social-1"),
-                "a positive number, and only with social-1",
-            ),
-            ("split", self.split, self.split in SPLITS, " or ".join(SPLITS)),
+            ("name", self.name, _NAME.fullmatch(self.name), named),
+            *ranged,
+            *chosen,
+            ("max_speed_mps", self.max_speed_mps, own_unit, unit),
             ("scene", self.scene, all(map(_NAME.fullmatch, self.scenes)), "the id of a scene"),
-            ("command", "", _plain(self.command), "plain text of up to 1000 characters"),
-            ("revision", "", _plain(self.revision), "plain text of up to 1000 characters"),
+            ("command", "", _plain(self.command), text),
+            ("revision", "", _plain(self.revision), text),
         )
         for name, got, fits, expected in problems:
             if not fits:

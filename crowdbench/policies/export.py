@@ -1,29 +1,27 @@
 """Export of policies to ONNX files; needs torch and the extra `onnx`."""
 
 import logging
+import os
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
-from crowdbench.errors import SceneError, SettingError, WeightsError, to_install
+from crowdbench.errors import SettingError, WeightsError
 from crowdbench.files import replacing
 from crowdbench.policies.card import PolicyCard
 from crowdbench.policies.network import KEY, MOST_NOISE, OnnxPolicy, check_onnx, random_inputs
-from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation.observations import OBSERVATIONS, size_of
 
 if TYPE_CHECKING:
     import torch
 
 TOLERANCE = 1e-5
-TRIAL = Path(__file__).with_name("trial.py")
+TRIAL = "import sys, crowdbench.policies; crowdbench.policies.OnnxPolicy(sys.argv[1])"
 
 
 def export_policy(
@@ -50,7 +48,7 @@ def export_policy(
             network mixes rows.
         OutputError: `path` cannot be written.
     """
-    check_onnx()
+    check_onnx("onnxscript")
     card.checked(path)
     if not 0 <= noise <= MOST_NOISE:
         raise SettingError("noise", got=str(noise), expected=f"0 to {MOST_NOISE}")
@@ -63,7 +61,7 @@ def export_policy(
         expected = _answer(network, fed, card, path)
         with replacing(path) as temporary:
             temporary.write_bytes(_onnx(network, fed, card, path))
-            _check_survival(temporary, fed, path)
+            _check_survival(temporary, path)
             read = OnnxPolicy(temporary)
             got = read._run({name: x.numpy() for name, x in fed.items()})
             if not np.allclose(got, expected, rtol=0, atol=TOLERANCE):
@@ -73,7 +71,7 @@ def export_policy(
                     expected=f"the actions of the network, within {TOLERANCE:g}",
                     hint="Check whether the network depends on anything except its inputs.",
                 )
-            read.check_rows(_scene_of(card), path)
+            read.check_rows(path)
     finally:
         network.train(training)
     return path
@@ -85,9 +83,6 @@ def _answer(
     """Actions and next states (A, 2 + M) of the network, before it is traced.
 
     Its own errors are clearer than those of the export.
-
-    Raises:
-        WeightsError: the network does not take the inputs of the card or does not return actions.
     """
     import torch
 
@@ -113,11 +108,10 @@ def _answer(
             if takes
             else "State the observation, rays, noise, memory and style that it was trained with.",
         ) from error
-    wanted = [2, card.memory] if card.memory else [2]
     parts = list(found) if isinstance(found, tuple) and card.memory else [found]
     persons = len(inputs[0])
     shapes = [tuple(p.shape) if isinstance(p, torch.Tensor) else type(p).__name__ for p in parts]
-    if shapes != [(persons, size) for size in wanted]:
+    if shapes != [(persons, size) for size in card.output_sizes.values()]:
         got = (
             " and ".join(f"of shape {s}" if isinstance(s, tuple) else f"a {s}" for s in shapes)
             or "nothing"
@@ -151,15 +145,11 @@ def _takes(network: "torch.nn.Module", fed: "tuple[torch.Tensor, ...]") -> int |
     return None
 
 
-def _check_survival(file: Path, fed: "dict[str, torch.Tensor]", path: Path) -> None:
-    """Run the file in a separate process first, because some networks crash onnxruntime.
-
-    Raises:
-        WeightsError: the process was killed by a signal.
-    """
-    sizes = [f"{name}={x.shape[1]}" for name, x in fed.items()]
-    command = [sys.executable, "-I", str(TRIAL), str(file), *sizes]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+def _check_survival(file: Path, path: Path) -> None:
+    """Run the file in a separate process first, because some networks crash onnxruntime."""
+    command = [sys.executable, "-c", TRIAL, str(file)]
+    path_of_modules = {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(command, env=os.environ | path_of_modules, capture_output=True)
     if done.returncode < 0:
         raise WeightsError(
             path,
@@ -169,22 +159,17 @@ def _check_survival(file: Path, fed: "dict[str, torch.Tensor]", path: Path) -> N
         )
 
 
-def _scene_of(card: PolicyCard) -> Scene | None:
-    """A scene that a network was trained on; None if it is not available."""
-    try:
-        return load_scene(card.scenes[0])
-    except SceneError:
-        return None
-
-
 def _onnx(
     network: "torch.nn.Module", fed: "dict[str, torch.Tensor]", card: PolicyCard, path: Path
 ) -> bytes:
     import torch
 
     persons = torch.export.Dim("A", min=1)
+    log = logging.getLogger("torch.onnx")
+    level = log.level
     try:
-        with warnings.catch_warnings(), _quiet("torch.onnx"):
+        log.setLevel(logging.ERROR)  # without warnings on operators of packages not installed
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # torch warns of its own deprecations
             program = torch.onnx.export(
                 network,
@@ -192,22 +177,17 @@ def _onnx(
                 dynamo=True,
                 verbose=False,
                 input_names=list(fed),
-                output_names=["action", "next_state"][: 2 if card.memory else 1],
+                output_names=list(card.output_sizes),
                 dynamic_shapes=tuple({0: persons} for _ in fed),
             )
-    except ImportError as error:
-        raise SettingError(
-            "policy",
-            got=f"no {error.name}",
-            expected="the packages for ONNX export",
-            hint=to_install("onnx"),
-        ) from error
     except Exception as error:  # torch's errors have no common base class
         raise WeightsError(
             path,
             got=f"a network that torch cannot export ({str(error).splitlines()[0][:200]})",
             expected="one with standard operators that takes any number of persons",
         ) from error
+    finally:
+        log.setLevel(level)
     assert program is not None
     model = program.model_proto
     model.doc_string = ""
@@ -224,18 +204,6 @@ def _onnx(
     entry.key, entry.value = KEY, msgspec.json.encode(card).decode()
     data: bytes = model.SerializeToString(deterministic=True)
     return data
-
-
-@contextmanager
-def _quiet(name: str) -> Iterator[None]:
-    """Suppress the warnings of a logger, here on operators of packages that are not installed."""
-    log = logging.getLogger(name)
-    level = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        log.setLevel(level)
 
 
 def revision(folder: Path) -> str:

@@ -7,8 +7,14 @@ from jaxtyping import Bool, Float32, Int
 
 from crowdbench.errors import SettingError
 
-MOST = 4096
-"""Largest size of a state and of a style."""
+RANGES = {"memory": (0, 4096), "style": (0, 4096), "noise": (0, 4096), "interval": (1, 1000)}
+"""Least and greatest values of what a policy asks for."""
+_MEANING = {
+    "memory": "the number of values that a policy remembers of a person",
+    "style": "the number of random values of a person",
+    "noise": "the number of random values of a decision",
+    "interval": "the number of frames between two decisions",
+}
 
 
 @dataclass(eq=False)
@@ -49,9 +55,9 @@ class Needs:
         Raises:
             SettingError: an attribute is not a whole number in its range.
         """
-        found = {name: getattr(policy, name, default) for name, default in _DEFAULTS.items()}
+        found = {name: getattr(policy, name, least) for name, (least, _) in RANGES.items()}
         for name, value in found.items():
-            least, most = _DEFAULTS[name], MOST if name != "interval" else 1_000
+            least, most = RANGES[name]
             if not isinstance(value, int | np.integer) or not least <= value <= most:
                 raise SettingError(
                     f"policy {getattr(policy, 'name', '')}",
@@ -66,12 +72,3 @@ class Needs:
     def memories(self) -> bool:
         """Whether `act` is called with a `Memory`."""
         return self.memory > 0 or self.style > 0 or self.noise > 0
-
-
-_DEFAULTS = {"memory": 0, "style": 0, "noise": 0, "interval": 1}
-_MEANING = {
-    "memory": "the number of values that a policy remembers of a person",
-    "style": "the number of random values of a person",
-    "noise": "the number of random values of a decision",
-    "interval": "the number of frames between two decisions",
-}

@@ -13,7 +13,7 @@ executes: no pickle, no custom operators and no external data.
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -26,9 +26,8 @@ from crowdbench.errors import SettingError, WeightsError, to_install
 from crowdbench.files import read_bytes
 from crowdbench.policies.card import HINT, PolicyCard
 from crowdbench.policies.memory import Memory
-from crowdbench.policies.rows import ROWS, Watch, check_rows, sample_observations
+from crowdbench.policies.rows import ROWS, Watch, check_rows
 from crowdbench.scene import Scene
-from crowdbench.simulation import Settings, Shown
 from crowdbench.simulation.social import with_velocities_times
 
 if TYPE_CHECKING:
@@ -38,6 +37,8 @@ if TYPE_CHECKING:
 KEY = "crowdbench"
 LARGEST = 20_000_000  # bytes
 MOST_NOISE = 256
+Shape = tuple[int | None, ...]
+"""Shape of an input or output, with None for the free number of persons."""
 _STANDARD = ("", "ai.onnx")
 _DRAWING = frozenset({
     "Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike", "RandomUniform",
@@ -100,35 +101,23 @@ class OnnxPolicy:
             memory.state[:] = answer[:, 2:]
         return answer[:, :2] / np.float32(self._unit)
 
-    def check_rows(self, scene: Scene | None, where: object = None) -> None:
-        """Check row independence on observations from a scene.
+    def check_rows(self, where: object = None) -> None:
+        """Check row independence on random observations.
 
-        Without a scene, or if the scene has no arrival rates, the observations are random. `where`
-        is named in error messages.
+        `where` is named in error messages.
 
         Raises:
             WeightsError: the network mixes rows or cannot be run.
         """
-        seen = None
-        with suppress(WeightsError):
-            if scene is not None:
-                needed = {name: getattr(self, name) for name in Shown._fields}
-                seen = sample_observations(scene, Settings(**needed))
-        persons = ROWS if seen is None else len(seen)
-        fed = random_inputs(self.card, self.noise, persons)
-        check_rows(
-            where or self.path, self._run, fed if seen is None else fed | {"observation": seen}
-        )
+        check_rows(where or self.path, self._run, random_inputs(self.card, self.noise, ROWS))
 
     def _run(self, fed: dict[str, np.ndarray]) -> Float32[np.ndarray, "A _"]:
         """Actions and, beside them, the next states."""
-        outputs = ["action", "next_state"] if self.memory else ["action"]
         try:
-            found = self._session.run(outputs, fed)
+            found = self._session.run(list(self.card.output_sizes), fed)
         except Exception as error:  # onnxruntime's errors have no common base class
             raise _unrunnable(self.path, error) from error
-        action: np.ndarray = found[0] if len(found) == 1 else np.concatenate(found, axis=1)
-        return action
+        return np.concatenate(found, axis=1)
 
 
 def random_inputs(
@@ -136,31 +125,27 @@ def random_inputs(
 ) -> dict[str, np.ndarray]:
     """Random values of all inputs of a network, float32 (persons, size), in their order."""
     rng = np.random.default_rng(seed)
-    sizes = {"noise": noise, "state": card.memory, "style": card.style}
     seen = rng.uniform(-1, 1, (persons, card.inputs)).astype(np.float32)
-    return {"observation": seen} | {
-        name: rng.standard_normal((persons, size), dtype=np.float32)
-        for name, size in sizes.items()
-        if size
+    return {
+        name: rng.standard_normal((persons, size), dtype=np.float32) if fed else seen
+        for fed, (name, size) in enumerate(card.input_sizes(noise).items())
     }
 
 
-def check_onnx() -> None:
-    """Check that ONNX files can be read.
+def check_onnx(*more: str) -> None:
+    """Check that the packages for ONNX files are installed, and `more` packages.
 
     Raises:
-        SettingError: onnx or onnxruntime is not installed.
+        SettingError: one is not installed.
     """
-    try:
-        import onnx  # noqa: F401
-        import onnxruntime  # noqa: F401
-    except ImportError as error:
-        raise SettingError(
-            "policy",
-            got=f"no {error.name}",
-            expected="the packages for ONNX files",
-            hint=to_install("onnx"),
-        ) from error
+    for package in ("onnx", "onnxruntime", *more):
+        if find_spec(package) is None:
+            raise SettingError(
+                "policy",
+                got=f"no {package}",
+                expected="the packages for ONNX files",
+                hint=to_install("onnx"),
+            )
 
 
 def read_card(path: Path) -> PolicyCard:
@@ -286,8 +271,7 @@ def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
     inputs = {i.name: _shape(i) for i in model.graph.input if i.name not in fixed}
     outputs = {o.name: _shape(o) for o in model.graph.output}
     noise = inputs.pop("noise", None)
-    expected: dict[str, tuple[int | None, ...]] = {"observation": (None, card.inputs)}
-    expected |= {n: (None, s) for n, s in (("state", card.memory), ("style", card.style)) if s}
+    expected: dict[str, Shape] = {n: (None, size) for n, size in card.input_sizes(0).items()}
     if inputs != expected:
         raise _invalid(
             path,
@@ -295,8 +279,7 @@ def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
             f"float32 {_describe(expected)} and optionally noise (A, Z): "
             f"{card.observation}{card.with_rays} has {card.inputs} numbers",
         )
-    returned: dict[str, tuple[int | None, ...]] = {"action": (None, 2)}
-    returned |= {"next_state": (None, card.memory)} if card.memory else {}
+    returned: dict[str, Shape] = {name: (None, size) for name, size in card.output_sizes.items()}
     if outputs != returned:
         raise _invalid(path, f"outputs {_describe(outputs)}", f"float32 {_describe(returned)}")
     if noise is None:
@@ -308,7 +291,7 @@ def _check_shapes(path: Path, model: "ModelProto", card: PolicyCard) -> int:
     return width
 
 
-def _shape(value: "ValueInfoProto") -> tuple[int | None, ...]:
+def _shape(value: "ValueInfoProto") -> Shape:
     """Shape with None for free sizes; (−1,) if the value is not a float32 array."""
     tensor = value.type.tensor_type
     if tensor.elem_type != 1 or not tensor.HasField("shape"):
@@ -316,8 +299,8 @@ def _shape(value: "ValueInfoProto") -> tuple[int | None, ...]:
     return tuple(d.dim_value if d.HasField("dim_value") else None for d in tensor.shape.dim)
 
 
-def _describe(shapes: dict[str, tuple[int | None, ...]]) -> str:
-    def size(shape: tuple[int | None, ...]) -> str:
+def _describe(shapes: dict[str, Shape]) -> str:
+    def size(shape: Shape) -> str:
         if shape == (-1,):
             return "of another type"
         return "(" + ", ".join("A" if d is None else str(d) for d in shape) + ")"
@@ -327,10 +310,9 @@ def _describe(shapes: dict[str, tuple[int | None, ...]]) -> str:
 
 def _try(path: Path, session: Any, card: PolicyCard, noise: int) -> None:
     """Run the network for one and for three persons and check what it returns."""
-    returned = {"action": 2} | ({"next_state": card.memory} if card.memory else {})
     for persons in (1, 3):
-        answers = session.run(list(returned), random_inputs(card, noise, persons))
-        for (name, size), answer in zip(returned.items(), answers, strict=True):
+        answers = session.run(list(card.output_sizes), random_inputs(card, noise, persons))
+        for (name, size), answer in zip(card.output_sizes.items(), answers, strict=True):
             if answer.shape != (persons, size) or answer.dtype != np.float32:
                 raise _invalid(
                     path,

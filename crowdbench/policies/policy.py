@@ -46,18 +46,16 @@ class StateView:
         slots = simulation.slots
         at = np.flatnonzero(slots.alive)  # indexing by one array is faster than by two
         world, slot = np.divmod(at, slots.alive.shape[1])
+        numbers = ("person", "event", "speed")
+        points = ("position", "velocity", "goal", "target")
+        event = slots.event.ravel().take(at)
         return cls(
             world=world,
             slot=slot,
-            person=slots.person.ravel().take(at),
-            event=slots.event.ravel().take(at),
             frame=simulation.clock.frame.take(world),
-            position=slots.position.reshape(-1, 2).take(at, axis=0),
-            velocity=slots.velocity.reshape(-1, 2).take(at, axis=0),
-            goal=slots.goal.reshape(-1, 2).take(at, axis=0),
-            target=slots.target.reshape(-1, 2).take(at, axis=0),
-            speed=slots.speed.ravel().take(at),
-            group=simulation.groups(world, slots.event.ravel().take(at)),
+            group=simulation.queue.group[world, event],
+            **{name: getattr(slots, name).ravel().take(at) for name in numbers},
+            **{name: getattr(slots, name).reshape(-1, 2).take(at, axis=0) for name in points},
         )
 
     def towards(self, routes: Routes) -> Float[np.ndarray, "A 2"]:

@@ -70,11 +70,7 @@ def read_sb3(path: Path, *, noise: int = 0) -> "Sb3Network":
 
 
 def _read_zip(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Data of the model, with pickles that are not yet read, and the weights of its policy.
-
-    Raises:
-        WeightsError: the file is missing or was not saved by Stable-Baselines3.
-    """
+    """Data of the model, with pickles that are not yet read, and the weights of its policy."""
     import torch
 
     if not path.is_file():
@@ -94,11 +90,7 @@ def _read_zip(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _unpickle(path: Path, name: str, item: Any) -> Any:
-    """An item of the data; what JSON cannot express is a pickle.
-
-    Raises:
-        WeightsError: it cannot be read here.
-    """
+    """An item of the data; what JSON cannot express is a pickle."""
     if not (isinstance(item, dict) and ":serialized:" in item):
         return item
     try:
@@ -117,11 +109,7 @@ def _unpickle(path: Path, name: str, item: Any) -> Any:
 
 
 def _check_spaces(path: Path, observations: Any, actions: Any) -> None:
-    """Check that the policy sees one vector and returns two numbers in [−1, 1].
-
-    Raises:
-        WeightsError: it does not.
-    """
+    """Check that the policy sees one vector and returns two numbers in [−1, 1]."""
     from gymnasium import spaces
 
     hint = "Train it in crowdbench.vec_env.CrowdVecEnv."
@@ -135,22 +123,14 @@ def _check_spaces(path: Path, observations: Any, actions: Any) -> None:
 
 
 def _policy(path: Path, data: dict[str, Any], use_sde: bool, weights: dict[str, Any]) -> Any:
-    """The policy with its weights, made as an algorithm makes it.
-
-    Raises:
-        WeightsError: it cannot be made, or the weights are not its own.
-    """
+    """The policy with its weights, made as an algorithm makes it."""
     arguments = {k: v for k, v in (data["policy_kwargs"] or {}).items() if k != "device"}
     if use_sde:  # algorithms without such noise have policies that do not take it
         arguments["use_sde"] = True
     kind = data["policy_class"]
     try:
-        policy = kind(
-            data["observation_space"],
-            data["action_space"],
-            lr_schedule=lambda _: 0.0,
-            **arguments,
-        )
+        spaces = data["observation_space"], data["action_space"]
+        policy = kind(*spaces, lr_schedule=lambda _: 0.0, **arguments)
     except Exception as error:  # a policy class may be a user's own
         raise _unsupported(path, kind, f", which cannot be made ({_short(error)})") from error
     try:
@@ -163,19 +143,14 @@ def _policy(path: Path, data: dict[str, Any], use_sde: bool, weights: dict[str, 
 
 
 def _network(path: Path, policy: Any, noise: int) -> "Sb3Network":
-    """Parts of the policy that lead to its actions.
-
-    Raises:
-        WeightsError: the policy is of an unknown kind.
-        SettingError: noise was asked for, and the policy does not draw actions from Gaussians.
-    """
+    """Parts of the policy that lead to its actions."""
     from crowdbench.policies.sb3_network import Sb3Network
 
     try:
         network = Sb3Network(policy, noise)
     except (LookupError, AttributeError) as error:
         raise _unsupported(path, type(policy)) from error
-    if noise and network.deviation is None:
+    if noise and network.log_std is None:
         raise SettingError(
             "noise",
             got=f"{noise} for a {_name(type(policy))} that does not draw each action from a "
@@ -188,11 +163,7 @@ def _network(path: Path, policy: Any, noise: int) -> "Sb3Network":
 
 
 def _check_actions(path: Path, policy: Any, network: "Sb3Network", inputs: int) -> None:
-    """Compare with `predict`: a class of the user's own may find actions in another way.
-
-    Raises:
-        WeightsError: actions or states differ.
-    """
+    """Compare with `predict`: a class of the user's own may find actions in another way."""
     import torch
 
     rng, persons = np.random.default_rng(0), 8

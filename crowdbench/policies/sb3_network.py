@@ -32,26 +32,22 @@ class Sb3Network(nn.Module):
         actor: Any = getattr(policy, "actor", None)
         self.features: nn.Module
         self.body: nn.Module = nn.Identity()
-        self.deviation: nn.Module | None = None
+        self.log_std: nn.Module | nn.Parameter | None = None
         if isinstance(policy, ActorCriticPolicy):
             self.features = policy.pi_features_extractor
             self.body = policy.mlp_extractor.policy_net
             self.mean = policy.action_net
             self.squashed = policy.squash_output
             if isinstance(policy.log_std, nn.Parameter) and not policy.use_sde:
-                self.deviation = _Constant(policy.log_std)
+                self.log_std = policy.log_std
         elif hasattr(actor, "latent_pi"):  # SAC and its kin
-            self.features, self.body, self.mean = (
-                actor.features_extractor,
-                actor.latent_pi,
-                actor.mu,
-            )
-            self.squashed = True
+            self.features, self.body = actor.features_extractor, actor.latent_pi
+            self.mean, self.squashed = actor.mu, True
             if not actor.use_sde:
-                self.deviation = _OfState(actor.log_std)
+                self.log_std = actor.log_std
         elif hasattr(actor, "mu"):  # TD3 and DDPG, whose last layer squashes
-            self.features, self.mean = actor.features_extractor, actor.mu
-            self.squashed = False
+            self.features = actor.features_extractor
+            self.mean, self.squashed = actor.mu, False
         else:
             raise LookupError
         self.noise = noise
@@ -75,10 +71,17 @@ class Sb3Network(nn.Module):
             latent, state = self._step_lstm(latent, state)
         latent = self.body(latent)
         action = self.mean(latent)
-        if noise is not None and self.deviation is not None:
-            action = action + self.deviation(latent) * noise
+        if noise is not None and self.log_std is not None:
+            action = action + self._deviation(latent) * noise
         action = torch.tanh(action) if self.squashed else action.clamp(-1.0, 1.0)
         return action if state is None else (action, state)
+
+    def _deviation(self, latent: Tensor) -> Tensor:
+        if isinstance(self.log_std, nn.Parameter):  # the same in all states
+            return self.log_std.exp()
+        assert self.log_std is not None
+        found: Tensor = self.log_std(latent)
+        return found.clamp(*LOG_STD).exp()
 
     def _step_lstm(self, latent: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """One step of the LSTM. A state has the outputs of all layers, then their cell states."""
@@ -89,29 +92,6 @@ class Sb3Network(nn.Module):
             outputs.append(latent)
             insides.append(inside)
         return latent, torch.cat([*outputs, *insides], dim=1)
-
-
-class _Constant(nn.Module):
-    """A standard deviation that is the same in all states."""
-
-    def __init__(self, log_std: nn.Parameter) -> None:
-        super().__init__()
-        self.log_std = log_std
-
-    def forward(self, latent: Tensor) -> Tensor:
-        return self.log_std.exp()
-
-
-class _OfState(nn.Module):
-    """A standard deviation that depends on the state."""
-
-    def __init__(self, log_std: nn.Module) -> None:
-        super().__init__()
-        self.log_std = log_std
-
-    def forward(self, latent: Tensor) -> Tensor:
-        found: Tensor = self.log_std(latent)
-        return found.clamp(*LOG_STD).exp()
 
 
 def _cells(lstm: nn.LSTM) -> list[nn.LSTMCell]:

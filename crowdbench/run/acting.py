@@ -68,7 +68,7 @@ class Actor:
         Raises:
             ActionError: see `actions`.
         """
-        self._simulation.step(self.actions(), world_frame=self.world_frame)
+        self._simulation.step(self.actions(), own_frame=self.own_frame)
 
     def actions(self, who: Bool[np.ndarray, "W N"] | None = None) -> Float32[np.ndarray, "W N 2"]:
         """Actions for everyone present, or for those of them in `who`; zeros elsewhere.

@@ -115,7 +115,7 @@ def plan(
             walker = pair.policy.policy(split)
             _check_unseen(p, walker, place, split)
             if isinstance(walker, OnnxPolicy) and walker.path not in tried:
-                walker.check_rows(place)
+                walker.check_rows()
                 tried.add(walker.path)
             certain = recorded and getattr(walker, "deterministic", False)
             pair.spawn.model(split)  # raises an error if it cannot be made

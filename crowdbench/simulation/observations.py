@@ -1,35 +1,24 @@
 """The versions of the observation, and the kernel of those with rays.
 
-There are four versions. Each is a float32 vector with values in [−1, 1]. Those named `lidar` end
-with R rays and are in the world frame; their kernel is below. `social-1` shows the nearest people
-and is in the person's own frame; its parts and its kernel are in `crowdbench.simulation.social`.
-Actions are in the frame of the observation.
-
-Below, the *goal* is the person's target: its via point until its wait there is over, then its goal
-(see `Simulation`). `lidar-1` contains, by index:
+Each is a float32 vector with values in [−1, 1]. `social-1` shows the nearest people and is in the
+person's own frame; its parts and its kernel are in `crowdbench.simulation.social`. Those named
+`lidar` are in the world frame and end with R rays. They contain, by index:
 
 - 0, 1: velocity / max_speed
-- 2: min(distance to the goal, GOAL_RANGE_M) / GOAL_RANGE_M
-- 3, 4: cosine and sine of the direction to the goal (1, 0 at the goal itself)
-- 5 …: distance along ray k / ray_range; 1 if nothing is in range. Ray k = 0 … R − 1 has the angle
+- 2: min(length of the way to the goal, GOAL_RANGE_M) / GOAL_RANGE_M. The way is straight in
+  `lidar-1` and the shortest path around walls from `lidar-2` on.
+- 3, 4: cosine and sine of the direction to the goal, or to the next corner of that path if the goal
+  is not in sight (1, 0 at the goal itself)
+- 5, from `lidar-2` on: preferred speed / max_speed
+- 6 … 9, in `lidar-3`: min(distance to the western, eastern, southern, northern bound, ray_range) /
+  ray_range. Trips end at the bounds and rays do not detect them.
+- then: distance along ray k / ray_range; 1 if nothing is in range. Ray k = 0 … R − 1 has the angle
   2πk/R in the world frame.
 
-`lidar-2` takes walls and preferred speeds into account. The goal distance is the length of the
-shortest path around walls, and the goal direction points to the next corner of that path, or to the
-goal if it is in sight. In addition:
-
-- 5: preferred speed / max_speed
-- 6 …: the rays
-
-`lidar-3` also contains the distances to the bounds of the scene. Trips end there and rays do not
-detect them, so a policy without these distances may leave the scene by mistake when it walks along
-a bound.
-
-- 6 … 9: min(distance to the western, eastern, southern, northern bound, ray_range) / ray_range
-- 10 …: the rays
-
-Rays end at walls and at the discs of other people. A person inside another person's disc sees
-distance 0 in the half-plane towards the centre of that disc.
+The *goal* is the person's target: its via point until its wait there is over, then its goal (see
+`Simulation`). Rays end at walls and at the discs of other people. A person inside another person's
+disc sees distance 0 in the half-plane towards the centre of that disc. Actions are in the frame of
+the observation.
 """
 
 import math
@@ -41,7 +30,7 @@ import numpy as np
 from jaxtyping import Float32
 from numba import njit, prange
 
-from crowdbench.compilation import kernel
+from crowdbench.compilation import Kernel
 from crowdbench.errors import SettingError, did_you_mean
 from crowdbench.plugins import instance_of, names, part
 from crowdbench.simulation import social
@@ -142,7 +131,7 @@ def size_of(name: str, rays: int) -> int:
     return version.head + rays * version.rays + (0 if found is None else found.extra)
 
 
-@kernel
+@Kernel
 def observe(
     slots, target, beyond, head, bounds, cells, walls, max_speed, radius, reach, remaining, nearest,
     out,

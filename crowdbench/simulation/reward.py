@@ -7,13 +7,14 @@ discount factor; see `Reward`.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float32
 from numba import njit, prange
 
-from crowdbench.compilation import kernel
+from crowdbench.compilation import Kernel
 from crowdbench.errors import OwnCodeError, SettingError
 from crowdbench.plugins import blaming
 from crowdbench.simulation.state import GOAL, TO_GOAL, TO_VIA, WAITING, CrowdState
@@ -84,8 +85,11 @@ RewardFn: TypeAlias = Callable[[CrowdState], np.ndarray]
 
 
 def reward_function(reward: Reward | RewardFn) -> RewardFn:
-    """The function of a reward; what a function of a user's own returns is checked."""
-    return Rewarder(reward) if isinstance(reward, Reward) else _Checked(reward)
+    """The function of a reward; what a function of a user's own returns is checked.
+
+    Those who did not act get zeros.
+    """
+    return Rewarder(reward) if isinstance(reward, Reward) else partial(_checked, reward)
 
 
 class Rewarder:
@@ -137,35 +141,29 @@ class Rewarder:
         return parts
 
 
-class _Checked:
-    """A reward function of a user's own, with zeros for those who did not act."""
-
-    def __init__(self, function: RewardFn) -> None:
-        self._function = function
-
-    def __call__(self, state: CrowdState) -> Float32[np.ndarray, "W N _"]:
-        with blaming("reward"):
-            parts = np.asarray(self._function(state), np.float32)
-        acted = state.slots.acted
-        if parts.shape[:-1] != acted.shape or not parts.shape[-1]:
-            raise OwnCodeError(
-                "reward",
-                got=f"an array of shape {parts.shape}",
-                expected=f"one of shape ({acted.shape[0]}, {acted.shape[1]}, parts), with at least "
-                "one part",
-                hint="Return reward[..., None] if it has no parts.",
-            )
-        parts = np.where(acted[..., None], parts, np.float32(0))
-        if not np.isfinite(parts).all():
-            raise OwnCodeError(
-                "reward",
-                got=f"{int((~np.isfinite(parts)).sum())} values that are not finite",
-                expected="finite numbers for everyone who acted",
-            )
-        return parts
+def _checked(function: RewardFn, state: CrowdState) -> Float32[np.ndarray, "W N _"]:
+    with blaming("reward"):
+        parts = np.asarray(function(state), np.float32)
+    acted = state.slots.acted
+    if parts.shape[:-1] != acted.shape or not parts.shape[-1]:
+        raise OwnCodeError(
+            "reward",
+            got=f"an array of shape {parts.shape}",
+            expected=f"one of shape ({acted.shape[0]}, {acted.shape[1]}, parts), with at least "
+            "one part",
+            hint="Return reward[..., None] if it has no parts.",
+        )
+    parts = np.where(acted[..., None], parts, np.float32(0))
+    if not np.isfinite(parts).all():
+        raise OwnCodeError(
+            "reward",
+            got=f"{int((~np.isfinite(parts)).sum())} values that are not finite",
+            expected="finite numbers for everyone who acted",
+        )
+    return parts
 
 
-@kernel
+@Kernel
 def pay(
     slots, queue, remaining, remaining_before, nearest, dt, goal_radius, diameter, weights, person,
     behind, apart, out,

@@ -13,7 +13,7 @@ import shapely
 from jaxtyping import Float, Int, Real
 from numba import njit, prange
 
-from crowdbench.compilation import compiled, kernel
+from crowdbench.compilation import Kernel, compiled
 from crowdbench.scene import Bounds, Scene, Wall
 from crowdbench.simulation.rules import distance_to_segment
 from crowdbench.simulation.walls import CELL_M, cell_of, walls_near
@@ -137,16 +137,14 @@ class Routes:
         if worlds <= known[0] and slots <= known[1]:
             return
         shape = (max(worlds, known[0]), max(2 * slots, known[1]))
-        guess = np.full((*shape, 2), -1, dtype=np.int64)
-        guess[: known[0], : known[1]] = self._known
-        goal = np.full((*shape, 2), np.nan)
-        goal[: known[0], : known[1]] = self._goal
-        seen = np.full((*shape, 5), np.nan)
-        seen[: known[0], : known[1]] = self._seen
-        to_goal = np.full((*shape, len(self._corners)), np.inf)
-        to_goal[: known[0], : known[1]] = self._to_goal
-        self._known, self._goal = guess, goal
-        self._seen, self._to_goal = seen, to_goal
+
+        def larger(before: np.ndarray, fill: int | float) -> np.ndarray:
+            after = np.full((*shape, before.shape[2]), fill, before.dtype)
+            after[: known[0], : known[1]] = before
+            return after
+
+        self._known, self._goal = larger(self._known, -1), larger(self._goal, np.nan)
+        self._seen, self._to_goal = larger(self._seen, np.nan), larger(self._to_goal, np.inf)
 
 
 def _corners(scene: Scene) -> Float[np.ndarray, "C 2"]:
@@ -187,7 +185,7 @@ def _distances(corners: Float[np.ndarray, "C 2"], scene: Scene) -> Float[np.ndar
     return np.asarray(dijkstra(edges, directed=False))
 
 
-@kernel
+@Kernel
 def _next(world, slot, position, goal, beyond, known, of, seen, to_goal, corners, between, sight):
     """Replace hidden goals in `goal` by the next corner; write the path length from it to `beyond`.
 

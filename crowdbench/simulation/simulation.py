@@ -30,6 +30,16 @@ GIVE_UP_S = 30.0
 """Seconds without progress after which a person no longer walks to its via point."""
 
 
+def check_count(name: str, value: object) -> None:
+    """Check a number of worlds, persons, rays or frames.
+
+    Raises:
+        SettingError: it is not a whole number of at least 1.
+    """
+    if not isinstance(value, int | np.integer) or value < 1:
+        raise SettingError(name, got=repr(value), expected="a whole number, 1 or more")
+
+
 class Shown(NamedTuple):
     """What a simulation shows to policies that see observations."""
 
@@ -65,13 +75,9 @@ class Settings:
 
     def __post_init__(self) -> None:
         shown = self.shown
-        for name, value in (
-            ("max_alive", self.max_alive),
-            ("max_persons", self.max_persons),
-            ("rays", shown.rays),
-        ):
-            if not isinstance(value, int | np.integer) or value < 1:
-                raise SettingError(name, got=repr(value), expected="a whole number, 1 or more")
+        check_count("max_alive", self.max_alive)
+        check_count("max_persons", self.max_persons)
+        check_count("rays", shown.rays)
         if not 0.1 <= shown.ray_range_m <= 1000:
             raise SettingError(
                 "ray_range_m", got=str(shown.ray_range_m), expected="0.1 to 1000 metres"
@@ -126,7 +132,7 @@ class Simulation:
         lower = np.array([bounds.x_min_m, bounds.y_min_m]) - step_m
         upper = np.array([bounds.x_max_m, bounds.y_max_m]) + step_m
         self._walls = wall_table(
-            scene.wall_segments,
+            scene.wall_segments.tobytes(),
             lower=tuple(lower),
             upper=tuple(upper),
             rays=shown.rays if rays else 0,
@@ -152,22 +158,19 @@ class Simulation:
         )
         self._more = observation_of(shown.observation)
         self._bounds = np.array([bounds.x_min_m, bounds.x_max_m, bounds.y_min_m, bounds.y_max_m])
-        self.observation: Float32[np.ndarray, "W N obs"] = np.zeros(
-            (worlds, s.max_alive, size_of(shown.observation, shown.rays)), np.float32
-        )
+        shape = (worlds, s.max_alive)
+        numbers = size_of(shown.observation, shown.rays)
+        self.observation: Float32[np.ndarray, "W N obs"] = np.zeros((*shape, numbers), np.float32)
         self._seen = self.observation
-        if self._more is not None:
-            shape = (worlds, s.max_alive, size_of(self._more.base, shown.rays))
-            self._seen = np.zeros(shape, np.float32)  # kernels write contiguous arrays
-        self._own = np.full((worlds, s.max_alive), self._version.own_frame)
-        self.nearest: Float32[np.ndarray, "W N"] = np.full(
-            (worlds, s.max_alive), np.inf, np.float32
-        )
-        self.remaining: Float32[np.ndarray, "W N"] = np.zeros((worlds, s.max_alive), np.float32)
-        self.remaining_before: Float32[np.ndarray, "W N"] = np.zeros_like(self.remaining)
+        if self._more is not None:  # kernels write contiguous arrays
+            self._seen = np.zeros((*shape, size_of(self._more.base, shown.rays)), np.float32)
+        self._own = np.full(shape, self._version.own_frame)
+        self.nearest: Float32[np.ndarray, "W N"] = np.full(shape, np.inf, np.float32)
+        self.remaining: Float32[np.ndarray, "W N"] = np.zeros(shape, np.float32)
+        self.remaining_before: Float32[np.ndarray, "W N"] = np.zeros(shape, np.float32)
         self._routes = Routes.on(scene) if self._version.around_walls else None
-        self._target = np.zeros((worlds, s.max_alive, 2), np.float32)
-        self._beyond = np.zeros((worlds, s.max_alive))
+        self._target = np.zeros((*shape, 2), np.float32)
+        self._beyond = np.zeros(shape)
         self.slots = Slots.empty(worlds, s.max_alive)
         self.clock = Clock.at(worlds, 0, 0)
         self.events: list[SpawnEvents] = [no_events()] * worlds
@@ -220,16 +223,14 @@ class Simulation:
         self,
         actions: Float32[np.ndarray, "W N 2"],
         *,
-        world_frame: bool | Bool[np.ndarray, "W N"] = False,
-        own_frame: Bool[np.ndarray, "W N"] | None = None,
+        own_frame: bool | Bool[np.ndarray, "W N"] | None = None,
     ) -> None:
         """Advance every world by one frame; call `observe` for new observations.
 
-        Actions are in the frame of the observation. If that is the own frame, they are relative to
-        the headings that `observe` shows, and `world_frame` says whose actions are in the world
-        frame all the same, such as those of policies that see the state. If people have different
-        observations, `own_frame` says instead whose actions are in the own frame. In either frame,
-        actions are clipped before they are turned.
+        `own_frame` says whose actions are in the own frame, relative to the headings that `observe`
+        shows, and whose are in the world frame, such as those of policies that see the state.
+        By default, all actions are in the frame of the observation. In either frame, actions are
+        clipped before they are turned.
 
         Raises:
             ActionError: `actions` have another shape.
@@ -244,12 +245,7 @@ class Simulation:
                 expected=f"one velocity command per world and slot, {self.slots.position.shape}",
             )
         np.copyto(self.remaining_before, self.remaining)
-        own = self._own
-        if own_frame is not None:
-            own = np.ascontiguousarray(own_frame)
-        elif self._version.own_frame and world_frame is not False:
-            others = ~np.broadcast_to(np.asarray(world_frame, bool), own.shape)
-            own = np.ascontiguousarray(own & others)
+        own = self._own if own_frame is None else np.full(self._own.shape, own_frame)
         # People of one world interact when they enter, so threads run different worlds.
         self._go(self.slots.alive.size if self.worlds > 1 else 1, actions, own)
 
@@ -297,12 +293,6 @@ class Simulation:
         )
         self._target.reshape(-1, 2)[at], self._beyond.reshape(-1)[at] = target, beyond
         return self._target
-
-    def groups(
-        self, world: Int[np.ndarray, " n"], event: Int[np.ndarray, " n"]
-    ) -> Int[np.ndarray, " n"]:
-        """Group of the persons of these spawn events; −1 if alone."""
-        return self.queue.group[world, event]
 
     def number_anew(self) -> None:
         """Renumber the people present from 0; called at the end of a warm-up.

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float32, Real
 from numba import njit, prange
 
-from crowdbench.compilation import kernel
+from crowdbench.compilation import Kernel
 from crowdbench.simulation.cells import CHUNK, list_persons, neighbours, sort_into_cells
 from crowdbench.simulation.free_space import REACH_M, free_distance
 from crowdbench.simulation.rules import from_own_frame, to_own_frame
@@ -116,7 +116,7 @@ def in_own_frame(
     return own.clip(-1, 1).astype(np.float32)
 
 
-@kernel
+@Kernel
 def observe_social(
     slots, queue, clock, target, beyond, cells, free, constants, remaining, nearest, out
 ):

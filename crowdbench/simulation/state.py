@@ -74,33 +74,21 @@ class Slots(NamedTuple):
     @classmethod
     def empty(cls, worlds: int, size: int) -> "Slots":
         """Slots of `worlds` worlds with `size` slots each, all empty."""
-        shape = (worlds, size)
-        heading = np.zeros((*shape, 2), np.float32)
-        heading[..., 0] = 1.0
-        return cls(
-            alive=np.zeros(shape, np.bool_),
-            ended=np.zeros(shape, np.int8),
-            spawned=np.zeros(shape, np.bool_),
-            hit_wall=np.zeros(shape, np.bool_),
-            position=np.zeros((*shape, 2), np.float32),
-            velocity=np.zeros((*shape, 2), np.float32),
-            heading=heading,
-            walked=np.zeros(shape, np.float32),
-            stood=np.zeros(shape, np.int32),
-            goal=np.zeros((*shape, 2), np.float32),
-            target=np.zeros((*shape, 2), np.float32),
-            stage=np.zeros(shape, np.int8),
-            stage_before=np.zeros(shape, np.int8),
-            until=np.zeros(shape, np.int32),
-            closest=np.zeros(shape, np.float32),
-            nearer=np.zeros(shape, np.int32),
-            speed=np.zeros(shape, np.float32),
-            person=np.full(shape, -1, np.int32),
-            event=np.full(shape, -1, np.int32),
-            born=np.zeros(shape, np.int32),
-            leave=np.full(shape, -1, np.int32),
-            scripted=np.zeros(shape, np.bool_),
+        pairs = ("position", "velocity", "heading", "goal", "target")
+        kinds: dict[str, type] = dict.fromkeys(cls._fields, np.int32)
+        kinds |= dict.fromkeys(("alive", "spawned", "hit_wall", "scripted"), np.bool_)
+        kinds |= dict.fromkeys(("ended", "stage", "stage_before"), np.int8)
+        kinds |= dict.fromkeys((*pairs, "walked", "closest", "speed"), np.float32)
+        slots = cls(
+            **{
+                name: np.zeros((worlds, size, 2) if name in pairs else (worlds, size), kind)
+                for name, kind in kinds.items()
+            }
         )
+        slots.heading[..., 0] = 1.0
+        for nobody in (slots.person, slots.event, slots.leave):
+            nobody[:] = -1
+        return slots
 
 
 class Queue(NamedTuple):
@@ -142,20 +130,20 @@ class Queue(NamedTuple):
                 out[w, : len(array)] = array
             return out
 
+        def frames(seconds: np.ndarray) -> np.ndarray:
+            return np.ceil(seconds / dt_s - 1e-6)
+
         never = np.iinfo(np.int32).max
-        due = [np.clip(np.ceil(e.time_s / dt_s - 1e-6), -never, never) for e in events]
+        due = [frames(e.time_s).clip(-never, never) for e in events]
+        wait = [frames(e.wait_s).clip(0, never // 4) for e in events]
+        copied = {"start": 0, "goal": 0, "via": np.nan, "speed": 0, "velocity": 0}
         return cls(
+            **{
+                name: stacked([getattr(e, name) for e in events], fill, np.float32)
+                for name, fill in copied.items()
+            },
             due=stacked(due, never, np.int32),
-            start=stacked([e.start for e in events], 0, np.float32),
-            goal=stacked([e.goal for e in events], 0, np.float32),
-            via=stacked([e.via for e in events], np.nan, np.float32),
-            wait=stacked(
-                [np.clip(np.ceil(e.wait_s / dt_s - 1e-6), 0, never // 4) for e in events],
-                0,
-                np.int32,
-            ),
-            speed=stacked([e.speed for e in events], 0, np.float32),
-            velocity=stacked([e.velocity for e in events], 0, np.float32),
+            wait=stacked(wait, 0, np.int32),
             group=stacked([e.group for e in events], -1, np.int32),
             may_wait=stacked([e.entered & ~e.scripted for e in events], 0, np.bool_),
             leave=stacked([e.leave_frame for e in events], -1, np.int32),

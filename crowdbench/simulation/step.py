@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from crowdbench.compilation import kernel
+from crowdbench.compilation import Kernel
 from crowdbench.data.stops import STANDING_MPS
 from crowdbench.simulation.rules import (
     AHEAD_M,
@@ -34,7 +34,7 @@ CLOSER_M = 0.5
 """Least decrease of the distance to a via point that counts as coming closer."""
 
 
-@kernel
+@Kernel
 def advance(actions, own, slots, queue, clock, constants, walls):
     """Advance every world by one step, as described in `Simulation`.
 

@@ -10,7 +10,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numba import njit
 
 from crowdbench.compilation import compiled
@@ -49,8 +48,9 @@ class WallTable(NamedTuple):
     """(C,) float64: lower bound of the distance from the cell to all segments, in metres."""
 
 
+@lru_cache(maxsize=4)
 def wall_table(
-    segments: Float[np.ndarray, "S 4"],
+    walls: bytes,
     *,
     lower: tuple[float, float],
     upper: tuple[float, float],
@@ -60,20 +60,9 @@ def wall_table(
 ) -> WallTable:
     """Tables for positions between `lower` and `upper` and steps of at most `step_m` metres.
 
-    Recent tables are cached and shared between simulations, so they must not be changed.
+    `walls` are the bytes of the segments, (S, 4) float64. Recent tables are cached and shared
+    between simulations, so they must not be changed.
     """
-    return _built(segments.tobytes(), lower, upper, rays, ray_range_m, step_m)
-
-
-@lru_cache(maxsize=4)
-def _built(
-    walls: bytes,
-    lower: tuple[float, float],
-    upper: tuple[float, float],
-    rays: int,
-    ray_range_m: float,
-    step_m: float,
-) -> WallTable:
     segments = np.frombuffer(walls).reshape(-1, 4).copy()
     columns = max(1, math.ceil((upper[0] - lower[0]) / CELL_M))
     rows = max(1, math.ceil((upper[1] - lower[1]) / CELL_M))

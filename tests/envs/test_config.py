@@ -2,6 +2,7 @@
 
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from worlds import Person, square
 
 import crowdbench
 from crowdbench import EnvConfig
+from crowdbench.envs.config import EnvSettings
 from crowdbench.errors import OwnCodeError, SettingError
 from crowdbench.simulation.reward import PARTS, Reward, Rewarder
 from crowdbench.simulation.state import CrowdState
@@ -43,6 +45,10 @@ def test_keywords_replace_the_values_of_a_config() -> None:
 def test_a_wrong_keyword_is_answered_with_the_nearest_one(wrong: str, nearest: str) -> None:
     with pytest.raises(SettingError, match=rf"setting '{wrong}'.*spawn.*Did you mean `{nearest}`"):
         crowdbench.parallel_env("plaza-v0", **{wrong: 1})
+
+
+def test_type_checkers_know_every_field_as_a_keyword() -> None:
+    assert get_type_hints(EnvSettings) == get_type_hints(EnvConfig)
 
 
 def test_each_environment_names_its_own_keywords() -> None:

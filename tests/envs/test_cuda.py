@@ -7,8 +7,7 @@ import torch
 from tensordict import TensorDictBase
 
 from crowdbench.baselines import ppo
-from crowdbench.envs.torchrl_env import CrowdEnv
-from crowdbench.envs.torchrl_slots import SlotEnv
+from crowdbench.envs.torchrl_env import CrowdEnv, SlotEnv
 
 pytestmark = [
     pytest.mark.long,

@@ -238,7 +238,7 @@ def test_the_way_and_the_distances_are_those_of_the_second_version(seed: int) ->
         around += (social._beyond[0, there] > 0).sum()
         actions = rng.normal(0, 0.3, (1, 40, 2)).astype(np.float32)
         two.step(actions)
-        social.step(actions, world_frame=True)
+        social.step(actions, own_frame=False)
     assert around > 0
 
 
@@ -301,9 +301,7 @@ def test_the_heading_is_remembered_while_a_person_stands() -> None:
         ((0.0, -0.29), [1, 0]),
         ((0.0, -0.31), [0, -1]),
     ):
-        simulation.step(
-            np.array([[velocity] + [(0, 0)] * 255], np.float32) / FAST, world_frame=True
-        )
+        simulation.step(np.array([[velocity] + [(0, 0)] * 255], np.float32) / FAST, own_frame=False)
         assert heading_of(simulation) == expected
     seen = simulation.observe()[0, 0]
     assert seen[STOOD] * STOOD_S == pytest.approx(2 * DT)
@@ -408,7 +406,7 @@ def test_own_actions_are_turned_world_actions(scale: float) -> None:
         actions = (scale * rng.normal(0, 1, (1, 40, 2))).astype(np.float32)
         headings = world.observe()[..., HEADING] * world.slots.alive[..., None]
         own.observe()
-        world.step(actions, world_frame=True)
+        world.step(actions, own_frame=False)
         own.step(in_own_frame(actions, headings))
         assert own.slots.alive.tolist() == world.slots.alive.tolist()
         there = own.slots.alive[0]
@@ -438,7 +436,7 @@ def test_actions_are_clipped_before_they_are_turned(
 def test_some_may_act_in_the_world_frame() -> None:
     simulation = only(*[Person(start=(x, 0), goal=(x, 9)) for x in (0.0, 3.0)], max_alive=2)
     actions = np.full((1, 2, 2), [0.1, 0.0], np.float32)
-    simulation.step(actions, world_frame=np.array([[True, False]]))
+    simulation.step(actions, own_frame=np.array([[False, True]]))
     np.testing.assert_allclose(simulation.slots.velocity[0], [[0.5, 0], [0, 0.5]], atol=1e-6)
     rays = simulate(square(), Person(goal=(0, 9)), settings=Settings(max_alive=1))
     rays.step(actions[:, :1])

@@ -29,8 +29,7 @@ def check_models(
         with collecting(problems, folder):
             network = OnnxPolicy(folder / name)
             problems += _seen_too_much(name, network.card, declared)
-            for scene in declared.scenes if name == NETWORK else [name.partition("/")[0]]:
-                network.check_rows(load_scene(scene))
+            network.check_rows()
     for scene, name in layout.weights.items():
         with collecting(problems, folder):
             _read_weights(folder / name, scene)
