@@ -1,3 +1,3 @@
-"""Short import path for `crowdbench.scoring.scorecard`."""
+"""Short import path for `crowdbench.scoring.ranking`."""
 
-from crowdbench.scoring.scorecard import rows as rows
+from crowdbench.scoring.ranking import rows as rows

@@ -17,15 +17,15 @@ import numpy as np
 
 from crowdbench.baselines.packages import needs
 from crowdbench.data.blocks import SPLITS
-from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import interval
 from crowdbench.run.evaluate import evaluate  # without its report
 from crowdbench.run.executor import call_each, checked_workers
 from crowdbench.run.validation import Validator
 from crowdbench.scene import Scene
+from crowdbench.scoring.ranking import Row, rows
 from crowdbench.scoring.score import Score
-from crowdbench.scoring.scorecard import Row, rows
 from crowdbench.simulation import social
+from studies.markdown import table
 
 with needs("fit", __name__):
     import torch

@@ -17,11 +17,11 @@ from crowdbench import load_scene, registry
 from crowdbench.baselines.packages import needs
 from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import SettingError
-from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import interval
 from crowdbench.run.evaluate import evaluate  # without its report
 from crowdbench.run.executor import call_each, checked_workers
-from crowdbench.scoring.scorecard import Row, rows
+from crowdbench.scoring.ranking import Row, rows
+from studies.markdown import table
 
 with needs("fit", __name__):
     from crowdbench.baselines.anticipate import Settings, learn

@@ -16,7 +16,7 @@ import numpy as np
 from crowdbench import evaluate, load_scene
 from crowdbench.baselines import ppo
 from crowdbench.registry import recording_of
-from crowdbench.scoring.scorecard import Row, rows
+from crowdbench.scoring.ranking import Row, rows
 
 OBSERVATIONS = ("lidar-2", "social-1")
 

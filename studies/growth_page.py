@@ -3,8 +3,8 @@
 import os
 from collections.abc import Iterator
 
-from crowdbench.report.text.markdown import flowed, table
 from studies.growth import CITY_TITLE, Table, tables
+from studies.markdown import flowed, table
 
 INTRODUCTION = """# How cost grows
 

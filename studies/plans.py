@@ -17,7 +17,6 @@ from crowdbench.data.blocks import SPLITS
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics import METRICS, Metric
 from crowdbench.registry import list_policies, policy, recording_of, spawn_model
-from crowdbench.report.text.markdown import table
 from crowdbench.run.rollout import rollouts
 from crowdbench.run.rollout_jobs import BATCH
 from crowdbench.scene import Scene, load_scene
@@ -29,6 +28,7 @@ from crowdbench.spawn.plans.mixtures import FEWEST, log_gaussians, moments
 from crowdbench.spawn.plans.trip_fitting import log_speeds
 from crowdbench.spawn.plans.trip_mixtures import SPEED, Places, TripMixtures
 from crowdbench.spawn.plans.ways import Trips
+from studies.markdown import table
 
 Pair = tuple[str, str]
 """A spawn model and a policy."""

@@ -15,12 +15,12 @@ from jaxtyping import Float
 
 from crowdbench.data.blocks import SPLITS
 from crowdbench.registry import recording_of
-from crowdbench.report.text.markdown import table
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building.fit import check_torch
 from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn import Areas, Arrivals, arrivals_of
 from crowdbench.spawn.areas import read_areas
+from studies.markdown import table
 
 SEEDS = 5
 

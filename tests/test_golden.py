@@ -7,7 +7,8 @@ import pytest
 
 from crowdbench.data.storage import read_own
 from crowdbench.errors import RecordingError
-from crowdbench.scoring.scorecard import read_scorecard, rows
+from crowdbench.scoring.ranking import rows
+from crowdbench.scoring.scorecard import read_scorecard
 
 GOLDEN = Path(__file__).parent / "golden"
 

@@ -57,7 +57,7 @@ def evaluate(
         view: show the first rollout of each pair in the viewer at the end
     """
     from crowdbench.report.text.scorecards import print_card
-    from crowdbench.scoring.score_json import score_rows
+    from crowdbench.scoring.ranking import score_rows
 
     sys.path.insert(0, os.getcwd())  # so that pkg.module:Class is found in the working directory
     if view:  # checked before minutes of rollouts

@@ -23,8 +23,8 @@ def score(
     from crowdbench.data.storage import read
     from crowdbench.report.text.notes import missing_notes
     from crowdbench.report.text.scorecards import print_card, print_results
+    from crowdbench.scoring.ranking import score_rows
     from crowdbench.scoring.reference import check_fits
-    from crowdbench.scoring.score_json import score_rows
 
     place = crowdbench.load_scene(scene)
     if len({table.resolve() for table in tables}) < len(tables):

@@ -212,10 +212,8 @@ def gate_notes(entry: Entry) -> dict[str, str]:
             exceeded = beyond_gate(
                 scene.fails,
                 load_scene(name).gate,
-                speed_mps=scene.speed_mps,
-                at_goal=scene.at_goal,
-                recorded_speed_mps=scene.recorded_speed_mps,
-                recorded_at_goal=scene.recorded_at_goal,
+                (scene.speed_mps, scene.recorded_speed_mps),
+                (scene.at_goal, scene.recorded_at_goal),
             )
             view = View(scene=name)
             walks = entry.declared.track == "walk"

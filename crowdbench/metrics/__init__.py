@@ -9,20 +9,7 @@ from contextlib import AbstractContextManager, nullcontext
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.errors import SettingError
-from crowdbench.metrics.arrivals import (
-    FanoFactor10,
-    FanoFactor60s,
-    InterSpawn,
-    InterSpawnPerArea,
-    SpawnCounts,
-)
-from crowdbench.metrics.groups import (
-    CompanionDistance,
-    CompanionOffset,
-    CompanionShare,
-    GroupSize,
-)
-from crowdbench.metrics.interaction import Avoidance, OverlapRate, WallClearance
+from crowdbench.metrics import arrivals, groups, interaction, motion, presence, space, trips
 from crowdbench.metrics.metric import (
     FAMILIES,
     WALK,
@@ -35,49 +22,19 @@ from crowdbench.metrics.metric import (
     distance,
     total,
 )
-from crowdbench.metrics.motion import Acceleration, Deviation, Pace, Speed, Turning
-from crowdbench.metrics.presence import (
-    AgentsOverTime,
-    AgentsSpread,
-    Autocorrelation,
-    SlowAutocorrelation,
-    StandingShare,
-)
-from crowdbench.metrics.space import GoalDensity, NearestNeighbour, Occupancy, StartDensity
-from crowdbench.metrics.trips import Detour, Dwell, GoalShare, OriginDestination
 from crowdbench.plugins import blaming, instance_of, names, part
 
 METRICS: tuple[Metric, ...] = (
-    InterSpawn(),
-    InterSpawnPerArea(),
-    SpawnCounts(),
-    FanoFactor10(),
-    FanoFactor60s(),
-    AgentsOverTime(),
-    AgentsSpread(),
-    Autocorrelation(),
-    SlowAutocorrelation(),
-    StandingShare(),
-    Dwell(),
-    OriginDestination(),
-    Detour(),
-    GoalShare(),
-    Occupancy(),
-    NearestNeighbour(),
-    StartDensity(),
-    GoalDensity(),
-    CompanionShare(),
-    GroupSize(),
-    CompanionDistance(),
-    CompanionOffset(),
-    Speed(),
-    Pace(),
-    Acceleration(),
-    Turning(),
-    Deviation(),
-    Avoidance(),
-    WallClearance(),
-    OverlapRate(),
+    *(arrivals.InterSpawn(), arrivals.InterSpawnPerArea(), arrivals.SpawnCounts()),
+    *(arrivals.FanoFactor10(), arrivals.FanoFactor60s()),
+    *(presence.AgentsOverTime(), presence.AgentsSpread(), presence.Autocorrelation()),
+    *(presence.SlowAutocorrelation(), presence.StandingShare()),
+    *(trips.Dwell(), trips.OriginDestination(), trips.Detour(), trips.GoalShare()),
+    *(space.Occupancy(), space.NearestNeighbour(), space.StartDensity(), space.GoalDensity()),
+    *(groups.CompanionShare(), groups.GroupSize()),
+    *(groups.CompanionDistance(), groups.CompanionOffset()),
+    *(motion.Speed(), motion.Pace(), motion.Acceleration(), motion.Turning(), motion.Deviation()),
+    *(interaction.Avoidance(), interaction.WallClearance(), interaction.OverlapRate()),
 )
 """crowdbench's own metrics, in the order of the tables."""
 

@@ -4,7 +4,7 @@ Arrival times are on the annotation grid. Each person is one arrival, even withi
 """
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.table import Trajectories
@@ -18,7 +18,7 @@ from crowdbench.metrics.lattice import (
     moments,
     widths,
 )
-from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
+from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support, Vectors, Weights
 
 ENOUGH_GAPS = 10
 """Minimum number of recorded gaps at an area for its distribution to be compared."""
@@ -110,16 +110,12 @@ class InterSpawnPerArea(Metric):
         """Value of an empty sample: the mean length of the blocks, in grid steps."""
         return _block_in_grid_steps(blocks)
 
-    def embed(
-        self, sums: Sums, support: Support, blocks: TimeBlocks
-    ) -> Float[np.ndarray, "*batch F"]:
+    def embed(self, sums: Sums, support: Support, blocks: TimeBlocks) -> Vectors:
         """The distribution functions of all areas, concatenated."""
         block = self.if_empty(blocks)
         return np.concatenate([cdf(c, support, if_empty=block) for c in sums.values()], axis=-1)
 
-    def weights(
-        self, recorded: Sums, support: Support, blocks: TimeBlocks
-    ) -> Float[np.ndarray, " #F"]:
+    def weights(self, recorded: Sums, support: Support, blocks: TimeBlocks) -> Weights:
         """Lattice widths times each area's share of the gaps, over the mean gap of all areas.
 
         The shares are equal if there are no gaps. Infinite if the mean gap is 0.
@@ -167,10 +163,6 @@ class SpawnCounts(RelativeWasserstein):
         """`counts[b, n]`: number of bins of block b in which n persons enter."""
         return {"counts": _binned(crowd, blocks, 10 * blocks.dt_s)}
 
-    def step(self, blocks: TimeBlocks) -> float:
-        """Lattice step: 1 person."""
-        return 1.0
-
 
 class FanoFactor10(LogRatio):
     """Fano factor of arrival counts in ten frames: their variance over their mean.
@@ -181,7 +173,6 @@ class FanoFactor10(LogRatio):
 
     name = "fano_10_frames"
     family = "arrivals"
-    unit = ""
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, n]`: number of bins of block b in which n persons enter."""

@@ -16,13 +16,12 @@ from crowdbench.data.companions import groups_of
 from crowdbench.data.stops import STANDING_MPS
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
-from crowdbench.metrics.lattice import counted, histograms, rounded
+from crowdbench.metrics.lattice import counted, histograms
 from crowdbench.metrics.metric import Place, Statistics
-from crowdbench.metrics.ticks import ticks_of
+from crowdbench.metrics.rows import ticks_of
 
 APART_M = 5.0
 """Distances between companions are clipped at this value."""
-STEP_M = 0.05
 
 
 class CompanionShare(ShareDifference):
@@ -33,7 +32,6 @@ class CompanionShare(ShareDifference):
 
     name = "companion_share"
     family = "space"
-    unit = ""
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`share[b]`: number of persons who enter in block b with a companion, and of all."""
@@ -51,6 +49,7 @@ class GroupSize(RelativeWasserstein):
     name = "group_size"
     family = "space"
     unit = "persons"
+    empty = 1.0
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, n]`: number of persons who enter in block b in a group of n."""
@@ -60,28 +59,14 @@ class GroupSize(RelativeWasserstein):
         together = group[persons] >= 0
         return {"counts": histograms(size[group[persons[together]]], block[together], len(blocks))}
 
-    def step(self, blocks: TimeBlocks) -> float:
-        """Lattice step: 1 person."""
-        return 1.0
-
-    def if_empty(self, blocks: TimeBlocks) -> int:
-        """Value of an empty sample: 1 person."""
-        return 1
-
 
 class _OfPairs(RelativeWasserstein):
     """A length of pairs of companions at ticks, in steps of 5 cm, clipped at 5 m."""
 
     family = "space"
     unit = "m"
-
-    def step(self, blocks: TimeBlocks) -> float:
-        """Lattice step: 0.05 m."""
-        return STEP_M
-
-    def if_empty(self, blocks: TimeBlocks) -> int:
-        """Value of an empty sample: 5 m, in lattice steps."""
-        return round(APART_M / STEP_M)
+    lattice_step = 0.05
+    empty = APART_M
 
 
 class CompanionDistance(_OfPairs):
@@ -97,7 +82,7 @@ class CompanionDistance(_OfPairs):
         """`counts[b, d]`: number of pairs and ticks in block b with a distance of d · 5 cm."""
         pairs = pairs_of(crowd, blocks, place.walking.tick_frames)
         gap = np.minimum(np.hypot(*pairs.gap.T), APART_M)
-        return {"counts": histograms(rounded(gap, STEP_M), pairs.block, len(blocks))}
+        return self.histogram(gap, pairs.block, blocks)
 
 
 class CompanionOffset(_OfPairs):
@@ -115,11 +100,11 @@ class CompanionOffset(_OfPairs):
         pairs = pairs_of(crowd, blocks, place.walking.tick_frames)
         walks, gap = pairs.abreast()
         across = np.minimum(np.abs(gap[:, 1]), APART_M)
-        return {"counts": histograms(rounded(across, STEP_M), pairs.block[walks], len(blocks))}
+        return self.histogram(across, pairs.block[walks], blocks)
 
 
 class CompanionPairs(NamedTuple):
-    """CompanionPairs of companions at `n` ticks in blocks."""
+    """Pairs of companions at `n` ticks in blocks."""
 
     gap: Float[np.ndarray, "n 2"]
     """From one to the other, metres."""

@@ -4,16 +4,15 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.neighbours import nearest_neighbour_m
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
-from crowdbench.metrics.lattice import counted, histograms, rounded
-from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
-from crowdbench.metrics.rows import rows_in
-from crowdbench.metrics.ticks import Ticks, ticks_of
+from crowdbench.metrics.lattice import counted
+from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support, Vectors, Weights
+from crowdbench.metrics.rows import Ticks, rows_in, ticks_of
 
 ENCOUNTER_M = 2.0
 STRANGERS_MPS = 0.7
@@ -72,9 +71,7 @@ class Avoidance(Metric):
             "shifted": np.sum([histogram(k) for k in shifts], axis=0),
         }
 
-    def embed(
-        self, sums: Sums, support: Support, blocks: TimeBlocks
-    ) -> Float[np.ndarray, "*batch F"]:
+    def embed(self, sums: Sums, support: Support, blocks: TimeBlocks) -> Vectors:
         """G at the upper edge of each bin; without encounters a distribution function is 0."""
         observed, shifted = (
             counts.cumsum(axis=-1) / np.maximum(counts.sum(axis=-1, keepdims=True), 1)
@@ -82,9 +79,7 @@ class Avoidance(Metric):
         )
         return np.asarray(observed - shifted)
 
-    def weights(
-        self, recorded: Sums, support: Support, blocks: TimeBlocks
-    ) -> Float[np.ndarray, " #F"]:
+    def weights(self, recorded: Sums, support: Support, blocks: TimeBlocks) -> Weights:
         """Width of a bin, metres."""
         return np.full(1, BIN_M)
 
@@ -114,21 +109,15 @@ class WallClearance(RelativeWasserstein):
     name = "wall_clearance"
     family = "interaction"
     unit = "m"
+    lattice_step = 0.05
+    empty = WALL_RANGE_M
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, d]`: number of positions in block b at a distance of d · 5 cm from walls."""
         at = ticks_of(crowd, blocks, place.walking.tick_frames)
         inside = at.block >= 0
         distance = clearance(place.walls, at.xy[inside])
-        return {"counts": histograms(rounded(distance, 0.05), at.block[inside], len(blocks))}
-
-    def step(self, blocks: TimeBlocks) -> float:
-        """Lattice step: 0.05 m."""
-        return 0.05
-
-    def if_empty(self, blocks: TimeBlocks) -> int:
-        """Value of an empty sample: 2 m, in lattice steps."""
-        return round(WALL_RANGE_M / 0.05)
+        return self.histogram(distance, at.block[inside], blocks)
 
 
 def clearance(
@@ -143,9 +132,8 @@ def clearance(
         return np.full(len(xy), WALL_RANGE_M)
     solid, grid = _walls_by_cell(walls)
     distance = clearances(xy, WALL_RANGE_M, *grid)
-    solids: Bool[np.ndarray, " n"] = shapely.contains_xy(solid, xy[:, 0], xy[:, 1])
-    distance[solids] = 0.0
-    return np.asarray(distance)
+    distance[shapely.contains_xy(solid, xy[:, 0], xy[:, 1])] = 0.0
+    return distance
 
 
 @lru_cache(maxsize=8)
@@ -177,7 +165,6 @@ class OverlapRate(ShareDifference):
 
     name = "overlap_rate"
     family = "interaction"
-    unit = ""
     scored = False
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:

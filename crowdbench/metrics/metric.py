@@ -11,7 +11,7 @@ so the energy score based on it is proper.
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -32,15 +32,13 @@ Support = Int[np.ndarray, " V"]
 Sums = dict[str, np.ndarray]
 """Aligned statistics summed over blocks, (…, V); leading axes are resamples or rollouts."""
 
+Vectors = Float[np.ndarray, "*batch F"]
+"""The vectors that are compared; leading axes are resamples or rollouts."""
+Weights = Float[np.ndarray, " #F"]
+"""The weight of each component, or one for all."""
+
 Family = Literal["arrivals", "presence", "trips", "space", "motion", "interaction"]
-FAMILIES: tuple[Family, ...] = (
-    "arrivals",
-    "presence",
-    "trips",
-    "space",
-    "motion",
-    "interaction",
-)
+FAMILIES: tuple[Family, ...] = get_args(Family)
 WALK: tuple[Family, ...] = ("motion", "interaction")
 """Families that evaluate how people walk; they are scored under the recorded arrivals."""
 
@@ -95,13 +93,13 @@ def in_blocks(statistics: Statistics, inside: Bool[np.ndarray, " B"]) -> Statist
 class Metric(ABC):
     """A metric: its statistics, the vectors that are compared, and the weights of their components.
 
-    Subclasses set `name`, `family` and `unit`.
+    Subclasses set `name`, `family` and, if the typical value has one, `unit`.
     """
 
     name: ClassVar[str]
     family: ClassVar[Family]
-    unit: ClassVar[str]
-    """Unit of the typical value."""
+    unit: ClassVar[str] = ""
+    """Unit of the typical value; empty for a pure number."""
     scored: ClassVar[bool] = True
     """False for metrics that are computed and shown, but never affect scores."""
 
@@ -125,14 +123,10 @@ class Metric(ABC):
         """Statistics of `crowd` in each block."""
 
     @abstractmethod
-    def embed(
-        self, sums: Sums, support: Support, blocks: TimeBlocks
-    ) -> Float[np.ndarray, "*batch F"]:
+    def embed(self, sums: Sums, support: Support, blocks: TimeBlocks) -> Vectors:
         """The vectors whose weighted L1 distance is the metric's distance."""
 
-    def weights(
-        self, recorded: Sums, support: Support, blocks: TimeBlocks
-    ) -> Float[np.ndarray, " #F"]:
+    def weights(self, recorded: Sums, support: Support, blocks: TimeBlocks) -> Weights:
         """Weight of each vector component, computed from the recording's sums."""
         return np.ones(1)
 
@@ -140,9 +134,9 @@ class Metric(ABC):
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
         """The typical value that tables show, in `unit`."""
 
-    @abstractmethod
     def size(self, sums: Sums) -> int:
-        """Size of the sample."""
+        """Size of the sample; that of the histogram `counts` unless a metric says otherwise."""
+        return int(sums["counts"].sum())
 
     def compare(
         self, recorded: Statistics, simulated: Statistics, blocks: TimeBlocks

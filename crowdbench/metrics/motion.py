@@ -15,9 +15,8 @@ from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.stops import STANDING_MPS
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein
-from crowdbench.metrics.lattice import histograms, rounded
-from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
-from crowdbench.metrics.ticks import ticks_of
+from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support, Vectors, Weights
+from crowdbench.metrics.rows import ticks_of
 from crowdbench.scene import Walking
 
 FASTEST_MPS = 100.0
@@ -61,16 +60,13 @@ class Speed(RelativeWasserstein):
     name = "speed"
     family = "motion"
     unit = "m/s"
+    lattice_step = 0.01
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, v]`: number of positions in block b with a speed of v cm/s."""
         speed, _, block = _speeds(crowd, blocks, place.walking)
         inside = block >= 0
-        return {"counts": histograms(rounded(speed[inside], 0.01), block[inside], len(blocks))}
-
-    def step(self, blocks: TimeBlocks) -> float:
-        """Lattice step: 0.01 m/s."""
-        return 0.01
+        return self.histogram(speed[inside], block[inside], blocks)
 
     @staticmethod
     def walking_mps(statistics: Statistics) -> float | None:
@@ -92,6 +88,7 @@ class Pace(RelativeWasserstein):
     name = "pace"
     family = "motion"
     unit = "m/s"
+    lattice_step = 0.01
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, v]`: number of positions in block b whose speed differs by v cm/s."""
@@ -99,11 +96,7 @@ class Pace(RelativeWasserstein):
         total, count = np.bincount(person, speed), np.bincount(person)
         unsteady = np.abs(speed - (total / np.maximum(count, 1))[person])
         inside = block >= 0
-        return {"counts": histograms(rounded(unsteady[inside], 0.01), block[inside], len(blocks))}
-
-    def step(self, blocks: TimeBlocks) -> float:
-        """Lattice step: 0.01 m/s."""
-        return 0.01
+        return self.histogram(unsteady[inside], block[inside], blocks)
 
 
 @lru_cache(maxsize=4)  # two metrics use the products of the same crowd, at up to four lags
@@ -115,10 +108,9 @@ def _products(
 
     at = ticks_of(crowd, blocks, tick_frames)
     stands = STANDING_MPS * (2 * lag + 1) * at.dt_s
-    found: np.ndarray = products(
+    return products(
         at.xy, at.person, at.block, len(blocks), lag, lag * at.dt_s, stands, LARGEST, PRODUCT
     )
-    return found
 
 
 class _NoiseCancelled(Metric):
@@ -136,16 +128,12 @@ class _NoiseCancelled(Metric):
             sums[f"lag {lag}"] = of_lag[:, [self._component, 2]]
         return sums
 
-    def embed(
-        self, sums: Sums, support: Support, blocks: TimeBlocks
-    ) -> Float[np.ndarray, "*batch F"]:
+    def embed(self, sums: Sums, support: Support, blocks: TimeBlocks) -> Vectors:
         """√max(0, mean product) at each lag, m/s²."""
         by_lag = [s[..., 0] * PRODUCT / np.maximum(s[..., 1], 1) for s in sums.values()]
         return np.sqrt(np.maximum(np.stack(by_lag, axis=-1), 0.0))
 
-    def weights(
-        self, recorded: Sums, support: Support, blocks: TimeBlocks
-    ) -> Float[np.ndarray, " #F"]:
+    def weights(self, recorded: Sums, support: Support, blocks: TimeBlocks) -> Weights:
         """One over the number of lags times the recorded value; infinite if that is 0."""
         value = self.embed(recorded, support, blocks)
         with np.errstate(divide="ignore"):
@@ -194,6 +182,7 @@ class Deviation(RelativeWasserstein):
     name = "deviation"
     family = "motion"
     unit = "m"
+    lattice_step = 0.01
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, d]`: number of trips that begin in block b with a deviation of d cm."""
@@ -217,8 +206,4 @@ class Deviation(RelativeWasserstein):
             square += (2 / np.maximum(steps, 1) * np.bincount(trip, sine)) ** 2
         deviation = np.sqrt(square)[chosen]
         block = at.block[begin][chosen]
-        return {"counts": histograms(rounded(deviation, 0.01), block, len(blocks))}
-
-    def step(self, blocks: TimeBlocks) -> float:
-        """Lattice step: 0.01 m."""
-        return 0.01
+        return self.histogram(deviation, block, blocks)

@@ -1,9 +1,10 @@
 """Family presence: how many people are present at the same time."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.stops import standing
@@ -17,7 +18,7 @@ from crowdbench.metrics.lattice import (
     lagged_sums,
     moments,
 )
-from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support
+from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support, Vectors, Weights
 from crowdbench.metrics.rows import rows_in
 
 LAGS_S = (10.0, 30.0, 60.0)
@@ -55,10 +56,6 @@ class AgentsOverTime(RelativeWasserstein):
         present, block = present_in(crowd, blocks)
         return {"counts": histograms(present, block, len(blocks))}
 
-    def step(self, blocks: TimeBlocks) -> float:
-        """Lattice step: 1 person."""
-        return 1.0
-
 
 class AgentsSpread(LogRatio):
     """Standard deviation of N(t) over the frames in the blocks.
@@ -80,7 +77,44 @@ class AgentsSpread(LogRatio):
         return np.sqrt(moments(sums["counts"], support)[1])
 
 
-class Autocorrelation(Metric):
+class _Correlations(Metric):
+    """Pearson's correlation of N(t) and N(t + lag) at several lags."""
+
+    family = "presence"
+    lags_s: ClassVar[tuple[float, ...]]
+    across: ClassVar[bool] = False
+    """Whether N(t) may be in an earlier block than N(t + lag)."""
+
+    def applies(self, blocks: TimeBlocks) -> bool:
+        """Whether at least one lag is used."""
+        return bool(self._used(blocks))
+
+    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
+        """`lag n s[b]`: sums of pairs with t + lag in block b (see `lagged`), used or not."""
+        sums = lagged(crowd, blocks, self.lags_s, across=self.across)
+        return {lag_key(lag_s): of_lag for lag_s, of_lag in zip(self.lags_s, sums, strict=True)}
+
+    def embed(self, sums: Sums, support: Support, blocks: TimeBlocks) -> Vectors:
+        """The correlation at each lag that is used."""
+        return np.stack([correlation(sums[lag_key(lag)]) for lag in self._used(blocks)], axis=-1)
+
+    def weights(self, recorded: Sums, support: Support, blocks: TimeBlocks) -> Weights:
+        """1 / number of lags: the distance is a mean over the lags."""
+        return np.full(1, 1 / len(self._used(blocks)))
+
+    def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
+        """Mean correlation over the lags."""
+        return float(self.embed(sums, support, blocks).mean())
+
+    def size(self, sums: Sums) -> int:
+        """Number of pairs of frames at the shortest lag."""
+        return int(sums[lag_key(self.lags_s[0])][0])
+
+    def _used(self, blocks: TimeBlocks) -> list[float]:
+        return usable_lags(self.lags_s, blocks, across=self.across)
+
+
+class Autocorrelation(_Correlations):
     """Autocorrelation of N(t) at lags of 10, 30 and 60 s.
 
     Pearson's correlation of N(t) and N(t + lag), both in the same block, over all blocks together;
@@ -90,41 +124,10 @@ class Autocorrelation(Metric):
     """
 
     name = "autocorrelation"
-    family = "presence"
-    unit = ""
-
-    def applies(self, blocks: TimeBlocks) -> bool:
-        """Whether the blocks are long enough for at least one lag."""
-        return bool(usable_lags(LAGS_S, blocks))
-
-    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`lag n s[b]`: n, Σx, Σx′, Σxx′, Σx², Σx′² in block b, for every lag, used or not."""
-        sums = lagged(crowd, blocks, LAGS_S)
-        return {lag_key(lag_s): of_lag for lag_s, of_lag in zip(LAGS_S, sums, strict=True)}
-
-    def embed(
-        self, sums: Sums, support: Support, blocks: TimeBlocks
-    ) -> Float[np.ndarray, "*batch F"]:
-        """The correlation at each lag that is used."""
-        by_lag = [correlation(sums[lag_key(lag_s)]) for lag_s in usable_lags(LAGS_S, blocks)]
-        return np.stack(by_lag, axis=-1)
-
-    def weights(
-        self, recorded: Sums, support: Support, blocks: TimeBlocks
-    ) -> Float[np.ndarray, " #F"]:
-        """1 / number of lags: the distance is a mean over the lags."""
-        return np.full(1, 1 / len(usable_lags(LAGS_S, blocks)))
-
-    def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
-        """Mean correlation over the lags."""
-        return float(self.embed(sums, support, blocks).mean())
-
-    def size(self, sums: Sums) -> int:
-        """Number of pairs of frames at the shortest lag."""
-        return int(sums[lag_key(LAGS_S[0])][0])
+    lags_s = LAGS_S
 
 
-class SlowAutocorrelation(Metric):
+class SlowAutocorrelation(_Correlations):
     """Autocorrelation of N(t) at lags of 120 and 300 s.
 
     As `Autocorrelation`, but N(t + lag) may be in a later block than N(t), if observation did not
@@ -134,49 +137,9 @@ class SlowAutocorrelation(Metric):
     """
 
     name = "slow_autocorrelation"
-    family = "presence"
-    unit = ""
     scored = False
-
-    def applies(self, blocks: TimeBlocks) -> bool:
-        """Whether at least one lag is used."""
-        return bool(_late_enough(blocks))
-
-    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`lag n s[b]`: as in `Autocorrelation`, with N(t + lag) in block b."""
-        last = max(int(blocks.frames.max()), crowd.frames)
-        present = np.pad(crowd.present(), (0, last - crowd.frames))
-        block, since = np.full(last, -1), np.full(last, last)
-        for b, (start, stop) in enumerate(blocks.frames):
-            block[start:stop], since[start:stop] = b, blocks.since[b]
-        sums = {}
-        for lag_s in SLOW_LAGS_S:
-            lag = min(_in_frames(lag_s, blocks), last)
-            counts = np.arange(last - lag) >= since[lag:]
-            x, y = present[: last - lag][counts], present[lag:][counts]
-            sums[lag_key(lag_s)] = lagged_sums(x, y, block[lag:][counts], len(blocks))
-        return sums
-
-    def embed(
-        self, sums: Sums, support: Support, blocks: TimeBlocks
-    ) -> Float[np.ndarray, "*batch F"]:
-        """The correlation at each lag that is used."""
-        by_lag = [correlation(sums[lag_key(lag_s)]) for lag_s in _late_enough(blocks)]
-        return np.stack(by_lag, axis=-1)
-
-    def weights(
-        self, recorded: Sums, support: Support, blocks: TimeBlocks
-    ) -> Float[np.ndarray, " #F"]:
-        """1 / number of lags: the distance is a mean over the lags."""
-        return np.full(1, 1 / len(_late_enough(blocks)))
-
-    def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
-        """Mean correlation over the lags."""
-        return float(self.embed(sums, support, blocks).mean())
-
-    def size(self, sums: Sums) -> int:
-        """Number of pairs of frames at the shortest lag."""
-        return int(sums[lag_key(SLOW_LAGS_S[0])][0])
+    lags_s = SLOW_LAGS_S
+    across = True
 
 
 class StandingShare(ShareDifference):
@@ -188,7 +151,6 @@ class StandingShare(ShareDifference):
 
     name = "standing_share"
     family = "presence"
-    unit = ""
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`share[b]`: number of positions in block b of people who stand, and of all."""
@@ -197,35 +159,37 @@ class StandingShare(ShareDifference):
 
 
 def lagged(
-    crowd: Trajectories, blocks: TimeBlocks, lags_s: Sequence[float]
+    crowd: Trajectories, blocks: TimeBlocks, lags_s: Sequence[float], *, across: bool = False
 ) -> Int[np.ndarray, "L B 6"]:
-    """n, Σx, Σx′, Σxx′, Σx², Σx′² of x = N(t) and x′ = N(t + lag) in each block, for each lag."""
-    present, block = present_in(crowd, blocks)
+    """n, Σx, Σx′, Σxx′, Σx², Σx′² of x = N(t) and x′ = N(t + lag), for each lag and block.
+
+    A pair counts for the block of t + lag, if t is in it too or, with `across`, if observation did
+    not stop in between.
+    """
+    since = blocks.since if across else blocks.frames[:, 0]
+    last = max(int(blocks.frames.max()), crowd.frames)
+    present = np.pad(crowd.present(), (0, last - crowd.frames))
+    block, begin = np.full(last, -1), np.full(last, last)
+    for b, (start, stop) in enumerate(blocks.frames):
+        block[start:stop], begin[start:stop] = b, since[b]
     found = np.zeros((len(lags_s), len(blocks), 6), dtype=np.int64)
     for k, lag_s in enumerate(lags_s):
-        lag = min(_in_frames(lag_s, blocks), len(block))
-        same = block[lag:] == block[: len(block) - lag]
-        x, y = present[: len(block) - lag][same], present[lag:][same]
-        found[k] = lagged_sums(x, y, block[lag:][same], len(blocks))
+        lag = min(_in_frames(lag_s, blocks), last)
+        counts = np.arange(last - lag) >= begin[lag:]
+        x, y = present[: last - lag][counts], present[lag:][counts]
+        found[k] = lagged_sums(x, y, block[lag:][counts], len(blocks))
     return found
 
 
-def usable_lags(lags_s: Sequence[float], blocks: TimeBlocks) -> list[float]:
-    """The lags for which enough frames have a frame one lag later in the same block."""
-    length = np.diff(blocks.frames)
-    return [
-        lag_s
-        for lag_s in lags_s
-        if np.maximum(length - _in_frames(lag_s, blocks), 0).sum() >= ENOUGH * length.sum()
-    ]
-
-
-def _late_enough(blocks: TimeBlocks) -> list[float]:
-    """The slow lags at which enough frames of the blocks have an earlier one."""
+def usable_lags(
+    lags_s: Sequence[float], blocks: TimeBlocks, *, across: bool = False
+) -> list[float]:
+    """The lags for which enough frames have an earlier one that counts, see `lagged`."""
     start, stop = blocks.frames.T
+    since = blocks.since if across else start
     found = []
-    for lag_s in SLOW_LAGS_S:
-        late = np.maximum(stop - np.maximum(start, blocks.since + _in_frames(lag_s, blocks)), 0)
+    for lag_s in lags_s:
+        late = np.maximum(stop - np.maximum(start, since + _in_frames(lag_s, blocks)), 0)
         if late.sum() >= ENOUGH * (stop - start).sum():
             found.append(lag_s)
     return found

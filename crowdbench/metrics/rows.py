@@ -1,7 +1,10 @@
-"""Rows in time blocks, shared by several metrics."""
+"""Rows in time blocks, and ticks: the frames with annotated positions."""
+
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.table import Trajectories
@@ -22,3 +25,32 @@ def block_of_frames(blocks: TimeBlocks, frames: int) -> Int[np.ndarray, " frames
     for b, (start, stop) in enumerate(blocks.frames):
         block[start:stop] = b
     return block
+
+
+class Ticks(NamedTuple):
+    """The positions of a crowd at its `n` ticks, trip by trip."""
+
+    xy: Float[np.ndarray, "n 2"]
+    """Metres."""
+    row: Int[np.ndarray, " n"]
+    """Index of each position in `Trajectories.xy`."""
+    person: Int[np.ndarray, " n"]
+    block: Int[np.ndarray, " n"]
+    """Time block of each position; −1 outside all blocks."""
+    dt_s: float
+    """Seconds from one tick to the next."""
+
+    def with_room(self, before: int, after: int) -> Int[np.ndarray, " m"]:
+        """Indices of the positions whose trip has as many ticks before and after them."""
+        index = np.arange(before, max(before, len(self.xy) - after))
+        return index[self.person[index - before] == self.person[index + after]]
+
+
+@lru_cache(maxsize=1)  # several metrics use the ticks of the same crowd
+def ticks_of(crowd: Trajectories, blocks: TimeBlocks, tick_frames: int) -> Ticks:
+    """The positions of a crowd at its ticks."""
+    frame = crowd.row_frame()
+    rows = np.flatnonzero(frame % tick_frames == 0)
+    block = block_of_frames(blocks, crowd.frames)[frame[rows]]
+    xy = crowd.xy[rows].astype(np.float64)
+    return Ticks(xy, rows, crowd.row_person()[rows], block, tick_frames * crowd.dt_s)

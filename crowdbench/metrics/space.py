@@ -7,7 +7,6 @@ from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.neighbours import nearest_neighbour_m
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, TotalVariation
-from crowdbench.metrics.lattice import histograms, rounded
 from crowdbench.metrics.metric import Place, Statistics
 from crowdbench.metrics.rows import rows_in
 
@@ -86,6 +85,8 @@ class NearestNeighbour(RelativeWasserstein):
     name = "nearest_neighbour"
     family = "space"
     unit = "m"
+    lattice_step = 0.01
+    empty = ALONE_M
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, d]`: number of positions whose nearest neighbour is d cm away."""
@@ -93,12 +94,4 @@ class NearestNeighbour(RelativeWasserstein):
         nearest = nearest_neighbour_m(crowd)[rows]
         known = np.isfinite(nearest)
         gap = np.minimum(nearest[known], ALONE_M)
-        return {"counts": histograms(rounded(gap, 0.01), block[known], len(blocks))}
-
-    def step(self, blocks: TimeBlocks) -> float:
-        """Lattice step: 0.01 m."""
-        return 0.01
-
-    def if_empty(self, blocks: TimeBlocks) -> int:
-        """Value of an empty sample: 50 m, in lattice steps."""
-        return round(ALONE_M / 0.01)
+        return self.histogram(gap, block[known], blocks)

@@ -1,13 +1,12 @@
 """Family trips: the trips of people who enter in a block, even if they leave after its end."""
 
 import numpy as np
-from jaxtyping import Float
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference, TotalVariation
-from crowdbench.metrics.lattice import counted, histograms, kaplan_meier_cdf, rounded
-from crowdbench.metrics.metric import Place, Statistics, Sums, Support
+from crowdbench.metrics.lattice import counted, histograms, kaplan_meier_cdf
+from crowdbench.metrics.metric import Place, Statistics, Sums, Support, Vectors
 
 SHORTEST_WAY_M = 1.0
 """Trips with a shorter distance from start to end have no meaningful detour ratio."""
@@ -49,9 +48,7 @@ class Dwell(RelativeWasserstein):
         """True: both statistics are histograms."""
         return True
 
-    def embed(
-        self, sums: Sums, support: Support, blocks: TimeBlocks
-    ) -> Float[np.ndarray, "*batch F"]:
+    def embed(self, sums: Sums, support: Support, blocks: TimeBlocks) -> Vectors:
         """The Kaplan–Meier distribution function."""
         return kaplan_meier_cdf(
             sums["ended"], sums["censored"], support, if_empty=self.if_empty(blocks)
@@ -94,7 +91,8 @@ class Detour(RelativeWasserstein):
 
     name = "detour"
     family = "trips"
-    unit = ""
+    lattice_step = 0.01
+    empty = 1.0
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, r]`: trips that begin in block b with a ratio of r hundredths."""
@@ -103,15 +101,7 @@ class Detour(RelativeWasserstein):
         way = np.linalg.norm(crowd.end.astype(np.float64) - crowd.start, axis=1)[persons]
         counts = crowd.left[persons] & (way >= SHORTEST_WAY_M)
         ratio = np.minimum(length[counts] / way[counts], LONGEST_DETOUR)
-        return {"counts": histograms(rounded(ratio, 0.01), block[counts], len(blocks))}
-
-    def step(self, blocks: TimeBlocks) -> float:
-        """Lattice step: 0.01."""
-        return 0.01
-
-    def if_empty(self, blocks: TimeBlocks) -> int:
-        """Value of an empty sample: a ratio of 1, in lattice steps."""
-        return 100
+        return self.histogram(ratio, block[counts], blocks)
 
 
 class GoalShare(ShareDifference):
@@ -124,7 +114,6 @@ class GoalShare(ShareDifference):
 
     name = "goal_share"
     family = "trips"
-    unit = ""
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`share[b]`: number of persons entering in block b who reach their goal, and who leave."""

@@ -29,7 +29,7 @@ def draw_place(scene: Scene, recording: Trajectories, out: Path) -> list[Path]:
         WeightsError: the scene has no areas or reference statistics.
         OutputError: a picture cannot be written.
     """
-    plot = PlotData.of(scene, read_reference(scene), {}, "full", recording)
+    plot = PlotData.of(scene, read_reference(scene), {}, "full")
     drawn = (_paths(plot, recording), _over_time(plot, recording))
     paths = [out / name for name in PICTURES]
     for path, data in zip(paths, drawn, strict=True):

@@ -20,7 +20,7 @@ entries, so that entries can be compared in pairs), of fits, and of rollouts wit
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -66,20 +66,19 @@ class Draws:
 
     blocks: Int[np.ndarray, "R B"]
     """How often each block occurs in each resample."""
-    units: tuple[tuple[int, int], ...]
-    """Runs [start, stop) of blocks that are resampled together."""
+    runs: Int[np.ndarray, " U"]
+    """Lengths of the runs of blocks that are resampled together."""
     seed: tuple[int, ...]
 
     @classmethod
     def of(
         cls, blocks: TimeBlocks, *, resample_s: float, block_s: float, seed: tuple[int, ...]
     ) -> "Draws":
-        """Draw units of `resample_s` (runs of consecutive scored blocks) with replacement."""
-        run = max(1, round(resample_s / block_s))
-        edges = [*range(0, len(blocks), run), len(blocks)]
-        units = tuple((a, b) for a, b in pairwise(edges))
+        """Draw runs of `resample_s` (consecutive scored blocks) with replacement."""
+        step = max(1, round(resample_s / block_s))
+        runs = np.diff([*range(0, len(blocks), step), len(blocks)])
         rng = np.random.default_rng([*seed, 0])
-        return cls(_draw(rng, np.ones(len(units)), len(units), RESAMPLES, units), units, seed)
+        return cls(_draw(rng, np.ones(len(runs)), len(runs), RESAMPLES, runs), runs, seed)
 
     def fits(self, fits: int) -> Int[np.ndarray, "R fits"]:
         """Indices of the fits in each resample, drawn with replacement."""
@@ -96,11 +95,10 @@ def _draw(
     weight: Float[np.ndarray, " U"],
     times: int,
     count: int,
-    units: tuple[tuple[int, int], ...],
+    runs: Int[np.ndarray, " U"],
 ) -> Int[np.ndarray, "count B"]:
-    """Draw `times` units with replacement, `count` times; returns how often each block occurs."""
-    drawn = rng.multinomial(times, weight / weight.sum(), size=count)
-    return np.repeat(drawn, [stop - start for start, stop in units], axis=1)
+    """Draw `times` runs with replacement, `count` times; returns how often each block occurs."""
+    return np.repeat(rng.multinomial(times, weight / weight.sum(), size=count), runs, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,12 +112,12 @@ class FloorDraws:
 
     order: Int[np.ndarray, " B"]
     """Indices of the recording's blocks, fold by fold."""
-    units: tuple[tuple[int, int], ...]
-    """Runs [start, stop) of these blocks that are resampled together."""
+    runs: Int[np.ndarray, " U"]
+    """Lengths of the runs of these blocks that are resampled together."""
     blocks: Int[np.ndarray, "R B"]
     """How often each block occurs in each resample."""
     times: int
-    """Number of units in the part."""
+    """Number of runs in the part."""
     seed: tuple[int, ...]
 
     @classmethod
@@ -130,28 +128,24 @@ class FloorDraws:
 
         `everyone` holds, for each part, the indices of its blocks and its draws.
         """
-        units: list[tuple[int, int]] = []
-        for _, draws in everyone:
-            first = units[-1][1] if units else 0
-            units += [(first + a, first + b) for a, b in draws.units]
         return cls(
             np.concatenate([index for index, _ in everyone]),
-            tuple(units),
+            np.concatenate([draws.runs for _, draws in everyone]),
             np.concatenate([draws.blocks for _, draws in everyone], axis=1),
-            len(part.units),
+            len(part.runs),
             part.seed,
         )
 
     def centre(self) -> Int[np.ndarray, "count B"]:
         """Resamples of the recording, as counts per block."""
         rng = np.random.default_rng([*self.seed, 4])
-        return _draw(rng, np.ones(len(self.units)), self.times, FLOOR_DRAWS, self.units)
+        return _draw(rng, np.ones(len(self.runs)), self.times, FLOOR_DRAWS, self.runs)
 
     def nested(self, resample: int) -> Int[np.ndarray, "count B"]:
         """Resamples of one resample, as counts per block."""
         rng = np.random.default_rng([*self.seed, 1, resample])
-        weight = np.array([self.blocks[resample, start] for start, _ in self.units], dtype=float)
-        return _draw(rng, weight, self.times, NESTED_DRAWS, self.units)
+        weight = self.blocks[resample, self.runs.cumsum() - self.runs].astype(np.float64)
+        return _draw(rng, weight, self.times, NESTED_DRAWS, self.runs)
 
 
 def energy(
@@ -171,20 +165,15 @@ def energy(
     because the recording's mean is 0.
     """
     fits, each = len(rollouts), len(rollouts[0])
-    crowds = [recorded, *(crowd for fit in rollouts for crowd in fit)]
-    embedded = Embedded.of(metric, crowds, recorded, blocks)
+    embedded = Embedded.of(metric, [recorded, *chain(*rollouts)], recorded, blocks)
     if embedded is None:
         return None
-
-    def split(of: Float[np.ndarray, "r n F"]) -> tuple[np.ndarray, np.ndarray]:
-        return _distances(of[:, 0], of[:, 1:].reshape(len(of), fits, each, of.shape[-1]))
-
-    to_y, between = split(embedded(np.ones((1, len(blocks)), dtype=np.int64)))
+    to_y, between = embedded.distances(embedded.once, fits)
     centre = float(to_y.mean() - spread * pair_mean(between).mean() / 2)
     chosen, inside = draws.fits(fits), draws.rollouts(fits, each)
     resampled = np.empty(RESAMPLES)
     for part in embedded.chunks(RESAMPLES):
-        to_y, between = split(embedded(draws.blocks[part]))
+        to_y, between = embedded.distances(draws.blocks[part], fits)
         r = np.arange(len(to_y))[:, None, None]
         fit, k = chosen[part][:, :, None], inside[part]
         near = to_y[r, fit, k].mean(axis=(1, 2))
@@ -223,14 +212,10 @@ def energies_of_fits(
 
     Without `spread`, the second term is 0.
     """
-    crowds = [recorded, *(crowd for fit in rollouts for crowd in fit)]
-    embedded = Embedded.of(metric, crowds, recorded, blocks)
+    embedded = Embedded.of(metric, [recorded, *chain(*rollouts)], recorded, blocks)
     if embedded is None:
         return None
-    x = embedded(np.ones((1, len(blocks)), dtype=np.int64))
-    to_y, between = _distances(
-        x[:, 0], x[:, 1:].reshape(1, len(rollouts), len(rollouts[0]), x.shape[-1])
-    )
+    to_y, between = embedded.distances(embedded.once, len(rollouts))
     return FitEnergies(to_y[0].mean(axis=1), spread * pair_mean(between[0]) / 2)
 
 
@@ -293,6 +278,11 @@ class Embedded:
             stacked[name] = together.reshape(len(together), -1).astype(np.float64)
         return cls(metric, blocks, support, stacked, len(crowds), weight)
 
+    @property
+    def once(self) -> Int[np.ndarray, "1 B"]:
+        """Weights that count each block once."""
+        return np.ones((1, len(self.blocks)), dtype=np.int64)
+
     def first(self, crowds: int) -> "Embedded":
         """The same for the first crowds only, on the support of all."""
         stacked = {
@@ -315,6 +305,13 @@ class Embedded:
             for name, values in self.stacked.items()
         }
         return self.metric.embed(sums, self.support, self.blocks) * self.weight
+
+    def distances(
+        self, weights: Int[np.ndarray, "r B"], fits: int
+    ) -> tuple[Float[np.ndarray, "r g K"], Float[np.ndarray, "r g K K"]]:
+        """L1 distances of the other crowds, of `fits` fits, to the first one, and within fits."""
+        x = self(weights)
+        return _distances(x[:, 0], x[:, 1:].reshape(len(x), fits, -1, x.shape[-1]))
 
 
 def pair_mean(distances: Float[np.ndarray, "*batch K K"]) -> Float[np.ndarray, "*batch"]:

@@ -66,7 +66,7 @@ def power(
         x = embedded(draws.blocks[:SYNTHETIC])[:, 1:]
         of_anchor = np.abs(x - y[:, None]).sum(axis=-1).mean(axis=1)
     else:
-        x = embedded(np.ones((1, len(blocks)), dtype=np.int64))[0, 1:]
+        x = embedded(embedded.once)[0, 1:]
         of_anchor = cdist(y, x, "cityblock").mean(axis=1) - pdist(x, "cityblock").mean() / 2
     threshold = float(np.percentile(of_truth, PERCENTILE))
     return Power(

@@ -1,9 +1,31 @@
-"""Ranks of a scorecard's table: who competes, by which score, and the order of the rows."""
+"""The table of a scorecard: scores of each crowd, the gate, who competes, and ranks."""
 
 from collections.abc import Sequence
-from typing import Literal, Protocol, TypeVar, runtime_checkable
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
-from crowdbench.scoring.score import Score, ranks
+import numpy as np
+
+from crowdbench.metrics import METRICS, WALK
+from crowdbench.scoring.energy import Energy
+from crowdbench.scoring.score import (
+    Score,
+    crowd_score,
+    family_scores,
+    overall_score,
+    ranks,
+    score_of,
+    walk_score,
+)
+from crowdbench.scoring.scorecard import (
+    ANCHOR,
+    GATE_STANDARD,
+    WALK_ANCHOR,
+    Limit,
+    PairResult,
+    Scorecard,
+    has_recorded_arrivals,
+)
 from crowdbench.spawn.steering.scenario import split_scenario
 
 RankedBy = Literal["walk", "overall", "crowd"]
@@ -12,27 +34,118 @@ RECORDED_POLICIES = ("replay", "recorded-paths")
 """Policies that follow recorded paths. They need recorded arrivals and are not ranked."""
 
 
-@runtime_checkable  # tests check annotations at run time
-class _Row(Protocol):
-    """What ranks depend on in a row of the table, see `crowdbench.scoring.scorecard.Row`."""
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A row of the table of scores."""
+
+    spawn: str
+    policy: str
+    kind: Literal["entry", "baseline"]
+    entry: PairResult
+    families: dict[str, Score]
+    """Score of each family; motion and interaction are scored under the recorded arrivals."""
+    crowd: Score | None
+    """Mean over arrivals, presence, trips and space; evaluates the spawn model if `policy` is
+    `straight`."""
+    walk: Score | None
+    """The lesser of motion and interaction; None if the recording is needed and not imported."""
+    overall: Score | None
+    """Mean of crowd and walk."""
+    fails: tuple[Limit, ...]
+    """Why the policy does not pass the scene's gate, `speed` and `arrivals`; empty if it does."""
+    rank: int | None = None
+    """Rank by the score that `ranked_by` names; None if the row does not compete."""
 
     @property
-    def kind(self) -> Literal["entry", "baseline"]: ...
-    @property
-    def spawn(self) -> str: ...
-    @property
-    def policy(self) -> str: ...
-    @property
-    def walk(self) -> Score | None: ...
-    @property
-    def crowd(self) -> Score | None: ...
-    @property
-    def overall(self) -> Score | None: ...
-    @property
-    def rank(self) -> int | None: ...
+    def walk_without_gate(self) -> Score | None:
+        """What `walk` would be if the policy passed the scene's gate."""
+        return walk_score(self.families, passes=True)
 
 
-AnyRow = TypeVar("AnyRow", bound=_Row)
+def scale_of(card: Scorecard) -> dict[str, tuple[Energy, Energy]]:
+    """Noise floor and energy score of the anchor for each scored metric."""
+    by_pair = {(e.spawn, e.policy): e for e in card.scale.anchors}
+    scale = {}
+    for metric in METRICS:
+        walks = metric.family in WALK
+        anchor = by_pair[WALK_ANCHOR if walks else ANCHOR].metrics.get(metric.name)
+        floor = card.scale.floor.get(metric.name)
+        if metric.name not in card.scored or anchor is None or floor is None:
+            continue
+        if anchor.energy is not None:
+            nothing = Energy(0.0, np.zeros(card.resamples))
+            scale[metric.name] = (nothing if walks else floor.energy(), anchor.energy.energy())
+    return scale
+
+
+def metric_scores(
+    scale: dict[str, tuple[Energy, Energy]], entry: PairResult
+) -> dict[str, Score | None]:
+    """The score of an entry in each scored metric, on the scale of `scale_of`; None for none."""
+    scores: dict[str, Score | None] = {}
+    for name, (floor, anchor) in scale.items():
+        energy = entry.metrics[name].energy
+        scores[name] = score_of(energy.energy(), floor, anchor) if energy is not None else None
+    return scores
+
+
+def rows(card: Scorecard) -> list[Row]:
+    """The table of a scorecard: its entries in their order, then the baselines.
+
+    The scores of motion and interaction are those of the policy under the recorded arrivals
+    (spawn model `replay`). They apply to all entries with the same policy.
+    """
+    scale, recorded = scale_of(card), has_recorded_arrivals(card)
+
+    def row(entry: PairResult, kind: Literal["entry", "baseline"]) -> Row:
+        # The walk scores of baselines are shipped; those of entries need the imported recording.
+        walker = walker_of(card, entry.policy) if kind == "baseline" or recorded else None
+        scores = metric_scores(scale, entry)
+        if walker is not None:
+            walked = metric_scores(scale, walker)
+            scores |= {
+                m.name: walked[m.name] for m in METRICS if m.family in WALK and m.name in scale
+            }
+        families = family_scores(scores, card.scored)
+        fails = () if walker is None else failures(card, walker)
+        crowd, walk = crowd_score(families), walk_score(families, passes=not fails)
+        whole = overall_score(crowd, walk)
+        return Row(entry.spawn, entry.policy, kind, entry, families, crowd, walk, whole, fails)
+
+    pairs = {(e.spawn, e.policy) for e in card.entries}
+    others = [e for e in card.scale.anchors if (e.spawn, e.policy) not in pairs]
+    entries = _ranked([row(e, "entry") for e in card.entries])
+    return [*entries, *(row(e, "baseline") for e in others)]
+
+
+def walker_of(card: Scorecard, policy: str) -> PairResult | None:
+    """A policy's result under the recorded arrivals, which the gate judges; None without one."""
+    everyone = [*card.entries, *card.scale.anchors]
+    return next((e for e in everyone if (e.spawn, e.policy) == ("replay", policy)), None)
+
+
+def gate_standard(card: Scorecard) -> PairResult:
+    """The result of recorded people walked under the rules of the simulation."""
+    return next(e for e in card.scale.anchors if (e.spawn, e.policy) == GATE_STANDARD)
+
+
+def failures(card: Scorecard, entry: PairResult) -> tuple[Limit, ...]:
+    """Which limits of the scene's gate a policy exceeds, `speed` or `arrivals`; empty for none.
+
+    `entry` is the policy's result under the recorded arrivals. Its mean walking speed and its share
+    of people at their goals are compared with those of recorded people walked. A share that is
+    unknown, as for the policy `replay`, is not compared.
+    """
+    standard = gate_standard(card)
+    exceeded: list[Limit] = []
+    if standard.speed_mps is not None:
+        speed = 0.0 if entry.speed_mps is None else entry.speed_mps
+        if abs(speed / standard.speed_mps - 1) > card.gate.speed:
+            exceeded.append("speed")
+    at_goal = 1.0 if entry.at_goal is None else entry.at_goal
+    if standard.at_goal is not None and at_goal < card.gate.arrivals * standard.at_goal:
+        exceeded.append("arrivals")
+    return tuple(exceeded)
 
 
 def steered(spawn: str) -> bool:
@@ -49,7 +162,7 @@ def may_rank(spawn: str) -> bool:
     return spawn not in ("replay", "block-replay") and not steered(spawn)
 
 
-def competing_rows(table: Sequence[AnyRow]) -> list[AnyRow]:
+def competing_rows(table: Sequence[Row]) -> list[Row]:
     """The rows of a table that are ranked, if all of them have scores."""
     entries = [row for row in table if row.kind == "entry"]
     if all(row.spawn == "replay" for row in entries):  # only policies are compared
@@ -57,7 +170,7 @@ def competing_rows(table: Sequence[AnyRow]) -> list[AnyRow]:
     return [row for row in entries if may_rank(row.spawn)]
 
 
-def ranked_by(table: Sequence[_Row]) -> RankedBy:
+def ranked_by(table: Sequence[Row]) -> RankedBy:
     """The score by which a table is ranked and sorted.
 
     It is `walk` if only policies are compared (all entries have the spawn model `replay`),
@@ -70,14 +183,14 @@ def ranked_by(table: Sequence[_Row]) -> RankedBy:
     return "overall" if all(row.overall is not None for row in competing) else "crowd"
 
 
-def ordered(table: Sequence[AnyRow]) -> list[AnyRow]:
+def ordered(table: Sequence[Row]) -> list[Row]:
     """The table sorted: entries by rank, then by the score that `ranked_by` names; baselines last.
 
     Entries without a rank follow those with one, and entries without a score follow those with one.
     """
     by = ranked_by(table)
 
-    def place(row: _Row) -> tuple[bool, int, float]:
+    def place(row: Row) -> tuple[bool, int, float]:
         score: Score | None = getattr(row, by)
         worth = float("inf") if score is None else -score.value
         return row.rank is None, row.rank or 0, worth
@@ -86,15 +199,45 @@ def ordered(table: Sequence[AnyRow]) -> list[AnyRow]:
     return [*sorted(entries, key=place), *(row for row in table if row.kind == "baseline")]
 
 
-def ranks_of(entries: Sequence[_Row]) -> list[int | None]:
-    """Rank of each row, None for those that do not compete.
+def _ranked(entries: Sequence[Row]) -> list[Row]:
+    """The entries with ranks; nobody has one if a competing row has no score."""
+    by = ranked_by(entries)
+    scores: dict[int, Score | None] = {id(row): getattr(row, by) for row in competing_rows(entries)}
+    known = [score for score in scores.values() if score is not None]
+    if len(known) < len(scores):
+        return list(entries)
+    rank = dict(zip(scores, ranks(known), strict=True))
+    return [replace(row, rank=rank.get(id(row))) for row in entries]
 
-    Nobody has a rank if a competing row has no score.
+
+def score_rows(card: Scorecard) -> dict[str, Any]:
+    """The rows of a scorecard's table: the crowds in their order, then the unranked baselines.
+
+    Spawn models and policies have the names that they were given. Scores and distances that are
+    not defined are None. `ranked_by` names the score that the ranks compare.
     """
-    competing, by = competing_rows(entries), ranked_by(entries)
-    scores: list[Score | None] = [getattr(row, by) for row in competing]
-    known = [score for score in scores if score is not None]
-    if len(known) < len(competing) or not competing:
-        return [None] * len(entries)
-    rank = dict(zip(map(id, competing), ranks(known), strict=True))
-    return [rank.get(id(row)) for row in entries]
+    table = rows(card)
+    return {"ranked_by": ranked_by(table), "rows": [_row(row, card) for row in table]}
+
+
+def _row(row: Row, card: Scorecard) -> dict[str, Any]:
+    return {
+        "spawn": row.spawn,
+        "policy": row.policy,
+        "protocol": card.protocol,
+        "kind": row.kind,
+        "families": {family: _score(score) for family, score in row.families.items()},
+        "crowd": _score(row.crowd),
+        "walk": _score(row.walk),
+        "overall": _score(row.overall),
+        "rank": row.rank,
+        "rollouts": len(row.entry.seeds),
+        "distances": {name: metric.distance for name, metric in row.entry.metrics.items()},
+        "mean_speed_mps": row.entry.speed_mps,
+        "at_goal": row.entry.at_goal,
+        "gate": list(row.fails),
+    }
+
+
+def _score(score: Score | None) -> dict[str, Any] | None:
+    return None if score is None else {"score": score.value, "interval": score.interval}

@@ -6,8 +6,9 @@ from the recording. Paths, arrival times and per-frame series cannot be reconstr
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -128,20 +129,18 @@ def check_fits(crowd: Trajectories, scene: Scene, where: object = None) -> None:
         RecordingError: it belongs to another scene, has another time step or length, or is mostly
             outside the scene.
     """
-    where = f"crowd scored on {scene.id}" if where is None else where
+    wrong = partial(RecordingError, f"crowd scored on {scene.id}" if where is None else where)
     if not np.isclose(crowd.dt_s, scene.dt_s):
-        raise RecordingError(
-            where,
+        raise wrong(
             got=f"frames of {crowd.dt_s:g} s",
             expected=f"frames of {scene.dt_s:g} s",
             hint="Resample the trajectories to the scene's time step.",
         )
     if crowd.scene not in (scene.id, scene.recording.name):
-        raise RecordingError(where, got=f"a crowd of {crowd.scene}", expected=scene.id)
+        raise wrong(got=f"a crowd of {crowd.scene}", expected=scene.id)
     needed = scene.recording.frames
     if abs(crowd.frames - needed) > scene.frames(scene.protocol.block_s):
-        raise RecordingError(
-            where,
+        raise wrong(
             got=f"{crowd.frames} frames ({crowd.duration_s:.1f} s)",
             expected=f"{needed} frames ({needed * scene.dt_s:.1f} s), as long as the recording",
             hint="Both crowds are compared in the same time blocks: simulate for as long as the "
@@ -151,11 +150,10 @@ def check_fits(crowd: Trajectories, scene: Scene, where: object = None) -> None:
     low, high = np.array([b.x_min_m, b.y_min_m]) - 1.0, np.array([b.x_max_m, b.y_max_m]) + 1.0
     outside = np.any((crowd.xy < low) | (crowd.xy > high), axis=1)
     if len(crowd.xy) and outside.mean() > 0.5:
-        raise RecordingError(
-            where,
+        x, y = f"x from {b.x_min_m:g} to {b.x_max_m:g}", f"y from {b.y_min_m:g} to {b.y_max_m:g}"
+        raise wrong(
             got=f"{outside.mean():.0%} of the positions outside {scene.id}",
-            expected=f"x from {b.x_min_m:g} to {b.x_max_m:g} and y from {b.y_min_m:g} to "
-            f"{b.y_max_m:g}",
+            expected=f"{x} and {y}",
             hint="Use metres, and the scene's axes and origin.",
         )
 
@@ -184,22 +182,29 @@ class _ReferenceFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     Values may be negative: some are sums of products."""
 
 
+def _settings(scene: Scene, place: Place) -> dict[str, Any]:
+    """The fields of a file that its scene must agree with."""
+    return {
+        "schema": SCHEMA,
+        "scene": scene.id,
+        "dt_s": scene.dt_s,
+        "grid_s": scene.grid_s,
+        "block_s": scene.protocol.block_s,
+        "walking": scene.walking,
+        "person_radius_m": scene.motion.person_radius_m,
+        "spawn_areas": place.spawn_areas,
+        "goal_areas": place.goal_areas,
+    }
+
+
 def write_reference(reference: Reference, scene: Scene) -> Path:
     """Write the statistics into the scene's folder."""
     path = scene.folder / "reference.json.gz"
     file = _ReferenceFile(
-        schema=SCHEMA,
-        scene=scene.id,
+        **_settings(scene, reference.place),
         recording=scene.recording.name,
-        dt_s=scene.dt_s,
-        grid_s=scene.grid_s,
-        block_s=scene.protocol.block_s,
         blocks=[(int(a), int(b)) for a, b in reference.blocks.frames],
         opens=reference.blocks.opens.tolist(),
-        walking=scene.walking,
-        person_radius_m=scene.motion.person_radius_m,
-        spawn_areas=reference.place.spawn_areas,
-        goal_areas=reference.place.goal_areas,
         statistics={
             metric: {name: sparse(counts) for name, counts in statistics.items()}
             for metric, statistics in reference.statistics.items()
@@ -219,72 +224,41 @@ def read_reference(scene: Scene) -> Reference:
     _check_scored(scene)
     path = scene.folder / "reference.json.gz"
     hint = f"Run `crowdbench scene fit {scene.asked}`."
+    wrong = partial(WeightsError, path, hint=hint)
     file = read_struct(path, _ReferenceFile, WeightsError, hint)
-    if (file.scene, file.schema) != (scene.id, SCHEMA):
-        raise WeightsError(
-            path,
-            got=f"statistics of {file.scene}, schema {file.schema}",
-            expected=f"statistics of {scene.id}, schema {SCHEMA}",
-            hint=hint,
-        )
-    frames = max((stop for _, stop in file.blocks), default=0)
-    for name, computed, stated in (
-        ("dt_s", file.dt_s, scene.dt_s),
-        ("grid_s", file.grid_s, scene.grid_s),
-        ("protocol.block_s", file.block_s, scene.protocol.block_s),
-        ("motion.person_radius_m", file.person_radius_m, scene.motion.person_radius_m),
-        ("recording.frames", max(frames, scene.recording.frames), scene.recording.frames),
-        *(
-            (f"walking.{name}", getattr(file.walking, name), getattr(scene.walking, name))
-            for name in Walking.__struct_fields__
-        ),
-    ):
-        if computed != stated:
-            raise WeightsError(
-                path,
-                got=f"statistics computed with {name} = {_format(computed)}",
-                expected=f"{name} = {_format(stated)}, as in scene.toml",
-                hint=hint,
-            )
     place = place_of(scene, read_areas(scene))
-    areas = (file.spawn_areas, file.goal_areas)
-    if areas != (place.spawn_areas, place.goal_areas):
-        raise WeightsError(
-            path,
-            got=f"statistics of {areas[0]} spawn and {areas[1]} goal areas",
-            expected=f"{place.spawn_areas} and {place.goal_areas}, as in areas.json",
-            hint=hint,
+    stated = _settings(scene, place)
+    computed = {name: getattr(file, name) for name in stated}
+    for settings in (stated, computed):
+        settings |= msgspec.structs.asdict(settings.pop("walking"))
+    for name, value in computed.items():
+        if value != stated[name]:
+            raise wrong(
+                got=f"statistics computed with {name} = {value}",
+                expected=f"{name} = {stated[name]}, as in the scene's files",
+            )
+    within, frames = np.array(file.blocks), scene.recording.frames
+    order = "ascending" if (np.diff(within.ravel()) >= 0).all() and np.diff(within).all() else "no"
+    if (order, len(file.opens)) != ("ascending", len(within)) or within[-1, 1] > frames:
+        raise wrong(
+            got=f"{len(within)} blocks in {order} order, up to frame {within[-1, 1]}, with "
+            f"{len(file.opens)} values of opens",
+            expected="non-empty blocks in ascending order, with a value of opens each, in the "
+            f"{frames} frames of the recording",
         )
-    if len(file.opens) != len(file.blocks):
-        raise WeightsError(
-            path,
-            got=f"{len(file.opens)} values of opens",
-            expected=f"{len(file.blocks)}, one per block",
-            hint=hint,
-        )
-    within = np.array(file.blocks)
     since = np.maximum.accumulate(np.where(file.opens, within[:, 0], 0))
     blocks = TimeBlocks(within, since, scene.dt_s, scene.grid_s)
-    if (np.diff(blocks.frames.ravel()) < 0).any() or (np.diff(blocks.frames) == 0).any():
-        raise WeightsError(
-            path,
-            got="blocks that are empty or overlap",
-            expected="non-empty blocks in ascending order",
-            hint=hint,
-        )
     nobody = summarise(_nobody(scene), blocks, place)
-    # A metric that is not scored may have no statistics; see `evaluation.references`.
+    # A metric that is not scored may have no statistics; see `crowdbench.run.references`.
     known = {name for name in nobody if name in file.statistics or name in scene.protocol.scored}
     for name in sorted(known):
         expected = set(nobody[name])
         got = file.statistics.get(name, {})
         rows = {len(rows) for _, rows in got.values()}
         if set(got) != expected or rows != {len(blocks)}:
-            raise WeightsError(
-                path,
+            raise wrong(
                 got=f"{name} with {', '.join(got) or 'nothing'} in {sorted(rows)} blocks",
                 expected=f"{', '.join(sorted(expected))} in {len(blocks)} blocks",
-                hint=hint,
             )
     statistics = {
         metric: {n: dense(columns, rows) for n, (columns, rows) in file.statistics[metric].items()}
@@ -292,10 +266,6 @@ def read_reference(scene: Scene) -> Reference:
         if metric in known
     }
     return Reference(blocks, place, statistics)
-
-
-def _format(value: float | int | tuple[float, ...]) -> str:
-    return ", ".join(f"{v:g}" for v in value) if isinstance(value, tuple) else f"{value:g}"
 
 
 class _RawStatistics(msgspec.Struct, frozen=True):

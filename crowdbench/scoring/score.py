@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from crowdbench.metrics import FAMILIES, WALK, Metric
+from crowdbench.metrics import FAMILIES, METRICS, WALK
 from crowdbench.scoring.energy import Energy
 
 LOWEST = -1.0
@@ -63,13 +63,11 @@ def combined(scores: Sequence[Score]) -> Score | None:
     )
 
 
-def family_scores(
-    metrics: Sequence[Metric], scores: Mapping[str, Score | None], scored: Sequence[str]
-) -> dict[str, Score]:
+def family_scores(scores: Mapping[str, Score | None], scored: Sequence[str]) -> dict[str, Score]:
     """Mean score over the scored metrics of each family; families without any are omitted."""
     families: dict[str, Score] = {}
     for family in FAMILIES:
-        asked = [m.name for m in metrics if m.family == family and m.name in scored]
+        asked = [m.name for m in METRICS if m.family == family and m.name in scored]
         score = combined([s for name in asked if (s := scores.get(name)) is not None])
         if score is not None:
             families[family] = score

@@ -7,28 +7,17 @@ scene (`anchors.json.gz`).
 """
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import msgspec
 import numpy as np
 
 from crowdbench.errors import CrowdbenchError, RecordingError, WeightsError
 from crowdbench.files import read_struct, sha256, write_json
-from crowdbench.metrics import METRICS, WALK
 from crowdbench.scene import Gate, Scene
 from crowdbench.scoring.energy import RESAMPLES, Energy
-from crowdbench.scoring.ranking import ranks_of
 from crowdbench.scoring.reference import scored_statistics
-from crowdbench.scoring.score import (
-    Score,
-    crowd_score,
-    family_scores,
-    overall_score,
-    score_of,
-    walk_score,
-)
 
 SCHEMA = 3
 
@@ -160,130 +149,9 @@ class Scorecard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     entries: list[PairResult]
 
 
-@dataclass(frozen=True, eq=False)
-class Row:
-    """A row of the table of scores."""
-
-    spawn: str
-    policy: str
-    kind: Literal["entry", "baseline"]
-    entry: PairResult
-    families: dict[str, Score]
-    """Score of each family; motion and interaction are scored under the recorded arrivals."""
-    crowd: Score | None
-    """Mean over arrivals, presence, trips and space; evaluates the spawn model if `policy` is
-    `straight`."""
-    walk: Score | None
-    """The lesser of motion and interaction; None if the recording is needed and not imported."""
-    overall: Score | None
-    """Mean of crowd and walk."""
-    fails: tuple[Limit, ...]
-    """Why the policy does not pass the scene's gate, `speed` and `arrivals`; empty if it does."""
-    rank: int | None
-    """Rank by the score that `ranked_by` names; None if the row does not compete."""
-
-    @property
-    def walk_without_gate(self) -> Score | None:
-        """What `walk` would be if the policy passed the scene's gate."""
-        return walk_score(self.families, passes=True)
-
-
 def has_recorded_arrivals(card: Scorecard) -> bool:
     """Whether the policies were also evaluated under the recorded arrivals."""
     return any(entry.spawn == "replay" for entry in card.entries)
-
-
-def scale_of(card: Scorecard) -> dict[str, tuple[Energy, Energy]]:
-    """Noise floor and energy score of the anchor for each scored metric."""
-    by_pair = {(e.spawn, e.policy): e for e in card.scale.anchors}
-    scale = {}
-    for metric in METRICS:
-        walks = metric.family in WALK
-        anchor = by_pair[WALK_ANCHOR if walks else ANCHOR].metrics.get(metric.name)
-        floor = card.scale.floor.get(metric.name)
-        if metric.name not in card.scored or anchor is None or floor is None:
-            continue
-        if anchor.energy is not None:
-            nothing = Energy(0.0, np.zeros(card.resamples))
-            scale[metric.name] = (nothing if walks else floor.energy(), anchor.energy.energy())
-    return scale
-
-
-def metric_scores(
-    scale: dict[str, tuple[Energy, Energy]], entry: PairResult
-) -> dict[str, Score | None]:
-    """The score of an entry in each scored metric, on the scale of `scale_of`; None for none."""
-    scores: dict[str, Score | None] = {}
-    for name, (floor, anchor) in scale.items():
-        energy = entry.metrics[name].energy
-        scores[name] = score_of(energy.energy(), floor, anchor) if energy is not None else None
-    return scores
-
-
-def rows(card: Scorecard) -> list[Row]:
-    """The table of a scorecard: its entries in their order, then the baselines.
-
-    The scores of motion and interaction are those of the policy under the recorded arrivals
-    (spawn model `replay`). They apply to all entries with the same policy.
-    """
-    everyone = [*card.entries, *card.scale.anchors]
-    scale = scale_of(card)
-    of_entry = {id(e): metric_scores(scale, e) for e in everyone}
-    under_recorded = {e.policy: e for e in reversed(everyone) if e.spawn == "replay"}
-    walkers = {policy: of_entry[id(e)] for policy, e in under_recorded.items()}
-    recorded = has_recorded_arrivals(card)
-
-    def row(entry: PairResult, kind: Literal["entry", "baseline"]) -> Row:
-        scores = dict(of_entry[id(entry)])
-        # The walk scores of baselines are shipped; those of entries need the imported recording.
-        if kind == "baseline" or recorded:
-            for metric in METRICS:
-                if metric.family in WALK and metric.name in walkers.get(entry.policy, {}):
-                    scores[metric.name] = walkers[entry.policy][metric.name]
-        families = family_scores(METRICS, scores, card.scored)
-        walker = under_recorded.get(entry.policy) if kind == "baseline" or recorded else None
-        fails = () if walker is None else failures(card, walker)
-        crowd, walk = crowd_score(families), walk_score(families, passes=not fails)
-        whole = overall_score(crowd, walk)
-        return Row(
-            entry.spawn, entry.policy, kind, entry, families, crowd, walk, whole, fails, None
-        )
-
-    pairs = {(e.spawn, e.policy) for e in card.entries}
-    entries = [row(e, "entry") for e in card.entries]
-    others = [e for e in card.scale.anchors if (e.spawn, e.policy) not in pairs]
-    ranked = [replace(r, rank=k) for r, k in zip(entries, ranks_of(entries), strict=True)]
-    return [*ranked, *(row(e, "baseline") for e in others)]
-
-
-def walker_of(card: Scorecard, policy: str) -> PairResult | None:
-    """A policy's result under the recorded arrivals, which the gate judges; None without one."""
-    everyone = [*card.entries, *card.scale.anchors]
-    return next((e for e in everyone if (e.spawn, e.policy) == ("replay", policy)), None)
-
-
-def gate_standard(card: Scorecard) -> PairResult:
-    """The result of recorded people walked under the rules of the simulation."""
-    return next(e for e in card.scale.anchors if (e.spawn, e.policy) == GATE_STANDARD)
-
-
-def failures(card: Scorecard, entry: PairResult) -> tuple[Limit, ...]:
-    """Which limits of the scene's gate a policy exceeds, `speed` or `arrivals`; empty for none.
-
-    `entry` is the policy's result under the recorded arrivals. Its mean walking speed and its share
-    of people at their goals are compared with those of recorded people walked. A share that is
-    unknown, as for the policy `replay`, is not compared.
-    """
-    standard = gate_standard(card)
-    exceeded: list[Limit] = []
-    if standard.speed_mps is not None:
-        speed = 0.0 if entry.speed_mps is None else entry.speed_mps
-        if abs(speed / standard.speed_mps - 1) > card.gate.speed:
-            exceeded.append("speed")
-    at_goal = 1.0 if entry.at_goal is None else entry.at_goal
-    if standard.at_goal is not None and at_goal < card.gate.arrivals * standard.at_goal:
-        exceeded.append("arrivals")
-    return tuple(exceeded)
 
 
 def files_of(scene: Scene) -> str:
@@ -322,16 +190,13 @@ def read_anchors(scene: Scene) -> Anchors:
             expected=f"anchors of {expected[0]}, schema {expected[1]}, hash {expected[2]}",
             hint=hint,
         )
-    if set(anchors.protocols) != {"full", "heldout"}:
-        raise WeightsError(
-            path,
-            got=f"anchors of {', '.join(anchors.protocols) or 'no protocol'}",
-            expected="anchors of full and heldout",
-            hint=hint,
-        )
-    for scale in anchors.protocols.values():
-        _check(scale, path, hint, WeightsError)
+    for protocol in get_args(Protocol):
+        _check(anchors.protocols.get(protocol), path, hint, WeightsError)
     return anchors
+
+
+class _AnySchema(msgspec.Struct, frozen=True):
+    schema: int | None = None
 
 
 def read_scorecard(path: Path) -> Scorecard:
@@ -341,32 +206,17 @@ def read_scorecard(path: Path) -> Scorecard:
         RecordingError: the file is missing or broken, or has another schema version.
     """
     hint = "Run `crowdbench evaluate` again."
-    try:
-        card = read_struct(path, Scorecard, RecordingError, hint)
-    except RecordingError as error:
-        schema = _schema_of(path)
-        if schema in (None, SCHEMA):
-            raise
-        raise RecordingError(
-            path, got=f"schema {schema}", expected=f"schema {SCHEMA}", hint=hint
-        ) from error
-    if card.schema != SCHEMA:
-        raise RecordingError(
-            path, got=f"schema {card.schema}", expected=f"schema {SCHEMA}", hint=hint
-        )
+    schema = read_struct(path, _AnySchema, RecordingError, hint).schema
+    if schema not in (None, SCHEMA):  # otherwise an unknown field would be the error
+        raise RecordingError(path, got=f"schema {schema}", expected=f"schema {SCHEMA}", hint=hint)
+    card = read_struct(path, Scorecard, RecordingError, hint)
     _check(card.scale, path, hint, RecordingError)
     return card
 
 
-def _schema_of(path: Path) -> object:
-    try:
-        return msgspec.json.decode(path.read_bytes()).get("schema")
-    except (OSError, msgspec.DecodeError, AttributeError):
-        return None
-
-
-def _check(scale: Scale, path: Path, hint: str, error: type[CrowdbenchError]) -> None:
+def _check(scale: Scale | None, path: Path, hint: str, error: type[CrowdbenchError]) -> None:
     """Raise `error` if anchors are missing or a number of resamples is wrong."""
+    scale = scale or Scale(floor={}, anchors=[])
     missing = set(BASELINES) - {(e.spawn, e.policy) for e in scale.anchors}
     lengths = {
         len(m.energy.resampled) for e in scale.anchors for m in e.metrics.values() if m.energy

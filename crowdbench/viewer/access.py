@@ -1,60 +1,21 @@
-"""Checks that rerun is available, and recording streams to it."""
+"""Checks that the viewer can open."""
 
 import os
 import socket
 import sys
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
 
 from crowdbench.errors import SettingError, to_install
-from crowdbench.scene import Scene
-
-if TYPE_CHECKING:
-    from rerun import RecordingStream
-    from rerun.blueprint import Blueprint
 
 PORT = 9876
 """Port on which rerun viewers listen."""
 
 
-def new_stream(scene: Scene, title: str) -> "RecordingStream":
-    """A stream for one recording in the viewer; the viewer keeps a layout per scene."""
-    import rerun as rr
-
-    stream = rr.RecordingStream(f"crowdbench {scene.id}")
-    stream.send_recording_name(title)
-    return stream
-
-
-def open_stream(scene: Scene, title: str, first_look: "Blueprint") -> "RecordingStream":
-    """A stream to the viewer that is open, or to a new window.
-
-    Raises:
-        SettingError: as `check_screen`, or the window did not open.
-    """
-    check_screen()
-    stream = new_stream(scene, title)
-    stream.spawn(port=PORT, connect=False)
-    if not _listens():
-        raise _no_screen("a window that did not open")
-    address = f"rerun+http://127.0.0.1:{PORT}/proxy"
-    stream.connect_grpc(address, default_blueprint=first_look)
-    return stream
-
-
 def check_rerun() -> None:
-    """Raise an error if rerun is not installed.
-
-    Raises:
-        SettingError: rerun is not installed.
-    """
+    """Raise a `SettingError` if rerun is not installed."""
     if find_spec("rerun") is None:
-        raise SettingError(
-            "the viewer",
-            got="no rerun",
-            expected="the package rerun",
-            hint=to_install("viewer"),
-        )
+        hint = to_install("viewer")
+        raise SettingError("the viewer", got="no rerun", expected="the package rerun", hint=hint)
 
 
 def check_screen() -> None:
@@ -65,11 +26,12 @@ def check_screen() -> None:
     """
     check_rerun()
     screen = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
-    if sys.platform.startswith("linux") and not screen and not _listens():
-        raise _no_screen("no screen")
+    if sys.platform.startswith("linux") and not screen and not listens():
+        raise no_screen("no screen")
 
 
-def _no_screen(got: str) -> SettingError:
+def no_screen(got: str) -> SettingError:
+    """The error that no window of the viewer is there, or can open."""
     return SettingError(
         "the viewer",
         got=got,
@@ -80,7 +42,7 @@ def _no_screen(got: str) -> SettingError:
     )
 
 
-def _listens() -> bool:
+def listens() -> bool:
     """Whether a viewer is running, on this machine or at the other end of a tunnel."""
     with socket.socket() as probe:
         probe.settimeout(0.2)

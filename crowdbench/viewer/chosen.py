@@ -1,8 +1,9 @@
 """The rays and the path of one chosen person."""
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+import rerun as rr
 from jaxtyping import Float32
 
 from crowdbench.data.table import Trajectories
@@ -12,10 +13,7 @@ from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import head_of
 from crowdbench.simulation.state import GOAL
 from crowdbench.viewer.crowd import time_columns
-from crowdbench.viewer.place import WORLD
-
-if TYPE_CHECKING:
-    from rerun import RecordingStream
+from crowdbench.viewer.place import SIMULATION, WORLD
 
 _HIT, _FREE = (255, 235, 130, 200), (255, 235, 130, 50)
 _WHITE = (255, 255, 255)
@@ -38,69 +36,51 @@ def index_of(person_id: int, crowd: Trajectories) -> int:
     return int(found[0])
 
 
-def log_chosen(
-    stream: "RecordingStream", side: str, crowd: Trajectories, scene: Scene, person_id: int
-) -> None:
-    """Log a person's rays in each frame, and the complete path, while the person is present.
-
-    Raises:
-        SettingError: no person has this id.
-    """
-    import rerun as rr
-
-    chosen = index_of(person_id, crowd)
+def log_chosen(stream: rr.RecordingStream, crowd: Trajectories, scene: Scene, chosen: int) -> None:
+    """Log the rays in each frame, and the complete path, of the person at index `chosen`."""
     settings = Settings(max_alive=int(crowd.present().max()))
     length = ray_lengths(crowd, chosen, scene, settings)
-    path = crowd.path(chosen)
+    path, first = crowd.path(chosen), crowd.first[chosen]
     shown = settings.shown
     angle = 2 * np.pi * np.arange(shown.rays) / shown.rays
-    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    ends = path[:, None] + length[..., None] * way
+    ends = path[:, None] + length[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     strips = np.stack([np.broadcast_to(path[:, None], ends.shape), ends], axis=2)
     met = (length < shown.ray_range_m).ravel()
+
+    def log(
+        name: str, frames: np.ndarray, columns: Any, there: np.ndarray, look: rr.AsComponents
+    ) -> None:
+        where = f"{WORLD}/{SIMULATION}/chosen/{name}"
+        times = time_columns(first + frames, crowd.dt_s)
+        stream.send_columns(where, times, columns.partition(there))
+        stream.log(where, look, static=True)
+
     # An additional frame without rays, so that they disappear with the person.
-    count = np.append(np.full(len(path), shown.rays), 0)
-    times = time_columns(crowd.first[chosen] + np.arange(len(path) + 1), crowd.dt_s)
-    where = f"{WORLD}/{side}/chosen"
+    each, count = np.arange(len(path) + 1), np.append(np.full(len(path), shown.rays), 0)
     rays = rr.LineStrips2D.columns(
         strips=strips.reshape(-1, 2, 2).astype(np.float32),
         colors=np.where(met[:, None], _HIT, _FREE).astype(np.uint8),
     )
-    stream.send_columns(f"{where}/rays", times, rays.partition(count))
     thin = rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(0.5), draw_order=0.0)
-    stream.log(f"{where}/rays", thin, static=True)
-    ring = rr.Points2D.columns(positions=path)
-    stream.send_columns(f"{where}/ring", times, ring.partition(np.minimum(count, 1)))
+    log("rays", each, rays, count, thin)
     wide = rr.Points2D.from_fields(
         radii=1.5 * scene.motion.person_radius_m, colors=_WHITE, draw_order=1.5
     )
-    stream.log(f"{where}/ring", wide, static=True)
-    _log_way(stream, where, crowd, chosen)
-
-
-def _log_way(stream: "RecordingStream", where: str, crowd: Trajectories, chosen: int) -> None:
-    import rerun as rr
-
-    path = crowd.path(chosen)
-    ends = time_columns(
-        crowd.first[chosen] + np.array([0, len(path)]), crowd.dt_s
-    )  # shown while the person is present
-    there = np.array([1, 0])
+    log("ring", each, rr.Points2D.columns(positions=path), np.minimum(count, 1), wide)
+    present, there = np.array([0, len(path)]), np.array([1, 0])
     way = rr.LineStrips2D.columns(strips=path[None])
-    stream.send_columns(f"{where}/way", ends, way.partition(there))
     thin = rr.LineStrips2D.from_fields(
         radii=rr.Radius.ui_points(0.75), colors=_WHITE, draw_order=0.5
     )
-    stream.log(f"{where}/way", thin, static=True)
+    log("way", present, way, there, thin)
     what = "goal" if crowd.outcome[chosen] == GOAL else "end"
     end = rr.Points2D.columns(
         positions=path[-1:], labels=[f"{what} of person {crowd.person_id[chosen]}"]
     )
-    stream.send_columns(f"{where}/goal", ends, end.partition(there))
     dot = rr.Points2D.from_fields(
         radii=rr.Radius.ui_points(4.0), colors=_WHITE, show_labels=True, draw_order=3.0
     )
-    stream.log(f"{where}/goal", dot, static=True)
+    log("goal", present, end, there, dot)
 
 
 def ray_lengths(

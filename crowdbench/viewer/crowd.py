@@ -1,24 +1,34 @@
-"""Logs a crowd over time as columns: people, trails, counts and outcomes."""
+"""Logs a scene, and a crowd over time as columns: people, trails, counts and outcomes."""
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+import pyarrow as pa
+import rerun as rr
 from jaxtyping import Bool, Float32, Int, UInt16
 
+from crowdbench.colours import goal_colour
 from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.scene import Scene
-from crowdbench.viewer.place import UNKNOWN, WORLD, corners
+from crowdbench.viewer.now import trail_steps
+from crowdbench.viewer.place import (
+    GREY,
+    SIMULATION,
+    UNKNOWN,
+    WORLD,
+    areas_of,
+    corners,
+    dashed_areas,
+    hatching,
+    rgb,
+)
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-    from rerun import RecordingStream, TimeColumn
-
-TRAIL_S = 2.0
 WINDOW = 10
 """Number of frames per count of spawns, as in the metric `spawns_per_10_frames`."""
+_SIMULATED, _COMPARED = (230, 159, 0), (150, 150, 150)  # lines in the plots
 _BATCH = 500  # frames per message; the viewer shows the first ones while it loads the others
-_DISC_ORDER, _TRAIL_ORDER = 2.0, 1.0
+_DISC_ORDER, _TRAIL_ORDER, _PLACE_ORDER = 2.0, 1.0, -1.0
+_DIM = "#5A5A5A"
 _ENDS = {
     "unknown": "was last seen after",
     "goal": "reached the goal after",
@@ -29,13 +39,40 @@ _ENDS = {
 }
 
 
-def log_crowd(stream: "RecordingStream", side: str, crowd: Trajectories, scene: Scene) -> None:
+def log_place(stream: rr.RecordingStream, scene: Scene) -> None:
+    """Log the scene's walls, bounds and areas, and the colours and labels of goal areas."""
+    # rerun's 2D views always have y pointing downwards. A single flip at the root keeps all logged
+    # coordinates, and those shown at the cursor, in metres.
+    stream.log(WORLD, rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
+    areas = areas_of(scene)
+    spawns = dashed_areas(scene, areas) if areas else []
+    goals = [areas.goal.outline(k) for k in range(len(areas.goal))] if areas else []
+    classes = [(UNKNOWN, "goal area unknown", rgb(GREY))]
+    classes += [(k, f"to goal area {k}", rgb(goal_colour(k))) for k in range(len(goals))]
+    stream.log("/", rr.AnnotationContext(classes), static=True)
+
+    def lines(name: str, strips: Sequence[np.ndarray], width: float, *colours: str) -> None:
+        drawn = rr.LineStrips2D(
+            list(strips),
+            # In screen points, so that line widths do not depend on the size of the scene.
+            radii=rr.Radius.ui_points(width / 2),
+            colors=[rgb(c) for c in colours],
+            draw_order=_PLACE_ORDER,
+        )
+        stream.log(f"{WORLD}/place/{name}", drawn, static=True)
+
+    lines("bounds", [_closed(corners(scene))], 1.0, _DIM)
+    lines("walls", [_closed(wall.corners_m) for wall in scene.walls], 1.5, GREY)
+    lines("walls/hatching", hatching(scene), 1.0, _DIM)
+    lines("spawn_areas", spawns, 1.0, "#CCCCCC")
+    lines("goal_areas", goals, 2.0, *map(goal_colour, range(len(goals))))
+
+
+def log_crowd(stream: rr.RecordingStream, side: str, crowd: Trajectories, scene: Scene) -> None:
     """Log a crowd's people and trails below `world/<side>`, one row per frame.
 
     In frames that were not observed, no people are drawn, and a label says so.
     """
-    import rerun as rr
-
     log_looks(stream, side, scene)
     known = crowd.is_observed()
     frame, person = crowd.row_frame(), crowd.row_person()
@@ -43,7 +80,8 @@ def log_crowd(stream: "RecordingStream", side: str, crowd: Trajectories, scene: 
     rows = rows[known[frame[rows]]]
     frame, person = frame[rows], person[rows]
     where = f"{WORLD}/{side}"
-    for start, stop in _batches(crowd.frames):
+    for start in range(0, crowd.frames, _BATCH):
+        stop = min(start + _BATCH, crowd.frames)
         now = slice(*np.searchsorted(frame, [start, stop]))
         here = person[now]
         length = np.bincount(frame[now] - start, minlength=stop - start)
@@ -63,10 +101,8 @@ def log_crowd(stream: "RecordingStream", side: str, crowd: Trajectories, scene: 
         _log_unobserved(stream, f"{where}/unobserved", known, scene, crowd.dt_s)
 
 
-def log_looks(stream: "RecordingStream", side: str, scene: Scene) -> None:
-    """Log the style of a side's people and trails."""
-    import rerun as rr
-
+def log_looks(stream: rr.RecordingStream, side: str, scene: Scene) -> None:
+    """Log the style of a side's people, of their trails, and of its lines in the plots."""
     radius_m = scene.motion.person_radius_m
     disc = rr.Points2D.from_fields(radii=radius_m, show_labels=False, draw_order=_DISC_ORDER)
     stream.log(f"{WORLD}/{side}/people", disc, static=True)
@@ -74,45 +110,35 @@ def log_looks(stream: "RecordingStream", side: str, scene: Scene) -> None:
         radii=radius_m / 4, show_labels=False, draw_order=_TRAIL_ORDER
     )
     stream.log(f"{WORLD}/{side}/trails", trail, static=True)
-
-
-def log_counts(stream: "RecordingStream", side: str, crowd: Trajectories) -> None:
-    """Log agents over time and spawns per ten frames, with gaps in unobserved frames."""
-    known = crowd.is_observed()
-    frame = np.arange(crowd.frames)
-    _log_scalars(stream, f"agents/{side}", frame, crowd.present(), known, crowd.dt_s)
-    windows = frame[::WINDOW]
-    entered = np.bincount(crowd.first[crowd.entered] // WINDOW, minlength=len(windows))
-    whole = np.logical_and.reduceat(known, windows)
-    _log_scalars(stream, f"spawns/{side}", windows, entered, whole, crowd.dt_s)
-
-
-def log_series(stream: "RecordingStream", side: str, colour: tuple[int, int, int]) -> None:
-    """Log the style of a side's lines in the plots."""
-    import rerun as rr
-
-    modes = {
-        "agents": rr.components.InterpolationMode.Linear,
-        "spawns": rr.components.InterpolationMode.StepAfter,
-    }
-    for name, mode in modes.items():
+    colour = _SIMULATED if side == SIMULATION else _COMPARED
+    modes = rr.components.InterpolationMode
+    for name, mode in (("agents", modes.Linear), ("spawns", modes.StepAfter)):
         look = rr.SeriesLines(names=side, colors=colour, widths=1.5, interpolation_mode=mode)
         stream.log(f"{name}/{side}", look, static=True)
 
 
-def log_outcomes(stream: "RecordingStream", crowd: Trajectories) -> None:
-    """Log the outcome of each trip, as a line of text in its last frame."""
-    import rerun as rr
+def log_counts(stream: rr.RecordingStream, side: str, crowd: Trajectories) -> None:
+    """Log agents over time and spawns per ten frames, with gaps in unobserved frames."""
+    known, frame = crowd.is_observed(), np.arange(crowd.frames)
+    windows = frame[::WINDOW]
+    entered = np.bincount(crowd.first[crowd.entered] // WINDOW, minlength=len(windows))
+    whole = np.logical_and.reduceat(known, windows)
+    for name, at, values, seen in (
+        ("agents", frame, crowd.present(), known),
+        ("spawns", windows, entered, whole),
+    ):
+        # A row without a value interrupts the line.
+        column = rr.Scalars.columns(scalars=values[seen].astype(np.float64))
+        times = time_columns(at, crowd.dt_s)
+        stream.send_columns(f"{name}/{side}", times, column.partition(seen.astype(np.int64)))
 
+
+def log_outcomes(stream: rr.RecordingStream, crowd: Trajectories) -> None:
+    """Log the outcome of each trip, as a line of text in its last frame."""
     order = np.argsort(crowd.last, kind="stable")
-    trips = zip(
-        crowd.person_id[order].tolist(),
-        crowd.outcome[order].tolist(),
-        (crowd.first[order] * crowd.dt_s).tolist(),
-        (crowd.last[order] * crowd.dt_s).tolist(),
-        strict=True,
-    )
-    texts, levels = zip(*(ending(*life) for life in trips), strict=True)
+    of_trips = (crowd.person_id, crowd.outcome, crowd.first * crowd.dt_s, crowd.last * crowd.dt_s)
+    trips = zip(*(values[order].tolist() for values in of_trips), strict=True)
+    texts, levels = zip(*(ending(*trip) for trip in trips), strict=True)
     log = rr.TextLog.columns(text=texts, level=levels)
     stream.send_columns("outcomes", time_columns(crowd.last[order], crowd.dt_s), log)
 
@@ -129,22 +155,15 @@ def class_of(goal_area: Int[np.ndarray, " n"]) -> UInt16[np.ndarray, " n"]:
     return np.where(goal_area < 0, UNKNOWN, goal_area).astype(np.uint16)
 
 
-def ids(person_id: Int[np.ndarray, " n"]) -> "pa.Array":
+def ids(person_id: Int[np.ndarray, " n"]) -> pa.Array:
     """Ids for `rerun.AnyValues`; typed, because no type can be inferred from no ids."""
-    import pyarrow as pa
-
     return pa.array(person_id, pa.int64())
-
-
-def trail_steps(dt_s: float) -> int:
-    """Length of a trail in steps."""
-    return max(1, round(TRAIL_S / dt_s))
 
 
 def trails(
     crowd: Trajectories, rows: Int[np.ndarray, " n"], first_row: Int[np.ndarray, " n"]
 ) -> Float32[np.ndarray, "n k 2"]:
-    """Positions in the last `TRAIL_S` seconds up to each row, metres.
+    """Positions in the last `now.TRAIL_S` seconds up to each row, metres.
 
     Times before a person's first row have the position of the first row.
     """
@@ -152,42 +171,15 @@ def trails(
     return crowd.xy[np.maximum(rows[:, None] - back, first_row[:, None])]
 
 
-def time_columns(frame: Int[np.ndarray, " n"], dt_s: float) -> "list[TimeColumn]":
+def time_columns(frame: Int[np.ndarray, " n"], dt_s: float) -> list[rr.TimeColumn]:
     """The two time lines of these frames: `time` in seconds, and `frame`."""
-    import rerun as rr
-
-    return [
-        rr.TimeColumn("time", duration=frame * dt_s),
-        rr.TimeColumn("frame", sequence=frame),
-    ]
-
-
-def _batches(frames: int) -> Iterator[tuple[int, int]]:
-    for start in range(0, frames, _BATCH):
-        yield start, min(start + _BATCH, frames)
-
-
-def _log_scalars(
-    stream: "RecordingStream",
-    where: str,
-    frame: Int[np.ndarray, " n"],
-    value: Int[np.ndarray, " n"],
-    known: Bool[np.ndarray, " n"],
-    dt_s: float,
-) -> None:
-    import rerun as rr
-
-    # A row without a value interrupts the line.
-    column = rr.Scalars.columns(scalars=value[known].astype(np.float64))
-    stream.send_columns(where, time_columns(frame, dt_s), column.partition(known.astype(np.int64)))
+    return [rr.TimeColumn("time", duration=frame * dt_s), rr.TimeColumn("frame", sequence=frame)]
 
 
 def _log_unobserved(
-    stream: "RecordingStream", where: str, known: Bool[np.ndarray, " n"], scene: Scene, dt_s: float
+    stream: rr.RecordingStream, where: str, known: Bool[np.ndarray, " n"], scene: Scene, dt_s: float
 ) -> None:
     """Log a label in the middle of the scene for frames that were not observed."""
-    import rerun as rr
-
     turns = np.flatnonzero(np.diff(known, prepend=not known[0]))
     shown = (~known[turns]).astype(np.int64)
     middle = np.tile(np.mean(corners(scene), axis=0), (shown.sum(), 1))
@@ -195,3 +187,7 @@ def _log_unobserved(
     stream.send_columns(where, time_columns(turns, dt_s), note.partition(shown))
     look = rr.Points2D.from_fields(radii=0.0, colors=[[255, 255, 255]], show_labels=True)
     stream.log(where, look, static=True)
+
+
+def _closed(polygon: Sequence[tuple[float, float]]) -> np.ndarray:
+    return np.array([*polygon, polygon[0]])

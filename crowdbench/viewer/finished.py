@@ -1,88 +1,46 @@
-"""Shows a finished crowd in the viewer, or writes a file for it."""
+"""Logs a finished crowd: to the viewer, or as the bytes of a file for it."""
 
 from collections.abc import Mapping
 from contextlib import suppress
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 
 from crowdbench.data.table import Trajectories
-from crowdbench.files import replacing
-from crowdbench.scene import Scene, load_scene
-from crowdbench.viewer.access import check_rerun, new_stream, open_stream
+from crowdbench.scene import Scene
 from crowdbench.viewer.chosen import index_of, log_chosen
-from crowdbench.viewer.crowd import WINDOW, log_counts, log_crowd, log_outcomes, log_series
-from crowdbench.viewer.layout import layout
-from crowdbench.viewer.place import log_place
-
-if TYPE_CHECKING:
-    from rerun import RecordingStream
-    from rerun.blueprint import Blueprint
-
-SERIES = ((230, 159, 0), (150, 150, 150))
-"""Colours of the lines of the simulation, and of the crowd that it is compared with."""
+from crowdbench.viewer.crowd import WINDOW, log_counts, log_crowd, log_outcomes, log_place
+from crowdbench.viewer.layout import layout, new_stream, open_stream
+from crowdbench.viewer.place import SIMULATION
 
 
-def save(
-    crowd: Trajectories,
-    scene: str | Path | Scene,
-    path: str | Path,
-    *,
-    against: Trajectories | None = None,
-    person: int | None = None,
-) -> None:
-    """Write a file that `rerun FILE.rrd` opens. An incomplete file is never left behind.
-
-    Args:
-        crowd: the trajectories to show.
-        scene: their scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
-        path: the file, usually with the suffix `.rrd`.
-        against: another crowd, usually the recording, shown beside it on the same time line.
-        person: id of a person in `crowd` whose rays and complete path are also shown.
+def packed(
+    crowd: Trajectories, scene: Scene, against: Trajectories | None, person: int | None
+) -> bytes:
+    """The content of a file that `rerun FILE.rrd` opens; arguments as for `viewer.save`.
 
     Raises:
-        SettingError: rerun is not installed, or no person has this id.
-        SceneError: there is no such scene.
-        OutputError: the file cannot be written.
+        SettingError: no person has this id.
     """
-    check_rerun()
-    import rerun as rr
-
-    place = load_scene(scene)
-    if person is not None:
-        index_of(person, crowd)
-    sides = _sides(crowd, place, against)
-    stream = new_stream(place, title_of(crowd))
-    # Kept in memory first, because on a full disk rerun's own writer never returns.
+    chosen = None if person is None else index_of(person, crowd)
+    sides = _sides(crowd, scene, against)
+    stream = new_stream(scene, title_of(crowd))
+    # Kept in memory, because on a full disk rerun's own writer never returns.
     kept = rr.binary_stream(stream)
-    stream.send_blueprint(_layout(place, sides), make_active=False)
-    _log(stream, place, sides, person)
-    data = kept.read() or b""
-    with replacing(Path(path)) as temporary:
-        temporary.write_bytes(data)
+    stream.send_blueprint(_layout(scene, sides), make_active=False)
+    _log(stream, scene, sides, chosen)
+    return kept.read() or b""
 
 
 def show(
-    crowd: Trajectories,
-    scene: str | Path | Scene,
-    *,
-    against: Trajectories | None = None,
-    person: int | None = None,
+    crowd: Trajectories, scene: Scene, against: Trajectories | None, person: int | None
 ) -> None:
-    """Show a crowd in the viewer that is open, or in a new window; arguments as for `save`.
-
-    Raises:
-        SettingError: rerun is not installed, there is no screen, or no person has this id.
-        SceneError: there is no such scene.
-    """
-    place = load_scene(scene)
-    if person is not None:
-        index_of(person, crowd)
-    sides = _sides(crowd, place, against)
-    check_rerun()
-    stream = open_stream(place, title_of(crowd), _layout(place, sides))
-    _log(stream, place, sides, person)
+    """Show a crowd in the viewer; arguments and errors as for `viewer.show`."""
+    chosen = None if person is None else index_of(person, crowd)
+    sides = _sides(crowd, scene, against)
+    stream = open_stream(scene, title_of(crowd), _layout(scene, sides))
+    _log(stream, scene, sides, chosen)
     with suppress(RuntimeError):  # the window was closed
         stream.flush()
     stream.disconnect()
@@ -99,13 +57,13 @@ def title_of(crowd: Trajectories) -> str:
 def _sides(
     crowd: Trajectories, scene: Scene, against: Trajectories | None
 ) -> dict[str, Trajectories]:
-    sides = {"simulation": crowd}
+    sides = {SIMULATION: crowd}
     if against is not None:
         sides["recording" if against.scene == scene.recording.name else "against"] = against
     return sides
 
 
-def _layout(scene: Scene, sides: Mapping[str, Trajectories]) -> "Blueprint":
+def _layout(scene: Scene, sides: Mapping[str, Trajectories]) -> rrb.Blueprint:
     crowds = sides.values()
     spawns = [np.bincount(c.first[c.entered] // WINDOW).max(initial=1) for c in crowds]
     most = {
@@ -117,17 +75,12 @@ def _layout(scene: Scene, sides: Mapping[str, Trajectories]) -> "Blueprint":
 
 
 def _log(
-    stream: "RecordingStream",
-    scene: Scene,
-    sides: Mapping[str, Trajectories],
-    person: int | None,
+    stream: rr.RecordingStream, scene: Scene, sides: Mapping[str, Trajectories], chosen: int | None
 ) -> None:
     log_place(stream, scene)
-    for (side, crowd), colour in zip(sides.items(), SERIES, strict=False):
-        log_series(stream, side, colour)
+    for side, crowd in sides.items():
         log_counts(stream, side, crowd)
         log_crowd(stream, side, crowd, scene)
-    crowd = sides["simulation"]
-    log_outcomes(stream, crowd)
-    if person is not None:
-        log_chosen(stream, "simulation", crowd, scene, person)
+    log_outcomes(stream, sides[SIMULATION])
+    if chosen is not None:
+        log_chosen(stream, sides[SIMULATION], scene, chosen)

@@ -1,22 +1,45 @@
-"""The layout of the viewer: a view of the scene per side, and below them plots and a log."""
+"""Streams to the viewer, and its layout: a view per side, and below them plots and a log."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+
+import rerun as rr
+import rerun.blueprint as rrb
 
 from crowdbench.scene import Scene
+from crowdbench.viewer import access
 from crowdbench.viewer.place import WORLD, extent_m
-
-if TYPE_CHECKING:
-    from rerun.blueprint import Blueprint, Spatial2DView
 
 _BACKGROUND = (18, 18, 18)
 _MARGIN = 0.03
 _SPEED = 2.0  # seconds of the crowd in a second of playing
 
 
+def new_stream(scene: Scene, title: str) -> rr.RecordingStream:
+    """A stream for one recording in the viewer; the viewer keeps a layout per scene."""
+    stream = rr.RecordingStream(f"crowdbench {scene.id}")
+    stream.send_recording_name(title)
+    return stream
+
+
+def open_stream(scene: Scene, title: str, first_look: rrb.Blueprint) -> rr.RecordingStream:
+    """A stream to the viewer that is open, or to a new window.
+
+    Raises:
+        SettingError: as `check_screen`, or the window did not open.
+    """
+    access.check_screen()
+    stream = new_stream(scene, title)
+    stream.spawn(port=access.PORT, connect=False)
+    if not access.listens():
+        raise access.no_screen("a window that did not open")
+    address = f"rerun+http://127.0.0.1:{access.PORT}/proxy"
+    stream.connect_grpc(address, default_blueprint=first_look)
+    return stream
+
+
 def layout(
     scene: Scene, sides: Mapping[str, str], *, live: bool, most: Mapping[str, float]
-) -> "Blueprint":
+) -> rrb.Blueprint:
     """The default layout.
 
     Args:
@@ -26,7 +49,6 @@ def layout(
             plays from the start.
         most: maxima of the plots `agents` and `spawns`, for their axes; unknown ones are left out.
     """
-    import rerun.blueprint as rrb
 
     def plot(origin: str, title: str) -> rrb.TimeSeriesView:
         axis = rrb.ScalarAxis(range=(0.0, 1.5 * most[origin])) if origin in most else None
@@ -63,9 +85,7 @@ def layout(
     )
 
 
-def _place(scene: Scene, side: str, title: str) -> "Spatial2DView":
-    import rerun.blueprint as rrb
-
+def _place(scene: Scene, side: str, title: str) -> rrb.Spatial2DView:
     b = scene.bounds
     margin = _MARGIN * extent_m(scene)
     # In the coordinates of the view, above the flip in `place`, y points downwards.

@@ -3,16 +3,13 @@
 from contextlib import suppress
 
 import numpy as np
+import rerun as rr
 
 from crowdbench.scene import Scene
-from crowdbench.viewer.access import open_stream
-from crowdbench.viewer.crowd import WINDOW, class_of, ending, ids, log_looks, log_series
-from crowdbench.viewer.finished import SERIES
-from crowdbench.viewer.layout import layout
+from crowdbench.viewer.crowd import WINDOW, class_of, ending, ids, log_looks, log_place
+from crowdbench.viewer.layout import layout, open_stream
 from crowdbench.viewer.now import Now
-from crowdbench.viewer.place import WORLD, log_place
-
-_SIDE = "simulation"
+from crowdbench.viewer.place import SIMULATION, WORLD
 
 
 class Live:
@@ -27,24 +24,21 @@ class Live:
         Raises:
             SettingError: there is no recording stream, and the viewer cannot open.
         """
-        import rerun as rr
-
         self._scene = scene
         self._begun = 0  # frame of the time line in which the episode began
         self._until = 0
         self._window, self._spawned = 0, 0
         given = rr.get_data_recording()
-        first_look = layout(scene, {_SIDE: title}, live=True, most={})
+        first_look = layout(scene, {SIMULATION: title}, live=True, most={})
         if given is not None:
             self._stream = given
             given.send_blueprint(first_look, make_active=False)
         else:
             self._stream = open_stream(scene, title, first_look)
         log_place(self._stream, scene)
-        log_looks(self._stream, _SIDE, scene)
+        log_looks(self._stream, SIMULATION, scene)
         dot = rr.Points2D.from_fields(radii=rr.Radius.ui_points(2.0), show_labels=False)
-        self._stream.log(f"{WORLD}/{_SIDE}/goals", dot, static=True)
-        log_series(self._stream, _SIDE, SERIES[0])
+        self._stream.log(f"{WORLD}/{SIMULATION}/goals", dot, static=True)
 
     def begin(self) -> None:
         """Begin an episode, after the frames that were logged before."""
@@ -53,8 +47,6 @@ class Live:
 
     def log(self, now: Now, skipped: int = 0) -> None:
         """Log a frame; in the `skipped` frames before it, nobody was present."""
-        import rerun as rr
-
         frame = self._begun + now.frame
         if skipped:
             self._at(frame - skipped + 1)
@@ -76,11 +68,9 @@ class Live:
             self._stream.flush()
 
     def _log_people(self, now: Now | None) -> None:
-        import rerun as rr
-
-        stream, where = self._stream, f"{WORLD}/{_SIDE}"
+        stream, where = self._stream, f"{WORLD}/{SIMULATION}"
         there = 0 if now is None else len(now.xy)
-        stream.log(f"agents/{_SIDE}", rr.Scalars(float(there)))
+        stream.log(f"agents/{SIMULATION}", rr.Scalars(float(there)))
         if now is None:
             for name in ("people", "trails", "goals"):
                 stream.log(f"{where}/{name}", rr.Clear(recursive=False))
@@ -97,11 +87,9 @@ class Live:
 
     def _log_spawns(self, frame: int) -> None:
         """Log the spawns of all windows that end before `frame`."""
-        import rerun as rr
-
         while (self._window + 1) * WINDOW <= frame:
             self._at(self._window * WINDOW)
-            self._stream.log(f"spawns/{_SIDE}", rr.Scalars(float(self._spawned)))
+            self._stream.log(f"spawns/{SIMULATION}", rr.Scalars(float(self._spawned)))
             self._window, self._spawned = self._window + 1, 0
 
     def _at(self, frame: int) -> None:

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Int
 
-from crowdbench.simulation import Simulation
+from crowdbench.run.episode import Recorder
 
+TRAIL_S = 2.0
+"""Length of a trail, seconds."""
 Past = Sequence[tuple[Int[np.ndarray, " _"], Float32[np.ndarray, "_ 2"]]]
 """Ids and positions of the people present, frame by frame; the present frame is the last."""
 
@@ -36,9 +38,10 @@ class Now:
     """Outcome of trips that ended in this frame, as an index into `OUTCOMES`; 0 for others."""
 
     @classmethod
-    def of(cls, simulation: Simulation, past: Past) -> "Now":
-        """Read the present state of a simulation, without changing it."""
-        slots = simulation.slots
+    def of(cls, recorder: Recorder, dt_s: float) -> "Now":
+        """Read the present state of a recorder's simulation, without changing it."""
+        simulation = recorder.simulation
+        slots, past = simulation.slots, recorder.latest(trail_steps(dt_s) + 1)
         there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
         person, xy = slots.person[0, there], slots.position[0, there]
         return cls(
@@ -53,6 +56,11 @@ class Now:
             spawned=slots.spawned[0, there],
             ended=slots.ended[0, there],
         )
+
+
+def trail_steps(dt_s: float) -> int:
+    """Length of a trail in steps."""
+    return max(1, round(TRAIL_S / dt_s))
 
 
 def _trails(

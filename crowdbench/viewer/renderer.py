@@ -1,6 +1,6 @@
 """Rendering of an environment, according to its `render_mode`."""
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import UInt8
@@ -8,10 +8,11 @@ from jaxtyping import UInt8
 from crowdbench.run.episode import Recorder
 from crowdbench.scene import Scene
 from crowdbench.viewer.access import check_rerun
-from crowdbench.viewer.crowd import trail_steps
-from crowdbench.viewer.live import Live
 from crowdbench.viewer.now import Now
 from crowdbench.viewer.picture import Pictures
+
+if TYPE_CHECKING:
+    from crowdbench.viewer.live import Live
 
 RenderMode = Literal["human", "rgb_array"]
 
@@ -38,15 +39,17 @@ class Renderer:
             SettingError: there is no screen.
         """
         if self._mode == "human":
+            from crowdbench.viewer.live import Live
+
             if self._live is None:
                 self._live = Live(self._scene, self._title)
             self._live.begin()
-            self._live.log(self._now(recorder))
+            self._live.log(Now.of(recorder, self._scene.dt_s))
 
     def go_on(self, recorder: Recorder, skipped: int = 0) -> None:
         """Show the next frame, if the mode is `human`; `skipped` frames before it were empty."""
         if self._live is not None:
-            self._live.log(self._now(recorder), skipped)
+            self._live.log(Now.of(recorder, self._scene.dt_s), skipped)
 
     def picture(self, recorder: Recorder) -> UInt8[np.ndarray, "h w 3"] | None:
         """The present frame as pixels, if the mode is `rgb_array`; else None."""
@@ -54,13 +57,9 @@ class Renderer:
             return None
         if self._pictures is None:
             self._pictures = Pictures(self._scene)
-        return self._pictures.draw(self._now(recorder))
+        return self._pictures.draw(Now.of(recorder, self._scene.dt_s))
 
     def close(self) -> None:
         """Send all remaining data to the viewer, which stays open."""
         if self._live is not None:
             self._live.close()
-
-    def _now(self, recorder: Recorder) -> Now:
-        past = recorder.latest(trail_steps(self._scene.dt_s) + 1)
-        return Now.of(recorder.simulation, past)

@@ -20,7 +20,8 @@ from crowdbench.run.rollout import rollout
 from crowdbench.run.rollout_jobs import Job
 from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import load_scene
-from crowdbench.scoring.scorecard import read_anchors, rows
+from crowdbench.scoring.ranking import rows
+from crowdbench.scoring.scorecard import read_anchors
 from crowdbench.spawn import Replay
 from studies.cheats.walkers import Wanderer
 

@@ -22,12 +22,12 @@ from crowdbench.errors import SettingError
 from crowdbench.metrics import WALK
 from crowdbench.metrics.metric import Statistics, in_blocks, total
 from crowdbench.policies import Straight
-from crowdbench.report.text.markdown import table
 from crowdbench.run.references import reference_of
 from crowdbench.run.rollout import rollout, rollouts
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import summarise
 from crowdbench.spawn.areas import read_areas
+from studies.markdown import table
 
 ROLLOUTS = 6
 """Number of rollouts in each fold."""

@@ -9,7 +9,7 @@ def cheats(scene: SceneName, /) -> None:
     """Score crowds that show what the walking metrics can and cannot tell."""
     from crowdbench.metrics import METRICS, WALK
     from crowdbench.report.text.words import interval, number, share, speed
-    from crowdbench.scoring.scorecard import metric_scores, rows, scale_of
+    from crowdbench.scoring.ranking import metric_scores, rows, scale_of
     from studies.cheats import cheat
 
     with progress_bar("crowds") as progress:

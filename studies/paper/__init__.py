@@ -40,6 +40,7 @@ from studies.paper.study import (
     recorded_presence,
     walker_of,
 )
+from studies.results.drawing import with_recording
 from studies.results.pictures import draw_pictures
 
 VERDICTS = "verdicts.json"
@@ -140,7 +141,7 @@ def _studied(
     )
     pictures = out / "paper" / place.id
     crowds = {key: read_own(path) for key, path in crowds_of(jobs, walker).items()}
-    plot = PlotData.of(place, reference, crowds, "full", recording)
+    plot = with_recording(PlotData.of(place, reference, crowds, "full"), recording)
     raw = raw_recording_of(place)
     return Studied(
         evidence,

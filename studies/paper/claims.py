@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import NOTHING, digits
+from studies.markdown import table
 from studies.paper.bursts import LEAST, mode, share
 from studies.paper.evidence import BASELINE, NEURAL, Evidence
 from studies.paper.fits import (

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import msgspec
 
 from crowdbench import __version__
-from crowdbench.report.text.markdown import flowed, table
 from crowdbench.report.text.words import NOTHING, digits, named
 from crowdbench.scene import Scene
+from studies.markdown import flowed, table
 from studies.paper.claims import Claim
 from studies.paper.evidence import Evidence
 from studies.paper.fits import SAMPLES, windowed

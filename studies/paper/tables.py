@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import NOTHING, digits
+from studies.markdown import table
 from studies.paper.evidence import NEURAL, Evidence
 from studies.paper.fits import (
     CODE,

@@ -18,6 +18,7 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.scoring.scorecard import Protocol, Scorecard
 from studies.results.correlations import Lag, at_lags
+from studies.results.drawing import with_recording
 from studies.results.misses import best_of
 from studies.results.page import page
 from studies.results.pictures import draw_pictures
@@ -66,7 +67,7 @@ def write_results(
         reference = read_reference(place)
         crowds = {(job.spawn, job.policy, job.seed): read_own(job.path) for job in jobs["full"]}
         recording = recording_of(place) if has_recording(place) else None
-        plot = PlotData.of(place, reference, crowds, "full", recording)
+        plot = with_recording(PlotData.of(place, reference, crowds, "full"), recording)
         pictures = draw_pictures(plot, out / place.id)
         lags = {
             protocol: _lags(reference, card, jobs[protocol]) for protocol, card in cards.items()

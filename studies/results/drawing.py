@@ -1,12 +1,14 @@
 """The pictures of an evaluation's crowds, as files."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from crowdbench.data.table import Trajectories
 from crowdbench.files import replacing
+from crowdbench.metrics.presence import lagged
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.canvas import picture
 from crowdbench.report.plots.plot_data import PlotData
@@ -14,6 +16,23 @@ from studies.figures.maps import maps
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True, eq=False)
+class WithRecording(PlotData):
+    """Crowds beside the recording itself, for what the reference statistics do not contain."""
+
+    recording: Trajectories | None = None
+
+
+def with_recording(plot: PlotData, recording: Trajectories | None) -> WithRecording:
+    """The same crowds beside the recording itself."""
+    return WithRecording(plot.scene, plot.reference, plot.split, plot.groups, recording)
+
+
+def recording_in(plot: PlotData) -> Trajectories | None:
+    """The recording, of which the paths and the autocorrelation at all lags can be drawn."""
+    return plot.recording if isinstance(plot, WithRecording) else None
 
 
 def draw_figure(name: str, plot: PlotData, out: Path, *, named: str = "") -> Path:
@@ -82,6 +101,11 @@ def _survival(plot: PlotData, name: str, title: str, what: str) -> bytes:
 def _autocorrelation(plot: PlotData) -> bytes:
     def draw(axes: "list[Axes]") -> None:
         (axis,) = axes
+        if (recording := recording_in(plot)) is not None:
+            lags_s = plot.lags_s.tolist()
+            of = plot.correlations(lags_s, lagged(recording, plot.reference.blocks, lags_s))
+            axis.fill_between(of.lag_s, of.low, of.high, color=panels.BAND, linewidth=0)
+            axis.plot(of.lag_s, of.value, color="black", linewidth=2.2, label="recorded")
         panels.autocorrelation(axis, plot)
         # The legend is below the picture, because the curves may cover all of it.
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3)
@@ -99,8 +123,8 @@ def _paths(plot: PlotData) -> bytes:
     from matplotlib.lines import Line2D
 
     shown = [(f"{group.label}, seed 0", group.crowds[0]) for group in plot.groups]
-    if plot.recording is not None:
-        shown.insert(0, ("recorded", plot.recording))
+    if (recording := recording_in(plot)) is not None:
+        shown.insert(0, ("recorded", recording))
     b = plot.scene.bounds
     steep = (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m)
     columns, width = (4, 2.7) if steep > _TALL else (2, 4.0)

@@ -3,20 +3,12 @@
 from collections.abc import Iterable, Sequence
 
 from crowdbench.metrics import FAMILIES, METRICS, WALK, Metric
-from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import NOTHING, plainly, with_interval
 from crowdbench.scoring.power import ENOUGH, PERCENTILE
+from crowdbench.scoring.ranking import Row, metric_scores, rows, scale_of
 from crowdbench.scoring.score import Score, significant_pairs
-from crowdbench.scoring.scorecard import (
-    ANCHOR,
-    PairResult,
-    Row,
-    Scorecard,
-    has_recorded_arrivals,
-    metric_scores,
-    rows,
-    scale_of,
-)
+from crowdbench.scoring.scorecard import ANCHOR, PairResult, Scorecard, has_recorded_arrivals
+from studies.markdown import table
 from studies.results.correlations import Lag
 from studies.results.tables import competes, pair, with_unit
 

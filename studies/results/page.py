@@ -5,10 +5,11 @@ from collections.abc import Mapping, Sequence
 
 from crowdbench.data.recordings.catalogue import source
 from crowdbench.errors import SettingError
-from crowdbench.report.text.markdown import flowed
 from crowdbench.report.text.words import PROTOCOLS, named
 from crowdbench.scene import Scene
-from crowdbench.scoring.scorecard import Protocol, Scorecard, has_recorded_arrivals, rows
+from crowdbench.scoring.ranking import rows
+from crowdbench.scoring.scorecard import Protocol, Scorecard, has_recorded_arrivals
+from studies.markdown import flowed
 from studies.results.correlations import Lag
 from studies.results.misses import LOW, MEMORY, misses, not_scored
 from studies.results.pictures import Picture

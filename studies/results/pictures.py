@@ -9,7 +9,7 @@ from crowdbench.report.html.pictures import medians
 from crowdbench.report.plots.panels import MOST_PATHS, block_means, in_blocks, recorded_means
 from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.report.text.words import plainly
-from studies.results.drawing import draw_figure, narrowed
+from studies.results.drawing import draw_figure, narrowed, recording_in
 
 SHOWN = 6
 """Number of rollouts per crowd in the picture of agents over time."""
@@ -52,6 +52,7 @@ def draw_pictures(plot: PlotData, folder: Path, policy: str = POLICY) -> list[Pi
         "from it."
     )
     walkers = f"Walkers are {policy}."
+    recorded = "the recording and of " if recording_in(plot) is not None else ""
     return [
         Picture(
             "agents_over_time.png",
@@ -88,7 +89,7 @@ def draw_pictures(plot: PlotData, folder: Path, policy: str = POLICY) -> list[Pi
             "paths.png",
             "Paths",
             f"Paths of the first {MOST_PATHS} people (or of all, if there are fewer) of "
-            f"{'the recording and of ' * (plot.recording is not None)}one rollout of each model, "
+            f"{recorded}one rollout of each model, "
             "in the colours of their goal areas. Grey: walls; dashed ellipses: spawn areas; solid "
             f"ellipses: goal areas (two standard deviations). {walkers}",
         ),

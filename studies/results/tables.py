@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from crowdbench.metrics import FAMILIES, WALK, all_metrics, paper_first
-from crowdbench.report.text.markdown import table
 from crowdbench.report.text.words import NOTHING, digits, interval, number, share, speed
-from crowdbench.scoring.ranking import may_rank
-from crowdbench.scoring.scorecard import MetricCard, PairResult, Row, Scorecard
+from crowdbench.scoring.ranking import Row, may_rank
+from crowdbench.scoring.scorecard import MetricCard, PairResult, Scorecard
+from studies.markdown import table
 
 
 def score_table(rows: Sequence[Row]) -> str:

@@ -1,7 +1,7 @@
 """`pages/ID.html`: the page of one entry."""
 
 from crowdbench.leaderboard.standings import Line, Standing, View
-from crowdbench.report.html.shell import html_page
+from crowdbench.report.html.render import html_page
 from crowdbench.report.text.words import with_interval
 from studies.site.render import html, own
 from studies.site.scene_results import scene_results

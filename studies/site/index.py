@@ -6,7 +6,7 @@ from markupsafe import Markup
 
 from crowdbench.leaderboard.standings import Standing
 from crowdbench.leaderboard.submission.schema import SCENES, Track
-from crowdbench.report.html.shell import html_page
+from crowdbench.report.html.render import html_page
 from studies.site.render import html, own
 from studies.site.tables import listed_table, ranked_table
 from studies.site.text import in_html

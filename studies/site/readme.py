@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from crowdbench.leaderboard.standings import Line, Standing, View
 from crowdbench.leaderboard.submission.schema import SCENES
-from crowdbench.report.text.markdown import flowed, table
 from crowdbench.report.text.words import interval, number
+from studies.markdown import flowed, table
 from studies.site.index import JUDGED, LEAD, LISTED, SUBMIT, rules_of
 from studies.site.render import markdown
 from studies.site.tables import COPIED, GATE, OVERALL, copied, gated

@@ -5,18 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from crowdbench.metrics import METRICS, WALK, MetricResult
-from crowdbench.report.text.markdown import flowed, table
 from crowdbench.report.text.words import NOTHING, interval, named, share, speed
 from crowdbench.scene import Scene
+from crowdbench.scoring.ranking import metric_scores, rows, scale_of
 from crowdbench.scoring.score import ranks
-from crowdbench.scoring.scorecard import (
-    PairResult,
-    Protocol,
-    Scorecard,
-    metric_scores,
-    rows,
-    scale_of,
-)
+from crowdbench.scoring.scorecard import PairResult, Protocol, Scorecard
+from studies.markdown import flowed, table
 from studies.results.page import of_recording
 from studies.results.tables import distance_table, gated
 

@@ -12,7 +12,7 @@ from crowdbench.cli import main
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.scene import load_scene
-from crowdbench.scoring.score_json import score_rows
+from crowdbench.scoring.ranking import score_rows
 from crowdbench.spawn.areas import read_areas
 
 KEYS = {

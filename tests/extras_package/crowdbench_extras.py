@@ -4,7 +4,6 @@ import numpy as np
 
 from crowdbench.data.table import from_rows
 from crowdbench.metrics.forms import RelativeWasserstein
-from crowdbench.metrics.lattice import histograms, rounded
 from crowdbench.simulation.observations import Observation
 from crowdbench.spawn import PoissonGMM
 from crowdbench.spawn.areas import read_areas
@@ -13,15 +12,12 @@ from crowdbench.spawn.areas import read_areas
 class PathLength(RelativeWasserstein):
     """Path length of those who enter, in steps of 0.1 m."""
 
-    name, family, unit = "path_length", "trips", "m"
+    name, family, unit, lattice_step = "path_length", "trips", "m", 0.1
 
     def summarise(self, crowd, blocks, place):
         persons, block, _ = blocks.of_arrivals(crowd)
         length = crowd.path_lengths()[persons]
-        return {"counts": histograms(rounded(length, 0.1), block, len(blocks))}
-
-    def step(self, blocks):
-        return 0.1
+        return self.histogram(length, block, blocks)
 
 
 class Clockwork:

@@ -4,7 +4,7 @@ from comparisons import PLACE, nobody, sample, score, whole
 from strategies import crowd_of
 
 from crowdbench.data.table import Trajectories
-from crowdbench.metrics import CompanionDistance, CompanionOffset, CompanionShare, GroupSize
+from crowdbench.metrics.groups import CompanionDistance, CompanionOffset, CompanionShare, GroupSize
 
 DT_S = 0.4
 BLOCKS = whole(31, dt_s=DT_S)

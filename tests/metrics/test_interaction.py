@@ -11,9 +11,9 @@ from strategies import crowd_of
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.neighbours import nearest_neighbour_m
 from crowdbench.data.table import Trajectories
-from crowdbench.metrics import Avoidance, OverlapRate, Place, WallClearance
+from crowdbench.metrics import Place
 from crowdbench.metrics.encounters import encounters
-from crowdbench.metrics.interaction import clearance
+from crowdbench.metrics.interaction import Avoidance, OverlapRate, WallClearance, clearance
 from crowdbench.scene import Walking
 
 BESIDE_M = 0.3

@@ -11,7 +11,8 @@ from strategies import crowd_of, crowds
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.table import Trajectories
-from crowdbench.metrics import Acceleration, Deviation, Pace, Place, Speed, Turning, total
+from crowdbench.metrics import Place, total
+from crowdbench.metrics.motion import Acceleration, Deviation, Pace, Speed, Turning
 from crowdbench.scene import Walking
 
 DT_S = 0.4

@@ -10,20 +10,12 @@ from comparisons import sample
 from crowdbench.data.blocks import TimeBlocks, cut
 from crowdbench.data.recordings.catalogue import SOURCES, read_published
 from crowdbench.data.table import Trajectories
-from crowdbench.metrics import (
-    AgentsOverTime,
-    Avoidance,
-    GoalShare,
-    InterSpawn,
-    Metric,
-    MetricResult,
-    OverlapRate,
-    Place,
-    Speed,
-    WallClearance,
-    distance,
-    metrics_for,
-)
+from crowdbench.metrics import Metric, MetricResult, Place, distance, metrics_for
+from crowdbench.metrics.arrivals import InterSpawn
+from crowdbench.metrics.interaction import Avoidance, OverlapRate, WallClearance
+from crowdbench.metrics.motion import Speed
+from crowdbench.metrics.presence import AgentsOverTime
+from crowdbench.metrics.trips import GoalShare
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import fit_areas
 

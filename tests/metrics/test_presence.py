@@ -8,15 +8,15 @@ from strategies import crowd_of, crowds
 
 from crowdbench.data.blocks import cut
 from crowdbench.data.table import Trajectories
-from crowdbench.metrics import (
+from crowdbench.metrics import Place
+from crowdbench.metrics.metric import total
+from crowdbench.metrics.presence import (
     AgentsOverTime,
     AgentsSpread,
     Autocorrelation,
-    Place,
     SlowAutocorrelation,
     StandingShare,
 )
-from crowdbench.metrics.metric import total
 
 TEN = whole(10)
 PLACE = Place(spawn_areas=0, goal_areas=0, bounds_m=(0.0, 1.0, 0.0, 1.0))

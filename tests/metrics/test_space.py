@@ -7,7 +7,8 @@ from strategies import crowd_of, later
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.neighbours import nearest_neighbour_m
 from crowdbench.data.table import Trajectories
-from crowdbench.metrics import GoalDensity, NearestNeighbour, Occupancy, Place, StartDensity
+from crowdbench.metrics import Place
+from crowdbench.metrics.space import GoalDensity, NearestNeighbour, Occupancy, StartDensity
 
 THREE = whole(3)
 SQUARE = Place(spawn_areas=0, goal_areas=0, bounds_m=(0.0, 2.0, 0.0, 2.0))

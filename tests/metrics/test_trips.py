@@ -4,7 +4,8 @@ from comparisons import nobody, sample, score, whole
 from strategies import crowd_of
 
 from crowdbench.data.table import OUTCOMES, Trajectories
-from crowdbench.metrics import Detour, Dwell, GoalShare, OriginDestination, Place
+from crowdbench.metrics import Place
+from crowdbench.metrics.trips import Detour, Dwell, GoalShare, OriginDestination
 
 TEN = whole(10)
 TWENTY = whole(20, block_s=10.0)

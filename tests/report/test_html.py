@@ -24,8 +24,9 @@ from crowdbench.report.text.words import plainly
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.scoring.energy import RESAMPLES
+from crowdbench.scoring.ranking import rows
 from crowdbench.scoring.reference import read_reference
-from crowdbench.scoring.scorecard import SCHEMA, PairResult, Scorecard, read_anchors, rows
+from crowdbench.scoring.scorecard import SCHEMA, PairResult, Scorecard, read_anchors
 
 ETH = load_scene("eth-v0")
 REFERENCE = read_reference(ETH)

@@ -12,7 +12,8 @@ from crowdbench.report.text.scorecards import print_card, print_results
 from crowdbench.report.text.words import interval, number
 from crowdbench.scene import load_scene
 from crowdbench.scoring.energy import RESAMPLES
-from crowdbench.scoring.scorecard import SCHEMA, PairResult, Row, Scorecard, read_anchors, rows
+from crowdbench.scoring.ranking import Row, rows
+from crowdbench.scoring.scorecard import SCHEMA, PairResult, Scorecard, read_anchors
 
 ETH = load_scene("eth-v0")
 ANCHORS = {(e.spawn, e.policy): e for e in read_anchors(ETH).protocols["full"].anchors}

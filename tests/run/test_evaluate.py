@@ -22,7 +22,8 @@ from crowdbench.files import write_json
 from crowdbench.run.lock import alone_in
 from crowdbench.run.replay_check import arrival_rule_changes, compare_replay
 from crowdbench.scene import load_scene
-from crowdbench.scoring.scorecard import PairResult, Scorecard, rows
+from crowdbench.scoring.ranking import rows
+from crowdbench.scoring.scorecard import PairResult, Scorecard
 
 ETH = load_scene("eth-v0")
 

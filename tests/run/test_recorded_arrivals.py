@@ -11,7 +11,7 @@ from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.errors import RecordingError
 from crowdbench.run.recorded_arrivals import matched, recognised
 from crowdbench.scene import load_scene
-from crowdbench.scoring.scorecard import rows
+from crowdbench.scoring.ranking import rows
 
 PLAZA = load_scene("plaza-v0")
 GOAL, EXIT, UNKNOWN = (OUTCOMES.index(name) for name in ("goal", "exit", "unknown"))

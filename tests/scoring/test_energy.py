@@ -1,7 +1,6 @@
 """Energy scores, floors, resamples, scores and ranks."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,7 +10,9 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.distance import cdist
 
 from crowdbench.data.blocks import TimeBlocks, cut
-from crowdbench.metrics import METRICS, AgentsOverTime, Autocorrelation, FanoFactor10, Statistics
+from crowdbench.metrics import Statistics
+from crowdbench.metrics.arrivals import FanoFactor10
+from crowdbench.metrics.presence import AgentsOverTime, Autocorrelation
 from crowdbench.scoring.energy import RESAMPLES, Draws, Energy, FloorDraws, energy, floor
 from crowdbench.scoring.l1_kernel import l1_distances
 from crowdbench.scoring.score import (
@@ -178,11 +179,11 @@ def test_a_fold_s_floor_is_drawn_from_all_folds_as_long_as_the_fold():
         assert (nested[:, draws.blocks[r] == 0] == 0).all()
 
 
-def test_units_are_drawn_whole_and_as_many_as_there_are():
+def test_runs_are_drawn_whole_and_as_many_as_there_are():
     blocks = blocks_of(7)
     draws = draws_of(blocks, resample_s=30.0)
-    assert draws.units == ((0, 3), (3, 6), (6, 7))
-    for start, stop in draws.units:
+    assert draws.runs.tolist() == [3, 3, 1]
+    for start, stop in ((0, 3), (3, 6), (6, 7)):
         assert (draws.blocks[:, start:stop] == draws.blocks[:, [start]]).all()
     assert (draws.blocks[:, [0, 3, 6]].sum(axis=1) == 3).all()
     np.testing.assert_allclose(draws.blocks.mean(axis=0), 1, atol=0.1)
@@ -306,7 +307,7 @@ def test_the_interval_holds_95_percent():
 def test_families_are_means_of_their_scored_metrics():
     scores = {"inter_spawn": flat_score(0.2), "fano_10_frames": flat_score(0.6),
               "dwell": flat_score(1.0), "speed": None}  # fmt: skip
-    families = family_scores(METRICS, scores, ["inter_spawn", "fano_10_frames", "speed"])
+    families = family_scores(scores, ["inter_spawn", "fano_10_frames", "speed"])
     assert {f: s.value for f, s in families.items()} == {"arrivals": pytest.approx(0.4)}
 
 
@@ -378,8 +379,8 @@ def test_holm_asks_for_more_among_many():
     assert ranks([*pair, *middle]) == [1, 1, 1, 1]
 
 
-def test_only_adjacent_blocks_make_units():
-    assert all(a[1] == b[0] for a, b in pairwise(draws_of(blocks_of(9), 40.0).units))
+def test_every_block_is_in_one_run():
+    assert draws_of(blocks_of(9), 40.0).runs.tolist() == [4, 4, 1]
 
 
 @pytest.mark.parametrize("metric", [FanoFactor10(), Autocorrelation()], ids=lambda m: m.name)

@@ -12,7 +12,7 @@ from crowdbench.metrics import METRICS, Metric, Place, Statistics
 from crowdbench.run.evaluate import evaluate
 from crowdbench.scene import load_scene
 from crowdbench.scoring.energy import Draws, energy
-from crowdbench.scoring.scorecard import Row, rows
+from crowdbench.scoring.ranking import Row, rows
 from crowdbench.spawn import PoissonGMM, arrivals_of
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.plaza.process import PlazaArrivals

@@ -3,7 +3,9 @@
 import numpy as np
 
 from crowdbench.data.blocks import cut
-from crowdbench.metrics import METRICS, AgentsOverTime, Metric, Speed, Statistics
+from crowdbench.metrics import METRICS, Metric, Statistics
+from crowdbench.metrics.motion import Speed
+from crowdbench.metrics.presence import AgentsOverTime
 from crowdbench.scoring.energy import Draws
 from crowdbench.scoring.power import Power, power
 

@@ -12,8 +12,9 @@ from crowdbench.baselines import anticipate
 from crowdbench.policies.network import read_card
 from crowdbench.run.evaluate import evaluate
 from crowdbench.scene import load_scene
+from crowdbench.scoring.ranking import Row
 from crowdbench.scoring.score import Score
-from crowdbench.scoring.scorecard import PairResult, Row
+from crowdbench.scoring.scorecard import PairResult
 from crowdbench.simulation import social
 from studies import ablation
 from studies.__main__ import main

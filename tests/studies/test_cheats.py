@@ -11,7 +11,7 @@ from crowdbench.errors import RecordingError, SettingError
 from crowdbench.registry import import_recording, recording_of
 from crowdbench.run.episode import generator
 from crowdbench.scene import load_scene
-from crowdbench.scoring.scorecard import Row, rows
+from crowdbench.scoring.ranking import Row, rows
 from studies.__main__ import main as studies_main
 from studies.cheats import cheat, cheats_of
 from studies.cheats.recordings import shifted, smoothed, with_noise

@@ -16,6 +16,7 @@ from crowdbench.registry import import_recording
 from crowdbench.report.text.words import plainly, with_interval
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.energy import RESAMPLES
+from crowdbench.scoring.ranking import rows
 from crowdbench.scoring.reference import read_reference
 from crowdbench.scoring.scorecard import (
     SCHEMA,
@@ -24,7 +25,6 @@ from crowdbench.scoring.scorecard import (
     Scorecard,
     read_anchors,
     read_scorecard,
-    rows,
 )
 from studies.__main__ import main as studies_main
 from studies.results.correlations import Lag, at_lags

@@ -30,17 +30,10 @@ from crowdbench.run.rollout_jobs import Job, Pair
 from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import Energy, FitEnergies, energies_of_fits
+from crowdbench.scoring.ranking import failures, gate_standard, metric_scores, rows, scale_of
 from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.score import LOWEST, Score, total_score
-from crowdbench.scoring.scorecard import (
-    PairResult,
-    Scorecard,
-    failures,
-    gate_standard,
-    metric_scores,
-    rows,
-    scale_of,
-)
+from crowdbench.scoring.scorecard import PairResult, Scorecard
 
 
 @dataclass(frozen=True, eq=False)

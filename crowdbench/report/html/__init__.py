@@ -11,15 +11,15 @@ from pathlib import Path
 from crowdbench.files import write_text
 from crowdbench.report.display_names import names_of
 from crowdbench.report.html.pictures import pictures
-from crowdbench.report.html.render import html, own
-from crowdbench.report.html.shell import html_page
+from crowdbench.report.html.render import html, html_page, own
 from crowdbench.report.html.tables import metric_tables, outcome_table, score_table
 from crowdbench.report.plots.plot_data import Crowds, PlotData
 from crowdbench.report.text.notes import made
 from crowdbench.report.text.words import PROTOCOLS, named
 from crowdbench.scene import Scene
+from crowdbench.scoring.ranking import rows
 from crowdbench.scoring.reference import Reference
-from crowdbench.scoring.scorecard import ANCHOR, Scorecard, has_recorded_arrivals, rows
+from crowdbench.scoring.scorecard import ANCHOR, Scorecard, has_recorded_arrivals
 
 FILES = ("report.html",)
 """Names of the files of a report."""
@@ -68,11 +68,10 @@ def _page(card: Scorecard, plot: PlotData) -> str:
 def _command(card: Scorecard, scene: Scene) -> str:
     """The shell command that reproduces the evaluation."""
     pairs = [(e.spawn, e.policy) for e in card.entries]
+    spawn = list(dict.fromkeys(s for s, _ in pairs))
     # `evaluate` runs every policy except `replay` under the recorded arrivals by default.
-    unasked = all(s != "replay" for s, _ in pairs) or (
-        any(s != "replay" for s, _ in pairs) and ("replay", "replay") not in pairs
-    )
-    spawn = [s for s in dict.fromkeys(s for s, _ in pairs) if s != "replay" or not unasked]
+    if spawn != ["replay"] and ("replay", "replay") not in pairs:
+        spawn = [s for s in spawn if s != "replay"]
     policy = list(dict.fromkeys(p for _, p in pairs))
     words = ["crowdbench", "evaluate", named(scene), "--spawn", *spawn, "--policy", *policy]
     return shlex.join([*words, "--protocol", card.protocol, "--seeds", str(card.rollouts)])

@@ -6,9 +6,8 @@ legend is given once, as text above the panels.
 
 from base64 import b64encode
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from markupsafe import Markup
@@ -18,68 +17,71 @@ from crowdbench.progress import steps
 from crowdbench.report.html.render import html
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.canvas import picture
-from crowdbench.report.plots.plot_data import Curves, PlotData
+from crowdbench.report.plots.plot_data import Curves, Group, PlotData
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_WIDTH = 4.2
+_MAP_WIDTH = 4.2
 _MOST_AREAS = 12
 _LEAST_GAPS = 20
 
 
-@dataclass(kw_only=True)
-class _Figure:
+class _Figure(NamedTuple):
     """A picture with its caption; the template shows it."""
 
-    draw: Callable[["Axes"], None]
     title: str
-    note: str = ""
+    note: str
     """What the caption says after the title."""
     alt: str
-    height_in: float
-    width_in: float = _WIDTH
-    kind: Literal["small png", "svg"] = "svg"
-    address: str = ""
-    """The picture itself, as a `data:` URL, once it is drawn."""
+    width: int
+    """Like the height, in pixels of the page."""
+    height: int
+    address: str
+    """The picture itself, as a `data:` URL."""
 
-    @property
-    def width(self) -> int:
-        """Width in pixels of the page."""
-        return round(96 * self.width_in)
 
-    @property
-    def height(self) -> int:
-        """Height in pixels of the page."""
-        return round(96 * self.height_in)
-
-    def make(self) -> None:
-        """Draw the picture."""
-        data = picture(
-            lambda axes: self.draw(axes[0]),
-            width=self.width_in,
-            height=self.height_in,
-            kind=self.kind,
-        )
-        mime = "image/svg+xml" if self.kind == "svg" else "image/png"
-        self.address = f"data:{mime};base64,{b64encode(data).decode()}"
+def _drawn(
+    draw: Callable[["Axes"], object],
+    title: str,
+    alt: str,
+    *,
+    note: str = "",
+    inches: tuple[float, float],
+    kind: Literal["small png", "svg"] = "svg",
+) -> _Figure:
+    """Draw a picture of a width and height in inches."""
+    width, height = inches
+    data = picture(lambda axes: draw(axes[0]), width=width, height=height, kind=kind)
+    mime = "image/svg+xml" if kind == "svg" else "image/png"
+    address = f"data:{mime};base64,{b64encode(data).decode()}"
+    return _Figure(title, note, alt, round(96 * width), round(96 * height), address)
 
 
 def pictures(plot: PlotData) -> Markup:
     """HTML of all pictures, of at least one rollout."""
-    gaps = _gaps(plot)
+    gaps = [int(c.sum()) for c in plot.reference.statistics["inter_spawn_per_area"].values()]
     busiest = _busiest(gaps)
-    figures = {
-        "over_time": _over_time(plot),
-        "autocorrelation": _autocorrelation(plot),
-        "distributions": _distributions(plot),
-        "per_area": _per_area(plot, gaps, busiest),
-        "flows": _flows(plot),
-        "occupancy": _occupancy(plot),
-        "paths": _paths(plot),
+    curves = plot.curves("inter_spawn_per_area", samples=len(gaps))
+    shares = plot.cells("occupancy")
+    labels = ["recorded", *(group.label for group in plot.groups)]
+    parts: dict[str, list[Callable[[], _Figure]]] = {
+        "over_time": [partial(_over_time, plot, group) for group in plot.groups],
+        "autocorrelation": [partial(_autocorrelation, plot)],
+        "distributions": [partial(_distribution, plot, *of) for of in _distributions(plot)],
+        "per_area": [partial(_of_area, plot, curves, k, gaps[k]) for k in busiest],
+        "flows": [
+            partial(_flows, plot, *of)
+            for of in zip(labels, plot.cells("origin_destination"), strict=True)
+        ],
+        "occupancy": [
+            partial(_occupancy, plot, shares[0], *of) for of in zip(labels, shares, strict=True)
+        ],
+        "paths": [partial(_paths, plot, group) for group in plot.groups],
     }
-    for figure in steps("pictures", [each for part in figures.values() for each in part]):
-        figure.make()
+    figures: dict[str, list[_Figure]] = {name: [] for name in parts}
+    for name, draw in steps("pictures", [(n, draw) for n, part in parts.items() for draw in part]):
+        figures[name].append(draw())
     return html(
         "pictures.html.j2",
         groups=plot.groups,
@@ -94,77 +96,62 @@ def pictures(plot: PlotData) -> Markup:
     )
 
 
-def _over_time(plot: PlotData) -> list[_Figure]:
-    found = []
-    for group in plot.groups:
-        present = np.concatenate([crowd.present() for crowd in group.crowds])
-        count = len(group.crowds)
-        found.append(
-            _Figure(
-                draw=partial(panels.agents_over_time, plot=plot, group=group),
-                title=group.label,
-                note=f", {count} rollout{'s' * (count > 1)}",
-                alt=f"Number of agents over time in rollouts of {group.label}: mean "
-                f"{present.mean():.1f}, maximum {present.max()}.",
-                width_in=4.6,
-                height_in=2.3,
-                kind="small png",
-            )
-        )
-    return found
+def _over_time(plot: PlotData, group: Group) -> _Figure:
+    present = np.concatenate([crowd.present() for crowd in group.crowds])
+    count = len(group.crowds)
+    return _drawn(
+        lambda axis: panels.agents_over_time(axis, plot, group),
+        group.label,
+        f"Number of agents over time in rollouts of {group.label}: mean {present.mean():.1f}, "
+        f"maximum {present.max()}.",
+        note=f", {count} rollout{'s' * (count > 1)}",
+        inches=(4.6, 2.3),
+        kind="small png",
+    )
 
 
-def _autocorrelation(plot: PlotData) -> list[_Figure]:
-    return [
-        _Figure(
-            draw=partial(_correlated, plot=plot),
-            title="Autocorrelation of the number of agents",
-            alt="Autocorrelation of the number of agents over the lag: the recording at the lags "
-            "that the metric compares, and of the mean over the rollouts of each crowd.",
-            width_in=4.6,
-            height_in=2.7,
-        )
-    ]
+def _autocorrelation(plot: PlotData) -> _Figure:
+    def draw(axis: "Axes") -> None:
+        panels.autocorrelation(axis, plot)
+        axis.set_ylabel("autocorrelation")  # the longer label does not fit
+
+    return _drawn(
+        draw,
+        "Autocorrelation of the number of agents",
+        "Autocorrelation of the number of agents over the lag: the recording at the lags that the "
+        "metric compares, and of the mean over the rollouts of each crowd.",
+        inches=(4.6, 2.7),
+    )
 
 
-def _correlated(axis: "Axes", plot: PlotData) -> None:
-    panels.autocorrelation(axis, plot)
-    axis.set_ylabel("autocorrelation")  # the longer label does not fit
-
-
-def _distributions(plot: PlotData) -> list[_Figure]:
+def _distributions(plot: PlotData) -> Sequence[tuple[str, str, str, float]]:
+    """Metric, title, label of the axis, and unit of each distribution that is drawn."""
     scene = plot.scene
-    found = []
-    for name, title, what, unit in (
+    entering = f"people who enter in {10 * scene.dt_s:.3g} s"
+    return (
         ("inter_spawn", "Inter-spawn time", "time between two arrivals (s)", scene.grid_s),
-        ("spawns_per_10_frames", "Spawns per 10 frames",
-         f"people who enter in {10 * scene.dt_s:.3g} s", 1.0),
+        ("spawns_per_10_frames", "Spawns per 10 frames", entering, 1.0),
         ("agents_over_time", "Agents present, N(t)", "agents present", 1.0),
         ("dwell", "Dwell time", "time from entering to leaving (s)", scene.dt_s),
-    ):  # fmt: skip
-        curves = plot.curves(name)
-        cut_off = name == "dwell" and plot.scene.timeout_s < curves.longest() * unit
-        found.append(
-            _Figure(
-                draw=partial(
-                    _distribution, plot=plot, name=name, curves=curves, unit=unit, what=what
-                ),
-                title=title,
-                note="; dotted: time limit of simulated trips" if cut_off else "",
-                alt=f"Survival curves, {title.lower()}. {medians(plot, curves, unit)}",
-                width_in=4.6,
-                height_in=2.7,
-            )
-        )
-    return found
+    )
 
 
-def _distribution(
-    axis: "Axes", plot: PlotData, name: str, curves: Curves, unit: float, what: str
-) -> None:
-    panels.survival(axis, plot, curves, unit=unit, what=what)
-    if name == "dwell":
-        panels.patience(axis, plot)
+def _distribution(plot: PlotData, name: str, title: str, what: str, unit: float) -> _Figure:
+    curves = plot.curves(name)
+    cut_off = name == "dwell" and plot.scene.timeout_s < curves.longest() * unit
+
+    def draw(axis: "Axes") -> None:
+        panels.survival(axis, plot, curves, unit=unit, what=what)
+        if name == "dwell":
+            panels.patience(axis, plot)
+
+    return _drawn(
+        draw,
+        title,
+        f"Survival curves, {title.lower()}. {medians(plot, curves, unit)}",
+        note="; dotted: time limit of simulated trips" if cut_off else "",
+        inches=(4.6, 2.7),
+    )
 
 
 def medians(plot: PlotData, curves: Curves, unit: float, area: int = 0) -> str:
@@ -177,38 +164,18 @@ def medians(plot: PlotData, curves: Curves, unit: float, area: int = 0) -> str:
     return f"Medians: {each_median}."
 
 
-def _per_area(plot: PlotData, gaps: Sequence[int], busiest: Sequence[int]) -> list[_Figure]:
-    name, areas = "inter_spawn_per_area", plot.reference.place.spawn_areas
-    curves = plot.curves(name, samples=areas)
-    found = []
-    for k in busiest:
-        x, y = plot.areas.spawn.mean[k]
-        where = f"({x:.1f}, {y:.1f})".replace("-", "−")
-        found.append(
-            _Figure(
-                draw=partial(
-                    panels.survival,
-                    plot=plot,
-                    curves=curves,
-                    unit=plot.scene.grid_s,
-                    what="gap (s)",
-                    area=k,
-                ),
-                title=f"Area {k}",
-                note=f" around {where} m, {gaps[k]} recorded gaps",
-                alt=f"Survival curves of gaps between arrivals at spawn area {k}. "
-                f"{medians(plot, curves, plot.scene.grid_s, k)}",
-                width_in=3.0,
-                height_in=2.2,
-            )
-        )
-    return found
-
-
-def _gaps(plot: PlotData) -> list[int]:
-    """Number of recorded gaps at each spawn area."""
-    each = plot.reference.statistics["inter_spawn_per_area"].values()
-    return [int(counts.sum()) for counts in each]
+def _of_area(plot: PlotData, curves: Curves, k: int, gaps: int) -> _Figure:
+    x, y = plot.areas.spawn.mean[k]
+    where = f"({x:.1f}, {y:.1f})".replace("-", "−")
+    unit = plot.scene.grid_s
+    return _drawn(
+        lambda axis: panels.survival(axis, plot, curves, unit=unit, what="gap (s)", area=k),
+        f"Area {k}",
+        f"Survival curves of gaps between arrivals at spawn area {k}. "
+        f"{medians(plot, curves, unit, k)}",
+        note=f" around {where} m, {gaps} recorded gaps",
+        inches=(3.0, 2.2),
+    )
 
 
 def _busiest(gaps: Sequence[int]) -> list[int]:
@@ -217,69 +184,53 @@ def _busiest(gaps: Sequence[int]) -> list[int]:
     return [k for k in order[:_MOST_AREAS] if gaps[k] >= _LEAST_GAPS] or order[:1]
 
 
-def _map_height(plot: PlotData, extra: float = 0.5) -> float:
+def _size_of_map(plot: PlotData, below: float = 0.0) -> tuple[float, float]:
+    """Width and height of a map in inches, with room below it."""
     b = plot.scene.bounds
-    return (_WIDTH - 0.6) * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m) + extra
+    ratio = (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m)
+    return _MAP_WIDTH, (_MAP_WIDTH - 0.6) * ratio + 0.5 + below
 
 
-def _flows(plot: PlotData) -> list[_Figure]:
-    found = []
-    goals = plot.reference.place.goal_areas
-    labels = ["recorded", *(group.label for group in plot.groups)]
-    for label, share in zip(labels, plot.cells("origin_destination"), strict=True):
-        k, g = divmod(int(np.argmax(share)), goals)
-        found.append(
-            _Figure(
-                draw=partial(panels.flows, plot=plot, share=share),
-                title=label,
-                alt=f"Map of the flows from spawn areas to goal areas, {label}. The largest, "
-                f"{100 * share.max():.0f} %, leads from spawn area {k} to goal area {g}.",
-                height_in=_map_height(plot),
-            )
-        )
-    return found
+def _flows(plot: PlotData, label: str, share: np.ndarray) -> _Figure:
+    k, g = divmod(int(np.argmax(share)), plot.reference.place.goal_areas)
+    return _drawn(
+        lambda axis: panels.flows(axis, plot, share),
+        label,
+        f"Map of the flows from spawn areas to goal areas, {label}. The largest, "
+        f"{100 * share.max():.0f} %, leads from spawn area {k} to goal area {g}.",
+        inches=_size_of_map(plot),
+    )
 
 
-def _occupancy(plot: PlotData) -> list[_Figure]:
-    shares = plot.cells("occupancy")
+def _occupancy(plot: PlotData, recorded: np.ndarray, label: str, share: np.ndarray) -> _Figure:
     # A percentile, so that single cells with very high values do not darken all others.
-    top = 100 * float(np.percentile(shares[0][shares[0] > 0], 99.5)) if shares[0].any() else 1.0
-    labels = ["recorded", *(group.label for group in plot.groups)]
-    found = []
-    for label, share in zip(labels, shares, strict=True):
-        differs = 50 * float(np.abs(share - shares[0]).sum())
-        found.append(
-            _Figure(
-                draw=partial(_occupied, plot=plot, share=share, top=top),
-                title=label,
-                alt=f"Map of where people spend their time, {label}."
-                + (f" Total variation distance from the recording: {differs:.0f} %."
-                   if label != "recorded" else ""),
-                height_in=_map_height(plot, 1.05),
-            )
-        )  # fmt: skip
-    return found
+    top = 100 * float(np.percentile(recorded[recorded > 0], 99.5)) if recorded.any() else 1.0
+    differs = 50 * float(np.abs(share - recorded).sum())
+    distance = f" Total variation distance from the recording: {differs:.0f} %."
 
-
-def _occupied(axis: "Axes", plot: PlotData, share: np.ndarray, top: float) -> None:
-    image = panels.occupancy(axis, plot, share, top)
-    bar = axis.figure.colorbar(image, ax=axis, location="bottom", aspect=40, extend="max", pad=0.02)
-    bar.set_label("% of people’s time per m²")
-
-
-def _paths(plot: PlotData) -> list[_Figure]:
-    found = []
-    for group in plot.groups:
-        count = min(len(group.crowds[0]), panels.MOST_PATHS)
-        found.append(
-            _Figure(
-                draw=partial(panels.paths, plot=plot, crowd=group.crowds[0]),
-                title=group.label,
-                note=f", the first {count} people",
-                alt=f"Paths of {count} people in one rollout of {group.label}, drawn over walls, "
-                "spawn areas and goal areas.",
-                height_in=_map_height(plot),
-                kind="small png",
-            )
+    def draw(axis: "Axes") -> None:
+        image = panels.occupancy(axis, plot, share, top)
+        bar = axis.figure.colorbar(
+            image, ax=axis, location="bottom", aspect=40, extend="max", pad=0.02
         )
-    return found
+        bar.set_label("% of people’s time per m²")
+
+    return _drawn(
+        draw,
+        label,
+        f"Map of where people spend their time, {label}.{distance * (label != 'recorded')}",
+        inches=_size_of_map(plot, below=0.55),
+    )
+
+
+def _paths(plot: PlotData, group: Group) -> _Figure:
+    count = min(len(group.crowds[0]), panels.MOST_PATHS)
+    return _drawn(
+        lambda axis: panels.paths(axis, plot, group.crowds[0]),
+        group.label,
+        f"Paths of {count} people in one rollout of {group.label}, drawn over walls, spawn areas "
+        "and goal areas.",
+        note=f", the first {count} people",
+        inches=_size_of_map(plot),
+        kind="small png",
+    )

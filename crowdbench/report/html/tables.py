@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 from markupsafe import Markup
 
@@ -13,16 +13,17 @@ from crowdbench.report.display_names import Names
 from crowdbench.report.html.render import html
 from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.report.text.notes import gate_notes, too_few_rollouts
-from crowdbench.scoring.ranking import competing_rows, ordered, ranked_by, steered
-from crowdbench.scoring.score import Score
-from crowdbench.scoring.scorecard import (
-    PairResult,
+from crowdbench.scoring.ranking import (
     Row,
-    Scorecard,
-    has_recorded_arrivals,
+    competing_rows,
     metric_scores,
+    ordered,
+    ranked_by,
     scale_of,
+    steered,
 )
+from crowdbench.scoring.score import Score
+from crowdbench.scoring.scorecard import PairResult, Scorecard, has_recorded_arrivals
 
 
 def score_table(card: Scorecard, table: Sequence[Row], names: Names) -> Markup:
@@ -85,24 +86,12 @@ class _Scale:
         return f"{(value - self.low) / (self.high - self.low) * self.width:.1f}"
 
 
-@dataclass(frozen=True, eq=False)
-class _MetricTable:
-    """A table of metrics with a column for each entry; the template draws it."""
-
-    caption: str
-    entries: Sequence[PairResult]
-    scores: list[dict[str, Score | None]]
-    """The scores of each entry by metric."""
-    families: dict[str, list[Metric]]
-    """The metrics that have a row, by family."""
-
-
 def metric_tables(card: Scorecard, plot: PlotData, names: Names) -> Markup:
     """HTML tables: all metrics of the crowds; motion and interaction under recorded arrivals."""
     crowds = [e for e in card.entries if e.spawn != "replay"]
     walkers = [e for e in card.entries if e.spawn == "replay"]
-    first = _metric_table("Metrics of each crowd", card, crowds or walkers, FAMILIES)
-    tables = [first]
+    first = crowds or walkers
+    tables = [_metric_table("Metrics of each crowd", card, first, FAMILIES)]
     if crowds and walkers:
         caption = "Motion and interaction under the recorded arrivals"
         tables.append(_metric_table(caption, card, walkers, WALK))
@@ -112,21 +101,22 @@ def metric_tables(card: Scorecard, plot: PlotData, names: Names) -> Markup:
         scored=card.scored,
         tables=tables,
         definition=_definition,
-        gaps=_gaps(plot, first.entries),
+        gaps=_gaps(plot, first),
     )
 
 
 def _metric_table(
     caption: str, card: Scorecard, entries: Sequence[PairResult], families: Sequence[str]
-) -> _MetricTable:
+) -> dict[str, Any]:
+    """A table with a column for each entry, and a row for each metric of the families."""
     shown = [metric for metric in all_metrics() if metric.name in entries[0].metrics]
     scale = scale_of(card)
-    return _MetricTable(
-        caption,
-        entries,
-        [metric_scores(scale, entry) for entry in entries],
-        {family: [m for m in shown if m.family == family] for family in families},
-    )
+    return {
+        "caption": caption,
+        "entries": entries,
+        "scores": [metric_scores(scale, entry) for entry in entries],
+        "families": {family: [m for m in shown if m.family == family] for family in families},
+    }
 
 
 def _definition(metric: Metric) -> str:
@@ -144,20 +134,13 @@ def _gaps(
     (recorded, *groups), support = plot.pooled("inter_spawn")
     by_pair = {(g.spawn, g.policy): sums for g, sums in zip(plot.groups, groups, strict=True)}
     each = [by_pair.get((entry.spawn, entry.policy)) for entry in entries]
+    burst = "(σ − μ)/(σ + μ) of the gaps: −1 for regular arrivals, 0 for Poisson, 1 for bursts."
+    follow = "Correlation of consecutive gaps; positive if short gaps follow short gaps."
     return [
         (name, what, value(recorded), [None if sums is None else value(sums) for sums in each])
         for name, what, value in (
-            (
-                "burstiness",
-                "(σ − μ)/(σ + μ) of the gaps: −1 for regular arrivals, 0 for Poisson, 1 for "
-                "bursts.",
-                lambda sums: burstiness(sums, support),
-            ),
-            (
-                "memory",
-                "Correlation of consecutive gaps; positive if short gaps follow short gaps.",
-                memory,
-            ),
+            ("burstiness", burst, lambda sums: burstiness(sums, support)),
+            ("memory", follow, memory),
         )
     ]
 

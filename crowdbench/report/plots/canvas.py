@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Draw = Callable[["list[Axes]"], None]
+Draw = Callable[["list[Axes]"], object]
 
 _DPI = 150
 _PALETTE = 64

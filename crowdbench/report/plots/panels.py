@@ -37,13 +37,14 @@ def agents_over_time(axis: "Axes", plot: PlotData, group: Group) -> None:
 
 def rollouts_over_time(axis: "Axes", plot: PlotData, group: Group) -> None:
     """Draw N(t) of the rollouts, the first one highlighted."""
-    frames = plot.scene.recording.frames
     for k, crowd in enumerate(group.crowds):
-        drawn_out: dict[str, Any] = {"linewidth": 0.9, "zorder": 3}
-        style = drawn_out if k == 0 else {"linewidth": 0.6, "alpha": 0.3}
+        style: dict[str, Any] = (
+            {"linewidth": 0.6, "alpha": 0.3} if k else {"linewidth": 0.9, "zorder": 3}
+        )
         axis.plot(*_agents(plot, crowd), color=group.colour, **style)
-    axis.set(xlim=(0, frames * plot.scene.dt_s), ylim=(0, most_agents(plot)))
-    axis.set(xlabel="time (s)", ylabel="mean of agents" if in_blocks(plot) else "agents")
+    end_s = plot.scene.recording.frames * plot.scene.dt_s
+    axis.set(xlim=(0, end_s), ylim=(0, most_agents(plot)), xlabel="time (s)")
+    axis.set_ylabel("mean of agents" if in_blocks(plot) else "agents")
 
 
 def in_blocks(plot: PlotData) -> bool:
@@ -88,12 +89,9 @@ def most_agents(plot: PlotData) -> float:
     """Upper limit of a scale that shows all rollouts and the recording."""
     crowds = [crowd for group in plot.groups for crowd in group.crowds]
     simulated = max(float(np.nanmax(_agents(plot, crowd)[1], initial=0)) for crowd in crowds)
-    if in_blocks(plot):
-        most = float(recorded_means(plot).max())
-    else:
-        recorded = plot.reference.statistics["agents_over_time"]["counts"]
-        most = float(np.flatnonzero(recorded.any(axis=0)).max(initial=1))
-    return 1.05 * max(simulated, most)
+    counts = plot.reference.statistics["agents_over_time"]["counts"]
+    seen = recorded_means(plot) if in_blocks(plot) else np.flatnonzero(counts.any(axis=0))
+    return 1.05 * max(simulated, float(seen.max(initial=0 if in_blocks(plot) else 1)))
 
 
 def recorded_bands(axis: "Axes", plot: PlotData) -> None:
@@ -103,18 +101,15 @@ def recorded_bands(axis: "Axes", plot: PlotData) -> None:
     """
     counts = plot.reference.statistics["agents_over_time"]["counts"]
     blocks, means = plot.reference.blocks, recorded_means(plot)
+    of_range: str | None = "recorded, 5–95 % of a block"
+    of_mean: str | None = "recorded, mean of a block"
     for b, (start, stop) in enumerate(blocks.frames * blocks.dt_s):
         low, high = recorded_range(counts[b])
-        first = b == 0
         if not in_blocks(plot):
-            axis.fill_between(
-                [start, stop], low - 0.2, high + 0.2, color=BAND, linewidth=0,
-                label="recorded, 5–95 % of a block" if first else None,
-            )  # fmt: skip
-        axis.plot(
-            [start, stop], [means[b], means[b]], color="black", linewidth=1.6,
-            label="recorded, mean of a block" if first else None,
-        )  # fmt: skip
+            axis.fill_between([start, stop], low - 0.2, high + 0.2, color=BAND, linewidth=0,
+                              label=of_range)  # fmt: skip
+        axis.plot([start, stop], [means[b]] * 2, color="black", linewidth=1.6, label=of_mean)
+        of_range = of_mean = None  # once in a legend
 
 
 def recorded_range(counts: np.ndarray) -> tuple[int, int]:
@@ -146,13 +141,8 @@ def survival(
 def patience(axis: "Axes", plot: PlotData) -> None:
     """Draw the time limit of simulated trips, if it is within the axes."""
     if plot.scene.timeout_s < axis.get_xlim()[1]:
-        axis.axvline(
-            plot.scene.timeout_s,
-            color="0.45",
-            linewidth=0.9,
-            linestyle=":",
-            label="simulated trips are cut off",
-        )
+        axis.axvline(plot.scene.timeout_s, color="0.45", linewidth=0.9, linestyle=":",
+                     label="simulated trips are cut off")  # fmt: skip
 
 
 def place(axis: "Axes", scene: Scene, *, fill: str = "0.75") -> None:
@@ -165,14 +155,10 @@ def place(axis: "Axes", scene: Scene, *, fill: str = "0.75") -> None:
 
 
 def autocorrelation(axis: "Axes", plot: PlotData) -> None:
-    """Draw the autocorrelation of N(t) of the recording, and the mean over each group's rollouts.
+    """Draw the mean autocorrelation of N(t) over each group's rollouts.
 
-    Dots with whiskers mark the lags that the metric compares, for which no recording is needed.
+    Dots with whiskers show the recording at the lags that the metric compares.
     """
-    recorded = plot.recorded_autocorrelation()
-    if recorded is not None:
-        axis.fill_between(recorded.lag_s, recorded.low, recorded.high, color=BAND, linewidth=0)
-        axis.plot(recorded.lag_s, recorded.value, color="black", linewidth=2.2, label="recorded")
     for group, values in zip(plot.groups, plot.autocorrelations(plot.lags_s.tolist()), strict=True):
         style = {"color": group.colour, "linestyle": linestyle(group), "linewidth": 1.4}
         axis.plot(plot.lags_s, values, label=group.label, **style)
@@ -192,15 +178,10 @@ def paths(axis: "Axes", plot: PlotData, crowd: Trajectories) -> None:
     for p in range(min(len(crowd), MOST_PATHS)):
         colour = goal_colour(int(crowd.goal_area[p]))
         axis.plot(*crowd.path(p).T, color=colour, linewidth=0.5, alpha=0.5)
-    goal_ellipses(axis, plot)
-    for k in range(len(plot.areas.spawn)):
-        ellipse(axis, plot.areas.spawn, k, color="black", linewidth=1.0, linestyle="--")
-
-
-def goal_ellipses(axis: "Axes", plot: PlotData) -> None:
-    """Draw each goal area in its colour."""
     for k in range(len(plot.areas.goal)):
         ellipse(axis, plot.areas.goal, k, color=goal_colour(k), linewidth=1.8)
+    for k in range(len(plot.areas.spawn)):
+        ellipse(axis, plot.areas.spawn, k, color="black", linewidth=1.0, linestyle="--")
 
 
 def ellipse(axis: "Axes", gaussians: Gaussians, k: int, **style: Any) -> None:
@@ -224,27 +205,16 @@ def flows(axis: "Axes", plot: PlotData, share: np.ndarray) -> None:
         if share[cell] < LEAST_SHARE:
             continue
         if np.linalg.norm(end - start) < 1.5:  # the goal area is at the spawn area
-            ring: dict[str, Any] = {
-                "markersize": 10,
-                "markerfacecolor": "none",
-                "markeredgewidth": width,
-            }
-            axis.plot(*start, "o", color=goal_colour(g), alpha=0.8, **ring)
+            axis.plot(*start, "o", color=goal_colour(g), alpha=0.8, markersize=10,
+                      markerfacecolor="none", markeredgewidth=width)  # fmt: skip
             continue
-        axis.add_patch(
-            FancyArrowPatch(
-                (start[0], start[1]),
-                (end[0], end[1]),
-                connectionstyle=f"arc3,rad={_BEND}",
-                arrowstyle=f"simple,tail_width={width:.3f},head_width={width + 4:.3f},"
-                f"head_length={4 + width / 2:.3f}",
-                color=goal_colour(g),
-                linewidth=0,
-                alpha=0.8,
-                shrinkA=3,
-                shrinkB=3,
-            )
-        )
+        shape = f"tail_width={width:.3f},head_width={width + 4:.3f},head_length={4 + width / 2:.3f}"
+        arrow = FancyArrowPatch(
+            tuple(start), tuple(end), connectionstyle=f"arc3,rad={_BEND}",
+            arrowstyle=f"simple,{shape}", color=goal_colour(g), linewidth=0, alpha=0.8,
+            shrinkA=3, shrinkB=3,
+        )  # fmt: skip
+        axis.add_patch(arrow)
         if share[cell] >= LEAST_LABELLED:
             (dx, dy), middle = end - start, (start + end) / 2  # the arc passes to its right
             x, y = middle + _BEND / 2 * np.array([dy, -dx])

@@ -12,6 +12,7 @@ from crowdbench.data.blocks import SPLITS
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics import Metric, Statistics, Sums, Support, all_metrics, total
 from crowdbench.metrics.lattice import correlation
+from crowdbench.metrics.metric import in_blocks
 from crowdbench.metrics.presence import LAGS_S, lag_key, lagged, usable_lags
 from crowdbench.report.display_names import names_of
 from crowdbench.scene import Scene
@@ -82,19 +83,9 @@ class PlotData:
     """Reference statistics in the time blocks on which `split` is scored."""
     split: str
     groups: list[Group]
-    recording: Trajectories | None = None
-    """The recording, if available: for its paths and its autocorrelation at all lags, which the
-    reference statistics do not contain."""
 
     @classmethod
-    def of(
-        cls,
-        scene: Scene,
-        reference: Reference,
-        crowds: Crowds,
-        protocol: str,
-        recording: Trajectories | None = None,
-    ) -> "PlotData":
+    def of(cls, scene: Scene, reference: Reference, crowds: Crowds, protocol: str) -> "PlotData":
         """Collect the plot data of a protocol's first split.
 
         Crowds under the recorded arrivals are left out, unless there are no others.
@@ -104,10 +95,7 @@ class PlotData:
         seen = Reference(
             reference.blocks.scored(split),
             reference.place,
-            {
-                metric: {name: values[inside] for name, values in statistics.items()}
-                for metric, statistics in reference.statistics.items()
-            },
+            {name: in_blocks(of, inside) for name, of in reference.statistics.items()},
         )
         pairs = list(dict.fromkeys((spawn, policy) for spawn, policy, _ in crowds))
         names = names_of([*pairs, *BASELINES], scene)  # the tables show the baselines too
@@ -125,7 +113,7 @@ class PlotData:
             )
             for spawn, policy in pairs
         ]
-        return cls(scene, seen, split, groups, recording)
+        return cls(scene, seen, split, groups)
 
     @cached_property
     def areas(self) -> Areas:
@@ -182,11 +170,10 @@ class PlotData:
     def autocorrelations(self, lags_s: Sequence[float]) -> Float[np.ndarray, "G L"]:
         """Mean autocorrelation of N(t) over the rollouts of each group, at the given lags."""
         blocks = self.reference.blocks
-        each = [
-            [correlation(lagged(crowd, blocks, lags_s).sum(axis=1)) for crowd in group.crowds]
-            for group in self.groups
+        means = [
+            np.mean([correlation(lagged(c, blocks, lags_s).sum(axis=1)) for c in g.crowds], axis=0)
+            for g in self.groups
         ]
-        means = [np.mean(of_group, axis=0) for of_group in each]
         return np.array(means).reshape(len(self.groups), len(lags_s))
 
     def compared_autocorrelation(self) -> Correlations:
@@ -194,16 +181,10 @@ class PlotData:
         lags_s = usable_lags(LAGS_S, self.reference.blocks)
         known = self.reference.statistics["autocorrelation"] if lags_s else {}
         sums = np.array([known[lag_key(lag_s)] for lag_s in lags_s])
-        return self._correlations(lags_s, sums.reshape(len(lags_s), len(self.reference.blocks), 6))
+        return self.correlations(lags_s, sums.reshape(len(lags_s), len(self.reference.blocks), 6))
 
-    def recorded_autocorrelation(self) -> Correlations | None:
-        """The recording's autocorrelation at `lags_s`; None without the recording."""
-        if self.recording is None:
-            return None
-        lags_s = self.lags_s.tolist()
-        return self._correlations(lags_s, lagged(self.recording, self.reference.blocks, lags_s))
-
-    def _correlations(self, lags_s: list[float], sums: Int[np.ndarray, "L B 6"]) -> Correlations:
+    def correlations(self, lags_s: list[float], sums: Int[np.ndarray, "L B 6"]) -> Correlations:
+        """Autocorrelation from sums that `lagged` computes from the recording."""
         times = self._draws.blocks[:_RESAMPLES]
         resampled = correlation(np.einsum("rb,lbk->rlk", times, sums))
         low, high = np.percentile(resampled, _TAILS, axis=0)
@@ -223,13 +204,10 @@ class PlotData:
 
     def _statistics(self, name: str) -> list[list[Statistics]]:
         if name not in self._known:
-            metric = _metric(name)
+            summarise = _metric(name).summarise
+            blocks, place = self.reference.blocks, self.reference.place
             self._known[name] = [
-                [
-                    metric.summarise(crowd, self.reference.blocks, self.reference.place)
-                    for crowd in group.crowds
-                ]
-                for group in self.groups
+                [summarise(crowd, blocks, place) for crowd in group.crowds] for group in self.groups
             ]
         return self._known[name]
 

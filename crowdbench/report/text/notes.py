@@ -7,17 +7,9 @@ from crowdbench.report.display_names import Names
 from crowdbench.report.text.words import STEERED, number, share, speed, to_import
 from crowdbench.run.references import missing
 from crowdbench.scene import Gate, Scene
-from crowdbench.scoring.ranking import steered
+from crowdbench.scoring.ranking import Row, gate_standard, steered, walker_of
 from crowdbench.scoring.score import Score
-from crowdbench.scoring.scorecard import (
-    ANCHOR,
-    Limit,
-    Row,
-    Scorecard,
-    gate_standard,
-    has_recorded_arrivals,
-    walker_of,
-)
+from crowdbench.scoring.scorecard import ANCHOR, Limit, Scorecard, has_recorded_arrivals
 
 
 def made(card: Scorecard) -> str:
@@ -37,14 +29,8 @@ def gate_notes(card: Scorecard, table: Sequence[Row], names: Names) -> list[str]
     for policy in dict.fromkeys(row.policy for row in table if row.policy in first):
         row, walker = first[policy], walker_of(card, policy)
         assert walker is not None  # it was judged
-        exceeded = beyond_gate(
-            row.fails,
-            card.gate,
-            speed_mps=walker.speed_mps,
-            at_goal=walker.at_goal,
-            recorded_speed_mps=standard.speed_mps,
-            recorded_at_goal=standard.at_goal,
-        )
+        speeds, shares = (walker.speed_mps, standard.speed_mps), (walker.at_goal, standard.at_goal)
+        exceeded = beyond_gate(row.fails, card.gate, speeds, shares)
         effect = effect_of_gate("walk", row.walk, row.walk_without_gate)
         notes.append(f"{names.policy[policy]} does not pass the gate: {exceeded}. {effect}")
     return notes
@@ -53,26 +39,26 @@ def gate_notes(card: Scorecard, table: Sequence[Row], names: Names) -> list[str]
 def beyond_gate(
     fails: Collection[Limit],
     gate: Gate,
-    *,
-    speed_mps: float | None,
-    at_goal: float | None,
-    recorded_speed_mps: float | None,
-    recorded_at_goal: float | None,
+    speed_mps: tuple[float | None, float | None],
+    at_goal: tuple[float | None, float | None],
 ) -> str:
-    """The limits that a policy exceeds, with its values and those of recorded people walked."""
+    """The limits that a policy exceeds; each pair is its value and that of recorded people walked.
+
+    The pairs are mean speeds in m/s, and shares of people at their goals.
+    """
     found = []
-    if "speed" in fails and recorded_speed_mps:
-        off = (0.0 if speed_mps is None else speed_mps) / recorded_speed_mps - 1
+    (mps, walked_mps), (arrived, walked_arrived) = speed_mps, at_goal
+    if "speed" in fails and walked_mps:
+        off = (0.0 if mps is None else mps) / walked_mps - 1
         found.append(
-            f"mean speed {speed(speed_mps)} m/s, {share(abs(off))} "
-            f"{'above' if off > 0 else 'below'} that of recorded people walked "
-            f"({speed(recorded_speed_mps)} m/s; limit: "
+            f"mean speed {speed(mps)} m/s, {share(abs(off))} {'above' if off > 0 else 'below'} "
+            f"that of recorded people walked ({speed(walked_mps)} m/s; limit: "
             f"{100 * gate.speed:g} %)"
         )
-    if "arrivals" in fails and at_goal is not None and recorded_at_goal:
+    if "arrivals" in fails and arrived is not None and walked_arrived:
         found.append(
-            f"{share(at_goal)} at goal, which is {share(at_goal / recorded_at_goal)} of the share "
-            f"of recorded people walked ({share(recorded_at_goal)}; limit: at least "
+            f"{share(arrived)} at goal, which is {share(arrived / walked_arrived)} of the share of "
+            f"recorded people walked ({share(walked_arrived)}; limit: at least "
             f"{100 * gate.arrivals:g} %)"
         )
     return "; ".join(found)

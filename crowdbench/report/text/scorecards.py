@@ -19,8 +19,8 @@ from crowdbench.report.text.terminal import (
 )
 from crowdbench.report.text.words import interval, number, share, speed
 from crowdbench.scene import Scene
-from crowdbench.scoring.ranking import ordered, ranked_by
-from crowdbench.scoring.scorecard import PairResult, Row, Scorecard, rows
+from crowdbench.scoring.ranking import Row, ordered, ranked_by, rows
+from crowdbench.scoring.scorecard import PairResult, Scorecard
 
 Column: TypeAlias = tuple[str, Callable[[Row], str | Text]]
 
