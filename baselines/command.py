@@ -24,7 +24,7 @@ from crowdbench.registry import DEFAULT_SPAWN
 from crowdbench.run.executor import call_each, checked_workers, engine, is_local
 from crowdbench.run.processes import LOCAL
 from crowdbench.scene import Scene
-from crowdbench.spawn.weights import check_split
+from crowdbench.spawn.fits import check_split
 
 from .progress import Progress
 from .walked import Walked, walked

@@ -1,10 +1,19 @@
 """Small spawn models and arrivals for tests: two areas of ETH, each the other's goal."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from crowdbench.spawn import Areas, Arrivals, NtppGMM, PoissonGMM, PoissonGroups, RenewalGMM
+from crowdbench.spawn import (
+    Areas,
+    Arrivals,
+    NtppGMM,
+    NtppPaper,
+    PoissonGMM,
+    PoissonGroups,
+    RenewalGMM,
+)
 from crowdbench.spawn.areas import Gaussians
 from crowdbench.spawn.ntpp.model import SHAPES
 
@@ -65,3 +74,19 @@ def random_ntpp(next_member: float = 0.3, seed: int = 0, spread: float = 0.6) ->
     weights["base"] = np.array([[0.0, np.log(3.0), odds], [-0.3, np.log(5.0), odds]])
     weights["scaling"] = np.array([[1.0, 0.8, 0.2, 0.4], [1.5, 1.1, 0.3, 0.5]])
     return NtppGMM(AREAS, {k: w.astype(np.float32) for k, w in weights.items()}, GRID_S)
+
+
+def learned(model: NtppGMM | NtppPaper) -> int:
+    """Number of learned parameters that samples depend on.
+
+    These are the trained weights of the networks. For each other area, `ntpp-gmm` has a rate and
+    P(one more member); in those of `ntpp-paper` nobody enters.
+    """
+    shapes = model.file.kind.shapes()
+    unused = set()
+    if isinstance(model, NtppPaper):
+        unused = {"initial", *(("hidden_weight", "hidden_bias") if model.published_code else ())}
+    each = sum(math.prod(shape) for name, shape in shapes.items() if name not in unused)
+    trained = model.trained()
+    others = 2 * int((~trained).sum()) if isinstance(model, NtppGMM) else 0
+    return int(trained.sum()) * each + others

@@ -34,7 +34,7 @@ from crowdbench.simulation.simulation import check_count
 from crowdbench.simulation.social import in_own_frame
 from crowdbench.spawn import Replay
 from crowdbench.spawn.events import blocks_of
-from crowdbench.spawn.weights import check_split
+from crowdbench.spawn.fits import check_split
 
 __all__ = ["Demonstrations", "demonstrations"]
 

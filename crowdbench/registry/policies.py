@@ -19,7 +19,7 @@ from crowdbench.policies import (
 from crowdbench.registry.dependencies import Dependencies
 from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene, scenes_folder
-from crowdbench.spawn.weights import check_split
+from crowdbench.spawn.fits import check_split
 
 _PLAIN: dict[str, Callable[..., Policy]] = {k.name: k for k in (Straight, SocialForce, Random)}
 _RECORDED: dict[str, Callable[..., Policy]] = {k.name: k for k in (ReplayPolicy, RecordedPaths)}

@@ -24,10 +24,10 @@ from crowdbench.spawn import (
 )
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.events import blocks_of
+from crowdbench.spawn.fits import check_split
 from crowdbench.spawn.plans.files import FILE as PLANS
 from crowdbench.spawn.plans.files import read_plans
 from crowdbench.spawn.steering.scenario import check_scenario, read_scenario, split_scenario
-from crowdbench.spawn.weights import check_split
 
 Fitted = type[PoissonGMM | PoissonGroups | RenewalGMM | NtppGMM | CoxGMM | NtppPaper]
 FITTED: dict[str, Fitted] = {

@@ -30,7 +30,7 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import summarise
 from crowdbench.scoring.score import LOWEST
 from crowdbench.spawn.areas import read_areas
-from crowdbench.spawn.weights import check_split
+from crowdbench.spawn.fits import check_split
 
 _SEEDS = 1_000_000
 """First seed of the rollouts, far from those of evaluations."""

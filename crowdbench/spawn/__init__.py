@@ -10,8 +10,7 @@ from crowdbench.spawn.replay import Replay
 from crowdbench.spawn.steering.scenario import Addition, Change, Scenario
 from crowdbench.spawn.steering.steered import Steered
 from crowdbench.spawn.times.cox import CoxGMM
-from crowdbench.spawn.times.poisson import PoissonGMM, PoissonPaper
-from crowdbench.spawn.times.poisson_groups import PoissonGroups
+from crowdbench.spawn.times.poisson import PoissonGMM, PoissonGroups, PoissonPaper
 from crowdbench.spawn.times.renewal import RenewalGMM
 
 __all__ = [

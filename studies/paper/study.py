@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from crowdbench.code import code_hash
 from crowdbench.data.recordings.catalogue import cached
@@ -31,6 +31,7 @@ from crowdbench.run.rollout_jobs import Progress
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import Reference
 from crowdbench.spawn import Areas, Arrivals, PoissonGMM, PoissonPaper, SpawnModel
+from crowdbench.spawn.paper.kernels import density
 from crowdbench.spawn.paper.model import NtppPaper
 from crowdbench.spawn.times.rescaling import KolmogorovSmirnov, kolmogorov_smirnov
 from studies.paper.bursts import Bursts
@@ -194,7 +195,7 @@ def _sample(
         bursts = [_bursts(scene, model, next(seeds), arrivals) for _ in range(DRAWS)]
     if isinstance(model, NtppPaper):
         rng = np.random.default_rng(job.seed)
-        own = kolmogorov_smirnov(model.residuals(scene.horizon_s, rng))
+        own = kolmogorov_smirnov(residuals_of(model, scene.horizon_s, rng))
     for policy in job.policies:
         crowd = rollout(scene, model, find_policy(policy, scene), seed=next(seeds))
         write_parquet(crowd, job.crowd(policy))
@@ -209,6 +210,21 @@ def _sample(
     )
     write_json(job.path, sample, compact=True)
     return sample
+
+
+def residuals_of(
+    model: NtppPaper, horizon_s: float, rng: np.random.Generator
+) -> Float[np.ndarray, " n"]:
+    """Time-rescaled gaps of a sample: uniform on [0, 1] if it follows the model's own density.
+
+    Source: Brown et al. (2002), The time-rescaling theorem, Neural Computation 14.
+    """
+    found = []
+    for k, times in enumerate(model.times(horizon_s, rng)):
+        # The last gap counts like the others here: it ends with an event.
+        hazard = density(np.diff(times, prepend=0.0), model.of_area(k), model.published_code)[1]
+        found.append(-np.expm1(-hazard))
+    return np.concatenate(found)
 
 
 def _fitted(job: Job, scene: Scene, arrivals: Arrivals, areas: Areas) -> tuple[Any, float]:

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from models import learned
 
 from crowdbench.baselines.anticipate import Settings
 from crowdbench.baselines.anticipation import Walker
@@ -111,7 +112,7 @@ def test_submissions_count_what_was_learned(name: str) -> None:
                 model = MODELS[declared.shipped_spawn]
                 # The paper's model has one fit, as the declaration says.
                 fits = place.protocol.fits if model is NtppGMM else 1
-                own += sum(model.read(place, areas, split, k).learned() for k in range(fits))
+                own += sum(learned(model.read(place, areas, split, k)) for k in range(fits))
             counts.append(own)
     assert declared.training.parameters == max(counts)
 
@@ -122,4 +123,4 @@ def test_numbers_of_areas_without_a_network_are_a_rate_and_a_size() -> None:
     assert model.trained().tolist() == [True] + 6 * [False]
     each = sum(array[0].size for array in model.weights.values())
     assert each == sum(model.weights[name][0].size for name in SHAPES)
-    assert model.learned() == each + 6 * 2
+    assert learned(model) == each + 6 * 2

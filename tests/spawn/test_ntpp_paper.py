@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from models import AREAS, GRID_S, arrivals_at, renewal
+from models import AREAS, GRID_S, arrivals_at, learned, renewal
 from scipy.integrate import quad
 from scipy.stats import kstest
 
@@ -13,10 +13,12 @@ from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Arrivals, NtppPaper, PoissonGMM, PoissonPaper, arrivals_in
+from crowdbench.spawn.ntpp.model import HIDDEN
 from crowdbench.spawn.paper import training
 from crowdbench.spawn.paper.kernels import density, draw
-from crowdbench.spawn.paper.model import HIDDEN, SHAPES
+from crowdbench.spawn.paper.model import SHAPES
 from crowdbench.spawn.paper.training import PAPER, Settings, sequences
+from studies.paper.study import residuals_of
 
 ETH = load_scene("eth-v0")
 BRIEF = Settings(window_frames=100, epochs=20, learning_rate=1e-2)
@@ -53,11 +55,11 @@ def test_the_density_of_a_gap_integrates_to_its_hazard() -> None:
 def test_the_literal_sampler_follows_its_density_and_that_of_the_code_does_not() -> None:
     rng = np.random.default_rng(3)
     literal, code = network(), network(code=True)
-    residuals = literal.residuals(20_000.0, rng)
+    residuals = residuals_of(literal, 20_000.0, rng)
     assert len(residuals) > 2000
     assert kstest(residuals, "uniform").pvalue > 0.01
     # The clamp matters as soon as a component of the state is negative, which is always.
-    assert kstest(code.residuals(20_000.0, rng), "uniform").pvalue < 1e-6
+    assert kstest(residuals_of(code, 20_000.0, rng), "uniform").pvalue < 1e-6
 
 
 def test_without_the_clamp_the_codes_sampler_follows_its_density() -> None:
@@ -153,13 +155,13 @@ def test_fits_come_back_from_their_file(tmp_path: Path) -> None:
     found = NtppPaper.read(place, AREAS, "fold1", fit=3)
     for name in SHAPES:
         np.testing.assert_array_equal(found.weights[name], fits["fold1"][1].weights[name])
-    assert found.learned() == 2 * sum(
+    assert learned(found) == 2 * sum(
         np.prod(shape) for name, shape in SHAPES.items() if name != "initial"
     )
-    assert network(code=True).learned() == found.learned() - 2 * (HIDDEN * HIDDEN + HIDDEN)
+    assert learned(network(code=True)) == learned(found) - 2 * (HIDDEN * HIDDEN + HIDDEN)
     one_empty = {name: array.copy() for name, array in found.weights.items()}
     one_empty["out_weight"][1] = 0.0  # as training leaves an area in which nobody enters
-    assert replace(found, weights=one_empty).learned() == found.learned() // 2
+    assert learned(replace(found, weights=one_empty)) == learned(found) // 2
     with pytest.raises(WeightsError, match="ntpp-paper of zara1-v0"):
         NtppPaper.read(replace(place, id="zara1-v0"), AREAS)
 

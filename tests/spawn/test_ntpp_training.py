@@ -13,7 +13,7 @@ from strategies import arrivals_of_two_areas, intervals
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Arrivals, RenewalGMM, arrivals_in
 from crowdbench.spawn.ntpp import training as ntpp_training
-from crowdbench.spawn.ntpp.likelihood import Batch, head, nats, pack
+from crowdbench.spawn.ntpp.likelihood import Packed, head, nats, pack
 from crowdbench.spawn.ntpp.model import NEVER_FORGETS, SHAPES
 from crowdbench.spawn.ntpp.sequences import Sequence, sequences, windows
 from crowdbench.spawn.ntpp.training import SETTINGS, Settings
@@ -23,7 +23,7 @@ ETH = load_scene("eth-v0")
 BRIEF = Settings(epochs=12, patience=4, calibration_points=20_000)
 
 
-def double(batch: Batch) -> Batch:
+def double(batch: Packed) -> Packed:
     names = ("x", "before", "until", "size", "persons")
     return replace(batch, **{name: getattr(batch, name).double() for name in names})
 
@@ -167,11 +167,12 @@ def test_windows_that_overlap_much_are_judged_before_all_parts_had_their_turn() 
     """Judged once in 64 steps, more than its patience, training would end there or at nothing."""
     arrivals = bursty(1200.0)
     often = replace(SETTINGS, window_frames=20, stride_frames=1, step_groups=64)
-    groups = np.bincount(arrivals.area)
-    cutting = ntpp_training._Cutting(width=20, reset=20, stride=1, block=150)
-    ((chosen, parts),) = ntpp_training._batched(groups, cutting, often)
+    training = ntpp_training._Training(
+        arrivals, often, seed=0, width=20, stride=1, reset=20, block=150
+    )
+    ((chosen, parts),) = training.together()
     assert parts >= 64 > often.patience
-    steps = ntpp_training._best_steps(arrivals, chosen, parts, 0, cutting, often)
+    steps = training.best_steps(chosen, parts)
     assert (steps % parts > 0).any()
 
 
@@ -185,7 +186,7 @@ def test_parts_are_no_more_than_there_are_windows_for() -> None:
 def test_a_network_of_few_windows_takes_its_turns_more_often() -> None:
     one = Sequence(np.array([2, 1]), np.array([1, 1]), 5)
     scaling = np.tile([0.0, 1.0, 0.0, 1.0], (2, 1))
-    batches = ntpp_training._Batches.of([[one] * 64, [one] * 16], scaling, 4, 0)
+    batches = ntpp_training._Parts.of([[one] * 64, [one] * 16], scaling, 4, 0)
     assert batches.parts == [4, 2]
     persons = np.stack([batches.at(step).persons.numpy() for step in range(4)])
     assert persons.tolist() == [[32.0, 16.0]] * 4

@@ -1,4 +1,4 @@
-"""The likelihood of `ntpp-gmm` in torch, for sequences of several networks in one batch."""
+"""The likelihood of `ntpp-gmm` in torch, for sequences of several networks at once."""
 
 from dataclasses import dataclass
 
@@ -9,14 +9,11 @@ from torch import Tensor
 
 from crowdbench.spawn.ntpp.kernels import BOUND, LOG_SHAPE_BOUND
 from crowdbench.spawn.ntpp.model import HIDDEN
-from crowdbench.spawn.ntpp.sequences import (
-    Sequence,
-    silence,
-)
+from crowdbench.spawn.ntpp.sequences import Sequence, silence
 
 
 @dataclass(frozen=True)
-class Batch:
+class Packed:
     """The sequences of `B` networks, packed.
 
     First come the starts of all sequences, then the first groups of those that have one, then the
@@ -38,7 +35,7 @@ class Batch:
     """Number of persons in all sequences of each network, at least 1."""
 
 
-def pack(networks: list[list[Sequence]], scaling: np.ndarray) -> Batch:
+def pack(networks: list[list[Sequence]], scaling: np.ndarray) -> Packed:
     """Pack the sequences of each network; `scaling` are the weights of that name."""
     networks = [sorted(each, key=lambda s: -len(s.gap)) for each in networks]
     lengths = np.array([[len(s.gap) for s in each] for each in _padded(networks)])
@@ -57,7 +54,7 @@ def pack(networks: list[list[Sequence]], scaling: np.ndarray) -> Batch:
             x[b, begin[1 : n + 1] + i - live[0]] = (logs - scaling[b, ::2]) / scaling[b, 1::2]
     persons = np.maximum(1, size.sum(axis=1))
     parts = (torch.tensor(a, dtype=torch.float32) for a in (x, before, until, size, persons))
-    return Batch(live, *parts)
+    return Packed(live, *parts)
 
 
 def _padded(networks: list[list[Sequence]]) -> list[list[Sequence]]:
@@ -66,7 +63,7 @@ def _padded(networks: list[list[Sequence]]) -> list[list[Sequence]]:
     return [each + [silence(0)] * (most - len(each)) for each in networks]
 
 
-def head(weights: dict[str, Tensor], batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
+def head(weights: dict[str, Tensor], batch: Packed) -> tuple[Tensor, Tensor, Tensor]:
     """Weibull shape, log scale (grid steps) and −log P(one more member) at each row; (B, R)."""
     state = weights["initial"][:, None].expand(-1, batch.live[0], -1)
     states = [state]
@@ -97,7 +94,7 @@ def _bounded(x: Tensor, bound: float) -> Tensor:
     return bound * torch.tanh(x / bound)
 
 
-def nats(weights: dict[str, Tensor], batch: Batch) -> Tensor:
+def nats(weights: dict[str, Tensor], batch: Packed) -> Tensor:
     """Negative log-probability of each network's sequences, (B,)."""
     shape, log_scale, more = head(weights, batch)
     # For 0 steps the hazard is 0, but its derivative with respect to the shape would be 0 · ∞.

@@ -17,94 +17,155 @@ group. The differences to the paper, and their reasons:
 - Areas with few groups, and areas where cross-validation selects no training step, keep the model
   from before training: a constant rate of groups, as in `poisson-groups` (see `trained`).
 - Training and sampling compute state updates in the same way, without clamping. The outputs of the
-  head are bounded around the Poisson solution (`ntpp_kernels`).
+  head are bounded around the Poisson solution (`crowdbench.spawn.ntpp.kernels`).
 
 Training needs torch (`crowdbench.spawn.ntpp.training`); sampling and likelihood do not.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float32, Int
+from msgspec import Meta, structs
 from numpy.random import Generator
 
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals, SpawnEvents
+from crowdbench.spawn.fits import Fit, FitFile, Fitted, Rule
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.ntpp.files import NetworkFile
 from crowdbench.spawn.times.groups import Hazards, check_grid, per_person, spells_of
-from crowdbench.spawn.weights import Fits
 
 NAME = "ntpp-gmm"
-SCHEMA = 2
 NEVER_FORGETS = 2**31 - 1
 HIDDEN = 32
-HEAD = 32
-SHAPES: dict[str, tuple[int, ...]] = {
-    "input_weight": (3 * HIDDEN, 2),
-    "input_bias": (3 * HIDDEN,),
-    "state_weight": (3 * HIDDEN, HIDDEN),
-    "state_bias": (3 * HIDDEN,),
-    "initial": (HIDDEN,),
-    "hidden_weight": (HEAD, HIDDEN),
-    "hidden_bias": (HEAD,),
-    "out_weight": (3, HEAD),
-    "out_bias": (3,),
-    "base": (3,),
-    "scaling": (4,),
-}
-"""Shapes of the weights of one area. The gates of the GRU are in the order reset, update,
-candidate, as in torch. `base` is added to the head's outputs: log shape, log scale (grid steps) and
-log odds of one more member. `scaling` holds mean and standard deviation of log gap (grid steps),
-then of log size."""
 
 
-_FILE = NetworkFile(NAME, SCHEMA, SHAPES)
+class NetworkFit(Fit, frozen=True):
+    """What the fits of `ntpp-gmm` and `ntpp-paper` have in common."""
+
+    grid_s: float
+    memory: Annotated[int, Meta(ge=1)]
+    settings: dict[str, int | float | bool]
+
+    @classmethod
+    def dims(cls) -> dict[str, list[str]]:
+        """The letters and sizes of each array of weights, by name."""
+        kinds = {f.name: f.type for f in structs.fields(cls)}
+        return {n: of.dim_str.split() for n, of in kinds.items() if hasattr(of, "dim_str")}
+
+    @classmethod
+    def shapes(cls) -> dict[str, tuple[int, ...]]:
+        """Shapes of the weights of one area, by name, in the order that the kernels expect."""
+        return {name: tuple(map(int, each[1:])) for name, each in cls.dims().items()}
+
+    @classmethod
+    def of_networks(cls) -> list[str]:
+        """Weights that only areas with a trained network use: of others, they are read as 0."""
+        return [name for name, each in cls.dims().items() if each[0] == "N"]
+
+    def rules(self, scene: Scene) -> list[Rule]:
+        """The networks are made for the scene's time grid."""
+        same = np.isclose(self.grid_s, scene.grid_s)
+        return [("grid_s", same, f"{scene.grid_s:g} s, the step of the scene's grid")]
+
+
+class NtppFit(NetworkFit, frozen=True):
+    """Weights of the `N` areas with a trained network, and what the others need as well.
+
+    The gates of the GRU are in the order reset, update, candidate, as in torch. `base` is added to
+    the head's outputs: log shape, log scale (grid steps) and log odds of one more member. `scaling`
+    holds mean and standard deviation of log gap (grid steps), then of log size.
+    """
+
+    input_weight: Float32[np.ndarray, "N 96 2"]
+    input_bias: Float32[np.ndarray, "N 96"]
+    state_weight: Float32[np.ndarray, "N 96 32"]
+    state_bias: Float32[np.ndarray, "N 96"]
+    initial: Float32[np.ndarray, "N 32"]
+    hidden_weight: Float32[np.ndarray, "N 32 32"]
+    hidden_bias: Float32[np.ndarray, "N 32"]
+    out_weight: Float32[np.ndarray, "K 3 32"]
+    out_bias: Float32[np.ndarray, "K 3"]
+    base: Float32[np.ndarray, "K 3"]
+    scaling: Float32[np.ndarray, "K 4"]
+
+    def rules(self, scene: Scene) -> list[Rule]:
+        """There is a network for each area that has one, and all standard deviations are > 0."""
+        trained = has_network(self.out_weight)
+        return [
+            *super().rules(scene),
+            ("initial", len(self.initial) == trained.sum(), f"{trained.sum()} networks"),
+            ("scaling", (self.scaling[:, 1::2] > 0).all(), "standard deviations > 0"),
+        ]
+
+
+SHAPES = NtppFit.shapes()
+"""Shapes of the weights of one area, in the order that the kernels expect."""
+
+
+def has_network(out_weight: Float[np.ndarray, "K out 32"]) -> Bool[np.ndarray, " K"]:
+    """Whether each area has a trained network, whose output depends on the past."""
+    return np.asarray(out_weight.any(axis=(1, 2)))
 
 
 @dataclass(frozen=True, eq=False)
-class NtppGMM:
-    """Neural temporal point process of groups per area, with the scene's Gaussian areas."""
+class NetworkModel(Fitted):
+    """A network for each area: what `ntpp-gmm` and `ntpp-paper` have in common."""
 
     areas: Areas
     weights: Mapping[str, Float[np.ndarray, "K ..."]]
-    """Arrays with the names and shapes of `SHAPES`, with the areas as first axis."""
+    """Arrays by name as in the model's `NetworkFit`, with all areas as first axis."""
+
+    def of_area(self, k: int) -> tuple[np.ndarray, ...]:
+        """The weights of one area in the form that the kernels expect."""
+        names = self.file.kind.shapes()
+        return tuple(np.ascontiguousarray(self.weights[n][k], dtype=np.float64) for n in names)
+
+    def trained(self) -> Bool[np.ndarray, " K"]:
+        """Whether each area has a trained network.
+
+        In areas with few groups, and where cross-validation selected no training step, the output
+        weights are 0: groups enter at a constant rate, as in `poisson-groups`.
+        """
+        return has_network(self.weights["out_weight"])
+
+    def _fit(self) -> NetworkFit:
+        weights, some = dict(self.weights), self.file.kind.of_networks()
+        weights |= {name: weights[name][self.trained()] for name in some}
+        own: Any = self
+        return self.file.kind(
+            grid_s=own.grid_s,
+            memory=getattr(self, "memory", NEVER_FORGETS),
+            settings=dict(sorted(own.settings.items())),
+            **{name: array.astype(np.float32) for name, array in weights.items()},
+        )
+
+    @classmethod
+    def _of_fit(cls, fit: Any, areas: Areas, scene: Scene, **more: Any) -> Any:
+        weights = {name: getattr(fit, name) for name in fit.shapes()}
+        for name in fit.of_networks():
+            of_all = np.zeros((len(areas.spawn), *weights[name].shape[1:]), dtype=np.float32)
+            of_all[has_network(fit.out_weight)] = weights[name]
+            weights[name] = of_all
+        return super()._of_fit(fit, areas, scene, weights=weights)
+
+
+@dataclass(frozen=True, eq=False)
+class NtppGMM(NetworkModel):
+    """Neural temporal point process of groups per area, with the scene's Gaussian areas."""
+
     grid_s: float
     """Step of the time grid on which groups enter, seconds."""
     memory: int = NEVER_FORGETS
     """Number of grid steps without a group after which the state is reset to the initial one."""
     settings: Mapping[str, int | float] = field(default_factory=dict)
-    """Training settings (`ntpp_training.Settings`); fit k of a file has the seed k."""
+    """Settings of training; fit k of a file has the seed k."""
     name: str = NAME
+    file: ClassVar[FitFile[NtppFit]] = FitFile(NAME, 3, NtppFit, ".safetensors")
     start: ClassVar[Start] = "stationary"
-
-    def of_area(self, k: int) -> tuple[np.ndarray, ...]:
-        """The weights of one area in the form that the kernels expect."""
-        return tuple(np.ascontiguousarray(self.weights[n][k], dtype=np.float64) for n in SHAPES)
-
-    def trained(self) -> Bool[np.ndarray, " K"]:
-        """Whether each area has a trained network, whose output depends on past groups.
-
-        In areas with few groups, and where cross-validation selected no training step, the output
-        weights are 0: groups enter at a constant rate, as in `poisson-groups`.
-        """
-        found: Bool[np.ndarray, " K"] = (self.weights["out_weight"] != 0).any(axis=(1, 2))
-        return found
-
-    def learned(self) -> int:
-        """Number of learned parameters that samples depend on.
-
-        These are all weights of the trained networks, and two parameters for each other area: a
-        rate and P(one more member).
-        """
-        each = sum(math.prod(shape) for shape in SHAPES.values())
-        trained = int(self.trained().sum())
-        return trained * each + (len(self.areas.spawn) - trained) * 2
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
         """Sample the people who enter in [0, `horizon_s`), seconds; times are on the grid."""
@@ -141,52 +202,15 @@ class NtppGMM:
         from crowdbench.spawn.ntpp.kernels import expect
 
         check_grid(arrivals, self.grid_s, NAME)
-        spells = spells_of(arrivals)
-        n = len(spells.gap)
-        hazards = Hazards(np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(len(spells.rest)))
-        parameters = np.ones((n, 3))
+        spells, found = spells_of(arrivals), []
         for k in range(len(self.areas.spawn)):
-            mine = np.flatnonzero(spells.area == k)
-            own = slice(mine[0], mine[-1] + 1)
-            offsets = spells.offsets[mine[0] : mine[-1] + 2]
-            groups = slice(offsets[0], offsets[-1])
-            expect(
-                spells.gap[groups],
-                spells.size[groups],
-                offsets - offsets[0],
-                spells.rest[own],
-                self.memory,
-                self.of_area(k),
-                hazards.gap[groups],
-                hazards.size[groups],
-                hazards.rest[own],
-                parameters[groups],
-            )
-        return hazards, parameters
-
-    @classmethod
-    def write(cls, folder: Path, fits: "Fits[NtppGMM]") -> None:
-        """Write all fits of all splits into a scene's folder."""
-        first = fits["full"][0]
-        _FILE.write(
-            folder,
-            first.areas.scene,
-            {split: [model.weights for model in models] for split, models in fits.items()},
-            grid_s=first.grid_s,
-            memory=first.memory,
-            settings=first.settings,
-        )
-
-    @classmethod
-    def read(cls, scene: Scene, areas: Areas, split: str = "full", fit: int = 0) -> "NtppGMM":
-        """A fit that a scene ships for a split; `fit` is taken modulo the number of fits.
-
-        Raises:
-            SettingError: the split or fit does not exist.
-            WeightsError: the file is missing or broken, or belongs to another scene.
-        """
-        header, weights = _FILE.read(scene, len(areas.spawn), split, fit)
-        return cls(areas, weights, header.grid_s, header.memory, header.settings)
+            own = spells.of_area(k)
+            n, of_area = len(own.gap), (own.gap, own.size, own.offsets, own.rest)
+            filled = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(len(own.rest)), np.ones((n, 3))
+            expect(*of_area, self.memory, self.of_area(k), *filled)
+            found.append(filled)
+        gap, size, rest, parameters = (np.concatenate(each) for each in zip(*found, strict=True))
+        return Hazards(gap, size, rest), parameters
 
 
 def networks(scene: Scene, areas: Areas, splits: Sequence[str]) -> Int[np.ndarray, "F K"]:

@@ -23,82 +23,68 @@ crowdbench's own model, which treats groups, short recordings and the start of o
 differently, see `crowdbench.spawn.ntpp.model`.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 from numpy.random import Generator
 
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
-from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals, SpawnEvents
+from crowdbench.spawn.fits import FitFile
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.ntpp.files import NetworkFile
-from crowdbench.spawn.ntpp.model import NEVER_FORGETS
+from crowdbench.spawn.ntpp.model import NetworkFit, NetworkModel
 from crowdbench.spawn.times.groups import check_grid
-from crowdbench.spawn.weights import Fits
 
 NAME = "ntpp-paper"
-SCHEMA = 1
-HIDDEN = 32
-SHAPES: dict[str, tuple[int, ...]] = {
-    "input_weight": (3 * HIDDEN, 2),
-    "input_bias": (3 * HIDDEN,),
-    "state_weight": (3 * HIDDEN, HIDDEN),
-    "state_bias": (3 * HIDDEN,),
-    "initial": (HIDDEN,),
-    "hidden_weight": (HIDDEN, HIDDEN),
-    "hidden_bias": (HIDDEN,),
-    "out_weight": (2, HIDDEN),
-    "out_bias": (2,),
-}
-"""Shapes of the weights of one area; gates in the order of torch. A linear head has no hidden
-layer; then `hidden_weight` and `hidden_bias` are 0 and not used."""
 PLACEMENTS = 10
 """Number of random placements within the grid steps over which the likelihood is averaged."""
 MOST_PER_FRAME = 50
 """Samples with more events per frame and area are refused."""
 
-_FILE = NetworkFile(NAME, SCHEMA, SHAPES)
+
+class PaperFit(NetworkFit, frozen=True):
+    """Weights of each area; gates in the order of torch.
+
+    A linear head has no hidden layer; then `hidden_weight` and `hidden_bias` are 0 and not used.
+    """
+
+    input_weight: Float32[np.ndarray, "K 96 2"]
+    input_bias: Float32[np.ndarray, "K 96"]
+    state_weight: Float32[np.ndarray, "K 96 32"]
+    state_bias: Float32[np.ndarray, "K 96"]
+    initial: Float32[np.ndarray, "K 32"]
+    hidden_weight: Float32[np.ndarray, "K 32 32"]
+    hidden_bias: Float32[np.ndarray, "K 32"]
+    out_weight: Float32[np.ndarray, "K 2 32"]
+    out_bias: Float32[np.ndarray, "K 2"]
+
+
+SHAPES = PaperFit.shapes()
+"""Shapes of the weights of one area, in the order that the kernels expect."""
 
 
 @dataclass(frozen=True, eq=False)
-class NtppPaper:
+class NtppPaper(NetworkModel):
     """The paper's temporal point process per area, with the scene's Gaussian areas."""
 
-    areas: Areas
-    weights: Mapping[str, Float[np.ndarray, "K ..."]]
-    """Arrays with the names and shapes of `SHAPES`, with the areas as first axis."""
     frame_s: float
     """Unit of time of the networks: a frame of the scene, seconds."""
     grid_s: float
     """Step of the annotation grid, seconds."""
     settings: Mapping[str, int | float | bool] = field(default_factory=dict)
-    """Training settings (`ntpp_paper_training.Settings`); fit k of a file has the seed k."""
+    """Training settings (`crowdbench.spawn.paper.training`); fit k of a file has the seed k."""
     name: str = NAME
+    file: ClassVar[FitFile[PaperFit]] = FitFile(NAME, 1, PaperFit, ".safetensors")
     start: ClassVar[Start] = "stationary"
 
     @property
     def published_code(self) -> bool:
         """Whether this is the model of the published code."""
         return bool(self.settings.get("published_code", False))
-
-    def of_area(self, k: int) -> tuple[np.ndarray, ...]:
-        """The weights of one area in the form that the kernels expect."""
-        return tuple(np.ascontiguousarray(self.weights[n][k], dtype=np.float64) for n in SHAPES)
-
-    def learned(self) -> int:
-        """Number of trained parameters; areas in which nobody enters have none."""
-        names = set(SHAPES) - {"initial"}
-        if self.published_code:
-            names -= {"hidden_weight", "hidden_bias"}
-        trained = self.weights["out_weight"].any(axis=(1, 2)).sum()
-        return int(trained) * sum(math.prod(SHAPES[name]) for name in names)
 
     def times(self, horizon_s: float, rng: Generator) -> list[Float[np.ndarray, " _"]]:
         """Sample the times of the events of each area in [0, `horizon_s`), in frames.
@@ -168,42 +154,3 @@ class NtppPaper:
                 gaps = np.diff(np.concatenate([[start], inside, [stop]]))
                 total += density(gaps, self.of_area(k), self.published_code)[0].sum()
         return float(total)
-
-    def residuals(self, horizon_s: float, rng: Generator) -> Float[np.ndarray, " n"]:
-        """Time-rescaled gaps of a sample: uniform on [0, 1] if it follows the model's own density.
-
-        Source: Brown et al. (2002), The time-rescaling theorem, Neural Computation 14.
-        """
-        from crowdbench.spawn.paper.kernels import density
-
-        found = [np.empty(0)]
-        for k, times in enumerate(self.times(horizon_s, rng)):
-            gaps = np.diff(times, prepend=0.0)
-            # The last of these gaps counts like the others here: it ends with an event.
-            hazard = density(gaps, self.of_area(k), self.published_code)[1]
-            found.append(-np.expm1(-hazard))
-        return np.concatenate(found)
-
-    @classmethod
-    def write(cls, folder: Path, fits: "Fits[NtppPaper]") -> None:
-        """Write all fits of all splits into a scene's folder."""
-        first = fits["full"][0]
-        _FILE.write(
-            folder,
-            first.areas.scene,
-            {split: [model.weights for model in models] for split, models in fits.items()},
-            grid_s=first.grid_s,
-            memory=NEVER_FORGETS,
-            settings=first.settings,
-        )
-
-    @classmethod
-    def read(cls, scene: Scene, areas: Areas, split: str = "full", fit: int = 0) -> "NtppPaper":
-        """A fit that a scene ships for a split; `fit` is taken modulo the number of fits.
-
-        Raises:
-            SettingError: the split or fit does not exist.
-            WeightsError: the file is missing or broken, or belongs to another scene.
-        """
-        header, weights = _FILE.read(scene, len(areas.spawn), split, fit)
-        return cls(areas, weights, scene.dt_s, header.grid_s, header.settings)

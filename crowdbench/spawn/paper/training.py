@@ -24,10 +24,11 @@ from torch.nn.utils.rnn import pad_sequence
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals
+from crowdbench.spawn.ntpp.model import HIDDEN
 from crowdbench.spawn.ntpp.sequences import windows
 from crowdbench.spawn.ntpp.training import deterministic
 from crowdbench.spawn.paper.kernels import TINY
-from crowdbench.spawn.paper.model import HIDDEN, SHAPES, NtppPaper
+from crowdbench.spawn.paper.model import SHAPES, NtppPaper
 
 _ROWS = 512
 """Windows in a batch; all batches of an area make one step."""
@@ -167,7 +168,7 @@ def train(
     return losses
 
 
-class _Batch(NamedTuple):
+class _Windows(NamedTuple):
     """Windows, padded to the length of the longest one."""
 
     gap: Float[Tensor, "V L"]
@@ -179,7 +180,7 @@ class _Batch(NamedTuple):
     """Weight of the window in the loss; 0 where it is padded."""
 
 
-def _batches(found: Sequence[Float[np.ndarray, " _"]], window_frames: int) -> list[_Batch]:
+def _batches(found: Sequence[Float[np.ndarray, " _"]], window_frames: int) -> list[_Windows]:
     """Windows of similar lengths together, each with its share; those that are equal count once.
 
     Most windows of a quiet area are equal, as nobody enters.
@@ -197,11 +198,11 @@ def _batches(found: Sequence[Float[np.ndarray, " _"]], window_frames: int) -> li
         length = torch.tensor([len(row) for row in rows])[:, None]
         step = torch.arange(gap.shape[1])
         share = shares[:, None] / (len(found) * window_frames) * (step < length)
-        batches.append(_Batch(gap, gap.clamp_min(TINY).log(), (step < length - 1).float(), share))
+        batches.append(_Windows(gap, gap.clamp_min(TINY).log(), (step < length - 1).float(), share))
     return batches
 
 
-def _loss(network: _Network, batch: _Batch) -> Float[Tensor, ""]:
+def _loss(network: _Network, batch: _Windows) -> Float[Tensor, ""]:
     """−Σ share · log-density of the gaps of a batch (eq. 5)."""
     rate, shape = softplus(network(batch.gap, batch.log_gap)).unbind(-1)
     density = rate.log() + shape.log() + (shape - 1) * batch.log_gap

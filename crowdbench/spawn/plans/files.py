@@ -1,67 +1,92 @@
 """The file `plans.json` of a scene: companions and ways, fitted for each split."""
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Any
 
 import msgspec
 import numpy as np
+from jaxtyping import Float
 from msgspec import structs
 
-from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import WeightsError
-from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Scene
-from crowdbench.spawn.areas import Areas, as_array
-from crowdbench.spawn.plans.links import OFFSETS, STAGES, Adjustment, Links
+from crowdbench.spawn.areas import Areas
+from crowdbench.spawn.fits import Fit, FitFile, Rule, are_definite, hint
+from crowdbench.spawn.plans.links import Adjustment, Links
 from crowdbench.spawn.plans.mixtures import DECIMALS
 from crowdbench.spawn.plans.planned import PlannedAreas
-from crowdbench.spawn.plans.trip_files import (
-    TripsFile,
-    check_covariances,
-    read_trips,
-    written_trips,
-)
-from crowdbench.spawn.plans.ways import BEND, STOP, Ways
-from crowdbench.spawn.weights import check_origin, hint
+from crowdbench.spawn.plans.trip_mixtures import TripMixtures
+from crowdbench.spawn.plans.ways import Ways
 
-FILE = "plans.json"
-SCHEMA = 4
+_DEFINITE = "symmetric, positive definite matrices"
+_SHARES = "shares that sum to 1"
 
 
-class _Adjustment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    more: float
-    larger: float
-    along: Annotated[float, msgspec.Meta(gt=0)]
-    across: Annotated[float, msgspec.Meta(gt=0)]
+class _Ways(msgspec.Struct, frozen=True, forbid_unknown_fields=True, eq=False):
+    """The arrays of `Ways`, but for those of trips; `C` is the number of places of stops."""
+
+    bend_covariance: Float[np.ndarray, "K G 2 2"]
+    bend_mean: Float[np.ndarray, "K G 2"]
+    from_area: Float[np.ndarray, "C K"]
+    stop_covariance: Float[np.ndarray, "C 3 3"]
+    stop_mean: Float[np.ndarray, "C 3"]
+    stopping: Float[np.ndarray, "K G"]
+    to_area: Float[np.ndarray, "C G"]
 
 
-class _Plans(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    log_weight: list[float]
-    tendency: list[float]
-    larger: list[float]
-    offset_share: list[float]
-    offset_mean: list[list[float]]
-    offset_covariance: list[list[list[float]]]
-    offset_slope: list[float]
+class PlansFit(Fit, frozen=True):
+    """`Links` and `Ways`, and by the model that the times are from, adjustments of the links."""
+
+    log_weight: Float[np.ndarray, " 6"]
+    tendency: Float[np.ndarray, " K"]
+    larger: Float[np.ndarray, " 3"]
+    share: Float[np.ndarray, " C"] = msgspec.field(name="offset_share")
+    mean: Float[np.ndarray, "C 5"] = msgspec.field(name="offset_mean")
+    covariance: Float[np.ndarray, "C 5 5"] = msgspec.field(name="offset_covariance")
+    slope: Float[np.ndarray, " 5"] = msgspec.field(name="offset_slope")
     same_side: float
     group_log_speed: float
     crowded: float
-    trips: TripsFile
-    ways: dict[str, Any]
-    """The other arrays of `Ways` by name, as nested lists."""
+    trips: TripMixtures
+    ways: _Ways
     fastest_mps: float
-    adjustments: dict[str, _Adjustment]
-    """By the model that the times are from."""
+    adjustments: dict[str, Adjustment]
+
+    def rules(self, scene: Scene) -> Iterator[Rule]:
+        """Shares sum to 1, covariances are definite, and trips are between places of all areas."""
+        trips, (spawn, goal) = self.trips, self.ways.stopping.shape
+        for name, by in self.adjustments.items():
+            yield f"adjustments.{name}", by.along > 0 and by.across > 0, "along and across > 0"
+        for name, places, count in (("starts", trips.starts, spawn), ("goals", trips.goals, goal)):
+            every = set(places.area.tolist()) == set(range(count))
+            yield f"trips.{name}.area", every, f"places in all of {count} areas"
+            shares = _are_shares(places.weight[None], places.area)
+            yield f"trips.{name}.weight", shares, _SHARES
+            yield f"trips.{name}.covariance", are_definite(places.covariance), _DEFINITE
+        both = len(trips.starts), len(trips.goals)
+        yield "trips.weight", trips.weight.shape == both, f"weights of shape {both}"
+        # Weights in the rows and columns of two areas sum to 1.
+        rows = [trips.weight[trips.starts.area == a].sum(axis=0) for a in range(spawn)]
+        shares = _are_shares(np.stack(rows), trips.goals.area)
+        yield "trips.weight", shares and (trips.weight >= 0).all(), _SHARES
+        yield "trips.log_speed", trips.log_speed[1] > 0, "a mean and a positive variance"
+        known = ((trips.own >= 0) & (trips.own < both)).all()
+        different = len(np.unique(trips.own, axis=0)) == len(trips.own)
+        yield "trips.own", known and different, "different pairs of places"
+        for name, matrices in (
+            ("trips.covariance", trips.covariance),
+            ("offset_covariance", self.covariance),
+            ("ways.bend_covariance", self.ways.bend_covariance),
+            ("ways.stop_covariance", self.ways.stop_covariance),
+        ):
+            yield name, are_definite(matrices), _DEFINITE
 
 
-class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    schema: int
-    model: str
-    scene: str
-    splits: dict[str, _Plans]
+PLANS = FitFile("plans", 4, PlansFit, compact=True)
+FILE = PLANS.name
 
 
 def write_plans(
@@ -73,107 +98,59 @@ def write_plans(
 
     `adjustments` has those of each split, by the model that the times are from.
     """
-    splits = {
-        split: _Plans(
-            log_weight=fit.links.log_weight.tolist(),
-            tendency=fit.links.tendency.tolist(),
-            larger=fit.links.larger.tolist(),
-            offset_share=fit.links.share.tolist(),
-            offset_mean=fit.links.mean.tolist(),
-            offset_covariance=fit.links.covariance.tolist(),
-            offset_slope=fit.links.slope.tolist(),
-            same_side=fit.links.same_side,
-            group_log_speed=fit.links.group_log_speed,
-            crowded=fit.links.crowded,
-            trips=written_trips(fit.ways.trips),
-            ways={name: getattr(fit.ways, name).round(DECIMALS).tolist() for name in _shapes(fit)},
-            fastest_mps=fit.ways.fastest_mps,
-            adjustments={
-                times: _Adjustment(**asdict(by)) for times, by in adjustments.get(split, {}).items()
-            },
-        )
-        for split, fit in fits.items()
-    }
-    scene = fits["full"].scene
-    file = _File(schema=SCHEMA, model="plans", scene=scene, splits=splits)
-    write_json(folder / FILE, file, compact=True)
+    written = {}
+    for split, fit in fits.items():
+        links = {f.name: getattr(fit.links, f.name) for f in fields(Links)}
+        ways = _rounded(fit.ways)
+        written[split] = [
+            PlansFit(
+                **links,
+                trips=ways.trips,
+                ways=_Ways(*(getattr(ways, name) for name in _Ways.__struct_fields__)),
+                fastest_mps=ways.fastest_mps,
+                adjustments=dict(adjustments.get(split, {})),
+            )
+        ]
+    PLANS.write(folder, fits["full"].scene, written)
 
 
 def read_plans(scene: Scene, areas: Areas, split: str, times: str | None = None) -> PlannedAreas:
     """The areas with the plans that a scene ships for a split, adjusted to the times of a model.
 
     Raises:
+        SettingError: the split does not exist.
         WeightsError: the file is missing or broken, belongs to another scene, or has no adjustment
             for this model.
     """
-    path, how = scene.folder / FILE, hint(scene)
-    file = read_struct(path, _File, WeightsError, how)
-    origin = (file.model, file.scene, file.schema)
-    check_origin(path, origin, ("plans", scene.id, SCHEMA), how)
-    if set(file.splits) != set(SPLITS):
-        raise WeightsError(
-            f"{path}, splits",
-            got=", ".join(sorted(file.splits)) or "nothing",
-            expected=", ".join(SPLITS),
-            hint=how,
-        )
-    of, size, where = file.splits[split], len(areas.spawn), f"{path}, splits.{split}"
-
-    def array(values: list, shape: tuple[int, ...], name: str) -> np.ndarray:
-        if not values and shape[0] == 0:  # JSON does not tell the other dimensions
-            return np.zeros(shape)
-        return as_array(values, shape, f"{where}.{name}", how)
-
-    mixed = max(1, len(of.offset_share))
-    links = Links(
-        array(of.log_weight, (6,), "log_weight"),
-        array(of.tendency, (size,), "tendency"),
-        array(of.larger, (STAGES - 1,), "larger"),
-        array(of.offset_share, (mixed,), "offset_share"),
-        array(of.offset_mean, (mixed, OFFSETS), "offset_mean"),
-        array(of.offset_covariance, (mixed, OFFSETS, OFFSETS), "offset_covariance"),
-        array(of.offset_slope, (OFFSETS,), "offset_slope"),
-        of.same_side,
-        of.group_log_speed,
-        of.crowded,
-    )
-    check_covariances(links.covariance, f"{where}.offset_covariance", how)
+    fit = PLANS.read(scene, areas, split)
+    links = Links(**{f.name: getattr(fit, f.name) for f in fields(Links)})
     if times is not None:
-        if times not in of.adjustments:
+        if times not in fit.adjustments:
             raise WeightsError(
-                f"{where}.adjustments",
-                got=", ".join(sorted(of.adjustments)) or "nothing",
+                f"{scene.folder / FILE}, splits.{split}.adjustments",
+                got=", ".join(sorted(fit.adjustments)) or "nothing",
                 expected=f"{times}, the model that the times are from",
-                hint=how,
+                hint=hint(scene),
             )
-        links = links.adjusted(Adjustment(**structs.asdict(of.adjustments[times])))
-    shapes = _shapes(areas, len(of.ways.get("stop_mean", [])))
-    if set(of.ways) != set(shapes):
-        raise WeightsError(
-            f"{where}.ways",
-            got=", ".join(sorted(of.ways)) or "nothing",
-            expected=", ".join(sorted(shapes)),
-            hint=how,
-        )
-    arrays = {name: array(of.ways[name], shape, f"ways.{name}") for name, shape in shapes.items()}
-    for name in (name for name in arrays if name.endswith("covariance")):
-        check_covariances(arrays[name], f"{where}.ways.{name}", how)
-    trips = read_trips(of.trips, (size, len(areas.goal)), f"{where}.trips", how)
-    ways = Ways(trips, **arrays, longer=np.zeros(size), fastest_mps=of.fastest_mps)
+        links = links.adjusted(fit.adjustments[times])
+    ways = Ways(
+        fit.trips,
+        **structs.asdict(fit.ways),
+        longer=np.zeros(len(areas.spawn)),
+        fastest_mps=fit.fastest_mps,
+    )
     return PlannedAreas.of(areas, links, ways)
 
 
-def _shapes(areas: Areas, stops: int | None = None) -> dict[str, tuple[int, ...]]:
-    """Shapes of the arrays of `Ways`; `stops` is the number of places where people stop."""
-    if isinstance(areas, PlannedAreas):
-        stops = len(areas.ways.stop_mean)
-    both, count = (len(areas.spawn), len(areas.goal)), stops or 0
-    return {
-        "bend_mean": (*both, BEND),
-        "bend_covariance": (*both, BEND, BEND),
-        "stopping": both,
-        "stop_mean": (count, STOP),
-        "stop_covariance": (count, STOP, STOP),
-        "from_area": (count, both[0]),
-        "to_area": (count, both[1]),
-    }
+def _rounded(fit: Any) -> Any:
+    """The arrays of a dataclass, and of those in it, rounded for a file."""
+    values = {f.name: getattr(fit, f.name) for f in fields(fit)}
+    changed = {n: x.round(DECIMALS) for n, x in values.items() if isinstance(x, np.ndarray)}
+    changed |= {n: _rounded(x) for n, x in values.items() if is_dataclass(x)}
+    return replace(fit, **changed)
+
+
+def _are_shares(weight: np.ndarray, area: np.ndarray) -> bool:
+    """Whether weights (rows, places) are not negative, and sum to 1 in each row and area."""
+    sums = np.stack([weight[:, area == g].sum(axis=1) for g in np.unique(area)])
+    return bool((weight >= 0).all() and np.allclose(sums, 1, atol=1e-3))

@@ -15,28 +15,22 @@ more than 6 s, φ to those of less by the Yule–Walker equations of an integer-
 """
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
-import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 from numpy.random import Generator
 
-from crowdbench.data.blocks import SPLITS
-from crowdbench.errors import WeightsError
-from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Scene
-from crowdbench.spawn.areas import Areas, as_array
+from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals, SpawnEvents
+from crowdbench.spawn.fits import Fit, FitFile, Fitted, Rule
 from crowdbench.spawn.model import Start
 from crowdbench.spawn.plans.links import EDGES_S
-from crowdbench.spawn.times.groups import check_grid
+from crowdbench.spawn.times.groups import check_grid, next_members
 from crowdbench.spawn.times.waves import STEP_S, Waves, fit_waves, in_steps, mean_correlations
-from crowdbench.spawn.weights import Fits, check_origin, check_split, hint
 
 NAME = "cox-gmm"
-SCHEMA = 1
 PARTICLES = 300
 """Number of particles of the filter that computes the likelihood."""
 FOLLOWING_S = EDGES_S[1:]
@@ -47,25 +41,32 @@ _WARM_UP = 4
 """Samples begin this number of times the longest delay before time 0."""
 
 
-class CoxNumbers(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The fit for one split, as in the file."""
+class CoxFit(Fit, frozen=True):
+    """Rates, group sizes, followers, and the `J` scales of the waves."""
 
-    rate_per_s: list[float]
-    next_member: list[float]
-    followers: list[float]
-    tau_s: list[float]
-    covariance: list[list[list[float]]]
+    rate_per_s: Float[np.ndarray, " K"]
+    next_member: Float[np.ndarray, " K"]
+    followers: Float[np.ndarray, " 5"]
+    tau_s: Float[np.ndarray, " J"]
+    covariance: Float[np.ndarray, "J K K"]
 
-
-class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    schema: int
-    model: str
-    scene: str
-    splits: dict[str, CoxNumbers]
+    def rules(self, scene: Scene) -> list[Rule]:
+        """Rates, probabilities, followers and waves are possible."""
+        symmetric = np.allclose(self.covariance, self.covariance.transpose(0, 2, 1))
+        least = np.linalg.eigvalsh(self.covariance).min(initial=0)
+        followers = (self.followers >= 0).all() and self.followers.sum() < 1
+        matrices = "symmetric, positive semidefinite matrices"
+        return [
+            ("rate_per_s", (self.rate_per_s >= 0).all(), "rates ≥ 0"),
+            next_members(self.next_member),
+            ("followers", followers, "numbers ≥ 0 with a sum below 1"),
+            ("tau_s", (self.tau_s > 0).all(), "times > 0"),
+            ("covariance", symmetric and least > -1e-6, matrices),
+        ]
 
 
 @dataclass(frozen=True, eq=False)
-class CoxGMM:
+class CoxGMM(Fitted):
     """Groups at rates with slow waves, with the scene's Gaussian areas."""
 
     areas: Areas
@@ -79,6 +80,7 @@ class CoxGMM:
     grid_s: float
     """Step of the time grid on which groups enter, seconds."""
     name: str = NAME
+    file: ClassVar[FitFile[CoxFit]] = FitFile(NAME, 1, CoxFit)
     start: ClassVar[Start] = "stationary"
 
     @classmethod
@@ -166,60 +168,13 @@ class CoxGMM:
     def _width(self) -> int:
         return max(1, round(STEP_S / self.grid_s))
 
-    @classmethod
-    def write(cls, folder: Path, fits: "Fits[CoxGMM]") -> None:
-        """Write the fits of all splits into a scene's folder."""
-        scene = fits["full"][0].areas.scene
-        splits = {split: models[0]._numbers() for split, models in fits.items()}
-        write_json(
-            folder / f"{NAME}.json", _File(schema=SCHEMA, model=NAME, scene=scene, splits=splits)
-        )
-
-    def _numbers(self) -> CoxNumbers:
-        return CoxNumbers(
-            rate_per_s=self.rate_per_s.tolist(),
-            next_member=self.next_member.tolist(),
-            followers=self.followers.tolist(),
-            tau_s=self.waves.tau_s.tolist(),
-            covariance=self.waves.covariance.tolist(),
-        )
+    def _fit(self) -> CoxFit:
+        waves = self.waves.tau_s, self.waves.covariance
+        return CoxFit(self.rate_per_s, self.next_member, self.followers, *waves)
 
     @classmethod
-    def read(cls, scene: Scene, areas: Areas, split: str = "full", fit: int = 0) -> "CoxGMM":
-        """The fit that a scene ships for a split; all values of `fit` give the same fit.
-
-        Raises:
-            SettingError: the split or fit does not exist.
-            WeightsError: the file is missing or broken, or belongs to another scene.
-        """
-        check_split(split, fit)
-        path, how = scene.folder / f"{NAME}.json", hint(scene)
-        file = read_struct(path, _File, WeightsError, how)
-        origin = (file.model, file.scene, file.schema)
-        check_origin(path, origin, (NAME, scene.id, SCHEMA), how)
-        if set(file.splits) != set(SPLITS):
-            raise WeightsError(
-                f"{path}, splits",
-                got=", ".join(sorted(file.splits)) or "nothing",
-                expected=", ".join(SPLITS),
-                hint=how,
-            )
-        numbers, size = file.splits[split], len(areas.spawn)
-        shapes = {
-            "rate_per_s": (size,),
-            "next_member": (size,),
-            "followers": (len(FOLLOWING_S) - 1,),
-            "tau_s": (len(numbers.tau_s),),
-            "covariance": (len(numbers.tau_s), size, size),
-        }
-        found = {
-            name: as_array(getattr(numbers, name), shape, f"{path}, splits.{split}.{name}", how)
-            for name, shape in shapes.items()
-        }
-        _check(found, f"{path}, splits.{split}", how)
-        waves = Waves(found["tau_s"], found["covariance"])
-        numbers_ = (found["rate_per_s"], found["next_member"], found["followers"])
-        return cls(areas, *numbers_, waves, scene.grid_s)
+    def _of_fit(cls, fit: CoxFit, areas: Areas, scene: Scene, **more: Any) -> Any:
+        return super()._of_fit(fit, areas, scene, waves=Waves(fit.tau_s, fit.covariance))
 
 
 def _bins(grid_s: float) -> Int[np.ndarray, " H"]:
@@ -278,27 +233,3 @@ def _members(
     own = np.divide(variance, mean, out=np.ones_like(mean), where=mean > 0)
     ratio = (persons * own + 100.0 * pooled) / (persons + 100.0)
     return np.clip((ratio - 1) / (ratio + 1), 1e-6, _MOST_MEMBERS)
-
-
-def _check(found: dict[str, np.ndarray], where: str, how: str) -> None:
-    covariance = found["covariance"]
-    symmetric = np.allclose(covariance, covariance.transpose(0, 2, 1))
-    rules = {
-        "rate_per_s": ((found["rate_per_s"] >= 0).all(), "rates ≥ 0"),
-        "next_member": (
-            ((found["next_member"] > 0) & (found["next_member"] < 1)).all(),
-            "probabilities in (0, 1)",
-        ),
-        "followers": (
-            (found["followers"] >= 0).all() and found["followers"].sum() < 1,
-            "numbers ≥ 0 with a sum below 1",
-        ),
-        "tau_s": ((found["tau_s"] > 0).all(), "times > 0"),
-        "covariance": (
-            symmetric and (np.linalg.eigvalsh(covariance) > -1e-6).all(),
-            "symmetric, positive semidefinite matrices",
-        ),
-    }
-    for name, (holds, expected) in rules.items():
-        if not holds:
-            raise WeightsError(f"{where}.{name}", got="invalid values", expected=expected, hint=how)

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from crowdbench.errors import SettingError
 from crowdbench.spawn.events import Arrivals
+from crowdbench.spawn.fits import Rule
 
 NEVER = 1e-12
 """Groups per grid step for areas without arrivals in training, because log 0 is undefined."""
@@ -45,6 +46,19 @@ class Spells:
     def opens(self) -> Int[np.ndarray, " n"]:
         """1 for the first group of a spell, 0 for the others."""
         return np.diff(self.of_group, prepend=-1).clip(0, 1)
+
+    def of_area(self, k: int) -> "Spells":
+        """The spells of one area, which becomes area 0."""
+        own = slice(*np.searchsorted(self.area, [k, k + 1]))
+        offsets = self.offsets[own.start : own.stop + 1]
+        groups = slice(offsets[0], offsets[-1])
+        return Spells(
+            area=np.zeros(own.stop - own.start, dtype=np.int64),
+            offsets=offsets - offsets[0],
+            gap=self.gap[groups],
+            size=self.size[groups],
+            rest=self.rest[own],
+        )
 
 
 def spells_of(arrivals: Arrivals) -> Spells:
@@ -126,6 +140,12 @@ def geometric_sizes(
     """
     hazard = -np.log(next_member[spells.area[spells.of_group], None])
     return hazard * np.stack([spells.size - 1, spells.size], axis=1)
+
+
+def next_members(probability: Float[np.ndarray, " K"]) -> Rule:
+    """The rule that P(a group has one more member) is neither 0 nor 1."""
+    holds = ((probability > 0) & (probability < 1)).all()
+    return "next_member", holds, "probabilities in (0, 1)"
 
 
 def per_person(hazards: Hazards, arrivals: Arrivals) -> float:

@@ -1,12 +1,17 @@
-"""`poisson-gmm`: people enter each area at a constant rate, independently of each other.
+"""Constant rates: of people, `poisson-gmm`, or of groups, `poisson-groups`.
 
-`poisson-paper` is the same model as the founding paper's published code fits it.
+With `poisson-gmm`, people enter each area independently of each other. `poisson-paper` is the same
+model as the founding paper's published code fits it. With `poisson-groups`, a group enters an area
+with a constant probability at each grid point, independent of the past. Its size is geometric, as
+in `renewal-gmm`. The gain over `poisson-gmm` is the effect of groups alone, and the gain of other
+models over this one is the effect of modelling times. An area of `ntpp-gmm` without a trained
+network uses this model.
 """
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import ClassVar, TypeVar
+from typing import ClassVar
 
+import msgspec
 import numpy as np
 from jaxtyping import Float
 from numpy.random import Generator
@@ -14,25 +19,40 @@ from numpy.random import Generator
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals, SpawnEvents
+from crowdbench.spawn.fits import Fit, FitFile, Fitted, Rule
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.times.groups import Hazards, spells_of
-from crowdbench.spawn.weights import Fits, check_numbers, check_split, read_split, write_splits
+from crowdbench.spawn.times.groups import (
+    Hazards,
+    check_grid,
+    geometric_sizes,
+    group_size,
+    next_members,
+    per_person,
+    spells_of,
+)
 
-NAME = "poisson-gmm"
+NAME, PAPER, GROUPS = "poisson-gmm", "poisson-paper", "poisson-groups"
 
-Model = TypeVar("Model", bound="PoissonGMM")
+
+class PoissonFit(Fit, frozen=True):
+    """The fit of either model."""
+
+    rate: Float[np.ndarray, " K"] = msgspec.field(name="rate_per_s")
+
+    def rules(self, scene: Scene) -> list[Rule]:
+        """Rates are not negative."""
+        return [("rate_per_s", (self.rate >= 0).all(), "rates ≥ 0")]
 
 
 @dataclass(frozen=True, eq=False)
-class PoissonGMM:
+class PoissonGMM(Fitted):
     """Homogeneous Poisson arrivals per area, with the scene's Gaussian areas."""
 
     areas: Areas
     rate: Float[np.ndarray, " K"]
     """Expected persons per second for each area."""
     name: str = NAME
-    kind: ClassVar[str] = NAME
-    """Name of the model, and of its file."""
+    file: ClassVar[FitFile[PoissonFit]] = FitFile(NAME, 2, PoissonFit)
     start: ClassVar[Start] = "stationary"
 
     @classmethod
@@ -73,28 +93,6 @@ class PoissonGMM:
             rest=mean[spells.area] * spells.rest,
         )
 
-    @classmethod
-    def write(cls, folder: Path, fits: "Fits[PoissonGMM]") -> None:
-        """Write the rates of all splits into a scene's folder."""
-        scene = fits["full"][0].areas.scene
-        splits = {split: {"rate_per_s": models[0].rate} for split, models in fits.items()}
-        write_splits(folder / f"{cls.kind}.json", cls.kind, scene, splits)
-
-    @classmethod
-    def read(
-        cls: type[Model], scene: Scene, areas: Areas, split: str = "full", fit: int = 0
-    ) -> Model:
-        """The fit that a scene ships for a split; all values of `fit` give the same fit.
-
-        Raises:
-            SettingError: the split or fit does not exist.
-            WeightsError: the file is missing or broken, or belongs to another scene.
-        """
-        check_split(split, fit)
-        rate = read_split(scene, cls.kind, ["rate_per_s"], len(areas.spawn), split)["rate_per_s"]
-        check_numbers(scene, cls.kind, {"rate_per_s": (bool((rate >= 0).all()), "rates ≥ 0")})
-        return cls(areas, rate)
-
 
 @dataclass(frozen=True, eq=False)
 class PoissonPaper(PoissonGMM):
@@ -106,8 +104,8 @@ class PoissonPaper(PoissonGMM):
     maximum-likelihood rate, which is that of `poisson-gmm`.
     """
 
-    name: str = "poisson-paper"
-    kind: ClassVar[str] = "poisson-paper"
+    name: str = PAPER
+    file: ClassVar[FitFile[PoissonFit]] = FitFile(PAPER, 2, PoissonFit)
 
     @classmethod
     def fit_frames(cls, arrivals: Arrivals, areas: Areas, scene: Scene) -> "PoissonPaper":
@@ -126,3 +124,75 @@ class PoissonPaper(PoissonGMM):
             elif len(frames):
                 rate[k] = 1 / arrivals.exposure_s()
         return cls(areas, rate)
+
+
+class GroupsFit(Fit, frozen=True):
+    """Rates of groups, and P(one more member)."""
+
+    next_member: Float[np.ndarray, " K"]
+    rate_per_s: Float[np.ndarray, " K"]
+
+    def rules(self, scene: Scene) -> list[Rule]:
+        """Rates and probabilities are possible."""
+        possible = (self.rate_per_s >= 0) & (self.rate_per_s * scene.grid_s < 1)
+        return [
+            ("rate_per_s", possible.all(), "rates from 0 to below one group per grid step"),
+            next_members(self.next_member),
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class PoissonGroups(Fitted):
+    """Groups at a constant rate per area, with the scene's Gaussian areas."""
+
+    areas: Areas
+    rate_per_s: Float[np.ndarray, " K"]
+    """Expected groups per second for each area; at each grid point a group enters with probability
+    rate × grid step."""
+    next_member: Float[np.ndarray, " K"]
+    """P(a group has one more member) for each area."""
+    grid_s: float
+    """Step of the time grid on which groups enter, seconds."""
+    name: str = GROUPS
+    file: ClassVar[FitFile[GroupsFit]] = FitFile(GROUPS, 2, GroupsFit)
+    start: ClassVar[Start] = "stationary"
+
+    @classmethod
+    def fit(cls, arrivals: Arrivals, areas: Areas) -> "PoissonGroups":
+        """Maximum-likelihood fit by `group_size`; the expected number of persons is as recorded."""
+        more, groups = group_size(arrivals)
+        return cls(areas, groups / arrivals.grid_s, more, arrivals.grid_s)
+
+    def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
+        """Sample the people who enter in [0, `horizon_s`), seconds; times are on the grid."""
+        points = int(np.ceil(horizon_s / self.grid_s - 1e-6))
+        area, tick = np.nonzero(
+            rng.random((len(self.rate_per_s), points)) < self._chance()[:, None]
+        )
+        size = rng.geometric(1 - self.next_member[area])
+        area, tick = np.repeat(area, size), np.repeat(tick, size)
+        return self.areas.draw(tick * self.grid_s, area, scene, rng)
+
+    def _chance(self) -> Float[np.ndarray, " K"]:
+        """P(a group enters at a grid point)."""
+        return self.rate_per_s * self.grid_s
+
+    def log_likelihood(self, arrivals: Arrivals) -> float:
+        """Log-probability of the arrivals, in nats per person."""
+        return per_person(self.hazards(arrivals), arrivals)
+
+    def hazards(self, arrivals: Arrivals) -> Hazards:
+        """Cumulative hazards of the groups: gaps and sizes are geometric.
+
+        Raises:
+            SettingError: the arrivals have another time grid than the model.
+        """
+        check_grid(arrivals, self.grid_s, GROUPS)
+        spells = spells_of(arrivals)
+        step = -np.log1p(-self._chance())
+        at = spells.area[spells.of_group]
+        return Hazards(
+            gap=step[at, None] * np.stack([spells.gap - 1, spells.gap], axis=1),
+            size=geometric_sizes(spells, self.next_member),
+            rest=step[spells.area] * spells.rest,
+        )

@@ -11,7 +11,6 @@ point. Source: Cox (1962), Renewal Theory, secs. 2.3 and 5.2, in discrete time.
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -21,6 +20,7 @@ from numpy.random import Generator
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import Arrivals, SpawnEvents
+from crowdbench.spawn.fits import Fit, FitFile, Fitted, Rule
 from crowdbench.spawn.model import Start
 from crowdbench.spawn.times.groups import (
     Hazards,
@@ -28,10 +28,10 @@ from crowdbench.spawn.times.groups import (
     check_grid,
     geometric_sizes,
     group_size,
+    next_members,
     per_person,
     spells_of,
 )
-from crowdbench.spawn.weights import Fits, check_numbers, check_split, read_split, write_splits
 
 NAME = "renewal-gmm"
 SHAPES = (0.3, 3.0)
@@ -40,12 +40,27 @@ SPREAD = 0.5
 """Standard deviation of the normal prior of the log shape, whose mean 0 is a Poisson process. The
 values 0.25, 0.5, 1 and 10 give −3.439, −3.441, −3.452 and −3.518 nats per held-out person on ETH's
 folds; on the plaza's folds, which had no waves then, 0.25 gives −3.454, and the others −3.452."""
-_NUMBERS = ("shape", "scale_s", "next_member")
 _EXACT = 512  # terms of Σ S(j) that are summed one by one
 
 
+class RenewalFit(Fit, frozen=True):
+    """Weibull gaps, and P(one more member)."""
+
+    next_member: Float[np.ndarray, " K"]
+    scale_s: Float[np.ndarray, " K"]
+    shape: Float[np.ndarray, " K"]
+
+    def rules(self, scene: Scene) -> list[Rule]:
+        """Shapes, scales and probabilities are possible."""
+        return [
+            ("shape", (self.shape > 0).all(), "shapes > 0"),
+            ("scale_s", (self.scale_s > 0).all(), "scales > 0"),
+            next_members(self.next_member),
+        ]
+
+
 @dataclass(frozen=True, eq=False)
-class RenewalGMM:
+class RenewalGMM(Fitted):
     """Weibull renewal arrivals of groups per area, with the scene's Gaussian areas."""
 
     areas: Areas
@@ -58,6 +73,7 @@ class RenewalGMM:
     grid_s: float
     """Step of the time grid on which groups enter, seconds."""
     name: str = NAME
+    file: ClassVar[FitFile[RenewalFit]] = FitFile(NAME, 2, RenewalFit)
     start: ClassVar[Start] = "stationary"
 
     @classmethod
@@ -69,14 +85,9 @@ class RenewalGMM:
         """
         more, groups = group_size(arrivals)
         spells = spells_of(arrivals)
-        found = [_most_likely(_of_area(spells, k), 1 / rate) for k, rate in enumerate(groups)]
+        found = [_most_likely(spells.of_area(k), 1 / rate) for k, rate in enumerate(groups)]
         shape, scale = np.array(found).T
         return cls(areas, shape, scale * arrivals.grid_s, more, arrivals.grid_s)
-
-    def mean_rate(self) -> Float[np.ndarray, " K"]:
-        """Expected persons per second for each area."""
-        gap = np.exp(_log_tail(np.zeros(1), self.shape, self.scale_s / self.grid_s))
-        return 1 / (gap * self.grid_s * (1 - self.next_member))
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
         """Sample the people who enter in [0, `horizon_s`), seconds; times are on the grid."""
@@ -118,51 +129,6 @@ class RenewalGMM:
         spells = spells_of(arrivals)
         gap, rest = _gap_hazards(spells, self.shape, self.scale_s / self.grid_s)
         return Hazards(gap=gap, size=geometric_sizes(spells, self.next_member), rest=rest)
-
-    @classmethod
-    def write(cls, folder: Path, fits: "Fits[RenewalGMM]") -> None:
-        """Write the fits of all splits into a scene's folder."""
-        scene = fits["full"][0].areas.scene
-        splits = {split: models[0]._numbers() for split, models in fits.items()}
-        write_splits(folder / f"{NAME}.json", NAME, scene, splits)
-
-    def _numbers(self) -> dict[str, np.ndarray]:
-        return {name: getattr(self, name) for name in _NUMBERS}
-
-    @classmethod
-    def read(cls, scene: Scene, areas: Areas, split: str = "full", fit: int = 0) -> "RenewalGMM":
-        """The fit that a scene ships for a split; all values of `fit` give the same fit.
-
-        Raises:
-            SettingError: the split or fit does not exist.
-            WeightsError: the file is missing or broken, or belongs to another scene.
-        """
-        check_split(split, fit)
-        numbers = read_split(scene, NAME, _NUMBERS, len(areas.spawn), split)
-        shape, scale, more = (numbers[name] for name in _NUMBERS)
-        check_numbers(
-            scene,
-            NAME,
-            {
-                "shape": (bool((shape > 0).all()), "shapes > 0"),
-                "scale_s": (bool((scale > 0).all()), "scales > 0"),
-                "next_member": (bool(((more > 0) & (more < 1)).all()), "probabilities in (0, 1)"),
-            },
-        )
-        return cls(areas, shape, scale, more, scene.grid_s)
-
-
-def _of_area(spells: Spells, k: int) -> Spells:
-    """The spells of area k, relabelled as area 0."""
-    chosen = np.flatnonzero(spells.area == k)
-    groups = slice(spells.offsets[chosen[0]], spells.offsets[chosen[-1] + 1])
-    return Spells(
-        area=np.zeros(len(chosen), dtype=np.int64),
-        offsets=spells.offsets[chosen[0] : chosen[-1] + 2] - spells.offsets[chosen[0]],
-        gap=spells.gap[groups],
-        size=spells.size[groups],
-        rest=spells.rest[chosen],
-    )
 
 
 def _most_likely(spells: Spells, mean: float) -> tuple[float, float]:

@@ -15,7 +15,6 @@ about exp(C̄), where C̄ is the mean of C over all pairs of observed times: the
 correlation functions (Peebles 1980, The Large-Scale Structure of the Universe, § 32).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +46,7 @@ _MOST = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
+class PairCorrelations:
     """Pair correlations g_ab(h) of arrivals in `L` bins of lags."""
 
     lag_s: Float[np.ndarray, " L"]
@@ -111,7 +110,7 @@ class Waves:
         return np.exp(total)
 
 
-def pairs_of(arrivals: Arrivals, *, longest_s: float) -> Pairs:
+def pairs_of(arrivals: Arrivals, *, longest_s: float) -> PairCorrelations:
     """Pair correlations of the persons who enter, at lags up to `longest_s` seconds."""
     from scipy.fft import irfft, next_fast_len, rfft
 
@@ -136,7 +135,8 @@ def pairs_of(arrivals: Arrivals, *, longest_s: float) -> Pairs:
     summed = np.zeros((bins, areas, areas))
     np.add.at(summed, of_lag, products)
     expected = np.outer(mean, mean) * weight[:, None, None]
-    return Pairs(lag_s, _shrunk(summed, expected, everyone.sum(axis=0)), weight, everyone.sum(0))
+    persons = everyone.sum(axis=0)
+    return PairCorrelations(lag_s, _shrunk(summed, expected, persons), weight, persons)
 
 
 def in_steps(arrivals: Arrivals, width: int) -> list[Int[np.ndarray, "T K"]]:
@@ -152,12 +152,8 @@ def in_steps(arrivals: Arrivals, width: int) -> list[Int[np.ndarray, "T K"]]:
     return found
 
 
-def fit_waves(arrivals: Arrivals, own: Sequence[Arrivals] = ()) -> Waves:
-    """Waves whose pair correlations are as recorded.
-
-    `own` are samples of a model whose rates the waves are to multiply: what it has itself is left
-    out.
-    """
+def fit_waves(arrivals: Arrivals) -> Waves:
+    """Waves whose pair correlations are as recorded."""
     observed_s = arrivals.exposure_s()
     tau_s = np.array([t for t in SCALES_S if t * _SHORTEST_STRETCHES <= observed_s])
     if len(tau_s) == 0 or len(arrivals.tick) < 2:
@@ -165,16 +161,6 @@ def fit_waves(arrivals: Arrivals, own: Sequence[Arrivals] = ()) -> Waves:
     longest_s = _LAGS_PER_SCALE * float(tau_s[-1])
     recorded = pairs_of(arrivals, longest_s=longest_s)
     excess = np.log(np.maximum(recorded.correlation, _LEAST))
-    for sample in own:
-        modelled = pairs_of(sample, longest_s=longest_s)
-        of_model = np.stack(
-            [
-                [np.interp(recorded.lag_s, modelled.lag_s, modelled.correlation[:, a, b])
-                 for b in range(arrivals.areas)]
-                for a in range(arrivals.areas)
-            ]
-        ).transpose(2, 0, 1)  # fmt: skip
-        excess -= np.log(np.maximum(of_model, _LEAST)) / len(own)
     slow = recorded.lag_s > LEAST_LAG_S
     excess = ((excess + excess.transpose(0, 2, 1)) / 2)[slow]
     nothing = Waves(tau_s, np.zeros((len(tau_s), arrivals.areas, arrivals.areas)))
