@@ -17,14 +17,13 @@ import numpy as np
 from crowdbench.compilation import THREADS
 from crowdbench.data.storage import write_parquet
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, SocialForce, Straight
 from crowdbench.registry import spawn_model
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
 from crowdbench.scoring.reference import Reference, read_reference, summarise
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.spawn import Areas, Arrivals, SpawnEvents
+from crowdbench.spawn import Areas, SpawnEvents
 from crowdbench.spawn.areas import Gaussians
 from crowdbench.spawn.events import entering
 from crowdbench.spawn.model import Start
@@ -256,12 +255,6 @@ class Citizens:
             time_s=rng.uniform(0, 5, CITY), start=start, goal=goal, spawn_area=nowhere,
             goal_area=nowhere, speed=rng.normal(1.3, 0.2, CITY).clip(0.5, 2.0),
         )  # fmt: skip
-
-    def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Raise an error, because there is no likelihood."""
-        raise SettingError(
-            self.name, got="a request for a likelihood", expected="a model that has one"
-        )
 
 
 def of_city(policies: Sequence[Policy] = (Straight(), SocialForce())) -> Iterator[Row]:

@@ -6,9 +6,8 @@ from typing import ClassVar
 import msgspec
 import numpy as np
 
-from crowdbench.errors import SettingError
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
-from crowdbench.spawn import Arrivals, SpawnEvents
+from crowdbench.spawn import SpawnEvents
 from crowdbench.spawn.events import entering
 from crowdbench.spawn.model import Start
 
@@ -68,12 +67,6 @@ class AtOnce:
     def sample(self, horizon_s: float, scene: Scene, rng: np.random.Generator) -> SpawnEvents:
         """Everyone, whatever the horizon."""
         return crowd_at_once(scene, self.persons, 0)
-
-    def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Raise an error, because there is no likelihood."""
-        raise SettingError(
-            self.name, got="a request for a likelihood", expected="a model that has one"
-        )
 
 
 def to_and_fro(shape: tuple[int, ...]) -> list[np.ndarray]:

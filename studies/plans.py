@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from crowdbench.data.blocks import SPLITS
 from crowdbench.data.table import Trajectories
@@ -23,11 +24,11 @@ from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.plans.fitting import Marks, fit_plans, marks_of, trips_alone
-from crowdbench.spawn.plans.links import STAGES, Links
+from crowdbench.spawn.plans.links import STAGES, Links, candidates, log_likelihood, stages
 from crowdbench.spawn.plans.mixtures import FEWEST, log_gaussians, moments
-from crowdbench.spawn.plans.trip_fitting import log_speeds
-from crowdbench.spawn.plans.trip_mixtures import SPEED, Places, TripMixtures
-from crowdbench.spawn.plans.ways import Trips
+from crowdbench.spawn.plans.trip_mixtures import Places, TripMixtures
+from crowdbench.spawn.plans.way_fitting import Trips, log_speeds
+from crowdbench.spawn.plans.ways import Ways
 from studies.markdown import table
 
 Pair = tuple[str, str]
@@ -102,26 +103,24 @@ def likelihoods(scene: Scene) -> list[Held]:
         slower = fitted.links.group_log_speed
         known, marks = marks_of(crowd, training), marks_of(crowd, held_out)
         same = _same_for_all(fitted.links, known)
-        each = (marks.time_s, marks.area, marks.group)
         found.setdefault("who joins whom", []).append(
-            (len(marks.persons), fitted.links.log_likelihood(*each), same.log_likelihood(*each))
+            (len(marks.persons), log_joins(fitted.links, marks), log_joins(same, marks))
         )
         learnt, trips = (trips_alone(crowd, m, slower) for m in (known, marks))
-        speeds = log_speeds(learnt.trip[:, SPEED], learnt.weight)
-        areas_alone = TripMixtures.apart(Places.of(areas.spawn), Places.of(areas.goal), speeds)
-        apart = replace(fitted.ways, trips=areas_alone)
+        places = Places.of(areas.spawn), Places.of(areas.goal)
+        apart = TripMixtures.apart(*places, log_speeds(learnt))
         found.setdefault("start, goal and speed", []).append(
             (
                 len(trips.weight),
-                float(fitted.ways.log_trips(trips).sum()),
-                float(apart.log_trips(trips).sum()),
+                float(log_trips(fitted.ways.trips, trips).sum()),
+                float(log_trips(apart, trips).sum()),
             )
         )
         if len(fitted.ways.stop_mean):
             found.setdefault("whether people stop", []).append(
                 (
                     len(trips.weight),
-                    float(fitted.ways.log_stopping(trips).sum()),
+                    float(log_stopping(fitted.ways, trips).sum()),
                     float(_same_stopping(learnt, trips)),
                 )
             )
@@ -129,7 +128,7 @@ def likelihoods(scene: Scene) -> list[Held]:
             found.setdefault("where and how long", []).append(
                 (
                     int(trips.stops.sum()),
-                    float(fitted.ways.log_stops(trips).sum()),
+                    float(log_stops(fitted.ways, trips).sum()),
                     float(_one_place(learnt, trips)),
                 )
             )
@@ -151,6 +150,44 @@ def likelihoods(scene: Scene) -> list[Held]:
     ]
 
 
+def log_joins(links: Links, marks: Marks) -> float:
+    """Log-probability of who joins which group, in total, nats."""
+    pairs = candidates(marks.time_s, marks.area)
+    x = np.concatenate([links.log_weight, links.larger, [links.crowded], links.tendency])
+    same, stage = pairs.same(marks.group), stages(pairs, marks.area, marks.group)
+    return log_likelihood(x, pairs, marks.area, same, stage)[0]
+
+
+def log_trips(mixtures: TripMixtures, trips: Trips) -> Float[np.ndarray, " n"]:
+    """Log density of starts, goals and log speeds, given the areas.
+
+    Walls and bounds, at which ways are drawn again, are left out of account.
+    """
+    mean, covariance = mixtures.gaussians
+    found = np.zeros(len(trips.trip))
+    areas = np.stack([trips.spawn_area, trips.goal_area], axis=1)
+    for pair in np.unique(areas, axis=0):
+        mine, at = (areas == pair).all(axis=1), mixtures.between(*pair.tolist())
+        each = log_gaussians(trips.trip[mine], mean[at], covariance[at])
+        with np.errstate(divide="ignore"):  # rounded weights may be 0
+            found[mine] = np.logaddexp.reduce(each + np.log(mixtures.weight[at]), axis=1)
+    return found
+
+
+def log_stopping(ways: Ways, trips: Trips) -> Float[np.ndarray, " n"]:
+    """Log probability that they stop, or that they do not, given the areas."""
+    p = ways.stopping[trips.spawn_area, trips.goal_area]
+    return np.asarray(np.log(np.where(trips.stops, p, 1 - p)))
+
+
+def log_stops(ways: Ways, trips: Trips) -> Float[np.ndarray, " m"]:
+    """Log density of the places and log waits of the `m` people who stop."""
+    who = trips.chosen(trips.stops)
+    share = ways.from_area[:, who.spawn_area] * ways.to_area[:, who.goal_area]
+    each = log_gaussians(who.stop, ways.stop_mean, ways.stop_covariance).T
+    return np.asarray(np.logaddexp.reduce(each + np.log(share / share.sum(axis=0)), axis=0))
+
+
 def _same_for_all(links: Links, known: Marks) -> Links:
     """Links with one weight, the most likely one, whatever the delay and the area."""
     from scipy.optimize import minimize_scalar
@@ -163,7 +200,7 @@ def _same_for_all(links: Links, known: Marks) -> Links:
         )
 
     best = minimize_scalar(
-        lambda x: -same(x).log_likelihood(known.time_s, known.area, known.group),
+        lambda x: -log_joins(same(x), known),
         bounds=(-10.0, 5.0),
         method="bounded",
     )

@@ -27,6 +27,3 @@ class JitteredBlocks:
         moved = events.time_s + scene.dt_s * rng.integers(-1, 2, len(events))
         moved = np.clip(moved, 0, horizon_s - scene.dt_s)
         return replace(events, time_s=moved)[np.argsort(moved, kind="stable")]
-
-    def log_likelihood(self, arrivals: object) -> float:
-        return 0.0

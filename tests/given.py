@@ -9,7 +9,7 @@ from worlds import Person, events, square
 from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
 from crowdbench.policies import Straight
 from crowdbench.scene import Scene
-from crowdbench.spawn import Arrivals, SpawnEvents
+from crowdbench.spawn import SpawnEvents
 from crowdbench.spawn.events import no_events
 from crowdbench.spawn.model import Start
 
@@ -27,9 +27,6 @@ class Given:
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
         return self.events[self.events.time_s < horizon_s - 1e-9]
-
-    def log_likelihood(self, arrivals: Arrivals) -> float:
-        return 0.0
 
 
 class OneByOne(Given):

@@ -134,8 +134,8 @@ def test_machine_code_depends_on_the_fields_of_named_tuples() -> None:
 
 FUNCTIONS: list[Any] = [
     *(m.advance for m in (step,)), observations.observe, social.observe_social, reward.pay,
-    routes._next, walls.walls_near, social_force._walk, cox_kernels.filtered, link_kernels.joined,
-    ntpp_kernels.draw, ntpp_paper_kernels.draw,
+    routes._next, walls.walls_near, social_force._walk, cox_kernels.filtered,
+    link_kernels.draw_joins, ntpp_kernels.draw, ntpp_paper_kernels.draw,
 ]  # fmt: skip
 
 

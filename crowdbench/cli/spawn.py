@@ -14,8 +14,7 @@ from crowdbench.errors import SettingError
 from crowdbench.report.text.terminal import print_note, print_table
 
 if TYPE_CHECKING:
-    from crowdbench.report.steering import Steering
-    from crowdbench.report.steering.changes import AreaChange, GoalChange
+    from crowdbench.report.steering.changes import AreaChange, Steering
 
 app = new_app("spawn", "Spawn models: their areas, samples and tests, and scenarios.")
 _LEAST = 0.005  # smallest share of people for which a goal is listed
@@ -30,7 +29,7 @@ def areas(scene: SceneName, /, *, out: Path | None = None) -> None:
     """
     from crowdbench.files import replacing
     from crowdbench.registry import fitted_models
-    from crowdbench.report.steering import areas_picture
+    from crowdbench.report.steering.pictures import areas_picture
     from crowdbench.spawn import PoissonGMM
     from crowdbench.spawn.ntpp.model import networks
 
@@ -86,8 +85,8 @@ def sample(
     """
     from crowdbench.registry import GENERATED
     from crowdbench.run.episode import arrivals
+    from crowdbench.spawn.events import write_events
     from crowdbench.spawn.steering.scenario import split_scenario
-    from crowdbench.spawn.table import write_events
 
     sys.path.insert(0, os.getcwd())  # so that pkg.module:Class is found in the working directory
     place = crowdbench.load_scene(scene)
@@ -165,7 +164,8 @@ def steer(
         seeds: number of episodes (default: as in the scene's protocol)
         out: output folder of the pictures
     """
-    from crowdbench.report.steering import draw_steering, steering
+    from crowdbench.report.steering.changes import steering
+    from crowdbench.report.steering.pictures import draw_steering
 
     sys.path.insert(0, os.getcwd())  # so that pkg.module:Class is found in the working directory
     found = steering(scene, scenario, spawn=spawn, seeds=seeds)
@@ -176,11 +176,11 @@ def steer(
 
 
 def _print_changes(found: "Steering") -> None:
-    from crowdbench.report.steering import area_changes, goal_changes
+    from crowdbench.report.steering.changes import area_changes, goal_changes
 
-    episodes = len(found.usual)
+    episodes = len(found.models)
     print(
-        f"\n{found.steered[0].name} on {found.scene.id}: persons per episode of "
+        f"\n{found.models[0].name} on {found.scene.id}: persons per episode of "
         f"{found.scene.horizon_s:.0f} s, mean of {episodes} episode{'s' * (episodes != 1)}"
     )
     heads = ("centre (m)", "as fitted", "asked for", "steered")
@@ -194,7 +194,7 @@ def _print_changes(found: "Steering") -> None:
     print_table("goal area", *heads, rows=map(_cells, goal_changes(found)))
 
 
-def _cells(change: "AreaChange | GoalChange") -> tuple[str, ...]:
+def _cells(change: "AreaChange") -> tuple[str, ...]:
     x, y = change.centre_m
     numbers = (change.usual, change.asked, change.steered)
     return (f"{change.area}", f"{x:.1f}, {y:.1f}", *(f"{n:.1f}" for n in numbers))

@@ -10,7 +10,7 @@ from crowdbench.data.table import Trajectories
 from crowdbench.policies.social_force import GroupForce
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
-from crowdbench.spawn.plaza.process import SCENE, PlazaArrivals
+from crowdbench.spawn.plaza import SCENE, PlazaArrivals
 
 SEED = 0
 

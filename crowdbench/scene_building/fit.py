@@ -26,11 +26,11 @@ from crowdbench.spawn import (
     Areas,
     Arrivals,
     CoxGMM,
+    FittedModel,
     PoissonGMM,
     PoissonGroups,
     PoissonPaper,
     RenewalGMM,
-    SpawnModel,
     arrivals_of,
     fit_areas,
 )
@@ -262,7 +262,7 @@ def _fit_models(
     """
     light = [(n, split, 0) for n in models if n not in settings for split in SPLITS]
     heavy = [(n, split, k) for n in settings for split in SPLITS for k in range(count)]
-    done: dict[tuple[str, str, int], SpawnModel] = {}
+    done: dict[tuple[str, str, int], FittedModel] = {}
     if progress:
         progress(0, len(light) + len(heavy))
     for jobs, processes in ((light, 1), (heavy, workers)):
@@ -285,7 +285,7 @@ def _named(name: str, *rest: object) -> str:
 
 def _fit(
     name: str, arrivals: Arrivals, areas: Areas, scene: Scene, seed: int, settings: Any
-) -> SpawnModel:
+) -> FittedModel:
     if name == "poisson-gmm":
         return PoissonGMM.fit(arrivals, areas)
     if name == "poisson-groups":
@@ -297,7 +297,7 @@ def _fit(
     if name == "poisson-paper":
         return PoissonPaper.fit_frames(arrivals, areas, scene)
     training = importlib.import_module(NEURAL[name])
-    model: SpawnModel = training.fit(arrivals, areas, scene, seed=seed, settings=settings)
+    model: FittedModel = training.fit(arrivals, areas, scene, seed=seed, settings=settings)
     return model
 
 
@@ -313,7 +313,7 @@ def _in_walls(scene: Scene, crowd: Trajectories) -> float:
     return float((~scene.walkable(crowd.xy.astype(np.float64))).mean())
 
 
-def _likelihood(fits: Sequence[SpawnModel], arrivals: Arrivals) -> str:
+def _likelihood(fits: Sequence[FittedModel], arrivals: Arrivals) -> str:
     each = [fit.log_likelihood(arrivals) for fit in fits]
     spread = f" ({min(each):.3f} to {max(each):.3f} in {len(each)} fits)" if len(each) > 1 else ""
     return f"{np.mean(each):.3f} nats per person{spread}"

@@ -24,7 +24,7 @@ from crowdbench.registry import policy
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
-from crowdbench.spawn.events import Arrivals, SpawnEvents
+from crowdbench.spawn.events import SpawnEvents
 from crowdbench.spawn.model import Start
 from crowdbench.spawn.plans.links import Adjustment
 from crowdbench.spawn.plans.planned import PlannedAreas
@@ -176,9 +176,6 @@ class _These:
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
         return self.events
-
-    def log_likelihood(self, arrivals: Arrivals) -> float:
-        return np.nan
 
 
 def straight_walks(events: SpawnEvents, scene: Scene) -> Trajectories:

@@ -15,12 +15,12 @@ from crowdbench.data.blocks import SPLITS
 from crowdbench.registry import fitted_models, recording_of, spawn_model
 from crowdbench.scene import Scene
 from crowdbench.scene_building.fit import NEURAL
-from crowdbench.spawn import Arrivals, PoissonGMM, SpawnModel, arrivals_of
+from crowdbench.spawn import Arrivals, FittedModel, PoissonGMM, arrivals_of
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import arrivals_in, blocks_of
 from crowdbench.spawn.ntpp.model import networks
-from crowdbench.spawn.plaza.process import SCENE as PLAZA
-from crowdbench.spawn.plaza.process import PlazaArrivals
+from crowdbench.spawn.plaza import SCENE as PLAZA
+from crowdbench.spawn.plaza import PlazaArrivals
 from crowdbench.spawn.times.groups import HasHazards
 from crowdbench.spawn.times.rescaling import KolmogorovSmirnov, kolmogorov_smirnov, rescaled
 
@@ -87,9 +87,9 @@ def check_models(scene: Scene) -> Iterator[Checked]:
     for name in fitted_models(scene):
         # All fits of the other models are the same one.
         fits = range(scene.protocol.fits if name in NEURAL else 1)
-        models = [spawn_model(name, scene, fit=fit) for fit in fits]
+        models = [_fitted(name, scene, "full", fit) for fit in fits]
         on_folds = [
-            _pooled([spawn_model(name, scene, split, fit) for split in SPLITS[1:]], folds)
+            _pooled([_fitted(name, scene, split, fit) for split in SPLITS[1:]], folds)
             for fit in fits
         ]
         model, rng = models[0], np.random.default_rng(0)
@@ -158,14 +158,20 @@ def _span(counts: Sequence[int]) -> str:
     return f"{low}" if low == high else f"{low} to {high} (by fit)"
 
 
-def _pooled(models: Sequence[SpawnModel], folds: list[Arrivals]) -> float:
+def _fitted(name: str, scene: Scene, split: str, fit: int) -> FittedModel:
+    model = spawn_model(name, scene, split, fit)
+    assert isinstance(model, FittedModel)
+    return model
+
+
+def _pooled(models: Sequence[FittedModel], folds: list[Arrivals]) -> float:
     """Log-likelihood of all folds together, nats per person."""
     nats = [m.log_likelihood(a) * len(a.tick) for m, a in zip(models, folds, strict=True)]
     return float(sum(nats) / sum(len(a.tick) for a in folds))
 
 
 def _test(
-    model: SpawnModel, arrivals: Arrivals, rng: np.random.Generator, what: Literal["gap", "size"]
+    model: FittedModel, arrivals: Arrivals, rng: np.random.Generator, what: Literal["gap", "size"]
 ) -> KolmogorovSmirnov | None:
     # Rates of `cox-gmm` are hidden; `ntpp-paper` has densities of gaps.
     if not isinstance(model, HasHazards):
@@ -173,7 +179,7 @@ def _test(
     return kolmogorov_smirnov(rescaled(model, arrivals, rng, what))
 
 
-def _counts(models: list[SpawnModel], scene: Scene, whole: Arrivals) -> tuple[float, float]:
+def _counts(models: list[FittedModel], scene: Scene, whole: Arrivals) -> tuple[float, float]:
     horizon_s, first_s = scene.horizon_s, FIRST_FRAMES * scene.dt_s
     times = [
         m.sample(horizon_s, scene, np.random.default_rng([k, fit])).time_s

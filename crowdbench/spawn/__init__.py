@@ -3,7 +3,7 @@
 from crowdbench.spawn.areas import Areas, fit_areas
 from crowdbench.spawn.block_replay import BlockReplay
 from crowdbench.spawn.events import Arrivals, SpawnEvents, arrivals_in, arrivals_of
-from crowdbench.spawn.model import SpawnModel
+from crowdbench.spawn.model import FittedModel, SpawnModel
 from crowdbench.spawn.ntpp.model import NtppGMM
 from crowdbench.spawn.paper.model import NtppPaper
 from crowdbench.spawn.replay import Replay
@@ -20,6 +20,7 @@ __all__ = [
     "BlockReplay",
     "Change",
     "CoxGMM",
+    "FittedModel",
     "NtppGMM",
     "NtppPaper",
     "PoissonGMM",

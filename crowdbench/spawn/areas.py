@@ -9,21 +9,22 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float32
 from numpy.random import Generator
 
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import SceneError, WeightsError
 from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Clustering, Scene
+from crowdbench.spawn.drawing import Flags, Indices, Numbers, Points, choose, draw_normal
 from crowdbench.spawn.events import SpawnEvents, entering
+from crowdbench.spawn.plans.mixtures import log_gaussians
 from crowdbench.spawn.recorded_plans import cut_at_goals, plans_of
 
 SCHEMA = 1
 _FLOOR_M = 0.1  # minimum standard deviation of an area, because people are not points
 _DRAWS = 1000
 _QUANTILES = 101
-_PERCENT = np.linspace(0, 100, _QUANTILES)
 _COVARIANCES = "symmetric, positive definite matrices"
 
 
@@ -39,9 +40,7 @@ class Gaussians:
     def __len__(self) -> int:
         return len(self.mean)
 
-    def draw(
-        self, area: Int[np.ndarray, " n"], scene: Scene, rng: Generator
-    ) -> Float[np.ndarray, "n 2"]:
+    def draw(self, area: Indices, scene: Scene, rng: Generator) -> Points:
         """One random point per area index; points outside the bounds or in a wall are redrawn.
 
         Raises:
@@ -51,10 +50,8 @@ class Gaussians:
         points = np.empty((len(area), 2))
         open_ = np.arange(len(area))
         for _ in range(_DRAWS):
-            noise = rng.standard_normal((len(open_), 2))
-            points[open_] = self.mean[area[open_]] + np.einsum(
-                "nij,nj->ni", root[area[open_]], noise
-            )
+            of = area[open_]
+            points[open_] = draw_normal(self.mean[of], root[of], rng)
             open_ = open_[~scene.walkable(points[open_])]
             if len(open_) == 0:
                 return points
@@ -74,15 +71,9 @@ class Gaussians:
         circle = np.array([np.cos(angle), np.sin(angle)])
         return (self.mean[area][:, None] + 2 * root @ circle).T
 
-    def likeliest(self, points: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
+    def likeliest(self, points: Points) -> Indices:
         """Index of the area whose Gaussian has the highest density at each point."""
-        from scipy.stats import multivariate_normal
-
-        density = [
-            multivariate_normal(mean, covariance).logpdf(points).reshape(len(points))
-            for mean, covariance in zip(self.mean, self.covariance, strict=True)
-        ]
-        return np.argmax(density, axis=0)
+        return log_gaussians(points, self.mean, self.covariance).argmax(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,29 +97,24 @@ class Areas:
         without a goal area get one from their last position.
         """
         spawn_area, goal_area = crowd.spawn_area.copy(), crowd.goal_area.copy()
-        starts = np.flatnonzero(crowd.entered & (spawn_area < 0))
-        ends = np.flatnonzero(crowd.left & (goal_area < 0))
-        if len(starts):
-            spawn_area[starts] = self.spawn.likeliest(crowd.start[starts].astype(np.float64))
-        if len(ends):
-            goal_area[ends] = self.goal.likeliest(crowd.end[ends].astype(np.float64))
+        starts, ends = crowd.entered & (spawn_area < 0), crowd.left & (goal_area < 0)
+        spawn_area[starts] = self.spawn.likeliest(crowd.start[starts].astype(np.float64))
+        goal_area[ends] = self.goal.likeliest(crowd.end[ends].astype(np.float64))
         return replace(crowd, spawn_area=spawn_area, goal_area=goal_area)
 
     def instead(self, spawn: Gaussians, flow: Float[np.ndarray, "k G"]) -> "Areas":
         """Other spawn areas with the same goals and speeds."""
         return replace(self, spawn=spawn, flow=flow)
 
+    def draw_goal_areas(self, spawn_area: Indices, rng: Generator) -> Indices:
+        """Draw a goal area for each spawn area, from the flows."""
+        return choose(self.flow.cumsum(axis=1)[spawn_area], rng)
+
     def draw(
-        self,
-        time_s: Float[np.ndarray, " E"],
-        spawn_area: Int[np.ndarray, " E"],
-        scene: Scene,
-        rng: Generator,
+        self, time_s: Numbers, spawn_area: Indices, scene: Scene, rng: Generator
     ) -> SpawnEvents:
         """Draw a start, a goal and a preferred speed for each arrival."""
-        cumulative = self.flow.cumsum(axis=1)[spawn_area]
-        u = rng.random((len(time_s), 1)) * cumulative[:, -1:]
-        goal_area = (u >= cumulative).sum(axis=1)
+        goal_area = self.draw_goal_areas(spawn_area, rng)
         quantile = rng.random(len(time_s)) * (_QUANTILES - 1)
         return entering(
             time_s=time_s,
@@ -138,14 +124,6 @@ class Areas:
             goal_area=goal_area,
             speed=np.interp(quantile, np.arange(_QUANTILES), self.speed_quantiles),
         )
-
-
-@dataclass(frozen=True, eq=False)
-class _Clusters:
-    gaussians: Gaussians
-    label: Int[np.ndarray, " n"]
-    """Area of each point; −1 if it is left out."""
-    left_out: float
 
 
 def fit_areas(
@@ -165,29 +143,22 @@ def fit_areas(
         SceneError: no cluster is found, or no person was seen to enter and to leave.
     """
     crowd = cut_at_goals(crowd, scene)
-    starts = _cluster(
-        crowd.start[crowd.entered],
+    spawn, spawn_area, starts_left_out = _cluster(
+        crowd.start,
+        crowd.entered,
         settings.spawn_eps_m,
         settings.spawn_min_persons,
         settings,
         scene,
     )
-    ends = _cluster(
-        crowd.goal[crowd.left],
-        settings.goal_eps_m,
-        settings.goal_min_persons,
-        settings,
-        scene,
+    goal, goal_area, ends_left_out = _cluster(
+        crowd.goal, crowd.left, settings.goal_eps_m, settings.goal_min_persons, settings, scene
     )
-    spawn_area = np.full(len(crowd), -1, dtype=np.int32)
-    goal_area = np.full(len(crowd), -1, dtype=np.int32)
-    spawn_area[crowd.entered] = starts.label
-    goal_area[crowd.left] = ends.label
     crowd = replace(crowd, spawn_area=spawn_area, goal_area=goal_area)
 
-    flow = np.zeros((len(starts.gaussians), len(ends.gaussians)))
-    known = (spawn_area >= 0) & (goal_area >= 0)
-    whole = known & np.isfinite(plans_of(crowd).speed)
+    flow = np.zeros((len(spawn), len(goal)))
+    known, speed = (spawn_area >= 0) & (goal_area >= 0), plans_of(crowd).speed
+    whole = known & np.isfinite(speed)
     if not whole.any():
         raise SceneError(
             scene.folder,
@@ -200,28 +171,30 @@ def fit_areas(
     flow[flow.sum(axis=1) == 0] = everyone
     areas = Areas(
         scene=scene.id,
-        spawn=starts.gaussians,
-        goal=ends.gaussians,
+        spawn=spawn,
+        goal=goal,
         flow=flow / flow.sum(axis=1, keepdims=True),
         speed_quantiles=np.percentile(
-            np.minimum(plans_of(crowd).speed[whole], scene.motion.max_speed_mps), _PERCENT
+            np.minimum(speed[whole], scene.motion.max_speed_mps), np.linspace(0, 100, _QUANTILES)
         ),
-        left_out=(starts.left_out, ends.left_out),
+        left_out=(starts_left_out, ends_left_out),
     )
     return areas, crowd
 
 
 def _cluster(
-    points: Float[np.ndarray, "n 2"],
+    places: Float32[np.ndarray, "n 2"],
+    known: Flags,
     eps_m: float,
     min_persons: int,
     settings: Clustering,
     scene: Scene,
-) -> _Clusters:
+) -> tuple[Gaussians, Indices, float]:
+    """Areas of the known places, the area of each place (−1: none), and the share left out."""
     from sklearn.cluster import DBSCAN
     from sklearn.neighbors import NearestNeighbors
 
-    points = points.astype(np.float64)
+    points = places[known].astype(np.float64)
     label = np.empty(0, dtype=np.int64)
     if len(points):
         label = DBSCAN(eps=eps_m, min_samples=min_persons).fit_predict(points)
@@ -234,7 +207,7 @@ def _cluster(
             hint="Increase eps_m or decrease min_persons in [clustering] of scene.toml.",
         )
     label = _split(points, label, settings.widest_m)
-    groups = [points[label == k] for k in range(label.max() + 1)]
+    clusters = [points[label == k] for k in range(label.max() + 1)]
     noise = np.flatnonzero(label < 0)
     left_out = len(noise) / len(points)
     if settings.keep_noise and len(noise):
@@ -245,23 +218,17 @@ def _cluster(
         far = noise[gap > 2 * eps_m]
         left_out = 0.0
         if len(far) >= min_persons:
-            label[far] = len(groups)
-            groups.append(points[far])
+            label[far] = len(clusters)
+            clusters.append(points[far])
             left_out = len(far) / len(points)
-    floor = _FLOOR_M**2 * np.eye(2)
-    return _Clusters(
-        Gaussians(
-            np.stack([group.mean(axis=0) for group in groups]),
-            np.stack([np.cov(group.T, bias=True) + floor for group in groups]),
-        ),
-        label.astype(np.int32),
-        left_out,
-    )
+    area = np.full(len(places), -1, dtype=np.int32)
+    area[known] = label
+    mean = np.stack([cluster.mean(axis=0) for cluster in clusters])
+    covariance = np.stack([np.cov(cluster.T, bias=True) for cluster in clusters])
+    return Gaussians(mean, covariance + _FLOOR_M**2 * np.eye(2)), area, left_out
 
 
-def _split(
-    points: Float[np.ndarray, "n 2"], label: Int[np.ndarray, " n"], widest_m: float
-) -> Int[np.ndarray, " n"]:
+def _split(points: Points, label: Indices, widest_m: float) -> Indices:
     """The labels of the clusters, numbered anew, with those that are too wide split into parts."""
     from sklearn.mixture import GaussianMixture
 
@@ -278,7 +245,7 @@ def _split(
     return split
 
 
-def _width(points: Float[np.ndarray, "n 2"]) -> float:
+def _width(points: Points) -> float:
     """Largest standard deviation of the points in any direction, metres."""
     return float(np.sqrt(np.linalg.eigvalsh(np.cov(points.T, bias=True))[-1]))
 
@@ -297,20 +264,18 @@ class _AreasFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 def write_areas(areas: Areas, path: Path) -> None:
     """Write the areas as JSON."""
-    write_json(
-        path,
-        _AreasFile(
-            schema=SCHEMA,
-            scene=areas.scene,
-            spawn_mean_m=areas.spawn.mean.tolist(),
-            spawn_covariance_m2=areas.spawn.covariance.tolist(),
-            goal_mean_m=areas.goal.mean.tolist(),
-            goal_covariance_m2=areas.goal.covariance.tolist(),
-            flow=areas.flow.tolist(),
-            speed_quantiles_mps=areas.speed_quantiles.tolist(),
-            left_out=areas.left_out,
-        ),
+    file = _AreasFile(
+        schema=SCHEMA,
+        scene=areas.scene,
+        spawn_mean_m=areas.spawn.mean.tolist(),
+        spawn_covariance_m2=areas.spawn.covariance.tolist(),
+        goal_mean_m=areas.goal.mean.tolist(),
+        goal_covariance_m2=areas.goal.covariance.tolist(),
+        flow=areas.flow.tolist(),
+        speed_quantiles_mps=areas.speed_quantiles.tolist(),
+        left_out=areas.left_out,
     )
+    write_json(path, file)
 
 
 def read_areas(scene: Scene) -> Areas:
@@ -330,36 +295,30 @@ def read_areas(scene: Scene) -> Areas:
             hint=hint,
         )
     k, g = len(file.spawn_mean_m), len(file.goal_mean_m)
-    shapes = {
-        "spawn_mean_m": (k, 2),
-        "spawn_covariance_m2": (k, 2, 2),
-        "goal_mean_m": (g, 2),
-        "goal_covariance_m2": (g, 2, 2),
-        "flow": (k, g),
-        "speed_quantiles_mps": (_QUANTILES,),
-    }
-    arrays = {}
-    for name, shape in shapes.items():
-        arrays[name] = as_array(getattr(file, name), shape, f"{path}, {name}", hint)
-    flow, speed = arrays["flow"], arrays["speed_quantiles_mps"]
+
+    def array(name: str, *shape: int) -> np.ndarray:
+        return as_array(getattr(file, name), shape, f"{path}, {name}", hint)
+
+    areas = Areas(
+        scene=file.scene,
+        spawn=Gaussians(array("spawn_mean_m", k, 2), array("spawn_covariance_m2", k, 2, 2)),
+        goal=Gaussians(array("goal_mean_m", g, 2), array("goal_covariance_m2", g, 2, 2)),
+        flow=array("flow", k, g),
+        speed_quantiles=array("speed_quantiles_mps", _QUANTILES),
+        left_out=file.left_out,
+    )
+    flow, ascends = areas.flow, (np.diff(areas.speed_quantiles, prepend=0) >= 0).all()
     for name, holds, expected in (
-        ("spawn_covariance_m2", _are_covariances(arrays["spawn_covariance_m2"]), _COVARIANCES),
-        ("goal_covariance_m2", _are_covariances(arrays["goal_covariance_m2"]), _COVARIANCES),
+        ("spawn_covariance_m2", _are_covariances(areas.spawn.covariance), _COVARIANCES),
+        ("goal_covariance_m2", _are_covariances(areas.goal.covariance), _COVARIANCES),
         ("flow", (flow >= 0).all() and np.allclose(flow.sum(axis=1), 1), "rows that sum to 1"),
-        ("speed_quantiles_mps", (np.diff(speed, prepend=0) >= 0).all(), "ascending speeds"),
+        ("speed_quantiles_mps", ascends, "ascending speeds"),
     ):
         if not holds:
             raise WeightsError(
                 f"{path}, {name}", got="invalid values", expected=expected, hint=hint
             )
-    return Areas(
-        scene=file.scene,
-        spawn=Gaussians(arrays["spawn_mean_m"], arrays["spawn_covariance_m2"]),
-        goal=Gaussians(arrays["goal_mean_m"], arrays["goal_covariance_m2"]),
-        flow=arrays["flow"],
-        speed_quantiles=arrays["speed_quantiles_mps"],
-        left_out=file.left_out,
-    )
+    return areas
 
 
 def _are_covariances(matrices: Float[np.ndarray, "K 2 2"]) -> bool:

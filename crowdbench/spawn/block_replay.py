@@ -8,19 +8,17 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from numpy.random import Generator
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
-from crowdbench.spawn.events import Arrivals, SpawnEvents, entering
+from crowdbench.spawn.drawing import Indices
+from crowdbench.spawn.events import SpawnEvents, entering
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.recorded_plans import plans_of
-
-NAME = "block-replay"
+from crowdbench.spawn.recorded_plans import places_of, plans_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +34,7 @@ class BlockReplay:
     recording: Trajectories
     blocks: TimeBlocks
     areas: Areas
-    name: str = NAME
+    name: str = "block-replay"
     start: ClassVar[Start] = "stationary"
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
@@ -54,60 +52,34 @@ class BlockReplay:
         played = np.repeat(begin - first[drawn], [len(c) for c in chosen]) + tick[at]
         inside = (played >= 0) & (played < horizon)
         piece = np.repeat(np.arange(len(drawn)), [len(c) for c in chosen])
-        return self._events(persons[at][inside], piece[inside], played[inside] * grid_s, scene, rng)
+        persons, piece = persons[at][inside], piece[inside]
 
-    def _events(
-        self,
-        persons: Int[np.ndarray, " E"],
-        piece: Int[np.ndarray, " E"],
-        time_s: Float[np.ndarray, " E"],
-        scene: Scene,
-        rng: Generator,
-    ) -> SpawnEvents:
-        crowd = self.recording
+        crowd, plans = self.recording, plans_of(self.recording)
+        start, end, via = (of[persons] for of in places_of(crowd, scene))
         spawn_area = crowd.spawn_area[persons]
-        start = scene.nearest_walkable(crowd.start[persons].astype(np.float64))
-        end = scene.nearest_walkable(crowd.goal[persons].astype(np.float64))
         to_centre = np.linalg.norm(start[:, None] - self.areas.spawn.mean, axis=2)
         known = np.where(spawn_area >= 0, spawn_area, to_centre.argmin(axis=1))
         # Drawn for everyone, even if not needed, so that the use of random numbers is simple.
-        drawn = self.areas.draw(np.arange(len(persons)) * 1.0, known, scene, rng)
-        left = crowd.left[persons]
-        plans = plans_of(crowd)
-        speed, via = plans.speed[persons], plans.via[persons]
-        stops = ~np.isnan(via[:, 0])
-        via[stops] = scene.nearest_walkable(via[stops])
+        usual = self.areas.draw(np.arange(len(persons)) * 1.0, known, scene, rng)
+        left, speed = crowd.left[persons], plans.speed[persons]
+        speed = np.where(np.isfinite(speed), speed, usual.speed)
         # A block that is played twice has its groups twice.
         groups = int(crowd.group.max(initial=-1)) + 1
         group = np.where(crowd.group[persons] < 0, -1, piece * groups + crowd.group[persons])
         return entering(
-            time_s=time_s,
+            time_s=played[inside] * grid_s,
             start=start,
-            goal=np.where(left[:, None], end, drawn.goal),
+            goal=np.where(left[:, None], end, usual.goal),
             spawn_area=spawn_area,
-            goal_area=np.where(left, crowd.goal_area[persons], drawn.goal_area),
-            speed=np.minimum(
-                np.where(np.isfinite(speed), speed, drawn.speed), scene.motion.max_speed_mps
-            ),
+            goal_area=np.where(left, crowd.goal_area[persons], usual.goal_area),
+            speed=np.minimum(speed, scene.motion.max_speed_mps),
             group=group,
             via=via,
             wait_s=plans.wait_s[persons],
         )
 
-    def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Not available, because block replay is not a distribution over arrivals.
 
-        Raises:
-            SettingError: always.
-        """
-        raise SettingError(
-            NAME, got="a request for a likelihood", expected="a model that has a likelihood"
-        )
-
-
-def _draw(
-    length: Int[np.ndarray, " B"], horizon: int, rng: Generator
-) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+def _draw(length: Int[np.ndarray, " B"], horizon: int, rng: Generator) -> tuple[Indices, Indices]:
     """Draw blocks that fill [0, `horizon`); returns them and the grid point where each begins.
 
     The first block is the one that contains a random grid point of all blocks, and it begins so

@@ -2,13 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from crowdbench.data.blocks import TimeBlocks, cut
+from crowdbench.data.storage import rounded_s
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import SettingError
+from crowdbench.errors import OutputError, SettingError
+from crowdbench.files import replacing
 from crowdbench.scene import Scene
 
 
@@ -52,7 +55,12 @@ class SpawnEvents:
         return replace(self, time_s=self.time_s + by_s)
 
     def __getitem__(self, chosen: object) -> "SpawnEvents":
-        return SpawnEvents(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
+        return SpawnEvents(**{name: getattr(self, name)[chosen] for name in COLUMNS})
+
+
+COLUMNS = tuple(field.name for field in fields(SpawnEvents))
+POINTS = ("start", "goal", "velocity", "via")
+"""Columns with two coordinates."""
 
 
 def entering(
@@ -113,21 +121,20 @@ def check_events(events: object, model: str) -> SpawnEvents:
             expected="SpawnEvents",
             hint="Create them with crowdbench.spawn.events.entering.",
         )
-    for f in fields(events):
-        values = np.asarray(getattr(events, f.name))
-        points = ("start", "goal", "velocity", "via")
-        shape = (len(events), 2) if f.name in points else (len(events),)
+    for name in COLUMNS:
+        values = np.asarray(getattr(events, name))
+        shape = (len(events), 2) if name in POINTS else (len(events),)
         if values.shape != shape:
             raise SettingError(
-                where, got=f"{f.name} of shape {values.shape}", expected=f"shape {shape}"
+                where, got=f"{name} of shape {values.shape}", expected=f"shape {shape}"
             )
         finite = np.isfinite(values)
-        if f.name == "via":  # people without one have NaN in both coordinates
+        if name == "via":  # people without one have NaN in both coordinates
             finite |= np.isnan(values).all(axis=1)[:, None]
         if not finite.all():
             raise SettingError(
                 where,
-                got=f"{int((~finite).sum())} values of {f.name} that are not finite",
+                got=f"{int((~finite).sum())} values of {name} that are not finite",
                 expected="finite numbers",
             )
     without = np.isnan(events.via).any(axis=1)
@@ -150,28 +157,47 @@ def joined(parts: Sequence[SpawnEvents]) -> SpawnEvents:
     Groups of different parts remain different groups.
     """
     parts = [no_events(), *parts]
+    columns = {name: np.concatenate([getattr(p, name) for p in parts]) for name in COLUMNS}
     groups = np.cumsum([0, *(int(p.group.max(initial=-1)) + 1 for p in parts[:-1])])
-    parts = [
-        replace(p, group=np.where(p.group < 0, p.group, p.group + np.int32(first)))
-        for p, first in zip(parts, groups.tolist(), strict=True)
-    ]
-    columns = {
-        f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(parts[0])
-    }
+    first = np.repeat(groups.astype(np.int32), [len(p) for p in parts])
+    columns["group"] = np.where(columns["group"] < 0, -1, columns["group"] + first)
     return SpawnEvents(**columns)[np.lexsort((columns["spawn_area"], columns["time_s"]))]
 
 
 def no_events() -> SpawnEvents:
     """Events without any person."""
-    none, pairs = np.empty(0), np.empty((0, 2))
+    none, points, areas = np.empty(0), np.empty((0, 2)), np.empty(0, dtype=np.int32)
     return entering(
-        time_s=none,
-        start=pairs,
-        goal=pairs,
-        spawn_area=none.astype(np.int32),
-        goal_area=none.astype(np.int32),
-        speed=none,
+        time_s=none, start=points, goal=points, spawn_area=areas, goal_area=areas, speed=none
     )
+
+
+def write_events(events: SpawnEvents, path: str | Path) -> None:
+    """Write one row per person to a CSV or Parquet file, atomically.
+
+    The columns are those of `SpawnEvents`; points have two columns, such as `goal_x` and `goal_y`.
+    People without a via point have empty cells there.
+
+    Raises:
+        OutputError: the file is neither `.csv` nor `.parquet`, or cannot be written.
+    """
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    writers = {".csv": csv.write_csv, ".parquet": parquet.write_table}
+    path = Path(path)
+    if path.suffix not in writers:
+        raise OutputError(path, got=f"a file {path.suffix}", expected=".csv or .parquet")
+    columns: dict[str, np.ndarray] = {"person": np.arange(len(events))}
+    for name in COLUMNS:
+        values = np.asarray(getattr(events, name))
+        if name in POINTS:
+            columns |= {f"{name}_x": values[:, 0], f"{name}_y": values[:, 1]}
+        else:
+            columns[name] = rounded_s(values) if name.endswith("_s") else values
+    table = pa.table({k: pa.array(v, from_pandas=True) for k, v in columns.items()})
+    with replacing(path) as temporary:
+        writers[path.suffix](table, temporary)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,12 +242,8 @@ def arrivals_in(events: SpawnEvents, horizon_s: float, grid_s: float, areas: int
 
 def blocks_of(recording: Trajectories, scene: Scene) -> TimeBlocks:
     """The time blocks of a recording, as defined by the scene's protocol."""
-    return cut(
-        recording.observed,
-        block_s=scene.protocol.block_s,
-        dt_s=scene.dt_s,
-        grid_s=scene.grid_s,
-    )
+    block_s = scene.protocol.block_s
+    return cut(recording.observed, block_s=block_s, dt_s=scene.dt_s, grid_s=scene.grid_s)
 
 
 def arrivals_of(crowd: Trajectories, blocks: TimeBlocks, areas: int) -> Arrivals:
@@ -229,21 +251,14 @@ def arrivals_of(crowd: Trajectories, blocks: TimeBlocks, areas: int) -> Arrivals
 
     Adjacent blocks form one window, so that a window is as long as the observed interval.
     """
-    persons, _, tick = blocks.of_arrivals(crowd)
+    persons, _, tick = blocks.of_arrivals(crowd)  # in order of the ticks
     known = crowd.spawn_area[persons] >= 0
-    persons, tick = persons[known], tick[known]
     ticks = np.ceil(blocks.arrival_s / blocks.grid_s - 1e-6).astype(np.int64)
-    joined = [list(ticks[0])]
-    for start, stop in ticks[1:]:
-        if start == joined[-1][1]:
-            joined[-1][1] = stop
-        else:
-            joined.append([start, stop])
-    order = np.argsort(tick, kind="stable")
+    apart = ticks[1:, 0] != ticks[:-1, 1]
     return Arrivals(
-        tick=tick[order],
-        area=crowd.spawn_area[persons][order].astype(np.int64),
-        windows=np.array(joined),
+        tick=tick[known],
+        area=crowd.spawn_area[persons[known]].astype(np.int64),
+        windows=np.stack([ticks[np.r_[True, apart], 0], ticks[np.r_[apart, True], 1]], axis=1),
         areas=areas,
         grid_s=blocks.grid_s,
     )

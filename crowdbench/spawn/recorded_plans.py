@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from crowdbench.data.stops import HALF_S, stops_of
 from crowdbench.data.table import Trajectories
 from crowdbench.scene import Scene
+from crowdbench.spawn.drawing import Flags, Numbers, Points
 
 VISIT_M = 1.0
 """Distance at which a via point counts as visited; see `Simulation`."""
@@ -75,7 +76,7 @@ def plans_of(crowd: Trajectories) -> RecordedPlans:
     return RecordedPlans(via, wait_s, resumed, speed)
 
 
-def _visited(path: Float[np.ndarray, "n 2"], via: Float[np.ndarray, " 2"]) -> int:
+def _visited(path: Points, via: Float[np.ndarray, " 2"]) -> int:
     """Index of the position at which the via point of a path is visited; see `Simulation`."""
     if np.hypot(*(path[0] - via)) <= VISIT_M:
         return 0
@@ -83,6 +84,15 @@ def _visited(path: Float[np.ndarray, "n 2"], via: Float[np.ndarray, " 2"]) -> in
     beyond = (path[1:] - via) @ (via - path[0]) > 0
     visits = np.flatnonzero((distance <= VISIT_M) | ((distance <= PASSED_M) & beyond))
     return int(visits[0]) + 1 if len(visits) else len(path) - 1
+
+
+def places_of(crowd: Trajectories, scene: Scene) -> tuple[Points, Points, Points]:
+    """Starts, goals and via points, moved to the nearest places where people can walk."""
+    via = plans_of(crowd).via.copy()
+    stops = ~np.isnan(via[:, 0])
+    via[stops] = scene.nearest_walkable(via[stops])
+    start, goal = (scene.nearest_walkable(p.astype(np.float64)) for p in (crowd.start, crowd.goal))
+    return start, goal, via
 
 
 def cut_at_goals(crowd: Trajectories, scene: Scene) -> Trajectories:
@@ -106,9 +116,7 @@ def cut_at_goals(crowd: Trajectories, scene: Scene) -> Trajectories:
     return replace(crowd, xy=crowd.xy[kept], offsets=np.concatenate([[0], np.cumsum(length)]))
 
 
-def _distance(
-    point: Float[np.ndarray, "n 2"], a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, " n"]:
+def _distance(point: Points, a: Points, b: Points) -> Numbers:
     """Distance of each point to the segment from a to b, metres."""
     way, off = b - a, point - a
     squared = (way * way).sum(axis=1)
@@ -117,12 +125,7 @@ def _distance(
     return np.asarray(np.sqrt((off * off).sum(axis=1)))
 
 
-def turning_points(
-    start: Float[np.ndarray, "n 2"],
-    via: Float[np.ndarray, "n 2"],
-    goal: Float[np.ndarray, "n 2"],
-    stops: Bool[np.ndarray, " n"],
-) -> Float[np.ndarray, "n 2"]:
+def turning_points(start: Points, via: Points, goal: Points, stops: Flags) -> Points:
     """Where straight walkers turn to their goals.
 
     That is at the via point for those who stop there. Others turn when it is within `VISIT_M`.

@@ -4,15 +4,14 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float32
 from numpy.random import Generator
 
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
-from crowdbench.spawn.events import Arrivals, SpawnEvents
+from crowdbench.spawn.events import SpawnEvents
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.recorded_plans import plans_of
+from crowdbench.spawn.recorded_plans import places_of, plans_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +42,12 @@ class Replay:
         plans = plans_of(crowd)
         walking = plans.speed[np.isfinite(plans.speed)]
         usual = float(np.median(walking)) if len(walking) else 0.0
+        start, goal, via = places_of(crowd, scene)
         speed = np.minimum(np.nan_to_num(plans.speed, nan=usual), scene.motion.max_speed_mps)
-        via = plans.via.copy()
-        stops = ~np.isnan(via[:, 0])
-        via[stops] = scene.nearest_walkable(via[stops])
         events = SpawnEvents(
             time_s=crowd.requested_s,
-            start=_walkable(crowd.start, scene),
-            goal=_walkable(crowd.goal, scene),
+            start=start.astype(np.float32),
+            goal=goal.astype(np.float32),
             spawn_area=crowd.spawn_area,
             goal_area=crowd.goal_area,
             speed=speed.astype(np.float32),
@@ -76,18 +73,3 @@ class Replay:
             leave_frame=self.recording.last[: len(events)],
             scripted=np.ones(len(events), dtype=bool),
         )
-
-    def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Not available, because a replayed recording is not a distribution.
-
-        Raises:
-            SettingError: always.
-        """
-        raise SettingError(
-            "replay", got="a request for a likelihood", expected="a model that has a likelihood"
-        )
-
-
-def _walkable(points: Float32[np.ndarray, "P 2"], scene: Scene) -> Float32[np.ndarray, "P 2"]:
-    """The points, with those in a wall moved to the nearest place where a policy can walk."""
-    return scene.nearest_walkable(points.astype(np.float64)).astype(np.float32)

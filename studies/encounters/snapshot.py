@@ -8,9 +8,8 @@ from jaxtyping import Int
 from numpy.random import Generator
 
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
-from crowdbench.spawn.events import Arrivals, SpawnEvents
+from crowdbench.spawn.events import SpawnEvents
 from crowdbench.spawn.model import Start
 from crowdbench.spawn.recorded_plans import plans_of
 
@@ -65,13 +64,3 @@ class Snapshot:
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
         """The people who are there or enter in [0, `horizon_s`); `rng` is not used."""
         return self.events[self.events.time_s < horizon_s]
-
-    def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Not available.
-
-        Raises:
-            SettingError: always.
-        """
-        raise SettingError(
-            "snapshot", got="a request for a likelihood", expected="a model that has a likelihood"
-        )

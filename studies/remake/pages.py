@@ -74,7 +74,7 @@ def _of_scenes() -> Iterator[Result]:
             f"docs/steering/{name}",
             (f"docs/steering/{name}-*.png",),
             [("crowdbench", "spawn", "steer", scene, toml, "--out", "docs/steering")],
-            "crowdbench.report.steering",
+            "crowdbench.report.steering.pictures",
             {scene: [("ntpp-gmm", "straight"), (f"ntpp-gmm+{toml}", "straight")]},
             splits=FULL,
         )
@@ -83,7 +83,7 @@ def _of_scenes() -> Iterator[Result]:
         "docs/steering/areas",
         ("docs/steering/gc-areas.png",),
         [("crowdbench", "spawn", "areas", "gc-v0", "--out", "docs/steering/gc-areas.png")],
-        "crowdbench.report.steering",
+        "crowdbench.report.steering.pictures",
         {"gc-v0": [("poisson-gmm", "straight")]},
         splits=FULL,
     )

@@ -20,7 +20,7 @@ from crowdbench.data.recordings.catalogue import SOURCES
 from crowdbench.data.storage import read, write_csv
 from crowdbench.registry.spawn_models import SPAWN_MODELS
 from crowdbench.scene import list_scenes, load_scene
-from crowdbench.spawn.plaza.plans import STOPPING
+from crowdbench.spawn.plaza import STOPPING
 from studies.__main__ import app as studies
 
 Printed = pytest.CaptureFixture[str]

@@ -30,7 +30,7 @@ from crowdbench.scene import list_scenes, load_scene
 from crowdbench.scoring.energy import FitEnergies
 from crowdbench.scoring.score import Score
 from crowdbench.spawn import SpawnModel
-from crowdbench.spawn.plaza.process import PlazaArrivals
+from crowdbench.spawn.plaza import PlazaArrivals
 from studies.trip_limits import HONEST, measure
 
 PLAZA = load_scene("plaza-v0")

@@ -51,9 +51,6 @@ class Sends:
     def sample(self, horizon_s: float, scene: Any, rng: Any) -> Any:
         return self.what
 
-    def log_likelihood(self, arrivals: Any) -> float:
-        return 0.0
-
 
 def three() -> SpawnEvents:
     area = np.zeros(3, np.int32)

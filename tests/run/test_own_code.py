@@ -69,9 +69,6 @@ class Spawn:
 
     def sample(self, horizon_s, scene, rng):
         raise ValueError("nobody comes")
-
-    def log_likelihood(self, arrivals):
-        return 0.0
 """
 
 

@@ -15,12 +15,12 @@ from crowdbench.scoring.energy import Draws, energy
 from crowdbench.scoring.ranking import Row, rows
 from crowdbench.spawn import PoissonGMM, arrivals_of
 from crowdbench.spawn.areas import read_areas
-from crowdbench.spawn.plaza.process import PlazaArrivals
+from crowdbench.spawn.plaza import PlazaArrivals
 
 pytestmark = pytest.mark.long
 
 PLAZA = load_scene("plaza-v0")
-TRUTH = "crowdbench.spawn.plaza.process:PlazaArrivals"
+TRUTH = "crowdbench.spawn.plaza:PlazaArrivals"
 WALKER = "crowdbench.policies.social_force:GroupForce"
 """Who walks in the recording."""
 PLACE = Place(spawn_areas=4, goal_areas=4, bounds_m=(0.0, 30.0, 0.0, 20.0))

@@ -9,9 +9,8 @@ from strategies import crowd_of
 
 from crowdbench.data.blocks import TimeBlocks, cut
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import SettingError
 from crowdbench.scene import load_scene
-from crowdbench.spawn import Arrivals, BlockReplay
+from crowdbench.spawn import BlockReplay
 from crowdbench.spawn.recorded_plans import plans_of
 
 ETH = load_scene("eth-v0")
@@ -114,12 +113,6 @@ def test_the_same_seed_plays_the_same_blocks(crowd: Trajectories) -> None:
     model = model_of(crowd)
     assert ticks(model, 100.0, 6) == ticks(model, 100.0, 6)
     assert ticks(model, 100.0, 6) != ticks(model, 100.0, 7)
-
-
-def test_it_has_no_likelihood(crowd: Trajectories) -> None:
-    arrivals = Arrivals(np.array([1]), np.array([0]), np.array([[0, 4]]), 2, 0.4)
-    with pytest.raises(SettingError, match="a model that has a likelihood"):
-        model_of(crowd).log_likelihood(arrivals)
 
 
 def test_blocks_of_the_grid_between_frames_are_played_on_it() -> None:

@@ -2,23 +2,22 @@
 
 import numpy as np
 import pytest
+from plaza_truth import correlations, group_sizes, rates_per_s
 
 from crowdbench.data.table import Trajectories
 from crowdbench.run.plaza_recording import record
 from crowdbench.scene import load_scene
 from crowdbench.scene_building.plan_calibration import straight_walks
-from crowdbench.spawn import CoxGMM, arrivals_in, fit_areas
+from crowdbench.spawn import CoxGMM, arrivals_in, fit_areas, plaza
 from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.plans.fitting import fit_plans
 from crowdbench.spawn.plans.links import Links, fit_links
 from crowdbench.spawn.plans.planned import PlannedAreas
-from crowdbench.spawn.plaza import plans as plaza_plans
-from crowdbench.spawn.plaza import process as plaza
 
 SCENE = load_scene("plaza-v0")
 TRUTH = plaza.PlazaArrivals(SCENE)
 MOST = 5
-SIZES = plaza.group_sizes(60)
+SIZES = group_sizes(60)
 MEAN_SIZE = float(SIZES @ np.arange(1, 61))
 
 
@@ -84,25 +83,25 @@ def test_companions_offsets_and_speeds_are_found_again() -> None:
     crowd = straight_walks(TRUTH.sample(10_800.0, SCENE, np.random.default_rng(1)), SCENE)
     areas, walked = fit_areas(crowd, SCENE, SCENE.clustering["default"])
     links = fit_plans(walked, blocks_of(walked, SCENE), areas).links
-    mean, abreast = links.share @ links.mean, plaza_plans.ABREAST_M
+    mean, abreast = links.share @ links.mean, plaza.ABREAST_M
     np.testing.assert_allclose(mean, [0, abreast, 0, abreast, 0], atol=0.05)
     assert links.same_side > 0.85  # they stand in a line; strangers are taken for companions, too
-    assert np.exp(links.group_log_speed) == pytest.approx(plaza_plans.SLOWER, abs=0.02)
+    assert np.exp(links.group_log_speed) == pytest.approx(plaza.SLOWER, abs=0.02)
 
 
 def test_stops_are_found_again(plans: PlannedAreas) -> None:
     ways = plans.ways
     share = (plans.flow * ways.stopping).sum(axis=1).mean()
-    assert share == pytest.approx(plaza_plans.STOPPING, abs=0.03)
-    np.testing.assert_allclose(ways.stopping, plaza_plans.STOPPING, atol=0.06)
+    assert share == pytest.approx(plaza.STOPPING, abs=0.03)
+    np.testing.assert_allclose(ways.stopping, plaza.STOPPING, atol=0.06)
     weight = ways.from_area.sum(axis=1) / ways.from_area.sum()
     largest = np.argsort(-weight)[:2]  # others are people whom a crowd makes stand
-    np.testing.assert_allclose(weight[largest], plaza_plans.PLACE_SHARE, atol=0.1)
-    np.testing.assert_allclose(ways.stop_mean[largest, :2], plaza_plans.PLACES_M, atol=0.3)
+    np.testing.assert_allclose(weight[largest], plaza.PLACE_SHARE, atol=0.1)
+    np.testing.assert_allclose(ways.stop_mean[largest, :2], plaza.PLACES_M, atol=0.3)
     median_s = np.exp(ways.stop_mean[largest, 2])
-    np.testing.assert_allclose(median_s, plaza_plans.WAIT_S, rtol=0.1)
+    np.testing.assert_allclose(median_s, plaza.WAIT_S, rtol=0.1)
     log_sd = np.sqrt(ways.stop_covariance[largest, 2, 2])
-    np.testing.assert_allclose(log_sd, plaza_plans.WAIT_LOG_SD, atol=0.06)
+    np.testing.assert_allclose(log_sd, plaza.WAIT_LOG_SD, atol=0.06)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +115,7 @@ def cox() -> CoxGMM:
 def test_waves_are_found_again(cox: CoxGMM) -> None:
     """The covariances of the logarithms of the rates, which the truth has in closed form."""
     delay_s = np.array([10.0, 20.0, 40.0, 80.0])
-    expected = np.log(TRUTH.correlations(delay_s))
+    expected = np.log(correlations(TRUTH, delay_s))
     found = np.einsum("lj,jab->lab", cox.waves.correlations(delay_s), cox.waves.covariance)
     same = np.eye(4, dtype=bool)
     np.testing.assert_allclose(found, expected, atol=0.12)
@@ -128,4 +127,4 @@ def test_waves_are_found_again(cox: CoxGMM) -> None:
 
 
 def test_rates_are_found_again(cox: CoxGMM) -> None:
-    np.testing.assert_allclose(cox.rate_per_s, TRUTH.rates_per_s(), rtol=0.1)
+    np.testing.assert_allclose(cox.rate_per_s, rates_per_s(TRUTH), rtol=0.1)

@@ -13,11 +13,10 @@ from crowdbench.spawn.plans.links import (
     EDGES_S,
     Adjustment,
     Links,
-    _likelihood,
-    _same,
-    _stages,
     candidates,
     fit_links,
+    log_likelihood,
+    stages,
 )
 
 WEIGHT = np.array([1.0, -0.5, -1.0, -2.0, -2.5, -3.0])
@@ -67,12 +66,18 @@ def test_candidates_are_all_earlier_arrivals_of_the_area_within_six_seconds(
         assert EDGES_S[k] <= delay < EDGES_S[k + 1] or (k == 5 and delay <= EDGES_S[-1])
 
 
+def nats(model: Links, time_s: np.ndarray, area: np.ndarray, group: np.ndarray) -> float:
+    pairs = candidates(time_s, area)
+    x = np.concatenate([model.log_weight, model.larger, [model.crowded], model.tendency])
+    return log_likelihood(x, pairs, area, pairs.same(group), stages(pairs, area, group))[0]
+
+
 def test_the_probabilities_of_all_that_can_happen_sum_to_one() -> None:
     """For three people who come one after the other, over all partitions into groups."""
     time_s, area = np.array([0.0, 1.0, 2.5]), np.zeros(3, dtype=np.int64)
     partitions = ([-1, -1, -1], [0, 0, -1], [0, -1, 0], [-1, 1, 1], [0, 0, 0])
     model = links(tendency=(0.3,))
-    total = sum(np.exp(model.log_likelihood(time_s, area, np.array(group))) for group in partitions)
+    total = sum(np.exp(nats(model, time_s, area, np.array(group))) for group in partitions)
     assert total == pytest.approx(1.0)
 
 
@@ -80,10 +85,10 @@ def test_the_gradient_is_that_of_the_likelihood() -> None:
     time_s, area = arrivals(60)
     group = grouped(links().draw(time_s, area, np.random.default_rng(1)))
     pairs = candidates(time_s, area)
-    more = _same(pairs, group), _stages(pairs, area, group)
+    more = pairs.same(group), stages(pairs, area, group)
     x = np.concatenate([links().log_weight, LARGER, [0.4], links().tendency])
-    value, slope = _likelihood(x, pairs, area, *more)
-    numeric = approx_fprime(x, lambda y: _likelihood(y, pairs, area, *more)[0], 1e-6)
+    value, slope = log_likelihood(x, pairs, area, *more)
+    numeric = approx_fprime(x, lambda y: log_likelihood(y, pairs, area, *more)[0], 1e-6)
     assert np.isfinite(value)
     np.testing.assert_allclose(slope, numeric, rtol=1e-4, atol=1e-4)
 
@@ -120,7 +125,7 @@ def test_the_fit_finds_the_weights_again_and_those_who_join_nobody() -> None:
             atol=0.35,
         )
     np.testing.assert_allclose(found.larger, truth.larger, atol=0.3)
-    assert found.log_likelihood(time_s, area, group) > truth.log_likelihood(time_s, area, group) - 5
+    assert nats(found, time_s, area, group) > nats(truth, time_s, area, group) - 5
     mean = found.share @ found.mean
     np.testing.assert_allclose(mean, [0, 0.7, 0, 0.6, 0], atol=0.06)
     np.testing.assert_allclose(found.slope, [0.3, 0, 0, 0, 0], atol=0.06)
@@ -170,7 +175,7 @@ def test_a_stage_is_the_size_of_the_group_that_has_come_so_far() -> None:
         for i, j, k in zip(
             pairs.later.tolist(),
             pairs.earlier.tolist(),
-            _stages(pairs, area, group).tolist(),
+            stages(pairs, area, group).tolist(),
             strict=True,
         )
     }
@@ -180,7 +185,7 @@ def test_a_stage_is_the_size_of_the_group_that_has_come_so_far() -> None:
     assert stage[5, 3] == 3
     assert stage[7, 6] == 3
     assert stage[4, 1] == stage[5, 1] == 0
-    other = _stages(pairs, np.array([1, 0, 0, 0, 0, 0, 0, 0]), group)
+    other = stages(pairs, np.array([1, 0, 0, 0, 0, 0, 0, 0]), group)
     found = dict(zip(stage, other.tolist(), strict=True))
     assert (found[4, 3], found[6, 3], found[7, 3]) == (1, 2, 3)
 

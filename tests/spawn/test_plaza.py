@@ -4,12 +4,11 @@ from itertools import pairwise, product
 
 import numpy as np
 import pytest
+from plaza_truth import correlations, rates_per_s
 from scipy.stats import binom
 
 from crowdbench.scene import load_scene
-from crowdbench.spawn import Arrivals, PoissonGMM, SpawnEvents, arrivals_in
-from crowdbench.spawn.plaza import process as plaza
-from crowdbench.spawn.plaza.plans import true_areas
+from crowdbench.spawn import Arrivals, PoissonGMM, SpawnEvents, arrivals_in, plaza
 
 SCENE = load_scene("plaza-v0")
 TRUTH = plaza.PlazaArrivals(SCENE)
@@ -155,7 +154,7 @@ def test_samples_have_the_density_of_the_likelihood(
 
 
 def test_samples_have_the_mean_rates(long: SpawnEvents) -> None:
-    expected = TRUTH.rates_per_s() * LONG_S
+    expected = rates_per_s(TRUTH) * LONG_S
     found = np.bincount(long.spawn_area, minlength=4)
     # Five standard errors by the counts of 1,000 s, which are all but independent.
     edges = [np.arange(5), np.arange(0, LONG_S + 1, 1000)]
@@ -171,7 +170,7 @@ def test_samples_have_the_pair_correlations(long: SpawnEvents) -> None:
     edges = [np.arange(0, LONG_S + 1, step_s), np.arange(5)]
     n = np.histogram2d(long.time_s, long.spawn_area, bins=edges)[0]
     delays = np.array([8.0, 16.0, 40.0, 120.0])
-    expected = TRUTH.correlations(delays)
+    expected = correlations(TRUTH, delays)
     everyone, m = n.sum(axis=1), n.mean(axis=0)
     for delay_s, g in zip(delays.tolist(), expected, strict=True):
         lag = round(delay_s / step_s)
@@ -187,7 +186,7 @@ def test_samples_have_the_pair_correlations(long: SpawnEvents) -> None:
 
 
 def test_the_truth_explains_fresh_arrivals_better_than_poisson() -> None:
-    fitted = PoissonGMM.fit(sampled(0, 1800.0), true_areas("plaza-v0"))
+    fitted = PoissonGMM.fit(sampled(0, 1800.0), plaza.true_areas("plaza-v0"))
     margins = [
         TRUTH.log_likelihood(fresh) - fitted.log_likelihood(fresh)
         for fresh in (sampled(seed, 1800.0) for seed in range(1, 9))

@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 import shapely
+from plaza_truth import group_sizes
 from scipy.stats import chi2, chisquare, kstest, norm
 
 from crowdbench.data.companions import groups_of
@@ -19,11 +20,10 @@ from crowdbench.spawn import (
     arrivals_in,
     arrivals_of,
     fit_areas,
+    plaza,
 )
 from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.plans.planned import directions
-from crowdbench.spawn.plaza import plans as plaza_plans
-from crowdbench.spawn.plaza import process as plaza
 
 SCENE = load_scene("plaza-v0")
 TRUTH = plaza.PlazaArrivals(SCENE)
@@ -55,7 +55,7 @@ def neighbours(events: SpawnEvents) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_the_sizes_of_groups_are_those_of_a_branching_process() -> None:
-    probability = plaza.group_sizes(60)
+    probability = group_sizes(60)
     assert probability.sum() == pytest.approx(1.0)
     together = plaza.SIZES @ np.arange(1, 6)
     mean = together / (1 - plaza.LATE * plaza.FOLLOWS)
@@ -69,7 +69,7 @@ def test_the_sizes_of_groups_are_those_of_a_branching_process() -> None:
 
 def test_groups_have_these_sizes(events: SpawnEvents) -> None:
     found = np.bincount(sizes(events.group).clip(max=7), minlength=8)[1:]
-    expected = plaza.group_sizes(6)
+    expected = group_sizes(6)
     expected = np.append(expected, 1 - expected.sum()) * found.sum()
     assert expected.min() > 5
     assert chisquare(found, expected).pvalue > 1e-3
@@ -80,7 +80,7 @@ def test_a_quarter_of_the_companions_are_late(events: SpawnEvents) -> None:
     np.minimum.at(first, events.group[events.group >= 0], events.time_s[events.group >= 0])
     late = events.time_s[events.group >= 0] > first[events.group[events.group >= 0]] + 1e-6
     joined = (sizes(events.group) - 1).sum()
-    size = plaza.group_sizes(60) @ np.arange(1, 61)
+    size = group_sizes(60) @ np.arange(1, 61)
     expected = (size - plaza.SIZES @ np.arange(1, 6)) / (size - 1)
     assert expected == pytest.approx(0.25, abs=0.01)
     assert late.sum() / joined == pytest.approx(expected, abs=0.02)
@@ -98,7 +98,7 @@ def test_a_group_has_one_plan_and_walks_more_slowly(events: SpawnEvents) -> None
     quantiles = TRUTH.areas.speed_quantiles
     alone = events.speed[events.group < 0]
     first = np.unique(events.group[events.group >= 0], return_index=True)[1]
-    groups = events.speed[np.flatnonzero(events.group >= 0)[first]] / plaza_plans.SLOWER
+    groups = events.speed[np.flatnonzero(events.group >= 0)[first]] / plaza.SLOWER
     for speeds in (alone, groups):
         levels = np.interp(speeds, quantiles, np.linspace(0, 1, len(quantiles)))
         assert kstest(levels, "uniform").pvalue > 1e-3
@@ -117,7 +117,7 @@ def test_companions_stand_abreast_at_their_start_stop_and_goal(events: SpawnEven
         assert in_line.mean() > 0.995
         aside.append(across[in_line])
     for across in aside:
-        law = norm(plaza_plans.ABREAST_M, plaza_plans.ABREAST_SD_M)
+        law = norm(plaza.ABREAST_M, plaza.ABREAST_SD_M)
         assert kstest(np.abs(across), law.cdf).pvalue > 1e-3
     assert (aside[0] > 0).mean() == pytest.approx(0.5, abs=0.04)
 
@@ -126,12 +126,12 @@ def test_people_start_stop_and_arrive_around_the_true_places(events: SpawnEvents
     """Of those who are alone: their places are the drawn ones."""
     alone = events.group < 0
     stops = alone & np.isfinite(events.via[:, 0])
-    place = np.linalg.norm(events.via[:, None] - plaza_plans.PLACES_M, axis=2).argmin(axis=1)
-    centres, spread = plaza_plans.CENTRES_M, plaza_plans.SPREAD_M
+    place = np.linalg.norm(events.via[:, None] - plaza.PLACES_M, axis=2).argmin(axis=1)
+    centres, spread = plaza.CENTRES_M, plaza.SPREAD_M
     for points, index, mean, sd, which in (
         (events.start, events.spawn_area, centres, spread, alone),
         (events.goal, events.goal_area, centres, spread, alone),
-        (events.via, place, plaza_plans.PLACES_M, plaza_plans.PLACE_SPREAD_M, stops),
+        (events.via, place, plaza.PLACES_M, plaza.PLACE_SPREAD_M, stops),
     ):
         off = (points[which] - mean[index[which]]) / sd[index[which]]
         assert kstest((off**2).sum(axis=1), chi2(2).cdf).pvalue > 1e-3
@@ -142,8 +142,8 @@ def test_goals_follow_the_flow(events: SpawnEvents) -> None:
     flow = np.zeros((4, 4))
     np.add.at(flow, (events.spawn_area[alone], events.goal_area[alone]), 1)
     n = flow.sum(axis=1, keepdims=True)
-    error = np.sqrt(plaza_plans.FLOW * (1 - plaza_plans.FLOW) / n)
-    assert (np.abs(flow / n - plaza_plans.FLOW) <= 5 * error).all()
+    error = np.sqrt(plaza.FLOW * (1 - plaza.FLOW) / n)
+    assert (np.abs(flow / n - plaza.FLOW) <= 5 * error).all()
 
 
 def test_groups_stop_where_as_often_and_as_long_as_the_truth_says(events: SpawnEvents) -> None:
@@ -152,21 +152,21 @@ def test_groups_stop_where_as_often_and_as_long_as_the_truth_says(events: SpawnE
     )
     via, wait_s = events.via[first], events.wait_s[first]
     stops = np.isfinite(via[:, 0])
-    error = np.sqrt(plaza_plans.STOPPING * (1 - plaza_plans.STOPPING) / len(first))
-    assert abs(stops.mean() - plaza_plans.STOPPING) < 4 * error
+    error = np.sqrt(plaza.STOPPING * (1 - plaza.STOPPING) / len(first))
+    assert abs(stops.mean() - plaza.STOPPING) < 4 * error
     assert ((wait_s > 0) == stops).all()
-    place = np.linalg.norm(via[stops][:, None] - plaza_plans.PLACES_M, axis=2).argmin(axis=1)
-    expected = plaza_plans.PLACE_SHARE * stops.sum()
+    place = np.linalg.norm(via[stops][:, None] - plaza.PLACES_M, axis=2).argmin(axis=1)
+    expected = plaza.PLACE_SHARE * stops.sum()
     assert chisquare(np.bincount(place), expected).pvalue > 1e-3
     for k in range(2):
         log_wait = np.log(wait_s[stops][place == k])
-        law = norm(np.log(plaza_plans.WAIT_S[k]), plaza_plans.WAIT_LOG_SD[k])
+        law = norm(np.log(plaza.WAIT_S[k]), plaza.WAIT_LOG_SD[k])
         assert kstest(log_wait, law.cdf).pvalue > 1e-3
 
 
 def test_everyone_has_a_place_in_the_largest_group_and_the_narrowest_street() -> None:
     group = np.zeros(14, np.int64)
-    events = plaza_plans.draw_plans(
+    events = plaza.draw_plans(
         np.zeros(14), np.array([3]), group, TRUTH.areas, SCENE, np.random.default_rng(0)
     )
     for points in (events.start, events.goal):
@@ -208,7 +208,7 @@ def test_nobody_steps_through_a_wall(crowd: Trajectories) -> None:
 def test_fitted_areas_lie_at_the_true_centres(crowd: Trajectories, side: str) -> None:
     areas, _ = fit_areas(crowd, SCENE, SCENE.clustering["default"])
     fitted = getattr(areas, side).mean
-    gaps = np.linalg.norm(fitted[:, None] - plaza_plans.CENTRES_M, axis=2)
+    gaps = np.linalg.norm(fitted[:, None] - plaza.CENTRES_M, axis=2)
     assert (gaps.min(axis=0) < 0.5).all()
 
 
@@ -241,9 +241,9 @@ def test_companions_stay_together_so_that_they_are_found(walked: Trajectories) -
 
 def test_people_stand_where_they_were_to_stop(walked: Trajectories) -> None:
     stops = stops_of(walked)
-    gap = np.linalg.norm(stops.place[:, None] - plaza_plans.PLACES_M, axis=2).min(axis=1)
+    gap = np.linalg.norm(stops.place[:, None] - plaza.PLACES_M, axis=2).min(axis=1)
     assert (gap < 2.5).mean() > 0.9
     share = len(np.unique(stops.person)) / len(walked)
-    assert share == pytest.approx(plaza_plans.STOPPING, abs=0.04)
-    expected = plaza_plans.PLACE_SHARE @ plaza_plans.WAIT_S
+    assert share == pytest.approx(plaza.STOPPING, abs=0.04)
+    expected = plaza.PLACE_SHARE @ plaza.WAIT_S
     assert np.median(stops.duration_s) == pytest.approx(expected, rel=0.2)

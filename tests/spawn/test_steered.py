@@ -10,12 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from models import AREAS, GRID_S, poisson, random_ntpp, renewal
 
-from crowdbench.errors import SettingError
 from crowdbench.run.episode import arrivals, warm_up_s
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Addition, Arrivals, Change, Scenario, SpawnEvents, SpawnModel, Steered
 from crowdbench.spawn.steering.scenario import Profile
-from crowdbench.spawn.steering.steered import Clock
+from crowdbench.spawn.steering.steered import TimeChange
 from crowdbench.spawn.times.groups import HasHazards
 from crowdbench.spawn.times.rescaling import kolmogorov_smirnov, rescaled
 
@@ -137,7 +136,7 @@ def test_a_clock_reads_what_it_should_when_it_says(
     steps: list[tuple[float, float]], warm_up_s: float, share: list[float]
 ) -> None:
     profile = tuple(sorted(steps))
-    clock = Clock.of(profile, before=1.0, warm_up_s=warm_up_s, horizon_s=HORIZON_S)
+    clock = TimeChange.of(profile, 1.0, HORIZON_S, warm_up_s)
     reading = np.sort(share) * clock.end_s
     if clock.end_s == 0:
         return
@@ -250,13 +249,3 @@ def test_times_count_from_the_episodes_start(factor: Profile, quiet: tuple[float
     if quiet[0] > 0:
         assert times[times < quiet[0]].max() > quiet[0] - 0.5
         assert times.min() < 0.5 - warm_up * ETH.dt_s
-
-
-def test_a_steered_model_has_no_likelihood() -> None:
-    model = steered(MODELS["poisson"]())
-    nobody = Arrivals(
-        tick=np.empty(0, np.int64), area=np.empty(0, np.int64), windows=np.array([[0, 9]]),
-        areas=2, grid_s=GRID_S,
-    )  # fmt: skip
-    with pytest.raises(SettingError, match=r"poisson-gmm\+s: got a request for a likelihood"):
-        model.log_likelihood(nobody)

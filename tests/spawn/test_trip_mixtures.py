@@ -18,9 +18,9 @@ from crowdbench.spawn.plans.mixtures import (
     responsibilities,
     widened,
 )
-from crowdbench.spawn.plans.trip_fitting import fit_trips, log_speeds
 from crowdbench.spawn.plans.trip_mixtures import Places, TripMixtures
-from crowdbench.spawn.plans.ways import Trips
+from crowdbench.spawn.plans.way_fitting import Trips, fit_trips, log_speeds
+from studies.plans import log_trips
 
 PLAZA = load_scene("plaza-v0")
 DOORS = np.array([[-10.0, -4.0], [-10.0, 4.0]])
@@ -41,13 +41,17 @@ def of_two_doors(number: int, straight: float = 0.9) -> np.ndarray:
     return np.column_stack([ends + rng.normal(size=ends.shape), 0.2 * rng.normal(size=number)])
 
 
-def fit(trip: np.ndarray, areas: Areas, **known: np.ndarray) -> TripMixtures:
+def trips_of(trip: np.ndarray, **known: np.ndarray) -> Trips:
     """Trips of people who do not stop, by default from the first area to the first one."""
     number = len(trip)
-    given = {"weight": np.ones(number), "spawn_area": np.zeros(number, np.int64)} | known
-    goal_area = given.pop("goal_area", np.zeros(number, np.int64))
+    nowhere = np.zeros(number, np.int64)
+    given = {"weight": np.ones(number), "spawn_area": nowhere, "goal_area": nowhere} | known
     nothing = {"bend": np.zeros((number, 2)), "stop": np.full((number, 3), np.nan)}
-    return fit_trips(Trips(goal_area=goal_area, trip=trip, **given, **nothing), areas, 0)
+    return Trips(trip=trip, **given, **nothing)
+
+
+def fit(trip: np.ndarray, areas: Areas, **known: np.ndarray) -> TripMixtures:
+    return fit_trips(trips_of(trip, **known), areas)
 
 
 @pytest.fixture(scope="module")
@@ -83,8 +87,7 @@ def test_a_density_is_that_of_the_mixture() -> None:
                 goal = multivariate_normal(trips.goals.mean[j], np.eye(2)).pdf(x[:, 2:4])
                 each = start * goal * multivariate_normal(0.1, 0.3).pdf(x[:, 4])
             expected += trips.weight[i, j] * each
-    zeros = np.zeros(50, np.int64)
-    np.testing.assert_allclose(np.exp(trips.log_density(zeros, zeros, x)), expected)
+    np.testing.assert_allclose(np.exp(log_trips(trips, trips_of(x))), expected)
 
 
 def test_a_density_integrates_to_one() -> None:
@@ -93,8 +96,7 @@ def test_a_density_integrates_to_one() -> None:
     mean, covariance = trips.gaussians
     wide = multivariate_normal(mean.mean(axis=(0, 1)), 3 * covariance.max(axis=(0, 1)) * np.eye(5))
     x = wide.rvs(number, random_state=0)
-    zeros = np.zeros(number, np.int64)
-    ratio = np.exp(trips.log_density(zeros, zeros, x) - wide.logpdf(x))
+    ratio = np.exp(log_trips(trips, trips_of(x)) - wide.logpdf(x))
     assert ratio.mean() == pytest.approx(1, abs=4 * ratio.std() / np.sqrt(number))
     assert ratio.std() / np.sqrt(number) < 0.02
 
@@ -113,7 +115,7 @@ def test_draws_have_the_moments_and_the_density_of_the_mixture() -> None:
     # The mean of 1 / density over draws in a box is the volume of the box.
     low, high = centre - 0.5, centre + 0.5
     inside = ((x > low) & (x < high)).all(axis=1)
-    density = np.exp(trips.log_density(zeros[inside], zeros[inside], x[inside]))
+    density = np.exp(log_trips(trips, trips_of(x[inside])))
     assert (1 / density).sum() / number == pytest.approx(1, abs=4 / np.sqrt(inside.sum()))
 
 
@@ -155,10 +157,10 @@ def test_two_doors_are_two_places_and_the_nearer_counter_is_the_usual_one(
 
 
 def test_who_is_held_out_is_likelier_than_with_places_apart(fitted: TripMixtures) -> None:
-    trip, zeros = of_two_doors(1200)[600:], np.zeros(600, np.int64)
+    trip = of_two_doors(1200)[600:]
     speed = fitted.log_speed
     apart = TripMixtures.apart(fitted.starts, fitted.goals, speed)
-    gain = fitted.log_density(zeros, zeros, trip) - apart.log_density(zeros, zeros, trip)
+    gain = log_trips(fitted, trips_of(trip)) - log_trips(apart, trips_of(trip))
     assert gain.mean() > 0.2  # 0.37 nats are known from the door
 
 
@@ -179,7 +181,7 @@ def test_one_place_has_the_moments_of_the_people_and_of_as_many_usual_ones(areas
     trip, weight = rng.normal(size=(30, 5)), rng.uniform(1, 2, 30)
     trips = fit(trip, areas, weight=weight)
     usual = TripMixtures.apart(
-        Places.of(areas.spawn), Places.of(areas.goal), log_speeds(trip[:, 4], weight)
+        Places.of(areas.spawn), Places.of(areas.goal), log_speeds(trips_of(trip, weight=weight))
     )
     mean, covariance = (x[0, 0] for x in usual.gaussians)
     expected = mixed(moments(trip, weight), weight.sum(), (mean, covariance))
@@ -202,10 +204,10 @@ def test_components_stand_for_ten_people_or_more() -> None:
     rng = np.random.default_rng(0)
     x = np.concatenate([rng.normal(size=(200, 2)), rng.normal(size=(6, 2)) + 50])
     for few in (x[:30], x):
-        shares = responsibilities(few, 0, 0.05)
+        shares = responsibilities(few, 0.05)
         np.testing.assert_allclose(shares.sum(axis=1), 1)
         assert shares.sum(axis=0).min() >= FEWEST
-    assert responsibilities(x[:30], 0, 0.05).shape == (30, 1)
+    assert responsibilities(x[:30], 0.05).shape == (30, 1)
 
 
 def test_rounding_leaves_places_wide_and_covariances_definite() -> None:

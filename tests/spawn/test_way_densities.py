@@ -12,8 +12,9 @@ from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.plans.fitting import fit_plans, marks_of, trips_alone
 from crowdbench.spawn.plans.mixtures import log_gaussians
-from crowdbench.spawn.plans.way_fitting import fit_ways
-from crowdbench.spawn.plans.ways import Trips, Ways
+from crowdbench.spawn.plans.way_fitting import Trips, fit_ways
+from crowdbench.spawn.plans.ways import Ways
+from studies.plans import log_stopping, log_stops, log_trips
 
 PLAZA = load_scene("plaza-v0")
 NUMBER = 4_000
@@ -61,15 +62,15 @@ def test_trips_have_the_density_of_the_model(ways: Ways, drawn: Trips) -> None:
     rng = np.random.default_rng(1)
     number = rng.choice(len(weight), NUMBER, p=weight / weight.sum())
     trip = np.stack([rng.multivariate_normal(mean[k], covariance[k]) for k in number])
-    expected = ways.log_trips(replace(drawn, trip=trip))
-    assert ks_2samp(ways.log_trips(drawn), expected).statistic < 0.04
+    expected = log_trips(ways.trips, replace(drawn, trip=trip))
+    assert ks_2samp(log_trips(ways.trips, drawn), expected).statistic < 0.04
 
 
 def test_people_stop_with_the_probability_of_the_model(ways: Ways, drawn: Trips) -> None:
     p = float(ways.stopping[widest(ways)])
     assert 0.02 < p < 0.5
     assert binomtest(int(drawn.stops.sum()), NUMBER, p).pvalue > 1e-3
-    told = ways.log_stopping(drawn)
+    told = log_stopping(ways, drawn)
     np.testing.assert_allclose(np.exp(told[drawn.stops]), p)
     np.testing.assert_allclose(np.exp(told[~drawn.stops]), 1 - p)
 
@@ -89,7 +90,7 @@ def test_the_density_of_stops_is_that_of_the_mixture(ways: Ways, drawn: Trips) -
     x = drawn.stop[drawn.stops]
     parts = zip(share / share.sum(), ways.stop_mean, ways.stop_covariance, strict=True)
     expected = sum(w * multivariate_normal(m, c).pdf(x) for w, m, c in parts)
-    np.testing.assert_allclose(np.exp(ways.log_stops(drawn)), expected)
+    np.testing.assert_allclose(np.exp(log_stops(ways, drawn)), expected)
 
 
 def test_those_who_join_somebody_have_no_trip_of_their_own() -> None:
@@ -98,7 +99,7 @@ def test_those_who_join_somebody_have_no_trip_of_their_own() -> None:
     joined = marks.earlier >= 0
     assert (marks.group[joined] == marks.group[marks.earlier[joined]]).all()
     assert (marks.time_s[joined] >= marks.time_s[marks.earlier[joined]]).all()
-    assert marks.first(crowd).sum() == (~joined).sum()
+    assert marks.first.sum() == (~joined).sum()
     alone = trips_alone(crowd, marks, np.log(0.9))
     as_seen = trips_alone(crowd, marks, 0.0)
     assert len(alone.weight) <= (~joined).sum()

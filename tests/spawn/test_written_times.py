@@ -11,8 +11,7 @@ from worlds import Person, events
 from crowdbench.data.recordings.own import WRITERS
 from crowdbench.data.storage import rounded_s
 from crowdbench.registry import recording
-from crowdbench.spawn.events import SpawnEvents
-from crowdbench.spawn.table import write_events
+from crowdbench.spawn.events import SpawnEvents, write_events
 
 DIRTY = [0.1 + 0.2, 4.800000000000001, 12 * 0.4, 4 / 9]
 CLEAN = [0.3, 4.8, 4.8, 0.444444444]

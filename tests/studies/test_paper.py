@@ -23,7 +23,6 @@ from crowdbench.run.judge import draws_of
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn import (
-    Arrivals,
     SpawnEvents,
     arrivals_of,
 )
@@ -333,9 +332,6 @@ def test_people_of_a_model_enter_at_annotated_times() -> None:
         def sample(self, horizon_s: float, scene: Scene, rng: np.random.Generator) -> SpawnEvents:
             times = np.arange(0.1, horizon_s, 4.0)
             return read_areas(scene).draw(times, np.zeros(len(times), np.int64), scene, rng)
-
-        def log_likelihood(self, arrivals: Arrivals) -> float:
-            return 0.0
 
     assert PLAZA.horizon_s == 1800.0
     for grid_s, persons in ((2.0, 450), (4.0, 449)):  # at 2, 6, 10 … s, and at 4, 8, … 1796 s

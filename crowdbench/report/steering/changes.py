@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from crowdbench.errors import SettingError
 from crowdbench.registry import spawn_model
@@ -12,7 +12,7 @@ from crowdbench.run.episode import arrivals, warm_up_s
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import Areas, Scenario, SpawnEvents, SpawnModel, Steered
 from crowdbench.spawn.steering.scenario import Profile, row
-from crowdbench.spawn.steering.steered import Clock
+from crowdbench.spawn.steering.steered import TimeChange
 
 _ENTRY = ("time_s", "start", "spawn_area", "speed")
 _ALL = (*_ENTRY, "goal", "goal_area", "velocity")
@@ -23,29 +23,27 @@ class Steering:
     """Events of a spawn model with and without a scenario, in episodes as long as the recording."""
 
     scene: Scene
-    usual: list[SpawnModel]
-    """The model as fitted, by seed."""
-    steered: list[Steered]
+    models: list[Steered]
     """The model under the scenario, by seed."""
     usual_events: list[SpawnEvents]
-    """Events of `usual` by seed, without those of the warm-up."""
+    """Events of the model as fitted by seed, without those of the warm-up."""
     steered_events: list[SpawnEvents]
-    """Events of `steered` by seed, without those of the warm-up."""
+    """Events of `models` by seed, without those of the warm-up."""
 
     @property
     def scenario(self) -> Scenario:
         """The scenario."""
-        return self.steered[0].scenario
+        return self.models[0].scenario
 
     @property
     def areas(self) -> Areas:
         """Spawn and goal areas of the scene, without added ones."""
-        return self.steered[0].areas
+        return self.models[0].areas
 
     @property
     def touched(self) -> list[int]:
         """Spawn areas with a changed rate, and added spawn areas."""
-        changed = sorted(c.area for c in self.scenario.change if c.factor != 1 or c.shift_s != 0)
+        changed = sorted(c.area for c in self.scenario.change if c.retimes)
         return [*changed, *range(len(self.areas.spawn), self.spawn_areas)]
 
     @property
@@ -56,7 +54,7 @@ class Steering:
 
 @dataclass(frozen=True)
 class AreaChange:
-    """Numbers of people from one spawn area, means per episode."""
+    """Numbers of people from one spawn area, or to one goal area, means per episode."""
 
     area: int
     centre_m: tuple[float, float]
@@ -64,22 +62,11 @@ class AreaChange:
     asked: float
     """Number that the scenario asks for: a multiple of `usual`, or the rate of an added area."""
     steered: float
-    same_entry: float | None
-    """Share of the usual people who also enter under the scenario, at exactly the same time and
-    place and with the same preferred speed; None if there are no usual people."""
-    same_goal: float | None
+    same_entry: float | None = None
+    """Share of the usual people of a spawn area who also enter under the scenario, at exactly the
+    same time and place and with the same preferred speed; None if there are no usual people."""
+    same_goal: float | None = None
     """Share of the usual people who also have the same goal; None as for `same_entry`."""
-
-
-@dataclass(frozen=True)
-class GoalChange:
-    """Numbers of people who walk to one goal area, means per episode."""
-
-    area: int
-    centre_m: tuple[float, float]
-    usual: float
-    asked: float
-    steered: float
 
 
 def steering(
@@ -99,16 +86,14 @@ def steering(
     seeds = fits * place.protocol.rollouts_per_fit if seeds is None else seeds
     if seeds < 1:
         raise SettingError("seeds", got=str(seeds), expected="1 or more")
-    of_fit = [spawn_model(f"{spawn}+{scenario}", place, fit=k) for k in range(min(fits, seeds))]
-    steered = [m for m in of_fit if isinstance(m, Steered)]
-    by_seed = [steered[seed % fits] for seed in range(seeds)]
-    usual = [model.model for model in by_seed]
+    fitted = [spawn_model(f"{spawn}+{scenario}", place, fit=k) for k in range(min(fits, seeds))]
+    steered = [model for model in fitted if isinstance(model, Steered)]
+    models = [steered[seed % fits] for seed in range(seeds)]
     return Steering(
         place,
-        usual,
-        by_seed,
-        [_episode(model, place, seed) for seed, model in enumerate(usual)],
-        [_episode(model, place, seed) for seed, model in enumerate(by_seed)],
+        models,
+        [_episode(model.model, place, seed) for seed, model in enumerate(models)],
+        [_episode(model, place, seed) for seed, model in enumerate(models)],
     )
 
 
@@ -120,33 +105,37 @@ def _episode(model: SpawnModel, scene: Scene, seed: int) -> SpawnEvents:
 
 def area_changes(found: Steering) -> list[AreaChange]:
     """For each spawn area, the numbers of people, and the shares of usual people who remain."""
-    number = len(found.areas.spawn)
     usual = _means([e.spawn_area for e in found.usual_events], found.spawn_areas)
     steered = _means([e.spawn_area for e in found.steered_events], found.spawn_areas)
-    asked = _asked(found, usual)
-    entries, goals = np.zeros(number), np.zeros(number)
-    for before, after in zip(found.usual_events, found.steered_events, strict=True):
-        entries += np.bincount(before.spawn_area[_also_in(before, after, _ENTRY)], minlength=number)
-        goals += np.bincount(before.spawn_area[_also_in(before, after, _ALL)], minlength=number)
-    people = np.bincount(
-        np.concatenate([e.spawn_area for e in found.usual_events]), minlength=number
-    )
     centres = [*found.areas.spawn.mean.tolist(), *(a.mean_m for a in found.scenario.add)]
+    asked, entries, goals = _asked(found, usual), _remaining(found, _ENTRY), _remaining(found, _ALL)
     return [
         AreaChange(
-            k,
-            (float(centres[k][0]), float(centres[k][1])),
-            float(usual[k]),
-            float(asked[k]),
-            float(steered[k]),
-            float(entries[k] / people[k]) if k < number and people[k] else None,
-            float(goals[k] / people[k]) if k < number and people[k] else None,
+            k, (float(x), float(y)), float(usual[k]), float(asked[k]), float(steered[k]),
+            entries[k], goals[k],
         )
-        for k in range(found.spawn_areas)
+        for k, (x, y) in enumerate(centres)
+    ]  # fmt: skip
+
+
+def _remaining(found: Steering, columns: tuple[str, ...]) -> list[float | None]:
+    """Share of each spawn area's people who are also among the steered, to the last bit."""
+    kept = [
+        before.spawn_area[np.isin(_bytes_of(before, columns), _bytes_of(after, columns))]
+        for before, after in zip(found.usual_events, found.steered_events, strict=True)
     ]
+    number = found.spawn_areas
+    people = _means([e.spawn_area for e in found.usual_events], number)
+    share = np.divide(_means(kept, number), people, out=np.zeros(number), where=people > 0)
+    return [float(share[k]) if people[k] else None for k in range(number)]
 
 
-def goal_changes(found: Steering) -> list[GoalChange]:
+def _bytes_of(events: SpawnEvents, columns: tuple[str, ...]) -> np.ndarray:
+    table = np.column_stack([getattr(events, name) for name in columns]).astype(np.float64)
+    return np.ascontiguousarray(table).view(f"V{8 * table.shape[1]}").ravel()
+
+
+def goal_changes(found: Steering) -> list[AreaChange]:
     """For each goal area, the numbers of people who walk to it."""
     areas, number = found.areas, len(found.areas.goal)
     usual = _means([e.goal_area for e in found.usual_events], number)
@@ -161,7 +150,7 @@ def goal_changes(found: Steering) -> list[GoalChange]:
     others = [e[~np.isin(e.spawn_area, changed)].goal_area for e in found.usual_events]
     asked = _means(others, number) + _asked(found, entered)[changed] @ flow[changed]
     return [
-        GoalChange(g, (x, y), float(usual[g]), float(asked[g]), float(steered[g]))
+        AreaChange(g, (x, y), float(usual[g]), float(asked[g]), float(steered[g]))
         for g, (x, y) in enumerate(areas.goal.mean.tolist())
     ]
 
@@ -185,16 +174,4 @@ def _asked(found: Steering, usual: Float[np.ndarray, " n"]) -> Float[np.ndarray,
 
 def total(profile: Profile, before: float, horizon_s: float) -> float:
     """The integral of a profile over an episode; its value is `before` until its first step."""
-    return Clock.of(profile, before=before, warm_up_s=0.0, horizon_s=horizon_s).end_s
-
-
-def _also_in(
-    events: SpawnEvents, others: SpawnEvents, columns: tuple[str, ...]
-) -> Bool[np.ndarray, " E"]:
-    """Whether each event is also among the others, with exactly the same values."""
-    return np.isin(_bytes_of(events, columns), _bytes_of(others, columns))
-
-
-def _bytes_of(events: SpawnEvents, columns: tuple[str, ...]) -> np.ndarray:
-    table = np.column_stack([getattr(events, name) for name in columns]).astype(np.float64)
-    return np.ascontiguousarray(table).view(f"V{8 * table.shape[1]}").ravel()
+    return TimeChange.of(profile, before, horizon_s).end_s

@@ -10,10 +10,10 @@ from crowdbench.data.companions import groups_of
 from crowdbench.data.stops import HALF_S
 from crowdbench.data.table import Trajectories
 from crowdbench.spawn.areas import Areas
-from crowdbench.spawn.plans.links import FEWEST, candidates, fit_links
+from crowdbench.spawn.drawing import Indices
+from crowdbench.spawn.plans.links import FEWEST, Links, candidates, fit_links
 from crowdbench.spawn.plans.planned import PlannedAreas, directions, turned
-from crowdbench.spawn.plans.way_fitting import fit_ways, trips_of
-from crowdbench.spawn.plans.ways import Trips
+from crowdbench.spawn.plans.way_fitting import Trips, fit_ways, trips_of
 from crowdbench.spawn.recorded_plans import SLOWEST_MPS, plans_of
 
 _FEWEST_ROWS = 4
@@ -28,25 +28,21 @@ def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedA
     Raises:
         SceneError: no trip is complete.
     """
-    marks, plans = marks_of(crowd, blocks), plans_of(crowd)
-    pairs = pairs_of(crowd, marks)
-    first, in_group = marks.first(crowd), marks.in_group(crowd)
-    log_speed = np.log(plans.speed)
-    walks = first & np.isfinite(log_speed)
+    marks = marks_of(crowd, blocks)
+    log_speed = np.log(plans_of(crowd).speed)
+    walks = marks.first & np.isfinite(log_speed)
+    together, alone = walks & marks.in_group, walks & ~marks.in_group
     slower = 0.0
-    if min((walks & in_group).sum(), (walks & ~in_group).sum()) >= FEWEST:
-        slower = float(log_speed[walks & in_group].mean() - log_speed[walks & ~in_group].mean())
-    links = replace(
-        fit_links(marks.time_s, marks.area, marks.group, len(areas.spawn)),
-        same_side=pairs.same_side(),
-        group_log_speed=slower,
-    ).with_offsets(pairs.offsets, pairs.walked_m)
+    if min(together.sum(), alone.sum()) >= FEWEST:
+        slower = float(log_speed[together].mean() - log_speed[alone].mean())
+    links = fit_links(marks.time_s, marks.area, marks.group, len(areas.spawn))
+    links = replace(_with_companions(links, crowd, marks), group_log_speed=slower)
     return PlannedAreas.of(areas, links, fit_ways(trips_alone(crowd, marks, slower), areas))
 
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """Who enters when, where, and with whom, in order of time."""
+    """Who of `P` people enters when, where, and with whom, in order of time."""
 
     persons: Int[np.ndarray, " E"]
     time_s: Float[np.ndarray, " E"]
@@ -55,48 +51,10 @@ class Marks:
     """−1 for people who are alone."""
     earlier: Int[np.ndarray, " E"]
     """Index of the last one of the same group who entered the same area before, or −1."""
-
-    def first(self, crowd: Trajectories) -> Bool[np.ndarray, " P"]:
-        """Which of the crowd's people join nobody."""
-        found = np.zeros(len(crowd), dtype=bool)
-        found[self.persons[self.earlier < 0]] = True
-        return found
-
-    def in_group(self, crowd: Trajectories) -> Bool[np.ndarray, " P"]:
-        """Which of the crowd's people have companions."""
-        found = np.zeros(len(crowd), dtype=bool)
-        found[self.persons[self.group >= 0]] = True
-        return found
-
-
-@dataclass(frozen=True, eq=False)
-class Pairs:
-    """Companions, and those who came before them in their groups."""
-
-    later: Int[np.ndarray, " n"]
-    earlier: Int[np.ndarray, " n"]
-    offsets: Float[np.ndarray, "n 5"]
-    """See `links.OFFSETS`."""
-    walked_m: Float[np.ndarray, " n"]
-    """How far the earlier one had walked when the later one entered, metres."""
-
-    def same_side(self) -> float:
-        """Share of those who are on the same side as the one before; half without anybody."""
-        side = dict(zip(self.later.tolist(), self.offsets[:, 1].tolist(), strict=True))
-        known = [k for k, j in enumerate(self.earlier.tolist()) if j in side]
-        same = [self.offsets[k, 1] * side[int(self.earlier[k])] > 0 for k in known]
-        return float((sum(same) + 1) / (len(same) + 2))
-
-
-def pairs_of(crowd: Trajectories, marks: Marks) -> Pairs:
-    """The companions among these people who were seen to walk and to leave."""
-    speed, persons = plans_of(crowd).speed, marks.persons
-    later = np.flatnonzero(marks.earlier >= 0)
-    known = np.isfinite(speed[persons]) & crowd.left[persons]
-    later = later[known[later] & known[marks.earlier[later]]]
-    i, j = persons[later], persons[marks.earlier[later]]
-    walked_m = speed[j] * (crowd.spawn_s[i] - crowd.spawn_s[j])
-    return Pairs(i, j, offsets_of(crowd, i, j), walked_m)
+    first: Bool[np.ndarray, " P"]
+    """Which of all people join nobody."""
+    in_group: Bool[np.ndarray, " P"]
+    """Which of all people have companions."""
 
 
 def marks_of(crowd: Trajectories, blocks: TimeBlocks) -> Marks:
@@ -107,7 +65,12 @@ def marks_of(crowd: Trajectories, blocks: TimeBlocks) -> Marks:
     time_s = crowd.spawn_s[persons]
     area = crowd.spawn_area[persons].astype(np.int64)
     group = groups_of(crowd)[persons].astype(np.int64)
-    return Marks(persons, time_s, area, group, companion_before(time_s, area, group))
+    pairs = candidates(time_s, area)
+    same, earlier = pairs.same(group), np.full(len(persons), -1)
+    earlier[pairs.later[same]] = pairs.earlier[same]  # sorted: the last one stays
+    first, in_group = np.zeros(len(crowd), dtype=bool), np.zeros(len(crowd), dtype=bool)
+    first[persons], in_group[persons] = earlier < 0, group >= 0
+    return Marks(persons, time_s, area, group, earlier, first, in_group)
 
 
 def trips_alone(crowd: Trajectories, marks: Marks, group_log_speed: float) -> Trips:
@@ -115,27 +78,29 @@ def trips_alone(crowd: Trajectories, marks: Marks, group_log_speed: float) -> Tr
 
     Ways are those of people who are alone; companions get them from the first of their group.
     """
-    plans, in_group = plans_of(crowd), marks.in_group(crowd)
-    alone = np.where(in_group, plans.speed * np.exp(-group_log_speed), plans.speed)
-    return trips_of(crowd, replace(plans, speed=alone), marks.first(crowd))
+    plans = plans_of(crowd)
+    alone = np.where(marks.in_group, plans.speed * np.exp(-group_log_speed), plans.speed)
+    return trips_of(crowd, replace(plans, speed=alone), marks.first)
 
 
-def companion_before(
-    time_s: Float[np.ndarray, " E"], area: Int[np.ndarray, " E"], group: Int[np.ndarray, " E"]
-) -> Int[np.ndarray, " E"]:
-    """The last person of the same group who entered the same area before each person; else −1."""
-    pairs = candidates(time_s, area)
-    same = (group[pairs.later] >= 0) & (group[pairs.later] == group[pairs.earlier])
-    found = np.full(len(time_s), -1)
-    found[pairs.later[same]] = pairs.earlier[same]  # sorted: the last one stays
-    return found
+def _with_companions(links: Links, crowd: Trajectories, marks: Marks) -> Links:
+    """Links with the offsets and sides of the companions who were seen to walk and to leave."""
+    speed, persons = plans_of(crowd).speed, marks.persons
+    later = np.flatnonzero(marks.earlier >= 0)
+    known = np.isfinite(speed[persons]) & crowd.left[persons]
+    later = later[known[later] & known[marks.earlier[later]]]
+    i, j = persons[later], persons[marks.earlier[later]]
+    offsets = offsets_of(crowd, i, j)
+    side = np.full(len(crowd), np.nan)
+    side[i] = offsets[:, 1]
+    before = side[j]  # NaN for the first of a group
+    same = (offsets[:, 1] * before > 0).sum()
+    share = float((same + 1) / (np.isfinite(before).sum() + 2))  # half without anybody
+    walked_m = speed[j] * (crowd.spawn_s[i] - crowd.spawn_s[j])
+    return replace(links.with_offsets(offsets, walked_m), same_side=share)
 
 
-def offsets_of(
-    crowd: Trajectories,
-    later: Int[np.ndarray, " n"],
-    earlier: Int[np.ndarray, " n"],
-) -> Float[np.ndarray, "n 5"]:
+def offsets_of(crowd: Trajectories, later: Indices, earlier: Indices) -> Float[np.ndarray, "n 5"]:
     """Offsets of people to those whom they join; see `links.OFFSETS`."""
     start, goal = crowd.start.astype(np.float64), crowd.goal.astype(np.float64)
     ahead = directions(goal[earlier] - start[earlier])

@@ -15,7 +15,7 @@ STEP_S = 0.5
 
 
 @compiled(error_model="python")
-def joined(
+def draw_joins(
     earlier: Int[np.ndarray, " n"],
     begin: Int[np.ndarray, " B"],
     weight: Float[np.ndarray, " n"],

@@ -10,14 +10,15 @@ many enter. The likelihood of the marks does not change that of the arrivals. A 
 takes the plan of the other one, moved by an offset in the direction of the other's way.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy.random import Generator
 
 from crowdbench.data.companions import ENTRY_S
+from crowdbench.spawn.drawing import Flags, Indices, Numbers, draw_normal
 from crowdbench.spawn.plans.mixtures import moments, responsibilities
 
 EDGES_S = (0.0, 1e-6, 1.0, 2.0, 3.0, 4.5, ENTRY_S + 1e-6)
@@ -41,22 +42,27 @@ OFFSETS = 5
 """Along and across at the start, along and across at the end, and the gain: by how many metres
 more the one who joins walks while both are there."""
 COMMON_MEAN = np.array([0.0, 0.7, 0.0, 0.7, 0.0])
-COMMON_SD = np.array([0.4, 0.3, 0.6, 0.3, 0.5])
-"""Rounded means and standard deviations of the offsets over the scenes with most companions."""
+COMMON_COVARIANCE = np.diag(np.array([0.4, 0.3, 0.6, 0.3, 0.5]) ** 2)
+"""Rounded moments of the offsets over the scenes with most companions."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """Pairs (i, j) of arrivals of one area of which i may join j, sorted by i."""
 
-    later: Int[np.ndarray, " n"]
-    earlier: Int[np.ndarray, " n"]
-    bin: Int[np.ndarray, " n"]
+    later: Indices
+    earlier: Indices
+    bin: Indices
     """Bin of the delay."""
 
-    def log_number(self) -> Float[np.ndarray, " n"]:
+    def log_number(self) -> Numbers:
         """Log of the number of people whom i may join."""
         return np.log(np.bincount(self.later, minlength=1)[self.later])
+
+    def same(self, group: Int[np.ndarray, " E"]) -> Flags:
+        """Whether both persons of each pair belong to the same group."""
+        mine = group[self.later]
+        return np.asarray((mine >= 0) & (mine == group[self.earlier]))
 
 
 @dataclass(frozen=True)
@@ -83,13 +89,13 @@ class Links:
     """u_a for each area."""
     larger: Float[np.ndarray, " 3"]
     """v for groups of two, of three, and of four and more."""
-    share: Float[np.ndarray, " C"]
+    share: Float[np.ndarray, " C"] = field(default_factory=lambda: np.ones(1))
     """Shares of the components of the mixture of offsets."""
-    mean: Float[np.ndarray, "C 5"]
+    mean: Float[np.ndarray, "C 5"] = field(default_factory=lambda: COMMON_MEAN[None])
     """Mean offsets to a person who enters at the same time. The sign across is drawn, the same at
     start and end."""
-    covariance: Float[np.ndarray, "C 5 5"]
-    slope: Float[np.ndarray, " 5"]
+    covariance: Float[np.ndarray, "C 5 5"] = field(default_factory=lambda: COMMON_COVARIANCE[None])
+    slope: Float[np.ndarray, " 5"] = field(default_factory=lambda: np.zeros(OFFSETS))
     """Change of the mean offsets for each metre that the other one has walked meanwhile."""
     same_side: float = 0.5
     """P(the third and later people of a group are on the same side of the one before them as that
@@ -103,20 +109,18 @@ class Links:
     def _roots(self) -> Float[np.ndarray, "C 5 5"]:
         return np.linalg.cholesky(self.covariance)
 
-    def draw(
-        self, time_s: Float[np.ndarray, " E"], area: Int[np.ndarray, " E"], rng: Generator
-    ) -> Int[np.ndarray, " E"]:
+    def draw(self, time_s: Numbers, area: Indices, rng: Generator) -> Indices:
         """The person whom each of these arrivals (in order of time) joins; −1 for nobody."""
-        from crowdbench.spawn.plans.link_kernels import joined
+        from crowdbench.spawn.plans.link_kernels import draw_joins
 
         pairs = candidates(time_s, area)
         log_weight = self.log_weight[pairs.bin] + self.tendency[area[pairs.later]]
         weight = np.exp(log_weight - self.crowded * pairs.log_number())
         begin = np.searchsorted(pairs.later, np.arange(len(time_s) + 1))
         factor = np.exp([0.0, *self.larger])
-        return joined(pairs.earlier, begin, weight, factor, rng.random(len(time_s)))
+        return draw_joins(pairs.earlier, begin, weight, factor, rng.random(len(time_s)))
 
-    def with_group_size(self, area: int, time_s: Float[np.ndarray, " E"], size: float) -> "Links":
+    def with_group_size(self, area: int, time_s: Numbers, size: float) -> "Links":
         """Another tendency of an area, for which groups have this mean size, counting one.
 
         It depends on the times (ascending, seconds) at which people enter the area: those who
@@ -138,18 +142,13 @@ class Links:
             # The same random numbers each time: the mean size grows with the tendency.
             rng = np.random.default_rng(0)
             joins = [steered(middle).draw(time_s, of_area, rng) >= 0 for _ in range(draws)]
-            if 1 / (1 - np.mean(joins)) < size:
-                low = middle
-            else:
-                high = middle
+            larger = 1 / (1 - np.mean(joins)) < size
+            low, high = (middle, high) if larger else (low, middle)
         return steered((low + high) / 2)
 
     def offsets(
-        self,
-        walked_m: Float[np.ndarray, " n"],
-        side_before: Float[np.ndarray, " n"],
-        rng: Generator,
-    ) -> tuple[Float[np.ndarray, "n 5"], Float[np.ndarray, " n"]]:
+        self, walked_m: Numbers, side_before: Numbers, rng: Generator
+    ) -> tuple[Float[np.ndarray, "n 5"], Numbers]:
         """Offsets of persons who join somebody who has walked this far, and their sides, ±1.
 
         `side_before` is the side of the one whom they join, 0 for the first of a group. See
@@ -158,9 +157,7 @@ class Links:
         size = len(walked_m)
         component = np.searchsorted(self.share.cumsum(), rng.random(size) * self.share.sum())
         component = component.clip(0, len(self.share) - 1)
-        root = self._roots[component]
-        noise = rng.standard_normal((size, OFFSETS))
-        drawn = self.mean[component] + np.einsum("nij,nj->ni", root, noise)
+        drawn = draw_normal(self.mean[component], self._roots[component], rng)
         drawn += walked_m[:, None] * self.slope
         usual = np.where(side_before == 0, 0.5, self.same_side)
         side = np.where(rng.random(size) < usual, 1.0, -1.0)
@@ -180,31 +177,39 @@ class Links:
             covariance=self.covariance * np.outer(factor, factor),
         )
 
-    def with_offsets(
-        self,
-        offsets: Float[np.ndarray, "n 5"],
-        walked_m: Float[np.ndarray, " n"],
-    ) -> "Links":
+    def with_offsets(self, offsets: Float[np.ndarray, "n 5"], walked_m: Numbers) -> "Links":
         """The same links with offsets fitted to these, those of recorded companions.
 
-        They are offsets to persons who have walked `walked_m` before.
+        They are offsets to persons who have walked `walked_m` before. Too few change nothing.
         """
-        share, mean, covariance, slope = _offsets(offsets, walked_m)
-        return replace(self, share=share, mean=mean, covariance=covariance, slope=slope)
+        if len(offsets) < FEWEST:
+            return self
+        mirrored = np.where(offsets[:, 1:2] < 0, [1, -1, 1, -1, 1], 1)
+        folded = offsets * mirrored  # all are to the left at the start
+        middle, walked = np.median(folded, axis=0), walked_m - walked_m.mean()
+        low, high = np.percentile(folded, [16, 84], axis=0)
+        reach = 3 * np.maximum(high - low, 0.1)
+        folded = middle + (folded - middle).clip(-reach, reach)  # against single wild values
+        slope = np.zeros(OFFSETS)
+        if walked.var() > 1e-6:
+            slope = walked @ (folded - folded.mean(axis=0)) / (walked @ walked)
+        folded = folded - walked_m[:, None] * slope
+        shares = responsibilities(folded, 1e-2, _MOST)
+        people = shares.sum(axis=0)
+        enough = people >= FEWEST
+        shares = shares[:, enough] if enough.any() else np.ones((len(folded), 1))
+        means, covariances = zip(*(moments(folded, each) for each in shares.T), strict=True)
+        people = shares.sum(axis=0)
+        return replace(
+            self,
+            share=people / people.sum(),
+            mean=np.stack(means),
+            covariance=np.stack(covariances) + 1e-4 * np.eye(OFFSETS),
+            slope=slope,
+        )
 
-    def log_likelihood(
-        self,
-        time_s: Float[np.ndarray, " E"],
-        area: Int[np.ndarray, " E"],
-        group: Int[np.ndarray, " E"],
-    ) -> float:
-        """Log-probability of who joins which group, in total, nats."""
-        pairs = candidates(time_s, area)
-        x = np.concatenate([self.log_weight, self.larger, [self.crowded], self.tendency])
-        return _likelihood(x, pairs, area, _same(pairs, group), _stages(pairs, area, group))[0]
 
-
-def candidates(time_s: Float[np.ndarray, " E"], area: Int[np.ndarray, " E"]) -> Candidates:
+def candidates(time_s: Numbers, area: Indices) -> Candidates:
     """Whom each of these arrivals, in order of time, may join."""
     later, earlier = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
     for k in np.unique(area).tolist():
@@ -221,25 +226,19 @@ def candidates(time_s: Float[np.ndarray, " E"], area: Int[np.ndarray, " E"]) -> 
     return Candidates(i, j, np.searchsorted(EDGES_S, delay, side="right").clip(1, 6) - 1)
 
 
-def fit_links(
-    time_s: Float[np.ndarray, " E"],
-    area: Int[np.ndarray, " E"],
-    group: Int[np.ndarray, " E"],
-    areas: int,
-) -> Links:
+def fit_links(time_s: Numbers, area: Indices, group: Indices, areas: int) -> Links:
     """The most likely weights, with a normal prior of the tendencies.
 
-    `group` is −1 for people who are alone. Offsets are those of all scenes together.
+    `time_s` are ascending, `group` is −1 for people who are alone. Offsets are those of all scenes
+    together.
     """
     from scipy.optimize import minimize
 
-    order = np.argsort(time_s, kind="stable")
-    time_s, area, group = time_s[order], area[order], group[order]
     pairs = candidates(time_s, area)
-    same, stage = _same(pairs, group), _stages(pairs, area, group)
+    same, stage = pairs.same(group), stages(pairs, area, group)
 
     def loss(x: Float[np.ndarray, " n"]) -> tuple[float, Float[np.ndarray, " n"]]:
-        value, slope = _likelihood(x, pairs, area, same, stage)
+        value, slope = log_likelihood(x, pairs, area, same, stage)
         # A weak prior keeps weights of bins without pairs finite.
         spread = np.concatenate([np.full(6, 5.0), np.ones(STAGES), np.full(areas, SPREAD)])
         off = (x - centre) / spread
@@ -248,51 +247,10 @@ def fit_links(
     centre = np.concatenate([np.full(6, -3.0), np.zeros(STAGES + areas)])
     found = minimize(loss, centre, jac=True, method="L-BFGS-B").x
     log_weight, larger, crowded, tendency = np.split(found, _PARTS)
-    none = np.zeros((0, OFFSETS)), np.zeros(0)
-    return Links(log_weight, tendency, larger, *_offsets(*none), crowded=float(crowded[0]))
+    return Links(log_weight, tendency, larger, crowded=float(crowded[0]))
 
 
-def _offsets(
-    offsets: Float[np.ndarray, "n 5"],
-    walked_m: Float[np.ndarray, " n"],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Shares, means and covariances of the mixture of offsets, and their slope."""
-    if len(offsets) < FEWEST:
-        covariance = np.diag(COMMON_SD**2)
-        return np.ones(1), COMMON_MEAN[None], covariance[None], np.zeros(OFFSETS)
-    folded = one_sided(offsets)
-    middle, walked = np.median(folded, axis=0), walked_m - walked_m.mean()
-    spread = np.percentile(folded, [16, 84], axis=0)
-    reach = 3 * np.maximum(spread[1] - spread[0], 0.1)
-    folded = middle + (folded - middle).clip(-reach, reach)  # against single wild values
-    slope = np.zeros(OFFSETS)
-    if walked.var() > 1e-6:
-        off = folded - folded.mean(axis=0)
-        slope = walked @ off / (walked @ walked)
-    folded = folded - walked_m[:, None] * slope
-    shares = responsibilities(folded, 0, 1e-2, _MOST)
-    people = shares.sum(axis=0)
-    shares = shares[:, people >= FEWEST] if people.max() >= FEWEST else np.ones((len(folded), 1))
-    fitted = [moments(folded, each) for each in shares.T]
-    covariance = np.stack([c for _, c in fitted]) + 1e-4 * np.eye(OFFSETS)
-    people = shares.sum(axis=0)
-    return people / people.sum(), np.stack([m for m, _ in fitted]), covariance, slope
-
-
-def one_sided(offsets: Float[np.ndarray, "n 5"]) -> Float[np.ndarray, "n 5"]:
-    """Offsets mirrored so that all are to the left at the start."""
-    return offsets * np.where(offsets[:, 1:2] < 0, [1, -1, 1, -1, 1], 1)
-
-
-def _same(pairs: Candidates, group: Int[np.ndarray, " E"]) -> Bool[np.ndarray, " n"]:
-    """Whether both persons of each pair belong to the same group."""
-    mine = group[pairs.later]
-    return np.asarray((mine >= 0) & (mine == group[pairs.earlier]))
-
-
-def _stages(
-    pairs: Candidates, area: Int[np.ndarray, " E"], group: Int[np.ndarray, " E"]
-) -> Int[np.ndarray, " n"]:
+def stages(pairs: Candidates, area: Int[np.ndarray, " E"], group: Int[np.ndarray, " E"]) -> Indices:
     """Size of the group of j when i enters, less one, at most 3, for each pair (i, j)."""
     alone = group < 0
     number = np.where(alone, np.arange(len(group)), group)
@@ -304,14 +262,17 @@ def _stages(
     return np.asarray(before.clip(1, STAGES) - 1)
 
 
-def _likelihood(
-    x: Float[np.ndarray, " n"],
+def log_likelihood(
+    x: Float[np.ndarray, " X"],
     pairs: Candidates,
     area: Int[np.ndarray, " E"],
-    same: Bool[np.ndarray, " m"],
-    stage: Int[np.ndarray, " m"],
-) -> tuple[float, Float[np.ndarray, " n"]]:
-    """Log-probability that each person joins its group, or nobody; and its gradient."""
+    same: Flags,
+    stage: Indices,
+) -> tuple[float, Float[np.ndarray, " X"]]:
+    """Log-probability that each person joins its group, or nobody, in nats; and its gradient.
+
+    `x` are log w, v, c and u, one after the other; `same` and `stage` are those of the pairs.
+    """
     of_area = area[pairs.later]
     log_weight, larger, (crowded,), tendency = np.split(x, _PARTS)
     log_number = pairs.log_number()

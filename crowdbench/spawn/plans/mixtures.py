@@ -24,28 +24,26 @@ _PATIENCE = 2
 """Numbers of components without a better criterion after which no larger ones are tried."""
 
 
-def moments(
-    x: Float[np.ndarray, "n D"], weight: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, " D"], Float[np.ndarray, "D D"]]:
+Moments = tuple[Float[np.ndarray, " D"], Float[np.ndarray, "D D"]]
+"""Mean and covariance."""
+
+
+def moments(x: Float[np.ndarray, "n D"], weight: Float[np.ndarray, " n"]) -> Moments:
     """Weighted mean and covariance."""
     mean = weight @ x / weight.sum()
     off = x - mean
     return mean, (off * weight[:, None]).T @ off / weight.sum()
 
 
-def mixed(
-    own: tuple[Float[np.ndarray, " D"], Float[np.ndarray, "D D"]],
-    people: float,
-    usual: tuple[Float[np.ndarray, " D"], Float[np.ndarray, "D D"]],
-) -> tuple[Float[np.ndarray, " D"], Float[np.ndarray, "D D"]]:
+def mixed(own: Moments, people: float, usual: Moments) -> Moments:
     """Moments of so many people and of as many as `PRIOR` usual ones together."""
     share = people / (people + PRIOR)
     off = own[0] - usual[0]
     between = share * (1 - share) * np.outer(off, off)
-    return (
-        share * own[0] + (1 - share) * usual[0],
-        share * own[1] + (1 - share) * usual[1] + between,
+    mean, within = (
+        share * of + (1 - share) * common for of, common in zip(own, usual, strict=True)
     )
+    return mean, within + between
 
 
 def log_gaussians(
@@ -76,10 +74,7 @@ def widened(covariance: Float[np.ndarray, "*pairs D D"], *places: slice) -> np.n
 
 
 def responsibilities(
-    x: Float[np.ndarray, "n D"],
-    seed: int,
-    least_variance: float,
-    most: int = _COMPONENTS[-1],
+    x: Float[np.ndarray, "n D"], least_variance: float, most: int = _COMPONENTS[-1]
 ) -> Float[np.ndarray, "n C"]:
     """Those of the best mixture whose components all stand for enough people.
 
@@ -100,7 +95,7 @@ def responsibilities(
         if in_vain == _PATIENCE or count > most or len(x) < 2 * FEWEST * count:
             break
         mixture = GaussianMixture(
-            count, reg_covar=least_variance, max_iter=60, random_state=seed, init_params="k-means++"
+            count, reg_covar=least_variance, max_iter=60, random_state=0, init_params="k-means++"
         )
         with warnings.catch_warnings():  # the criterion decides, whether it converged or not
             warnings.simplefilter("ignore", ConvergenceWarning)

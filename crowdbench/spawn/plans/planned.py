@@ -8,16 +8,18 @@ of a scene share them.
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from numpy.random import Generator
 
 from crowdbench.data.companions import ENTRY_S, LEAST_S, RELATIVE_MPS, SHARE, WITHIN_M
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, Gaussians
+from crowdbench.spawn.drawing import Flags, Indices, Numbers, Points
 from crowdbench.spawn.events import SpawnEvents, entering
 from crowdbench.spawn.plans.links import STAGES, Links
-from crowdbench.spawn.plans.ways import Ways
-from crowdbench.spawn.recorded_plans import SLOWEST_MPS, turning_points
+from crowdbench.spawn.plans.trip_mixtures import GOAL, SPEED, START
+from crowdbench.spawn.plans.ways import LOG_WAIT, VIA, DrawnWays, Ways, have_room
+from crowdbench.spawn.recorded_plans import turning_points
 
 _ALWAYS = 50.0
 """Logarithm of a weight that decides alone."""
@@ -44,37 +46,11 @@ class PlannedAreas(Areas):
         known = {field.name: getattr(areas, field.name) for field in fields(Areas)}
         return cls(**known, links=links, ways=ways)
 
-    def changed(
-        self,
-        area: int,
-        time_s: Float[np.ndarray, " E"],
-        *,
-        group_size: float | None = None,
-        stop: float | None = None,
-        wait_s: float | None = None,
-    ) -> "PlannedAreas":
-        """The same areas, with other groups and stops of one of them.
-
-        `group_size` is the mean size of groups, of which one for people who enter at these times
-        (ascending, seconds); the nearest possible one is taken. `stop` is P(a person stops),
-        `wait_s` the mean wait of those who do.
-        """
-        links, ways = self.links, self.ways
-        if group_size is not None:
-            links = links.with_group_size(area, time_s, group_size)
-        stopping, longer = ways.stopping.copy(), ways.longer.copy()
-        if stop is not None:
-            stopping[area] = stop
-        if wait_s is not None:
-            longer[area] = np.log(wait_s / ways.mean_wait_s(area, self.flow[area]))
-        return replace(self, links=links, ways=replace(ways, stopping=stopping, longer=longer))
-
     def instead(self, spawn: Gaussians, flow: Float[np.ndarray, "k G"]) -> "PlannedAreas":
         """Other spawn areas with the same goals, whose people do not stop.
 
         Whoever enters at the same time in the same area belongs to one group.
         """
-        plain = Areas(self.scene, spawn, self.goal, flow, self.speed_quantiles, self.left_out)
         together = np.where(np.arange(len(self.links.log_weight)) == 0, _ALWAYS, -_ALWAYS)
         links = replace(
             self.links,
@@ -83,14 +59,11 @@ class PlannedAreas(Areas):
             larger=np.zeros(STAGES - 1),
             crowded=0.0,
         )
-        return PlannedAreas.of(plain, links, self.ways.instead(plain))
+        areas = replace(self, spawn=spawn, flow=flow, links=links)
+        return replace(areas, ways=self.ways.instead(areas))
 
     def draw(
-        self,
-        time_s: Float[np.ndarray, " E"],
-        spawn_area: Int[np.ndarray, " E"],
-        scene: Scene,
-        rng: Generator,
+        self, time_s: Numbers, spawn_area: Indices, scene: Scene, rng: Generator
     ) -> SpawnEvents:
         """Draw a plan for each arrival; companions have plans that differ by an offset.
 
@@ -102,12 +75,9 @@ class PlannedAreas(Areas):
         order = np.argsort(time_s, kind="stable")
         time_s, area = time_s[order], spawn_area[order]
         joins = self.links.draw(time_s, area, rng)
-        leader = _leaders(joins)
-        first = joins < 0
+        leader, first = _leaders(joins), joins < 0
         goal_area = np.zeros(len(time_s), dtype=np.int64)
-        cumulative = self.flow.cumsum(axis=1)[area[first]]
-        u = rng.random((len(cumulative), 1)) * cumulative[:, -1:]
-        goal_area[first] = (u >= cumulative).sum(axis=1)
+        goal_area[first] = self.draw_goal_areas(area[first], rng)
         goal_area = goal_area[leader]
         ways, walks = np.empty((len(time_s), 8)), np.empty((len(time_s), 8))
         again, before = np.ones(len(time_s), dtype=bool), np.inf
@@ -126,118 +96,97 @@ class PlannedAreas(Areas):
             again, before = wrong[leader], wrong.sum()
         together = np.bincount(leader, minlength=len(joins))[leader] > 1
         number = np.cumsum(first & together) - 1
-        stops = np.isfinite(ways[:, 7])
         return entering(
             time_s=time_s,
-            start=ways[:, :2],
-            goal=ways[:, 2:4],
+            start=ways[:, START],
+            goal=ways[:, GOAL],
             spawn_area=area,
             goal_area=goal_area,
-            speed=np.exp(ways[:, 4]),
+            speed=np.exp(ways[:, SPEED]),
             group=np.where(together, number[leader], -1),
-            via=ways[:, 5:7],
-            wait_s=np.where(stops, np.exp(np.where(stops, ways[:, 7], 0.0)), 0.0),
+            via=ways[:, VIA],
+            wait_s=np.nan_to_num(np.exp(ways[:, LOG_WAIT])),
         )
 
     def _ways(
         self,
-        time_s: Float[np.ndarray, " E"],
-        area: Int[np.ndarray, " E"],
-        goal_area: Int[np.ndarray, " E"],
-        leader: Int[np.ndarray, " E"],
+        time_s: Numbers,
+        area: Indices,
+        goal_area: Indices,
+        leader: Indices,
         scene: Scene,
         rng: Generator,
-    ) -> Float[np.ndarray, "E 8"]:
-        """Ways of whole groups with these leaders, as `Ways.draw` has them."""
-        first = leader == np.arange(len(leader))
-        ways = np.full((len(time_s), 8), np.nan)
-        ways[first] = self.ways.draw(area[first], goal_area[first], scene, rng)
-        slower = first & (np.bincount(leader, minlength=len(leader)) > 1)
-        ways[slower, 4] = self._possible_speed(ways[slower, 4] + self.links.group_log_speed)
-        self._place_companions(ways, time_s, leader, scene, rng)
-        return ways
+    ) -> DrawnWays:
+        """Ways of whole groups with these leaders.
 
-    def _place_companions(
-        self,
-        ways: Float[np.ndarray, "E 8"],
-        time_s: Float[np.ndarray, " E"],
-        leader: Int[np.ndarray, " E"],
-        scene: Scene,
-        rng: Generator,
-    ) -> None:
-        """Fill in the ways of those who join a group, the second of each group first.
-
-        They walk beside the one who came before them.
+        Those who join a group walk beside the one who came before them; the second ones of all
+        groups are drawn first.
         """
         from crowdbench.spawn.plans.link_kernels import keep_company
 
-        rank = _ranks(leader)
-        groups, of_group = np.unique(leader, return_inverse=True)
-        members = np.full((len(groups), int(rank.max(initial=0)) + 1), -1)
-        members[of_group, rank] = np.arange(len(leader))
+        leads, radius_m = leader == np.arange(len(leader)), scene.motion.person_radius_m
+        ways = np.full((len(time_s), 8), np.nan)
+        ways[leads] = self.ways.draw(area[leads], goal_area[leads], scene, rng)
+        groups, of_group, size = np.unique(leader, return_inverse=True, return_counts=True)
+        slower = leads & (size[of_group] > 1)
+        ways[slower, SPEED] = self.ways.possible_speed(
+            ways[slower, SPEED] + self.links.group_log_speed
+        )
+        members = np.full((len(groups), int(size.max(initial=1))), -1)
+        members[of_group, _ranks(leader)] = np.arange(len(leader))
         side = np.zeros(len(leader))
         for place in range(1, members.shape[1]):
-            open_ = members[:, place]
-            open_ = open_[open_ >= 0]
+            open_ = members[members[:, place] >= 0, place]
             for _ in range(_TRIES):
                 earlier = members[of_group[open_], :place]
                 other = earlier[:, -1]
-                walked = np.exp(ways[other, 4]) * (time_s[open_] - time_s[other])
+                walked = np.exp(ways[other, SPEED]) * (time_s[open_] - time_s[other])
                 drawn, sides, free = self._beside(ways[other], walked, side[other], scene, rng)
                 good = free & keep_company(
-                    drawn, time_s[open_], ways, time_s, earlier,
-                    scene.motion.person_radius_m, WITHIN_M,
-                )  # fmt: skip
+                    drawn, time_s[open_], ways, time_s, earlier, radius_m, WITHIN_M
+                )
                 ways[open_[free]], side[open_[free]] = drawn[free], sides[free]
                 open_ = open_[~good]
                 if len(open_) == 0:
                     break
             nowhere = open_[np.isnan(ways[open_, 0])]
             ways[nowhere] = ways[members[of_group[nowhere], place - 1]]
+        return ways
 
     def _beside(
-        self,
-        ways: Float[np.ndarray, "n 8"],
-        walked_m: Float[np.ndarray, " n"],
-        side_before: Float[np.ndarray, " n"],
-        scene: Scene,
-        rng: Generator,
-    ) -> tuple[Float[np.ndarray, "n 8"], Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+        self, ways: DrawnWays, walked_m: Numbers, side_before: Numbers, scene: Scene, rng: Generator
+    ) -> tuple[DrawnWays, Numbers, Flags]:
         """Ways of people who join those with these ways, who have walked this far.
 
         Also their sides, and whether there is room at their starts and goals.
         """
         offset, side = self.links.offsets(walked_m, side_before, rng)
-        ahead = directions(ways[:, 2:4] - ways[:, :2])
-        at_start, at_goal = turned(ahead, offset[:, :2]), turned(ahead, offset[:, 2:4])
+        start, via, goal = ways[:, START], ways[:, VIA], ways[:, GOAL]
+        ahead = directions(goal - start)
+        at_start, at_goal = turned(ahead, offset[:, START]), turned(ahead, offset[:, GOAL])
         found = ways.copy()
-        found[:, :2] += at_start
-        found[:, 2:4] += at_goal
-        via = found[:, 5:7] + (at_start + at_goal) / 2
-        with_via = np.flatnonzero(np.isfinite(via[:, 0]))
-        # One call, which takes hardly longer than each of three.
-        points = np.concatenate([found[:, :2], found[:, 2:4], via[with_via]])
-        at_starts, at_goals, at_via = np.split(scene.has_room(points), [len(found), 2 * len(found)])
-        moved = with_via[at_via]
-        found[moved, 5:7] = via[moved]
-        left_m = np.maximum(_length_m(ways) - walked_m, _SHORTEST_M)
+        found[:, START] += at_start
+        found[:, GOAL] += at_goal
+        found[:, VIA] += (at_start + at_goal) / 2
+        at_ends, at_via = have_room(found, scene)
+        found[~at_via, VIA] = via[~at_via]
+        length_m = np.linalg.norm(via - start, axis=1) + np.linalg.norm(goal - via, axis=1)
+        length_m = np.where(np.isfinite(length_m), length_m, np.linalg.norm(goal - start, axis=1))
+        left_m = np.maximum(length_m - walked_m, _SHORTEST_M)
         gain = np.log(np.maximum(1 + offset[:, 4] / left_m, 0.5))
-        found[:, 4] = self._possible_speed(found[:, 4] + gain)
-        return found, side, at_starts & at_goals
-
-    def _possible_speed(self, log_speed: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        return np.clip(log_speed, *np.log([SLOWEST_MPS, self.ways.fastest_mps]))
+        found[:, SPEED] = self.ways.possible_speed(found[:, SPEED] + gain)
+        return found, side, at_ends
 
 
-def _straight_walks(ways: Float[np.ndarray, "n 8"]) -> Float[np.ndarray, "n 8"]:
+def _straight_walks(ways: DrawnWays) -> Float[np.ndarray, "n 8"]:
     """Start, turning point, goal, speed and wait (seconds at the turning point) of each way."""
-    start, goal, stops = ways[:, :2], ways[:, 2:4], np.isfinite(ways[:, 7])
-    turn = turning_points(start, ways[:, 5:7], goal, stops)
-    wait_s = np.where(stops, np.exp(np.where(stops, ways[:, 7], 0.0)), 0.0)
-    return np.column_stack([start, turn, goal, np.exp(ways[:, 4]), wait_s])
+    start, goal = ways[:, START], ways[:, GOAL]
+    turn = turning_points(start, ways[:, VIA], goal, np.isfinite(ways[:, LOG_WAIT]))
+    wait_s = np.nan_to_num(np.exp(ways[:, LOG_WAIT]))
+    return np.column_stack([start, turn, goal, np.exp(ways[:, SPEED]), wait_s])
 
 
-def _leaders(joins: Int[np.ndarray, " E"]) -> Int[np.ndarray, " E"]:
+def _leaders(joins: Indices) -> Indices:
     """The first person of each person's group; `joins` are earlier persons, or −1."""
     leader = np.where(joins < 0, np.arange(len(joins)), joins)
     while (leader[leader] != leader).any():
@@ -245,32 +194,21 @@ def _leaders(joins: Int[np.ndarray, " E"]) -> Int[np.ndarray, " E"]:
     return leader
 
 
-def _ranks(leader: Int[np.ndarray, " E"]) -> Int[np.ndarray, " E"]:
+def _ranks(leader: Indices) -> Indices:
     """Place of each person in its group: 0 for the first one, who leads it."""
     order = np.argsort(leader, kind="stable")
-    size = np.bincount(leader, minlength=len(leader))
-    before = np.cumsum(size) - size
     rank = np.empty(len(leader), dtype=np.int64)
-    rank[order] = np.arange(len(leader)) - before[leader[order]]
+    rank[order] = np.arange(len(leader)) - np.searchsorted(leader[order], leader[order])
     return rank
 
 
-def _length_m(ways: Float[np.ndarray, "n 8"]) -> Float[np.ndarray, " n"]:
-    """Length of the ways, by their via points if they have one, metres."""
-    start, goal, via = ways[:, :2], ways[:, 2:4], ways[:, 5:7]
-    by_via = np.linalg.norm(via - start, axis=1) + np.linalg.norm(goal - via, axis=1)
-    return np.where(np.isfinite(by_via), by_via, np.linalg.norm(goal - start, axis=1))
-
-
-def directions(way: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+def directions(way: Points) -> Points:
     """The vectors, with length 1."""
     length = np.maximum(np.hypot(*way.T), 1e-9)
     return np.asarray(way / length[:, None])
 
 
-def turned(
-    direction: Float[np.ndarray, "n 2"], vector: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "n 2"]:
+def turned(direction: Points, vector: Points) -> Points:
     """The vectors, turned by the angle of the directions."""
     (cos, sin), (x, y) = direction.T, vector.T
     return np.column_stack([cos * x - sin * y, sin * x + cos * y])

@@ -10,7 +10,7 @@ Areas are wide: people enter one by several doors, and stand at several counters
   more walked have a Gaussian of their own. The others have the product of those of both places and
   of all people's log speeds.
 
-`crowdbench.spawn.plans.trip_fitting` fits them.
+`crowdbench.spawn.plans.way_fitting` fits them.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,8 @@ from jaxtyping import Float, Int
 from numpy.random import Generator
 
 from crowdbench.spawn.areas import Gaussians
-from crowdbench.spawn.plans.mixtures import log_gaussians, widened
+from crowdbench.spawn.drawing import Indices, choose, draw_normal
+from crowdbench.spawn.plans.mixtures import widened
 
 TRIP = 5
 """Dimensions of a trip: start, goal, log speed."""
@@ -87,8 +88,8 @@ class TripMixtures:
     @cached_property
     def gaussians(self) -> tuple[Float[np.ndarray, "I J 5"], Float[np.ndarray, "I J 5 5"]]:
         """Means and covariances of the trips from each place to each other one."""
-        shape = (len(self.starts), len(self.goals))
-        mean, covariance = np.zeros((*shape, TRIP)), np.zeros((*shape, TRIP, TRIP))
+        mean = np.zeros((len(self.starts), len(self.goals), TRIP))
+        covariance = np.zeros((*mean.shape, TRIP))
         mean[..., START], mean[..., GOAL] = self.starts.mean[:, None], self.goals.mean
         covariance[..., START, START] = self.starts.covariance[:, None]
         covariance[..., GOAL, GOAL] = self.goals.covariance
@@ -97,47 +98,22 @@ class TripMixtures:
         mean[at], covariance[at] = self.mean, self.covariance
         return mean, covariance
 
-    def between(
-        self, spawn_area: int, goal_area: int
-    ) -> tuple[Int[np.ndarray, " C"], Int[np.ndarray, " C"]]:
+    def between(self, spawn_area: int, goal_area: int) -> tuple[Indices, Indices]:
         """The pairs of a place in one area and a place in the other one."""
         i = np.flatnonzero(self.starts.area == spawn_area)
         j = np.flatnonzero(self.goals.area == goal_area)
         return np.repeat(i, len(j)), np.tile(j, len(i))
 
-    def log_density(
-        self,
-        spawn_area: Int[np.ndarray, " n"],
-        goal_area: Int[np.ndarray, " n"],
-        trip: Float[np.ndarray, "n 5"],
-    ) -> Float[np.ndarray, " n"]:
-        """Log density of starts, goals and log speeds, given the areas."""
-        mean, covariance = self.gaussians
-        found = np.zeros(len(trip))
-        pairs, of_pair = np.unique(
-            np.stack([spawn_area, goal_area], axis=1), axis=0, return_inverse=True
-        )
-        for k, (a, g) in enumerate(pairs.tolist()):
-            mine, at = of_pair.reshape(-1) == k, self.between(a, g)
-            each = log_gaussians(trip[mine], mean[at], covariance[at])
-            with np.errstate(divide="ignore"):  # rounded weights may be 0
-                found[mine] = np.logaddexp.reduce(each + np.log(self.weight[at]), axis=1)
-        return found
-
-    def choose(
-        self, spawn_area: Int[np.ndarray, " n"], goal_area: Int[np.ndarray, " n"], rng: Generator
-    ) -> Int[np.ndarray, " n"]:
+    def choose(self, spawn_area: Indices, goal_area: Indices, rng: Generator) -> Indices:
         """A pair of places for each person, as the number i J + j."""
         number, cumulative = self._choices
-        up_to = cumulative[spawn_area, goal_area]
-        u = rng.random((len(up_to), 1)) * up_to[:, -1:]
-        return np.asarray(number[spawn_area, goal_area, (u >= up_to).sum(axis=1)])
+        column = choose(cumulative[spawn_area, goal_area], rng)
+        return np.asarray(number[spawn_area, goal_area, column])
 
-    def draw(self, chosen: Int[np.ndarray, " n"], rng: Generator) -> Float[np.ndarray, "n 5"]:
+    def draw(self, chosen: Indices, rng: Generator) -> Float[np.ndarray, "n 5"]:
         """A start, a goal and a log speed for each person, whose places are chosen."""
-        noise = rng.standard_normal((len(chosen), TRIP))
         mean = self.gaussians[0].reshape(-1, TRIP)
-        return mean[chosen] + np.einsum("nij,nj->ni", self._roots[chosen], noise)
+        return draw_normal(mean[chosen], self._roots[chosen], rng)
 
     @cached_property
     def _roots(self) -> Float[np.ndarray, "pairs 5 5"]:
@@ -155,8 +131,7 @@ class TripMixtures:
         cumulative = np.ones((*areas, most))
         for a, g in np.ndindex(*number.shape[:2]):
             i, j = self.between(a, g)
-            number[a, g, : len(i)] = i * len(self.goals) + j
-            cumulative[a, g, : len(i)] = self.weight[i, j].cumsum()
-            number[a, g, len(i) :] = number[a, g, len(i) - 1]
-            cumulative[a, g, len(i) :] = cumulative[a, g, len(i) - 1]
+            up_to = np.minimum(np.arange(most), len(i) - 1)
+            number[a, g] = (i * len(self.goals) + j)[up_to]
+            cumulative[a, g] = self.weight[i, j].cumsum()[up_to]
         return number, cumulative

@@ -1,4 +1,17 @@
-"""Fitting of ways to the complete trips of a recording; see `crowdbench.spawn.plans.ways`."""
+"""Fitting of ways to the complete trips of a recording; see `crowdbench.spawn.plans.ways`.
+
+The places of an area are a mixture of Gaussians that is fitted to the starts, or goals, of its
+people, with the Gaussian of the area itself as one more, which has the weight of `PRIOR` people. If
+one Gaussian is enough, it is that of the area.
+
+The trips between two areas are then adapted from the product of both mixtures by expectation
+maximisation with a prior, as Reynolds, Quatieri and Dunn (2000), "Speaker verification using
+adapted Gaussian mixture models", do: the weights, and the moments of each pair of places, are those
+of the people and of as many as `PRIOR` others together.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -6,17 +19,63 @@ from jaxtyping import Bool, Float, Int
 from crowdbench.data.stops import LEAST_S, standing
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import SceneError
-from crowdbench.spawn.areas import Areas
-from crowdbench.spawn.plans.mixtures import FEWEST, PRIOR, mixed, moments, responsibilities, widened
-from crowdbench.spawn.plans.trip_fitting import fit_trips
-from crowdbench.spawn.plans.ways import BEND, OFF_M, STOP, Trips, Ways
+from crowdbench.spawn.areas import Areas, Gaussians
+from crowdbench.spawn.drawing import Flags, Indices, Numbers, Points
+from crowdbench.spawn.plans.mixtures import (
+    FEWEST,
+    PRIOR,
+    log_gaussians,
+    mixed,
+    moments,
+    responsibilities,
+    widened,
+)
+from crowdbench.spawn.plans.trip_mixtures import GOAL, SPEED, START, Places, TripMixtures
+from crowdbench.spawn.plans.ways import BEND, OFF_M, STOP, Ways
 from crowdbench.spawn.recorded_plans import SLOWEST_MPS, RecordedPlans
 
+_LEAST_VARIANCE_M2 = 0.05
+"""Of 0.01, 0.02, 0.03, 0.05 and 0.09: with less, held-out people of ETH are 0.05 nats or more less
+likely, with more those of Grand Central and the Forum 0.02."""
+_STEPS = 10
+"""30 change held-out likelihoods by 0.002 nats."""
 _FEW_STOPS = 0.5
 _LEAST_VARIANCE = 1e-2
+_USUAL_BENDS = np.zeros(BEND), np.diag([0.04, 0.25])
 _SHORT_LOG_WAIT = np.log(10.0), 1.0
 """Mean and variance of the log waits by which those of fewer than ten people are filled up to ten:
 the median stop lasts 9 to 11 s in ETH, Hotel, Zara and the Forum."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trips:
+    """What `n` recorded people did, who were seen to enter, walk and leave."""
+
+    weight: Float[np.ndarray, " n"]
+    """1 / P(a trip as long as this is seen to its end)."""
+    spawn_area: Int[np.ndarray, " n"]
+    goal_area: Int[np.ndarray, " n"]
+    trip: Float[np.ndarray, "n 5"]
+    """Start, goal, log speed."""
+    bend: Float[np.ndarray, "n 2"]
+    stop: Float[np.ndarray, "n 3"]
+    """Place and log wait; NaN for those who do not stop."""
+
+    @property
+    def stops(self) -> Bool[np.ndarray, " n"]:
+        """Whether they stop."""
+        return np.isfinite(self.stop[:, 0])
+
+    def chosen(self, which: Bool[np.ndarray, " n"]) -> "Trips":
+        """Those of some of these people."""
+        return Trips(**{f.name: getattr(self, f.name)[which] for f in fields(self)})
+
+    def between_areas(self) -> Iterator[tuple[tuple[int, int], "Trips"]]:
+        """The pairs of a spawn and a goal area that enough people walked, with their trips."""
+        for a, g in np.unique(np.stack([self.spawn_area, self.goal_area], axis=1), axis=0).tolist():
+            people = (self.spawn_area == a) & (self.goal_area == g)
+            if people.sum() >= FEWEST:
+                yield (a, g), self.chosen(people)
 
 
 def trips_of(crowd: Trajectories, plans: RecordedPlans, chosen: Bool[np.ndarray, " P"]) -> Trips:
@@ -38,7 +97,7 @@ def trips_of(crowd: Trajectories, plans: RecordedPlans, chosen: Bool[np.ndarray,
     )
 
 
-def fit_ways(trips: Trips, areas: Areas, seed: int = 0) -> Ways:
+def fit_ways(trips: Trips, areas: Areas) -> Ways:
     """Fit the ways of people to their complete trips.
 
     Raises:
@@ -50,33 +109,57 @@ def fit_ways(trips: Trips, areas: Areas, seed: int = 0) -> Ways:
             got="a recording of people none of whom was seen to enter, walk and leave",
             expected="complete trips to learn ways from",
         )
-    weight, a, g = trips.weight, trips.spawn_area, trips.goal_area
-    trip, bend, stops = trips.trip, trips.bend, trips.stops
-    shape = (len(areas.spawn), len(areas.goal))
-    straight = ~stops
-    common = np.zeros((*shape, BEND)), np.broadcast_to(np.diag([0.04, 0.25]), (*shape, BEND, BEND))
-    if weight[straight].sum() >= FEWEST:
-        mean, covariance = moments(bend[straight], weight[straight])
-        common = (
-            np.broadcast_to(mean, (*shape, BEND)),
-            np.broadcast_to(covariance, (*shape, BEND, BEND)),
-        )
-    bend_mean, bend_covariance = _pairs(
-        bend[straight], weight[straight], a[straight], g[straight], *common
-    )
-    places = _places(trips, shape, seed)
+    shape = len(areas.spawn), len(areas.goal)
+    bend_mean, bend_covariance = _bends(trips.chosen(~trips.stops), shape)
+    places = _stops(trips, shape)
     return Ways(
-        fit_trips(trips, areas, seed),
+        fit_trips(trips, areas),
         bend_mean,
         bend_covariance,
-        _stopping(stops, weight, a, g, shape) * (len(places[0]) > 0),
+        _stopping(trips, shape) * (len(places[0]) > 0),
         *places,
         longer=np.zeros(shape[0]),
-        fastest_mps=max(float(np.exp(trip[:, 4].max())), 1.01 * SLOWEST_MPS),
+        fastest_mps=max(float(np.exp(trips.trip[:, SPEED].max())), 1.01 * SLOWEST_MPS),
     )
 
 
-def bends_of(crowd: Trajectories, persons: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+def _bends(
+    trips: Trips, shape: tuple[int, int]
+) -> tuple[Float[np.ndarray, "K G 2"], Float[np.ndarray, "K G 2 2"]]:
+    """Gaussians of bends between areas: that of all, and towards it those of enough people."""
+    usual = _USUAL_BENDS
+    if trips.weight.sum() >= FEWEST:
+        usual = moments(trips.bend, trips.weight)
+    mean, covariance = (np.tile(of, (*shape, *[1] * of.ndim)) for of in usual)
+    for pair, people in trips.between_areas():
+        own = moments(people.bend, people.weight)
+        mean[pair], covariance[pair] = mixed(own, people.weight.sum(), usual)
+    return mean, widened(covariance)
+
+
+def _stopping(trips: Trips, shape: tuple[int, int]) -> Float[np.ndarray, "K G"]:
+    """Share of people who stop, drawn towards that of the spawn area, and this to that of all.
+
+    The odds of all pairs of areas are then multiplied by one factor, so that as many people stop
+    as were seen to: shares are drawn to the middle, more so where few people walk.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import expit, logit
+
+    both, stop_both = np.zeros(shape), np.zeros(shape)
+    for table, people in ((both, trips), (stop_both, trips.chosen(trips.stops))):
+        np.add.at(table, (people.spawn_area, people.goal_area), people.weight)
+    overall = float(trips.weight[trips.stops].sum() / trips.weight.sum())
+    area = (stop_both.sum(axis=1) + PRIOR * overall) / (both.sum(axis=1) + PRIOR)
+    p = (stop_both + PRIOR * area[:, None]) / (both + PRIOR)
+    if overall in (0.0, 1.0):  # no factor leads there, and all probabilities are there already
+        return p
+    share, log_odds = both / both.sum(), logit(p)
+    factor = brentq(lambda x: (share * expit(log_odds + x)).sum() - overall, -20.0, 20.0)
+    return np.asarray(expit(log_odds + factor))
+
+
+def bends_of(crowd: Trajectories, persons: Indices) -> Points:
     """Fraction along the straight line, and metres to its left, of the furthest point of paths."""
     found = np.zeros((len(persons), BEND))
     for k, person in enumerate(persons.tolist()):
@@ -105,77 +188,19 @@ def seen_weights(crowd: Trajectories, chosen: Bool[np.ndarray, " P"]) -> Float[n
     return np.asarray(1 / np.maximum(before[at], 0.1))
 
 
-def _pairs(
-    x: Float[np.ndarray, "n D"],
-    weight: Float[np.ndarray, " n"],
-    a: Int[np.ndarray, " n"],
-    g: Int[np.ndarray, " n"],
-    mean: Float[np.ndarray, "K G D"],
-    covariance: Float[np.ndarray, "K G D D"],
-) -> tuple[Float[np.ndarray, "K G D"], Float[np.ndarray, "K G D D"]]:
-    """Gaussians of the pairs that enough people walked, drawn towards the given ones."""
-    mean, covariance = mean.copy(), covariance.copy()
-    for pair in np.unique(np.stack([a, g], axis=1), axis=0):
-        mine = (a == pair[0]) & (g == pair[1])
-        if mine.sum() < FEWEST:
-            continue
-        at = tuple(pair)
-        own = moments(x[mine], weight[mine])
-        mean[at], covariance[at] = mixed(own, weight[mine].sum(), (mean[at], covariance[at]))
-    return mean, widened(covariance)
-
-
-def _stopping(
-    stops: Bool[np.ndarray, " n"],
-    weight: Float[np.ndarray, " n"],
-    a: Int[np.ndarray, " n"],
-    g: Int[np.ndarray, " n"],
-    shape: tuple[int, int],
-) -> Float[np.ndarray, "K G"]:
-    """Share of people who stop, drawn towards that of the spawn area, and this to that of all.
-
-    The odds of all pairs of areas are then multiplied by one factor, so that as many people stop
-    as were seen to: shares are drawn to the middle, more so where few people walk.
-    """
-    overall = weight[stops].sum() / weight.sum()
-    of_area = np.bincount(a, weight, minlength=shape[0])
-    stop_area = np.bincount(a[stops], weight[stops], minlength=shape[0])
-    area = (stop_area + PRIOR * overall) / (of_area + PRIOR)
-    both, stop_both = np.zeros(shape), np.zeros(shape)
-    np.add.at(both, (a, g), weight)
-    np.add.at(stop_both, (a[stops], g[stops]), weight[stops])
-    drawn = (stop_both + PRIOR * area[:, None]) / (both + PRIOR)
-    return _with_share(drawn, both / both.sum(), float(overall))
-
-
-def _with_share(
-    p: Float[np.ndarray, "K G"], weight: Float[np.ndarray, "K G"], mean: float
-) -> Float[np.ndarray, "K G"]:
-    """Probabilities whose odds are multiplied by one factor, so that they have this mean."""
-    from scipy.optimize import brentq
-    from scipy.special import expit, logit
-
-    if mean in (0.0, 1.0):  # no factor leads there, and all probabilities are there already
-        return p
-    log_odds = logit(p)
-    factor = brentq(lambda x: (weight * expit(log_odds + x)).sum() - mean, -20.0, 20.0)
-    return np.asarray(expit(log_odds + factor))
-
-
-def _places(
-    trips: Trips, shape: tuple[int, int], seed: int
+def _stops(
+    trips: Trips, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The mixture of stops: means, covariances, and weights by spawn and by goal area."""
-    stops = trips.stops
-    x, weight = trips.stop[stops], trips.weight[stops]
-    a, g = trips.spawn_area[stops], trips.goal_area[stops]
+    people = trips.chosen(trips.stops)
+    x, weight, a, g = people.stop, people.weight, people.spawn_area, people.goal_area
     if len(x) == 0:
         none = np.zeros((0, STOP)), np.zeros((0, STOP, STOP))
         return *none, np.zeros((0, shape[0])), np.zeros((0, shape[1]))
     if len(x) < FEWEST:
         fitted, shares = [_few(trips)], weight[:, None]
     else:
-        shares = responsibilities(x, seed, _LEAST_VARIANCE) * weight[:, None]
+        shares = responsibilities(x, _LEAST_VARIANCE) * weight[:, None]
         fitted = [moments(x, shares[:, c]) for c in range(shares.shape[1])]
     total = shares.sum(axis=0)[:, None] / shares.sum()
     of_spawn = np.stack([np.bincount(a, s, minlength=shape[0]) for s in shares.T])
@@ -209,3 +234,78 @@ def _few(trips: Trips) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"
         share * spread[0, 0] + (1 - share) * variance + share * (1 - share) * (own[0] - usual) ** 2
     )
     return mean, covariance
+
+
+def fit_trips(trips: Trips, areas: Areas) -> TripMixtures:
+    """Fit starts, goals and log speeds to those of at least one person."""
+    starts = _places(trips.trip[:, START], trips.weight, trips.spawn_area, areas.spawn)
+    goals = _places(trips.trip[:, GOAL], trips.weight, trips.goal_area, areas.goal)
+    common = TripMixtures.apart(starts, goals, log_speeds(trips))
+    weights = common.weight.copy()
+    own, mean, covariance = [common.own], [common.mean], [common.covariance]
+    for pair, people in trips.between_areas():
+        at = common.between(*pair)
+        weights[at], enough, means, covariances = _adapted(common, at, people)
+        own.append(np.stack(at, axis=1)[enough])
+        mean.append(means[enough])
+        covariance.append(covariances[enough])
+    return replace(
+        common,
+        weight=weights,
+        own=np.concatenate(own),
+        mean=np.concatenate(mean),
+        covariance=np.concatenate(covariance),
+    )
+
+
+def log_speeds(trips: Trips) -> Float[np.ndarray, " 2"]:
+    """Weighted mean and variance."""
+    mean, variance = moments(trips.trip[:, SPEED, None], trips.weight)
+    return np.array([mean[0], variance[0, 0]])
+
+
+def _places(x: Points, weight: Numbers, area: Indices, areas: Gaussians) -> Places:
+    """The places of each area."""
+    whole = Places.of(areas)
+    found = []
+    for k in range(len(areas)):
+        mine, area_mean, area_covariance = area == k, whole.mean[k, None], whole.covariance[k, None]
+        shares = responsibilities(x[mine], _LEAST_VARIANCE_M2)
+        if shares.shape[1] == 1:
+            found.append((np.ones(1), area_mean, area_covariance))
+            continue
+        weighted = shares * weight[mine, None]
+        mean, covariance = zip(*(moments(x[mine], of) for of in weighted.T), strict=True)
+        total = np.append(weighted.sum(axis=0), PRIOR)
+        covariances = np.concatenate([widened(np.stack(covariance), START), area_covariance])
+        found.append((total / total.sum(), np.concatenate([mean, area_mean]), covariances))
+    return Places(
+        np.repeat(np.arange(len(areas)), [len(weights) for weights, _, _ in found]),
+        *(np.concatenate(part) for part in zip(*found, strict=True)),
+    )
+
+
+def _adapted(
+    common: TripMixtures, at: tuple[Indices, Indices], people: Trips
+) -> tuple[Numbers, Flags, Float[np.ndarray, "n 5"], Float[np.ndarray, "n 5 5"]]:
+    """Draw the mixture between two areas towards the people who walk from one to the other.
+
+    Returns weights, which Gaussians stand for enough people, means and covariances. Gaussians of
+    too few people remain as they are.
+    """
+    before = common.weight[at]
+    usual, spread = (of[at] for of in common.gaussians)
+    share, mean, covariance = before, usual, spread
+    for _ in range(_STEPS):
+        log = log_gaussians(people.trip, mean, covariance) + np.log(share)
+        each = np.exp(log - np.logaddexp.reduce(log, axis=1)[:, None])
+        weighted = each * people.weight[:, None]
+        number = weighted.sum(axis=0)
+        share = (number + PRIOR * before) / (number.sum() + PRIOR)
+        enough = each.sum(axis=0) >= FEWEST
+        mean, covariance = usual.copy(), spread.copy()
+        for c in np.flatnonzero(enough):
+            own = moments(people.trip, weighted[:, c])
+            mean[c], covariance[c] = mixed(own, number[c], (usual[c], spread[c]))
+            covariance[c] = widened(covariance[c], START, GOAL)
+    return share, enough, mean, covariance

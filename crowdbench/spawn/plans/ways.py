@@ -23,45 +23,29 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from numpy.random import Generator
 
 from crowdbench.errors import SceneError
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
-from crowdbench.spawn.plans.mixtures import log_gaussians
-from crowdbench.spawn.plans.trip_mixtures import TRIP, Places, TripMixtures
+from crowdbench.spawn.drawing import Flags, Indices, Numbers, Points, choose, draw_normal
+from crowdbench.spawn.plans.trip_mixtures import GOAL, SPEED, START, Places, TripMixtures
 from crowdbench.spawn.recorded_plans import SLOWEST_MPS
 
 BEND = 2
 """Dimensions of a bend: fraction along the straight line, metres to its left."""
 STOP = 3
 """Dimensions of a stop: place, log wait."""
+VIA, LOG_WAIT = slice(5, 7), 7
+DrawnWays = Float[np.ndarray, "n 8"]
+"""Rows of a trip (start, goal, log speed), `VIA` and `LOG_WAIT`. Via is NaN for those who go
+straight, the log wait for those who do not stop."""
 OFF_M = 0.75
 """Smallest bend that is a via point."""
 _DRAWS = 1000
 _DRAWS_IN_PLACE = 50
 """One in ten has room in the worst place of Grand Central."""
-
-
-@dataclass(frozen=True, eq=False)
-class Trips:
-    """What `n` recorded people did, who were seen to enter, walk and leave."""
-
-    weight: Float[np.ndarray, " n"]
-    """1 / P(a trip as long as this is seen to its end)."""
-    spawn_area: Int[np.ndarray, " n"]
-    goal_area: Int[np.ndarray, " n"]
-    trip: Float[np.ndarray, "n 5"]
-    """Start, goal, log speed."""
-    bend: Float[np.ndarray, "n 2"]
-    stop: Float[np.ndarray, "n 3"]
-    """Place and log wait; NaN for those who do not stop."""
-
-    @property
-    def stops(self) -> Bool[np.ndarray, " n"]:
-        """Whether they stop."""
-        return np.isfinite(self.stop[:, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,51 +87,27 @@ class Ways:
         """Ways from other spawn areas to the same goals, without stops."""
         log_speed = np.log(np.clip(areas.speed_quantiles, SLOWEST_MPS, self.fastest_mps))
         speeds = np.array([log_speed.mean(), log_speed.var()])
-        shape, count = (len(areas.spawn), len(areas.goal)), len(self.stop_mean)
-        bend_mean = self.bend_mean.mean(axis=0), self.bend_covariance.mean(axis=0)
+        shape = len(areas.spawn), len(areas.goal)
         return replace(
             self,
             trips=TripMixtures.apart(Places.of(areas.spawn), self.trips.goals, speeds),
-            bend_mean=np.broadcast_to(bend_mean[0], (*shape, BEND)),
-            bend_covariance=np.broadcast_to(bend_mean[1], (*shape, BEND, BEND)),
+            bend_mean=np.broadcast_to(self.bend_mean.mean(axis=0), (*shape, BEND)),
+            bend_covariance=np.broadcast_to(
+                self.bend_covariance.mean(axis=0), (*shape, BEND, BEND)
+            ),
             stopping=np.zeros(shape),
-            from_area=np.ones((count, shape[0])),
+            from_area=np.ones((len(self.stop_mean), shape[0])),
             longer=np.zeros(shape[0]),
         )
 
-    def log_trips(self, trips: Trips) -> Float[np.ndarray, " n"]:
-        """Log density of starts, goals and log speeds, given the areas.
-
-        Walls and bounds, at which ways are drawn again, are left out of account.
-        """
-        return self.trips.log_density(trips.spawn_area, trips.goal_area, trips.trip)
-
-    def log_stopping(self, trips: Trips) -> Float[np.ndarray, " n"]:
-        """Log probability that they stop, or that they do not, given the areas."""
-        p = self.stopping[trips.spawn_area, trips.goal_area]
-        return np.asarray(np.log(np.where(trips.stops, p, 1 - p)))
-
-    def log_stops(self, trips: Trips) -> Float[np.ndarray, " m"]:
-        """Log density of the places and log waits of the `m` people who stop."""
-        stops = trips.stops
-        x = trips.stop[stops]
-        share = self.from_area[:, trips.spawn_area[stops]] * self.to_area[:, trips.goal_area[stops]]
-        each = log_gaussians(x, self.stop_mean, self.stop_covariance).T
-        return np.asarray(np.logaddexp.reduce(each + np.log(share / share.sum(axis=0)), axis=0))
-
     def draw(
-        self,
-        spawn_area: Int[np.ndarray, " n"],
-        goal_area: Int[np.ndarray, " n"],
-        scene: Scene,
-        rng: Generator,
-    ) -> Float[np.ndarray, "n 8"]:
-        """A way for each person: start, goal, log speed, via, and log wait.
+        self, spawn_area: Indices, goal_area: Indices, scene: Scene, rng: Generator
+    ) -> DrawnWays:
+        """A way for each person.
 
-        Via is NaN for those who go straight, log wait for those who do not stop. Ways with a point
-        where a person has no room are drawn again, between the same places: the shares of places,
-        and of people who stop, remain what they are. Only places in which nobody has room, after
-        50 draws, are chosen again.
+        Ways with a point where a person has no room are drawn again, between the same places: the
+        shares of places, and of people who stop, remain what they are. Only places in which nobody
+        has room, after 50 draws, are chosen again.
 
         Raises:
             SceneError: no way with room can be drawn.
@@ -159,10 +119,11 @@ class Ways:
         for attempt in range(1, _DRAWS + 1):
             a, g, stops = spawn_area[open_], goal_area[open_], stopping[open_]
             drawn = np.full((len(open_), 8), np.nan)
-            drawn[:, :TRIP] = self.trips.draw(chosen[open_], rng)
-            drawn[stops, 5:] = self._stops(a[stops], g[stops], rng)
-            drawn[~stops, 5:7] = self._bends(a[~stops], g[~stops], drawn[~stops, :4], rng)
-            good = self._possible(drawn, scene)
+            drawn[:, :5] = self.trips.draw(chosen[open_], rng)
+            drawn[stops, 5:8] = self._stops(a[stops], g[stops], rng)
+            drawn[~stops, VIA] = self._bends(a[~stops], g[~stops], drawn[~stops], rng)
+            ends, via = have_room(drawn, scene)
+            good = ends & via & (drawn[:, SPEED] == self.possible_speed(drawn[:, SPEED]))
             found[open_[good]] = drawn[good]
             open_ = open_[~good]
             if len(open_) == 0:
@@ -176,45 +137,36 @@ class Ways:
             hint="Check the bounds and walls, or fit the scene again.",
         )
 
-    def _stops(
-        self, a: Int[np.ndarray, " n"], g: Int[np.ndarray, " n"], rng: Generator
-    ) -> Float[np.ndarray, "n 3"]:
+    def possible_speed(self, log_speed: Numbers) -> Numbers:
+        """The log speeds, or the nearest ones that are not slower or faster than recorded ones."""
+        return np.clip(log_speed, *np.log([SLOWEST_MPS, self.fastest_mps]))
+
+    def _stops(self, a: Indices, g: Indices, rng: Generator) -> Float[np.ndarray, "n 3"]:
         """Places and log waits of stops."""
         if len(a) == 0:
             return np.zeros((0, STOP))
-        cumulative = (self.from_area[:, a] * self.to_area[:, g]).cumsum(axis=0)
-        u = rng.random(len(a)) * cumulative[-1]
-        component = (u >= cumulative).sum(axis=0)
-        root = self._stop_roots[component]
-        noise = rng.standard_normal((len(a), STOP))
-        drawn = self.stop_mean[component] + np.einsum("nij,nj->ni", root, noise)
+        shares = self.from_area[:, a] * self.to_area[:, g]
+        component = choose(shares.cumsum(axis=0).T, rng)
+        drawn = draw_normal(self.stop_mean[component], self._stop_roots[component], rng)
         drawn[:, 2] += self.longer[a]
         return drawn
 
-    def _bends(
-        self,
-        a: Int[np.ndarray, " n"],
-        g: Int[np.ndarray, " n"],
-        ends: Float[np.ndarray, "n 4"],
-        rng: Generator,
-    ) -> Float[np.ndarray, "n 2"]:
+    def _bends(self, a: Indices, g: Indices, ways: DrawnWays, rng: Generator) -> Points:
         """Via points of people who do not stop; NaN for those who go straight."""
-        root = self._bend_roots[a, g]
-        noise = rng.standard_normal((len(a), BEND))
-        along, left = (self.bend_mean[a, g] + np.einsum("nij,nj->ni", root, noise)).T
-        way = ends[:, 2:] - ends[:, :2]
+        along, left = draw_normal(self.bend_mean[a, g], self._bend_roots[a, g], rng).T
+        way = ways[:, GOAL] - ways[:, START]
         length = np.maximum(np.hypot(*way.T), 1e-9)
         across = np.column_stack([-way[:, 1], way[:, 0]]) / length[:, None]
-        via = ends[:, :2] + along.clip(0.05, 0.95)[:, None] * way + left[:, None] * across
+        via = ways[:, START] + along.clip(0.05, 0.95)[:, None] * way + left[:, None] * across
         return np.asarray(np.where(np.abs(left)[:, None] > OFF_M, via, np.nan))
 
-    def _possible(self, drawn: Float[np.ndarray, "n 8"], scene: Scene) -> Bool[np.ndarray, " n"]:
-        """Whether a person has room at all points, and the speed is one of those recorded."""
-        low, high = np.log(SLOWEST_MPS), np.log(self.fastest_mps)
-        good = (drawn[:, 4] >= low) & (drawn[:, 4] <= high)
-        with_via = np.flatnonzero(np.isfinite(drawn[:, 5]))
-        points = np.concatenate([drawn[:, :2], drawn[:, 2:4], drawn[with_via, 5:7]])
-        at_starts, at_goals, at_via = np.split(scene.has_room(points), [len(drawn), 2 * len(drawn)])
-        good &= at_starts & at_goals
-        good[with_via] &= at_via
-        return np.asarray(good)
+
+def have_room(ways: DrawnWays, scene: Scene) -> tuple[Flags, Flags]:
+    """Whether a person has room at start and goal, and at the via point if there is one."""
+    with_via = np.flatnonzero(np.isfinite(ways[:, 5]))
+    # One call, which takes hardly longer than each of three.
+    points = np.concatenate([ways[:, START], ways[:, GOAL], ways[with_via, VIA]])
+    starts, goals, there = np.split(scene.has_room(points), [len(ways), 2 * len(ways)])
+    via = np.ones(len(ways), dtype=bool)
+    via[with_via] = there
+    return starts & goals, via

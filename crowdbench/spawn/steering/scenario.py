@@ -21,7 +21,6 @@ the episode; the values at its start also apply during the warm-up before it.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -32,16 +31,27 @@ from jaxtyping import Float
 from crowdbench.errors import SettingError
 from crowdbench.files import read_struct
 from crowdbench.scene import Scene
-from crowdbench.spawn.areas import Areas
+from crowdbench.spawn.areas import Areas, Gaussians
 from crowdbench.spawn.plans.planned import PlannedAreas
 
 SCHEMA = 1
-MOST_FACTOR = 100.0
+_LIMITS = {
+    "factor": (0.0, 100.0),
+    "shift_s": (-math.inf, math.inf),
+    "group_size": (1.0, math.inf),
+    "stop": (0.0, 1.0),
+    "wait_s": (4.0, math.inf),
+    "sd_m": (0.01, math.inf),
+    "persons_per_min": (0.0, math.inf),
+}
+"""Smallest and largest values of the numbers of changes and additions."""
+_PROFILES = ("factor", "persons_per_min")
 _HINT = "Compare with the scenarios in docs/steering.md."
 
 Number = float | int
-Profile = Number | tuple[tuple[Number, Number], ...]
-"""A constant, or steps: pairs of a time in seconds and the value from that time on."""
+Steps = tuple[tuple[Number, Number], ...]
+"""Pairs of a time in seconds and the value from that time on."""
+Profile = Number | Steps
 Goals = Mapping[int, Number]
 """P(goal area); goal areas that are not named have probability 0."""
 
@@ -63,10 +73,16 @@ class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     wait_s: Number | None = None
     """Mean wait of those who stop, seconds."""
 
-    def of_plans(self) -> dict[str, Number]:
-        """The changes that only models of plans understand, by name."""
-        known = {"group_size": self.group_size, "stop": self.stop, "wait_s": self.wait_s}
-        return {name: value for name, value in known.items() if value is not None}
+    @property
+    def retimes(self) -> bool:
+        """Whether it changes when people enter."""
+        return self.factor != 1 or self.shift_s != 0
+
+    @property
+    def of_plans(self) -> list[str]:
+        """Names of the changes that only models of plans understand."""
+        names = ("group_size", "stop", "wait_s")
+        return [name for name in names if getattr(self, name) is not None]
 
 
 class Addition(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -83,29 +99,32 @@ class Addition(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     goals: dict[int, Number]
     """P(goal | this area), with sum 1."""
 
-
-class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    schema: int
-    scene: str
-    closed_goals: tuple[int, ...] = ()
-    change: tuple[Change, ...] = ()
-    add: tuple[Addition, ...] = ()
+    def gaussian(self) -> Gaussians:
+        """The area."""
+        covariance = np.diag(np.square(self.sd_m, dtype=np.float64))
+        return Gaussians(np.array([self.mean_m], dtype=np.float64), covariance[None])
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scenario:
-    """Changes of a scene's arrivals, applied to a model by `spawn_model(…, scenario=…)`.
-
-    Added areas get the numbers after the scene's last spawn area.
-    """
-
-    name: str
+class _Changes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     scene: str
     closed_goals: tuple[int, ...] = ()
     """Goal areas that nobody walks to. Their probability is distributed proportionally over the
     other goals of each spawn area."""
     change: tuple[Change, ...] = ()
     add: tuple[Addition, ...] = ()
+
+
+class _File(_Changes, frozen=True, kw_only=True):
+    schema: int
+
+
+class Scenario(_Changes, frozen=True, kw_only=True):
+    """Changes of a scene's arrivals, applied to a model by `spawn_model(…, scenario=…)`.
+
+    Added areas get the numbers after the scene's last spawn area.
+    """
+
+    name: str
 
     def flow(self, areas: Areas) -> Float[np.ndarray, "K G"]:
         """P(goal area | spawn area) for the scene's spawn areas under this scenario."""
@@ -117,6 +136,11 @@ class Scenario:
         flow[:, list(self.closed_goals)] = 0
         flow[closed] /= flow[closed].sum(axis=1, keepdims=True)
         return flow
+
+
+def steps_of(profile: Profile) -> Steps:
+    """The steps of a profile; a constant is one step at 0 s."""
+    return ((0.0, profile),) if isinstance(profile, Number) else profile
 
 
 def row(goals: Goals, number: int) -> Float[np.ndarray, " G"]:
@@ -149,8 +173,8 @@ def read_scenario(path: Path, scene: Scene, areas: Areas) -> Scenario:
         raise SettingError(
             path, got=f"schema = {file.schema}", expected=f"schema = {SCHEMA}", hint=_HINT
         )
-    fields = {name: getattr(file, name) for name in file.__struct_fields__ if name != "schema"}
-    scenario = Scenario(name=path.stem, **fields)
+    changes = {name: getattr(file, name) for name in _Changes.__struct_fields__}
+    scenario = Scenario(name=path.stem, **changes)
     check_scenario(scenario, scene, areas, str(path))
     return scenario
 
@@ -182,53 +206,39 @@ def check_scenario(scenario: Scenario, scene: Scene, areas: Areas, where: str) -
                 hint="Combine them into one.",
             )
         at = f"{at} (area {change.area})"
-        _check_profile(change.factor, MOST_FACTOR, f"{at}, factor")
-        _check_range(change.shift_s, -math.inf, math.inf, f"{at}, shift_s")
+        _check_numbers(change, at)
         if change.goals is not None:
             _check_goals(change.goals, scenario, areas, f"{at}, goals", scene)
-        _check_plans(change, areas, at)
+        if change.of_plans:
+            _check_plans(change, areas, at)
     for k, addition in enumerate(scenario.add, 1):
-        _check_addition(addition, scenario, areas, f"{where}, add {k}", scene)
+        at = f"{where}, add {k}"
+        if not scene.walkable(np.array([addition.mean_m], dtype=np.float64))[0]:
+            b = scene.bounds
+            raise SettingError(
+                f"{at}, mean_m",
+                got=f"{list(addition.mean_m)}, outside the bounds of {scene.id} or in a wall",
+                expected=f"a place where people can walk, x from {b.x_min_m:g} to {b.x_max_m:g} "
+                f"and y from {b.y_min_m:g} to {b.y_max_m:g}",
+            )
+        _check_numbers(addition, at)
+        _check_goals(addition.goals, scenario, areas, f"{at}, goals", scene)
     _check_ways_out(scenario, areas, where)
 
 
 def _check_plans(change: Change, areas: Areas, at: str) -> None:
-    asked = change.of_plans()
-    if not asked:
-        return
     if not isinstance(areas, PlannedAreas):
         raise SettingError(
-            f"{at}, {next(iter(asked))}",
+            f"{at}, {change.of_plans[0]}",
             got="a model of people who come alone and do not stop",
             expected="a model of plans, such as ntpp-plans or cox-plans",
         )
-    limits = {"group_size": (1.0, math.inf), "stop": (0.0, 1.0), "wait_s": (4.0, math.inf)}
-    for name, value in asked.items():
-        _check_range(value, *limits[name], f"{at}, {name}")
-    if len(areas.ways.stop_mean) == 0 and {"stop", "wait_s"} & set(asked):
+    if len(areas.ways.stop_mean) == 0 and {"stop", "wait_s"} & set(change.of_plans):
         raise SettingError(
             f"{at}, stop",
             got=f"a change of stops on {areas.scene}, where too few recorded people stop",
             expected="a scene whose model knows places of stops",
         )
-
-
-def _check_addition(
-    addition: Addition, scenario: Scenario, areas: Areas, at: str, scene: Scene
-) -> None:
-    if not scene.walkable(np.array([addition.mean_m], dtype=np.float64))[0]:
-        b = scene.bounds
-        raise SettingError(
-            f"{at}, mean_m",
-            got=f"{list(addition.mean_m)}, outside the bounds of {scene.id} or in a wall",
-            expected=f"a place where people can walk, x from {b.x_min_m:g} to {b.x_max_m:g} and y "
-            f"from {b.y_min_m:g} to {b.y_max_m:g}",
-        )
-    for sd_m in addition.sd_m:
-        _check_range(sd_m, 0.01, math.inf, f"{at}, sd_m")
-    _check_profile(addition.persons_per_min, math.inf, f"{at}, persons_per_min")
-    _check_range(addition.group_size, 1.0, math.inf, f"{at}, group_size")
-    _check_goals(addition.goals, scenario, areas, f"{at}, goals", scene)
 
 
 def _check_ways_out(scenario: Scenario, areas: Areas, where: str) -> None:
@@ -254,21 +264,24 @@ def _check_area(area: int, number: int, kind: str, where: str, scene: Scene) -> 
         )
 
 
-def _check_profile(profile: Profile, most: float, where: str) -> None:
-    if isinstance(profile, Number):
-        _check_range(profile, 0.0, most, where)
-        return
-    times = [time_s for time_s, _ in profile]
-    finite = all(math.isfinite(time_s) and time_s >= 0 for time_s in times)
-    ascending = all(a < b for a, b in pairwise(times))
-    if not (times and finite and ascending):
-        raise SettingError(
-            where,
-            got=f"times {times}" if times else "no steps",
-            expected="pairs [time_s, number] with ascending times ≥ 0 s",
-        )
-    for _, value in profile:
-        _check_range(value, 0.0, most, where)
+def _check_numbers(of: Change | Addition, where: str) -> None:
+    """Check numbers, pairs of numbers, and the steps of profiles."""
+    for name in (name for name in _LIMITS if getattr(of, name, None) is not None):
+        value, at = getattr(of, name), f"{where}, {name}"
+        numbers = [value] if isinstance(value, Number) else value
+        if name in _PROFILES:
+            steps = steps_of(value)
+            times, numbers = [time_s for time_s, _ in steps], [number for _, number in steps]
+            finite = all(math.isfinite(time_s) and time_s >= 0 for time_s in times)
+            ascending = all(a < b for a, b in pairwise(times))
+            if not (times and finite and ascending):
+                raise SettingError(
+                    at,
+                    got=f"times {times}" if times else "no steps",
+                    expected="pairs [time_s, number] with ascending times ≥ 0 s",
+                )
+        for number in numbers:
+            _check_range(number, *_LIMITS[name], at)
 
 
 def _check_range(value: Number, least: float, most: float, where: str) -> None:

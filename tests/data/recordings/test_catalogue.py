@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from strategies import crowd_of, differences
 
-from crowdbench.data.blocks import cut
 from crowdbench.data.recordings.catalogue import (
     SOURCES,
     cached,
@@ -18,7 +17,7 @@ from crowdbench.data.recordings.timing import observed_intervals
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.scene import load_scene
-from crowdbench.spawn import Replay, arrivals_of
+from crowdbench.spawn import Replay
 
 
 @pytest.fixture(scope="module")
@@ -226,9 +225,3 @@ def test_scripted_people_leave_at_their_recorded_last_frame(eth):
 def test_replay_of_another_time_step_is_refused(eth):
     with pytest.raises(SettingError, match=r"frames of 0.8 s"):
         Replay(replace(eth, dt_s=0.8)).sample(1.0, load_scene("eth-v0"), np.random.default_rng(0))
-
-
-def test_replay_has_no_likelihood(eth):
-    blocks = cut(eth.observed, block_s=60.0, dt_s=eth.dt_s, grid_s=eth.grid_s)
-    with pytest.raises(SettingError, match="likelihood"):
-        Replay(eth).log_likelihood(arrivals_of(eth, blocks, 1))

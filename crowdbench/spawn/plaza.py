@@ -9,8 +9,12 @@ followed, too.
 
 The numbers of persons per area and frame have an exact likelihood: given the states and the numbers
 in the two frames before, the number of late persons is binomial, so that the forward algorithm
-applies to the joint state of all chains. What people do after they have entered (see
-`crowdbench.spawn.plaza.plans`) does not depend on these numbers and does not change it.
+applies to the joint state of all chains. What people do after they have entered does not depend on
+these numbers and does not change it.
+
+What they do: a group has one start, goal, speed and plan. Its members stand in a line across the
+way, in the order in which they entered, with the middle of the line at the group's place, and keep
+their place in it. Some groups stop once. Places are redrawn until the whole group has room there.
 """
 
 from functools import reduce
@@ -22,9 +26,10 @@ from numpy.random import Generator
 
 from crowdbench.compilation import compiled
 from crowdbench.scene import Scene
-from crowdbench.spawn.events import Arrivals, SpawnEvents
+from crowdbench.spawn.areas import Areas, Gaussians
+from crowdbench.spawn.drawing import Indices, Numbers
+from crowdbench.spawn.events import Arrivals, SpawnEvents, entering
 from crowdbench.spawn.model import Start
-from crowdbench.spawn.plaza.plans import draw_plans, true_areas
 
 SCENE = "plaza-v0"
 
@@ -42,6 +47,29 @@ FOLLOWS = 0.05
 """P(a person is followed by a late member of its group), one frame later and two frames later."""
 LATE = 2
 """Number of frames by which late members follow at most."""
+
+CENTRES_M = np.array(
+    [[1.5, 9.5], [28.5, 10.0], [16.5, 18.5], [12.0, 1.5]]
+)  # west, east, north, south
+SPREAD_M = np.array([[0.4, 0.9], [0.4, 0.8], [0.9, 0.4], [0.8, 0.4]])
+FLOW = np.array(
+    [[0.0, 0.5, 0.3, 0.2], [0.6, 0.0, 0.1, 0.3], [0.3, 0.2, 0.0, 0.5], [0.2, 0.3, 0.5, 0.0]]
+)
+SPEED_MPS, SPEED_SD_MPS = 1.34, 0.26  # Weidmann (1993), Transporttechnik der Fußgänger
+
+ABREAST_M, ABREAST_SD_M = 0.7, 0.1
+"""Distance from one member of a group to the next."""
+SLOWER = 0.9
+"""Speed of groups, relative to that of people who are alone."""
+STOPPING = 0.15
+"""P(a group, or a person who is alone, stops on its way)."""
+PLACES_M = np.array([[19.5, 10.8], [9.0, 12.0]])  # in front of the kiosk, at a bench
+PLACE_SPREAD_M = np.array([[0.5, 0.4], [0.5, 0.4]])
+PLACE_SHARE = np.array([0.6, 0.4])
+WAIT_S = np.array([12.0, 20.0])
+"""Median wait at each place."""
+WAIT_LOG_SD = np.array([0.4, 0.4])
+_DRAWS = 100
 
 
 class PlazaArrivals:
@@ -103,42 +131,6 @@ class PlazaArrivals:
             total += _forward(alone, joined, stationary, step, enters)
         return total / max(1, len(arrivals.tick))
 
-    def rates_per_s(self) -> Float[np.ndarray, " K"]:
-        """Mean number of persons who enter each area per second."""
-        common, own = self._common[0], self._own[0]
-        per_frame = np.einsum("c,z,cza->a", common, own, self._enters)
-        members = SIZES @ np.arange(1, len(SIZES) + 1) / (1 - LATE * FOLLOWS)
-        return np.asarray(per_frame * members / self._grid_s)
-
-    def correlations(self, delay_s: Float[np.ndarray, " L"]) -> Float[np.ndarray, "L K K"]:
-        """Pair correlation of groups, E[n_a(t) n_b(t + h)] / m_a m_b, for delays h > 0 in seconds.
-
-        That of persons is the same at delays that are long compared with those of late members.
-        """
-        mean = np.einsum("c,z,cza->a", self._common[0], self._own[0], self._enters)
-        of_rush = np.einsum("z,cza->ca", self._own[0], self._enters)
-        found = np.empty((len(delay_s), len(mean), len(mean)))
-        same = np.eye(len(mean), dtype=bool)
-        for k, h in enumerate(delay_s.tolist()):
-            common, own = (_joint(*c, h / self._grid_s) for c in (self._common, self._own))
-            found[k] = np.einsum("cd,ca,db->ab", common, of_rush, of_rush)
-            enters = (self._enters, self._enters)
-            found[k][same] = np.einsum("cd,yz,cya,dza->a", common, own, *enters)
-        return found / np.outer(mean, mean)
-
-
-def group_sizes(most: int) -> Float[np.ndarray, " most"]:
-    """P(a group has 1, 2, …, `most` members), late members included.
-
-    The total progeny of a branching process with as many ancestors as enter together (Dwass 1969,
-    Journal of Applied Probability 6): P(n members | k together) = k/n P(n persons are followed by
-    n − k).
-    """
-    from scipy.stats import binom
-
-    n, k = np.arange(1, most + 1)[:, None], np.arange(1, len(SIZES) + 1)
-    return np.asarray((k / n * binom.pmf(n - k, LATE * n, FOLLOWS)) @ SIZES)
-
 
 def _chain_of(
     stay_s: tuple[float, float], grid_s: float
@@ -147,14 +139,6 @@ def _chain_of(
     leave = 1 - np.exp(-grid_s / np.array(stay_s))
     step = np.array([[1 - leave[0], leave[0]], [leave[1], 1 - leave[1]]])
     return leave[::-1] / leave.sum(), step
-
-
-def _joint(
-    stationary: Float[np.ndarray, " 2"], step: Float[np.ndarray, "2 2"], steps: float
-) -> Float[np.ndarray, "2 2"]:
-    """Probabilities of the states at two times this number of steps apart."""
-    kept = (step[0, 0] + step[1, 1] - 1) ** steps  # the second eigenvalue; the first one is 1
-    return np.asarray(stationary[:, None] * (kept * np.eye(2) + (1 - kept) * stationary[None, :]))
 
 
 def _with_late(
@@ -169,6 +153,99 @@ def _with_late(
         frames.append(frame)
         groups.append(group)
     return np.concatenate(frames), np.concatenate(groups)
+
+
+def true_areas(scene: str) -> Areas:
+    """The true areas, flows and speeds of the plaza. The places are those of whole groups."""
+    from scipy.stats import norm
+
+    gaussians = _gaussians(CENTRES_M, SPREAD_M)
+    levels = np.linspace(0.005, 0.995, 101)  # a normal truncated at 2.6 standard deviations
+    return Areas(
+        scene=scene,
+        spawn=gaussians,
+        goal=gaussians,
+        flow=FLOW,
+        speed_quantiles=SPEED_MPS + SPEED_SD_MPS * norm.ppf(levels),
+        left_out=(0.0, 0.0),
+    )
+
+
+def _gaussians(mean: Float[np.ndarray, "K 2"], spread: Float[np.ndarray, "K 2"]) -> Gaussians:
+    return Gaussians(mean, np.stack([np.diag(sd**2) for sd in spread]))
+
+
+def draw_plans(
+    time_s: Float[np.ndarray, " E"],
+    area: Int[np.ndarray, " G"],
+    group: Int[np.ndarray, " E"],
+    areas: Areas,
+    scene: Scene,
+    rng: Generator,
+) -> SpawnEvents:
+    """Draw the plans of people who enter at these times (ascending, seconds).
+
+    `area` is the spawn area of each group, `group` the group of each person.
+    """
+    size = np.bincount(group, minlength=len(area))
+    # Places, speeds and goals of the groups are drawn as for people who are alone.
+    alone = areas.draw(np.zeros(len(area)), area, scene, rng)
+    goal_area = alone.goal_area.astype(np.int64)
+    speed = alone.speed * np.where(size > 1, SLOWER, 1.0)
+    stops = rng.random(len(area)) < STOPPING
+    place = rng.choice(len(PLACES_M), len(area), p=PLACE_SHARE)
+    wait_s = WAIT_S[place] * np.exp(WAIT_LOG_SD[place] * rng.standard_normal(len(area)))
+    aside_m, places = _aside_m(group, size, rng), _gaussians(PLACES_M, PLACE_SPREAD_M)
+    kinds = ((areas.spawn, area), (areas.goal, goal_area), (places, place))
+    start, goal, via = _in_lines(kinds, group, aside_m, scene, rng)
+    number = np.cumsum(size > 1) - 1
+    return entering(
+        time_s=time_s,
+        start=start,
+        goal=goal,
+        spawn_area=area[group],
+        goal_area=goal_area[group],
+        speed=speed[group],
+        group=np.where(size > 1, number, -1)[group],
+        via=np.where(stops[group, None], via, np.nan),
+        wait_s=np.where(stops, wait_s, 0.0)[group],
+    )
+
+
+def _aside_m(group: Indices, size: Int[np.ndarray, " G"], rng: Generator) -> Numbers:
+    """Place of each person in the line of its group: metres to the left of the middle."""
+    order = np.argsort(group, kind="stable")
+    along = np.empty(len(group))
+    # The gap before the first member shifts the line, no more.
+    along[order] = np.cumsum(rng.normal(ABREAST_M, ABREAST_SD_M, len(group)))
+    middle = np.bincount(group, along, len(size)) / np.maximum(size, 1)
+    side = np.where(rng.random(len(size)) < 0.5, -1.0, 1.0)
+    return np.asarray(side[group] * (along - middle[group]))
+
+
+def _in_lines(
+    kinds: tuple[tuple[Gaussians, Int[np.ndarray, " G"]], ...],
+    group: Indices,
+    aside_m: Numbers,
+    scene: Scene,
+    rng: Generator,
+) -> Float[np.ndarray, "3 n 2"]:
+    """Start, goal and place of a stop of each person, drawn from areas of each group."""
+    groups = len(kinds[0][1])
+    middle, points = np.empty((3, groups, 2)), np.empty((3, len(group), 2))
+    open_ = np.arange(groups)
+    for _ in range(_DRAWS):
+        for k, (gaussians, of_group) in enumerate(kinds):
+            middle[k, open_] = gaussians.draw(of_group[open_], scene, rng)
+        way = middle[1] - middle[0]
+        left = np.column_stack([-way[:, 1], way[:, 0]]) / np.linalg.norm(way, axis=1)[:, None]
+        points = middle[:, group] + aside_m[:, None] * left[group]
+        inside = scene.walkable(points.reshape(-1, 2)).reshape(3, -1).all(axis=0)
+        open_ = np.unique(group[~inside])
+        if len(open_) == 0:
+            return points
+    # The largest groups are wider than their street: some of them stand at its walls.
+    return scene.nearest_walkable(points.reshape(-1, 2)).reshape(3, -1, 2)
 
 
 @compiled(error_model="python")

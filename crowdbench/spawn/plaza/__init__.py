@@ -1,1 +1,0 @@
-"""The true process of the plaza, a synthetic place."""
