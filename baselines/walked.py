@@ -13,8 +13,8 @@ from crowdbench.metrics import METRICS
 from crowdbench.metrics.groups import APART_M
 from crowdbench.metrics.metric import total
 from crowdbench.policies import Policy
+from crowdbench.run.acting import settings_for
 from crowdbench.run.episode import Recorder, begin, generator
-from crowdbench.run.shown import settings_for
 from crowdbench.scene import Scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.simulation import Simulation

@@ -23,13 +23,14 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from crowdbench.crowds import evaluate, read, rollout, score, score_rollouts
+    from crowdbench.crowds import read, rollout, score, score_rollouts
     from crowdbench.data.storage import read_own, write_parquet
     from crowdbench.data.table import Trajectories
     from crowdbench.envs.config import EnvConfig
     from crowdbench.envs.demonstrations import Demonstrations, demonstrations
     from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
     from crowdbench.errors import CrowdbenchError
+    from crowdbench.evaluation import evaluate
     from crowdbench.metrics import METRICS, MetricResult, distance
     from crowdbench.plugins import register
     from crowdbench.registry import (
@@ -45,56 +46,32 @@ if TYPE_CHECKING:
     from crowdbench.simulation.reward import Reward
 
 _HOME = {
-    "crowds": ("evaluate", "read", "rollout", "score", "score_rollouts"),
+    "crowds": ("read", "rollout", "score", "score_rollouts"),
     "envs.config": ("EnvConfig",),
     "envs.demonstrations": ("Demonstrations", "demonstrations"),
     "envs.parallel_env": ("CrowdParallelEnv", "parallel_env"),
     "errors": ("CrowdbenchError",),
+    "evaluation": ("evaluate",),
     "run.executor": ("engine",),
     "metrics": ("METRICS", "MetricResult", "distance"),
     "plugins": ("register",),
     "registry": (
-        *("list_policies", "list_spawn_models", "policy"),
-        *("recording", "recording_of", "spawn_model"),
+        "list_policies", "list_spawn_models", "policy", "recording", "recording_of", "spawn_model",
     ),
     "scene": ("Scene", "list_scenes", "load_scene"),
     "simulation.reward": ("Reward",),
     "data.storage": ("read_own", "write_parquet"),
     "data.table": ("Trajectories",),
-}
+}  # fmt: skip
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
-    "METRICS",
-    "CrowdParallelEnv",
-    "CrowdbenchError",
-    "Demonstrations",
-    "EnvConfig",
-    "MetricResult",
-    "Reward",
-    "Scene",
-    "Trajectories",
-    "demonstrations",
-    "distance",
-    "engine",
-    "evaluate",
-    "list_policies",
-    "list_scenes",
-    "list_spawn_models",
-    "load_scene",
-    "parallel_env",
-    "policy",
-    "read",
-    "read_own",
-    "recording",
-    "recording_of",
-    "register",
-    "rollout",
-    "score",
-    "score_rollouts",
-    "spawn_model",
-    "write_parquet",
-]
+    "METRICS", "CrowdParallelEnv", "CrowdbenchError", "Demonstrations", "EnvConfig",
+    "MetricResult", "Reward", "Scene", "Trajectories", "demonstrations", "distance", "engine",
+    "evaluate", "list_policies", "list_scenes", "list_spawn_models", "load_scene",
+    "parallel_env", "policy", "read", "read_own", "recording", "recording_of", "register",
+    "rollout", "score", "score_rollouts", "spawn_model", "write_parquet",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

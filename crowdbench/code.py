@@ -7,6 +7,7 @@ the fingerprint of everything that is kept: rollouts, prepared recordings, fits 
 import ast
 import hashlib
 from collections.abc import Collection, Iterable, Iterator
+from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +16,7 @@ DECIDE_NOTHING = tuple(
     f"crowdbench.{name}"
     for name in (
         *("cli", "code", "errors", "files", "plugins", "progress"),
-        *("run.executor", "run.lock", "run.processes", "run.ray_executor", "run.store"),
+        *("run.executor", "run.processes", "run.ray_executor", "run.store"),
     )
 )
 """Modules whose code changes no result: messages, reading and writing, finding code of others,
@@ -32,6 +33,21 @@ class _Module(NamedTuple):
     """Module and name, as in `from module import name`; the name is empty in `import module`."""
 
 
+class _OnlyWhatRuns(ast.NodeTransformer):
+    """Removes functions that are never called, and what types alone need."""
+
+    def __init__(self, module: str, unused: Collection[str]) -> None:
+        self.module, self.unused = module, unused
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST | None:
+        name = f"{self.module}.{node.name}"
+        return None if any(fnmatchcase(name, p) for p in self.unused) else self.generic_visit(node)
+
+    def visit_If(self, node: ast.If) -> ast.AST | list[ast.stmt]:
+        self.generic_visit(node)
+        return node.orelse if ast.unparse(node.test).endswith("TYPE_CHECKING") else node
+
+
 def code_hash(*roots: str, cut: Collection[str] = (), unused: Collection[str] = ()) -> str:
     """Hash of the code of modules and of all that they import, see `closure`.
 
@@ -45,15 +61,12 @@ def code_hash(*roots: str, cut: Collection[str] = (), unused: Collection[str] = 
             in a package: they are never called for this result.
     """
     each = sorted(closure(roots, cut=cut, unused=unused))
-    digests = [f"{name} {_module(_file(name), _left_out(name, unused))[0]}" for name in each]
+    digests = [f"{name} {_module(name, tuple(unused)).digest}" for name in each]
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()[:16]
 
 
 def closure(
-    roots: Iterable[str],
-    *,
-    cut: Collection[str] = (),
-    unused: Collection[str] = (),
+    roots: Iterable[str], *, cut: Collection[str] = (), unused: Collection[str] = ()
 ) -> set[str]:
     """Full names of modules and of all modules of ours that they import, directly or not.
 
@@ -69,24 +82,13 @@ def closure(
         if name in found:
             continue
         found.add(name)
-        imports = _module(_file(name), _left_out(name, unused)).imports
-        wanted = (_defined_in(module, of) for module, of in imports)
+        wanted = (_defined_in(*each) for each in _module(name, tuple(unused)).imports)
         todo += [m for m in wanted if m and not any(_is_in(m, each) for each in left)]
     return found
 
 
 def _is_in(module: str, package: str) -> bool:
     return module == package or module.startswith(package + ".")
-
-
-def _left_out(module: str, unused: Collection[str]) -> frozenset[str]:
-    """The names of the functions of a module that are left out."""
-    pairs = (each.rpartition(".")[::2] for each in unused)
-    return frozenset(
-        name
-        for where, name in pairs
-        if where == module or (where.endswith(".*") and _is_in(module, where[:-2]))
-    )
 
 
 def _defined_in(module: str, name: str) -> str | None:
@@ -96,19 +98,15 @@ def _defined_in(module: str, name: str) -> str | None:
     """
     if module.split(".")[0] not in _OURS:
         return None
-    if name and _exists(f"{module}.{name}"):
+    if name and _file(f"{module}.{name}").exists():
         return f"{module}.{name}"
-    if module == "crowdbench" or not _exists(module):
+    if module == "crowdbench" or not _file(module).exists():
         return None
     if name and _file(module).stem == "__init__":
-        for other, passed in _module(_file(module), frozenset()).imports:
+        for other, passed in _module(module).imports:
             if passed == name:
                 return _defined_in(other, name)
     return module
-
-
-def _exists(module: str) -> bool:
-    return _file(module).exists()
 
 
 @cache
@@ -120,49 +118,30 @@ def _file(module: str) -> Path:
 
 
 @cache
-def _module(path: Path, left_out: frozenset[str]) -> _Module:
-    tree = ast.parse(path.read_bytes())
-    imports = dict.fromkeys(_imports(tree, left_out))
-    digest = hashlib.sha256("\n".join(_words(tree, left_out)).encode()).hexdigest()
+def _module(module: str, unused: tuple[str, ...] = ()) -> _Module:
+    tree = _OnlyWhatRuns(module, unused).visit(ast.parse(_file(module).read_bytes()))
+    imports: dict[tuple[str, str], None] = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            imports |= dict.fromkeys((alias.name, "") for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            imports |= dict.fromkeys((node.module or "", alias.name) for alias in node.names)
+    digest = hashlib.sha256("\n".join(_words(tree)).encode()).hexdigest()
     return _Module(digest, tuple(imports))
 
 
-def _imports(node: ast.AST, left_out: frozenset[str]) -> Iterator[tuple[str, str]]:
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.Import):
-            yield from ((alias.name, "") for alias in child.names)
-        elif isinstance(child, ast.ImportFrom):
-            yield from ((child.module or "", alias.name) for alias in child.names)
-        elif _is_for_types(child):
-            assert isinstance(child, ast.If)
-            for other in child.orelse:
-                yield from _imports(ast.Module([other], []), left_out)
-        elif not _is_named(child, left_out):
-            yield from _imports(child, left_out)
-
-
-def _is_for_types(node: ast.AST) -> bool:
-    return isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
-
-
-def _is_named(node: ast.AST, names: frozenset[str]) -> bool:
-    return isinstance(node, ast.FunctionDef) and node.name in names
-
-
-def _words(value: object, left_out: frozenset[str]) -> Iterator[str]:
+def _words(value: object) -> Iterator[str]:
     """The abstract syntax as words; empty fields differ between versions of Python, and go."""
     if isinstance(value, ast.AST):
-        if _is_named(value, left_out):
-            return
         yield type(value).__name__
         for name, field in ast.iter_fields(value):
             if field is not None and field != [] and name not in ("ctx", "kind", "type_comment"):
                 yield name
-                yield from _words(field, left_out)
+                yield from _words(field)
     elif isinstance(value, list):
         for each in value:
             if not (isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant)):
-                yield from _words(each, left_out)
+                yield from _words(each)
         yield "end"
     else:
         yield repr(value)

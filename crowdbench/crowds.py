@@ -4,7 +4,7 @@
 objects only.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,14 +15,10 @@ from crowdbench.scene import Scene, load_scene
 if TYPE_CHECKING:
     from crowdbench.metrics import MetricResult
     from crowdbench.policies import Policy
-    from crowdbench.scoring.scorecard import Protocol, Scorecard
+    from crowdbench.scoring.scorecard import Scorecard
     from crowdbench.simulation import Settings
     from crowdbench.spawn import SpawnModel
     from crowdbench.spawn.model import Start
-
-SPAWN = ("poisson-gmm", "renewal-gmm", "ntpp-gmm")
-POLICY = ("straight", "social-force")
-"""The spawn models and policies that are evaluated by default."""
 
 
 def rollout(
@@ -61,12 +57,9 @@ def rollout(
         CapacityError: there are more people than slots.
     """
     from crowdbench import registry
-    from crowdbench.run.episode import check_horizon
     from crowdbench.run.rollout import rollout as roll_out
 
     place = load_scene(scene)
-    if horizon_s is not None:
-        check_horizon(horizon_s)
     return roll_out(
         place,
         registry.spawn_model(spawn, place),
@@ -161,65 +154,3 @@ def read(path: str | Path, scene: str | Path | Scene | None = None) -> Trajector
         return storage.read_own(path)
     place = load_scene(scene)
     return storage.read(path, scene=place.id, dt_s=place.dt_s)
-
-
-def evaluate(
-    scene: str | Path | Scene,
-    *,
-    spawn: str | Sequence[str] = SPAWN,
-    policy: str | Sequence[str] = POLICY,
-    metric: str | Sequence[str] = (),
-    protocol: "Protocol" = "full",
-    seeds: int | None = None,
-    workers: int | None = None,
-    out: str | Path,
-    report: bool = True,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> "Scorecard":
-    """Evaluate each spawn model with each policy on a scene, all given by name.
-
-    Worker processes read the scene's files again, so a loaded scene is used by its folder.
-
-    The protocol `full` fits and compares on the whole recording. `heldout` fits on two thirds of
-    its time blocks and scores the remaining third, three times. `seeds` is the number of rollouts
-    per pair of spawn model and policy (in each fold), by default that of the scene's protocol;
-    rollout k uses fit k modulo the number of fits. With fewer than two rollouts per fit there are
-    distances but no scores. The spawn model `MODEL+FILE.toml` is MODEL under the scenario in that
-    file; it is not ranked.
-
-    `metric` names your own metrics as `pkg.module:Class`, in addition to crowdbench's; registered
-    metrics are included without being named. They are computed if the recording is imported, and
-    never scored.
-
-    If the recording is imported, policies are also scored under the recorded arrivals. A
-    deterministic policy needs only one rollout there. The policies `replay` and
-    `recorded-paths` work only with the spawn model `replay`; other pairs with them are skipped.
-
-    Writes `scorecard.json`, `run.json`, `rollouts/*.parquet` and, with `report`, `report.html` into
-    `out`. Existing rollouts are kept if nothing that they depend on has changed.
-    `progress(done, total)` is called before the first and after each batch of rollouts.
-    `workers` is the number of processes, by default one per core.
-
-    Returns the scorecard.
-
-    Raises:
-        SceneError, WeightsError, RecordingError, SettingError: an argument names something that
-            does not exist or does not fit; checked before the first rollout.
-        OutputError: `out` cannot be written.
-    """
-    from crowdbench.report.html import FILES, write_report
-    from crowdbench.run import evaluate as evaluation
-
-    return evaluation.evaluate(
-        scene,
-        spawn=spawn,
-        policy=policy,
-        metric=metric,
-        protocol=protocol,
-        seeds=seeds,
-        workers=workers,
-        out=out,
-        progress=progress,
-        publish=write_report if report else None,
-        published=FILES,
-    )

@@ -7,6 +7,7 @@ The command line prints the message and exits with code 2.
 import difflib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 _CONSTRAINTS = Path(__file__).parents[1] / "constraints.txt"  # in a clone; a wheel has none
@@ -41,13 +42,8 @@ class CrowdbenchError(Exception):
     def __reduce__(self) -> tuple[object, ...]:
         # Worker processes send errors to their parent, and exceptions with keyword-only arguments
         # cannot be pickled by default.
-        return _rebuild, (type(self), self.where, self.got, self.expected, self.hint)
-
-
-def _rebuild(
-    kind: type[CrowdbenchError], where: str, got: str, expected: str, hint: str
-) -> CrowdbenchError:
-    return kind(where, got=got, expected=expected, hint=hint)
+        told = {"got": self.got, "expected": self.expected, "hint": self.hint}
+        return partial(type(self), **told), (self.where,)
 
 
 def did_you_mean(name: object, known: Iterable[str], hint: str = "") -> str:

@@ -202,29 +202,12 @@ def read_struct(path: Path, kind: type[T], error: type[CrowdbenchError], hint: s
 
 def _nearest_field(message: str, kind: Any, hint: str) -> str:
     """The hint, after the field most like an unknown one that msgspec's message names."""
-    found = re.search(r"unknown field `(.*?)`(?: - at `\$(.*)`)?", message)
+    found = re.search(r"unknown field `(.*?)`", message)
     if found is None:
         return hint
-    name, path = found[1], found[2] or ""
-    types = _alternatives(msgspec.inspect.type_info(kind))
-    for key in re.findall(r"\.(\w+)|\[", path):  # a field, or an item if empty
-        types = [inner for of in types for inner in _inside(of, key)]
-    fields = [f.encode_name for of in types for f in getattr(of, "fields", ())]
-    return did_you_mean(name, fields, hint)
-
-
-def _inside(of: Any, key: str) -> list[Any]:
-    """Types of a field, or of the items of a list, tuple or mapping."""
-    inner = [f.type for f in getattr(of, "fields", ()) if f.encode_name == key]
-    if not key:
-        inner = [getattr(of, name) for name in ("item_type", "value_type") if hasattr(of, name)]
-        inner += getattr(of, "item_types", ())
-    return [each for one in inner for each in _alternatives(one)]
-
-
-def _alternatives(of: Any) -> list[Any]:
-    """The types of a union; of another type, that type."""
-    return list(getattr(of, "types", (of,)))
+    _, tables = msgspec.json.schema_components([kind])
+    known = {name for table in tables.values() for name in table.get("properties", {})}
+    return did_you_mean(found[1], sorted(known - {found[1]}), hint)
 
 
 def sha256(data: bytes) -> str:

@@ -7,6 +7,7 @@ function on. Without a listener nothing happens. The command line listens with p
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import partial
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -30,6 +31,10 @@ def tell(stage: str, done: int, total: int | None) -> None:
     listener = _listener.get()
     if listener is not None:
         listener(stage, done, total)
+
+
+ROLLOUTS: Callable[[int, int], None] = partial(tell, "rollouts")
+"""Reports how many of all rollouts are done."""
 
 
 def steps(stage: str, items: Sequence[Item]) -> Iterator[Item]:

@@ -7,10 +7,11 @@ scores requires a new version.
 
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 import numpy as np
@@ -320,75 +321,50 @@ def _check(file: _SceneFile, path: Path) -> None:
         if not holds:
             raise SceneError(path, got=got, expected=expected, hint=_HINT)
 
-    b = file.bounds
-    motion = file.motion
+    b, walking = file.bounds, file.walking
     require(file.schema == SCHEMA, f"schema = {file.schema}", f"schema = {SCHEMA}")
     require(bool(_ID.fullmatch(file.id)), f"id = {file.id!r}", "an id like name-v0")
+    for name, value in _numbers(file):
+        holds, expected = value > 0 and math.isfinite(value), "a positive number"
+        if name.startswith("bounds."):
+            holds, expected = math.isfinite(value), "a finite number"
+        elif name.startswith("spawning."):
+            holds, expected = 0 <= value < math.inf, "zero or more"
+        elif name == "gate.arrivals":
+            holds, expected = 0 <= value <= 1, "a share from 0 to 1"
+        elif name.endswith(".widest_m"):
+            holds, expected = value >= 1, "1 m or more"
+        require(holds, f"{name} = {value}", expected)
     require(b.x_min_m < b.x_max_m and b.y_min_m < b.y_max_m, f"bounds {b}", "minima below maxima")
-    positive = {
-        "dt_s": file.dt_s,
-        "grid_s": file.grid_s,
-        "recording.frames": file.recording.frames,
-        "recording.dwell_p99_s": file.recording.dwell_p99_s,
-        "motion.max_speed_mps": motion.max_speed_mps,
-        "motion.person_radius_m": motion.person_radius_m,
-        "motion.goal_radius_m": motion.goal_radius_m,
-        "protocol.block_s": file.protocol.block_s,
-        "protocol.resample_s": file.protocol.resample_s,
-        "protocol.fits": file.protocol.fits,
-        "protocol.rollouts_per_fit": file.protocol.rollouts_per_fit,
-    }
-    for name, value in positive.items():
-        require(math.isfinite(value) and value > 0, f"{name} = {value}", "a positive number")
-    for name, value in (
-        ("spawning.clearance_m", file.spawning.clearance_m),
-        ("spawning.patience_s", file.spawning.patience_s),
-    ):
-        require(math.isfinite(value) and value >= 0, f"{name} = {value}", "zero or more")
-    for name, value in msgspec.structs.asdict(b).items():
-        require(math.isfinite(value), f"bounds.{name} = {value}", "a finite number")
-    walking, gate = file.walking, file.gate
-    lags, shifts = walking.lags_ticks, walking.shifts_s
+    window, lags, shifts = walking.window_ticks, walking.lags_ticks, walking.shifts_s
     shortest_s = max(1.0, walking.tick_frames * file.dt_s)
-    for name, holds, got, expected in (
-        ("tick_frames", walking.tick_frames >= 1, walking.tick_frames, "1 or more"),
-        (
-            "window_ticks",
-            walking.window_ticks >= 3 and walking.window_ticks % 2 == 1,
-            walking.window_ticks,
-            "an odd number, 3 or more",
-        ),
-        (
-            "lags_ticks",
-            lags == tuple(sorted(set(lags))) and min(lags, default=0) >= 2,
-            list(lags),
-            "ascending numbers of ticks, 2 or more",
-        ),
-        (
-            "shifts_s",
-            len(shifts) > 0 and all(math.isfinite(s) and s >= shortest_s for s in shifts),
-            list(shifts),
-            f"numbers of seconds, {shortest_s:g} or more",
-        ),
-    ):
-        require(holds, f"walking.{name} = {got}", expected)
-    require(gate.speed > 0, f"gate.speed = {gate.speed}", "a positive number")
-    require(0 <= gate.arrivals <= 1, f"gate.arrivals = {gate.arrivals}", "a share from 0 to 1")
-    for key, settings in file.clustering.items():
-        for name, value in msgspec.structs.asdict(settings).items():
-            holds = name in ("keep_noise", "widest_m") or (math.isfinite(value) and value > 0)
-            require(holds, f"clustering.{key}.{name} = {value}", "a positive number")
-        wide = settings.widest_m >= 1.0
-        require(wide, f"clustering.{key}.widest_m = {settings.widest_m}", "1 m or more")
+    odd = window >= 3 and window % 2 == 1
+    require(odd, f"walking.window_ticks = {window}", "an odd number, 3 or more")
+    ascending = lags == tuple(sorted(set(lags))) and min(lags, default=0) >= 2
+    expected = "ascending numbers of ticks, 2 or more"
+    require(ascending, f"walking.lags_ticks = {list(lags)}", expected)
+    long = len(shifts) > 0 and all(math.isfinite(s) and s >= shortest_s for s in shifts)
+    expected = f"numbers of seconds, {shortest_s:g} or more"
+    require(long, f"walking.shifts_s = {list(shifts)}", expected)
     require("default" in file.clustering, "no [clustering.default]", "settings of DBSCAN there")
     for wall in file.walls:
-        few = f"wall {wall.name!r} with {len(wall.corners_m)} corners"
-        require(len(wall.corners_m) >= 3, few, "three corners or more")
-        finite = bool(np.isfinite(wall.corners_m).all())
-        require(finite, f"wall {wall.name!r} with a corner that is not finite", "corners in metres")
-        distinct = len(set(wall.corners_m)) == len(wall.corners_m)
-        require(distinct, f"wall {wall.name!r} with a repeated corner", "distinct corners")
-        polygon = shapely.Polygon(wall.corners_m)
-        require(
-            bool(polygon.is_valid), f"wall {wall.name!r} that crosses itself", "a simple polygon"
-        )
+        corners, who = wall.corners_m, f"wall {wall.name!r}"
+        require(len(corners) >= 3, f"{who} with {len(corners)} corners", "three corners or more")
+        finite = bool(np.isfinite(corners).all())
+        require(finite, f"{who} with a corner that is not finite", "corners in metres")
+        distinct = len(set(corners)) == len(corners)
+        require(distinct, f"{who} with a repeated corner", "distinct corners")
+        simple = shapely.Polygon(corners).is_valid
+        require(simple, f"{who} that crosses itself", "a simple polygon")
+
+
+def _numbers(
+    table: "msgspec.Struct | dict[str, Any]", path: str = ""
+) -> Iterator[tuple[str, float]]:
+    """The numbers in a table and those in it, with their dotted names; not those in lists."""
+    values = table if isinstance(table, dict) else msgspec.structs.asdict(table)
+    for name, value in values.items():
+        if isinstance(value, msgspec.Struct | dict):
+            yield from _numbers(value, f"{path}{name}.")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            yield f"{path}{name}", value

@@ -17,8 +17,8 @@ import numpy as np
 
 from crowdbench.baselines.packages import needs
 from crowdbench.data.blocks import SPLITS
+from crowdbench.evaluation import evaluate
 from crowdbench.report.text.words import interval
-from crowdbench.run.evaluate import evaluate  # without its report
 from crowdbench.run.executor import call_each, checked_workers
 from crowdbench.run.validation import Validator
 from crowdbench.scene import Scene
@@ -238,6 +238,7 @@ def write_ablation(scene: str, *, out: Path | None = None, workers: int | None =
         protocol="heldout",
         workers=workers,
         out=whole.out / "evaluation",
+        report=False,
     )
     by_policy = {row.policy: row for row in rows(card) if row.kind == "entry"}
     head = ["variant", "walk", "motion", "interaction", "difference"]

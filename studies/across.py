@@ -17,8 +17,8 @@ from crowdbench import load_scene, registry
 from crowdbench.baselines.packages import needs
 from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import SettingError
+from crowdbench.evaluation import evaluate
 from crowdbench.report.text.words import interval
-from crowdbench.run.evaluate import evaluate  # without its report
 from crowdbench.run.executor import call_each, checked_workers
 from crowdbench.scoring.ranking import Row, rows
 from studies.markdown import table
@@ -130,6 +130,7 @@ def write_across(
             protocol="heldout",
             workers=workers,
             out=out / "evaluation" / command.out.name,
+            report=False,
         )
         found = {row.policy: row for row in rows(card) if row.kind == "entry"}
         lines.append(line(scene, found, elsewhere))

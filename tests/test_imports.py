@@ -25,7 +25,7 @@ FLOORS = (
     ("run",),
     ("report", "viewer"),
     ("envs",),
-    ("crowds", "leaderboard", "scene_building"),
+    ("crowds", "evaluation", "leaderboard", "scene_building"),
     ("cli",),
     ("__main__",),
 )

@@ -90,14 +90,13 @@ def evaluate(
 
 
 def _print_replay(scene: str, out: Path) -> None:
-    """Print how the replay differs from the recording, and the effect of the arrival rule."""
-    from crowdbench.run.replay_check import arrival_rule_changes, compare_replay
+    """Print how the replay differs from the recording."""
+    from crowdbench.run.replay_check import compare_replay
 
     place = crowdbench.load_scene(scene)
     recording = crowdbench.recording_of(place)
     walked = crowdbench.read_own(out / "rollouts" / "replay_replay_full_0.parquet")
     print_facts("replay compared with the recording", compare_replay(recording, walked, place))
-    print_facts("effect of the arrival rule", arrival_rule_changes(recording, place))
     print()
 
 

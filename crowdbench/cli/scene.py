@@ -1,11 +1,9 @@
 """`crowdbench scene`: list scenes, make one from your own recording, and what is scored on it."""
 
 import sys
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -24,11 +22,7 @@ from crowdbench.report.text.terminal import (
 )
 from crowdbench.run.processes import LOCAL
 
-if TYPE_CHECKING:
-    from crowdbench.run.rollout_jobs import Progress
-
 app = new_app("scene", "Scenes: list them, make one from your own recording, and what is scored.")
-_FITTED = ("poisson-gmm", "poisson-groups", "renewal-gmm", "cox-gmm", "ntpp-gmm")
 _OF_TRAINING = Parameter(group="Training of ntpp-gmm and ntpp-paper")
 
 
@@ -59,14 +53,6 @@ def metrics() -> None:
         "its anchor (the crowd that scores 0) from its recording. Other metrics are shown as "
         "distances."
     )
-
-
-@contextmanager
-def _timed(what: str) -> "Iterator[Progress]":
-    began = time.perf_counter()
-    with progress_bar(what) as progress:
-        yield progress
-    print(f"{what:<12} {time.perf_counter() - began:6.1f} s", flush=True)
 
 
 @app.command
@@ -106,16 +92,8 @@ def create(
     from crowdbench.data.recordings.catalogue import cached
     from crowdbench.data.recordings.describe import describe
     from crowdbench.registry import ANY_PLACE
-    from crowdbench.scene_building import check_new, create_like, create_scene
+    from crowdbench.scene_building import NewScene, create_like, create_scene
 
-    shared: dict[str, Any] = {
-        "title": title,
-        "out": out,
-        "fits": fits,
-        "rollouts_per_fit": rollouts_per_fit,
-        "workers": workers,
-        "stage": _timed,
-    }
     of_recording: dict[str, Any] = {
         "layout": layout,
         "dt_s": dt_s,
@@ -132,19 +110,22 @@ def create(
                     got=f"{given} and --like",
                     expected=f"--like without {given}, which the other scene determines",
                 )
-        check_new(name, out or Path(name), fits, rollouts_per_fit)
+    elif layout is None:
+        raise SettingError(
+            "crowdbench scene create",
+            got="neither --format nor --like",
+            expected="the format of the recording, or a scene of the same place",
+        )
+    new = NewScene(name=name, title=title, out=out, fits=fits, rollouts_per_fit=rollouts_per_fit)
+    if like is not None:
         crowdbench.load_scene(like)  # what is wrong is said before anything is fetched
         if recording != "plaza" and not cached(recording).exists():
             fetch(recording)
-        created = create_like(name, like, recording, **shared)
+        with progress_bar("scene"):
+            created = create_like(new, like, recording, workers=workers)
     else:
-        if layout is None:
-            raise SettingError(
-                "crowdbench scene create",
-                got="neither --format nor --like",
-                expected="the format of the recording, or a scene of the same place",
-            )
-        created = create_scene(name, Path(recording), **of_recording, **shared)
+        with progress_bar("scene"):
+            created = create_scene(new, Path(recording), **of_recording, workers=workers)
     scene, crowd = created.scene, created.recording
     print()
     print_facts(f"recording {crowd.scene}", repairs(crowd, gaps) | describe(crowd))
@@ -180,7 +161,7 @@ def fit(
     *,
     clustering: str = "default",
     preprocess: Literal["paper"] | None = None,
-    models: Annotated[Sequence[str], Parameter(consume_multiple=True)] = _FITTED,
+    models: Annotated[Sequence[str] | None, Parameter(consume_multiple=True)] = None,
     window: Annotated[int | None, _OF_TRAINING] = None,
     stride: Annotated[int | None, _OF_TRAINING] = None,
     epochs: Annotated[int | None, _OF_TRAINING] = None,
@@ -192,12 +173,14 @@ def fit(
     engine: EngineName = LOCAL,
     out: Path | None = None,
 ) -> None:
-    """Fit a scene's areas, spawn models and reference statistics.
+    """Fit a scene: areas, reference statistics, spawn models, and plans.
 
     Args:
         clustering: name of the clustering settings in scene.toml
         preprocess: drop people as the founding paper does, and print how many; needs --out
-        models: spawn models to fit; with none, only areas and reference statistics are fitted
+        models: spawn models to fit (default: everything, with all models but those of the founding
+            paper); only their fits are written, and the plans if they depend on them; with none,
+            areas, reference statistics and plans are written
         window: length of a training window, frames
         stride: frames from one training window to the next
         epochs: (maximum) number of epochs
@@ -220,7 +203,7 @@ def fit(
         "published_code": published_code or None,
         "shared": shared or None,
     }
-    with progress_bar("fits") as progress:
+    with progress_bar("fits"):
         facts = fit_scene(
             place,
             crowd,
@@ -231,7 +214,6 @@ def fit(
             fits=fits,
             out=out,
             workers=workers,
-            progress=progress,
         )
     print_facts(place.id, facts)
     print(f"Next, if arrivals or areas changed: crowdbench scene anchors {out or scene}")
@@ -245,8 +227,8 @@ def anchors(scene: SceneName, /, *, workers: Workers = None, engine: EngineName 
     from crowdbench.scoring.scorecard import write_anchors
 
     place = crowdbench.load_scene(scene)
-    with temporary_folder("anchors") as folder, progress_bar("rollouts") as progress:
-        made = make_anchors(scene, folder, workers=workers, progress=progress)
+    with temporary_folder("anchors") as folder, progress_bar("rollouts"):
+        made = make_anchors(scene, folder, workers=workers)
     print(f"written to {write_anchors(made, place.folder)}")
 
 
@@ -262,8 +244,8 @@ def power(scene: SceneName, /, *, write: bool = False) -> None:
     from crowdbench.scene_building.toml import write_scored
 
     place = crowdbench.load_scene(scene)
-    with temporary_folder("power") as folder, progress_bar("rollouts") as progress:
-        studies = power_study(scene, folder, progress=progress)
+    with temporary_folder("power") as folder, progress_bar("rollouts"):
+        studies = power_study(scene, folder)
     rows = [
         (
             s.metric.replace("_", " "),

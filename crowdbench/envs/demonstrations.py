@@ -25,8 +25,8 @@ from crowdbench.envs.recorded_paths import RecordedContinuation
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy
 from crowdbench.policies.memory import Needs
+from crowdbench.run.acting import settings_for
 from crowdbench.run.episode import begin, check_capacity, generator
-from crowdbench.run.shown import settings_for
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION

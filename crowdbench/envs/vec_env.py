@@ -22,9 +22,8 @@ from crowdbench.envs.config import EnvConfig, EnvCrowd, EnvSettings, Seeds
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Policy, Straight
 from crowdbench.registry import spawn_model
-from crowdbench.run.acting import Actor
+from crowdbench.run.acting import Actor, needs
 from crowdbench.run.episode import generator
-from crowdbench.run.shown import needs
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation.simulation import check_count
 from crowdbench.simulation.state import TERMINAL

@@ -1,17 +1,69 @@
-"""`Actor`: a policy that moves the people of a simulation, and what it remembers of them."""
+"""`Actor`: a policy that moves the people of a simulation; what it sees, and remembers of them."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int
 from numpy.random import Generator
 
-from crowdbench.errors import ActionError
+from crowdbench.errors import ActionError, SettingError
 from crowdbench.policies import Policy, StateView
 from crowdbench.policies.memory import Memory, Needs
-from crowdbench.run.shown import check_shown
-from crowdbench.simulation import Simulation
+from crowdbench.simulation import Settings, Shown, Simulation
+from crowdbench.simulation.observations import version_of
 from crowdbench.simulation.social import in_own_frame
+
+
+def needs(policy: Policy) -> dict[str, Any]:
+    """What a policy needs to see: those of the fields of `Shown` that it has as attributes.
+
+    A policy with the attribute `observation` but none for its rays needs the default rays. Empty
+    for a policy that sees the state, and for one that takes any observation.
+
+    Raises:
+        SettingError: there is no such observation.
+    """
+    if policy.sees == "state":
+        return {}
+    named = {name: getattr(policy, name, None) for name in Shown._fields}
+    found = {name: value for name, value in named.items() if value is not None}
+    if "observation" not in found:
+        return found
+    if not version_of(found["observation"]).rays:
+        return {"observation": found["observation"]}
+    return Shown()._asdict() | found
+
+
+def settings_for(
+    policy: Policy, settings: Settings | None = None, *, hint: str | None = None
+) -> Settings:
+    """Settings of a simulation whose observation is the one that a policy needs.
+
+    What the policy does not say is that of `settings`, whose `max_alive` is 4096 if it is None.
+    `hint` replaces the hint of the error, and may contain `{name}` and `{value!r}`.
+
+    Raises:
+        SettingError: `settings` contain a value that contradicts the policy, or there is no such
+            observation.
+    """
+    settings = Settings(max_alive=4096) if settings is None else settings
+    if policy.sees == "state":
+        return settings
+    needed = needs(policy)
+    filled = replace(settings, **settings.shown._replace(**needed)._asdict())
+    for name, value in needed.items():
+        chosen = getattr(settings, name)
+        applies = name == "observation" or filled.shown.version.rays
+        if chosen is not None and chosen != value and applies:
+            hint = hint or "Set {name}={value!r}, or leave it out of the settings."
+            raise SettingError(
+                f"policy {policy.name}",
+                got=f"{name} = {chosen!r} in the settings",
+                expected=f"{name} = {value!r}, which the policy needs",
+                hint=hint.format(name=name, value=value),
+            )
+    return filled
 
 
 class Actor:
@@ -29,7 +81,8 @@ class Actor:
             SettingError: the policy's `memory`, `style` or `interval` is out of range, or the
                 simulation shows another observation than the policy needs.
         """
-        check_shown(policy, simulation.settings)
+        settings = simulation.settings
+        settings_for(policy, replace(settings, **settings.shown._asdict()))  # checks what is shown
         self.policy = policy
         self._simulation = simulation
         self._needs = Needs.of(policy)
@@ -112,8 +165,9 @@ class Actor:
         if len(deciding):
             flat[deciding] = self._decided(seen.take(deciding, axis=0), deciding, entered[due])
         if self._needs.interval > 1:
-            flat[others] = self._keeping(others)
-            self._held[deciding] = self._in_world(flat[deciding], deciding)
+            # People keep their velocities; their headings may have changed meanwhile.
+            flat[others] = self._turned(self._held[others], others)
+            self._held[deciding] = self._turned(flat[deciding], deciding, back=True)
         return actions
 
     def _drawn(self, at: Int[np.ndarray, " n"], width: int) -> Float32[np.ndarray, "n _"]:
@@ -132,21 +186,14 @@ class Actor:
             ]
         )
 
-    def _in_world(
-        self, action: Float32[np.ndarray, "n 2"], at: Int[np.ndarray, " n"]
+    def _turned(
+        self, action: Float32[np.ndarray, "n 2"], at: Int[np.ndarray, " n"], *, back: bool = False
     ) -> Float32[np.ndarray, "n 2"]:
-        """Actions in the world frame."""
+        """Actions of the world frame in that of the simulation, or `back` in the world frame."""
         if not self._simulation.settings.own_frame:
             return action
-        back = self._simulation.slots.heading.reshape(-1, 2)[at] * np.array([1, -1])
-        return in_own_frame(action, back)
-
-    def _keeping(self, at: Int[np.ndarray, " n"]) -> Float32[np.ndarray, "n 2"]:
-        """Actions with which people keep their velocities; headings may have changed meanwhile."""
-        held = self._held[at]
-        if not self._simulation.settings.own_frame:
-            return held
-        return in_own_frame(held, self._simulation.slots.heading.reshape(-1, 2)[at])
+        heading = self._simulation.slots.heading.reshape(-1, 2)[at]
+        return in_own_frame(action, heading * np.array([1, -1]) if back else heading)
 
     def _due(self, at: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         """Whose decision is due, by the number of frames since the entry."""
@@ -187,12 +234,15 @@ def checked_states(
         ActionError: they are not finite numbers of shape (`persons`, `size`).
     """
     state = np.asarray(memory.state)
-    if state.shape != (persons, size) or not np.isfinite(state).all():
+    got = ""
+    if state.shape != (persons, size):
+        got = f"next states of shape {state.shape}"
+    elif not np.isfinite(state).all():
+        got = f"{int((~np.isfinite(state)).sum())} values of next states that are not finite"
+    if got:
         raise ActionError(
             f"policy {policy.name}",
-            got=f"next states of shape {state.shape}"
-            if state.shape != (persons, size)
-            else f"{int((~np.isfinite(state)).sum())} values of next states that are not finite",
+            got=got,
             expected=f"finite numbers of shape ({persons}, {size}) in memory.state",
             hint="Write into the array: memory.state[:] = …",
         )

@@ -49,10 +49,7 @@ def begin(
     """Begin an episode of `frames` frames in all worlds of a simulation; return its actor.
 
     World k draws its arrivals with the random generator of the world `first_world` + k. See `draw`
-    for the start, and `EpisodeArrivals.begin` for the actor.
-
-    Raises:
-        SettingError: see `draw`.
+    for the start and errors, and `EpisodeArrivals.begin` for the actor.
     """
     worlds = [World(spawn, seed, first_world + k) for k in range(simulation.worlds)]
     drawn = draw(simulation.scene, worlds, frames=frames, start=start, scripted=scripted)
@@ -119,19 +116,15 @@ def draw(
     """
     spawn = worlds[0].spawn
     start = start or spawn.start
-    recorded = spawn.start == "recorded"
-    if start not in ("stationary", "recorded", "empty"):
-        raise SettingError("start", got=repr(start), expected="stationary, recorded or empty")
-    if (start == "recorded") != recorded and start != "empty":
+    allowed = ("recorded" if spawn.start == "recorded" else "stationary", "empty")
+    if start not in allowed:
         raise SettingError(
             f"start of {spawn.name}",
-            got=start,
-            expected="recorded or empty" if recorded else "stationary or empty",
+            got=repr(start),
+            expected=" or ".join(allowed),
             hint="Only replayed arrivals have a recorded initial population.",
         )
-    warm_up = 0
-    if start == "stationary":
-        warm_up = scene.frames(warm_up_s(scene))
+    warm_up = scene.frames(warm_up_s(scene)) if start == "stationary" else 0
     events = []
     for world in worlds:
         spawn = world.spawn
@@ -177,12 +170,9 @@ class Recorder:
 
     simulation: Simulation
     _frame: list[int] = field(default_factory=list)
-    _world: list[np.ndarray] = field(default_factory=list)
-    _person: list[np.ndarray] = field(default_factory=list)
+    _who: list[tuple[np.ndarray, ...]] = field(default_factory=list)
+    """World, person, event, birth and end of those recorded in each frame."""
     _xy: list[np.ndarray] = field(default_factory=list)
-    _event: list[np.ndarray] = field(default_factory=list)
-    _born: list[np.ndarray] = field(default_factory=list)
-    _ended: list[np.ndarray] = field(default_factory=list)
     _there: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     _some_ended: bool = False
 
@@ -191,17 +181,13 @@ class Recorder:
         slots, clock = self.simulation.slots, self.simulation.clock
         if not self._frame or self._some_ended or clock.changed.any():
             self._there = np.flatnonzero(slots.alive | (slots.ended != 0))
-            ended = slots.ended.take(self._there)
-            self._some_ended = bool(ended.any())
             world = self._there // slots.alive.shape[1]
-            self._world.append(world.astype(np.int16))  # as long as all rows, but never large
-            self._person.append(slots.person.take(self._there))
-            self._event.append(slots.event.take(self._there))
-            self._born.append(slots.born.take(self._there))
-            self._ended.append(ended)
+            columns = (slots.person, slots.event, slots.born, slots.ended)
+            who = [column.take(self._there) for column in columns]
+            self._some_ended = bool(who[-1].any())
+            self._who.append((world.astype(np.int16), *who))  # as long as all rows, but never large
         else:  # the same people as in the previous frame
-            for column in (self._world, self._person, self._event, self._born, self._ended):
-                column.append(column[-1])
+            self._who.append(self._who[-1])
         self._xy.append(slots.position.reshape(-1, 2).take(self._there, axis=0))
         self._frame.append(int(clock.frame[0]))
 
@@ -210,7 +196,8 @@ class Recorder:
 
         Of a simulation with one world. Empty frames may be missing.
         """
-        return list(zip(self._person[-frames:], self._xy[-frames:], strict=True))
+        people = [person for _, person, *_ in self._who[-frames:]]
+        return list(zip(people, self._xy[-frames:], strict=True))
 
     def trajectories(self, provenance: dict[str, Any]) -> Trajectories:
         """Trajectories in the first world in the frames recorded so far.
@@ -226,26 +213,18 @@ class Recorder:
         Raises:
             RecordingError: nobody has entered one of the worlds.
         """
-        frame = np.repeat(np.array(self._frame), [len(person) for person in self._person])
-        columns = (self._person, self._event, self._born, self._ended, self._xy)
-        rows = (frame, *map(np.concatenate, columns))
-        world = np.concatenate(self._world)
+        frame = np.repeat(np.array(self._frame), [len(xy) for xy in self._xy])
+        world, *columns = map(np.concatenate, zip(*self._who, strict=True))
+        rows = (frame, *columns, np.concatenate(self._xy))
         return [
             self._trajectories(k, asked, *(of[world == k] for of in rows))
             for k, asked in enumerate(provenance)
         ]
 
     def _trajectories(
-        self,
-        world: int,
-        provenance: dict[str, Any],
-        frame: Int[np.ndarray, " R"],
-        person: Int[np.ndarray, " R"],
-        event: Int[np.ndarray, " R"],
-        born: Int[np.ndarray, " R"],
-        ended: Int[np.ndarray, " R"],
-        xy: Float32[np.ndarray, "R 2"],
+        self, world: int, provenance: dict[str, Any], *rows: np.ndarray
     ) -> Trajectories:
+        frame, person, event, born, ended, xy = rows
         scene = self.simulation.scene
         events = self.simulation.events[world]
         horizon = int(self.simulation.clock.horizon[world])

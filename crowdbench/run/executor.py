@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -77,10 +77,6 @@ def checked_workers(asked: int | None) -> int:
     return asked or (os.cpu_count() or 1 if is_local() else ray_executor.cpus())
 
 
-def _no_files(*task: object) -> Sequence[Path]:
-    return ()
-
-
 def call_each(
     function: Callable[..., Result],
     tasks: Sequence[tuple[object, ...]],
@@ -88,8 +84,8 @@ def call_each(
     *,
     common: tuple[object, ...] = (),
     name: Callable[..., str] = lambda *task: "a task",
-    files: Callable[..., Sequence[Path]] = _no_files,
-    reads: Callable[..., Sequence[Path]] = _no_files,
+    files: Callable[..., Sequence[Path]] = lambda *task: (),
+    reads: Callable[..., Sequence[Path]] = lambda *task: (),
 ) -> Generator[tuple[int, Result], None, None]:
     """Call `function(*task, *common)` for each task; yields the index and result of each call.
 
@@ -131,33 +127,29 @@ def _in_processes(
     """
     from loky.process_executor import ProcessPoolExecutor
 
-    start = partial(
-        ProcessPoolExecutor, 1, initializer=_begin, initargs=(os.getpid(),), env=_environment()
-    )
     given = pickle.dumps((function, common)), plugins.shared()
+    start = partial(
+        ProcessPoolExecutor, 1, initializer=_begin, initargs=(os.getpid(), given),
+        env=_environment(),
+    )  # fmt: skip
     team: list[ProcessPoolExecutor] = []
     idle: list[ProcessPoolExecutor] = []
     busy: dict[Future[bytes], tuple[ProcessPoolExecutor, int]] = {}
     waiting, until = deque(range(len(tasks))), time.monotonic() + ALONE_S
-    ready: list[tuple[int, Result]] = []
     try:
-        while True:
+        while waiting or busy:
             while waiting and len(busy) < (1 if time.monotonic() < until else most):
-                worker, index = idle.pop() if idle else start(), waiting.popleft()
-                first = worker not in team
-                busy[worker.submit(_call, tasks[index], given if first else None)] = worker, index
-                if first:
-                    team.append(worker)
-            yield from ready  # after the workers have been given the next tasks
-            if not busy:
-                return
+                if not idle:
+                    idle.append(start())
+                    team += idle
+                worker, index = idle.pop(), waiting.popleft()
+                busy[worker.submit(_call, tasks[index])] = worker, index
             helps = len(busy) < most and waiting
             left_s = max(0.0, until - time.monotonic()) if helps else None
-            ready = []
             for future in wait(busy, left_s, FIRST_COMPLETED).done:
                 worker, index = busy.pop(future)
                 idle.append(worker)
-                ready.append((index, _result(future, name(*tasks[index]))))
+                yield index, _result(future, name(*tasks[index]))
     finally:
         for worker in team:
             worker.shutdown(kill_workers=True)
@@ -169,29 +161,34 @@ def _environment() -> dict[str, str]:
     return {name: value for name, value in wanted.items() if name not in os.environ}
 
 
-def _begin(parent: int) -> None:
+_given: tuple[bytes, bytes]
+"""In a worker process: the pickled function and common arguments of its tasks, and plugins."""
+
+
+def _begin(parent: int, given: tuple[bytes, bytes]) -> None:
     """Set up a new process."""
+    global _given
     end_with(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # handled by the process that started this one
     import numba
 
     numba.set_num_threads(1)  # the processes already use all cores
+    _given = given
 
 
-_taken: tuple[Callable[..., object], tuple[object, ...]]
-"""In a worker process: the function of the tasks, and their common arguments."""
+@cache
+def _unpacked() -> tuple[Callable[..., object], tuple[object, ...]]:
+    """The function and common arguments; errors in it are those of the first task."""
+    packed, registered = _given
+    plugins.restore(registered)
+    return pickle.loads(packed)
 
 
-def _call(task: tuple[object, ...], first: tuple[bytes, bytes] | None) -> bytes:
-    """The outcome of a task in a worker process; `first` comes with its first task."""
+def _call(task: tuple[object, ...]) -> bytes:
+    """The outcome of a task in a worker process."""
 
     def call() -> object:
-        global _taken
-        if first is not None:
-            packed, registered = first
-            plugins.restore(registered)
-            _taken = pickle.loads(packed)
-        function, common = _taken
+        function, common = _unpacked()
         return function(*task, *common)
 
     return outcome_of(call)

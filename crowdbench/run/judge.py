@@ -1,24 +1,24 @@
 """Computes the scorecard of rollouts: distances, energy scores and noise floors."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
+from jaxtyping import Int
 from threadpoolctl import threadpool_limits
 
 from crowdbench import __version__
 from crowdbench.data.blocks import SPLITS, TimeBlocks
 from crowdbench.data.table import OUTCOMES, Trajectories
-from crowdbench.errors import SettingError
+from crowdbench.errors import RecordingError, SettingError
 from crowdbench.metrics import WALK, Metric, Statistics, blamed
 from crowdbench.metrics.metric import in_blocks
 from crowdbench.metrics.motion import Speed
 from crowdbench.progress import steps
 from crowdbench.registry import recording_of
-from crowdbench.run.recorded_arrivals import recognised
-from crowdbench.run.rollout_jobs import Job, splits_of
+from crowdbench.run.rollout_jobs import Job, Pair, splits_of
 from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import RESAMPLES, Draws, FloorDraws, energy, floor, mean_of
@@ -39,6 +39,12 @@ from crowdbench.spawn.areas import read_areas
 FINISHED = (OUTCOMES.index("goal"), OUTCOMES.index("exit"), OUTCOMES.index("timeout"))
 TRAJECTORIES = "trajectories"
 """Name of the spawn model and policy of rollouts that another program made."""
+LATE_S, FAR_M = 1.0, 1.0
+"""People are recognised by where and when they enter, to within this time and distance."""
+KNOWN = 0.95
+"""Share of the people who have to be recognised."""
+_PLAN = ("spawn_area", "goal_area", "goal_x", "goal_y", "group")
+_UNKNOWN, _GOAL, _EXIT = (OUTCOMES.index(name) for name in ("unknown", "goal", "exit"))
 
 
 def judge(
@@ -69,11 +75,7 @@ def judge(
 
 
 def judge_crowds(
-    place: Scene,
-    reference: Reference,
-    crowds: Sequence[Trajectories],
-    *,
-    recorded_arrivals: bool,
+    place: Scene, reference: Reference, crowds: Sequence[Trajectories], *, recorded_arrivals: bool
 ) -> Scorecard:
     """The scorecard of rollouts of another simulator; see `crowdbench.score_rollouts`.
 
@@ -98,6 +100,63 @@ def judge_crowds(
     seeds = max(2, len(crowds)) if recorded_arrivals else len(crowds)
     card = judge(place, reference, rolled, "full", seeds, scale)
     return msgspec.structs.replace(card, fits=1, rollouts=len(crowds))  # fits are unknown
+
+
+def recognised(crowd: Trajectories, recording: Trajectories, scene: Scene) -> Trajectories:
+    """The crowd with the goals, areas and companions of the recorded people it consists of.
+
+    People who left and whose outcome is unknown get the outcome `goal` if they ended within 1 m of
+    the recorded goal (or within the scene's goal radius, if that is larger), otherwise `exit`.
+
+    Raises:
+        RecordingError: fewer than 95 % of the people, recorded or simulated, are recognised.
+    """
+    person = matched(crowd, recording)
+    known = person >= 0
+    most = max(len(crowd), len(recording), 1)
+    if known.sum() < KNOWN * most:
+        raise RecordingError(
+            f"crowd scored on {scene.id}",
+            got=f"{len(crowd)} people, of whom {int(known.sum())} enter like one of the "
+            f"{len(recording)} recorded people",
+            expected=f"at least {KNOWN:.0%}, within {LATE_S:g} s and {FAR_M:g} m",
+            hint=f"`crowdbench spawn sample {scene.asked} --model replay --out arrivals.csv` "
+            "writes the recorded arrivals. Without --recorded-arrivals, arrivals are scored too.",
+        )
+    whose = person[known]
+    columns = {name: getattr(crowd, name).copy() for name in (*_PLAN, "left", "outcome")}
+    for name in _PLAN:
+        columns[name][known] = getattr(recording, name)[whose]
+    columns["left"][known] &= recording.left[whose]  # who was not seen to leave stays censored
+    goal = np.stack([columns["goal_x"], columns["goal_y"]], axis=1)
+    near_m = max(FAR_M, scene.motion.goal_radius_m)
+    near = np.linalg.norm(crowd.end - goal, axis=1) <= near_m
+    untold = known & columns["left"] & (crowd.outcome == _UNKNOWN)
+    columns["outcome"][untold] = np.where(near[untold], _GOAL, _EXIT)
+    return replace(crowd, **columns)
+
+
+def matched(crowd: Trajectories, recording: Trajectories) -> Int[np.ndarray, " P"]:
+    """Index in the recording of each of the `P` people of a crowd; −1 for nobody.
+
+    In order of entry, each recorded person is the nearest person who enters within `LATE_S` and
+    `FAR_M` and is not yet taken.
+    """
+    found = np.full(len(crowd), -1)
+    order = np.argsort(crowd.requested_s, kind="stable")
+    times = crowd.requested_s[order]
+    free = np.ones(len(crowd), dtype=bool)
+    starts = crowd.start[order].astype(np.float64)
+    first = np.searchsorted(times, recording.requested_s - LATE_S - 1e-9)
+    stop = np.searchsorted(times, recording.requested_s + LATE_S + 1e-9)
+    for p in np.argsort(recording.requested_s, kind="stable").tolist():
+        window = slice(first[p], stop[p])
+        distance = np.linalg.norm(starts[window] - recording.start[p], axis=1)
+        distance[~free[window]] = np.inf
+        if len(distance) and distance.min() <= FAR_M:
+            at = first[p] + int(distance.argmin())
+            found[order[at]], free[at] = p, False
+    return found
 
 
 def draws_of(scene: Scene, reference: Reference, split: str) -> Draws:
@@ -144,13 +203,11 @@ def entries_of(
 
     All metrics have distances. Those in `scored` have energy scores too, None: all.
     """
-    pairs = list(dict.fromkeys((job.spawn, job.policy) for job in rolled))
-    cards: dict[tuple[str, str], dict[str, MetricCard]] = {pair: {} for pair in pairs}
-    of_pair = {
-        pair: {job: what for job, what in rolled.items() if (job.spawn, job.policy) == pair}
-        for pair in pairs
-    }
-    for pair, metric in steps("judging", [(p, m) for p in pairs for m in reference.metrics]):
+    of_pair: dict[Pair, dict[Job, RolloutSummary]] = {}
+    for job, what in rolled.items():
+        of_pair.setdefault((job.spawn, job.policy), {})[job] = what
+    cards: dict[Pair, dict[str, MetricCard]] = {pair: {} for pair in of_pair}
+    for pair, metric in steps("judging", [(p, m) for p in of_pair for m in reference.metrics]):
         energies = scored is None or metric.name in scored
         # Products of matrices are small: further threads would mostly wait. Sums of counts are
         # exact, so the number of threads changes no result.
@@ -158,23 +215,23 @@ def entries_of(
             cards[pair][metric.name] = _metric_card(
                 scene, reference, metric, of_pair[pair], protocol, seeds, energies=energies
             )
-    return [_entry(of_pair[pair], cards[pair]) for pair in pairs]
-
-
-def _entry(rolled: dict[Job, RolloutSummary], metrics: dict[str, MetricCard]) -> PairResult:
-    first = next(iter(rolled))
-    ended = np.sum([r.outcomes for r in rolled.values()], axis=0)
-    finished = int(ended[list(FINISHED)].sum())
-    return PairResult(
-        spawn=first.spawn,
-        policy=first.policy,
-        seeds=[job.seed for job in rolled],
-        persons=int(ended.sum()),
-        outcomes={n: int(c) for n, c in zip(OUTCOMES, ended, strict=True) if c},
-        speed_mps=_walking_speed(rolled),
-        at_goal=float(ended[FINISHED[0]]) / finished if finished else None,
-        metrics=metrics,
-    )
+    results = []
+    for (spawn, policy), mine in of_pair.items():
+        ended = np.sum([summary.outcomes for summary in mine.values()], axis=0)
+        finished = int(ended[list(FINISHED)].sum())
+        results.append(
+            PairResult(
+                spawn=spawn,
+                policy=policy,
+                seeds=[job.seed for job in mine],
+                persons=int(ended.sum()),
+                outcomes={n: int(c) for n, c in zip(OUTCOMES, ended, strict=True) if c},
+                speed_mps=_walking_speed(mine),
+                at_goal=float(ended[FINISHED[0]]) / finished if finished else None,
+                metrics=cards[spawn, policy],
+            )
+        )
+    return results
 
 
 def _walking_speed(rolled: dict[Job, RolloutSummary]) -> float | None:

@@ -1,4 +1,4 @@
-"""How the processes of a run end, and how they pass on what a call returned or raised."""
+"""Processes of a run: how they end, keep apart, and pass on what a call returned or raised."""
 
 import ctypes
 import os
@@ -10,7 +10,11 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, ClassVar
+
+from crowdbench.errors import OutputError
+from crowdbench.files import unwritable
 
 _PR_SET_PDEATHSIG = 1
 
@@ -100,3 +104,35 @@ def result_of(outcome: bytes) -> Any:
     if returned:
         return what
     raise what
+
+
+@contextmanager
+def alone_in(out: Path) -> Iterator[None]:
+    """Hold the lock of a folder; a missing folder is created.
+
+    The operating system releases the lock when the process ends, even if it crashes.
+
+    Raises:
+        OutputError: another process holds the lock, or the folder cannot be written.
+    """
+    from filelock import FileLock, Timeout  # loads asyncio
+
+    lock = FileLock(out / ".lock", timeout=0)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except Timeout as error:
+        raise OutputError(
+            out,
+            got="a folder that another evaluation is writing to",
+            expected="a separate folder for each evaluation",
+            hint="Wait until the other evaluation ends, or choose another folder.",
+        ) from error
+    except OSError as error:
+        raise unwritable(out, error) from error
+    try:
+        yield
+    finally:
+        # Removed before it is released: a process that has opened it notices that.
+        Path(lock.lock_file).unlink(missing_ok=True)
+        lock.release()

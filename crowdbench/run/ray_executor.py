@@ -294,5 +294,5 @@ def _write(path: Path, data: bytes | None) -> None:
 
 
 def _on_node(place: str, path: str) -> Path:
-    """A path that `_Packer` has seen."""
+    """A path that `_packed` has replaced."""
     return {"task": _task, "scenes": scenes_folder(), "working": Path.cwd()}[place] / path

@@ -54,16 +54,16 @@ class Resolved:
     @property
     def own(self) -> list[str]:
         """The policy and spawn model that are classes of a user or another package."""
-        policy = [f"policy {self.policy.name}"] if self.policy.own else []
-        spawn = [f"spawn model {self.spawn.name}"] if self.spawn.own else []
-        return [*policy, *spawn]
+        sources = (("policy", self.policy), ("spawn model", self.spawn))
+        return [f"{what} {source.name}" for what, source in sources if source.own]
 
     @property
     def foreign(self) -> bool:
         """Whether it runs code of others, which may use more files than those beside it."""
-        sources = ((self.policy.own, self.policy.name), (self.spawn.own, self.spawn.name))
-        own = any(own and not name.startswith("crowdbench.") for own, name in sources)
-        return own or bool(plugins.names("observations"))
+        others = [
+            s for s in (self.policy, self.spawn) if s.own and not s.name.startswith("crowdbench.")
+        ]
+        return bool(others or plugins.names("observations"))
 
     def fingerprint(self, split: str) -> str:
         """Hash of everything that a rollout depends on, but its fit and seed.

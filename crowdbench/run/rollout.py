@@ -7,14 +7,15 @@ from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, ReplayPolicy
 from crowdbench.policies.memory import Needs
+from crowdbench.run.acting import settings_for
 from crowdbench.run.episode import (
     Recorder,
     World,
     check_capacity,
+    check_horizon,
     draw,
     most_at_once,
 )
-from crowdbench.run.shown import settings_for
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn import Replay, SpawnModel
@@ -34,14 +35,10 @@ def rollout(
     start: Start | None = None,
     settings: Settings | None = None,
 ) -> Trajectories:
-    """Simulate a crowd: `spawn` draws the arrivals and `policy` moves the people.
+    """Simulate a crowd, see `crowdbench.rollout`, of objects.
 
-    Returns the trajectories of `horizon_s` seconds. The same seed gives the same table. `horizon_s`
-    defaults to the length of the recording and `start` to that of the spawn model. A warm-up uses
-    `policy` too. If spawn model and policy are both `replay`, people leave in their last recorded
-    frame; otherwise they leave when they reach the goal. A policy with `sees = "observation"` may
-    choose its observation by the attributes `observation`, `rays` and `ray_range_m`. `settings`
-    must not contradict them.
+    A warm-up uses `policy` too. If spawn model and policy are both `replay`, people leave in their
+    last recorded frame; otherwise they leave when they reach the goal.
 
     Raises:
         SettingError: `start` or the policy `replay` does not fit the spawn model, or the settings
@@ -99,6 +96,8 @@ def _simulated(
     start: Start | None = None,
     settings: Settings | None = None,
 ) -> list[Trajectories]:
+    if horizon_s is not None:
+        check_horizon(horizon_s)
     spawn = worlds[0].spawn
     # The type is tested, not the name, because the file of a network may have any name.
     if isinstance(policy, ReplayPolicy) and (not isinstance(spawn, Replay) or start == "empty"):

@@ -11,24 +11,19 @@ of the fingerprint: if one of them is missing, all are made again.
 """
 
 import functools
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
 
 from crowdbench.data.blocks import SPLITS
 from crowdbench.data.storage import read_own, write_parquet
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import (
-    CrowdbenchError,
-    OwnCodeError,
-    RecordingError,
-    SettingError,
-)
+from crowdbench.errors import CrowdbenchError, OwnCodeError, RecordingError, SettingError
 from crowdbench.files import sha256
 from crowdbench.plugins import told
 from crowdbench.policies import OnnxPolicy, Policy
+from crowdbench.progress import ROLLOUTS
 from crowdbench.run import store
 from crowdbench.run.executor import call_each, checked_workers, is_local
 from crowdbench.run.processes import Stopped
@@ -39,8 +34,9 @@ from crowdbench.scene import Scene, load_scene, scenes_folder
 from crowdbench.scoring.reference import Reference
 from crowdbench.spawn import SpawnModel
 
-Result = TypeVar("Result")
 Pair = tuple[str, str]
+Models = tuple[str, str, str, str]
+"""Names of a scene, spawn model and policy, and the fingerprint of their rollouts."""
 Progress = Callable[[int, int], None]
 RECORDED_PER_FIT = 2
 """Maximum number of rollouts per fit under the recorded arrivals. They differ little, because
@@ -72,6 +68,11 @@ class Job:
     exact: bool = True
     """Whether the rollout is the same in any batch."""
 
+    @property
+    def models(self) -> Models:
+        """What its models are found by."""
+        return self.scene, self.spawn, self.policy, self.fingerprint
+
     def __str__(self) -> str:
         return f"rollout {self.seed} of {self.spawn} × {self.policy} on {self.scene} ({self.split})"
 
@@ -82,12 +83,7 @@ def splits_of(protocol: str) -> tuple[str, ...]:
 
 
 def plan(
-    scene: str,
-    place: Scene,
-    pairs: Sequence[Pair],
-    protocol: str,
-    seeds: int,
-    folder: Path,
+    scene: str, place: Scene, pairs: Sequence[Pair], protocol: str, seeds: int, folder: Path
 ) -> list[Job]:
     """All rollouts that an evaluation of these pairs needs.
 
@@ -117,21 +113,19 @@ def plan(
             if isinstance(walker, OnnxPolicy) and walker.path not in tried:
                 walker.check_rows()
                 tried.add(walker.path)
-            certain = recorded and getattr(walker, "deterministic", False)
             pair.spawn.model(split)  # raises an error if it cannot be made
             fingerprint = pair.fingerprint(split)
-            most = RECORDED_PER_FIT * fits if recorded else seeds
-            number = 1 if certain else min(seeds, most)
+            number = min(seeds, RECORDED_PER_FIT * fits) if recorded else seeds
+            if recorded and getattr(walker, "deterministic", False):
+                number = 1
             size = BATCH if batchable(walker) else 1
             exact = size == 1 or walker.sees == "state"
             for seed in range(number):
-                name = f"{_plain(s)}_{_plain(p)}_{split}_{seed}.parquet"
+                path = folder / f"{_plain(s)}_{_plain(p)}_{split}_{seed}.parquet"
                 batch = seed // size
                 several = "" if exact else f"-{min(size, number - batch * size)}"
                 of = fingerprint + several
-                jobs.append(
-                    Job(scene, s, p, split, seed % fits, seed, folder / name, of, batch, exact)
-                )
+                jobs.append(Job(scene, s, p, split, seed % fits, seed, path, of, batch, exact))
     return jobs
 
 
@@ -139,7 +133,7 @@ def batches(jobs: Sequence[Job]) -> list[tuple[Job, ...]]:
     """The jobs whose rollouts are made at once."""
     of: dict[tuple[object, ...], list[Job]] = {}
     for job in jobs:
-        key = (job.scene, job.spawn, job.policy, job.split, job.path.parent, job.batch)
+        key = (job.models[:3], job.split, job.path.parent, job.batch)
         of.setdefault(key, []).append(job)
     return [tuple(each) for each in of.values()]
 
@@ -164,52 +158,39 @@ def _check_unseen(policy: str, walker: Policy, place: Scene, split: str) -> None
 
 
 def roll_out(
-    jobs: list[Job], reference: Reference, workers: int | None, progress: Progress
+    jobs: list[Job],
+    reference: Reference | None,
+    workers: int | None = None,
+    progress: Progress = ROLLOUTS,
 ) -> dict[Job, RolloutSummary]:
     """Make all missing rollouts; returns the summary of each, in the order of the jobs.
 
     `progress(done, total)` is called before the first and after each batch of rollouts.
     `workers` is the number of processes, by default one per core, or none but this one if that is
-    faster.
+    faster. Without a reference, there are no summaries.
     """
-    rolled: dict[Job, RolloutSummary] = {}
-    progress(0, len(jobs))
-    each = batches(jobs)
-    # Closing ends the worker processes even if this function is left early.
-    with closing(_each(_roll_out, each, workers, reference)) as done:
-        for k, what in done:
-            rolled |= zip(each[k], what, strict=True)
-            progress(len(rolled), len(jobs))
-    return {job: rolled[job] for job in jobs}
-
-
-def make(jobs: list[Job], workers: int | None, progress: Progress) -> None:
-    """Make all missing rollouts like `roll_out`, without summaries."""
-    progress(0, len(jobs))
-    each, made = batches(jobs), 0
-    with closing(_each(_make, each, workers)) as done:
-        for k, _ in done:
-            made += len(each[k])
-            progress(made, len(jobs))
-
-
-def _each(
-    function: Callable[..., Result],
-    batched: Sequence[tuple[Job, ...]],
-    workers: int | None,
-    *common: object,
-) -> Generator[tuple[int, Result], None, None]:
+    batched = batches(jobs)
     if workers is None and is_local() and _light(batched):
         workers = 1
-    return call_each(
-        function,
-        [(batch,) for batch in batched],
-        checked_workers(workers),
-        common=common,
-        name=_told,
-        files=lambda batch: [job.path for job in batch],
-        reads=_own_files,
-    )
+    made, rolled = 0, dict[Job, RolloutSummary]()
+    progress(made, len(jobs))
+    # Closing ends the worker processes even if this function is left early.
+    with closing(
+        call_each(
+            _roll_out,
+            [(batch,) for batch in batched],
+            checked_workers(workers),
+            common=(reference,),
+            name=_told,
+            files=lambda batch: [job.path for job in batch],
+            reads=_own_files,
+        )
+    ) as done:
+        for k, summaries in done:
+            made += len(batched[k])
+            rolled |= zip(batched[k], summaries, strict=False)
+            progress(made, len(jobs))
+    return {job: rolled[job] for job in jobs if job in rolled}
 
 
 def _light(batched: Sequence[tuple[Job, ...]]) -> bool:
@@ -219,9 +200,8 @@ def _light(batched: Sequence[tuple[Job, ...]]) -> bool:
     """
     frames = 0
     for batch in batched:
-        first = batch[0]
-        pair = _resolved(first.scene, first.spawn, first.policy, first.fingerprint)
-        if pair.own or pair.policy.network(first.split) is not None:
+        pair = _pair(batch[0])
+        if pair.own or pair.policy.network(batch[0].split) is not None:
             return False
         frames += len(batch) * pair.scene.recording.frames
     return frames <= LIGHT_FRAMES
@@ -229,9 +209,8 @@ def _light(batched: Sequence[tuple[Job, ...]]) -> bool:
 
 def _own_files(batch: tuple[Job, ...]) -> list[Path]:
     """Files of the models of a batch that do not come with crowdbench."""
-    first = batch[0]
-    pair = _resolved(first.scene, first.spawn, first.policy, first.fingerprint)
-    named = [pair.policy.network(first.split), pair.spawn.scenario, pair.spawn.fits]
+    pair = _pair(batch[0])
+    named = [pair.policy.network(batch[0].split), pair.spawn.scenario, pair.spawn.fits]
     if not pair.scene.folder.is_relative_to(scenes_folder()):
         named += sorted(path for path in pair.scene.folder.rglob("*") if path.is_file())
     return [p for p in named if p is not None and not p.is_relative_to(scenes_folder())]
@@ -242,17 +221,16 @@ def _told(batch: tuple[Job, ...]) -> str:
     return str(first) if first is last else f"{first} to {last.seed}"
 
 
-def _make(batch: tuple[Job, ...]) -> None:
-    _made(batch)
-
-
-def _roll_out(batch: tuple[Job, ...], reference: Reference) -> list[RolloutSummary]:
-    return [_summary(job, crowd, reference) for job, crowd in zip(batch, _made(batch), strict=True)]
+def _roll_out(batch: tuple[Job, ...], reference: Reference | None) -> list[RolloutSummary]:
+    crowds = _made(batch)
+    if reference is None:
+        return []
+    return [_summary(job, crowd, reference) for job, crowd in zip(batch, crowds, strict=True)]
 
 
 def _summary(job: Job, crowd: Trajectories, reference: Reference) -> RolloutSummary:
     """The summary of a rollout, from the store if it is there, otherwise made and kept there."""
-    key = summary_key(_key(job), reference) if _shared(job) else None
+    key = None if _pair(job).foreign else summary_key(_key(job), reference)
     if key is None:
         return RolloutSummary.of_crowd(crowd, reference)
     if (file := store.find(key, ".npz")) is not None:
@@ -264,8 +242,11 @@ def _summary(job: Job, crowd: Trajectories, reference: Reference) -> RolloutSumm
 
 
 def _made(batch: tuple[Job, ...]) -> list[Trajectories]:
-    """The rollouts, from files of the jobs or from the store, otherwise made; then in both."""
-    shared = _shared(batch[0])
+    """The rollouts, from files of the jobs or from the store, otherwise made; then in both.
+
+    The store has no rollouts of other people's code.
+    """
+    shared = not _pair(batch[0]).foreign
     crowds = {job: crowd for job in batch if (crowd := _kept(job)) is not None}
     missing = [job for job in batch if job not in crowds]
     found = {job: crowd for job in missing if shared and (crowd := _in_store(job))}
@@ -273,7 +254,8 @@ def _made(batch: tuple[Job, ...]) -> list[Trajectories]:
     if to_make and not batch[0].exact:
         missing = to_make = list(batch)
     made = zip(to_make, _rolled_out(to_make), strict=True) if to_make else ()
-    crowds |= {job: _of_job(crowd, job) for job, crowd in (found | dict(made)).items()}
+    for job, crowd in (found | dict(made)).items():
+        crowds[job] = replace(crowd, provenance=_provenance(job))
     for job in missing:
         write_parquet(crowds[job], job.path)
     if shared:
@@ -284,18 +266,10 @@ def _made(batch: tuple[Job, ...]) -> list[Trajectories]:
 
 def _kept(job: Job) -> Trajectories | None:
     """The rollout in the file of a job, if it belongs to it."""
-    if not job.path.exists():
-        return None
-    try:
+    with suppress(RecordingError):  # not a valid rollout: it is overwritten
         crowd = read_own(job.path)
-    except RecordingError:  # not a valid rollout: it is overwritten
-        return None
-    return crowd if dict(crowd.provenance) == _provenance(job) else None
-
-
-def _shared(job: Job) -> bool:
-    """Whether the store has such rollouts: not those of other people's code."""
-    return not _resolved(job.scene, job.spawn, job.policy, job.fingerprint).foreign
+        return crowd if dict(crowd.provenance) == _provenance(job) else None
+    return None
 
 
 def _in_store(job: Job) -> Trajectories | None:
@@ -310,70 +284,55 @@ def _key(job: Job) -> str:
     return sha256(f"{job.fingerprint} {job.fit} {job.seed}".encode())[:32]
 
 
-def _of_job(crowd: Trajectories, job: Job) -> Trajectories:
-    return replace(crowd, provenance=_provenance(job))
-
-
 def _provenance(job: Job) -> dict[str, object]:
-    return {
-        "spawn": job.spawn,
-        "policy": job.policy,
-        "split": job.split,
-        "fit": job.fit,
-        "seed": job.seed,
-        "made_from": job.fingerprint,
-    }
+    names = ("spawn", "policy", "split", "fit", "seed")
+    return {name: getattr(job, name) for name in names} | {"made_from": job.fingerprint}
 
 
 def _rolled_out(jobs: Sequence[Job]) -> list[Trajectories]:
-    """The rollouts of jobs with the same models and split."""
-    first = jobs[0]
-    with _named(first):
-        of_all = (first.scene, first.spawn, first.policy)
-        scene = _resolved(*of_all, first.fingerprint).scene
-        models = [_models(*of_all, j.split, j.fit, j.fingerprint) for j in jobs]
-        seeds = [seed_of(j.split, j.seed) for j in jobs]
-        return rollouts(scene, [spawn for spawn, _ in models], models[0][1], seeds=seeds)
+    """The rollouts of jobs with the same models and split.
 
-
-@contextmanager
-def _named(job: Job) -> Iterator[None]:
-    """Add the rollout to the message of errors that a user's own class raises.
+    The rollout is added to the message of errors that a user's own class raises.
 
     Raises:
         OwnCodeError: the class raised an exception that is not a `CrowdbenchError`.
     """
-    own = _resolved(job.scene, job.spawn, job.policy, job.fingerprint).own
+    first, pair = jobs[0], _pair(jobs[0])
     try:
-        yield
+        models = [_loaded(job.models, job.split, job.fit) for job in jobs]
+        seeds = [seed_of(job.split, job.seed) for job in jobs]
+        return rollouts(pair.scene, [spawn for spawn, _ in models], models[0][1], seeds=seeds)
     except Stopped:
         raise
     except CrowdbenchError as error:
-        if not own:
+        if not pair.own:
             raise
-        where = f"{error.where}, {job}"
+        where = f"{error.where}, {first}"
         raise type(error)(where, got=error.got, expected=error.expected, hint=error.hint) from error
     except (Exception, SystemExit) as error:
-        if not own:
+        if not pair.own:
             raise
         raise OwnCodeError(
-            f"{' or '.join(own)}, {job}",
+            f"{' or '.join(pair.own)}, {first}",
             got=told(error),
             expected="no error",
             hint="Correct the class and start again: rollouts of other models are kept.",
         ) from error
 
 
+def _pair(job: Job) -> Resolved:
+    return _resolved(job.models)
+
+
 @functools.lru_cache(maxsize=8)
-def _resolved(scene: str, spawn: str, policy: str, fingerprint: str) -> Resolved:
+def _resolved(models: Models) -> Resolved:
+    scene, spawn, policy, _ = models
     return Resolved.of(load_scene(scene), spawn, policy)
 
 
 @functools.lru_cache(maxsize=8)  # jobs of one pair are consecutive, so a recording is read once
-def _models(
-    scene: str, spawn: str, policy: str, split: str, fit: int, fingerprint: str
-) -> tuple[SpawnModel, Policy]:
-    pair = _resolved(scene, spawn, policy, fingerprint)
+def _loaded(models: Models, split: str, fit: int) -> tuple[SpawnModel, Policy]:
+    pair = _resolved(models)
     return pair.spawn.model(split, fit), pair.policy.policy(split)
 
 

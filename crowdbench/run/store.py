@@ -11,11 +11,11 @@ time. Several processes may use it at once: files are renamed when they are comp
 """
 
 import os
-import secrets
 from contextlib import suppress
 from pathlib import Path
 
-from crowdbench.files import home, sha256
+from crowdbench.errors import OutputError
+from crowdbench.files import home, replacing, sha256
 
 LIMIT_BYTES = 4 * 2**30
 """Size of all files; a rollout of Grand Central has 7.5 MB."""
@@ -42,14 +42,10 @@ def keep(key: str, suffix: str, data: bytes) -> None:
     """Keep the content of a file under its key, if that is possible."""
     if os.environ.get("CROWDBENCH_STORE") == "read":
         return
-    half = folder() / f".{key}-{secrets.token_hex(4)}"
-    with suppress(OSError):
-        folder().mkdir(parents=True, exist_ok=True)
-        half.write_bytes(data)
-        half.replace(folder() / f"{key}-{sha256(data)[:32]}{suffix}")
+    with suppress(OutputError, OSError):
+        with replacing(folder() / f"{key}-{sha256(data)[:32]}{suffix}") as temporary:
+            temporary.write_bytes(data)
         _clean()
-    with suppress(OSError):
-        half.unlink(missing_ok=True)
 
 
 def _clean() -> None:

@@ -17,56 +17,51 @@ from crowdbench.scoring.reference import Reference, summarise
 class RolloutSummary:
     """The statistics of a rollout, stored sparsely, and its outcomes."""
 
-    statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]]
-    """By metric and name: indices of non-zero columns, their values, number of all columns."""
-    outcomes: np.ndarray
-    """Number of persons by index in `OUTCOMES`."""
+    arrays: dict[str, np.ndarray]
+    """`outcomes`, and for each statistic, as `metric/name/part`: `columns` (indices of those that
+    are not zero), their `values`, and the `size`, the number of all columns."""
 
     @classmethod
     def of_crowd(cls, crowd: Trajectories, reference: Reference) -> "RolloutSummary":
         """Summarise a crowd in the time blocks of the reference."""
-        statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]] = {}
-        for metric, of_metric in summarise(
+        arrays = {"outcomes": np.bincount(crowd.outcome, minlength=len(OUTCOMES))}
+        for metric, statistics in summarise(
             crowd, reference.blocks, reference.place, reference.metrics
         ).items():
-            statistics[metric] = {}
-            for name, values in of_metric.items():
-                columns = np.flatnonzero(values.any(axis=0))
-                statistics[metric][name] = (columns, values[:, columns], values.shape[1])
-        return cls(statistics, np.bincount(crowd.outcome, minlength=len(OUTCOMES)))
+            for name, values in statistics.items():
+                columns, of = np.flatnonzero(values.any(axis=0)), f"{metric}/{name}"
+                arrays[f"{of}/columns"], arrays[f"{of}/values"] = columns, values[:, columns]
+                arrays[f"{of}/size"] = np.asarray(values.shape[1])
+        return cls(arrays)
+
+    @property
+    def outcomes(self) -> np.ndarray:
+        """Number of persons by index in `OUTCOMES`."""
+        return self.arrays["outcomes"]
 
     def of(self, metric: Metric) -> Statistics:
         """The statistics of a metric, as dense arrays."""
-        dense = {}
-        for name, (columns, values, size) in self.statistics[metric.name].items():
-            dense[name] = np.zeros((len(values), size), dtype=np.int64)
-            dense[name][:, columns] = values
+        start, end, dense = f"{metric.name}/", "/columns", {}
+        for key, columns in self.arrays.items():
+            if key.startswith(start) and key.endswith(end):
+                of = key.removesuffix(end)
+                values, size = (self.arrays[f"{of}/{part}"] for part in ("values", "size"))
+                name = of.removeprefix(start)
+                dense[name] = np.zeros((len(values), int(size)), dtype=np.int64)
+                dense[name][:, columns] = values
         return dense
 
     def encoded(self) -> bytes:
         """The summary as the content of an npz file."""
-        arrays = {"outcomes": self.outcomes}
-        for metric, of_metric in self.statistics.items():
-            for name, (columns, values, size) in of_metric.items():
-                for part, array in (("columns", columns), ("values", values), ("size", size)):
-                    arrays[f"{metric}/{name}/{part}"] = np.asarray(array)
         file = io.BytesIO()
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+        np.savez_compressed(file, **self.arrays)  # type: ignore[arg-type]
         return file.getvalue()
 
     @classmethod
     def decoded(cls, data: bytes) -> "RolloutSummary":
         """The summary in the content of such a file."""
-        statistics: dict[str, dict[str, tuple[np.ndarray, np.ndarray, int]]] = {}
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            for key in arrays.files:
-                metric, _, rest = key.partition("/")
-                name, _, part = rest.rpartition("/")
-                if part == "columns":
-                    values, size = (arrays[f"{metric}/{name}/{p}"] for p in ("values", "size"))
-                    of_metric = statistics.setdefault(metric, {})
-                    of_metric[name] = (arrays[key], values, int(size))
-            return cls(statistics, arrays["outcomes"])
+            return cls(dict(arrays))
 
 
 def summary_key(rollout: str, reference: Reference) -> str | None:

@@ -7,7 +7,6 @@ scored on. `validate` gives the walk score of a policy on the training blocks of
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Int
@@ -111,7 +110,7 @@ class Validator:
         self._metrics += [m for m in self._reference.metrics if m.name == CompanionDistance.name]
         self._recorded = self._seen(registry.recording_of(self.scene))
         straight = rollout(self.scene, self._arrivals, Straight(), seed=_SEEDS)
-        self._anchor = self._compared([straight]).distances
+        self._anchor = self._distances([self._seen(straight)])
         if not any(self._anchor.values()):
             raise SettingError(
                 f"scene {self.scene.id}",
@@ -123,33 +122,48 @@ class Validator:
         """See the function `validate`."""
         if rollouts < 1:
             raise SettingError("rollouts", got=str(rollouts), expected="1 or more")
-        place, arrivals = self.scene, self._arrivals
+        place, recorded, blocks = self.scene, self._recorded, self._blocks
         walker = registry.policy(policy, place, self.split)
         seeds = [_SEEDS + k for k in range(rollouts)]
-        crowds = roll_out(place, [arrivals] * rollouts, walker, seeds=seeds)
-        found, anchor = self._compared(crowds), self._anchor
+        crowds = roll_out(place, [self._arrivals] * rollouts, walker, seeds=seeds)
+        seen = [self._seen(crowd) for crowd in crowds]
         scores = {
-            name: max(LOWEST, 1 - d / anchor[name])
-            for name, d in found.distances.items()
-            if anchor[name] > 0
+            name: max(LOWEST, 1 - distance / self._anchor[name])
+            for name, distance in self._distances(seen).items()
+            if self._anchor[name] > 0
         }
-        each: dict[str, list[float]] = {family: [] for family in WALK}
-        for m in self._reference.metrics:
-            if m.name in scores:
-                each[m.family].append(scores[m.name])
-        families = {family: float(np.mean(some)) for family, some in each.items() if some}
+        families: dict[str, float] = {}
+        for family in WALK:
+            metrics = [m.name for m in self._metrics if m.family == family and m.name in scores]
+            if metrics:
+                families[family] = float(np.mean([scores[name] for name in metrics]))
         ended = np.sum([self._ended(crowd) for crowd in crowds], axis=0)
         at_goal = float(ended[FINISHED[0]] / max(1, ended[list(FINISHED)].sum()))
-        off = abs(found.speed_mps / found.recorded_speed_mps - 1)
+        speed, together, walls = Speed(), CompanionDistance(), WallClearance()
+        speed_mps = float(np.mean([speed.walking_mps(here[speed.name]) or 0.0 for here in seen]))
+        recorded_mps = speed.walking_mps(recorded[speed.name]) or np.nan
+        apart = [np.nan]
+        if together.name in recorded:
+            name = together.name
+            compared = [together.compare(recorded[name], here[name], blocks) for here in seen]
+            apart = [result.simulated / result.recorded for result in compared]
+        largest = walls.if_empty(blocks)
+        clear = [_shares(here[walls.name], largest) for here in seen]
+        passes = (
+            abs(speed_mps / recorded_mps - 1) <= place.gate.speed and at_goal >= place.gate.arrivals
+        )
         return Validation(
-            scores,
-            families,
-            found.speed_mps,
-            found.recorded_speed_mps,
-            at_goal,
-            found.companion_distance,
-            found.clearance,
-            passes=off <= place.gate.speed and at_goal >= place.gate.arrivals,
+            scores=scores,
+            families=families,
+            speed_mps=speed_mps,
+            recorded_speed_mps=recorded_mps,
+            at_goal=at_goal,
+            companion_distance=float(np.mean(apart)),
+            clearance=(
+                _shares(recorded[walls.name], largest),
+                tuple(np.mean(clear, axis=0).tolist()),
+            ),
+            passes=passes,
         )
 
     def _ended(self, crowd: Trajectories) -> Int[np.ndarray, " outcomes"]:
@@ -162,43 +176,17 @@ class Validator:
         here = self._blocks.parts(read_areas(self.scene).assign(crowd))
         return summarise(here, self._blocks, self._reference.place, self._metrics)
 
-    def _compared(self, crowds: list[Trajectories]) -> "_Compared":
-        """Compare crowds with the recording."""
+    def _distances(self, seen: list[dict[str, Statistics]]) -> dict[str, float]:
+        """Mean distance of crowds to the recording in each scored metric of walking."""
         recorded, blocks = self._recorded, self._blocks
-        speed, together, walls = Speed(), CompanionDistance(), WallClearance()
-        names = set(self.scene.protocol.scored) - {together.name}
-        scored = [m for m in self._metrics if m.name in names and m.applies(blocks)]
-        distances: dict[str, list[float]] = {m.name: [] for m in scored}
-        speeds, apart, clear = [], [], []
-        for crowd in crowds:
-            here = self._seen(crowd)
-            for m in scored:
-                compared = m.compare(recorded[m.name], here[m.name], blocks)
-                distances[m.name].append(compared.distance)
-            speeds.append(speed.walking_mps(here[speed.name]) or 0.0)
-            if together.name in here:
-                result = together.compare(recorded[together.name], here[together.name], blocks)
-                apart.append(result.simulated / result.recorded)
-            clear.append(_shares(here[walls.name], walls.if_empty(blocks)))
-        mean = {name: float(np.mean(each)) for name, each in distances.items()}
-        recorded_mps = speed.walking_mps(recorded[speed.name]) or np.nan
-        relative = float(np.mean(apart)) if apart else np.nan
-        clearance = (
-            _shares(recorded[walls.name], walls.if_empty(blocks)),
-            tuple(np.mean(clear, axis=0).tolist()),
-        )
-        return _Compared(mean, float(np.mean(speeds)), recorded_mps, relative, clearance)
-
-
-class _Compared(NamedTuple):
-    """Crowds beside the recording; see `Validation`."""
-
-    distances: dict[str, float]
-    """Mean distance in each scored metric of walking."""
-    speed_mps: float
-    recorded_speed_mps: float
-    companion_distance: float
-    clearance: tuple[tuple[float, ...], tuple[float, ...]]
+        names = set(self.scene.protocol.scored) - {CompanionDistance.name}
+        return {
+            m.name: float(
+                np.mean([m.compare(recorded[m.name], of[m.name], blocks).distance for of in seen])
+            )
+            for m in self._metrics
+            if m.name in names and m.applies(blocks)
+        }
 
 
 def _shares(statistics: Statistics, largest: int) -> tuple[float, ...]:

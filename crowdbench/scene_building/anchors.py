@@ -5,11 +5,7 @@ from pathlib import Path
 from crowdbench.metrics import WALK, metrics_for
 from crowdbench.progress import steps
 from crowdbench.run.judge import draws_of, entries_of, floors
-from crowdbench.run.rollout_jobs import (
-    Progress,
-    plan,
-    roll_out,
-)
+from crowdbench.run.rollout_jobs import plan, roll_out
 from crowdbench.scene import load_scene
 from crowdbench.scoring.power import Power, power
 from crowdbench.scoring.reference import read_reference
@@ -24,9 +20,7 @@ from crowdbench.scoring.scorecard import (
 )
 
 
-def make_anchors(
-    scene: str | Path, folder: Path, *, workers: int | None = None, progress: Progress
-) -> Anchors:
+def make_anchors(scene: str | Path, folder: Path, *, workers: int | None = None) -> Anchors:
     """Roll out the anchors of a scene in both protocols; the rollouts are stored in `folder`.
 
     Raises:
@@ -35,29 +29,17 @@ def make_anchors(
     place = load_scene(scene)
     reference = read_reference(place)
     seeds = place.protocol.fits * place.protocol.rollouts_per_fit
-    todo = {
-        protocol: plan(str(scene), place, BASELINES, protocol, seeds, folder)
-        for protocol in ("full", "heldout")
-    }
-    total, before = sum(map(len, todo.values())), 0
     protocols = {}
-    for protocol, jobs in todo.items():
-        rolled = roll_out(
-            jobs,
-            reference,
-            workers,
-            lambda done, _, before=before: progress(before + done, total),  # type: ignore[misc]
-        )
-        before += len(jobs)
+    for protocol in ("full", "heldout"):
+        jobs = plan(str(scene), place, BASELINES, protocol, seeds, folder)
+        rolled = roll_out(jobs, reference, workers)
         entries = entries_of(place, reference, rolled, protocol, seeds)
         scale = Scale(floor=floors(place, reference, protocol), anchors=entries)
         protocols[protocol] = scale.of(place.protocol.scored)
     return Anchors(schema=SCHEMA, scene=place.id, made_from=files_of(place), protocols=protocols)
 
 
-def power_study(
-    scene: str | Path, folder: Path, *, workers: int | None = None, progress: Progress
-) -> list[Power]:
+def power_study(scene: str | Path, folder: Path, *, workers: int | None = None) -> list[Power]:
     """Study how well each metric distinguishes the anchors from the recording.
 
     See `crowdbench.scoring.power`. The rollouts are stored in `folder`.
@@ -69,7 +51,7 @@ def power_study(
     reference = read_reference(place)
     seeds = place.protocol.fits * place.protocol.rollouts_per_fit
     jobs = plan(str(scene), place, [ANCHOR, WALK_ANCHOR], "full", seeds, folder)
-    rolled = roll_out(jobs, reference, workers, progress)
+    rolled = roll_out(jobs, reference, workers)
     draws = draws_of(place, reference, "full")
     found = []
     for metric in steps("power", [m for m in metrics_for(reference.blocks) if m.scored]):

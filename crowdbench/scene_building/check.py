@@ -2,22 +2,21 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from crowdbench.data.blocks import FOLDS, SPLITS
 from crowdbench.data.recordings.catalogue import SOURCES
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import CrowdbenchError, SceneError, WeightsError
+from crowdbench.errors import CrowdbenchError, SceneError
 from crowdbench.metrics import metrics_for
 from crowdbench.registry import FITTED, has_recording, raw_recording_of, trained_policies
 from crowdbench.scene import Scene, load_scene
-from crowdbench.scene_building.fit import check_against
+from crowdbench.scene_building.fit import check_against, not_a_fit, same_areas
 from crowdbench.scene_building.rules import LEFT_OUT
-from crowdbench.scoring.reference import Reference, read_reference
+from crowdbench.scoring.reference import Reference, read_reference, sparse
 from crowdbench.scoring.scorecard import read_anchors
 from crowdbench.spawn import Areas, fit_areas
 from crowdbench.spawn.areas import read_areas
@@ -48,16 +47,14 @@ def check_scene(scene: str | Path) -> Iterator[Finding]:
     yield Finding(
         "scene.toml", f"{place.title}; {place.horizon_s:.0f} s; walls: {len(place.walls)}"
     )
-    areas, finding = _read("areas", partial(read_areas, place), partial(_areas, place))
+    areas, finding = _read("areas", read_areas, _areas, place)
     yield finding
     reference, finding = None, Finding("reference", _NOT_LOOKED_AT)
     if areas is not None:
-        reference, finding = _read(
-            "reference", partial(read_reference, place), partial(_blocks, place)
-        )
+        reference, finding = _read("reference", read_reference, _blocks, place)
     yield finding
     for model in FITTED:
-        yield _look(model, partial(_weights, model, place, areas))
+        yield _look(model, lambda model=model: _weights(model, place, areas))  # type: ignore[misc]
     complete = areas is not None and reference is not None
     yield _look("anchors", lambda: _anchors(place) if complete else _NOT_LOOKED_AT)
     yield _look("scored metrics", lambda: _scored(place, reference))
@@ -72,13 +69,15 @@ def _look(part: str, at: Callable[[], str]) -> Finding:
         return Finding(part, "wrong", error)
 
 
-def _read(part: str, read: Callable[[], T], tell: Callable[[T], str]) -> tuple[T | None, Finding]:
+def _read(
+    part: str, read: Callable[[Scene], T], tell: Callable[[Scene, Any], str], scene: Scene
+) -> tuple[T | None, Finding]:
     """The content of a part, or None if it cannot be read, and the finding."""
     try:
-        there = read()
+        there = read(scene)
     except CrowdbenchError as error:
         return None, Finding(part, "wrong", error)
-    return there, _look(part, lambda: tell(there))
+    return there, _look(part, lambda: tell(scene, there))
 
 
 def _areas(scene: Scene, areas: Areas) -> str:
@@ -151,21 +150,10 @@ def _recording(scene: Scene, areas: Areas | None, reference: Reference | None) -
     if areas is None or reference is None:
         return f"{name}, {len(crowd)} persons; areas and statistics {_NOT_LOOKED_AT}"
     fresh_areas, crowd = fit_areas(crowd, scene, scene.clustering["default"])
-    fresh = Reference.of(crowd, scene, fresh_areas)
-    hint = (
-        f"Run `crowdbench scene fit {scene.asked}`, then `crowdbench scene anchors {scene.asked}`."
-    )
-    for file, same in (
-        ("areas.json", _same_areas(areas, fresh_areas)),
-        ("reference.json.gz", _same_statistics(reference, fresh)),
-    ):
-        if not same:
-            raise WeightsError(
-                scene.folder / file,
-                got="values that do not follow from the recording and scene.toml",
-                expected="the same values as a new fit gives",
-                hint=hint,
-            )
+    if not same_areas(areas, fresh_areas):
+        raise not_a_fit(scene, "areas.json")
+    if not _same_statistics(reference, Reference.of(crowd, scene, fresh_areas)):
+        raise not_a_fit(scene, "reference.json.gz")
     return f"{name}, {len(crowd)} persons; areas and statistics match"
 
 
@@ -182,23 +170,10 @@ def _check_hash(scene: Scene, crowd: Trajectories) -> None:
         )
 
 
-def _same_areas(a: Areas, b: Areas) -> bool:
-    pairs = ((a.spawn.mean, b.spawn.mean), (a.goal.mean, b.goal.mean), (a.flow, b.flow))
-    return all(x.shape == y.shape and np.allclose(x, y, atol=1e-6) for x, y in pairs)
-
-
 def _same_statistics(a: Reference, b: Reference) -> bool:
-    if not np.array_equal(a.blocks.frames, b.blocks.frames):
-        return False
-    return all(
-        _equal(counts, b.statistics[metric][name])
+    """Whether the statistics are equal, apart from columns of zeros at their ends."""
+    return np.array_equal(a.blocks.frames, b.blocks.frames) and all(
+        sparse(counts)[1] == sparse(b.statistics[metric][name])[1]
         for metric, statistics in a.statistics.items()
         for name, counts in statistics.items()
     )
-
-
-def _equal(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether histograms are equal, apart from columns of zeros at their ends."""
-    width = max(a.shape[1], b.shape[1])
-    x, y = (np.pad(c, ((0, 0), (0, width - c.shape[1]))) for c in (a, b))
-    return np.array_equal(x, y)

@@ -1,7 +1,7 @@
 """Fit a scene: its areas, its spawn models and its reference statistics, from its recording."""
 
 import importlib.util
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -13,32 +13,21 @@ from crowdbench.data.blocks import SPLITS, TimeBlocks
 from crowdbench.data.preprocessing import paper_preprocessed
 from crowdbench.data.stops import standing
 from crowdbench.data.table import OUTCOMES, Trajectories
-from crowdbench.errors import SceneError, SettingError, did_you_mean, to_install
+from crowdbench.errors import SceneError, SettingError, WeightsError, did_you_mean, to_install
 from crowdbench.files import unwritable, write_text
-from crowdbench.progress import steps, whole
+from crowdbench.progress import steps, tell, whole
 from crowdbench.registry import FITTED, PLANNED, fitted_models
 from crowdbench.run.executor import call_each, checked_workers
 from crowdbench.scene import Scene
 from crowdbench.scene_building.plan_calibration import adjustment
-from crowdbench.scene_building.toml import with_default_clustering, with_recording
+from crowdbench.scene_building.toml import refitted_toml
 from crowdbench.scoring.reference import Reference, write_reference
-from crowdbench.spawn import (
-    Areas,
-    Arrivals,
-    CoxGMM,
-    FittedModel,
-    PoissonGMM,
-    PoissonGroups,
-    PoissonPaper,
-    RenewalGMM,
-    arrivals_of,
-    fit_areas,
-)
-from crowdbench.spawn.areas import write_areas
+from crowdbench.spawn import Areas, Arrivals, FittedModel, PoissonPaper, arrivals_of, fit_areas
+from crowdbench.spawn.areas import read_areas, write_areas
+from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.plans.files import write_plans
 from crowdbench.spawn.plans.fitting import fit_plans
 from crowdbench.spawn.plans.links import Adjustment
-from crowdbench.spawn.plans.planned import PlannedAreas
 
 MODELS = ("poisson-gmm", "poisson-groups", "renewal-gmm", "cox-gmm", "ntpp-gmm")
 """Models that are fitted by default: all but those of the founding paper."""
@@ -50,8 +39,6 @@ NEURAL = {
 ASTRAY = 0.03
 """Maximum share of the recorded positions outside the bounds or in a wall. Some are unavoidable: if
 a person was not seen for minutes, the interpolated path may pass through a wall."""
-Progress = Callable[[int, int], None]
-"""Called with the number of finished fits and the number of all fits."""
 
 
 def fit_scene(
@@ -60,16 +47,18 @@ def fit_scene(
     *,
     clustering: str = "default",
     preprocess: Literal["", "paper"] | None = None,
-    models: Sequence[str] = MODELS,
+    models: Sequence[str] | None = None,
     training: Mapping[str, Any] | None = None,
     fits: int | None = None,
     out: Path | None = None,
     workers: int | None = None,
-    progress: Progress | None = None,
 ) -> dict[str, str]:
-    """Fit the areas, spawn models and statistics of a scene and write them to its folder or `out`.
+    """Fit the areas, statistics, spawn models and plans of a scene; write them to it or to `out`.
 
-    Each spawn model is fitted to the whole recording and for each fold. With `preprocess`, people
+    Each spawn model is fitted to the whole recording and for each fold. By default all files are
+    written, with the fits of `MODELS`. If `models` are named, only their fits are, and the plans
+    if their times are from one of them; areas and statistics only into a folder without areas.
+    With none, areas, statistics and plans are written. With `preprocess`, people
     are dropped as in the founding paper (by default as `scene.toml` says); `out` becomes a scene
     of the others. `training` holds changes
     of the settings of neural models by name of field, such as `window_frames`. `fits` is the
@@ -80,6 +69,7 @@ def fit_scene(
         SettingError: the scene has no clustering of that name, a model or setting does not exist,
             or torch, which is required to fit neural models, is not installed.
         SceneError: `scene.toml` contradicts the recording.
+        WeightsError: `models` are named, and the folder has the areas of other settings.
         OutputError: the folder cannot be written.
     """
     if clustering not in scene.clustering:
@@ -92,15 +82,8 @@ def fit_scene(
             else "",
         )
     scene, recording, dropped = _preprocessed(scene, recording, preprocess, out)
-    _check_models(models)
-    settings = {name: training_settings(name, training or {}) for name in NEURAL if name in models}
-    if training and not settings:
-        raise SettingError(
-            "training",
-            got=", ".join(training),
-            expected="none without a neural model",
-            hint="Name one with --models ntpp-gmm or --models ntpp-paper.",
-        )
+    named = MODELS if models is None else models
+    settings = _all_settings(named, training or {})
     fits = scene.protocol.fits if fits is None else fits
     if fits < 1:
         raise SettingError("fits", got=str(fits), expected="1 or more")
@@ -112,34 +95,35 @@ def fit_scene(
         raise unwritable(place.folder, error) from error
     with whole("areas"):
         areas, crowd = fit_areas(recording, scene, scene.clustering[clustering])
-        reference = Reference.of(crowd, scene, areas)
-    blocks = reference.blocks
+    keeps = bool(models) and (place.folder / "areas.json").exists()
+    if keeps and not same_areas(read_areas(place), areas):
+        raise not_a_fit(place, "areas.json")
+    blocks = blocks_of(crowd, scene)
     arrivals = {
         split: arrivals_of(crowd, blocks.training(split), len(areas.spawn)) for split in SPLITS
     }
-    fitted = _fit_models(
-        models, settings, fits, arrivals, areas, place, checked_workers(workers), progress
-    )
-    # `out` becomes a separate scene, whose default clustering is the one that was used.
-    toml = (scene.folder / "scene.toml").read_text()
-    toml = with_default_clustering(with_recording(toml, scene.recording), clustering)
-    write_text(place.folder / "scene.toml", toml)
-    write_areas(areas, place.folder / "areas.json")
-    for name in models:
+    fitted = _fit_models(named, settings, fits, arrivals, areas, place, checked_workers(workers))
+    if not keeps:
+        # `out` becomes a separate scene, whose default clustering is the one that was used.
+        write_text(place.folder / "scene.toml", refitted_toml(scene, clustering))
+        write_areas(areas, place.folder / "areas.json")
+        write_reference(Reference.of(crowd, scene, areas), place)
+    for name in named:
         FITTED[name].write(place.folder, fitted[name])
-    _write_plans(crowd, blocks, areas, place)
-    write_reference(reference, place)
+    if not (keeps and set(PLANNED.values()).isdisjoint(named)):
+        _write_plans(crowd, blocks, areas, place)
     full = arrivals["full"]
+    in_walls = float((~scene.walkable(crowd.xy.astype(np.float64))).mean())
     return {
         **dropped,
         "persons": f"{len(crowd)}, {len(full.tick)} of them arrivals in the time blocks",
         "cut off": _cut_off(recording, crowd),
-        "in walls": f"{_in_walls(scene, crowd):.2%} of the recorded positions",
+        "in walls": f"{in_walls:.2%} of the recorded positions",
         "spawn areas": f"{len(areas.spawn)}, {areas.left_out[0]:.1%} of arrivals left out",
         "goal areas": f"{len(areas.goal)}, {areas.left_out[1]:.1%} of departures left out",
         "arrivals": f"{len(full.tick) / full.exposure_s() * 60:.2f} persons per minute",
-        **{name: _likelihood(fitted[name]["full"], full) for name in models},
-        "time blocks": f"{len(reference.blocks)}, {reference.blocks.exposure_s():.1f} s in total",
+        **{name: _likelihood(fitted[name]["full"], full) for name in named},
+        "time blocks": f"{len(blocks)}, {blocks.exposure_s():.1f} s in total",
         "written to": str(place.folder),
     }
 
@@ -150,6 +134,8 @@ def _preprocessed(
     """The scene and recording without the people that are dropped, and the counts as text."""
     if preprocess is None:
         preprocess = scene.recording.preprocess
+    if preprocess not in ("", "paper"):
+        raise SettingError("preprocess", got=repr(preprocess), expected="'paper'")
     if preprocess != scene.recording.preprocess and out is None:
         raise SettingError(
             "preprocess",
@@ -159,8 +145,6 @@ def _preprocessed(
         )
     if not preprocess:
         return scene, recording, {}
-    if preprocess != "paper":
-        raise SettingError("preprocess", got=repr(preprocess), expected="'paper'")
     recording, counts = paper_preprocessed(recording)
     of = structs.replace(
         scene.recording, preprocess="paper", dwell_p99_s=round(dwell_p99_s(recording), 6)
@@ -170,12 +154,9 @@ def _preprocessed(
 
 def _write_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: Scene) -> None:
     """Fit plans, and adjust them to the models in the scene's folder that have plans."""
-    plans: dict[str, PlannedAreas] = {}
-    adjustments: dict[str, dict[str, Adjustment]] = {}
     sending = [name for name in PLANNED.values() if name in fitted_models(scene)]
-    for split in SPLITS:
-        plans[split] = fit_plans(crowd, blocks.training(split), areas)
-        adjustments[split] = {}
+    plans = {split: fit_plans(crowd, blocks.training(split), areas) for split in SPLITS}
+    adjustments: dict[str, dict[str, Adjustment]] = {split: {} for split in SPLITS}
     for split, name in steps("plans", [(split, name) for split in SPLITS for name in sending]):
         model: Any = FITTED[name].read(scene, areas, split, 0)
         adjustments[split][name] = adjustment(
@@ -184,7 +165,12 @@ def _write_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: S
     write_plans(scene.folder, plans, adjustments)
 
 
-def _check_models(models: Sequence[str]) -> None:
+def _all_settings(models: Sequence[str], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """The training settings of the neural ones of these models.
+
+    Raises:
+        SettingError: a model does not exist, torch is missing, or see `training_settings`.
+    """
     for name in models:
         if name not in FITTED:
             raise SettingError(
@@ -193,8 +179,17 @@ def _check_models(models: Sequence[str]) -> None:
                 expected=f"one or more of {', '.join(FITTED)}",
                 hint=did_you_mean(name, FITTED),
             )
-    if any(name in NEURAL for name in models):
+    neural = [name for name in NEURAL if name in models]
+    if neural:
         check_torch("Or omit the model: --models poisson-gmm poisson-groups renewal-gmm.")
+    elif changes:
+        raise SettingError(
+            "training",
+            got=", ".join(changes),
+            expected="none without a neural model",
+            hint="Name one with --models ntpp-gmm or --models ntpp-paper.",
+        )
+    return {name: training_settings(name, changes) for name in neural}
 
 
 def training_settings(model: str, changes: Mapping[str, Any]) -> Any:
@@ -203,27 +198,22 @@ def training_settings(model: str, changes: Mapping[str, Any]) -> Any:
     Raises:
         SettingError: the model has no setting of that name, or a number is not positive.
     """
-    settings = importlib.import_module(NEURAL[model]).Settings
-    known = _settings(model)
+    kinds = {name: importlib.import_module(module).Settings for name, module in NEURAL.items()}
+    known = {name: [f.name for f in fields(kind)] for name, kind in kinds.items()}
     for name, value in changes.items():
-        if name not in known:
-            others = [other for other in NEURAL if other != model and name in _settings(other)]
+        if name not in known[model]:
+            others = [other for other in NEURAL if name in known[other]]
             raise SettingError(
                 f"training of {model}",
                 got=name,
-                expected=f"one of {', '.join(known)}",
+                expected=f"one of {', '.join(known[model])}",
                 hint=f"Only {others[0]} has it: name no other neural model with --models."
                 if others
-                else did_you_mean(name, known),
+                else did_you_mean(name, known[model]),
             )
         if not (np.isfinite(value) and (value > 0 or isinstance(value, bool))):
             raise SettingError(name, got=str(value), expected="a positive number")
-    return settings(**changes)
-
-
-def _settings(model: str) -> list[str]:
-    """Names of the training settings of a neural model."""
-    return [f.name for f in fields(importlib.import_module(NEURAL[model]).Settings)]
+    return kinds[model](**changes)
 
 
 def has_torch() -> bool:
@@ -254,50 +244,41 @@ def _fit_models(
     areas: Areas,
     scene: Scene,
     workers: int,
-    progress: Progress | None,
 ) -> dict[str, dict[str, list[Any]]]:
     """The fits of each model for each split, by names of model and split.
 
-    Neural models are fitted `count` times.
+    Neural models, those with settings, are fitted `count` times.
     """
     light = [(n, split, 0) for n in models if n not in settings for split in SPLITS]
     heavy = [(n, split, k) for n in settings for split in SPLITS for k in range(count)]
-    done: dict[tuple[str, str, int], FittedModel] = {}
-    if progress:
-        progress(0, len(light) + len(heavy))
+    fits: dict[str, dict[str, list[Any]]] = {
+        n: {split: [None] * (count if n in settings else 1) for split in SPLITS} for n in models
+    }
+    done, total = 0, len(light) + len(heavy)
+    tell("fits", done, total)
     for jobs, processes in ((light, 1), (heavy, workers)):
         tasks = [
             (n, arrivals[split], areas, scene, seed, settings.get(n)) for n, split, seed in jobs
         ]
-        for k, model in call_each(_fit, tasks, processes, name=_named):
-            done[jobs[k]] = model
-            if progress:
-                progress(len(done), len(light) + len(heavy))
-    fits: dict[str, dict[str, list[Any]]] = {n: {p: [] for p in SPLITS} for n in models}
-    for name, split, k in light + heavy:
-        fits[name][split].append(done[name, split, k])
+        for k, model in call_each(_fit, tasks, processes, name=lambda n, *_: f"a fit of {n}"):
+            name, split, seed = jobs[k]
+            fits[name][split][seed] = model
+            done += 1
+            tell("fits", done, total)
     return fits
-
-
-def _named(name: str, *rest: object) -> str:
-    return f"a fit of {name}"
 
 
 def _fit(
     name: str, arrivals: Arrivals, areas: Areas, scene: Scene, seed: int, settings: Any
 ) -> FittedModel:
-    if name == "poisson-gmm":
-        return PoissonGMM.fit(arrivals, areas)
-    if name == "poisson-groups":
-        return PoissonGroups.fit(arrivals, areas)
-    if name == "renewal-gmm":
-        return RenewalGMM.fit(arrivals, areas)
-    if name == "cox-gmm":
-        return CoxGMM.fit(arrivals, areas)
-    if name == "poisson-paper":
-        return PoissonPaper.fit_frames(arrivals, areas, scene)
-    training = importlib.import_module(NEURAL[name])
-    model: FittedModel = training.fit(arrivals, areas, scene, seed=seed, settings=settings)
+    kind: Any = FITTED[name]
+    if name in NEURAL:
+        training: Any = importlib.import_module(NEURAL[name])
+        model = training.fit(arrivals, areas, scene, seed=seed, settings=settings)
+    elif kind is PoissonPaper:
+        model = kind.fit_frames(arrivals, areas, scene)
+    else:
+        model = kind.fit(arrivals, areas)
     return model
 
 
@@ -309,14 +290,27 @@ def _cut_off(recording: Trajectories, crowd: Trajectories) -> str:
     return f"{rows:.1%} of the recorded positions and {still:.1%} of the standing, at goals"
 
 
-def _in_walls(scene: Scene, crowd: Trajectories) -> float:
-    return float((~scene.walkable(crowd.xy.astype(np.float64))).mean())
-
-
 def _likelihood(fits: Sequence[FittedModel], arrivals: Arrivals) -> str:
     each = [fit.log_likelihood(arrivals) for fit in fits]
     spread = f" ({min(each):.3f} to {max(each):.3f} in {len(each)} fits)" if len(each) > 1 else ""
     return f"{np.mean(each):.3f} nats per person{spread}"
+
+
+def same_areas(a: Areas, b: Areas) -> bool:
+    """Whether areas are the same, except for rounding."""
+    pairs = ((a.spawn.mean, b.spawn.mean), (a.goal.mean, b.goal.mean), (a.flow, b.flow))
+    return all(x.shape == y.shape and np.allclose(x, y, atol=1e-6) for x, y in pairs)
+
+
+def not_a_fit(scene: Scene, file: str) -> WeightsError:
+    """Error that a file of a scene has other values than a new fit."""
+    return WeightsError(
+        scene.folder / file,
+        got="values that do not follow from the recording and scene.toml",
+        expected="the same values as a new fit gives",
+        hint=f"Run `crowdbench scene fit {scene.asked}`, then "
+        f"`crowdbench scene anchors {scene.asked}`.",
+    )
 
 
 def dwell_p99_s(recording: Trajectories) -> float:

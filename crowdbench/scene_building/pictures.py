@@ -16,44 +16,23 @@ from crowdbench.scoring.reference import read_reference
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PICTURES = ("place.png", "time.png")
-_WIDTH = 5.0
 
-
-def draw_place(scene: Scene, recording: Trajectories, out: Path) -> list[Path]:
+def draw_place(scene: Scene, recording: Trajectories, out: Path) -> None:
     """Draw `place.png` (recorded paths, walls and areas) and `time.png` (persons over time).
 
-    The persons of `recording` must have areas. Returns the paths of the pictures.
+    The persons of `recording` must have areas. Paths have the colours of their goal areas.
 
     Raises:
         WeightsError: the scene has no areas or reference statistics.
         OutputError: a picture cannot be written.
     """
     plot = PlotData.of(scene, read_reference(scene), {}, "full")
-    drawn = (_paths(plot, recording), _over_time(plot, recording))
-    paths = [out / name for name in PICTURES]
-    for path, data in zip(paths, drawn, strict=True):
-        with replacing(path) as temporary:
-            temporary.write_bytes(data)
-    return paths
 
-
-def _paths(plot: PlotData, recording: Trajectories) -> bytes:
-    """A map of recorded paths in the colours of their goal areas, as PNG."""
-    b = plot.scene.bounds
-
-    def draw(axes: "list[Axes]") -> None:
+    def place(axes: "list[Axes]") -> None:
         panels.paths(axes[0], plot, recording)
         axes[0].set_title("recorded; spawn areas (dashed) and goal areas, 2 σ")
 
-    height = _WIDTH * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m) + 0.6
-    return picture(draw, width=_WIDTH + 0.6, height=height, kind="small png")
-
-
-def _over_time(plot: PlotData, recording: Trajectories) -> bytes:
-    """A plot of the recorded N(t) and the time blocks, as PNG."""
-
-    def draw(axes: "list[Axes]") -> None:
+    def over_time(axes: "list[Axes]") -> None:
         (axis,) = axes
         blocks, dt_s = plot.reference.blocks, recording.dt_s
         present = recording.present()
@@ -62,6 +41,14 @@ def _over_time(plot: PlotData, recording: Trajectories) -> bytes:
             axis.axvspan(start, stop, color=("0.93", "0.85")[k % 2], linewidth=0)
         axis.set(xlim=(0, recording.duration_s), ylim=(0, 1.05 * present.max()))
         axis.set(xlabel="time (s); grey: time blocks, white: unobserved", ylabel="agents")
-        axis.set_title(f"{plot.scene.title}: agents over time")
+        axis.set_title(f"{scene.title}: agents over time")
 
-    return picture(draw, width=9.0, height=2.6, kind="small png")
+    b, width = scene.bounds, 5.0
+    height = width * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m)
+    for name, draw, size in (
+        ("place.png", place, (width + 0.6, height + 0.6)),
+        ("time.png", over_time, (9.0, 2.6)),
+    ):
+        data = picture(draw, width=size[0], height=size[1], kind="small png")
+        with replacing(out / name) as temporary:
+            temporary.write_bytes(data)

@@ -9,7 +9,7 @@ companions, and distances across their way.
 """
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -23,7 +23,6 @@ from crowdbench.metrics.groups import pairs_of as companions_of
 from crowdbench.registry import policy
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import Scene
-from crowdbench.spawn.areas import Areas
 from crowdbench.spawn.events import SpawnEvents
 from crowdbench.spawn.model import Start
 from crowdbench.spawn.plans.links import Adjustment
@@ -53,29 +52,15 @@ _FACTORS = 0.2, 3.0
 """Smallest and largest factor of offsets."""
 
 
-@runtime_checkable  # tests check annotations at run time
-class Times(Protocol):
-    """A model of times that has areas, as those of `registry.PLANNED` have."""
-
-    @property
-    def areas(self) -> Areas:
-        """Areas from which it draws places."""
-        ...
-
-    def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
-        """Sample the people who enter."""
-        ...
-
-
 def adjustment(
-    model: Times,
+    model: Any,
     areas: PlannedAreas,
     crowd: Trajectories,
     blocks: TimeBlocks,
     scene: Scene,
     seed: int = 0,
 ) -> Adjustment:
-    """How the links of these plans are changed for the times of a model.
+    """How the links of these plans are changed for the times of a model of `registry.PLANNED`.
 
     Stochastic approximation (Robbins and Monro 1951, Annals of Mathematical Statistics 22): each
     round draws new samples, and later rounds move less. People walk straight through walls, which
@@ -97,8 +82,7 @@ def adjustment(
             dt_s=scene.dt_s,
             grid_s=scene.grid_s,
         )
-        adjusted = replace(areas, links=areas.links.adjusted(by))
-        sending = replace(model, areas=adjusted)  # type: ignore[type-var]
+        sending = replace(model, areas=replace(areas, links=areas.links.adjusted(by)))
         return sending.sample(horizon_s, scene, rng), whole
 
     rng, by, aim = np.random.default_rng(seed), Adjustment(), recorded.numbers()

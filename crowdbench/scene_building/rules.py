@@ -112,7 +112,8 @@ def clustering_of(crowd: Trajectories, where: object) -> Clustering:
     sides = crowd.start[crowd.entered], crowd.end[crowd.left]
     least = max(3, round(math.sqrt(len(sides[0])) / PERSONS_ROOT))
     for eps_m in EPS_M:
-        if all(_noise(side.astype(np.float64), eps_m, least) < LEFT_OUT for side in sides):
+        left_out = [_noise(side.astype(np.float64), eps_m, least) for side in sides]
+        if max(left_out) < LEFT_OUT:
             return Clustering(
                 spawn_eps_m=eps_m,
                 spawn_min_persons=least,
@@ -123,8 +124,7 @@ def clustering_of(crowd: Trajectories, where: object) -> Clustering:
             )
     raise RecordingError(
         where,
-        got=f"{_noise(sides[0].astype(np.float64), EPS_M[-1], least):.0%} of the starts and "
-        f"{_noise(sides[1].astype(np.float64), EPS_M[-1], least):.0%} of the ends in no cluster of "
+        got=f"{left_out[0]:.0%} of the starts and {left_out[1]:.0%} of the ends in no cluster of "
         f"{least} persons within {EPS_M[-1]:g} m",
         expected=f"areas where at least {1 - LEFT_OUT:.0%} of people enter and leave",
         hint="Tracks may be fragmented (join them), or the recording is too short.",

@@ -40,19 +40,17 @@ class Checked:
     """Log-likelihood of the whole recording by models fitted to all of it, nats per person."""
     heldout: float
     """Log-likelihood of the folds, each by models fitted to the other folds, nats per person."""
-    fresh: float | None
+    fresh: float | None = None
     """Log-likelihood of ten new hours of the plaza, whose true process is known; else None."""
-    gaps: KolmogorovSmirnov | None
-    """Test of the recorded gaps, for the first fit; None for a model without hazards."""
-    sizes: KolmogorovSmirnov | None
-    """Test of the recorded group sizes, for the first fit."""
-    own_gaps: KolmogorovSmirnov | None
-    """Test of the gaps in a sample of the same fit."""
-    own_sizes: KolmogorovSmirnov | None
-    """Test of the group sizes in a sample of the same fit."""
-    persons: float | None
+    gaps: KolmogorovSmirnov | None = None
+    sizes: KolmogorovSmirnov | None = None
+    """Tests of the recorded gaps and group sizes, for the first fit; None without hazards."""
+    own_gaps: KolmogorovSmirnov | None = None
+    own_sizes: KolmogorovSmirnov | None = None
+    """The same of a sample of that fit."""
+    persons: float | None = None
     """Number of people in samples, relative to the recorded number in the same time."""
-    first: float | None
+    first: float | None = None
     """Arrivals in the first 25 frames of samples, relative to the average over the sample."""
 
 
@@ -82,8 +80,7 @@ def check_models(scene: Scene) -> Iterator[Checked]:
             full=truth.log_likelihood(as_truth[0]),
             heldout=_pooled([truth] * len(folds), as_truth[1:]),
             fresh=truth.log_likelihood(in_truth),
-            gaps=None, sizes=None, own_gaps=None, own_sizes=None, persons=None, first=None,
-        )  # fmt: skip
+        )
     for name in fitted_models(scene):
         # All fits of the other models are the same one.
         fits = range(scene.protocol.fits if name in NEURAL else 1)
@@ -99,9 +96,9 @@ def check_models(scene: Scene) -> Iterator[Checked]:
             model=name,
             full=float(np.mean([m.log_likelihood(whole) for m in models])),
             heldout=float(np.mean(on_folds)),
-            fresh=None
-            if fresh is None
-            else float(np.mean([m.log_likelihood(fresh) for m in models])),
+            fresh=float(np.mean([m.log_likelihood(fresh) for m in models]))
+            if fresh is not None
+            else None,
             gaps=_test(model, whole, rng, "gap"),
             sizes=_test(model, whole, rng, "size"),
             own_gaps=_test(model, own, rng, "gap"),

@@ -3,13 +3,14 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import tomlkit
-from tomlkit.items import Array, Table
+from tomlkit.items import Table
 
 from crowdbench.files import write_text
-from crowdbench.scene import SCHEMA, Protocol, Recording, Scene, Wall
+from crowdbench.scene import SCHEMA, Protocol, Scene, Wall
 
 _HEAD = """\
 {title}. Made by `crowdbench scene create` from {source}.
@@ -32,85 +33,74 @@ _WHY = {
 def scene_toml(scene: Scene, *, source: str, walls_file: str) -> str:
     """The text of a new scene's file: tables in the order of the shipped scenes, with comments."""
     document = tomlkit.document()
-    head = _HEAD.format(title=_one_line(scene.title), source=_one_line(source))
-    for line in head.splitlines():
+    for line in _HEAD.format(title=_one_line(scene.title), source=_one_line(source)).splitlines():
         document.add(tomlkit.comment(line))
     document["schema"] = SCHEMA
     for name in ("id", "title", "dt_s", "grid_s"):
         document[name] = getattr(scene, name)
-    document["recording"] = _table(scene.recording)
-    document["bounds"] = _table(scene.bounds, _WHY["bounds"])
-    if scene.walls:
-        walls = tomlkit.aot()
-        for k, wall in enumerate(scene.walls):
-            why = _WHY["walls"].format(walls=_one_line(walls_file)) if k == 0 else ""
-            walls.append(_table(wall, why))
-        document["walls"] = walls
-    document["motion"] = _table(scene.motion, _WHY["motion"])
-    document["spawning"] = _table(scene.spawning, _WHY["spawning"])
-    clustering = tomlkit.table(is_super_table=True)
-    clustering["default"] = _table(scene.clustering["default"], _WHY["clustering"])
-    document["clustering"] = clustering
-    document["walking"] = _table(scene.walking, _WHY["walking"])
-    document["gate"] = _table(scene.gate, _WHY["gate"])
-    document["protocol"] = _table(scene.protocol, _WHY["protocol"])
+    for name in ("recording", "bounds", "walls", "motion", "spawning", "clustering", "walking",
+                 "gate", "protocol"):  # fmt: skip
+        why = _WHY.get(name, "").format(walls=_one_line(walls_file))
+        if name == "walls":
+            walls = tomlkit.aot()
+            for wall in scene.walls:
+                walls.append(_table(wall, why))
+                why = ""
+            if scene.walls:
+                document["walls"] = walls
+        elif name == "clustering":
+            document[name] = tomlkit.table(is_super_table=True)
+            document[name]["default"] = _table(scene.clustering["default"], why)
+        else:
+            document[name] = _table(getattr(scene, name), why)
     return tomlkit.dumps(document)
 
 
-def like_toml(
-    like: Scene,
-    *,
-    name: str,
-    title: str,
-    recording: Recording,
-    fits: int | None,
-    rollouts_per_fit: int | None,
-) -> str:
-    """The text of a new scene's file that differs from that of `like` in these values only.
+def like_toml(like: Scene, scene: Scene) -> str:
+    """The text of the file of a new scene, with the comments and tables of `like`.
 
-    The comment at the beginning is replaced, and the scored metrics are left out.
+    It has the new id, title, recording, and numbers of fits and rollouts. The comment at the
+    beginning is replaced, and the scored metrics are left out.
     """
-    document = tomlkit.parse((like.folder / "scene.toml").read_text(encoding="utf-8"))
-    document["id"], document["title"] = name, title
-    document["recording"] = _table(recording)
+    document = _parsed(like)
+    document["id"], document["title"] = scene.id, scene.title
+    document["recording"] = _table(scene.recording)
     document["protocol"].pop("scored", None)
-    for name, value in (("fits", fits), ("rollouts_per_fit", rollouts_per_fit)):
-        if value is not None:
-            document["protocol"][name] = value
+    for name in ("fits", "rollouts_per_fit"):
+        document["protocol"][name] = getattr(scene.protocol, name)
     text = tomlkit.dumps(document)
-    head = _HEAD.format(title=_one_line(title), source=f"{recording.name}, like {like.id}")
+    head = _HEAD.format(
+        title=_one_line(scene.title), source=f"{scene.recording.name}, like {like.id}"
+    )
     comment = "".join(f"# {line}\n" for line in head.splitlines())
     return comment + text[re.search(r"^schema\b", text, re.MULTILINE).start() :]  # type: ignore[union-attr]
 
 
 def write_scored(scene: Scene, scored: Sequence[str]) -> Path:
     """Set the scored metrics in a scene's `scene.toml`; comments and other values are kept."""
+    document, names = _parsed(scene), tomlkit.array()
+    names.extend(scored)
+    document["protocol"]["scored"] = names.multiline(True)
     path = scene.folder / "scene.toml"
-    document = tomlkit.parse(path.read_text(encoding="utf-8"))
-    document["protocol"]["scored"] = _lines(scored)
     write_text(path, tomlkit.dumps(document))
     return path
 
 
-def with_recording(text: str, recording: Recording) -> str:
-    """The text of a `scene.toml` with these values in `[recording]`."""
-    document = tomlkit.parse(text)
-    for name, value in msgspec.to_builtins(recording).items():
+def refitted_toml(scene: Scene, clustering: str) -> str:
+    """The text of a scene's `scene.toml` with its recording, and another clustering as default."""
+    document = _parsed(scene)
+    for name, value in msgspec.to_builtins(scene.recording).items():
         if document["recording"].get(name) != value:
             document["recording"][name] = value
-    return tomlkit.dumps(document)
-
-
-def with_default_clustering(text: str, name: str) -> str:
-    """The text of a `scene.toml` whose default clustering has the settings of another one."""
-    document = tomlkit.parse(text)
-    clustering = document["clustering"]
-    chosen, default = clustering[name].unwrap(), clustering["default"]
+    chosen, default = document["clustering"][clustering].unwrap(), document["clustering"]["default"]
     for key in set(default) - set(chosen):
         del default[key]
-    for key, value in chosen.items():
-        default[key] = value
+    default.update(chosen)
     return tomlkit.dumps(document)
+
+
+def _parsed(scene: Scene) -> Any:
+    return tomlkit.parse((scene.folder / "scene.toml").read_text(encoding="utf-8"))
 
 
 def _one_line(text: str) -> str:
@@ -125,10 +115,3 @@ def _table(values: msgspec.Struct, why: str = "") -> Table:
         if name != "scored":  # the power study adds it
             table.add(name, value)
     return table if isinstance(values, Wall | Protocol) else table.add(tomlkit.nl())
-
-
-def _lines(values: Sequence[str]) -> Array:
-    """An array with one value per line."""
-    array = tomlkit.array()
-    array.extend(values)
-    return array.multiline(True)

@@ -30,18 +30,14 @@ def read_walls(path: Path, bounds: Bounds) -> tuple[Wall, ...]:
     import shapely
 
     text = read_bytes(path, SceneError, _HINT).decode("utf-8-sig", "replace")
-    shapes = list(_geojson(text, path) if text.lstrip().startswith("{") else _wkt(text, path))
+    shapes = list(_shapes(text, path))
     place = shapely.box(bounds.x_min_m, bounds.y_min_m, bounds.x_max_m, bounds.y_max_m)
+    polygons = [(name, polygon) for name, shape in shapes for polygon in _polygons(shape, path)]
     walls: list[Wall] = []
-    number = 0
-    for name, shape in shapes:
-        for polygon in _polygons(shape, path):
-            number += 1
-            named = name or f"wall {number}"
-            inside = shapely.set_precision(polygon.intersection(place), _GRID_M)
-            for piece in _solid(inside):
-                corners = piece.exterior.coords[:-1]
-                walls.append(Wall(named, tuple((float(x), float(y)) for x, y, *_ in corners)))
+    for number, (name, polygon) in enumerate(polygons, 1):
+        for piece in _solid(shapely.set_precision(polygon.intersection(place), _GRID_M)):
+            corners = tuple((float(x), float(y)) for x, y, *_ in piece.exterior.coords[:-1])
+            walls.append(Wall(name or f"wall {number}", corners))
     if not walls:
         extent = [shape.bounds for _, shape in shapes if not shape.is_empty]
         raise SceneError(
@@ -58,11 +54,23 @@ def _rounded(extent: tuple[float, ...]) -> str:
     return "(" + ", ".join(f"{x:.6g}" for x in extent) + ")"
 
 
-def _geojson(text: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
+def _shapes(text: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
+    """The names and shapes in GeoJSON or WKT."""
+    import shapely
+
+    is_json = text.lstrip().startswith("{")
     try:
-        yield from _features(json.loads(text), "", path)
-    except (ValueError, RecursionError) as error:
-        raise SceneError(path, got=str(error), expected="valid GeoJSON", hint=_HINT) from error
+        if is_json:
+            yield from _features(json.loads(text), "", path)
+        else:
+            yield "", shapely.from_wkt(text)
+    except (ValueError, RecursionError, shapely.errors.ShapelyError) as error:
+        raise SceneError(
+            path,
+            got=str(error).splitlines()[0],
+            expected="valid GeoJSON" if is_json else "GeoJSON or WKT",
+            hint=_HINT,
+        ) from error
 
 
 def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
@@ -85,18 +93,6 @@ def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.
             got=f"an invalid {kind or 'object without a type'} ({error})",
             expected="GeoJSON features with polygons",
             hint=_HINT,
-        ) from error
-
-
-def _wkt(text: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
-    import shapely
-    from shapely.errors import ShapelyError
-
-    try:
-        yield "", shapely.from_wkt(text)
-    except ShapelyError as error:
-        raise SceneError(
-            path, got=str(error).splitlines()[0], expected="GeoJSON or WKT", hint=_HINT
         ) from error
 
 

@@ -58,7 +58,7 @@ class Settings:
     """Capacity of a simulation, and its observation.
 
     `rays`, `ray_range_m` and `observation` are None if nobody has chosen them. Rollouts then use
-    what the policy needs, see `crowdbench.run.shown`; otherwise the values of `Shown` apply.
+    what the policy needs, see `crowdbench.run.acting`; otherwise the values of `Shown` apply.
     """
 
     max_alive: int = 256

@@ -19,8 +19,8 @@ from crowdbench.files import replacing, unwritable, write_json
 from crowdbench.registry import has_recording, recording_of, trained_policies
 from crowdbench.registry import policy as find_policy
 from crowdbench.report.plots.plot_data import PlotData
-from crowdbench.run.lock import alone_in
-from crowdbench.run.rollout_jobs import Job, Progress, make, plan
+from crowdbench.run.processes import alone_in
+from crowdbench.run.rollout_jobs import Job, Progress, plan, roll_out
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn.areas import Areas, read_areas
@@ -78,7 +78,7 @@ def write_figures(
     for of_scene in shown:
         folder = work / f"figures-{of_scene.scene.id}"
         with alone_in(folder):
-            make(of_scene.jobs, workers, progress)
+            roll_out(of_scene.jobs, None, workers, progress)
     made = [
         of_scene.write(figure, out / of_scene.scene.id)
         for of_scene in shown

@@ -19,7 +19,7 @@ from crowdbench.registry import raw_recording_of, recording_of, spawn_model
 from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.run.executor import checked_workers
 from crowdbench.run.judge import draws_of
-from crowdbench.run.lock import alone_in
+from crowdbench.run.processes import alone_in
 from crowdbench.run.rollout_jobs import Progress
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building.fit import check_torch

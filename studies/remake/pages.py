@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from crowdbench.code import code_hash
-from crowdbench.crowds import POLICY, SPAWN
 from crowdbench.data.blocks import SPLITS
+from crowdbench.evaluation import POLICY, SPAWN
 from crowdbench.registry import trained_policies
 from crowdbench.run.resolved import MODELS
 from crowdbench.scene import list_scenes, load_scene
@@ -26,6 +26,8 @@ from studies.remake.declared import (
 from studies.remake.graph import Result
 from studies.walks import ARRIVALS, PLAIN
 
+UNUSED = ("crowdbench.evaluation.publish",)
+"""Pages are made from evaluations without their reports."""
 LARGE = ("eth-v0", "gc-v0", "forum-v0")
 """Scenes of the founding paper, which pages that compare scenes show."""
 ORCA = "crowdbench.baselines.orca:ORCA"
@@ -192,7 +194,7 @@ def _page(
     """
     files: dict[str, None] = {}
     facts: dict[str, str] = {}
-    codes = [code_hash(root, cut=() if trains else MODELS)]
+    codes = [code_hash(root, cut=() if trains else MODELS, unused=UNUSED)]
     for scene, pairs in shown.items():
         of_models, code = rollouts_of(scene, pairs, splits)
         names = (AREAS, REFERENCE, ANCHORS_FILE)

@@ -7,12 +7,11 @@ scorecards and their rollouts: the same evaluations give the same bytes.
 
 from pathlib import Path
 
-from crowdbench.crowds import POLICY, SPAWN
 from crowdbench.data.storage import read_own
+from crowdbench.evaluation import POLICY, SPAWN, evaluate
 from crowdbench.files import replacing, write_text
 from crowdbench.registry import has_recording, recording_of
 from crowdbench.report.plots.plot_data import PlotData
-from crowdbench.run.evaluate import evaluate
 from crowdbench.run.rollout_jobs import Job, Progress, plan, splits_of
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, read_reference
@@ -59,6 +58,7 @@ def write_results(
                 seeds=seeds,
                 workers=workers,
                 out=folder,
+                report=False,
                 progress=progress,
             )
             for protocol, folder in folders.items()

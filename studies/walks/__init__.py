@@ -10,12 +10,12 @@ from pathlib import Path
 
 from crowdbench.data.storage import read_own
 from crowdbench.errors import RecordingError, SettingError
+from crowdbench.evaluation import evaluate
 from crowdbench.files import replacing, write_text
 from crowdbench.policies import RecordedPaths
 from crowdbench.registry import has_recording, recording_of, trained_policies
 from crowdbench.registry import policy as find_policy
 from crowdbench.report.plots.plot_data import Crowds
-from crowdbench.run.evaluate import evaluate
 from crowdbench.run.rollout import rollout
 from crowdbench.run.rollout_jobs import Progress, plan
 from crowdbench.scene import Scene, load_scene
@@ -98,6 +98,7 @@ def _walk(
             seeds=seeds,
             workers=workers,
             out=work / f"walks-{place.id}-{protocol}",
+            report=False,
             progress=progress,
         )
     sampled = evaluate(
@@ -107,6 +108,7 @@ def _walk(
         seeds=FEW,
         workers=workers,
         out=work / f"walks-{place.id}-{ARRIVALS}",
+        report=False,
         progress=progress,
     )
     pairs = [("replay", p) for p in policies]

@@ -22,10 +22,10 @@ from crowdbench.baselines.anticipate import (
 )
 from crowdbench.baselines.command import Command
 from crowdbench.errors import SettingError
+from crowdbench.evaluation import evaluate
 from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy
 from crowdbench.registry import ANY_PLACE, import_recording
-from crowdbench.run.evaluate import evaluate
 from crowdbench.scene import list_scenes
 from crowdbench.simulation import social
 from crowdbench.simulation.social import with_velocities_times

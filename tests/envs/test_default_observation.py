@@ -8,7 +8,7 @@ import pytest
 
 import crowdbench
 from crowdbench.policies import PolicyCard
-from crowdbench.run.shown import settings_for
+from crowdbench.run.acting import settings_for
 from crowdbench.scene import Scene
 from crowdbench.simulation import Settings
 from crowdbench.simulation.observations import OBSERVATION, size_of

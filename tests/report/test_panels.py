@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from crowdbench.colours import COLOURS, spawn_colours
-from crowdbench.crowds import SPAWN
 from crowdbench.data.blocks import TimeBlocks
+from crowdbench.evaluation import SPAWN
 from crowdbench.metrics import Place
 from crowdbench.metrics.presence import AgentsOverTime
 from crowdbench.registry import policy, spawn_model

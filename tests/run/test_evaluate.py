@@ -13,14 +13,15 @@ import numpy as np
 import pytest
 
 from crowdbench.cli import main
-from crowdbench.crowds import evaluate, score
+from crowdbench.crowds import score
 from crowdbench.data.recordings.catalogue import SOURCES, read_published
 from crowdbench.data.storage import read_own
 from crowdbench.data.table import OUTCOMES
 from crowdbench.errors import OutputError, RecordingError, SceneError, SettingError
+from crowdbench.evaluation import evaluate
 from crowdbench.files import write_json
-from crowdbench.run.lock import alone_in
-from crowdbench.run.replay_check import arrival_rule_changes, compare_replay
+from crowdbench.run.processes import alone_in
+from crowdbench.run.replay_check import compare_replay
 from crowdbench.scene import load_scene
 from crowdbench.scoring.ranking import rows
 from crowdbench.scoring.scorecard import PairResult, Scorecard
@@ -197,13 +198,6 @@ def test_replays_that_differ_say_why(opentraj: Path) -> None:
     facts = compare_replay(eth, replace(eth, xy=xy, first=first), ETH)
     assert facts["identical"].startswith("358 paths")
     assert facts["differing"] == "1 meet a wall, 1 enter in another frame"
-
-
-def test_what_the_arrival_rule_changes_is_told(opentraj: Path) -> None:
-    eth = read_published(SOURCES["eth"], opentraj)
-    facts = arrival_rule_changes(eth, ETH)
-    assert facts["recorded paths"].split()[2] == str(int(eth.left.sum()))
-    assert "goal" in facts["straight walkers"]
 
 
 def test_a_place_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:

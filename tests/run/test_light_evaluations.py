@@ -29,7 +29,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 def roll_out(pair: tuple[str, str], seeds: int, out: Path, workers: int | None = None) -> None:
     jobs = plan(PLAZA.id, PLAZA, [pair], "full", seeds, out)
-    roll_out_jobs(jobs, read_reference(PLAZA), workers, lambda done, total: None)
+    roll_out_jobs(jobs, read_reference(PLAZA), workers)
 
 
 def test_few_rollouts_start_no_process(tmp_path: Path, started: list[int]) -> None:

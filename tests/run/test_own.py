@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crowdbench.crowds import evaluate, score
+from crowdbench.crowds import score
 from crowdbench.data.storage import read
 from crowdbench.envs.parallel_env import parallel_env
 from crowdbench.errors import ActionError, RecordingError, SettingError, WeightsError
+from crowdbench.evaluation import evaluate
 from crowdbench.registry import policy, spawn_model
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene

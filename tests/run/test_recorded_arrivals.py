@@ -9,7 +9,7 @@ from crowdbench import read, recording_of, rollout, score_rollouts
 from crowdbench.data.storage import write_csv
 from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.errors import RecordingError
-from crowdbench.run.recorded_arrivals import matched, recognised
+from crowdbench.run.judge import matched, recognised
 from crowdbench.scene import load_scene
 from crowdbench.scoring.ranking import rows
 

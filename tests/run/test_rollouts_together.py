@@ -16,7 +16,7 @@ from crowdbench.policies.memory import Memory
 from crowdbench.policies.social_force import GroupForce
 from crowdbench.run.episode import most_at_once
 from crowdbench.run.rollout import batchable, rollout, rollouts
-from crowdbench.run.rollout_jobs import BATCH, Job, batches, make, plan
+from crowdbench.run.rollout_jobs import BATCH, Job, batches, plan, roll_out
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import SpawnModel
 
@@ -144,7 +144,7 @@ def jobs_of(policy: str, seeds: int, folder: Path) -> list[Job]:
 
 def made(jobs: Sequence[Job]) -> dict[str, tuple[int, bytes]]:
     """When the files were written, and what they contain."""
-    make(list(jobs), 1, lambda done, total: None)
+    roll_out(list(jobs), None, 1)
     return {j.path.name: (j.path.stat().st_mtime_ns, j.path.read_bytes()) for j in jobs}
 
 

@@ -12,9 +12,8 @@ import crowdbench
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, Straight
 from crowdbench.registry import spawn_model
-from crowdbench.run.acting import Actor
+from crowdbench.run.acting import Actor, settings_for
 from crowdbench.run.rollout import rollout
-from crowdbench.run.shown import settings_for
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings
 from crowdbench.simulation.observations import size_of

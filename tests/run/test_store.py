@@ -10,7 +10,7 @@ import pytest
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics.trips import Dwell
 from crowdbench.run import rollout_jobs, store
-from crowdbench.run.rollout_jobs import Job, make, plan, roll_out
+from crowdbench.run.rollout_jobs import Job, plan, roll_out
 from crowdbench.run.summaries import RolloutSummary, summary_key
 from crowdbench.scene import load_scene
 from crowdbench.scoring.reference import Reference, read_reference
@@ -25,7 +25,7 @@ def jobs(folder: Path, pairs: list[tuple[str, str]] = PAIRS) -> list[Job]:
 
 def made(folder: Path, pairs: list[tuple[str, str]] = PAIRS) -> dict[str, bytes]:
     planned = jobs(folder, pairs)
-    make(planned, 1, lambda done, total: None)
+    roll_out(planned, None, 1)
     return {job.path.name: job.path.read_bytes() for job in planned}
 
 
@@ -155,14 +155,11 @@ def summarised(monkeypatch: pytest.MonkeyPatch) -> list[object]:
 
 def test_summaries_are_found_and_are_the_same(tmp_path: Path, summarised: list[object]) -> None:
     reference = read_reference(PLAZA)
-    of_scene = [
-        roll_out(jobs(tmp_path / name), reference, 1, lambda done, total: None)
-        for name in ("one", "two")
-    ]
+    of_scene = [roll_out(jobs(tmp_path / name), reference, 1) for name in ("one", "two")]
     assert len(summarised) == 2
     for first, second in zip(*(each.values() for each in of_scene), strict=True):
         assert np.array_equal(first.outcomes, second.outcomes)
-        assert list(first.statistics) == list(second.statistics)
+        assert list(first.arrays) == list(second.arrays)
         for metric in reference.metrics:
             seen, found = first.of(metric), second.of(metric)
             assert seen.keys() == found.keys()

@@ -29,7 +29,7 @@ from crowdbench.errors import (
 )
 from crowdbench.registry import recording
 from crowdbench.scene import Scene, load_scene
-from crowdbench.scene_building import check_scene, create, create_scene, rules
+from crowdbench.scene_building import NewScene, check_scene, create, create_scene, rules
 from crowdbench.scene_building.toml import scene_toml, write_scored
 from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn.plans.links import Adjustment
@@ -150,8 +150,8 @@ def test_what_is_written_of_a_scene_is_read_again(tmp_path: Path) -> None:
 
 
 def test_it_tells_times_and_what_was_left_out(made: Made) -> None:
-    for step in ("read", "fits", "power study", "anchors", "pictures"):
-        assert any(line.startswith(step) and line.endswith(" s") for line in made.out.splitlines())
+    for step in ("read", "areas", "fits", "plans", "rollouts", "power", "pictures"):
+        assert any(line.startswith(step) and "0:0" in line for line in made.out.splitlines())
     assert "left out: fitting needs torch" in made.out
     assert "fano 60 s: the time blocks are too short" in made.out
     policies = "--policy social-force anticipate-any"
@@ -267,8 +267,10 @@ def test_the_command_tells_each_problem_and_exits_with_2(copied: Path, capsys: P
 
 def attempt(folder: Path, crowd: Trajectories, name: str = "new-v0", **asked: object) -> None:
     table = made_up.write(crowd, "csv", folder)
-    options = {"out": folder / "new-v0", "dt_s": 0.4, "layout": "csv", "workers": 1}
-    create_scene(name, table, **(options | asked))  # type: ignore[arg-type]
+    numbers = {key: asked.pop(key) for key in ("fits", "rollouts_per_fit") if key in asked}
+    new = NewScene(name=name, out=folder / "new-v0", **numbers)  # type: ignore[arg-type]
+    options = {"dt_s": 0.4, "layout": "csv", "workers": 1}
+    create_scene(new, table, **(options | asked))  # type: ignore[arg-type]
 
 
 def remains(folder: Path) -> list[str]:

@@ -1,5 +1,7 @@
 """The fits that scenes ship: as many people as recorded, better than Poisson, and made by `fit`."""
 
+import os
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +14,8 @@ from crowdbench import registry
 from crowdbench.data.blocks import SPLITS
 from crowdbench.data.recordings.catalogue import SOURCES, read_published
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import SettingError
+from crowdbench.errors import SettingError, WeightsError
+from crowdbench.progress import heard_by
 from crowdbench.registry import recording, spawn_model
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scene_building.fit import MODELS, fit_scene
@@ -136,17 +139,17 @@ BRIEF = {"epochs": 3, "patience": 1, "calibration_points": 2000}
 
 @pytest.mark.usefixtures("unadjusted")
 def test_neural_fits_are_made_for_every_part_and_told_of(plaza: Case, tmp_path: Path) -> None:
-    told: list[tuple[int, int]] = []
-    found = fit_scene(
-        with_fits(2),
-        plaza.crowd,
-        models=["ntpp-gmm"],
-        training=BRIEF,
-        out=tmp_path,
-        workers=1,
-        progress=lambda done, total: told.append((done, total)),
-    )
-    assert told == [(k, 8) for k in range(9)]
+    told: list[tuple[str, int, int | None]] = []
+    with heard_by(lambda *of: told.append(of)):
+        found = fit_scene(
+            with_fits(2),
+            plaza.crowd,
+            models=["ntpp-gmm"],
+            training=BRIEF,
+            out=tmp_path,
+            workers=1,
+        )
+    assert [of for of in told if of[0] == "fits"] == [("fits", k, 8) for k in range(9)]
     assert "nats per person" in found["ntpp-gmm"]
     place, areas = replace(PLAZA, folder=tmp_path), read_areas(PLAZA)
     for split in SPLITS:
@@ -179,6 +182,46 @@ def test_without_torch_nothing_is_done_and_the_way_out_is_said(
     assert list(tmp_path.iterdir()) == []
     fit_scene(PLAZA, plaza.crowd, out=tmp_path, models=["poisson-gmm"])
     assert (tmp_path / "poisson-gmm.json").exists()
+
+
+def written(folder: Path) -> dict[str, bytes]:
+    """The files in a folder, which are then marked so that a change of them shows."""
+    found = {path.name: path.read_bytes() for path in folder.iterdir()}
+    for path in folder.iterdir():
+        os.utime(path, (0, 0))
+    return found
+
+
+def touched(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir() if path.stat().st_mtime > 0}
+
+
+@pytest.mark.usefixtures("unadjusted")
+def test_only_what_is_asked_for_is_written(plaza: Case, tmp_path: Path) -> None:
+    place, crowd = replace(PLAZA, folder=tmp_path), recording("plaza")
+    shutil.copy(PLAZA.folder / "scene.toml", tmp_path)
+    shared = {"scene.toml", "areas.json", "reference.json.gz", "plans.json"}
+    fit_scene(place, crowd, models=())
+    assert set(written(tmp_path)) == shared
+    fit_scene(place, crowd, models=["poisson-gmm"])
+    assert touched(tmp_path) == {"poisson-gmm.json"}
+    files = written(tmp_path)
+    fit_scene(place, crowd, models=["poisson-groups", "poisson-gmm"])  # plans have its times
+    assert touched(tmp_path) == {"poisson-gmm.json", "poisson-groups.json", "plans.json"}
+    assert (tmp_path / "poisson-gmm.json").read_bytes() == files["poisson-gmm.json"]
+    other = tmp_path / "other"  # without areas, which come first
+    fit_scene(place, crowd, models=["poisson-gmm"], out=other)
+    assert set(written(other)) == shared | {"poisson-gmm.json"}
+
+
+def test_a_fit_does_not_join_the_areas_of_other_settings(tmp_path: Path) -> None:
+    shutil.copy(PLAZA.folder / "areas.json", tmp_path)
+    shutil.copy(PLAZA.folder / "scene.toml", tmp_path)
+    broad = structs.replace(PLAZA.clustering["default"], spawn_eps_m=30.0, widest_m=np.inf)
+    place = replace(PLAZA, folder=tmp_path, clustering={"default": broad})
+    with pytest.raises(WeightsError, match=r"areas\.json: got values that do not follow"):
+        fit_scene(place, recording("plaza"), models=["poisson-gmm"])
+    assert not (tmp_path / "poisson-gmm.json").exists()
 
 
 def test_models_that_nobody_fits_are_refused(plaza: Case, tmp_path: Path) -> None:

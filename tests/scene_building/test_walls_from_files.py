@@ -8,7 +8,7 @@ import shapely
 
 from crowdbench.errors import SceneError
 from crowdbench.scene import Bounds
-from crowdbench.scene_building import read_walls
+from crowdbench.scene_building.walls import read_walls
 
 BOUNDS = Bounds(0.0, 10.0, 0.0, 10.0)
 SQUARE = [[1, 1], [3, 1], [3, 3], [1, 3], [1, 1]]

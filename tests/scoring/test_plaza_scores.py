@@ -8,8 +8,8 @@ from numpy.random import Generator
 
 from crowdbench.data.blocks import SPLITS, TimeBlocks, cut
 from crowdbench.data.table import Trajectories, from_rows
+from crowdbench.evaluation import evaluate
 from crowdbench.metrics import METRICS, Metric, Place, Statistics
-from crowdbench.run.evaluate import evaluate
 from crowdbench.scene import load_scene
 from crowdbench.scoring.energy import Draws, energy
 from crowdbench.scoring.ranking import Row, rows
@@ -36,7 +36,7 @@ Arrive = Callable[[Generator], tuple[np.ndarray, np.ndarray]]
 def table(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Row]:
     card = evaluate(
         "plaza-v0", spawn=[TRUTH, "poisson-gmm"], policy=[WALKER], seeds=20,
-        out=tmp_path_factory.mktemp("plaza"),
+        out=tmp_path_factory.mktemp("plaza"), report=False,
     )  # fmt: skip
     return {row.spawn: row for row in rows(card) if row.kind == "entry"}
 

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from crowdbench.baselines import anticipate
+from crowdbench.evaluation import evaluate
 from crowdbench.policies.network import read_card
-from crowdbench.run.evaluate import evaluate
 from crowdbench.scene import load_scene
 from crowdbench.scoring.ranking import Row
 from crowdbench.scoring.score import Score

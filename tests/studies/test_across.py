@@ -8,9 +8,9 @@ from torch import Tensor, nn
 
 from crowdbench.baselines.anticipate import Settings
 from crowdbench.baselines.command import Command
+from crowdbench.evaluation import evaluate
 from crowdbench.policies import OnnxPolicy
 from crowdbench.registry import import_recording
-from crowdbench.run.evaluate import evaluate
 from crowdbench.simulation import social
 from studies import across
 from studies.__main__ import main

@@ -22,7 +22,7 @@ from crowdbench.leaderboard.verification.entry import SCHEMA, SCORER, Entry, Fla
 from crowdbench.leaderboard.verification.scene_entry import Rollouts, scene_entry
 from crowdbench.registry import has_recording, recording_of
 from crowdbench.run.judge import TRAJECTORIES, judge
-from crowdbench.run.lock import alone_in
+from crowdbench.run.processes import alone_in
 from crowdbench.run.rollout_jobs import Job, Pair, plan, roll_out
 from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import Scene, load_scene

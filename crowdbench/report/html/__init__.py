@@ -21,9 +21,6 @@ from crowdbench.scoring.ranking import rows
 from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.scorecard import ANCHOR, Scorecard, has_recorded_arrivals
 
-FILES = ("report.html",)
-"""Names of the files of a report."""
-
 
 def write_report(
     card: Scorecard, scene: Scene, reference: Reference, crowds: Crowds, out: Path
@@ -77,4 +74,4 @@ def _command(card: Scorecard, scene: Scene) -> str:
     return shlex.join([*words, "--protocol", card.protocol, "--seeds", str(card.rollouts)])
 
 
-__all__ = ["FILES", "write_report"]
+__all__ = ["write_report"]
