@@ -4,7 +4,7 @@ from pathlib import Path
 
 from crowdbench.files import write_json
 from crowdbench.leaderboard.verification.copying import TripCopies
-from crowdbench.leaderboard.verification.trip_limits import PATH, MeasuredShares, read_shares
+from crowdbench.leaderboard.verification.flags import PATH, MeasuredShares, read_shares
 from crowdbench.registry import policy, recording_of, spawn_model
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import Scene

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from crowdbench.files import write_json
-from crowdbench.leaderboard.standings import FAMILIES_OF
+from crowdbench.leaderboard.scores import FAMILIES_OF
 from crowdbench.leaderboard.submission.schema import SCENES, Declared, Kind, Track, Trained
 from crowdbench.leaderboard.verification.entry import (
     SCHEMA,

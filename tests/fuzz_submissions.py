@@ -101,14 +101,13 @@ class _Child:
 def _work(pipe: Connection, temporary: Path, sound: list[Path]) -> None:
     """Open what is sent, and tell how that ended."""
     from crowdbench.errors import CrowdbenchError
-    from crowdbench.leaderboard.submission.submission import open_submission
+    from crowdbench.leaderboard.submission.submission import read_submission
 
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir()
     tempfile.tempdir = str(temporary)
     for path in sound:  # what is loaded and compiled once is not the cases' doing
-        with open_submission(path):
-            pass
+        read_submission(path)
     _limit()
     written = _watch(temporary)
     pipe.send("ready")
@@ -117,8 +116,8 @@ def _work(pipe: Connection, temporary: Path, sound: list[Path]) -> None:
         written.clear()
         began = time.process_time()
         try:
-            with open_submission(path) as submission:
-                answer = "accepted", submission.id
+            submission = read_submission(path)
+            answer = "accepted", submission.id
         except CrowdbenchError as error:
             told = str(error)
             clear = " problem" in told and "expected" in told and len(told) < 50_000

@@ -12,7 +12,7 @@ from onnx import TensorProto, helper, numpy_helper
 from crowdbench.data.storage import write_csv, write_parquet
 from crowdbench.data.table import Trajectories, from_rows
 from crowdbench.leaderboard.submission.errors import SubmissionError
-from crowdbench.leaderboard.submission.submission import open_submission
+from crowdbench.leaderboard.submission.submission import read_submission
 from crowdbench.policies import PolicyCard
 from crowdbench.registry import WEIGHTS
 from crowdbench.scene import load_scene
@@ -119,8 +119,8 @@ def crowd(seed: int = 0, **changed: object) -> Trajectories:
 
 def refusal(path: Path) -> str:
     """All that is told of a submission that is refused."""
-    with pytest.raises(SubmissionError) as caught, open_submission(path):
-        pass
+    with pytest.raises(SubmissionError) as caught:
+        read_submission(path)
     return str(caught.value)
 
 

@@ -1,9 +1,10 @@
 """`crowdbench data`: fetch, import, list, describe, convert and remove recordings."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 import crowdbench
-from crowdbench.cli.options import FrameS, Gaps, Layout, OffsetS, SceneName, Written
+from crowdbench.cli.options import OwnFile, SceneName, Written
 from crowdbench.cli.printing import progress_bar
 from crowdbench.cli.running import new_app
 from crowdbench.errors import SettingError
@@ -39,16 +40,7 @@ def fetch(name: str, /, *, out: Path | None = None) -> None:
 
 
 @app.command(name="import")
-def import_(
-    name: str,
-    /,
-    *,
-    source: Path | None = None,
-    layout: Layout = None,
-    dt_s: FrameS = None,
-    gaps: Gaps = None,
-    offset_s: OffsetS = None,
-) -> None:
+def import_(name: str, /, *, source: Path | None = None, how: OwnFile = OwnFile()) -> None:
     """Read a recording and store it for later use.
 
     Args:
@@ -60,23 +52,23 @@ def import_(
     from crowdbench.data.recordings.describe import describe
     from crowdbench.data.recordings.own import import_own
 
-    if layout is None:
-        for option, value in (("--gaps", gaps), ("--offset-s", offset_s)):
-            if value is not None:
-                raise SettingError(
-                    "crowdbench data import",
-                    got=f"{option} without --format",
-                    expected="--format as well",
-                    hint="The option applies to your own recordings only.",
-                )
+    if how.layout is None:
+        if how.given():
+            raise SettingError(
+                "crowdbench data import",
+                got=f"{how.given()[0]} without --format",
+                expected="--format as well",
+                hint="The option applies to your own recordings only.",
+            )
         _import_published(name, source)
         return
     if source is None:
         raise SettingError(
             "crowdbench data import", got="--format without --source", expected="--source PATH"
         )
-    crowd = import_own(name, source, layout, dt_s, gaps=gaps, offset_s=offset_s)
-    print_facts(name, repairs(crowd, gaps) | describe(crowd) | {"stored at": str(cached(name))})
+    crowd = import_own(name, source, **asdict(how))
+    facts = repairs(crowd, how) | describe(crowd) | {"stored at": str(cached(name))}
+    print_facts(name, facts)
 
 
 def _import_published(name: str, folder: Path | None) -> None:
@@ -95,10 +87,10 @@ def _import_published(name: str, folder: Path | None) -> None:
         print(f"The recording remains subject to its owners' terms. Cite: {source(name).cite}.")
 
 
-def repairs(crowd: "crowdbench.Trajectories", gaps: Gaps) -> dict[str, str]:
+def repairs(crowd: "crowdbench.Trajectories", how: OwnFile) -> dict[str, str]:
     """Repairs made by `--gaps`, as a fact to print; empty if the option was not given."""
     notes = crowd.provenance.get("notes", {})
-    return {} if gaps is None else {"mended": notes.get("mended", "nothing; no faults found")}
+    return {} if how.gaps is None else {"mended": notes.get("mended", "nothing; no faults found")}
 
 
 @app.command(name="list")
@@ -171,10 +163,7 @@ def convert(
     *,
     to: Written,
     out: Path,
-    layout: Layout = "csv",
-    dt_s: FrameS = None,
-    gaps: Gaps = None,
-    offset_s: OffsetS = None,
+    how: OwnFile = OwnFile(),
 ) -> None:
     """Convert trajectories between the formats of crowdbench and other programs.
 
@@ -185,17 +174,10 @@ def convert(
     """
     from crowdbench.data.recordings.own import WRITERS, read_recording
 
-    crowd = read_recording(
-        table,
-        layout or "csv",
-        name=table.stem,
-        dt_s=dt_s,
-        gaps=gaps,
-        offset_s=offset_s,
-        resample=False,
-    )
+    read = asdict(how) | {"layout": how.layout or "csv"}
+    crowd = read_recording(table, name=table.stem, resample=False, **read)
     WRITERS[to](crowd, out)
-    for name, fact in repairs(crowd, gaps).items():
+    for name, fact in repairs(crowd, how).items():
         print(f"{name}: {fact}")
     print(f"{len(crowd)} persons, {crowd.frames} frames of {crowd.dt_s:.4g} s")
     print(f"written to {out}")

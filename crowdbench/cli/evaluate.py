@@ -1,7 +1,5 @@
 """`crowdbench evaluate`: roll out spawn models and policies on a scene and score them."""
 
-import os
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import crowdbench
 from crowdbench.cli.options import EngineName, Json, SceneName, Workers
 from crowdbench.cli.printing import json_written, progress_bar
+from crowdbench.cli.running import find_own_code
 from crowdbench.report.text.terminal import print_facts
 from crowdbench.run.processes import LOCAL
 
@@ -59,7 +58,7 @@ def evaluate(
     from crowdbench.report.text.scorecards import print_card
     from crowdbench.scoring.ranking import score_rows
 
-    sys.path.insert(0, os.getcwd())  # so that pkg.module:Class is found in the working directory
+    find_own_code()
     if view:  # checked before minutes of rollouts
         from crowdbench.viewer import check_screen
 

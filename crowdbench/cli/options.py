@@ -1,5 +1,6 @@
 """Parameters that several commands have, with their help texts."""
 
+from dataclasses import asdict, dataclass
 from typing import Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
@@ -23,29 +24,28 @@ Json: TypeAlias = Annotated[
         "printed",
     ),
 ]
-Layout: TypeAlias = Annotated[
-    str | None,
-    Parameter(
-        "--format",
-        help="format of the recording. obsmat: format of ETH and UCY; gc, forum: formats of Grand "
-        "Central and the Forum; csv: a table with person_id, frame or time_s, x, y; trajnet: "
-        "TrajNet++; jupedsim: format that PedPy reads; or a format of an installed package",
-    ),
-]
-FrameS: TypeAlias = Annotated[
-    float | None,
-    Parameter(
-        "--dt-s", help="time between two rows of a person in seconds, if the file does not state it"
-    ),
-]
-Gaps: TypeAlias = Annotated[
-    Literal["interpolate", "split"] | None,
-    Parameter(
-        help="repair missing rows of a person: interpolate linearly, or split the person into two; "
-        "both also interpolate rows that lie between frames (default: reject such files)"
-    ),
-]
+Gaps = Literal["interpolate", "split"]
 Written: TypeAlias = Literal["csv", "trajnet", "jupedsim"]
-OffsetS: TypeAlias = Annotated[
-    float | None, Parameter(help="time_s of the first frame of a table, in seconds (default: 0)")
-]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class OwnFile:
+    """How a recording of the user's own is read."""
+
+    layout: Annotated[str | None, Parameter("--format")] = None
+    """format of the recording. obsmat: format of ETH and UCY; gc, forum: formats of Grand Central
+    and the Forum; csv: a table with person_id, frame or time_s, x, y; trajnet: TrajNet++;
+    jupedsim: format that PedPy reads; or a format of an installed package"""
+    dt_s: float | None = None
+    """time between two rows of a person in seconds, if the file does not state it"""
+    gaps: Gaps | None = None
+    """repair missing rows of a person: interpolate linearly, or split the person into two; both
+    also interpolate rows that lie between frames (default: reject such files)"""
+    offset_s: float | None = None
+    """time_s of the first frame of a table, in seconds (default: 0)"""
+
+    def given(self) -> list[str]:
+        """The options that were given."""
+        named = {"--format" if k == "layout" else f"--{k}": v for k, v in asdict(self).items()}
+        return [name.replace("_", "-") for name, value in named.items() if value is not None]

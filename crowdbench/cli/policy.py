@@ -1,37 +1,48 @@
 """`crowdbench policy`: export a network as a policy file, or show the card of a file."""
 
-import importlib
-import os
 import sys
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from cyclopts import Parameter
+
 import crowdbench
-from crowdbench.cli.running import new_app
+from crowdbench import plugins
+from crowdbench.cli.running import find_own_code, new_app
 from crowdbench.errors import SettingError, to_install
 from crowdbench.report.text.terminal import print_facts
 
 app = new_app("policy", "Export a trained policy to an ONNX file, or show such a file.")
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _Card:
+    name: str
+    """name of the policy in tables"""
+    scene: str
+    """id of the scene it was trained on (plaza-v0 if it was trained on none)"""
+    split: str = "full"
+    """split of the recording it was trained on: full, fold0, fold1 or fold2"""
+    observation: str | None = None
+    """observation of the policy: lidar-1, lidar-2, lidar-3 or social-1 (default: lidar-2)"""
+    rays: int = 32
+    """number of rays"""
+    ray_range_m: float = 10.0
+    """range of the rays in metres"""
+    memory: int = 0
+    """size of the state that the network takes and returns. Found in a zip"""
+    style: int = 0
+    """number of random numbers that are drawn once per person"""
+    interval: int = 1
+    """frames between two decisions for a person"""
+    command: str = ""
+    """training command, to be stored in the file"""
+
+
 @app.command
-def export(
-    network: str,
-    file: Path,
-    /,
-    *,
-    name: str,
-    scene: str,
-    split: str = "full",
-    observation: str | None = None,
-    rays: int = 32,
-    ray_range_m: float = 10.0,
-    noise: int = 0,
-    memory: int = 0,
-    style: int = 0,
-    interval: int = 1,
-    command: str = "",
-) -> None:
+def export(network: str, file: Path, /, *, noise: int = 0, of: _Card) -> None:
     """Write a torch network as an ONNX file.
 
     Args:
@@ -39,49 +50,28 @@ def export(
             that returns one; or MODEL.zip that Stable-Baselines3 or sb3-contrib saved. Reading a
             zip runs code of its pickles: only export your own
         file: file to write, FILE.onnx
-        name: name of the policy in tables
-        scene: id of the scene it was trained on (plaza-v0 if it was trained on none)
-        split: split of the recording it was trained on: full, fold0, fold1 or fold2
-        observation: observation of the policy: lidar-1, lidar-2, lidar-3 or social-1 (default:
-            lidar-2)
-        rays: number of rays
-        ray_range_m: range of the rays in metres
         noise: standard normal numbers that the network takes per person and step. For a zip: 0 for
             the mean action, 2 to sample it
-        memory: size of the state that the network takes and returns. Found in a zip
-        style: number of random numbers that are drawn once per person
-        interval: frames between two decisions for a person
-        command: training command, to be stored in the file
     """
     from crowdbench.policies import PolicyCard
     from crowdbench.policies.export import export_policy, revision
     from crowdbench.simulation.observations import OBSERVATION
 
-    sys.path.insert(0, os.getcwd())  # a zip may name classes of the user's own
+    find_own_code()  # a zip may name classes of the user's own
+    facts = asdict(of)
     if network.endswith(".zip"):
-        module = _of_zip(network, noise=noise, memory=memory, style=style)
-        memory = module.memory
+        module = _of_zip(network, noise, of)
+        facts["memory"] = module.memory
     else:
         module = _imported(network)
-    card = PolicyCard(
-        name=name,
-        observation=observation or OBSERVATION,
-        rays=rays,
-        ray_range_m=ray_range_m,
-        scene=crowdbench.load_scene(scene).id,
-        split=split,
-        memory=memory,
-        style=style,
-        interval=interval,
-        command=command,
-        revision=revision(Path()),
-    )
-    card.checked(file)
+    facts["observation"] = of.observation or OBSERVATION
+    facts["scene"] = crowdbench.load_scene(of.scene).id
+    card = PolicyCard(**facts, revision=revision(Path())).checked(file)
     export_policy(module, file, card, noise=noise)
     print(f"written to {file}")
 
 
-def _of_zip(path: str, *, noise: int, memory: int, style: int) -> Any:
+def _of_zip(path: str, noise: int, card: _Card) -> Any:
     """Network of a zip, which knows the size of its memory.
 
     Raises:
@@ -90,7 +80,7 @@ def _of_zip(path: str, *, noise: int, memory: int, style: int) -> Any:
     """
     from crowdbench.policies.sb3 import read_sb3
 
-    for option, value in (("--memory", memory), ("--style", style)):
+    for option, value in (("--memory", card.memory), ("--style", card.style)):
         if value:
             raise SettingError(
                 option,
@@ -123,13 +113,7 @@ def _imported(path: str) -> Any:
             expected="torch to be installed",
             hint=to_install("fit"),
         ) from error
-    module, _, name = path.partition(":")
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise SettingError(
-            "network", got=f"{path!r} ({error})", expected="a pkg.module:NAME that can be imported"
-        ) from error
+    found = plugins.find("policies", path if ":" in path else f"{path}:")
     made = found() if callable(found) and not isinstance(found, torch.nn.Module) else found
     if not isinstance(made, torch.nn.Module):
         raise SettingError(

@@ -17,30 +17,21 @@ def progress_bar(
 
     Other stages of the work in the block, see `crowdbench.progress`, get a bar each, below it.
     """
-    from rich.progress import (
-        BarColumn,
-        DownloadColumn,
-        MofNCompleteColumn,
-        Progress,
-        TaskID,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich import progress as bars
 
     from crowdbench.progress import heard_by
 
     columns = (
-        TextColumn("{task.description}", markup=False),  # it may be a path with brackets
-        BarColumn(),
-        DownloadColumn() if of_bytes else MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
+        bars.TextColumn("{task.description}", markup=False),  # it may be a path with brackets
+        bars.BarColumn(),
+        bars.DownloadColumn() if of_bytes else bars.MofNCompleteColumn(),
+        bars.TimeElapsedColumn(),
+        bars.TextColumn("left"),
+        bars.TimeRemainingColumn(),
     )
     # Fits take minutes. With the default period of 30 s, the speed would mostly be unknown.
-    bar = Progress(*columns, console=new_console(), speed_estimate_period=600.0)
-    tasks: dict[str, TaskID] = {}
+    bar = bars.Progress(*columns, console=new_console(), speed_estimate_period=600.0)
+    tasks: dict[str, bars.TaskID] = {}
 
     def listen(stage: str, done: int, total: int | None) -> None:
         bar.start()  # not earlier, because errors in the arguments are reported first

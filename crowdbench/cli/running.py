@@ -40,6 +40,11 @@ def _shown(default: object) -> str | None:
     return " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
 
 
+def find_own_code() -> None:
+    """Let Python find the modules of the working directory, such as that of `pkg.module:Class`."""
+    sys.path.insert(0, os.getcwd())
+
+
 def run(app: App, arguments: Sequence[str] | None = None) -> int:
     """Run a command of a program and return its exit code, see `crowdbench.cli`.
 

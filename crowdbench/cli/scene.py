@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -9,7 +10,7 @@ from cyclopts import Parameter
 
 import crowdbench
 from crowdbench.cli.data import fetch, repairs
-from crowdbench.cli.options import EngineName, FrameS, Gaps, Layout, OffsetS, SceneName, Workers
+from crowdbench.cli.options import EngineName, OwnFile, SceneName, Workers
 from crowdbench.cli.printing import progress_bar
 from crowdbench.cli.running import new_app
 from crowdbench.errors import SceneError, SettingError
@@ -23,7 +24,24 @@ from crowdbench.report.text.terminal import (
 from crowdbench.run.processes import LOCAL
 
 app = new_app("scene", "Scenes: list them, make one from your own recording, and what is scored.")
-_OF_TRAINING = Parameter(group="Training of ntpp-gmm and ntpp-paper")
+_TRAINING = "Training of ntpp-gmm and ntpp-paper"
+
+
+@Parameter(name="*", group=_TRAINING)
+@dataclass(frozen=True)
+class _Training:
+    window_frames: Annotated[int | None, Parameter("--window")] = None
+    """length of a training window, frames"""
+    stride_frames: Annotated[int | None, Parameter("--stride")] = None
+    """frames from one training window to the next"""
+    epochs: int | None = None
+    """(maximum) number of epochs"""
+    learning_rate: Annotated[float | None, Parameter("--lr")] = None
+    """learning rate"""
+    published_code: bool | None = None
+    """train ntpp-paper as the paper's published code does, which differs from the paper"""
+    shared: bool | None = None
+    """train one network of ntpp-gmm for all areas"""
 
 
 @app.command(name="list")
@@ -62,10 +80,6 @@ def create(
     *,
     recording: str,
     like: str | None = None,
-    layout: Layout = None,
-    dt_s: FrameS = None,
-    gaps: Gaps = None,
-    offset_s: OffsetS = None,
     walls: Path | None = None,
     title: str = "",
     out: Path | None = None,
@@ -73,6 +87,7 @@ def create(
     rollouts_per_fit: int | None = None,
     workers: Workers = None,
     engine: EngineName = LOCAL,
+    how: OwnFile = OwnFile(),
 ) -> None:
     """Create a scene: areas, models, anchors and scored metrics (minutes).
 
@@ -94,23 +109,14 @@ def create(
     from crowdbench.registry import ANY_PLACE
     from crowdbench.scene_building import NewScene, create_like, create_scene
 
-    of_recording: dict[str, Any] = {
-        "layout": layout,
-        "dt_s": dt_s,
-        "gaps": gaps,
-        "offset_s": offset_s,
-        "walls": walls,
-    }
     if like is not None:
-        for option, value in of_recording.items():
-            if value is not None:
-                given = f"--{option.replace('_', '-').replace('layout', 'format')}"
-                raise SettingError(
-                    "crowdbench scene create",
-                    got=f"{given} and --like",
-                    expected=f"--like without {given}, which the other scene determines",
-                )
-    elif layout is None:
+        for option in (*how.given(), *["--walls"] * (walls is not None)):
+            raise SettingError(
+                "crowdbench scene create",
+                got=f"{option} and --like",
+                expected=f"--like without {option}, which the other scene determines",
+            )
+    elif how.layout is None:
         raise SettingError(
             "crowdbench scene create",
             got="neither --format nor --like",
@@ -124,11 +130,12 @@ def create(
         with progress_bar("scene"):
             created = create_like(new, like, recording, workers=workers)
     else:
+        of_file: dict[str, Any] = asdict(how)
         with progress_bar("scene"):
-            created = create_scene(new, Path(recording), **of_recording, workers=workers)
+            created = create_scene(new, Path(recording), **of_file, walls=walls, workers=workers)
     scene, crowd = created.scene, created.recording
     print()
-    print_facts(f"recording {crowd.scene}", repairs(crowd, gaps) | describe(crowd))
+    print_facts(f"recording {crowd.scene}", repairs(crowd, how) | describe(crowd))
     print_facts(scene.id, created.facts)
     whole = (scene.folder / "ntpp-gmm.safetensors").exists()
     models = f"--policy social-force {ANY_PLACE}" + ("" if whole else " --spawn renewal-gmm")
@@ -162,13 +169,8 @@ def fit(
     clustering: str = "default",
     preprocess: Literal["paper"] | None = None,
     models: Annotated[Sequence[str] | None, Parameter(consume_multiple=True)] = None,
-    window: Annotated[int | None, _OF_TRAINING] = None,
-    stride: Annotated[int | None, _OF_TRAINING] = None,
-    epochs: Annotated[int | None, _OF_TRAINING] = None,
-    lr: Annotated[float | None, _OF_TRAINING] = None,
-    fits: Annotated[int | None, _OF_TRAINING] = None,
-    published_code: Annotated[bool, _OF_TRAINING] = False,
-    shared: Annotated[bool, _OF_TRAINING] = False,
+    training: _Training = _Training(),
+    fits: Annotated[int | None, Parameter(group=_TRAINING)] = None,
     workers: Workers = None,
     engine: EngineName = LOCAL,
     out: Path | None = None,
@@ -181,28 +183,13 @@ def fit(
         models: spawn models to fit (default: everything, with all models but those of the founding
             paper); only their fits are written, and the plans if they depend on them; with none,
             areas, reference statistics and plans are written
-        window: length of a training window, frames
-        stride: frames from one training window to the next
-        epochs: (maximum) number of epochs
-        lr: learning rate
         fits: number of fits (default: the scene's)
-        published_code: train ntpp-paper as the paper's published code does, which differs from
-            the paper
-        shared: train one network of ntpp-gmm for all areas
         out: output folder (default: the scene's folder)
     """
     from crowdbench.scene_building.fit import fit_scene
 
     place = crowdbench.load_scene(scene)
     crowd = crowdbench.recording(place.recording.name)
-    training = {
-        "window_frames": window,
-        "stride_frames": stride,
-        "epochs": epochs,
-        "learning_rate": lr,
-        "published_code": published_code or None,
-        "shared": shared or None,
-    }
     with progress_bar("fits"):
         facts = fit_scene(
             place,
@@ -210,7 +197,7 @@ def fit(
             clustering=clustering,
             preprocess=preprocess,
             models=models,
-            training={name: value for name, value in training.items() if value is not None},
+            training={k: v for k, v in asdict(training).items() if v is not None},
             fits=fits,
             out=out,
             workers=workers,

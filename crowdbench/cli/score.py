@@ -20,7 +20,6 @@ def score(
         recorded_arrivals: people enter at the recorded times and places: score how they walk
             (needs the recording)
     """
-    from crowdbench.data.storage import read
     from crowdbench.report.text.notes import missing_notes
     from crowdbench.report.text.scorecards import print_card, print_results
     from crowdbench.scoring.ranking import score_rows
@@ -31,7 +30,7 @@ def score(
         raise SettingError(
             "crowdbench score", got="a file that is named twice", expected="a file for each rollout"
         )
-    read_in = [read(table, scene=place.id, dt_s=place.dt_s) for table in tables]
+    read_in = [crowdbench.read(table, place) for table in tables]
     for table, crowd in zip(tables, read_in, strict=True):
         check_fits(crowd, place, table)
     several = len(tables) > 1 or recorded_arrivals

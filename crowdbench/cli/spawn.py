@@ -1,15 +1,13 @@
 """`crowdbench spawn`: spawn areas, samples, tests and scenarios of spawn models."""
 
 import math
-import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import crowdbench
 from crowdbench.cli.options import SceneName
 from crowdbench.cli.printing import progress_bar
-from crowdbench.cli.running import new_app
+from crowdbench.cli.running import find_own_code, new_app
 from crowdbench.errors import SettingError
 from crowdbench.report.text.terminal import print_note, print_table
 
@@ -88,7 +86,7 @@ def sample(
     from crowdbench.spawn.events import write_events
     from crowdbench.spawn.steering.scenario import split_scenario
 
-    sys.path.insert(0, os.getcwd())  # so that pkg.module:Class is found in the working directory
+    find_own_code()
     place = crowdbench.load_scene(scene)
     if seed < 0:
         raise SettingError("--seed", got=f"{seed}", expected="0 or more")
@@ -167,7 +165,7 @@ def steer(
     from crowdbench.report.steering.changes import steering
     from crowdbench.report.steering.pictures import draw_steering
 
-    sys.path.insert(0, os.getcwd())  # so that pkg.module:Class is found in the working directory
+    find_own_code()
     found = steering(scene, scenario, spawn=spawn, seeds=seeds)
     _print_changes(found)
     with progress_bar("rollouts") as progress:

@@ -51,21 +51,21 @@ def check(submission: Path, /) -> None:
     from crowdbench.leaderboard.verification import check as checks
 
     checked = checks.check(submission)
-    declared = checked.declared
-    counted = {
-        "networks": checked.networks,
-        "files of fits": checked.fits,
-        "rollouts": checked.rollouts,
+    declared, layout, (status, why) = checked.declared, checked.layout, checked.judged
+    counts = {
+        "networks": len(layout.networks),
+        "files of fits": len(layout.weights),
+        "rollouts": sum(map(len, layout.crowds.values())),
     }
-    models = [declared.shipped_spawn, declared.shipped_policy]
-    models += [f"{what}: {count}" for what, count in counted.items() if count]
+    models = [name for name in (declared.shipped_spawn, declared.shipped_policy) if name]
+    models += [f"{what}: {count}" for what, count in counts.items() if count]
     print_facts(
         declared.name,
         {
             "id": checked.id,
             "track": f"{declared.track}, {declared.kind}, trained: {declared.training.protocol}",
             "scenes": ", ".join(declared.scenes),
-            "models": ", ".join(filter(None, models)),
-            "status": f"{checked.status}: {checked.why}",
+            "models": ", ".join(models),
+            "status": f"{status}: {why}",
         },
     )

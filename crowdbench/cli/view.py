@@ -27,17 +27,15 @@ def view(
     """
     from crowdbench import viewer
 
-    if scene is None:
-        crowd = crowdbench.read_own(table)
-        place = crowdbench.load_scene(crowd.scene)
-    else:
-        place = crowdbench.load_scene(scene)
-        crowd = _read(table, place)
+    crowd = crowdbench.read(table, scene)
+    place = crowdbench.load_scene(crowd.scene if scene is None else scene)
+    if scene is not None:
+        crowd = _in_areas(crowd, place)
     beside = None
     if against == "recording":
         beside = crowdbench.recording_of(place)
     elif against is not None:
-        beside = _read(Path(against), place)
+        beside = _in_areas(crowdbench.read(against, place), place)
     if save is not None:
         viewer.save(crowd, place, save, against=beside, person=person)
         print(f"written to {save}: open it with `rerun {save}`")
@@ -45,10 +43,11 @@ def view(
         viewer.show(crowd, place, against=beside, person=person)
 
 
-def _read(path: Path, scene: "crowdbench.Scene") -> "crowdbench.Trajectories":
-    from crowdbench.data.storage import read
+def _in_areas(
+    crowd: "crowdbench.Trajectories", scene: "crowdbench.Scene"
+) -> "crowdbench.Trajectories":
+    """The crowd in the scene's areas, by which it is coloured; tables of others have none."""
     from crowdbench.viewer.place import areas_of
 
-    crowd = read(path, scene=scene.id, dt_s=scene.dt_s)
-    areas = areas_of(scene)  # people are coloured by area; tables of other programs have none
+    areas = areas_of(scene)
     return crowd if areas is None else areas.assign(crowd)

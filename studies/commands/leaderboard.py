@@ -1,10 +1,17 @@
-"""`python -m studies leaderboard` and `trip-limits`: what the leaderboard's maintainers run."""
+"""`python -m studies leaderboard`, `rescore`, `trip-limits`: for the leaderboard's maintainers."""
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from crowdbench.cli.leaderboard import SandboxLimits, in_turn
+from crowdbench.cli.options import Workers
 from crowdbench.errors import SettingError
 from crowdbench.report.text.terminal import print_table
+
+if TYPE_CHECKING:
+    from crowdbench.leaderboard.sandbox.parent import Progress
+    from crowdbench.leaderboard.verification.entry import Entry
 
 
 def leaderboard(*, root: Path = Path("leaderboard"), site: Path | None = None) -> None:
@@ -20,13 +27,52 @@ def leaderboard(*, root: Path = Path("leaderboard"), site: Path | None = None) -
     print(f"{len(written)} files written to {site or root}")
 
 
+def rescore(
+    entries: Sequence[str] = (),
+    /,
+    *,
+    reason: str,
+    root: Path = Path("leaderboard"),
+    out: Path = Path("results/leaderboard"),
+    workers: Workers = None,
+    at_most: SandboxLimits = SandboxLimits(),
+) -> None:
+    """Verify entries again with the current scorer; earlier results stay in the history.
+
+    Args:
+        entries: ids of entries (default: all)
+        reason: reason to state in the entries' history
+        root: folder of entries/ and submissions/
+        out: output folder of ID.run.json and the rollouts
+    """
+    from crowdbench.leaderboard.verification.entry import entry_paths
+    from studies import rescore as rescoring
+
+    limits = at_most.checked()
+
+    def one(entry: str, progress: "Progress") -> "Entry":
+        return rescoring.rescore(
+            entry, root, reason=reason, out=out, workers=workers, limits=limits, progress=progress
+        )
+
+    named = entries or list(entry_paths(root / "entries"))
+    if not named:
+        raise SettingError(
+            f"{root}/entries",
+            got="no entries",
+            expected="at least one",
+            hint="Set the folder of the leaderboard with --root.",
+        )
+    in_turn(named, one)
+
+
 def trip_limits(scenes: Sequence[str] = (), /) -> None:
     """Measure how many trips are like recorded ones without copying; write the flag's limits.
 
     Args:
         scenes: ids of scenes (default: all)
     """
-    from crowdbench.leaderboard.verification.trip_limits import trip_limit
+    from crowdbench.leaderboard.verification.flags import trip_limit
     from crowdbench.scene import list_scenes, load_scene
     from studies.trip_limits import HONEST, measure, write
 

@@ -14,7 +14,7 @@ from crowdbench.code import code_hash
 from crowdbench.data.blocks import SPLITS
 from crowdbench.data.recordings.catalogue import SOURCES
 from crowdbench.files import sha256
-from crowdbench.leaderboard.standings import View, scores
+from crowdbench.leaderboard.scores import View, scores
 from crowdbench.leaderboard.submission.models import shipped_class
 from crowdbench.leaderboard.verification.entry import read_entry
 from crowdbench.registry import FITTED, GENERATED, PLANNED, WEIGHTS
@@ -132,7 +132,7 @@ def _entry(folder: Path) -> Result:
     path = ENTRY.format(folder.name)
     files = dict.fromkeys([*(str(f) for f in sorted(folder.rglob("*")) if f.is_file()), LIMITS])
     facts: dict[str, str] = {}
-    codes = [code_hash("crowdbench.leaderboard.verification.judge", cut=MODELS)]
+    codes = [code_hash("crowdbench.leaderboard.verification.make_entry", cut=MODELS)]
     splits = splits_of(declared["training"]["protocol"])
     for scene in declared["scenes"]:
         own = folder / scene

@@ -8,7 +8,7 @@ import msgspec
 from crowdbench.cli.printing import progress_bar
 from crowdbench.files import write_json
 from crowdbench.leaderboard.sandbox.parent import Limits
-from crowdbench.leaderboard.verification.entry import read_entry
+from crowdbench.leaderboard.verification.entry import entry_path, read_entry
 from crowdbench.leaderboard.verification.verify import entry_of, write_run
 
 ROOT, OUT = Path("leaderboard"), Path("results/leaderboard")
@@ -16,7 +16,7 @@ ROOT, OUT = Path("leaderboard"), Path("results/leaderboard")
 
 def main(entry_id: str) -> None:
     """Verify the submission of an entry, and write the entry."""
-    path = ROOT / "entries" / f"{entry_id}.json"
+    path = entry_path(ROOT / "entries", entry_id)
     history = read_entry(path).history if path.exists() else []
     submission = ROOT / "submissions" / entry_id
     with progress_bar(entry_id) as progress:

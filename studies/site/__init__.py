@@ -8,12 +8,12 @@ from pathlib import Path
 
 from crowdbench.errors import SettingError
 from crowdbench.files import read_bytes, unwritable, write_text
-from crowdbench.leaderboard.standings import TRACKS, read_entries, shipped_leaderboard, standing
-from crowdbench.leaderboard.verification.entry import entry_paths
+from crowdbench.leaderboard.verification.entry import entry_paths, shipped_leaderboard
 from studies.site.entry_page import entry_page
 from studies.site.excerpt import with_excerpt
 from studies.site.index import index_page
 from studies.site.readme import readme
+from studies.site.standings import TRACKS, read_entries, standing
 
 RULES = "RULES.md"
 

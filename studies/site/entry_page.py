@@ -1,10 +1,11 @@
 """`pages/ID.html`: the page of one entry."""
 
-from crowdbench.leaderboard.standings import Line, Standing, View
+from crowdbench.leaderboard.scores import View
 from crowdbench.report.html.render import html_page
 from crowdbench.report.text.words import with_interval
 from studies.site.render import html, own
 from studies.site.scene_results import scene_results
+from studies.site.standings import Line, Standing
 from studies.site.text import plain
 
 _STATUS = {

@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 
-from crowdbench.leaderboard.standings import Line, Standing, View
+from crowdbench.leaderboard.scores import View
 from crowdbench.leaderboard.submission.schema import SCENES
 from crowdbench.metrics import METRICS, PAPER
 from crowdbench.report.text.words import NOTHING, digits, interval, number
 from studies.markdown import table
+from studies.site.standings import Line, Standing
 from studies.site.tables import GATE, OVERALL, gated
 from studies.site.text import decimals, in_markdown
 

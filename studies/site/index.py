@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
-from crowdbench.leaderboard.standings import Standing
 from crowdbench.leaderboard.submission.schema import SCENES, Track
 from crowdbench.report.html.render import html_page
 from studies.site.render import html, own
+from studies.site.standings import Standing
 from studies.site.tables import listed_table, ranked_table
 from studies.site.text import in_html
 

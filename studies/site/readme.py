@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 
-from crowdbench.leaderboard.standings import Line, Standing, View
+from crowdbench.leaderboard.scores import View
 from crowdbench.leaderboard.submission.schema import SCENES
 from crowdbench.report.text.words import interval, number
 from studies.markdown import flowed, table
 from studies.site.index import JUDGED, LEAD, LISTED, SUBMIT, rules_of
 from studies.site.render import markdown
+from studies.site.standings import Line, Standing
 from studies.site.tables import COPIED, GATE, OVERALL, copied, gated
 from studies.site.text import copied_share, decimals, in_markdown
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from crowdbench.leaderboard.standings import View
+from crowdbench.leaderboard.scores import View
 from crowdbench.report.text.templates import environment
 from crowdbench.report.text.words import NOTHING, digits, speed
 from crowdbench.report.text.words import share as shown_share

@@ -2,10 +2,10 @@
 
 from markupsafe import Markup
 
-from crowdbench.leaderboard.standings import FAMILIES_OF, are_trajectories, gate_notes
+from crowdbench.leaderboard.scores import FAMILIES_OF, are_trajectories, gate_notes
 from crowdbench.leaderboard.verification.entry import Entry
+from crowdbench.leaderboard.verification.flags import trip_limit
 from crowdbench.leaderboard.verification.soundness import FAMILY_OF
-from crowdbench.leaderboard.verification.trip_limits import trip_limit
 from crowdbench.metrics import METRICS
 from studies.site.curves import figure
 from studies.site.render import html

@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from crowdbench.leaderboard.standings import Line, Standing, View
+from crowdbench.leaderboard.scores import View
 from crowdbench.report.text.words import NOTHING, share
+from studies.site.standings import Line, Standing
 
 OVERALL = View()
 GATE = ("speed", "at goal")

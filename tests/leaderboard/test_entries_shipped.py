@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from crowdbench.cli import main
-from crowdbench.leaderboard.submission.submission import open_submission
+from crowdbench.leaderboard.submission.submission import read_submission
 from crowdbench.leaderboard.verification.entry import SCHEMA, SCORER, entry_paths, read_entry
 from crowdbench.leaderboard.verification.verify import verify
 from crowdbench.registry import import_recording, trained_policies
@@ -46,10 +46,10 @@ def test_an_entry_is_of_the_present_files(path: Path) -> None:
     anew is to be verified anew."""
     entry = read_entry(path)
     assert (entry.schema, entry.scorer) == (SCHEMA, SCORER)
-    with open_submission(ROOT / "submissions" / entry.id) as submission:
-        assert entry.declared == submission.declared
-        assert entry.status == submission.status
-        assert entry.artefacts == submission.artefacts | submission.shipped
+    submission = read_submission(ROOT / "submissions" / entry.id)
+    assert entry.declared == submission.declared
+    assert entry.status == submission.status
+    assert entry.artefacts == submission.artefacts
     assert set(entry.scenes) == set(entry.declared.scenes)
     for scene, of_scene in entry.scenes.items():
         assert of_scene.made_from == files_of(load_scene(scene))
@@ -114,3 +114,14 @@ def test_an_entry_is_shown_by_its_id_or_its_file(capsys: pytest.CaptureFixture[s
         assert "acceleration" in out
     assert main(["leaderboard", "show", "bcc"]) == 2
     assert "Did you mean `bc`?" in capsys.readouterr().err
+
+
+def test_a_file_that_is_no_entry_is_said_to_be_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, text in (("mine.json", '{"a": 1}'), ("notes.md", "# Notes"), ("x.json", "[")):
+        (tmp_path / name).write_text(text)
+        assert main(["leaderboard", "show", str(tmp_path / name)]) == 2
+        assert (
+            f"{name}: got a file that is no entry of the leaderboard (" in capsys.readouterr().err
+        )

@@ -16,12 +16,9 @@ from crowdbench.leaderboard.verification.copying import ArrivalCopies, TripCopie
 from crowdbench.leaderboard.verification.entry import Copy, Flag, entry_paths, read_entry
 from crowdbench.leaderboard.verification.flags import (
     MARGIN,
+    PATH,
     evenness,
     flags_of,
-    with_current_limits,
-)
-from crowdbench.leaderboard.verification.trip_limits import (
-    PATH,
     honest_share,
     trip_limit,
 )
@@ -31,6 +28,7 @@ from crowdbench.scoring.energy import FitEnergies
 from crowdbench.scoring.score import Score
 from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.plaza import PlazaArrivals
+from studies.site.standings import with_current_limits
 from studies.trip_limits import HONEST, measure
 
 PLAZA = load_scene("plaza-v0")

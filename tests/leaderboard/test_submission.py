@@ -39,7 +39,7 @@ from crowdbench.leaderboard.submission.limits import (
 )
 from crowdbench.leaderboard.submission.parse import _EXPECTED
 from crowdbench.leaderboard.submission.schema import Declared, Trained
-from crowdbench.leaderboard.submission.submission import open_submission, slug
+from crowdbench.leaderboard.submission.submission import read_submission, slug
 from crowdbench.registry import policy, spawn_model
 
 SUBMISSIONS = Path(__file__).parents[2] / "leaderboard" / "submissions"
@@ -51,60 +51,60 @@ def walker(tmp_path: Path) -> Path:
 
 
 def test_networks_are_ranked_and_found_by_the_registry(walker: Path) -> None:
-    with open_submission(walker) as submission:
-        assert (submission.id, submission.status) == ("a-walker", "ranked")
-        assert submission.protocol == "heldout"
-        assert submission.spawn_of("plaza-v0") == "replay"
-        assert submission.trajectories_of("plaza-v0") == []
-        for split in FOLDS:
-            assert policy(submission.policy_of("plaza-v0"), PLAZA, split).name == "tiny"
-        assert sorted(submission.artefacts) == [
-            *(f"plaza-v0/policy/{split}.onnx" for split in FOLDS),
-            "submission.toml",
-        ]
+    submission = read_submission(walker)
+    assert (submission.id, submission.status) == ("a-walker", "ranked")
+    assert submission.protocol == "heldout"
+    assert submission.spawn_of("plaza-v0") == "replay"
+    assert submission.trajectories_of("plaza-v0") == []
+    for split in FOLDS:
+        assert policy(submission.policy_of("plaza-v0"), PLAZA, split).name == "tiny"
+    assert sorted(submission.artefacts) == [
+        *(f"plaza-v0/policy/{split}.onnx" for split in FOLDS),
+        "submission.toml",
+    ]
 
 
 @pytest.mark.parametrize("file", SHIPPED_FITS)
 def test_fits_are_ranked_and_found_by_the_registry(file: str, tmp_path: Path) -> None:
-    with open_submission(spawn_submission(tmp_path / "rates", file)) as submission:
-        assert submission.status == "ranked"
-        assert submission.policy_of("plaza-v0") == "straight"
-        for split in SPLITS:
-            spawn_model(submission.spawn_of("plaza-v0"), PLAZA, split, fit=3)
+    submission = read_submission(spawn_submission(tmp_path / "rates", file))
+    assert submission.status == "ranked"
+    assert submission.policy_of("plaza-v0") == "straight"
+    for split in SPLITS:
+        spawn_model(submission.spawn_of("plaza-v0"), PLAZA, split, fit=3)
 
 
 def test_trajectories_are_listed(tmp_path: Path) -> None:
-    with open_submission(listed_submission(tmp_path / "crowd")) as submission:
-        assert submission.status == "listed"
-        assert "public" in submission.why
-        assert submission.protocol == "full"
-        rollouts = [path.name for path in submission.trajectories_of("plaza-v0")]
-        assert rollouts == ["0.parquet", "1.parquet", "2.csv"]
+    submission = read_submission(listed_submission(tmp_path / "crowd"))
+    assert submission.status == "listed"
+    assert "public" in submission.judged[1]
+    assert submission.protocol == "full"
+    rollouts = [path.name for path in submission.trajectories_of("plaza-v0")]
+    assert rollouts == ["0.parquet", "1.parquet", "2.csv"]
 
 
 def test_a_walk_may_be_one_rollout_and_other_crowds_may_not(tmp_path: Path) -> None:
     folder = declare(tmp_path / "one", "walk")
     (folder / "plaza-v0" / "trajectories").mkdir(parents=True)
     write_parquet(crowd(), folder / "plaza-v0" / "trajectories" / "0.parquet")
-    with open_submission(folder) as submission:
-        assert submission.status == "listed"
+    submission = read_submission(folder)
+    assert submission.status == "listed"
     assert "expected 2 to 30 rollouts" in problem(edit(folder, '"walk"', '"crowd"'))
 
 
 def test_one_network_that_knows_no_scene_serves_all(tmp_path: Path) -> None:
     folder = declare(tmp_path / "stranger", protocol="none")
     write_network(folder / "policy.onnx", "full", scene="eth-v0")
-    with open_submission(folder) as submission:
-        assert submission.status == "ranked"
-        assert policy(submission.policy_of("plaza-v0"), PLAZA, "fold1").name == "tiny"
+    submission = read_submission(folder)
+    assert submission.status == "ranked"
+    assert policy(submission.policy_of("plaza-v0"), PLAZA, "fold1").name == "tiny"
 
 
 def test_what_has_seen_whole_recordings_is_listed(tmp_path: Path) -> None:
     folder = declare(tmp_path / "full", protocol="full")
     write_network(folder / "plaza-v0" / "policy" / "full.onnx", "full")
-    with open_submission(folder) as submission:
-        assert (submission.status, submission.protocol) == ("listed", "full")
-        assert policy(submission.policy_of("plaza-v0"), PLAZA, "full").name == "tiny"
+    submission = read_submission(folder)
+    assert (submission.status, submission.protocol) == ("listed", "full")
+    assert policy(submission.policy_of("plaza-v0"), PLAZA, "full").name == "tiny"
 
 
 @pytest.mark.parametrize(
@@ -129,26 +129,26 @@ def test_what_comes_with_crowdbench_is_named(
     track: str, spawn: str, walker: str, status: str, tmp_path: Path
 ) -> None:
     more = f'shipped_spawn = "{spawn}"\nshipped_policy = "{walker}"\n'
-    with open_submission(declare(tmp_path / "shipped", track, more=more)) as submission:
-        assert submission.status == status
-        assert submission.spawn_of("plaza-v0") == (spawn or "replay")
-        assert submission.policy_of("plaza-v0") == (walker or "straight")
+    submission = read_submission(declare(tmp_path / "shipped", track, more=more))
+    assert submission.status == status
+    assert submission.spawn_of("plaza-v0") == (spawn or "replay")
+    assert submission.policy_of("plaza-v0") == (walker or "straight")
 
 
 def test_the_submission_of_orca_names_its_class_as_first_verified() -> None:
     pytest.importorskip("pyrvo")
-    with open_submission(SUBMISSIONS / "orca") as submission:
-        assert submission.declared.shipped_policy == "baselines.orca:ORCA"
-        assert submission.policy_of("eth-v0") == "crowdbench.baselines.orca:ORCA"
-        assert policy(submission.policy_of("eth-v0"), "eth-v0").name == "orca"
+    submission = read_submission(SUBMISSIONS / "orca")
+    assert submission.declared.shipped_policy == "baselines.orca:ORCA"
+    assert submission.policy_of("eth-v0") == "crowdbench.baselines.orca:ORCA"
+    assert policy(submission.policy_of("eth-v0"), "eth-v0").name == "orca"
 
 
 def test_policies_that_come_with_a_scene_are_named_for_it(tmp_path: Path) -> None:
     folder = declare(tmp_path / "bc", more='shipped_policy = "bc"\n')
     assert "a policy that comes with plaza-v0: straight, " in problem(folder)
     edit(folder, '["plaza-v0"]', '["eth-v0", "gc-v0"]')
-    with open_submission(folder) as submission:
-        assert submission.status == "ranked"
+    submission = read_submission(folder)
+    assert submission.status == "ranked"
 
 
 @pytest.mark.parametrize(
@@ -249,14 +249,14 @@ def test_fields_are_held_against_what_they_mean(
     "licence", ["MIT", "CC-BY-NC-4.0", "GPL-2.0+", "MIT OR (Apache-2.0 AND BSD-3-Clause)"]
 )
 def test_licences_are_spdx_expressions(licence: str, walker: Path) -> None:
-    with open_submission(edit(walker, "Apache-2.0", licence)) as submission:
-        assert submission.declared.licence == licence
+    submission = read_submission(edit(walker, "Apache-2.0", licence))
+    assert submission.declared.licence == licence
 
 
 @pytest.mark.parametrize("name", ["Fußgänger", "行人", "नमस्ते", "Nguyễn Ệ", "שָׁלוֹם", "ฟ้า"])
 def test_names_are_of_any_script(name: str, walker: Path) -> None:
-    with open_submission(edit(walker, "Ada Lovelace", name)) as submission:
-        assert submission.declared.authors == [name]
+    submission = read_submission(edit(walker, "Ada Lovelace", name))
+    assert submission.declared.authors == [name]
 
 
 def test_each_field_says_what_is_expected() -> None:
@@ -477,8 +477,8 @@ def test_files_that_cannot_be_read_are_told(walker: Path, monkeypatch: pytest.Mo
 
 def test_notes_are_neither_read_nor_packed(walker: Path) -> None:
     (walker / "README.md").write_bytes(b"\xff\0")
-    with open_submission(walker) as submission:
-        assert "README.md" not in submission.artefacts
+    submission = read_submission(walker)
+    assert "README.md" not in submission.artefacts
 
 
 def test_nothing_that_is_told_moves_the_cursor_or_is_too_long() -> None:
@@ -519,7 +519,7 @@ def test_ids_are_made_of_names(name: str, made: str) -> None:
 def test_a_submission_can_be_rolled_out(walker: Path, tmp_path: Path) -> None:
     edit(walker, '"walk"', '"crowd"')
     (spawn_submission(tmp_path / "rates") / "plaza-v0" / "spawn").rename(walker / "plaza-v0/spawn")
-    with open_submission(walker) as submission:
-        spawn = spawn_model(submission.spawn_of("plaza-v0"), PLAZA, "fold2", fit=1)
-        walks = policy(submission.policy_of("plaza-v0"), PLAZA, "fold2")
-        assert len(rollout(PLAZA, spawn, walks, seed=0, horizon_s=40.0)) > 5
+    submission = read_submission(walker)
+    spawn = spawn_model(submission.spawn_of("plaza-v0"), PLAZA, "fold2", fit=1)
+    walks = policy(submission.policy_of("plaza-v0"), PLAZA, "fold2")
+    assert len(rollout(PLAZA, spawn, walks, seed=0, horizon_s=40.0)) > 5

@@ -18,7 +18,7 @@ from submissions import (
 
 from crowdbench.cli import main
 from crowdbench.leaderboard.sandbox.parent import SandboxError
-from crowdbench.leaderboard.submission.submission import open_submission
+from crowdbench.leaderboard.submission.submission import read_submission
 from crowdbench.leaderboard.verification.check import LIMITS, check
 
 Printed = pytest.CaptureFixture[str]
@@ -50,9 +50,9 @@ def test_from_a_trained_network_to_a_packed_submission(tmp_path: Path, capsys: P
     assert "walk, learned, trained: heldout" in out
     assert "networks: 3" in out
     assert "ranked: crowdbench runs the rollouts and scores them on held-out data" in out
-    with open_submission(folder) as submission:
-        assert submission.declared.name == "my-walker"
-        assert submission.declared.training.parameters == 28
+    submission = read_submission(folder)
+    assert submission.declared.name == "my-walker"
+    assert submission.declared.training.parameters == 28
 
 
 def test_folders_of_several_scenes_find_their_places(tmp_path: Path) -> None:
@@ -60,9 +60,9 @@ def test_folders_of_several_scenes_find_their_places(tmp_path: Path) -> None:
     trained = [networks(tmp_path / scene, scene) for scene in ("eth-v0", "plaza-v0")]
     assert submit("init", folder, "--track", "walk", "--name", "Both", "--policy", *trained) == 0
     fill_in(folder)
-    with open_submission(folder) as submission:
-        assert submission.declared.scenes == ["eth-v0", "plaza-v0"]
-        assert len(submission.layout.networks) == 6
+    submission = read_submission(folder)
+    assert submission.declared.scenes == ["eth-v0", "plaza-v0"]
+    assert len(submission.layout.networks) == 6
 
 
 def test_one_network_that_knows_no_scene_is_for_those_of_the_overall_score(tmp_path: Path) -> None:
@@ -70,9 +70,9 @@ def test_one_network_that_knows_no_scene_is_for_those_of_the_overall_score(tmp_p
     file = write_network(tmp_path / "full.onnx", "full")
     assert submit("init", folder, "--track", "walk", "--policy", file) == 0
     fill_in(folder)
-    with open_submission(folder) as submission:
-        assert submission.declared.scenes == ["eth-v0", "gc-v0", "forum-v0"]
-        assert submission.declared.training.protocol == "none"
+    submission = read_submission(folder)
+    assert submission.declared.scenes == ["eth-v0", "gc-v0", "forum-v0"]
+    assert submission.declared.training.protocol == "none"
 
 
 @pytest.mark.parametrize("file", SHIPPED_FITS)
@@ -84,8 +84,8 @@ def test_files_are_put_into_the_empty_places(file: str, tmp_path: Path) -> None:
     for split in FOLDS:
         write_network(folder / "plaza-v0" / "policy" / f"{split}.onnx", split)
     (folder / "plaza-v0" / "spawn" / file).write_bytes((PLAZA.folder / file).read_bytes())
-    with open_submission(folder) as submission:
-        assert submission.status == "ranked"
+    submission = read_submission(folder)
+    assert submission.status == "ranked"
     assert file in notes
     assert "fold0.onnx" in notes
 
@@ -177,5 +177,5 @@ def test_names_are_written_as_they_are(tmp_path: Path) -> None:
     name = 'Ada\'s "best" \\ walker é'
     assert submit("init", folder, "--track", "walk", "--policy", trained, "--name", name) == 0
     fill_in(folder)
-    with open_submission(folder) as submission:
-        assert submission.declared.name == name
+    submission = read_submission(folder)
+    assert submission.declared.name == name

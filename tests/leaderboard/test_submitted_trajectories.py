@@ -16,7 +16,7 @@ from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.errors import RecordingError
 from crowdbench.leaderboard.submission import untrusted
 from crowdbench.leaderboard.submission.limits import MOST_COLUMNS, MOST_PERSONS, MOST_ROWS
-from crowdbench.leaderboard.submission.submission import open_submission
+from crowdbench.leaderboard.submission.submission import read_submission
 from crowdbench.leaderboard.submission.trajectories import DROPPED, broken_rules, undeclared_drops
 from crowdbench.leaderboard.submission.untrusted import read_table
 from crowdbench.registry import policy, recording, spawn_model
@@ -51,8 +51,8 @@ def test_no_rule_is_broken_by_the_recording_or_by_rollouts(walked: Trajectories)
 
 
 def test_rollouts_that_crowdbench_wrote_are_listed(walked: Trajectories, tmp_path: Path) -> None:
-    with open_submission(submitted(tmp_path, walked)) as submission:
-        assert submission.status == "listed"
+    submission = read_submission(submitted(tmp_path, walked))
+    assert submission.status == "listed"
 
 
 def test_another_time_step_is_refused(tmp_path: Path) -> None:

@@ -18,17 +18,18 @@ from crowdbench.data.storage import write_parquet
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import CrowdbenchError, RecordingError
 from crowdbench.files import write_json
-from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage, SandboxError
+from crowdbench.leaderboard.sandbox.parent import Limits, SandboxError
 from crowdbench.leaderboard.submission.errors import SubmissionError
 from crowdbench.leaderboard.submission.submission import Submission
 from crowdbench.leaderboard.verification.entry import SCORER, Entry, read_entry
-from crowdbench.leaderboard.verification.judge import make_entry
+from crowdbench.leaderboard.verification.make_entry import make_entry
 from crowdbench.leaderboard.verification.verify import verify
 from crowdbench.policies import Straight
 from crowdbench.registry import import_recording
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.scoring.score import LOWEST
+from studies.__main__ import main as studies
 
 PLAZA = load_scene("plaza-v0")
 
@@ -277,26 +278,41 @@ def test_who_takes_too_long_is_refused_and_leaves_no_entry(tmp_path: Path) -> No
     assert list((tmp_path / "out").glob("*.json*")) == []
 
 
+def forge(entry: Entry, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let sandboxes answer with an entry."""
+
+    def run(desk: Path, *rest: object) -> dict[str, float]:
+        answer = {"network": "none", "value": entry}
+        (desk / "answer.json").write_bytes(msgspec.json.encode(answer))
+        return {"wall_s": 1.0, "cpu_s": 1.0, "peak_bytes": 1}
+
+    monkeypatch.setattr("crowdbench.leaderboard.sandbox.parent._run", run)
+
+
+@pytest.mark.parametrize("name", ["../elsewhere", "else\n", "e" * 61])
 def test_an_answer_that_would_be_written_elsewhere_is_refused(
+    name: str, walked: tuple[Path, Entry], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forge(msgspec.structs.replace(walked[1], id=name), monkeypatch)
+    with pytest.raises(SandboxError, match=r"an answer that cannot be read .*`\$\.id`"):
+        verify(walked[0] / "mine", tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_answer_that_verification_cannot_have_given_is_refused(
     walked: tuple[Path, Entry], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    forged = msgspec.structs.replace(walked[1], id="../elsewhere")
-    monkeypatch.setattr(
-        "crowdbench.leaderboard.verification.verify.call", lambda *a, **k: (forged, None)
-    )
-    with pytest.raises(SandboxError, match="an entry with an invalid id or scene name"):
+    scenes = {"eth-v0": walked[1].scenes["plaza-v0"]}
+    forge(msgspec.structs.replace(walked[1], scenes=scenes), monkeypatch)
+    with pytest.raises(SandboxError, match="an entry with an unknown scene, 'eth-v0'"):
         verify(walked[0] / "mine", tmp_path / "out")
-    assert not (tmp_path / "elsewhere.json.gz").exists()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_answer_of_anothers_id_is_refused(
     walked: tuple[Path, Entry], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    forged = msgspec.structs.replace(walked[1], id="orca")
-    ran = ResourceUsage(wall_s=1.0, cpu_s=1.0, peak_bytes=1, network="none")
-    monkeypatch.setattr(
-        "crowdbench.leaderboard.verification.verify.call", lambda *a, **k: (forged, ran)
-    )
+    forge(msgspec.structs.replace(walked[1], id="orca"), monkeypatch)
     others = Path(__file__).parents[2] / "leaderboard" / "entries" / "orca.json.gz"
     shutil.copy(others, tmp_path)
     with pytest.raises(CrowdbenchError, match="the id orca of another submission by crowdbench"):
@@ -336,8 +352,8 @@ def root(walked: tuple[Path, Entry], tmp_path: Path) -> Path:
 
 
 def rescored(root: Path, *named: str, reason: str = "Turning is measured anew.") -> int:
-    asked = ["leaderboard", "rescore", *named, "--reason", reason, "--root", str(root)]
-    return main([*asked, "--out", str(root.parent / "out"), "--workers", "1"])
+    asked = ["rescore", *named, "--reason", reason, "--root", str(root)]
+    return studies([*asked, "--out", str(root.parent / "out"), "--workers", "1"])
 
 
 def test_the_same_scorer_scores_nothing_anew(

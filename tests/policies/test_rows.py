@@ -16,7 +16,7 @@ from crowdbench import rollout, spawn_model
 from crowdbench.cli import main
 from crowdbench.errors import WeightsError
 from crowdbench.files import sha256
-from crowdbench.leaderboard.submission.submission import open_submission
+from crowdbench.leaderboard.submission.submission import read_submission
 from crowdbench.policies import OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy
 from crowdbench.policies.rows import TOLERANCE, Watch, too_many
@@ -106,8 +106,7 @@ def test_submit_check_refuses_what_mixes_rows(
     folder = declare(tmp_path / "mine")
     for split in ("fold0", "fold1", "fold2"):
         written(goal, folder / "plaza-v0" / "policy" / f"{split}.onnx", monkeypatch, split)
-    with open_submission(folder):
-        pass
+    read_submission(folder)
     written(act, folder / "plaza-v0" / "policy" / "fold1.onnx", monkeypatch, "fold1")
     told = problem(folder)
     assert "plaza-v0/policy/fold1.onnx: got a network that mixes rows: the same person" in told

@@ -168,8 +168,7 @@ def test_submissions_are_verified_on_a_cluster(tmp_path: Path) -> None:
 import ray
 from pathlib import Path
 import crowdbench
-from crowdbench.leaderboard.verification.cluster import verify_each
-from crowdbench.leaderboard.verification.verify import verify
+from crowdbench.leaderboard.verification.verify import verify, verify_each
 ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False)
 with crowdbench.engine("ray"):
     found = dict(verify_each([Path("good"), Path("bad")], Path("there")))

@@ -11,7 +11,7 @@ from crowdbench.baselines.anticipation import Walker
 from crowdbench.cli import main
 from crowdbench.data.blocks import SPLITS
 from crowdbench.leaderboard.submission.schema import Declared
-from crowdbench.leaderboard.submission.submission import open_submission
+from crowdbench.leaderboard.submission.submission import read_submission
 from crowdbench.leaderboard.submission.template import _parameters
 from crowdbench.scene import list_scenes, load_scene
 from crowdbench.scene_building.spawn_diagnostics import Networks, trained_networks
@@ -34,8 +34,8 @@ def found() -> dict[str, Networks]:
 
 def declaration(name: str) -> Declared:
     """What a submission says; `test_entries_shipped` compares the entry with it."""
-    with open_submission(ROOT / "leaderboard" / "submissions" / name) as submission:
-        return submission.declared
+    submission = read_submission(ROOT / "leaderboard" / "submissions" / name)
+    return submission.declared
 
 
 def heldout(networks: Networks) -> str:

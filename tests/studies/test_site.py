@@ -21,7 +21,7 @@ from PIL import Image
 
 from crowdbench.cli.leaderboard import print_entry
 from crowdbench.errors import SettingError, WeightsError
-from crowdbench.leaderboard.standings import TRACKS, View, read_entries, scores, standing
+from crowdbench.leaderboard.scores import View, scores
 from crowdbench.leaderboard.submission.schema import SCENES, Trained
 from crowdbench.leaderboard.verification.entry import (
     SCORER,
@@ -32,7 +32,7 @@ from crowdbench.leaderboard.verification.entry import (
     entry_paths,
     read_entry,
 )
-from crowdbench.leaderboard.verification.trip_limits import trip_limit
+from crowdbench.leaderboard.verification.flags import trip_limit
 from crowdbench.metrics import WALK
 from crowdbench.report.text.words import with_interval
 from crowdbench.scoring.energy import RESAMPLES
@@ -51,6 +51,7 @@ from studies.site.excerpt import (
 )
 from studies.site.index import index_page
 from studies.site.readme import readme
+from studies.site.standings import TRACKS, read_entries, standing
 from studies.site.text import in_html, in_markdown, link
 
 HOSTILE = (
@@ -329,30 +330,30 @@ SPEED = ONE.scenes["eth-v0"].metrics["speed"]
 FLAG = Flag(what="too good", scene="eth-v0", value=2.0, limit=1.0, text="It is.")
 BAD = {
     "a name of 10,000 letters": (made_up("n" * 10_000, "walk", 0.5), "length <= 200"),
-    "an older scorer": (msgspec.structs.replace(ONE, scorer=0), "Run `crowdbench leaderboard resc"),
+    "an older scorer": (msgspec.structs.replace(ONE, scorer=0), "Run `python -m studies rescore`"),
     "another scene": (replaced(ONE, made_from="0"), "with the hash 0"),
-    "an unknown family": (replaced(ONE, families={"style": NOTHING}), "an unknown family"),
+    "an unknown family": (replaced(ONE, families={"style": NOTHING}), "an unknown family, 'style'"),
     "a scene like a path": (msgspec.structs.replace(ONE, scenes={"../x": ONE.scenes["eth-v0"]}),
-                            "single hyphens"),
-    "a scene of nobody's": (made_up("one", "walk", 0.5, scenes=("moon-v0",)), "scenes of crowd"),
+                            "an unknown scene, "),
+    "a scene of nobody's": (made_up("one", "walk", 0.5, scenes=("moon-v0",)), "scene, 'moon-v0'"),
     "a scene that was not submitted": (msgspec.structs.replace(
-        ONE, declared=msgspec.structs.replace(ONE.declared, scenes=["gc-v0"])), "submission decl"),
+        ONE, declared=msgspec.structs.replace(ONE.declared, scenes=["gc-v0"])), "one of gc-v0"),
     "an uneven curve": (replaced(ONE, curves={"Speed": UNEVEN}), "not have the length of its axis"),
-    "an endless curve": (replaced(ONE, curves={"Speed": HUGE}), "numbers up to 1e+12"),
-    "a long curve": (replaced(ONE, curves={"Speed": LONG}), "a curve of more than 100 values"),
+    "an endless curve": (replaced(ONE, curves={"Speed": HUGE}), "`float` <= 1000000000000.0"),
+    "a long curve": (replaced(ONE, curves={"Speed": LONG}), "`array` of length <= 100"),
     "a curve of nobody's": (replaced(ONE, curves={"c": ONE.scenes["eth-v0"].curves["Speed"]}),
-                            "unknown curves"),
+                            "an unknown curve, 'c'"),
     "a score that is no number": (replaced(ONE, families={"motion": NO_NUMBER}), "numbers up to"),
     "a score without end": (replaced(ONE, families={"motion": msgspec.structs.replace(
-        NOTHING, value=-1e300)}), "numbers up to"),
-    "persons without end": (replaced(ONE, persons=10**15), "numbers up to"),
+        NOTHING, value=-1e300)}), "`float` >= -1000000000000.0"),
+    "persons without end": (replaced(ONE, persons=10**15), "`int` <= 1000000000000"),
     "a split of nobody's": (replaced(ONE, metrics={"speed": msgspec.structs.replace(
-        SPEED, splits={"x" * 1000: [0.0]})}), "unknown splits"),
+        SPEED, splits={"x" * 1000: [0.0]})}), "full|fold0|fold1|fold2"),
     "a flag a hundred times": (msgspec.structs.replace(ONE, flags=[FLAG] * 100), "at most once"),
     "a flag of another scene": (msgspec.structs.replace(
-        ONE, flags=[msgspec.structs.replace(FLAG, scene="zara1-v0")]), "flags of other scenes"),
+        ONE, flags=[msgspec.structs.replace(FLAG, scene="zara1-v0")]), "of a flag, 'zara1-v0'"),
     "more files than there may be": (msgspec.structs.replace(
-        ONE, artefacts={f"{k}": "" for k in range(401)}), "more than 400 artefacts"),
+        ONE, artefacts={f"{k}": "" for k in range(401)}), "of length <= 400"),
     "a metric of nobody's": (replaced(ONE, metrics={"m": ONE.scenes["eth-v0"].metrics["speed"]}),
                              "an unknown metric"),
 }  # fmt: skip

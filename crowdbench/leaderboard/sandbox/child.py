@@ -16,7 +16,7 @@ from pathlib import Path
 import msgspec
 
 from crowdbench.errors import CrowdbenchError
-from crowdbench.leaderboard.sandbox.parent import ErrorPayload, Failure, Limits
+from crowdbench.leaderboard.sandbox.parent import Limits, parts_of
 from crowdbench.run.processes import end_with
 
 _CLONE_NEWUSER, _CLONE_NEWNET = 0x10000000, 0x40000000
@@ -33,8 +33,8 @@ def main(arguments: Sequence[str]) -> None:
     try:
         answer["value"] = _called(asked["target"], asked["arguments"], desk)
     except CrowdbenchError as error:
-        problems = [ErrorPayload.of(problem) for problem in getattr(error, "problems", ())]
-        answer["failure"] = Failure(ErrorPayload.of(error), problems)
+        answer["error"] = parts_of(error)
+        answer["problems"] = [parts_of(problem) for problem in getattr(error, "problems", ())]
     except MemoryError:
         sys.exit("out of memory")
     (desk / "answer.json").write_bytes(msgspec.json.encode(answer))

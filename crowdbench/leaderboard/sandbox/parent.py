@@ -21,12 +21,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
+from psutil import Process
 
 from crowdbench.errors import CrowdbenchError
 from crowdbench.files import temporary_folder
-from crowdbench.leaderboard.sandbox.process_tree import Process, end, family
+from crowdbench.leaderboard.sandbox.process_tree import end, family, used
 
 Result = TypeVar("Result")
+Progress = Callable[[int, int], None]
+"""Called with the steps done and all steps."""
 LARGEST_ANSWER = 2**26
 _LONGEST_NEWS = 100  # bytes of the progress file
 _KEPT = (
@@ -71,38 +74,27 @@ class ResourceUsage:
     """`none`, or why the network could not be cut off."""
 
 
-class ErrorPayload(msgspec.Struct, forbid_unknown_fields=True):
+def no_progress(done: int, total: int) -> None:
+    """Show no progress."""
+
+
+ErrorParts = tuple[str, str, str, str]
+"""Where an error occurred, what was found, what was expected, and a hint."""
+
+
+def parts_of(error: CrowdbenchError) -> ErrorParts:
     """The parts of an error's message."""
-
-    where: str
-    got: str
-    expected: str
-    hint: str
-
-    @classmethod
-    def of(cls, error: CrowdbenchError) -> "ErrorPayload":
-        """The parts of an error."""
-        return cls(error.where, error.got, error.expected, error.hint)
-
-    def error(self) -> CrowdbenchError:
-        """The error with these parts."""
-        return CrowdbenchError(self.where, got=self.got, expected=self.expected, hint=self.hint)
-
-
-class Failure(msgspec.Struct, forbid_unknown_fields=True):
-    """An error that a child raised."""
-
-    told: ErrorPayload
-    problems: list[ErrorPayload] = []
-    """All problems of a rejected submission."""
+    return error.where, error.got, error.expected, error.hint
 
 
 class Answer(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """What a child writes when it is done."""
+    """What a child writes when it is done: the function's result, or the error that it raised."""
 
     network: str
     value: msgspec.Raw = msgspec.Raw(b"null")
-    failure: Failure | None = None
+    error: ErrorParts | None = None
+    problems: list[ErrorParts] = []
+    """All problems of a rejected submission."""
 
 
 def call(
@@ -112,7 +104,7 @@ def call(
     *,
     where: object,
     limits: Limits,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = no_progress,
 ) -> tuple[Result, ResourceUsage]:
     """Call `module:function(progress, **arguments)` in a child process.
 
@@ -128,7 +120,7 @@ def call(
             remains one.
     """
     # Imported late: the child imports this module while it must have a single thread.
-    from crowdbench.leaderboard.submission.errors import plain
+    from crowdbench.leaderboard.submission.errors import SubmissionError, plain, tidy
 
     if os.name != "posix":
         raise SandboxError(
@@ -149,8 +141,9 @@ def call(
         try:
             found = _beginning(desk / "answer.json", LARGEST_ANSWER)
             answer = msgspec.json.decode(found, type=Answer)
-            if answer.failure is not None:
-                raise _raised(answer.failure, where)
+            if answer.error is not None:  # its text may quote the submission
+                error, *problems = map(_error, (answer.error, *answer.problems))
+                raise SubmissionError(where, problems) if problems else tidy(error)
             value = msgspec.json.decode(answer.value, type=kind)
         except (OSError, msgspec.DecodeError, RecursionError) as error:
             raise SandboxError(
@@ -159,19 +152,19 @@ def call(
     return value, ResourceUsage(**ran, network=plain(answer.network))
 
 
-def _raised(failure: Failure, where: object) -> CrowdbenchError:
-    """The error that the child raised; its text may quote the submission."""
-    from crowdbench.leaderboard.submission.errors import SubmissionError, tidy
-
-    if failure.problems:
-        return SubmissionError(where, [problem.error() for problem in failure.problems])
-    return tidy(failure.told.error())
+def _error(parts: ErrorParts) -> CrowdbenchError:
+    where, got, expected, hint = parts
+    return CrowdbenchError(where, got=got, expected=expected, hint=hint)
 
 
-def _run(
-    desk: Path, where: object, limits: Limits, progress: Callable[[int, int], None]
-) -> dict[str, Any]:
-    """Start the child, watch it until it ends, and kill its remaining processes."""
+def _run(desk: Path, where: object, limits: Limits, progress: Progress) -> dict[str, Any]:
+    """Start the child, watch it until it ends or must be killed, and kill what it has started.
+
+    Returns:
+        What the child used, see `ResourceUsage`.
+    """
+    began, peak, cpu, broken = time.monotonic(), 0, 0.0, ""
+    ever: set[Process] = set()
     with (desk / "said.txt").open("w+b") as said:
         child = subprocess.Popen(
             [sys.executable, "-m", "crowdbench.leaderboard.sandbox.child", str(desk)],
@@ -181,8 +174,19 @@ def _run(
             env=_environment(),
             start_new_session=True,
         )
-        broken, ran = _watched(child, desk, limits, progress)
-        if broken:
+        try:
+            while not broken and child.poll() is None:
+                with suppress(subprocess.TimeoutExpired):
+                    child.wait(_WATCH_S)
+                seen = family(child.pid)
+                ever |= seen
+                memory, cpu_s = used(seen)
+                peak, cpu = max(peak, memory), max(cpu, cpu_s)
+                broken = _broken(limits, len(seen), peak, time.monotonic() - began)
+                _tell(desk / "progress", progress)
+        finally:
+            end(child, ever)
+        if broken := broken or _died(child.returncode, limits):
             last = _last_line(said.fileno())
             raise SandboxError(
                 where,
@@ -190,36 +194,8 @@ def _run(
                 expected="a run that ends within the limits",
                 hint="If the submission is correct and needs more, raise the limits.",
             )
-    return ran
-
-
-def _watched(
-    child: "subprocess.Popen[bytes]",
-    desk: Path,
-    limits: Limits,
-    progress: Callable[[int, int], None],
-) -> tuple[str, dict[str, Any]]:
-    """Wait until the child ends or must be killed; return how it failed and what it used."""
-    began, peak, cpu, broken = time.monotonic(), 0, 0.0, ""
-    ever: dict[int, Process] = {}
-    try:
-        while not broken and child.poll() is None:
-            with suppress(subprocess.TimeoutExpired):
-                child.wait(_WATCH_S)
-            seen = family(child.pid)
-            ever |= seen
-            peak = max(peak, sum(process.memory_bytes for process in seen.values()))
-            cpu = max(cpu, sum(process.cpu_s for process in seen.values()))
-            broken = _broken(limits, len(seen), peak, time.monotonic() - began)
-            _tell(desk / "progress", progress)
-    finally:
-        end(child, ever)
-    ran = {
-        "wall_s": round(time.monotonic() - began, 2),
-        "cpu_s": round(cpu, 2),
-        "peak_bytes": peak,
-    }
-    return broken or _died(child.returncode, limits), ran
+    wall_s = round(time.monotonic() - began, 2)
+    return {"wall_s": wall_s, "cpu_s": round(cpu, 2), "peak_bytes": peak}
 
 
 def _environment() -> dict[str, str]:
@@ -254,7 +230,7 @@ def _died(code: int, limits: Limits) -> str:
     return "" if code == 0 else f"exit code {code}"
 
 
-def _tell(path: Path, progress: Callable[[int, int], None]) -> None:
+def _tell(path: Path, progress: Progress) -> None:
     with suppress(OSError, ValueError):
         done, total = _beginning(path, _LONGEST_NEWS).split()
         progress(int(done), int(total))

@@ -1,81 +1,61 @@
-"""The processes of a sandbox: find them, measure them and kill them."""
+"""The processes of a sandbox: find them and kill them."""
 
 import os
 import signal
 import subprocess
-import time
+from collections.abc import Iterable
 from contextlib import suppress
-from pathlib import Path
-from typing import NamedTuple
+
+import psutil
 
 _LAST_S = 0.5
 """Time in which the processes of a killed child may end by themselves, seconds."""
 
 
-class Process(NamedTuple):
-    """What the system reports about a process."""
-
-    parent: int
-    session: int
-    began: int
-    """Start time in ticks since boot. With its id it identifies a process; ids alone are reused."""
-    memory_bytes: int
-    cpu_s: float
-
-
-def _processes() -> dict[int, Process]:
-    """All processes that run by id; empty if the system has no `/proc`."""
-    found = {}
-    page, tick = os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_CLK_TCK")
-    for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError, ValueError, IndexError):
-            # The process name in brackets may contain anything, so only the rest is parsed.
-            fields = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()
-            if fields[0] == "Z":
-                continue
-            parent, session, user, system, began, pages = (
-                int(fields[k]) for k in (1, 3, 11, 12, 19, 21)
-            )
-            found[int(folder.name)] = Process(
-                parent, session, began, pages * page, (user + system) / tick
-            )
-    return found
-
-
-def family(root: int) -> dict[int, Process]:
-    """A process, its session and all their descendants, by id.
+def family(root: int) -> set[psutil.Process]:
+    """A process, its session and all their descendants, without those that have ended.
 
     Processes that left the session and whose parents have ended are not found.
     """
-    everyone = _processes()
-    found = {root} | {pid for pid, process in everyone.items() if process.session == root}
-    before = 0
+    parents: dict[psutil.Process, int] = {}
+    found = set()
+    for process in psutil.process_iter():
+        with suppress(psutil.Error, OSError):
+            if process.status() != psutil.STATUS_ZOMBIE:
+                parents[process] = process.ppid()
+                if root in (process.pid, os.getsid(process.pid)):
+                    found.add(process)
+    before = -1
     while len(found) > before:
-        before = len(found)
-        found |= {pid for pid, process in everyone.items() if process.parent in found}
-    return {pid: everyone[pid] for pid in found if pid in everyone}
+        before, pids = len(found), {process.pid for process in found}
+        found |= {process for process, parent in parents.items() if parent in pids}
+    return found
 
 
-def end(child: "subprocess.Popen[bytes]", seen: dict[int, Process]) -> None:
+def used(processes: Iterable[psutil.Process]) -> tuple[int, float]:
+    """The resident memory (bytes) and CPU time (s) of processes together."""
+    memory, cpu_s = 0, 0.0
+    for process in processes:
+        with suppress(psutil.Error), process.oneshot():
+            memory += process.memory_info().rss
+            times = process.cpu_times()
+            cpu_s += times.user + times.system
+    return memory, cpu_s
+
+
+def end(child: "subprocess.Popen[bytes]", seen: set[psutil.Process]) -> None:
     """Kill the child, its session, and the processes in `seen` that have left the session.
 
     Its own workers end with the child. Whoever tracks their shared resources is given time to
     remove them.
     """
-    seen = seen | family(child.pid)
+    # Nobody else may wait for the child: its exit code would be lost.
+    others = {process for process in seen | family(child.pid) if process.pid != child.pid}
     child.kill()
-    until = time.monotonic() + _LAST_S
-    while time.monotonic() < until and _left(seen):
-        time.sleep(0.02)
+    psutil.wait_procs(others, timeout=_LAST_S)
     with suppress(ProcessLookupError):
         os.killpg(child.pid, signal.SIGKILL)
-    for pid in _left(seen):
-        with suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
+    for process in others:
+        with suppress(psutil.Error):
+            process.kill()
     child.wait()
-
-
-def _left(seen: dict[int, Process]) -> list[int]:
-    """Those of `seen` that still run."""
-    now = _processes()
-    return [pid for pid, old in seen.items() if pid in now and now[pid].began == old.began]

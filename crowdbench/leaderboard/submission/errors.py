@@ -34,6 +34,23 @@ class SubmissionError(CrowdbenchError):
         return type(self), (self.where, self.problems)
 
 
+class Problems(list[CrowdbenchError]):
+    """The problems of a submission, in the order in which they are found."""
+
+    def refuse(self, where: str, *, got: str, expected: str, hint: str = "") -> None:
+        """Append a `RefusedError` with these parts."""
+        self.append(RefusedError(where, got=got, expected=expected, hint=hint))
+
+    @contextmanager
+    def collected(self, folder: Path) -> Iterator[None]:
+        """Append a `CrowdbenchError` raised in the block, with paths inside `folder`."""
+        try:
+            yield
+        except CrowdbenchError as error:
+            where, got = (text.replace(f"{folder}/", "") for text in (error.where, error.got))
+            self.append(type(error)(where, got=got, expected=error.expected, hint=error.hint))
+
+
 def tidy(problem: CrowdbenchError) -> CrowdbenchError:
     """Return the same error with printable characters only, since it may quote a submitter's text.
 
@@ -48,13 +65,3 @@ def plain(text: str, longest: int = _LONGEST) -> str:
     """Return the text, cut to `longest` characters, with unprintable characters replaced by �."""
     cut = text if len(text) <= longest else text[: longest - 1] + "…"
     return "".join(c if c.isprintable() else "�" for c in cut)
-
-
-@contextmanager
-def collecting(problems: list[CrowdbenchError], folder: Path) -> Iterator[None]:
-    """Append a `CrowdbenchError` raised in the block to `problems`, with paths inside `folder`."""
-    try:
-        yield
-    except CrowdbenchError as error:
-        where, got = (text.replace(f"{folder}/", "") for text in (error.where, error.got))
-        problems.append(type(error)(where, got=got, expected=error.expected, hint=error.hint))

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from crowdbench.data.blocks import SPLITS
-from crowdbench.errors import CrowdbenchError
-from crowdbench.leaderboard.submission.errors import RefusedError
+from crowdbench.leaderboard.submission.errors import Problems, RefusedError
 from crowdbench.leaderboard.submission.limits import (
     LARGEST_SUBMISSION,
     LONGEST_PATH,
@@ -37,7 +36,7 @@ class Layout:
     """The trajectory files in the order of their numbers, by scene."""
 
 
-def files_in(folder: Path, problems: list[CrowdbenchError]) -> list[str]:
+def files_in(folder: Path, problems: Problems) -> list[str]:
     """Relative paths of a folder's regular files; anything else is added to `problems`."""
     found: list[str] = []
     seen = size = 0
@@ -50,36 +49,27 @@ def files_in(folder: Path, problems: list[CrowdbenchError]) -> list[str]:
                 status = path.lstat()
                 seen, size = seen + 1, size + status.st_size
                 if seen > MOST_FILES or size > LARGEST_SUBMISSION:
-                    problems.append(_too_much(folder))
+                    problems.refuse(
+                        folder.name,
+                        got=f"more than {MOST_FILES} files and folders, or "
+                        f"{LARGEST_SUBMISSION / 1e6:.0f} MB",
+                        expected="fewer or smaller files",
+                        hint="Does the folder contain only the submission?",
+                    )
                     return []
                 if refused := wrong_name(os.fsencode(name).decode("ascii", "replace")):
                     problems.append(refused)
                 elif stat.S_ISDIR(status.st_mode):
                     folders.append(path)
                 elif not stat.S_ISREG(status.st_mode):
-                    problems.append(
-                        RefusedError(
-                            name,
-                            got="a link or a device",
-                            expected="a regular file",
-                            hint="Remove it.",
-                        )
-                    )
+                    got, expected = "a link or a device", "a regular file"
+                    problems.refuse(name, got=got, expected=expected, hint="Remove it.")
                 elif name != NOTES:
                     found.append(name)
     return sorted(found)
 
 
-def _too_much(folder: Path) -> RefusedError:
-    return RefusedError(
-        folder.name,
-        got=f"more than {MOST_FILES} files and folders, or {LARGEST_SUBMISSION / 1e6:.0f} MB",
-        expected="fewer or smaller files",
-        hint="Does the folder contain only the submission?",
-    )
-
-
-def lay_out(declared: Declared, names: list[str], problems: list[CrowdbenchError]) -> Layout:
+def lay_out(declared: Declared, names: list[str], problems: Problems) -> Layout:
     """Assign each file its role; missing and unexpected files are added to `problems`."""
     layout = Layout()
     found = set(names) - {FILE}
@@ -94,13 +84,11 @@ def lay_out(declared: Declared, names: list[str], problems: list[CrowdbenchError
             layout.weights = _weights(declared, found, problems)
     used = {*layout.networks, *layout.weights.values()}.union(*layout.crowds.values())
     if surplus := sorted(found - used):
-        problems.append(
-            RefusedError(
-                ", ".join(surplus),
-                got="an unexpected file" if len(surplus) == 1 else "unexpected files",
-                expected=_places(declared, layout, needs_policy, needs_spawn),
-                hint=f"Remove or rename unexpected files, or correct {FILE}.",
-            )
+        problems.refuse(
+            ", ".join(surplus),
+            got="an unexpected file" if len(surplus) == 1 else "unexpected files",
+            expected=_places(declared, layout, needs_policy, needs_spawn),
+            hint=f"Remove or rename unexpected files, or correct {FILE}.",
         )
     return layout
 
@@ -128,87 +116,68 @@ def splits_of(declared: Declared) -> tuple[str, ...]:
     return SPLITS[:1] if declared.training.protocol == "full" else SPLITS[1:]
 
 
-def _networks(declared: Declared, found: set[str], problems: list[CrowdbenchError]) -> list[str]:
+def _networks(declared: Declared, found: set[str], problems: Problems) -> list[str]:
     if NETWORK in found:
         return [NETWORK]
+    files = [f"{split}.onnx" for split in splits_of(declared)]
     names: list[str] = []
     for scene in declared.scenes:
-        of_scene = {f"{scene}/policy/{split}.onnx" for split in splits_of(declared)}
-        if lacking := sorted(of_scene - found):
-            problems.append(
-                RefusedError(
-                    f"{scene}/policy",
-                    got=f"no {', '.join(Path(name).name for name in lacking)}",
-                    expected=f"{', '.join(f'{split}.onnx' for split in splits_of(declared))} for "
-                    f"training.protocol {declared.training.protocol}",
-                    hint="Create the file with `crowdbench policy export`, or set shipped_policy "
-                    "to a policy that comes with crowdbench.",
-                )
+        folder = f"{scene}/policy"
+        if lacking := [file for file in files if f"{folder}/{file}" not in found]:
+            problems.refuse(
+                folder,
+                got=f"no {', '.join(lacking)}",
+                expected=f"{', '.join(files)} for training.protocol {declared.training.protocol}",
+                hint="Create the file with `crowdbench policy export`, or set shipped_policy "
+                "to a policy that comes with crowdbench.",
             )
-        names += sorted(of_scene & found)
+        names += [f"{folder}/{file}" for file in files if file not in lacking]
     return names
 
 
-def _weights(
-    declared: Declared, found: set[str], problems: list[CrowdbenchError]
-) -> dict[str, str]:
+def _weights(declared: Declared, found: set[str], problems: Problems) -> dict[str, str]:
     weights = {}
     for scene in declared.scenes:
-        names = [f"{scene}/spawn/{file}" for file in WEIGHTS]
-        there = [name for name in names if name in found]
+        folder, known = f"{scene}/spawn", ", ".join(WEIGHTS)
+        there = [file for file in WEIGHTS if f"{folder}/{file}" in found]
         if len(there) == 1:
-            weights[scene] = there[0]
+            weights[scene] = f"{folder}/{there[0]}"
         elif there:
-            problems.append(
-                RefusedError(
-                    f"{scene}/spawn",
-                    got=", ".join(Path(name).name for name in there),
-                    expected="one of them",
-                    hint="A submission has one spawn model.",
-                )
-            )
-            found -= set(there)
+            hint = "A submission has one spawn model."
+            problems.refuse(folder, got=", ".join(there), expected="one of them", hint=hint)
+            found -= {f"{folder}/{file}" for file in there}
         else:
-            problems.append(
-                RefusedError(
-                    f"{scene}/spawn",
-                    got="no fits",
-                    expected=f"one of {', '.join(WEIGHTS)}",
-                    hint=f"Create the file with `crowdbench scene fit {scene} --out FOLDER`, or "
-                    "set shipped_spawn to a spawn model that comes with crowdbench.",
-                )
+            hint = (
+                f"Create the file with `crowdbench scene fit {scene} --out FOLDER`, or set "
+                "shipped_spawn to a spawn model that comes with crowdbench."
             )
+            problems.refuse(folder, got="no fits", expected=f"one of {known}", hint=hint)
     return weights
 
 
-def _crowds(
-    declared: Declared, found: set[str], problems: list[CrowdbenchError]
-) -> dict[str, list[str]]:
+def _crowds(declared: Declared, found: set[str], problems: Problems) -> dict[str, list[str]]:
     """The trajectory files of each scene, numbered from 0; track walk needs only one."""
     least = 1 if declared.track == "walk" else 2
     crowds: dict[str, list[str]] = {}
     for scene in declared.scenes:
         matches = [m for name in found if (m := _CROWD.fullmatch(name)) and m[1] == scene]
-        crowds[scene] = [m[0] for m in sorted(matches, key=lambda m: int(m[2]))]
-        numbers = sorted(int(m[2]) for m in matches)
+        matches.sort(key=lambda m: int(m[2]))
+        crowds[scene] = [m[0] for m in matches]
+        numbers = [int(m[2]) for m in matches]
         if not least <= len(numbers) <= MOST_ROLLOUTS or numbers != list(range(len(numbers))):
-            problems.append(
-                RefusedError(
-                    f"{scene}/trajectories",
-                    got="files " + ", ".join(map(str, numbers)) if numbers else "no files",
-                    expected=f"{least} to {MOST_ROLLOUTS} rollouts, one per file, numbered 0, 1, …",
-                    hint="A score needs at least two rollouts." if len(numbers) < least else "",
-                )
+            problems.refuse(
+                f"{scene}/trajectories",
+                got="files " + ", ".join(map(str, numbers)) if numbers else "no files",
+                expected=f"{least} to {MOST_ROLLOUTS} rollouts, one per file, numbered 0, 1, …",
+                hint="A score needs at least two rollouts." if len(numbers) < least else "",
             )
     for name in ("shipped_policy", "shipped_spawn"):
         if getattr(declared, name):
-            problems.append(
-                RefusedError(
-                    f"{FILE}, {name}",
-                    got="a model together with trajectories",
-                    expected="either trajectories or models",
-                    hint="Remove one of them.",
-                )
+            problems.refuse(
+                f"{FILE}, {name}",
+                got="a model together with trajectories",
+                expected="either trajectories or models",
+                hint="Remove one of them.",
             )
     return crowds
 

@@ -4,10 +4,7 @@ The largest scene, Grand Central, has 1.3 million rows and 12,671 persons in a r
 of 5 MB. Each limit allows at least twice that.
 """
 
-from crowdbench.policies import network
-
-LARGEST_SUBMISSION = 200_000_000  # bytes, unpacked
-LARGEST_NETWORK = network.LARGEST  # bytes; the limit of all policies, submitted or not
+LARGEST_SUBMISSION = 200_000_000  # bytes of all files
 LARGEST_DECLARATION = 64_000  # bytes of submission.toml
 MOST_DOTS = 2000
 """Dots in submission.toml: memory use is quadratic in the number of parts of a key a.b.c…"""

@@ -1,13 +1,12 @@
 """Check the models of a submission: networks, fits of spawn models, names of shipped models."""
 
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 from crowdbench.data.blocks import SPLITS
-from crowdbench.errors import CrowdbenchError, WeightsError
-from crowdbench.leaderboard.submission.errors import RefusedError, collecting
+from crowdbench.errors import WeightsError
+from crowdbench.leaderboard.submission.errors import Problems
 from crowdbench.leaderboard.submission.layout import NETWORK, Layout, splits_of
 from crowdbench.leaderboard.submission.limits import LARGEST_FITS
 from crowdbench.leaderboard.submission.schema import FILE, Declared
@@ -20,27 +19,23 @@ _BASELINE = re.compile(r"(crowdbench\.)?baselines\.[a-z_]+:[A-Z][A-Za-z]*")
 """A class of `crowdbench.baselines`. Submissions to version 0.1 left out the package's name."""
 
 
-def check_models(
-    folder: Path, declared: Declared, layout: Layout, problems: list[CrowdbenchError]
-) -> None:
+def check_models(folder: Path, declared: Declared, layout: Layout, problems: Problems) -> None:
     """Read every model with its own reader; problems are added to `problems`."""
-    problems += _wrong_names(declared)
+    _check_names(declared, problems)
     for name in layout.networks:
-        with collecting(problems, folder):
+        with problems.collected(folder):
             network = OnnxPolicy(folder / name)
-            problems += _seen_too_much(name, network.card, declared)
+            _check_training(name, network.card, declared, problems)
             network.check_rows()
     for scene, name in layout.weights.items():
-        with collecting(problems, folder):
+        with problems.collected(folder):
             _read_weights(folder / name, scene)
     if declared.kind == "privileged" and (layout.networks or layout.weights):
-        problems.append(
-            RefusedError(
-                f"{FILE}, kind",
-                got="'privileged'",
-                expected="learned or model-based, since files receive observations, not the state",
-                hint="Choose one of the two.",
-            )
+        problems.refuse(
+            f"{FILE}, kind",
+            got="'privileged'",
+            expected="learned or model-based, since files receive observations, not the state",
+            hint="Choose one of the two.",
         )
 
 
@@ -52,15 +47,12 @@ def shipped_class(named: str) -> str:
 def shipped_files(declared: Declared) -> dict[str, Path]:
     """Files of the shipped models that a submission names, by their path in crowdbench."""
     found: dict[str, Path] = {}
-    for scene in declared.scenes:
-        folder = load_scene(scene).folder
-        if declared.shipped_policy in trained_policies(load_scene(scene)):
-            networks = folder / "policies" / declared.shipped_policy
-            files = [networks / f"{split}.onnx" for split in splits_of(declared)]
-        else:
-            files = []
-        files += [folder / f for f, model in WEIGHTS.items() if model == declared.shipped_spawn]
-        found |= {f"scenes/{scene}/{file.relative_to(folder)}": file for file in files}
+    for place in map(load_scene, declared.scenes):
+        names = [file for file, model in WEIGHTS.items() if model == declared.shipped_spawn]
+        if declared.shipped_policy in trained_policies(place):
+            folder = f"policies/{declared.shipped_policy}"
+            names += [f"{folder}/{split}.onnx" for split in splits_of(declared)]
+        found |= {f"scenes/{place.id}/{name}": place.folder / name for name in names}
     return found
 
 
@@ -76,38 +68,34 @@ def _read_weights(path: Path, scene: str) -> None:
         FITTED[WEIGHTS[path.name]].read(replace(place, folder=path.parent), areas, split)
 
 
-def _seen_too_much(name: str, card: PolicyCard, declared: Declared) -> Iterator[RefusedError]:
-    """Yield a problem if a network was trained on other data than its path and protocol say."""
+def _check_training(name: str, card: PolicyCard, declared: Declared, problems: Problems) -> None:
+    """Refuse a network that was trained on other data than its path and protocol say."""
     scene, _, file = name.partition("/")
     split = file.removeprefix("policy/").removesuffix(".onnx")
-    of_split = declared.training.protocol != "none" and name != NETWORK
-    if (
-        (card.scene, card.split) == (scene, split)
-        if of_split
-        else not set(card.scenes) & set(declared.scenes)
-    ):
-        return
-    if of_split:
+    if declared.training.protocol != "none" and name != NETWORK:
+        fits = (card.scene, card.split) == (scene, split)
         expected = f"one trained on {split} of {scene}"
         hint = (
             "Train a network for this split. If it was trained on none of the submission's scenes, "
             'use training.protocol "none".'
         )
     else:
+        fits = not set(card.scenes) & set(declared.scenes)
         expected = "one trained on no recording of the submission's scenes"
         hint = 'Train one on other scenes, or one for each fold with training.protocol "heldout".'
-    got = f"a network trained on {card.trained_on}"
-    yield RefusedError(name, got=got, expected=expected, hint=hint)
+    if not fits:
+        got = f"a network trained on {card.trained_on}"
+        problems.refuse(name, got=got, expected=expected, hint=hint)
 
 
-def _wrong_names(declared: Declared) -> Iterator[CrowdbenchError]:
-    """Yield a problem for each shipped model that does not exist or does not fit the track."""
+def _check_names(declared: Declared, problems: Problems) -> None:
+    """Refuse a shipped model that does not exist or does not fit the track."""
     for name, track, other in (
         ("shipped_policy", "spawn", "straight walkers"),
         ("shipped_spawn", "walk", "the recorded arrivals"),
     ):
         if getattr(declared, name) and declared.track == track:
-            yield RefusedError(
+            problems.refuse(
                 f"{FILE}, {name}",
                 got=repr(getattr(declared, name)),
                 expected=f"no such field, since track {track} uses {other}",
@@ -118,24 +106,18 @@ def _wrong_names(declared: Declared) -> Iterator[CrowdbenchError]:
     if not named or named in POLICIES:
         return
     if _BASELINE.fullmatch(named):
-        problems: list[CrowdbenchError] = []
-        with collecting(problems, Path()):
+        with problems.collected(Path()):
             policy(shipped_class(named), declared.scenes[0])
-        yield from problems
         return
-    for scene in declared.scenes:
-        place = load_scene(scene)
-        file = named in trained_policies(place)
-        if not file or not all(_is_file(named, scene, split) for split in splits_of(declared)):
-            known = (*POLICIES, *trained_policies(place), "crowdbench.baselines.MODULE:Class")
-            yield RefusedError(
+    for place in map(load_scene, declared.scenes):
+        trained = trained_policies(place)
+        splits = splits_of(declared) if named in trained else ()
+        files = [policy_source(named, place).network(split) for split in splits]
+        if not (files and all(file is not None and file.is_file() for file in files)):
+            known = (*POLICIES, *trained, "crowdbench.baselines.MODULE:Class")
+            problems.refuse(
                 f"{FILE}, shipped_policy",
                 got=repr(named),
-                expected=f"a policy that comes with {scene}: {', '.join(known)}",
+                expected=f"a policy that comes with {place.id}: {', '.join(known)}",
                 hint="Submit ONNX files for other policies.",
             )
-
-
-def _is_file(named: str, scene: str, split: str) -> bool:
-    file = policy_source(named, load_scene(scene)).network(split)
-    return file is not None and file.is_file()

@@ -10,8 +10,8 @@ from typing import Any
 
 import msgspec
 
-from crowdbench.errors import CrowdbenchError, did_you_mean
-from crowdbench.leaderboard.submission.errors import RefusedError
+from crowdbench.errors import did_you_mean
+from crowdbench.leaderboard.submission.errors import Problems, RefusedError
 from crowdbench.leaderboard.submission.limits import LARGEST_DECLARATION, MOST_DOTS
 from crowdbench.leaderboard.submission.schema import FILE, Declared, Trained
 from crowdbench.registry import SPAWN_MODELS
@@ -25,8 +25,8 @@ _EXPECTED = {
     "name": _LINE,
     "authors": f'a list of 1 to 50 names such as ["Ada Lovelace"], each {_LINE}',
     "contact": f"an e-mail address or an issue tracker, as {_LINE}",
-    "link": "a URL that begins with https://, in ASCII characters and without spaces",
-    "licence": "an SPDX identifier such as Apache-2.0 or CC-BY-4.0",
+    "link": "a complete URL that begins with https://, in ASCII characters and without spaces",
+    "licence": "an SPDX identifier such as Apache-2.0 or CC-BY-4.0, see https://spdx.org/licenses",
     "track": "walk, spawn or crowd",
     "kind": "learned, model-based or privileged",
     "scenes": "a list of different scenes, from {scenes}",
@@ -37,17 +37,6 @@ _EXPECTED = {
     "shipped_policy": "the name of a policy that comes with crowdbench, or no such field",
     "shipped_spawn": f"one of {', '.join(SPAWN_MODELS)}, or no such field",
 }
-_FORMS = {
-    "link": (
-        re.compile(r"https://[A-Za-z0-9-]+(\.[A-Za-z0-9-]+)+(:[0-9]{1,5})?([/?#][!#-;=?-_a-z~]*)?"),
-        "Write the complete URL.",
-    ),
-    "licence": (
-        re.compile(r"\(*[A-Za-z0-9.+-]+\)*( (AND|OR|WITH) \(*[A-Za-z0-9.+-]+\)*)*"),
-        "See the list at https://spdx.org/licenses.",
-    ),
-}
-"""Pattern of a field's value, and the hint for values that do not match."""
 _UNSEEN = re.compile(
     "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0"
     "\U000e0100-\U000e01ef]"
@@ -56,11 +45,19 @@ _UNSEEN = re.compile(
 _MOST_MARKS = 4
 """Combining marks on one letter; more of them would overlap the lines above."""
 # They replace invalid fields that are only displayed, so that the artefacts are checked as well.
-_STAND_INS = {"name": "?", "authors": ["?"], "contact": "?", "link": "?", "licence": "?"}
-_STAND_INS_OF_TRAINING = {"data": "?", "parameters": 0}
+_STAND_INS = {
+    "name": "?",
+    "authors": ["?"],
+    "contact": "?",
+    "link": "https://example.org",
+    "licence": "MIT",
+    "kind": "learned",
+    "training.data": "?",
+    "training.parameters": 0,
+}
 
 
-def read_declared(path: Path, problems: list[CrowdbenchError]) -> Declared | None:
+def read_declared(path: Path, problems: Problems) -> Declared | None:
     """Return what a submission declares, and append all problems with it to `problems`.
 
     An invalid field that is only displayed gets a stand-in value. If a field that the checks of the
@@ -70,25 +67,30 @@ def read_declared(path: Path, problems: list[CrowdbenchError]) -> Declared | Non
     if raw is None:
         return None
     training = raw.get("training")
+    trained = training if isinstance(training, dict) else {}
     wrong = list(_wrong_fields(Declared, raw))
-    if isinstance(training, dict):
-        wrong += _wrong_fields(Trained, training, "training.")
+    if trained is training:
+        wrong += _wrong_fields(Trained, trained, "training.")
     problems += wrong
     names = {refusal.where.partition(", ")[2] for refusal in wrong}
-    known = {field.name for field in msgspec.structs.fields(Declared)}
-    usable = {k: v for k, v in raw.items() if k in known - names}
-    trained = training if isinstance(training, dict) else {}
-    known = {field.name for field in msgspec.structs.fields(Trained)}
-    usable["training"] = _STAND_INS_OF_TRAINING | {
-        k: v for k, v in trained.items() if k in known and f"training.{k}" not in names
-    }
+    usable = _usable(Declared, raw, names)
+    usable["training"] = _usable(Trained, trained, names, "training.")
     try:
-        return msgspec.convert(_STAND_INS | {"kind": "learned"} | usable, Declared)
+        return msgspec.convert(usable, Declared)
     except msgspec.ValidationError:
         return None
 
 
-def _raw(path: Path, problems: list[CrowdbenchError]) -> dict[str, Any] | None:
+def _usable(
+    kind: type[msgspec.Struct], raw: Mapping[str, Any], wrong: set[str], prefix: str = ""
+) -> dict[str, Any]:
+    """The valid fields, and stand-ins for others that are only displayed."""
+    names = [field.name for field in msgspec.structs.fields(kind)]
+    valid = {name: raw[name] for name in names if name in raw and prefix + name not in wrong}
+    return {n: _STAND_INS[prefix + n] for n in names if prefix + n in _STAND_INS} | valid
+
+
+def _raw(path: Path, problems: Problems) -> dict[str, Any] | None:
     try:
         if path.stat().st_size > LARGEST_DECLARATION:
             got, expected = f"{path.stat().st_size} bytes", f"at most {LARGEST_DECLARATION}"
@@ -101,7 +103,7 @@ def _raw(path: Path, problems: list[CrowdbenchError]) -> dict[str, Any] | None:
     except (ValueError, RecursionError) as error:  # not UTF-8 or TOML, or numbers of 5000 digits
         got, expected = str(error), "valid TOML in UTF-8"
     hint = "Compare it with the file that `crowdbench submit init` writes; strings need quotes."
-    problems.append(RefusedError(FILE, got=got, expected=expected, hint=hint))
+    problems.refuse(FILE, got=got, expected=expected, hint=hint)
     return None
 
 
@@ -148,8 +150,6 @@ def _hint(name: str, value: Any, kind: Any) -> str | None:
             return "Remove invisible characters and stacked combining marks."
         if not text.strip() and not name.startswith("shipped_"):
             return "Enter a text that is not blank."
-    if name in _FORMS and not _FORMS[name][0].fullmatch(value):
-        return _FORMS[name][1]
     if name == "scenes" and (set(value) - set(list_scenes()) or len(set(value)) < len(value)):
         return "`crowdbench scene list` lists all scenes."
     if name == "shipped_spawn" and value not in ("", *SPAWN_MODELS):

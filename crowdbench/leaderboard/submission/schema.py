@@ -29,6 +29,8 @@ Kind = Literal["learned", "model-based", "privileged"]
 Training = Literal["heldout", "none", "full"]
 Line = Annotated[str, Meta(min_length=1, max_length=200)]
 """A line of plain text: printable, no control characters, not blank."""
+_LINK = r"\Ahttps://[A-Za-z0-9-]+(\.[A-Za-z0-9-]+)+(:[0-9]{1,5})?([/?#][!#-;=?-_a-z~]*)?\Z"
+_LICENCE = r"\A\(*[A-Za-z0-9.+-]+\)*( (AND|OR|WITH) \(*[A-Za-z0-9.+-]+\)*)*\Z"
 
 
 class Trained(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -51,9 +53,9 @@ class Declared(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     authors: Annotated[list[Line], Meta(min_length=1, max_length=50)]
     contact: Line
     """An e-mail address or an issue tracker."""
-    link: Line
+    link: Annotated[str, Meta(pattern=_LINK, max_length=200)]
     """URL of a paper or of code, beginning with https://."""
-    licence: Line
+    licence: Annotated[str, Meta(pattern=_LICENCE, max_length=200)]
     """SPDX identifier of the artefacts' licence."""
     track: Track
     """`walk`: a policy under the recorded arrivals; `spawn`: a spawn model with straight walkers;

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
-from crowdbench.data.storage import of_table
+from crowdbench.data.storage import columns_of, of_table
 from crowdbench.data.table import OUTCOMES, Trajectories
-from crowdbench.errors import CrowdbenchError, RecordingError
+from crowdbench.errors import RecordingError
 from crowdbench.files import sha256
-from crowdbench.leaderboard.submission.errors import RefusedError, collecting
+from crowdbench.leaderboard.submission.errors import Problems, RefusedError
 from crowdbench.leaderboard.submission.limits import MOST_PERSONS
 from crowdbench.leaderboard.submission.schema import Track
 from crowdbench.leaderboard.submission.untrusted import read_table
@@ -45,7 +45,7 @@ LAST = 0.9
 
 
 def check_crowds(
-    folder: Path, track: Track, crowds: dict[str, list[str]], problems: list[CrowdbenchError]
+    folder: Path, track: Track, crowds: dict[str, list[str]], problems: Problems
 ) -> None:
     """Read all trajectories and check them against the rules for listing.
 
@@ -56,23 +56,18 @@ def check_crowds(
         areas = read_areas(place)
         seen: dict[str, str] = {}
         for name in names:
-            with collecting(problems, folder):
+            with problems.collected(folder):
                 crowd = _read(folder / name, place)
                 problems += broken_rules(name, crowd, track, place, areas)
-                same = seen.setdefault(_content(crowd), name)
+                content = b"".join(x.tobytes() for x in (crowd.first, crowd.offsets, crowd.xy))
+                same = seen.setdefault(sha256(content), name)
                 if same != name:
-                    problems.append(
-                        RefusedError(
-                            name,
-                            got=f"the same crowd as in {same}",
-                            expected="rollouts that differ",
-                            hint="Use a different seed for each rollout.",
-                        )
+                    problems.refuse(
+                        name,
+                        got=f"the same crowd as in {same}",
+                        expected="rollouts that differ",
+                        hint="Use a different seed for each rollout.",
                     )
-
-
-def _content(crowd: Trajectories) -> str:
-    return sha256(b"".join(x.tobytes() for x in (crowd.first, crowd.offsets, crowd.xy)))
 
 
 def _read(path: Path, scene: Scene) -> Trajectories:
@@ -86,20 +81,14 @@ def _check_lives(path: Path, table: "pyarrow.Table") -> None:
     """Reject reused ids, before the reader fills in rows for missing frames.
 
     Raises:
-        RecordingError: there are too many persons, or a person lacks a row in a frame between its
-            first and its last.
+        RecordingError: a column is missing or invalid, there are too many persons, or a person
+            lacks a row in a frame between its first and its last.
     """
-    time = "frame" if "frame" in table.column_names else "time_s"
-    if not {"person_id", time} <= set(table.column_names) or len(table) == 0:
-        return  # the reader of tables reports this
-    columns = [table.column("person_id"), table.column(time)]
-    if any(column.null_count for column in columns):
-        return
-    ids, when = (column.to_numpy() for column in columns)
-    if ids.dtype.kind not in "iuf" or when.dtype.kind not in "iuf":
-        return
+    columns = columns_of(table, path)
+    time = "frame" if "frame" in columns else "time_s"
+    ids, when = columns["person_id"], columns[time].astype(np.float64)
     order = np.lexsort((when, ids))
-    ids, when = ids[order], when[order].astype(np.float64)
+    ids, when = ids[order], when[order]
     same = ids[1:] == ids[:-1]
     persons = len(ids) - int(same.sum())
     if persons > MOST_PERSONS:
@@ -179,17 +168,12 @@ def _columns(name: str, crowd: Trajectories, track: Track, areas: Areas) -> Iter
     slack_s = 1.01 * crowd.dt_s  # events happen between frames
     late = crowd.entered & (np.abs(crowd.spawn_s - start_s) > slack_s)
     unborn = ~crowd.entered & (crowd.first > 0)
+    spawn, goal = len(areas.spawn), len(areas.goal)
+    in_spawn = (crowd.spawn_area >= -1) & (crowd.spawn_area < spawn)
+    in_goal = (crowd.goal_area >= -1) & (crowd.goal_area < goal)
     for wrong, got, expected in (
-        (
-            (crowd.spawn_area < -1) | (crowd.spawn_area >= len(areas.spawn)),
-            "spawn_area",
-            f"−1 to {len(areas.spawn) - 1}",
-        ),
-        (
-            (crowd.goal_area < -1) | (crowd.goal_area >= len(areas.goal)),
-            "goal_area",
-            f"−1 to {len(areas.goal) - 1}",
-        ),
+        (~in_spawn, "spawn_area", f"−1 to {spawn - 1}"),
+        (~in_goal, "goal_area", f"−1 to {goal - 1}"),
         (late, "spawn_s", "the time of the first row"),
         (crowd.requested_s > crowd.spawn_s + slack_s, "requested_s", "spawn_s or earlier"),
         (unborn & (track != "walk"), "entered", "true for people after the first frame"),

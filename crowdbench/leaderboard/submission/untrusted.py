@@ -62,7 +62,7 @@ def _csv(path: Path) -> "pyarrow.Table":
     _refuse(path, len(header) > _LONGEST_HEADER, "a first line over 10 kB", "10 kB of names")
     _check_columns(path, header.count(b",") + 1)
     table = csv.read_csv(BufferReader(data), csv.ReadOptions(use_threads=False))
-    _check_rows(path, len(table))
+    _check_size(path, len(table))
     return table
 
 
@@ -75,9 +75,9 @@ def _parquet(path: Path) -> "pyarrow.Table":
     file = parquet.ParquetFile(data)
     told = file.metadata
     _check_columns(path, told.num_columns)
-    _check_rows(path, told.num_rows)
     sizes = [told.row_group(k).total_byte_size for k in range(told.num_row_groups)]
-    _check_bytes(path, sum(sizes) if min(sizes, default=0) >= 0 else LARGEST_DECODED + 1)
+    size = sum(sizes) if min(sizes, default=0) >= 0 else LARGEST_DECODED + 1
+    _check_size(path, told.num_rows, size)
     schema = file.schema_arrow
     _check_names(path, schema.names)
     wanted = [name for name in schema.names if name.strip() in _COLUMNS]
@@ -92,8 +92,7 @@ def _parquet(path: Path) -> "pyarrow.Table":
     batches, rows, size = [], 0, 0
     for batch in file.iter_batches(_BATCH, columns=wanted, use_threads=False):
         rows, size = rows + batch.num_rows, size + batch.nbytes
-        _check_rows(path, rows)
-        _check_bytes(path, size)
+        _check_size(path, rows, size)
         batches.append(batch)
     kept = pa.schema([schema.field(name) for name in wanted], schema.metadata)
     table = pa.Table.from_batches(batches) if batches else kept.empty_table()
@@ -108,14 +107,7 @@ def _check_columns(path: Path, columns: int) -> None:
     _refuse(path, columns > MOST_COLUMNS, f"{columns} columns", str(MOST_COLUMNS))
 
 
-def _check_rows(path: Path, rows: int) -> None:
+def _check_size(path: Path, rows: int, size: int = 0) -> None:
     _refuse(path, rows > MOST_ROWS, f"{rows} rows", str(MOST_ROWS))
-
-
-def _check_bytes(path: Path, size: int) -> None:
-    _refuse(
-        path,
-        size > LARGEST_DECODED,
-        "a table that takes more memory",
-        f"{LARGEST_DECODED / 1e6:.0f} MB",
-    )
+    most = f"{LARGEST_DECODED / 1e6:.0f} MB"
+    _refuse(path, size > LARGEST_DECODED, "a table that takes more memory", most)

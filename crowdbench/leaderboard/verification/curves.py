@@ -5,13 +5,12 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from crowdbench.leaderboard.verification.entry import Curve
-from crowdbench.metrics import METRICS, Metric, Statistics, Sums, total
+from crowdbench.leaderboard.verification.entry import POINTS, Curve
+from crowdbench.metrics import Metric, Statistics, Sums, total
 from crowdbench.metrics.forms import RelativeWasserstein
 from crowdbench.run.judge import MetricSlice
 from crowdbench.scoring.reference import Reference
 
-POINTS = 100
 DISTRIBUTIONS = {
     "inter_spawn": ("Time between arrivals", "time to the next arrival (s)"),
     "dwell": ("Dwell time", "dwell time (s)"),
@@ -42,9 +41,8 @@ def agents_over_time(reference: Reference, splits: Iterable[MetricSlice]) -> Cur
     )
 
 
-def distribution(name: str, reference: Reference, splits: Iterable[MetricSlice]) -> Curve:
+def distribution(metric: Metric, reference: Reference, splits: Iterable[MetricSlice]) -> Curve:
     """Distribution functions of a metric's values, pooled over all rollouts and splits."""
-    metric = next(m for m in METRICS if m.name == name)
     assert isinstance(metric, RelativeWasserstein)
     each = list(splits)
     recorded = _pooled(metric, [seen.recorded for seen in each])
@@ -63,7 +61,7 @@ def distribution(name: str, reference: Reference, splits: Iterable[MetricSlice])
     last = max(int(np.searchsorted(f, _SHOWN)) for f in (of_recorded, of_simulated))
     shown = _spread_out(min(last + 1, size))
     return Curve(
-        x_label=DISTRIBUTIONS[name][1],
+        x_label=DISTRIBUTIONS[metric.name][1],
         y_label="cumulative share",
         x=_rounded(shown * metric.step(reference.blocks)),
         recorded=_rounded(of_recorded[shown]),
@@ -83,8 +81,7 @@ def _pooled(metric: Metric, crowds: Sequence[Statistics]) -> Sums:
         for name, values in sums.items():
             if metric.on_lattice(name):
                 known = pooled.get(name, np.zeros(0, dtype=np.int64))
-                size = max(len(known), len(values))
-                pooled[name] = np.pad(known, (0, size - len(known)))
+                pooled[name] = np.pad(known, (0, max(0, len(values) - len(known))))
                 pooled[name][: len(values)] += values
     return pooled
 

@@ -5,41 +5,53 @@ of these, and entries are compared on the resamples that they share. Nothing in 
 the machine or the time (`ID.run.json` has those): the same submission gives the same bytes.
 """
 
-from collections.abc import Iterator
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Final, Literal, TypeAlias
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 
-from crowdbench.errors import WeightsError
+from crowdbench.data.blocks import SPLITS
+from crowdbench.errors import OutputError, SettingError, WeightsError, did_you_mean
 from crowdbench.files import read_struct
+from crowdbench.leaderboard.submission.errors import plain
+from crowdbench.leaderboard.submission.limits import MOST_FILES
 from crowdbench.leaderboard.submission.schema import Declared
 from crowdbench.scoring.energy import RESAMPLES
 from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import Limit
 
-SCHEMA = 1
+SCHEMA: Final = 1
 SCORER = 4
 """Version of the scoring. Any change that alters the scores of an entry increases it; then
-`crowdbench leaderboard rescore` scores the entries again."""
+`python -m studies rescore` scores the entries again."""
 
 SUFFIX = ".json.gz"
 """Ending of an entry's file; `crowdbench leaderboard show` prints it as text."""
-_HINT = "Create it with `crowdbench leaderboard verify`."
+POINTS = 100
+"""Largest number of values of a curve."""
+HINT = "Create it with `crowdbench leaderboard verify`."
 LARGEST = 1e12
 """Limit of all numbers in an entry; the number of learned parameters comes closest to it."""
+Number: TypeAlias = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+Count: TypeAlias = Annotated[int, Meta(ge=0, le=10**12)]
+Split: TypeAlias = Annotated[str, Meta(pattern=rf"\A({'|'.join(SPLITS)})\Z")]
+Values: TypeAlias = Annotated[list[Number], Meta(min_length=1, max_length=POINTS)]
 Status = Literal["ranked", "listed", "reference"]
 """`ranked`: models that crowdbench rolled out and scored on held-out data; `listed`: trajectories,
 or models trained on the recordings that they are scored on; `reference`: shown for comparison (the
 anchor, the recording itself, a memorisation baseline, random walkers)."""
+What = Literal["too good", "too even", "copied arrivals", "copied trips"]
 
 
 class ScoreCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A score with its resamples."""
 
-    value: float
-    resampled: bytes
+    value: Number
+    resampled: Annotated[bytes, Meta(min_length=4 * RESAMPLES, max_length=4 * RESAMPLES)]
     """`scoring.energy.RESAMPLES` float32 values in little-endian order (base64 in JSON)."""
 
     @classmethod
@@ -55,40 +67,40 @@ class ScoreCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 class MetricEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The results of one metric on one scene."""
 
-    distance: float | None
+    distance: Number | None
     """Distance to the recording, averaged over rollouts and folds; None if it is undefined."""
-    recorded: float | None
+    recorded: Number | None
     """Typical value in the recording, in `unit`."""
-    simulated: float | None
+    simulated: Number | None
     unit: str
     scored: bool
     """Whether the metric is scored on this scene."""
-    score: float | None
-    interval: tuple[float, float] | None
+    score: Number | None
+    interval: tuple[Number, Number] | None
     """The central 95 % of the score's resamples."""
-    splits: dict[str, list[float | None]]
-    """The scores of the fits in order, by split: `fold0`, … or `full`."""
+    splits: dict[Split, list[Number | None]]
+    """The scores of the fits in order, by split."""
 
 
 class Copy(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The copy index: how much of a crowd is copied from the recording."""
 
-    arrivals: float | None
+    arrivals: Number | None
     """Median over time windows (60 s or longer) of the correlation of their arrivals with the most
     similar window of the recording; None on track walk, where arrivals are the recorded ones."""
-    arrivals_limit: float | None
+    arrivals_limit: Number | None
     """99th percentile of `arrivals` for models that cannot copy."""
-    trips: float | None
+    trips: Number | None
     """Share of trips that stay within 0.1 m of a recorded trip."""
 
 
 class Flag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A warning about an entry's result on one scene."""
 
-    what: Literal["too good", "too even", "copied arrivals", "copied trips"]
+    what: What
     scene: str
-    value: float
-    limit: float
+    value: Number
+    limit: Number
     text: str
     """What was found and what it is compared with, in plain words."""
 
@@ -99,10 +111,10 @@ class Curve(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     x_label: str
     """Label with its unit, as in `dwell time (s)`."""
     y_label: str
-    x: list[float]
-    """At most 100 values, ascending."""
-    recorded: list[float]
-    simulated: list[float]
+    x: Values
+    """In ascending order."""
+    recorded: Values
+    simulated: Values
 
 
 class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -111,18 +123,18 @@ class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     made_from: str
     """Hash of the scene's rules and files that the scores depend on (`cards.files_of`)."""
     protocol: Literal["full", "heldout"]
-    fits: int
-    rollouts: int
+    fits: Count
+    rollouts: Count
     """Number of rollouts per split, over all fits."""
-    persons: int
-    outcomes: dict[str, int]
-    speed_mps: float | None
+    persons: Count
+    outcomes: dict[str, Count]
+    speed_mps: Number | None
     """Mean speed of people who walk, under the recorded arrivals if the track scores policies."""
-    at_goal: float | None
+    at_goal: Number | None
     """Share of people at their goals, of those whose trips ended; None if it is unknown."""
-    recorded_speed_mps: float | None
+    recorded_speed_mps: Number | None
     """The same of recorded people walked under the rules of the simulation."""
-    recorded_at_goal: float | None
+    recorded_at_goal: Number | None
     fails: list[Limit]
     """The limits of the scene's gate that the policy exceeds; its walk score is at most 0 then."""
     families: dict[str, ScoreCard]
@@ -135,10 +147,10 @@ class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 class Earlier(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The scores by an earlier scorer."""
 
-    scorer: int
+    scorer: Count
     crowdbench: str
-    overall: float | None
-    scenes: dict[str, float | None]
+    overall: Number | None
+    scenes: dict[str, Number | None]
     reason: str
     """Why the entry was scored again."""
 
@@ -146,20 +158,27 @@ class Earlier(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The contents of `entries/ID.json.gz`."""
 
-    schema: int
-    id: str
-    """Name of the file and the page: a-z, 0-9 and single hyphens, at most 60 characters."""
+    schema: Literal[1]
+    id: Annotated[str, Meta(pattern=r"\A[a-z0-9]+(-[a-z0-9]+)*\Z", max_length=60)]
+    """Name of the file and the page: a-z, 0-9 and single hyphens."""
     status: Status
     declared: Declared
-    scorer: int
+    scorer: Count
     crowdbench: str
     """Version of crowdbench."""
-    artefacts: dict[str, str]
+    artefacts: Annotated[dict[str, str], Meta(max_length=MOST_FILES)]
     """SHA-256 of each file of the submission, including `submission.toml`, by its path there; and
     of each file of shipped models, by its path in crowdbench."""
     scenes: dict[str, SceneEntry]
     flags: list[Flag]
     history: list[Earlier]
+
+
+def shipped_leaderboard() -> Path:
+    """The folder of the leaderboard that comes with crowdbench."""
+    package = Path(__file__).parents[2]
+    installed = package / "_leaderboard"  # in an installed wheel
+    return installed if installed.is_dir() else package.parent / "leaderboard"
 
 
 def entry_path(folder: Path, name: str) -> Path:
@@ -172,60 +191,70 @@ def entry_paths(folder: Path) -> dict[str, Path]:
     return {p.name.removesuffix(SUFFIX): p for p in sorted(folder.glob(f"*{SUFFIX}"))}
 
 
+def find_entry(name: str, folder: Path, *, otherwise: str = "") -> Path:
+    """The file of the entry with the id `name` in a folder.
+
+    Raises:
+        SettingError: there is none; `otherwise` says what else was expected.
+    """
+    known = entry_paths(folder)
+    if name not in known:
+        raise SettingError(
+            "entry",
+            got=repr(name),
+            expected=f"{otherwise}one of {folder} ({', '.join(known) or 'none yet'})",
+            hint=did_you_mean(name, known),
+        )
+    return known[name]
+
+
 def read_entry(path: Path) -> Entry:
     """Read an entry.
 
     Raises:
-        WeightsError: the entry is missing or broken, or has another schema.
+        WeightsError: the entry is missing or broken, has another schema or id, or a number is too
+            large.
     """
-    entry = read_struct(path, Entry, WeightsError, _HINT)
-    for got, holds, expected in (
-        (f"schema {entry.schema}", entry.schema == SCHEMA, f"schema {SCHEMA}"),
-        (
-            f"the id {entry.id}",
-            entry_path(path.parent, entry.id) == path,
-            "the id in the file's name",
-        ),
-    ):
-        if not holds:
-            raise WeightsError(path, got=got, expected=expected, hint=_HINT)
-    check_numbers(entry, path)
+    try:
+        entry = read_struct(path, Entry, WeightsError, HINT)
+    except WeightsError as error:
+        if not path.is_file():
+            raise
+        got = f"a file that is no entry of the leaderboard ({error.got})"
+        raise WeightsError(path, got=got, expected=error.expected, hint=error.hint) from error
+    if entry_path(path.parent, entry.id) != path:
+        raise WeightsError(
+            path, got=f"the id {entry.id}", expected="the id in the file's name", hint=HINT
+        )
     return entry
 
 
-def check_numbers(entry: Entry, where: object) -> None:
-    """Check that an entry's numbers can be compared and drawn.
+def owners_of(out: Path) -> dict[str, Sequence[str]]:
+    """Authors of the entries in a folder, by id; a broken entry has none and may be overwritten."""
+    found: dict[str, Sequence[str]] = {}
+    for path in entry_paths(out).values():
+        with suppress(WeightsError):
+            entry = read_entry(path)
+            found[entry.id] = entry.declared.authors
+    return found
+
+
+def check_unused(
+    submission: object, name: str, authors: Sequence[str], owners: Mapping[str, Sequence[str]]
+) -> None:
+    """Check that an entry would not overwrite that of another submission.
+
+    `owners` are the authors of other entries by id.
 
     Raises:
-        WeightsError: a score lacks resamples, or a number is too large or not finite.
+        OutputError: the id belongs to an entry of other authors.
     """
-    cards = [card for scene in entry.scenes.values() for card in scene.families.values()]
-    if any(len(card.resampled) != 4 * RESAMPLES for card in cards):
-        raise WeightsError(
-            where,
-            got="a score with another number of resamples",
-            expected=f"{RESAMPLES} resamples",
-            hint=_HINT,
+    owner = owners.get(name, authors)
+    if list(owner) != list(authors):
+        by = f" by {plain(', '.join(owner))}" if owner else ""
+        raise OutputError(
+            submission,
+            got=f"the id {name} of another submission{by}",
+            expected="an unused id",
+            hint="The id is made from the name: choose another name or another output folder.",
         )
-    numbers = _numbers(msgspec.to_builtins(entry))
-    sound = all(abs(x) <= LARGEST for x in numbers) and all(
-        (np.abs(card.score().resampled) <= LARGEST).all() for card in cards
-    )
-    if not sound:
-        raise WeightsError(
-            where,
-            got="numbers that are too large or not finite",
-            expected=f"numbers up to {LARGEST:.0e}",
-            hint=_HINT,
-        )
-
-
-def _numbers(value: object) -> Iterator[float]:
-    """All numbers in nested lists and dictionaries."""
-    if isinstance(value, dict):
-        value = list(value.values())
-    if isinstance(value, list | tuple):
-        for each in value:
-            yield from _numbers(each)
-    elif isinstance(value, int | float):
-        yield value

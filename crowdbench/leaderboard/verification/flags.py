@@ -1,94 +1,114 @@
-"""Flags: warnings that readers of an entry should know. They change no score."""
+"""Flags: warnings that readers of an entry should know. They change no score.
+
+Where ways are short and straight, walkers who copy nothing share trips with the recording by
+chance. So the limit of copied trips is that of walkers who cannot copy: they know a person's start,
+goal and speed, but no recorded path. A scene's limit is the largest share among these walkers under
+the recorded arrivals, plus a margin. `python -m studies trip-limits` measures the shares and writes
+`copied_trips.json`. Run it again when a scene, a recording or one of these walkers changes.
+"""
 
 from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from crowdbench.leaderboard.verification.entry import Copy, Entry, Flag
-from crowdbench.leaderboard.verification.trip_limits import honest_share, trip_limit
+from crowdbench.errors import WeightsError
+from crowdbench.files import read_struct
+from crowdbench.leaderboard.verification.entry import Copy, Flag, What
 from crowdbench.scoring.energy import FitEnergies
 from crowdbench.scoring.score import Score
 
 SPREAD = 0.5
 """Smallest unflagged spread of rollouts, as a share of the true process's spread."""
 MARGIN = 0.05
-"""Tolerated excess of the copy index over models that cannot copy. Good models, which know groups
-and busy times, come up to 0.02 closer to the recording without copying."""
+"""Tolerated excess of the copy index of arrivals over models that cannot copy. Good models, which
+know groups and busy times, come up to 0.02 closer to the recording without copying."""
+TRIP_MARGIN = 0.05
+"""Tolerated excess of copied trips. It is more than two standard errors of the measured shares,
+which are at most 0.02 (on Hotel, with about 200 trips). Who memorises copies nearly all trips."""
+PATH = Path(__file__).with_name("copied_trips.json")
+
+
+class MeasuredShares(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The content of `copied_trips.json`."""
+
+    command: str
+    """The command that writes the file."""
+    shares: dict[str, dict[str, float]]
+    """Share of copied trips by scene and walker."""
+
+
+@cache
+def read_shares() -> MeasuredShares:
+    """The measured shares.
+
+    Raises:
+        WeightsError: their file is missing or broken.
+    """
+    return read_struct(PATH, MeasuredShares, WeightsError, "Run `python -m studies trip-limits`.")
+
+
+def honest_share(scene: str) -> float:
+    """The largest share of copied trips among walkers who cannot copy; 0 if it is not measured.
+
+    Raises:
+        WeightsError: the file of shares is missing or broken.
+    """
+    return max(read_shares().shares.get(scene, {}).values(), default=0.0)
+
+
+def trip_limit(scene: str) -> float:
+    """The largest unflagged share of copied trips on a scene, rounded to 0.1 %.
+
+    Raises:
+        WeightsError: see `honest_share`.
+    """
+    return round(honest_share(scene) + TRIP_MARGIN, 3)
 
 
 def flags_of(scene: str, score: Score | None, even: float | None, copy: Copy) -> list[Flag]:
-    """The flags of an entry on one scene; `even` is the result of `evenness`."""
-    checks = (
-        _too_good(scene, score),
-        _too_even(scene, even),
-        _copied_arrivals(scene, copy),
-        _copied_trips(scene, copy),
-    )
-    return [flag for flag in checks if flag is not None]
+    """The flags of an entry on one scene; `even` is the result of `evenness`.
 
-
-def _too_good(scene: str, score: Score | None) -> Flag | None:
-    if score is None:
-        return None
-    limit = 1 + 2 * float(score.resampled.std())
-    if score.value <= limit:
-        return None
-    text = (
-        f"On {scene}, the score is {score.value:.2f}. This exceeds {limit:.2f}, which is two "
-        f"standard errors above 1, the expected score of a perfect model."
-    )
-    return Flag(what="too good", scene=scene, value=score.value, limit=limit, text=text)
-
-
-def _too_even(scene: str, even: float | None) -> Flag | None:
-    if even is None or even >= SPREAD:
-        return None
-    text = (
-        f"On {scene}, the rollouts vary {even:.2f} times as much as expected of a perfect model "
-        f"(arrivals and the number of people present). Values below {SPREAD:g} are flagged."
-    )
-    return Flag(what="too even", scene=scene, value=even, limit=SPREAD, text=text)
-
-
-def _copied_arrivals(scene: str, copy: Copy) -> Flag | None:
-    if copy.arrivals is None or copy.arrivals_limit is None:
-        return None
-    limit = copy.arrivals_limit + MARGIN
-    if copy.arrivals <= limit:
-        return None
-    text = (
-        f"On {scene}, time windows of the arrivals correlate at {copy.arrivals:.2f} (median) with "
-        f"the most similar window of the recording. For models that cannot copy, 99 % of crowds "
-        f"are below {copy.arrivals_limit:.2f}."
-    )
-    return Flag(what="copied arrivals", scene=scene, value=copy.arrivals, limit=limit, text=text)
-
-
-def with_current_limits(entry: Entry) -> Entry:
-    """The entry with its flags of copied trips by the present limits, which may be measured anew.
-
-    Other flags are kept. Raises WeightsError: see `trip_limit`.
+    Raises:
+        WeightsError: see `trip_limit`.
     """
-    flags = [flag for flag in entry.flags if flag.what != "copied trips"]
-    found = (_copied_trips(name, scene.copy) for name, scene in entry.scenes.items())
-    flags += [flag for flag in found if flag is not None]
-    order = entry.declared.scenes
-    flags.sort(key=lambda flag: order.index(flag.scene))  # as verification does
-    return msgspec.structs.replace(entry, flags=flags)
-
-
-def _copied_trips(scene: str, copy: Copy) -> Flag | None:
+    found: list[tuple[What, float, float, str]] = []
+    limit = 1.0 if score is None else 1 + 2 * float(score.resampled.std())
+    if score is not None and score.value > limit:
+        text = (
+            f"the score is {score.value:.2f}. This exceeds {limit:.2f}, which is two standard "
+            "errors above 1, the expected score of a perfect model."
+        )
+        found.append(("too good", score.value, limit, text))
+    if even is not None and even < SPREAD:
+        text = (
+            f"the rollouts vary {even:.2f} times as much as expected of a perfect model (arrivals "
+            f"and the number of people present). Values below {SPREAD:g} are flagged."
+        )
+        found.append(("too even", even, SPREAD, text))
+    limit = (copy.arrivals_limit or 0.0) + MARGIN
+    if copy.arrivals_limit is not None and copy.arrivals is not None and copy.arrivals > limit:
+        text = (
+            f"time windows of the arrivals correlate at {copy.arrivals:.2f} (median) with the most "
+            "similar window of the recording. For models that cannot copy, 99 % of crowds are "
+            f"below {copy.arrivals_limit:.2f}."
+        )
+        found.append(("copied arrivals", copy.arrivals, limit, text))
     limit = trip_limit(scene)
     # Compared as they are shown: no value is flagged that looks equal to the limit.
-    if copy.trips is None or round(copy.trips, 3) <= limit:
-        return None
-    text = (
-        f"On {scene}, {100 * copy.trips:.1f} % of the trips stay within 0.1 m of a recorded trip "
-        f"from beginning to end. Walkers who cannot copy have up to "
-        f"{100 * honest_share(scene):.1f} %; values above {100 * limit:.1f} % are flagged."
-    )
-    return Flag(what="copied trips", scene=scene, value=copy.trips, limit=limit, text=text)
+    if copy.trips is not None and round(copy.trips, 3) > limit:
+        text = (
+            f"{100 * copy.trips:.1f} % of the trips stay within 0.1 m of a recorded trip from "
+            f"beginning to end. Walkers who cannot copy have up to "
+            f"{100 * honest_share(scene):.1f} %; values above {100 * limit:.1f} % are flagged."
+        )
+        found.append(("copied trips", copy.trips, limit, text))
+    return [
+        Flag(what=what, scene=scene, value=value, limit=limit, text=f"On {scene}, {text}")
+        for what, value, limit, text in found
+    ]
 
 
 def evenness(

@@ -1,11 +1,12 @@
 """One scene of an entry: scores, metrics, copy index, flags and curves of its rollouts."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from crowdbench.data.storage import read, read_own
 from crowdbench.data.table import Trajectories
 from crowdbench.leaderboard.verification.copying import ArrivalCopies, TripCopies, independent_limit
 from crowdbench.leaderboard.verification.curves import (
@@ -24,30 +25,49 @@ from crowdbench.leaderboard.verification.entry import (
 )
 from crowdbench.leaderboard.verification.flags import evenness, flags_of
 from crowdbench.metrics import METRICS, WALK, Metric, metrics_for
-from crowdbench.progress import steps
-from crowdbench.run.judge import MetricSlice, seen_in
-from crowdbench.run.rollout_jobs import Job, Pair
+from crowdbench.registry import recording_of
+from crowdbench.run.judge import TRAJECTORIES, MetricSlice, judge, seen_in
+from crowdbench.run.rollout_jobs import Job, Pair, roll_out
 from crowdbench.run.summaries import RolloutSummary
-from crowdbench.scene import Scene
+from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.energy import Energy, FitEnergies, energies_of_fits
 from crowdbench.scoring.ranking import failures, gate_standard, metric_scores, rows, scale_of
 from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.score import LOWEST, Score, total_score
-from crowdbench.scoring.scorecard import PairResult, Scorecard
+from crowdbench.scoring.scorecard import PairResult, Protocol, Scorecard, read_anchors
+from crowdbench.spawn.areas import read_areas
 
 
 @dataclass(frozen=True, eq=False)
-class Rollouts:
-    """The rollouts of one scene, and their scorecard."""
+class SceneRollouts:
+    """The rollouts of a submission on one scene: planned, then made by `roll_out`."""
 
     place: Scene
     reference: Reference
-    card: Scorecard
-    rolled: dict[Job, RolloutSummary]
+    protocol: Protocol
     crowd: Pair | None
     """Models scored on arrivals, presence, trips and space; None on track walk."""
     walk: Pair | None
     """Models scored on motion and interaction; None on track spawn."""
+    jobs: list[Job]
+    seeds: int
+    """Number of rollouts per pair of models and split."""
+    rolled: dict[Job, RolloutSummary] = field(default_factory=dict)
+
+    def roll_out(self, workers: int | None, progress: Callable[[int, int], None]) -> None:
+        """Make the rollouts, or read those of submitted trajectories."""
+        if self.jobs[0].policy != TRAJECTORIES:
+            self.rolled.update(roll_out(self.jobs, self.reference, workers, progress))
+            return
+        for done, job in enumerate(self.jobs, 1):
+            self.rolled[job] = RolloutSummary.of_crowd(crowd_of(job), self.reference)
+            progress(done, len(self.jobs))
+
+    @cached_property
+    def card(self) -> Scorecard:
+        """The scorecard of the rollouts."""
+        scale = read_anchors(self.place).protocols[self.protocol]
+        return judge(self.place, self.reference, self.rolled, self.protocol, self.seeds, scale)
 
     @property
     def main(self) -> Pair:
@@ -56,54 +76,65 @@ class Rollouts:
         assert pair is not None
         return pair
 
+    @cached_property
+    def results(self) -> dict[Pair, PairResult]:
+        """The scorecard's results by pair of models."""
+        return {(each.spawn, each.policy): each for each in self.card.entries}
+
     def of(self, pair: Pair) -> dict[Job, RolloutSummary]:
         """The rollouts of a pair of models."""
         return {j: what for j, what in self.rolled.items() if (j.spawn, j.policy) == pair}
 
-    def entry(self, pair: Pair) -> PairResult:
-        """The scorecard's result for a pair of models."""
-        return next(e for e in self.card.entries if (e.spawn, e.policy) == pair)
+    @cached_property
+    def used(self) -> dict[str, tuple[Metric, Pair]]:
+        """The metrics of the track by name, each with the pair of models it is computed for."""
+        metrics = metrics_for(self.reference.blocks)
+        pairs = [self.walk if metric.family in WALK else self.crowd for metric in metrics]
+        return {m.name: (m, p) for m, p in zip(metrics, pairs, strict=True) if p is not None}
 
-    def pair_of(self, metric: Metric) -> Pair | None:
-        """The pair of models that a metric is computed for; None if the track does not use it."""
-        return self.walk if metric.family in WALK else self.crowd
-
-    def seen(self, metric: Metric) -> Iterator[MetricSlice]:
-        """The metric's data for its pair of models, one slice per split."""
-        pair = self.pair_of(metric)
-        assert pair is not None
-        return seen_in(self.reference, metric, self.of(pair), self.card.protocol)
+    def seen(self, name: str) -> Iterator[MetricSlice]:
+        """The data of a metric, one slice per split."""
+        metric, pair = self.used[name]
+        return seen_in(self.reference, metric, self.of(pair), self.protocol)
 
     @cached_property
     def energies(self) -> dict[str, dict[str, FitEnergies]]:
         """Energies of each fit, by metric and split; only for scored metrics that have a score."""
         found: dict[str, dict[str, FitEnergies]] = {}
-        for metric in metrics_for(self.reference.blocks):
-            pair = self.pair_of(metric)
-            if pair is None or self.entry(pair).metrics[metric.name].energy is None:
-                continue
-            if metric.name in self.card.scored:
+        for name, (metric, pair) in self.used.items():
+            if name in self.card.scored and self.results[pair].metrics[name].energy is not None:
                 spread = metric.family not in WALK
                 splits = {
                     s.split: energies_of_fits(metric, s.recorded, s.fits, s.blocks, spread=spread)
-                    for s in self.seen(metric)
+                    for s in self.seen(name)
                 }
-                found[metric.name] = {p: e for p, e in splits.items() if e is not None}
+                found[name] = {p: e for p, e in splits.items() if e is not None}
         return found
 
 
-def scene_entry(
-    rollouts: Rollouts, recording: Trajectories, crowd_of: Callable[[Job], Trajectories]
-) -> tuple[SceneEntry, list[Flag]]:
-    """Return the scene's result and its flags. `crowd_of` reads a rollout's table."""
+def crowd_of(job: Job) -> Trajectories:
+    """Read a rollout's table; areas of submitted trajectories are derived from the positions."""
+    if job.policy != TRAJECTORIES:
+        return read_own(job.path)
+    place = load_scene(job.scene)
+    crowd = read(job.path, scene=place.id, dt_s=place.dt_s)
+    nowhere = np.full(len(crowd), -1, dtype=np.int32)
+    unknown = replace(
+        crowd, grid_s=place.grid_s, spawn_area=nowhere, goal_area=nowhere, scene=place.id
+    )
+    return read_areas(place).assign(unknown)
+
+
+def scene_entry(rollouts: SceneRollouts) -> tuple[SceneEntry, list[Flag]]:
+    """Return the scene's result and its flags."""
     place, card = rollouts.place, rollouts.card
     jobs = list(rollouts.of(rollouts.main))
-    entry = rollouts.entry(rollouts.main)
+    entry = rollouts.results[rollouts.main]
     families = _families(rollouts)
     standard = gate_standard(card)
-    walker = rollouts.entry(rollouts.walk or rollouts.main)
+    walker = rollouts.results[rollouts.walk or rollouts.main]
     fails = () if rollouts.walk is None else failures(card, walker)
-    copy = _copy(rollouts, recording, map(crowd_of, steps("copies", jobs)))
+    copy = _copy(rollouts, jobs)
     of_scene = SceneEntry(
         made_from=card.made_from,
         protocol=card.protocol,
@@ -125,7 +156,7 @@ def scene_entry(
     return of_scene, flags_of(place.id, score, _evenness(rollouts), copy)
 
 
-def _families(rollouts: Rollouts) -> dict[str, Score]:
+def _families(rollouts: SceneRollouts) -> dict[str, Score]:
     by_pair = {(row.spawn, row.policy): row for row in rows(rollouts.card)}
     found: dict[str, Score] = {}
     for pair, of_walking in ((rollouts.crowd, False), (rollouts.walk, True)):
@@ -135,30 +166,27 @@ def _families(rollouts: Rollouts) -> dict[str, Score]:
     return found
 
 
-def _metrics(rollouts: Rollouts) -> dict[str, MetricEntry]:
+def _metrics(rollouts: SceneRollouts) -> dict[str, MetricEntry]:
     scale = scale_of(rollouts.card)
     scores = {
-        pair: metric_scores(scale, rollouts.entry(pair))
+        pair: metric_scores(scale, rollouts.results[pair])
         for pair in (rollouts.crowd, rollouts.walk)
         if pair is not None
     }
     found = {}
-    for metric in metrics_for(rollouts.reference.blocks):
-        pair = rollouts.pair_of(metric)
-        if pair is None:
-            continue
-        card = rollouts.entry(pair).metrics[metric.name]
-        score = scores[pair].get(metric.name)
-        energies = rollouts.energies.get(metric.name, {})
-        found[metric.name] = MetricEntry(
+    for name, (_, pair) in rollouts.used.items():
+        card = rollouts.results[pair].metrics[name]
+        score = scores[pair].get(name)
+        energies = rollouts.energies.get(name, {})
+        found[name] = MetricEntry(
             distance=card.distance,
             recorded=card.recorded,
             simulated=card.simulated,
             unit=card.unit,
-            scored=metric.name in rollouts.card.scored,
+            scored=name in rollouts.card.scored,
             score=None if score is None else score.value,
             interval=None if score is None else score.interval,
-            splits={p: _of_fits(e, *scale[metric.name]) for p, e in energies.items()},
+            splits={p: _of_fits(e, *scale[name]) for p, e in energies.items()},
         )
     return found
 
@@ -172,7 +200,7 @@ def _of_fits(energies: FitEnergies, floor: Energy, anchor: Energy) -> list[float
     return [max(LOWEST, float(1 - a / span)) for a in above]
 
 
-def _evenness(rollouts: Rollouts) -> float | None:
+def _evenness(rollouts: SceneRollouts) -> float | None:
     """Relative spread of the rollouts; None on track walk, or without scores."""
     if rollouts.crowd is None:
         return None
@@ -182,12 +210,13 @@ def _evenness(rollouts: Rollouts) -> float | None:
     return evenness(energies, floors)
 
 
-def _copy(rollouts: Rollouts, recording: Trajectories, crowds: Iterable[Trajectories]) -> Copy:
+def _copy(rollouts: SceneRollouts, jobs: Sequence[Job]) -> Copy:
     """The copy index, averaged over the rollouts; on track walk of trips only."""
+    recording = recording_of(rollouts.place)
     trips = TripCopies(recording, rollouts.place)
     arrivals = None if rollouts.crowd is None else ArrivalCopies(recording, rollouts.place)
     shares, indices = [], []
-    for crowd in crowds:  # one at a time: many of them would not fit into memory
+    for crowd in map(crowd_of, jobs):  # one at a time: many of them would not fit into memory
         shares.append(trips.share(crowd))
         if arrivals is not None:
             persons = np.flatnonzero(crowd.entered)
@@ -206,14 +235,12 @@ def _mean(values: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def _curves(rollouts: Rollouts) -> dict[str, Curve]:
-    by_name: Mapping[str, Metric] = {m.name: m for m in metrics_for(rollouts.reference.blocks)}
+def _curves(rollouts: SceneRollouts) -> dict[str, Curve]:
+    reference, used = rollouts.reference, rollouts.used
     found: dict[str, Curve] = {}
-    if rollouts.crowd is not None:
-        seen = rollouts.seen(by_name["agents_over_time"])
-        found[AGENTS] = agents_over_time(rollouts.reference, seen)
+    if "agents_over_time" in used:
+        found[AGENTS] = agents_over_time(reference, rollouts.seen("agents_over_time"))
     for name, (title, _) in DISTRIBUTIONS.items():
-        if rollouts.pair_of(by_name[name]) is not None:
-            seen = rollouts.seen(by_name[name])
-            found[title] = distribution(name, rollouts.reference, seen)
+        if name in used:
+            found[title] = distribution(used[name][0], reference, rollouts.seen(name))
     return found

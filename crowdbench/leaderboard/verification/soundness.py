@@ -1,17 +1,15 @@
-"""Check the names, lists and numbers of an entry before pages are built from it."""
+"""Check the names and lists of an entry before it is shown."""
 
-import re
+import numpy as np
 
-from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import WeightsError
-from crowdbench.leaderboard.submission.limits import MOST_FILES
-from crowdbench.leaderboard.verification.curves import POINTS, TITLES
-from crowdbench.leaderboard.verification.entry import Entry, check_numbers
+from crowdbench.leaderboard.submission.errors import plain
+from crowdbench.leaderboard.verification.curves import TITLES
+from crowdbench.leaderboard.verification.entry import HINT, LARGEST, Entry
 from crowdbench.metrics import FAMILIES, METRICS
 from crowdbench.scene import list_scenes
 
 FAMILY_OF = {metric.name: metric.family for metric in METRICS}
-_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 
 
 def check_entry(entry: Entry, where: object) -> None:
@@ -20,64 +18,39 @@ def check_entry(entry: Entry, where: object) -> None:
     Entries may come from an untrusted child process or be edited by hand.
 
     Raises:
-        WeightsError: a name is unknown, a number is invalid, or lists do not match each other.
+        WeightsError: a name is unknown, a resample is invalid, or lists do not match each other.
     """
-    check_numbers(entry, where)
     scenes = entry.scenes.values()
-    curves = [c for s in scenes for c in s.curves.values()]
+    submitted = {*list_scenes()} & {*entry.declared.scenes}
+    for what, names, known in (
+        ("scene", entry.scenes.keys(), submitted),
+        ("scene of a flag", {flag.scene for flag in entry.flags}, entry.scenes),
+        ("family", {name for s in scenes for name in s.families}, FAMILIES),
+        ("metric", {name for s in scenes for name in s.metrics}, FAMILY_OF),
+        ("curve", {name for s in scenes for name in s.curves}, TITLES),
+    ):
+        if unknown := sorted(names - set(known)):
+            got = f"an unknown {what}, {plain(ascii(unknown[0]), 80)}"
+            expected = f"one of {', '.join(sorted(known))}"
+            raise WeightsError(where, got=got, expected=expected, hint=HINT)
+    cards = [card for scene in scenes for card in scene.families.values()]
+    lines = [(c.x, c.recorded, c.simulated) for scene in scenes for c in scene.curves.values()]
     for got, holds, expected in (
         (
-            "an invalid id or scene name",
-            all(len(n) <= 60 and _NAME.fullmatch(n) for n in (entry.id, *entry.scenes)),
-            "a-z, 0-9 and single hyphens, at most 60 characters",
+            "repeated flags",
+            len({(flag.what, flag.scene) for flag in entry.flags}) == len(entry.flags),
+            "each flag at most once for each scene",
         ),
         (
-            "an unknown family",
-            all(set(s.families) <= set(FAMILIES) for s in scenes),
-            "families of crowdbench",
+            "resamples that are too large or not finite",
+            all((np.abs(card.score().resampled) <= LARGEST).all() for card in cards),
+            f"numbers up to {LARGEST:.0e}",
         ),
         (
-            "an unknown metric",
-            all(set(s.metrics) <= set(FAMILY_OF) for s in scenes),
-            "metrics of crowdbench",
-        ),
-        (
-            "a scene that is unknown or was not submitted",
-            set(entry.scenes) <= {*list_scenes()} & {*entry.declared.scenes},
-            "scenes of crowdbench that the submission declares",
-        ),
-        (
-            "repeated flags, or flags of other scenes",
-            len({(f.what, f.scene) for f in entry.flags}) == len(entry.flags)
-            and {f.scene for f in entry.flags} <= set(entry.scenes),
-            "each flag at most once for each scene of the entry",
-        ),
-        (
-            "unknown splits",
-            all(set(m.splits) <= set(SPLITS) for s in scenes for m in s.metrics.values()),
-            ", ".join(SPLITS),
-        ),
-        (
-            "unknown curves",
-            all(set(s.curves) <= TITLES for s in scenes),
-            ", ".join(sorted(TITLES)),
-        ),
-        (
-            f"a curve of more than {POINTS} values",
-            all(len(c.x) <= POINTS for c in curves),
-            f"at most {POINTS}",
-        ),
-        (
-            f"more than {MOST_FILES} artefacts",
-            len(entry.artefacts) <= MOST_FILES,
-            f"at most {MOST_FILES}",
-        ),
-        (
-            "a curve that is empty, or whose lines do not have the length of its axis",
-            all(0 < len(c.x) == len(c.recorded) == len(c.simulated) for c in curves),
+            "a curve whose lines do not have the length of its axis",
+            all(len({*map(len, of_curve)}) == 1 for of_curve in lines),
             "lines and an axis of equal length",
         ),
     ):
         if not holds:
-            hint = "Create it with `crowdbench leaderboard verify`."
-            raise WeightsError(where, got=got, expected=expected, hint=hint)
+            raise WeightsError(where, got=got, expected=expected, hint=HINT)

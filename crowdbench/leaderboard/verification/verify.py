@@ -1,11 +1,11 @@
-"""Verification: from an untrusted submission to an entry.
+"""Verification: from untrusted submissions to entries.
 
-The work is done in a child process with limits, and its answer is validated.
+The work is done in child processes with limits, and their answers are validated.
 """
 
 import platform
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
+import tempfile
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
@@ -13,14 +13,27 @@ from types import MappingProxyType
 import numpy as np
 
 from crowdbench import __version__
-from crowdbench.errors import WeightsError
+from crowdbench.errors import CrowdbenchError, OutputError, WeightsError
 from crowdbench.files import write_json
-from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage, SandboxError, call
-from crowdbench.leaderboard.verification.check import check_unused
-from crowdbench.leaderboard.verification.entry import Entry, entry_path, entry_paths, read_entry
+from crowdbench.leaderboard.sandbox.parent import (
+    Limits,
+    Progress,
+    ResourceUsage,
+    SandboxError,
+    call,
+    no_progress,
+)
+from crowdbench.leaderboard.verification.entry import (
+    Entry,
+    check_unused,
+    entry_path,
+    owners_of,
+)
 from crowdbench.leaderboard.verification.soundness import check_entry
+from crowdbench.run.executor import call_each, checked_workers
 
 DEFAULT = Limits()
+Verified = tuple[Entry, ResourceUsage]
 
 
 def verify(
@@ -29,9 +42,9 @@ def verify(
     *,
     workers: int | None = None,
     limits: Limits = DEFAULT,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = no_progress,
     taken: Collection[str] = (),
-) -> tuple[Entry, ResourceUsage]:
+) -> Verified:
     """Roll out and score a submission; write `ID.json.gz` and `ID.run.json` into `out`.
 
     The same submission gives the same bytes in `ID.json.gz`; time, memory and machine are in
@@ -49,22 +62,77 @@ def verify(
             something it needs, such as a recording, is missing.
     """
     owners = owners_of(out) | {name: [] for name in taken}
-    entry, ran = entry_of(submission, out / "work", workers, limits, progress, owners)
-    # The child has checked this before the first rollout, but its answer is not trusted.
-    check_unused(submission, entry.id, entry.declared.authors, owners)
-    write_json(entry_path(out, entry.id), entry)
-    write_run(out / f"{entry.id}.run.json", ran)
-    return entry, ran
+    verified = entry_of(submission, out / "work", workers, limits, progress, owners)
+    _write(submission, out, verified, owners)
+    return verified
 
 
-def owners_of(out: Path) -> dict[str, list[str]]:
-    """Authors of the entries in a folder, by id; a broken entry has none and may be overwritten."""
-    found = {}
-    for path in entry_paths(out).values():
-        with suppress(WeightsError):
-            entry = read_entry(path)
-            found[entry.id] = list(entry.declared.authors)
-    return found
+def verify_each(
+    submissions: Sequence[Path],
+    out: Path,
+    *,
+    workers: int | None = None,
+    limits: Limits = DEFAULT,
+    progress: Progress = no_progress,
+) -> Iterator[tuple[Path, Verified | CrowdbenchError]]:
+    """Verify submissions on the engine of `run.executor`, each by one process and in a sandbox.
+
+    `workers` is the number of submissions at a time. Rollouts are not kept.
+
+    Yields:
+        Each submission with its entry and resources, or with what is wrong with it.
+
+    Raises:
+        OutputError: a submission or `out` cannot be read or written.
+        WorkerError: a process of the cluster died.
+    """
+    owners = owners_of(out)
+    tasks = [(path.name, _files(path), limits, dict(owners)) for path in submissions]
+    progress(0, len(tasks))
+    found = call_each(_verified, tasks, checked_workers(workers), name=lambda name, *rest: name)
+    for done, (k, verified) in enumerate(found, 1):
+        if not isinstance(verified, CrowdbenchError):
+            try:
+                _write(submissions[k], out, verified, owners)
+                owners[verified[0].id] = []
+            except CrowdbenchError as error:
+                verified = error
+        progress(done, len(tasks))
+        yield submissions[k], verified
+
+
+def _verified(
+    name: str, files: Mapping[str, bytes], limits: Limits, owners: Mapping[str, Sequence[str]]
+) -> Verified | CrowdbenchError:
+    with tempfile.TemporaryDirectory(prefix="crowdbench-verify-") as folder:
+        submission = Path(folder) / "submission" / name
+        for path, data in files.items():
+            (submission / path).parent.mkdir(parents=True, exist_ok=True)
+            (submission / path).write_bytes(data)
+        try:
+            return entry_of(submission, Path(folder) / "work", 1, limits, no_progress, owners)
+        except CrowdbenchError as error:
+            return error
+
+
+def _files(submission: Path) -> dict[str, bytes]:
+    """The files of a submission by their paths, without looking at what is in them.
+
+    Raises:
+        OutputError: it cannot be read.
+    """
+    if not submission.is_dir():
+        raise OutputError(submission, got="no such folder", expected="a submission's folder")
+    try:
+        return {
+            path.relative_to(submission).as_posix(): path.read_bytes()
+            for path in sorted(submission.rglob("*"))
+            if path.is_file() and not path.is_symlink()
+        }
+    except OSError as error:
+        raise OutputError(
+            submission, got=error.strerror or str(error), expected="a readable folder"
+        ) from error
 
 
 def entry_of(
@@ -72,34 +140,43 @@ def entry_of(
     work: Path,
     workers: int | None,
     limits: Limits,
-    progress: Callable[[int, int], None],
+    progress: Progress,
     owners: Mapping[str, Sequence[str]] = MappingProxyType({}),
-) -> tuple[Entry, ResourceUsage]:
+) -> Verified:
     """Verify a submission in a child process; return its entry and the resources used.
 
     `owners` are the authors of other entries by id, see `check_unused`.
     """
-    asked: dict[str, object] = {
-        "submission": str(submission.resolve()),
-        "work": str(work.resolve()),
-        "workers": workers,
-        "owners": dict(owners),
-    }
     entry, ran = call(
-        "crowdbench.leaderboard.verification.judge:make_entry",
-        asked,
+        "crowdbench.leaderboard.verification.make_entry:make_entry",
+        {
+            "submission": str(submission.resolve()),
+            "work": str(work.resolve()),
+            "workers": workers,
+            "owners": dict(owners),
+        },
         Entry,
         where=submission,
         limits=limits,
         progress=progress,
     )
     try:
-        check_entry(entry, submission)  # before its id becomes the name of a file
+        check_entry(entry, submission)
     except WeightsError as error:
         raise SandboxError(
             submission, got=f"an entry with {error.got}", expected=error.expected
         ) from error
     return entry, ran
+
+
+def _write(
+    submission: Path, out: Path, verified: Verified, owners: Mapping[str, Sequence[str]]
+) -> None:
+    """Write an entry. The child has checked its id before the first rollout, but is not trusted."""
+    entry, ran = verified
+    check_unused(submission, entry.id, entry.declared.authors, owners)
+    write_json(entry_path(out, entry.id), entry)
+    write_run(out / f"{entry.id}.run.json", ran)
 
 
 def write_run(path: Path, ran: ResourceUsage) -> None:

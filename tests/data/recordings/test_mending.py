@@ -225,9 +225,10 @@ def test_options_that_nothing_answers_to_are_refused(
 
 
 def test_published_recordings_are_not_mended(capsys: Printed) -> None:
-    assert main(["data", "import", "eth", "--gaps", "split"]) == 2
-    assert "--gaps without --format" in capsys.readouterr().err
-    assert get_args(get_args(get_args(options.Gaps)[0])[0]) == GAPS
+    for option, value in (("--gaps", "split"), ("--offset-s", "1"), ("--dt-s", "0.4")):
+        assert main(["data", "import", "eth", option, value]) == 2
+        assert f"{option} without --format" in capsys.readouterr().err
+    assert get_args(options.Gaps) == GAPS
 
 
 # Any crowd: rows may be missing, and shifted by up to a third of a step.

@@ -1,22 +1,15 @@
-"""Score entries again; the earlier scores are kept, with the reason."""
+"""`python -m studies rescore`: score entries again; earlier scores are kept, with the reason."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 
-from crowdbench.errors import SettingError, did_you_mean
+from crowdbench.errors import SettingError
 from crowdbench.files import write_json
-from crowdbench.leaderboard.sandbox.parent import Limits
-from crowdbench.leaderboard.standings import View, scores
+from crowdbench.leaderboard.sandbox.parent import Limits, Progress, no_progress
+from crowdbench.leaderboard.scores import View, scores
 from crowdbench.leaderboard.verification.check import check
-from crowdbench.leaderboard.verification.entry import (
-    SCORER,
-    Earlier,
-    Entry,
-    entry_paths,
-    read_entry,
-)
+from crowdbench.leaderboard.verification.entry import SCORER, Earlier, Entry, find_entry, read_entry
 from crowdbench.leaderboard.verification.verify import DEFAULT, entry_of, write_run
 
 
@@ -28,7 +21,7 @@ def rescore(
     out: Path,
     workers: int | None = None,
     limits: Limits = DEFAULT,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = no_progress,
 ) -> Entry:
     """Verify the submission of an entry again, and move its earlier scores to its `history`.
 
@@ -44,18 +37,16 @@ def rescore(
         raise SettingError(
             "reason", got=repr(reason), expected="one line that says why it is scored again"
         )
-    known = entry_paths(root / "entries")
-    if entry_id not in known:
-        raise SettingError(
-            "entry",
-            got=repr(entry_id),
-            expected=f"one of {root}/entries ({', '.join(known) or 'none yet'})",
-            hint=did_you_mean(entry_id, known),
-        )
-    path = known[entry_id]
+    path = find_entry(entry_id, root / "entries")
     old = read_entry(path)
     submission = root / "submissions" / entry_id
-    _check_changed(old, submission)
+    if old.scorer == SCORER and check(submission).artefacts == old.artefacts:
+        raise SettingError(
+            f"entry {old.id}",
+            got=f"scorer {SCORER} and files that it has already scored",
+            expected="a newer scorer or a changed submission",
+            hint="The scores would be the same.",
+        )
     new, ran = entry_of(submission, out / "work", workers, limits, progress)
     if new.id != entry_id:
         raise SettingError(
@@ -73,15 +64,3 @@ def rescore(
     write_json(path, entry)
     write_run(out / f"{entry_id}.run.json", ran)
     return entry
-
-
-def _check_changed(old: Entry, submission: Path) -> None:
-    if old.scorer != SCORER:
-        return
-    if check(submission).artefacts == old.artefacts:
-        raise SettingError(
-            f"entry {old.id}",
-            got=f"scorer {SCORER} and files that it has already scored",
-            expected="a newer scorer or a changed submission",
-            hint="The scores would be the same.",
-        )

@@ -5,34 +5,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
+
 from crowdbench.errors import WeightsError
+from crowdbench.leaderboard.scores import FAMILIES_OF, View, are_trajectories, scores
 from crowdbench.leaderboard.submission.schema import SCENES, Track
-from crowdbench.leaderboard.verification.entry import Entry, SceneEntry, entry_paths, read_entry
-from crowdbench.leaderboard.verification.flags import with_current_limits
-from crowdbench.leaderboard.verification.soundness import FAMILY_OF, check_entry
-from crowdbench.leaderboard.verification.trip_limits import trip_limit
-from crowdbench.metrics import FAMILIES, WALK
-from crowdbench.report.text.notes import beyond_gate, effect_of_gate
-from crowdbench.scene import load_scene
-from crowdbench.scoring.score import Score, combined, ranks, total_score
+from crowdbench.leaderboard.verification.entry import Entry, entry_paths, read_entry
+from crowdbench.leaderboard.verification.flags import flags_of, trip_limit
+from crowdbench.leaderboard.verification.soundness import check_entry
+from crowdbench.scoring.score import Score, ranks
 from crowdbench.scoring.scorecard import Limit
 
 TRACKS: tuple[Track, ...] = ("walk", "spawn", "crowd")
-FAMILIES_OF: dict[Track, tuple[str, ...]] = {
-    "walk": WALK,
-    "spawn": tuple(family for family in FAMILIES if family not in WALK),
-    "crowd": FAMILIES,
-}
-
-
-class View(NamedTuple):
-    """The part of an entry that is ranked: a family and a scene.
-
-    Empty strings stand for all families, and for the scenes of the overall score.
-    """
-
-    family: str = ""
-    scene: str = ""
 
 
 class Gate(NamedTuple):
@@ -176,62 +160,6 @@ def standing(
     return found
 
 
-def scores(entry: Entry, *, gated: bool = True) -> dict[View, Score]:
-    """The scores of an entry, by the views in which it has one.
-
-    A scene's score combines its families (see `total_score`), if no scored family is missing. The
-    overall score, in total and of each family, is the mean of the scenes in `SCENES`, if none is
-    missing. Crowds submitted as trajectories do not have the recorded arrivals, so they are scored
-    without motion and interaction. With `gated=False`, the scores are those without the gate.
-    """
-    families = FAMILIES_OF[entry.declared.track]
-    if entry.declared.track == "crowd" and are_trajectories(entry):
-        families = FAMILIES_OF["spawn"]
-    found: dict[View, Score] = {}
-    for name, scene in entry.scenes.items():
-        each = {f: scene.families[f].score() for f in families if f in scene.families}
-        found |= {View(family, name): score for family, score in each.items()}
-        whole = total_score(each, passes=not (scene.fails and gated))
-        if whole is not None and _counted(scene) & set(families) <= set(each):
-            found[View(scene=name)] = whole
-    if all(View(scene=name) in found for name in SCENES):
-        for family in ("", *families):
-            known = [found[View(family, s)] for s in SCENES if View(family, s) in found]
-            mean = combined(known)
-            if mean is not None:
-                found[View(family)] = mean
-    return found
-
-
-def gate_notes(entry: Entry) -> dict[str, str]:
-    """By scene, a note on the limits of the gate that the entry exceeds and on their effect."""
-    found, without = scores(entry), scores(entry, gated=False)
-    notes = {}
-    for name, scene in entry.scenes.items():
-        if scene.fails:
-            exceeded = beyond_gate(
-                scene.fails,
-                load_scene(name).gate,
-                (scene.speed_mps, scene.recorded_speed_mps),
-                (scene.at_goal, scene.recorded_at_goal),
-            )
-            view = View(scene=name)
-            walks = entry.declared.track == "walk"
-            of = "the score" if walks else "the score (the mean of crowd and walk)"
-            effect = effect_of_gate(of, found.get(view), without.get(view))
-            notes[name] = f"The policy does not pass the gate: {exceeded}. {effect}"
-    return notes
-
-
-def are_trajectories(entry: Entry) -> bool:
-    """Whether an entry was submitted as trajectories of another program."""
-    return any("/trajectories/" in name for name in entry.artefacts)
-
-
-def _counted(scene: SceneEntry) -> set[str]:
-    return {FAMILY_OF[name] for name, metric in scene.metrics.items() if metric.scored}
-
-
 def read_entries(folder: Path, beside: Path | None = None) -> list[Entry]:
     """All entries of a folder, and those of the folder `beside` with other ids.
 
@@ -254,7 +182,7 @@ def read_entries(folder: Path, beside: Path | None = None) -> list[Entry]:
                 path,
                 got=f"scores of scorer {entry.scorer}",
                 expected=f"scorer {scorer}, as in other entries",
-                hint="Run `crowdbench leaderboard rescore`.",
+                hint="Run `python -m studies rescore`.",
             )
         for name, scene in entry.scenes.items():
             if made_from.setdefault(name, scene.made_from) != scene.made_from:
@@ -262,13 +190,20 @@ def read_entries(folder: Path, beside: Path | None = None) -> list[Entry]:
                     path,
                     got=f"scene {name} with the hash {scene.made_from}",
                     expected=f"the hash {made_from[name]}, as in other entries",
-                    hint="Run `crowdbench leaderboard rescore`.",
+                    hint="Run `python -m studies rescore`.",
                 )
     return [with_current_limits(entry) for _, entry in entries]
 
 
-def shipped_leaderboard() -> Path:
-    """The folder of the leaderboard that comes with crowdbench."""
-    package = Path(__file__).parents[1]
-    installed = package / "_leaderboard"  # in an installed wheel
-    return installed if installed.is_dir() else package.parent / "leaderboard"
+def with_current_limits(entry: Entry) -> Entry:
+    """The entry with its flags of copied trips by the present limits, which may be measured anew.
+
+    Other flags are kept. Raises WeightsError: see `trip_limit`.
+    """
+    flags = [flag for flag in entry.flags if flag.what != "copied trips"]
+    for name, scene in entry.scenes.items():
+        only_trips = msgspec.structs.replace(scene.copy, arrivals=None)
+        flags += flags_of(name, None, None, only_trips)
+    order = entry.declared.scenes
+    flags.sort(key=lambda flag: order.index(flag.scene))  # as verification does
+    return msgspec.structs.replace(entry, flags=flags)

@@ -1,0 +1,97 @@
+"""From an untrusted submission to its entry: run and score the rollouts.
+
+This runs inside the sandbox. Rollouts stay in the working folder, so that an interrupted
+verification can be continued.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import chdir
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+
+from crowdbench import __version__
+from crowdbench.leaderboard.submission.submission import Submission, read_submission
+from crowdbench.leaderboard.verification.entry import (
+    SCHEMA,
+    SCORER,
+    Entry,
+    Flag,
+    SceneEntry,
+    check_unused,
+)
+from crowdbench.leaderboard.verification.scene_entry import SceneRollouts, scene_entry
+from crowdbench.registry import recording_of
+from crowdbench.run.judge import TRAJECTORIES
+from crowdbench.run.processes import alone_in
+from crowdbench.run.rollout_jobs import Job, plan
+from crowdbench.scene import load_scene
+from crowdbench.scoring.reference import read_reference
+
+
+def make_entry(
+    progress: Callable[[int, int], None],
+    submission: str,
+    work: str,
+    workers: int | None,
+    rollouts: int | None = None,
+    owners: Mapping[str, Sequence[str]] = MappingProxyType({}),
+) -> Entry:
+    """Roll out a submission, score it and return its entry.
+
+    `progress(done, total)` counts rollouts. `rollouts` is the number per split, by default that of
+    the scene's protocol. `owners` are the authors of other entries by id, see `check_unused`.
+
+    Raises:
+        OutputError: the id belongs to an entry of other authors.
+        CrowdbenchError: the submission or one of its models is invalid.
+        RecordingError: a scene's recording is missing.
+    """
+    given = read_submission(Path(submission))
+    check_unused(submission, given.id, given.declared.authors, owners)
+    folder = Path(work).resolve() / given.id
+    scenes: dict[str, SceneEntry] = {}
+    flags: list[Flag] = []
+    # Rollouts name their models by relative paths, and are found again if the folder has moved.
+    with chdir(given.folder):
+        here = replace(given, folder="")
+        planned = [_planned(here, name, folder, rollouts) for name in here.declared.scenes]
+        total, before = sum(len(each.jobs) for each in planned), 0
+        with alone_in(folder):
+            for each in planned:
+                each.roll_out(workers, lambda done, _, b=before: progress(b + done, total))  # type: ignore[misc]
+                before += len(each.jobs)
+                scenes[each.place.id], found = scene_entry(each)
+                flags += found
+    return Entry(
+        schema=SCHEMA,
+        id=given.id,
+        status=given.status,
+        declared=given.declared,
+        scorer=SCORER,
+        crowdbench=__version__,
+        artefacts=given.artefacts,
+        scenes=scenes,
+        flags=flags,
+        history=[],
+    )
+
+
+def _planned(given: Submission, name: str, folder: Path, rollouts: int | None) -> SceneRollouts:
+    place = load_scene(name)
+    recording_of(place)  # where it is missing, this is said before any rollout
+    reference = read_reference(place)
+    track, protocol = given.declared.track, given.protocol
+    if tables := given.trajectories_of(name):
+        pair = ("replay" if track == "walk" else TRAJECTORIES, TRAJECTORIES)
+        crowd, walk = (None if track == "walk" else pair), (None if track == "spawn" else pair)
+        jobs = [Job(name, *pair, "full", 0, k, path, "") for k, path in enumerate(tables)]
+        return SceneRollouts(place, reference, protocol, crowd, walk, jobs, len(jobs))
+    policy = given.policy_of(name)
+    crowd = None if track == "walk" else (given.spawn_of(name), policy)
+    walk = None if track == "spawn" else ("replay", policy)
+    default = place.protocol.fits * place.protocol.rollouts_per_fit
+    seeds = default if rollouts is None else rollouts
+    pairs = list(dict.fromkeys(pair for pair in (crowd, walk) if pair is not None))
+    jobs = plan(name, place, pairs, protocol, seeds, folder / name)
+    return SceneRollouts(place, reference, protocol, crowd, walk, jobs, seeds)
