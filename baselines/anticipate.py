@@ -47,12 +47,6 @@ from walls where simulated people are found more often than recorded ones, and f
 (`corrected`).
 The weights of passes and of delay, the width of the mixture and the strength of the jitter are
 chosen by the scores of walking that `validate` measures there.
-
-**Closed loop.** Optionally (`--rounds`) the policy draws three candidates in each decision of a
-recorded person, who walks the one nearest to its recorded next position; the states near targets
-that it comes to are labelled with the way to the recorded end, and are learned too (after Zhang et
-al. 2025, CAT-K, CVPR, arXiv:2412.05334). By default there are no rounds: on ETH more people arrived
-with them, but they walked less steadily.
 """
 
 import argparse
@@ -83,10 +77,8 @@ with needs("fit", __name__):
 
     from .anticipation import (
         KNOTS_M,
-        NEAR_M,
         NOISE,
         OBSERVATION,
-        PLAIN,
         Guide,
         InProcess,
         Sampler,
@@ -113,9 +105,6 @@ class Settings:
     weight_decay: float = 1e-2
     smoothing_s: float = 2.4
     jitter_mps: float = 0.2
-    rounds: int = 0
-    recovery_s: float = 1.5
-    candidates: int = 3
     people: int = 10_000
     held_out: float = 0.1
     """Share of the persons held out, whose likelihood is printed."""
@@ -124,7 +113,7 @@ class Settings:
 
 SETTABLE = {
     "hidden": "width of the two hidden layers",
-    "steps": "number of steps of the training before the closed loop",
+    "steps": "number of training steps",
     "batch_size": "number of decisions in a batch, at least",
     "passes": "how often all decisions are learned from, at least; batches are as large as needed",
     "learning_rate": "maximum learning rate of AdamW",
@@ -132,9 +121,6 @@ SETTABLE = {
     "smoothing_s": "window in which recorded paths are smoothed, seconds; 0: none",
     "jitter_mps": "maximum standard deviation of the noise on a person's own velocity in training, "
     "m/s; 0: none",
-    "recovery_s": "time constant with which labels in closed loop return to the recorded paths",
-    "rounds": "rounds of training in closed loop, each of half as many steps as before them",
-    "candidates": "number of candidates per decision in closed loop",
     "people": "number of people, at least, who are simulated for each choice of the guide; the "
     "recording is walked as often as needed",
 }
@@ -201,16 +187,11 @@ class Samples:
     did: Tensor
 
     @classmethod
-    def of(cls, shown: Demonstrations, from_target_m: float = math.inf) -> "Samples":
-        """Pairs of demonstrations within a distance of the target, and their mirror images."""
+    def of(cls, shown: Demonstrations) -> "Samples":
+        """Pairs of demonstrations, and their mirror images."""
         seen, did = shown.pairs()
-        near = seen[:, social.ROUTE_LENGTH.start] * social.ROUTE_RANGE_M <= from_target_m
-        seen, did = seen[near], did[near]
         both = (seen, mirrored(seen)), (did, did * np.array([1, -1], np.float32))
         return cls(*(torch.from_numpy(np.concatenate(pair)) for pair in both))
-
-    def __add__(self, other: "Samples") -> "Samples":
-        return Samples(torch.cat([self.seen, other.seen]), torch.cat([self.did, other.did]))
 
     def __len__(self) -> int:
         return len(self.seen)
@@ -287,7 +268,7 @@ def pooled(each: Sequence[Samples]) -> Samples:
 
 
 def train(command: Command, split: str, settings: Settings, ahead: int, walker: Walker) -> Walker:
-    """Clone a network, then improve it in closed loop; returns it."""
+    """Clone a network; returns it."""
     where: dict[str, Any] = {
         "split": split,
         "observation": OBSERVATION,
@@ -299,8 +280,7 @@ def train(command: Command, split: str, settings: Settings, ahead: int, walker: 
         for scene in command.scenes
     ]
     tested = pooled([Samples.of(held_out) for _, held_out in people])
-    each = [Samples.of(shown) for shown, _ in people]
-    samples = pooled(each)
+    samples = pooled([Samples.of(shown) for shown, _ in people])
     if len(samples) == 0:
         raise RecordingError(
             "+".join(scene.id for scene in command.scenes),
@@ -308,29 +288,11 @@ def train(command: Command, split: str, settings: Settings, ahead: int, walker: 
             expected="two or more people in the training blocks",
         )
     fit(walker, samples, settings.steps, settings.learning_rate, settings, command)
-    for k in range(1 + settings.rounds):
-        if len(tested):
-            with torch.no_grad():
-                none = torch.zeros(len(tested), 1)
-                nats = float(walker.log_prob(tested.seen, none, tested.did).mean())
-            print(f"{split}: round {k}, held out {nats:.3f} nats per decision", flush=True)
-        if k == settings.rounds:
-            break
-        plain = InProcess(Sampler(walker, PLAIN), ahead)
-        for j, scene in enumerate(command.scenes):
-            walked = demonstrations(
-                scene,
-                policy=plain,
-                candidates=settings.candidates,
-                recovery_s=settings.recovery_s,
-                seed=settings.seed + k,
-                **where,
-            )
-            trained_on = np.isin(walked.person, people[j][0].person)
-            each[j] += Samples.of(walked.take(np.flatnonzero(trained_on)), NEAR_M)
-        samples = pooled(each)
-        steps = max(1, settings.steps // 2)
-        fit(walker, samples, steps, settings.learning_rate / 2, settings, command)
+    if len(tested):
+        with torch.no_grad():
+            none = torch.zeros(len(tested), 1)
+            nats = float(walker.log_prob(tested.seen, none, tested.did).mean())
+        print(f"{split}: held out {nats:.3f} nats per decision", flush=True)
     return walker
 
 
@@ -476,9 +438,7 @@ def main(arguments: list[str] | None = None) -> int:
     asked = command_line().parse_args(arguments)
     settings = Settings(**{name: getattr(asked, name) for name in (*SETTABLE, "seed")})
     try:
-        zero = (
-            "passes", "rounds", "smoothing_s", "jitter_mps", "recovery_s", "weight_decay", "seed"
-        )  # fmt: skip
+        zero = ("passes", "smoothing_s", "jitter_mps", "weight_decay", "seed")
         check_numbers(settings, or_zero=zero)
         check_onnx()  # needed for the choice of the guide, after the training
         command = Command.of_asked("anticipate", asked, arguments)

@@ -105,7 +105,6 @@ VARIANTS = (
     ),
     Variant("no-smoothing", "cloned on recorded paths as they are", Settings(smoothing_s=0.0)),
     Variant("no-jitter", "cloned without jitter", Settings(jitter_mps=0.0)),
-    Variant("closed-loop", "one round of training in closed loop", Settings(rounds=1)),
     Variant("ahead", "it learns the velocity over twice the time", ahead=2),
     Variant(
         "slower",

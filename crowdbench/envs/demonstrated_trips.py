@@ -26,8 +26,6 @@ class Demonstrations:
     actions: Float32[np.ndarray, "R 2"]
     """Velocities in units of the scene's maximum speed, in the frame of the observation; NaN in the
     last row of each piece."""
-    deviation_m: Float32[np.ndarray, " R"]
-    """Distance of the person from its recorded position, in metres."""
     person: Int[np.ndarray, " L"]
     """Index of the person in the recording."""
     offsets: Int[np.ndarray, " L+1"]
@@ -45,26 +43,20 @@ class Demonstrations:
     def __len__(self) -> int:
         return len(self.person)
 
-    def pairs(
-        self, within_m: float = np.inf
-    ) -> tuple[Float32[np.ndarray, "S obs"], Float32[np.ndarray, "S 2"]]:
-        """Observations (S, obs) and the actions (S, 2) taken in them, of all pieces.
-
-        Without the actions of people who are `within_m` or more from their recorded positions.
-        """
-        shown = ~np.isnan(self.actions[:, 0]) & (self.deviation_m < within_m)
+    def pairs(self) -> tuple[Float32[np.ndarray, "S obs"], Float32[np.ndarray, "S 2"]]:
+        """Observations (S, obs) and the actions (S, 2) taken in them, of all pieces."""
+        shown = ~np.isnan(self.actions[:, 0])
         return self.observations[shown], self.actions[shown]
 
     def padded(
-        self, within_m: float = np.inf
+        self,
     ) -> tuple[
         Float32[np.ndarray, "L T obs"], Float32[np.ndarray, "L T 2"], Bool[np.ndarray, "L T"]
     ]:
         """Observations, actions and a mask by piece and step, for recurrent networks.
 
         T is the number of actions in the longest piece. Shorter pieces are followed by zeros. The
-        mask is true where there is an action, unless the person is `within_m` or more from its
-        recorded position. To save memory, take a batch of pieces first:
+        mask is true where there is an action. To save memory, take a batch of pieces first:
         `shown.take(batch).padded()`.
         """
         steps = np.diff(self.offsets) - 1
@@ -73,7 +65,6 @@ class Demonstrations:
         observations = np.zeros((*there.shape, self.observations.shape[1]), np.float32)
         actions = np.zeros((*there.shape, 2), np.float32)
         observations[there], actions[there] = self.observations[acted], self.actions[acted]
-        there[there] = self.deviation_m[acted] < within_m
         return observations, actions, there
 
     def take(self, pieces: Sequence[int] | Int[np.ndarray, " l"]) -> "Demonstrations":
@@ -86,7 +77,7 @@ class Demonstrations:
         of_rows, of_pieces = (
             {name: getattr(self, name)[which] for name in names}
             for names, which in (
-                (("observations", "actions", "deviation_m"), rows),
+                (("observations", "actions"), rows),
                 (("person", "first", "entered", "complete"), chosen),
             )
         )
@@ -151,7 +142,6 @@ class Rows(NamedTuple):
     """Number of decisions that the person has made before."""
     observations: Float32[np.ndarray, "n obs"]
     actions: Float32[np.ndarray, "n 2"]
-    deviation_m: Float32[np.ndarray, " n"]
 
 
 def pieces_of(
@@ -179,7 +169,6 @@ def pieces_of(
     return Demonstrations(
         observations=found.observations,
         actions=found.actions,
-        deviation_m=found.deviation_m,
         person=person,
         offsets=offsets,
         first=frame,

@@ -1,32 +1,30 @@
 """Demonstrations: observations and actions of recorded people, for imitation learning.
 
 The recording is replayed in the simulation of the environments. Everyone follows the recorded path,
-or is moved by a policy that stays near it, and each observation is stored with the action that
-leads to the next recorded position. Observations, walls and the speed limit are therefore the same
-as in the environments, and so are companions, stops and preferred speeds, which are those of the
-spawn model `replay`. Actions are in the frame of the observation.
+and each observation is stored with the action that leads to the next recorded position.
+Observations, walls and the speed limit are therefore the same as in the environments, and so are
+companions, stops and preferred speeds, which are those of the spawn model `replay`. Actions are in
+the frame of the observation.
 """
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
+from numpy.random import Generator
 
 from crowdbench import __version__, registry
 from crowdbench.data.recordings.catalogue import source
 from crowdbench.data.smoothing import smoothed
 from crowdbench.data.stops import STANDING_MPS
-from crowdbench.envs.closed_loop import NearestCandidate
+from crowdbench.data.table import Trajectories
 from crowdbench.envs.demonstrated_trips import Demonstrations, Rows, pieces_of
-from crowdbench.envs.perturbation import HOMING_S, PathPerturbation
-from crowdbench.envs.recorded_paths import RecordedContinuation
+from crowdbench.envs.perturbation import PathPerturbation
 from crowdbench.errors import SettingError
-from crowdbench.policies import Policy
-from crowdbench.policies.memory import Needs
-from crowdbench.run.acting import settings_for
-from crowdbench.run.episode import begin, check_capacity, generator
+from crowdbench.policies import StateView
+from crowdbench.run.episode import begin, check_capacity
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION
@@ -38,8 +36,6 @@ from crowdbench.spawn.fits import check_split
 
 __all__ = ["Demonstrations", "demonstrations"]
 
-CANDIDATES = 3
-"""Default number of actions that a policy draws for each person and decision."""
 RECOVERY_S = 1.5
 """Default time constant of displacements, seconds."""
 
@@ -51,12 +47,10 @@ def demonstrations(
     observation: str = OBSERVATION,
     rays: int = 32,
     ray_range_m: float = 10.0,
-    interval: int | None = None,
-    policy: str | Policy | None = None,
-    candidates: int = CANDIDATES,
+    interval: int = 1,
     smoothing_s: float = 0.0,
     displaced_m: float = 0.0,
-    recovery_s: float | None = None,
+    recovery_s: float = RECOVERY_S,
     seed: int = 0,
 ) -> Demonstrations:
     """Demonstrations of a scene's recording, from the time blocks on which `split` is fitted.
@@ -65,26 +59,15 @@ def demonstrations(
     it, as in a rollout of a policy with this interval. There is a row for each decision. Its action
     is the mean velocity until the next decision, and people keep this velocity in between.
 
-    A cloned policy drifts away from the recorded paths into states without demonstrations. There
-    are two ways to show how to return:
-
-    - `policy`: everyone is moved by a policy, in closed loop. In each decision the policy draws
-      `candidates` actions for each person. The person walks the one that ends nearest to its
-      recorded position at the next decision; the action that is shown leads from where the person
-      is to that position, at most at the maximum speed (Zhang et al. 2025, CVPR, arXiv:2412.05334).
-      With `recovery_s` = τ it leads back more smoothly: the deviation decays by the share dt/τ in a
-      decision of dt seconds, except in the last 2 s, in which it leads to the last position.
-      Everyone enters and leaves when recorded. `deviation_m` tells how far people are from their
-      recorded positions. Those who are farther than 3 m walk back, whatever the policy does. Train
-      on these demonstrations together with those of the recording.
-    - `displaced_m`: a random half of the persons is displaced repeatedly: each displacement starts
-      at an offset δ from the recorded path with an additional velocity ε, and decays like a
-      critically damped spring with time constant τ. At time t the person is
-      (δ + (ε + δ/τ) t) exp(−t/τ) away from the recorded position. (Laskey et al. 2017, DART, CoRL,
-      disturb the demonstrator for the same reason.) The displaced motion is as smooth as the
-      recorded one; a return in a single step would look like restless motion. In their last 2 s,
-      displaced people walk straight to the last recorded position. People who stand still are not
-      displaced.
+    A cloned policy drifts away from the recorded paths into states without demonstrations. With
+    `displaced_m`, demonstrations show how to return: a random half of the persons is displaced
+    repeatedly. Each displacement starts at an offset δ from the recorded path with an additional
+    velocity ε, and decays like a critically damped spring with time constant τ. At time t the
+    person is (δ + (ε + δ/τ) t) exp(−t/τ) away from the recorded position. (Laskey et al. 2017,
+    DART, CoRL, disturb the demonstrator for the same reason.) The displaced motion is as smooth as
+    the recorded one; a return in a single step would look like restless motion. In their last 2 s,
+    displaced people walk straight to the last recorded position. People who stand still are not
+    displaced.
 
     Args:
         scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
@@ -93,63 +76,43 @@ def demonstrations(
         observation: version of the observation, as in `parallel_env`.
         rays: number of rays.
         ray_range_m: range of the rays in metres.
-        interval: number of frames between two decisions; default: that of the policy, or 1.
-        policy: a policy that moves everyone, as in `crowdbench.policy`, trained on `split` if there
-            is one for each split. If it sees observations, they must be those asked for.
-        candidates: number of actions that the policy draws. It is called once for all of them: each
-            person is in so many rows of the batch.
+        interval: number of frames between two decisions.
         smoothing_s: window in which recorded positions are smoothed, in seconds, as in
             `crowdbench.data.smoothing.smoothed`; 0: not at all. Without it, actions contain
             the noise of annotations, and sampled walkers tremble.
         displaced_m: standard deviation σ of each component of δ in metres; each component of ε has
             σ/τ. 0: no displacements.
-        recovery_s: τ in seconds. Each displacement lasts for 4 τ and is followed by another one;
-            default: 1.5, or 0 with a policy.
-        seed: random seed of the displacements, or of the policy.
+        recovery_s: τ in seconds. Each displacement lasts for 4 τ and is followed by another one.
+        seed: random seed of the displacements.
 
     Raises:
         RecordingError: the recording is not imported.
-        SceneError, SettingError: the scene, split, observation or policy does not exist, the policy
-            has another observation or interval, or a number is out of range.
-        WeightsError: the file of the policy is missing or invalid.
-        ActionError: the policy does not return one finite action per row.
+        SceneError, SettingError: the scene, split or observation does not exist, or a number is out
+            of range.
     """
     place = load_scene(scene)
     check_split(split, 0)
-    if recovery_s is None:
-        recovery_s = 0.0 if policy is not None else RECOVERY_S
-    least_s = 0 if policy is not None else 1e-3
     for name, value, least in (
         ("smoothing_s", smoothing_s, 0),
         ("displaced_m", displaced_m, 0),
-        ("recovery_s", recovery_s, least_s),
+        ("recovery_s", recovery_s, 1e-3),
     ):
         if not (np.isfinite(value) and value >= least):
             raise SettingError(
                 name, got=str(value), expected=f"a finite number of at least {least:g}"
             )
-    for name, count in (("interval", interval), ("candidates", candidates)):
-        if count is not None:
-            check_count(name, count)
-    if policy is not None and displaced_m > 0:
-        raise SettingError("demonstrations", got="displaced_m and a policy", expected="one of them")
+    check_count("interval", interval)
     recording = smoothed(registry.recording_of(place), smoothing_s)
     # A slot becomes free only in the frame after the last, when others have already entered.
     most = 2 * int(recording.present().max())
     settings = Settings(max_alive=most, rays=rays, ray_range_m=ray_range_m, observation=observation)
-    walker = None if policy is None else registry.policy(policy, place, split)
-    if walker is not None:
-        interval = _interval(walker, settings, interval)
     simulation = Simulation(place, settings=settings)
-    recorded = RecordedContinuation(recording, place.motion.max_speed_mps, interval or 1)
-    mover: Any = recorded  # of one of three protocols
-    if walker is not None:
-        mover = NearestCandidate(walker, candidates, simulation, recorded)
+    recorded = _RecordedContinuation(recording, place.motion.max_speed_mps, interval)
     aside = None
     if displaced_m > 0:
-        aside = PathPerturbation.of(recording, displaced_m, recovery_s, seed, recorded.interval)
-    watched = _Watched(simulation, recorded, aside, recovery_s if walker is not None else 0.0)
-    watched.replay(mover, split, seed)
+        aside = PathPerturbation.of(recording, displaced_m, recovery_s, seed, interval)
+    watched = _Watched(simulation, recorded, aside)
+    watched.replay(split)
     provenance = {
         "version": __version__,
         "scene": place.id,
@@ -162,32 +125,80 @@ def demonstrations(
         "observation": observation,
         "rays": rays,
         "ray_range_m": ray_range_m,
-        "interval": int(recorded.interval),
+        "interval": int(interval),
         "smoothing_s": smoothing_s,
         "displaced_m": displaced_m,
         "recovery_s": recovery_s,
         "seed": seed,
     }
-    if walker is not None:
-        provenance |= {"policy": walker.name, "candidates": int(candidates)}
     left = np.where(recording.left, recording.last, -1)
     return pieces_of(watched.rows, recording.first, left, provenance)
 
 
-def _interval(policy: Policy, settings: Settings, interval: int | None) -> int:
-    """The interval of a policy, whose observation and interval must be those asked for."""
-    where, own = f"policy {policy.name}", 1
-    if policy.sees == "observation":
-        own = Needs.of(policy).interval
-        settings_for(policy, settings, hint="Ask for demonstrations with {name}={value!r}.")
-    if interval not in (None, own):
-        raise SettingError(
-            where,
-            got=f"decisions every {own} frames",
-            expected=f"every {interval}, as in the demonstrations",
-            hint=f"Ask for demonstrations with interval={own}.",
-        )
-    return own
+@dataclass(frozen=True, eq=False)
+class _RecordedContinuation:
+    """Leads people straight to their recorded positions at their next decisions.
+
+    A person decides in its first frame and in each `interval`-th frame after it. Where its record
+    ends in between, the person is led to its last position in the frames that are left.
+
+    It is also the policy that moves everyone along the recorded paths; like `ReplayPolicy`, it
+    needs the spawn model `replay`.
+    """
+
+    recording: Trajectories
+    max_speed_mps: float
+    interval: int = 1
+    """Number of frames between two decisions."""
+    name: ClassVar[str] = "recorded-continuation"
+    sees: ClassVar[Literal["state"]] = "state"
+
+    def reset(self, scene: Scene, rng: Generator) -> None:
+        """Begin an episode; there are no random draws."""
+
+    def act(self, seen: StateView) -> Float32[np.ndarray, "A 2"]:
+        """Actions (A, 2) with which everyone is at its recorded position at its next decision."""
+        return self.action(seen.event, seen.frame, seen.position)
+
+    def row(
+        self, person: Int[np.ndarray, " n"], frame: int | Int[np.ndarray, " n"]
+    ) -> Int[np.ndarray, " n"]:
+        """Row of `recording.xy` of each person in a frame; its last row after its end."""
+        return self._at(person, frame - self.recording.first[person])
+
+    def following(
+        self, person: Int[np.ndarray, " n"], frame: int | Int[np.ndarray, " n"]
+    ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+        """Row of each person at its next decision after a frame, and the frames until then.
+
+        After the end of its record, these are its last row and 1.
+        """
+        age = frame - self.recording.first[person]
+        row = self._at(person, (age // self.interval + 1) * self.interval)
+        return row, np.maximum(row - self._at(person, age), 1)
+
+    def action(
+        self,
+        person: Int[np.ndarray, " n"],
+        frame: int | Int[np.ndarray, " n"],
+        position: Float[np.ndarray, "n 2"],
+        aside: Float[np.ndarray, "n 2"] | float = 0.0,
+    ) -> Float32[np.ndarray, "n 2"]:
+        """Action in the world frame that leads from a position to that at the next decision.
+
+        `aside` is added to the recorded position, metres. Actions are not clipped: those of people
+        who are too far away to get there in time are beyond the maximum speed.
+        """
+        row, frames = self.following(person, frame)
+        way = self.recording.xy[row].astype(np.float64) + aside - position
+        way /= self.recording.dt_s * frames[:, None]
+        return (way / self.max_speed_mps).astype(np.float32)
+
+    def _at(
+        self, person: Int[np.ndarray, " n"], age: Int[np.ndarray, " n"]
+    ) -> Int[np.ndarray, " n"]:
+        offsets = self.recording.offsets
+        return np.minimum(offsets[person] + age, offsets[person + 1] - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,14 +206,12 @@ class _Watched:
     """Everyone in a simulation of recorded people, and the rows that were written of them."""
 
     simulation: Simulation
-    recorded: RecordedContinuation
+    recorded: _RecordedContinuation
     aside: PathPerturbation | None
-    recovery_s: float
-    """Time constant with which actions lead back to recorded positions; 0: at once."""
     rows: list[Rows] = field(default_factory=list)
 
-    def replay(self, mover: Any, split: str, seed: int) -> None:
-        """Let a policy move the recorded people; write the rows on which `split` is trained."""
+    def replay(self, split: str) -> None:
+        """Move people along their recorded paths; write the rows on which `split` is trained."""
         simulation, recording = self.simulation, self.recorded.recording
         actor = begin(
             simulation,
@@ -210,28 +219,24 @@ class _Watched:
             seed=0,
             frames=recording.frames,
             start="recorded",
-            walker=mover,
+            walker=self.recorded,
             scripted=True,
         )
-        actor.reset(generator(seed, 0, "policy"))
         blocks = blocks_of(recording, simulation.scene).training(split)
         inside = np.zeros(recording.frames, dtype=bool)
         for start, stop in blocks.frames.tolist():
             inside[start:stop] = True
         for frame in range(recording.frames):
             actions = actor.actions()
-            if actor.world_frame and simulation.settings.own_frame:  # rounded as in environments
+            if simulation.settings.own_frame:  # rounded as in environments
                 actions = in_own_frame(actions, simulation.slots.heading)
             if inside[frame]:
-                self.write(frame, seen=not actor.world_frame)
+                self.write(frame)
             simulation.step(actions)
         check_capacity(simulation)
 
-    def write(self, frame: int, *, seen: bool) -> None:
-        """Write a row for everyone who decides in this frame or has just left.
-
-        `seen`: the observations of those who are present have just been computed.
-        """
+    def write(self, frame: int) -> None:
+        """Write a row for everyone who decides in this frame or has just left."""
         simulation, recorded, slots = self.simulation, self.recorded, self.simulation.slots
         there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
         person, alive = slots.event[0, there], slots.alive[0, there]
@@ -240,10 +245,7 @@ class _Watched:
         before = [state[0, there] for state in (slots.position, slots.velocity, slots.heading)]
         if self.aside is not None:
             position, beside = self._displace(self.aside, frame, there)
-        elif self.recovery_s > 0:
-            beside = self._recovering(person, frame, position)
-        if self.aside is not None or not (seen and alive.any()):
-            simulation.observe()
+        simulation.observe()
         actions = recorded.action(person, frame, position, beside)
         if simulation.settings.own_frame:
             actions = in_own_frame(actions, slots.heading[0, there])
@@ -257,22 +259,8 @@ class _Watched:
             step=-(-age // recorded.interval),  # rounded up
             observations=simulation.observation[0, there],
             actions=actions,
-            deviation_m=recorded.deviation_m(person, frame, position),
         )
         self.rows.append(Rows(*(column[due] for column in rows)))
-
-    def _recovering(
-        self, person: Int[np.ndarray, " n"], frame: int, position: Float32[np.ndarray, "n 2"]
-    ) -> Float[np.ndarray, "n 2"]:
-        """What is left of the deviations from the recorded positions at the next decisions."""
-        recorded = self.recorded
-        recording, row = recorded.recording, recorded.row(person, frame)
-        frames = recorded.following(person, frame)[1]
-        left = np.maximum(0, 1 - frames * recording.dt_s / self.recovery_s)
-        to_end = recording.offsets[person + 1] - 1 - row
-        left[to_end * recording.dt_s <= HOMING_S] = 0
-        off: np.ndarray = position.astype(np.float64) - recording.xy[row]
-        return off * left[:, None]
 
     def _displace(
         self, aside: PathPerturbation, frame: int, there: Int[np.ndarray, " n"]

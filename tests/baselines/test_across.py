@@ -196,7 +196,7 @@ def test_it_trains_on_two_scenes_and_validates_on_the_third(
     monkeypatch.setattr(anticipate, "CORRECTIONS", 1)
     monkeypatch.setattr(anticipate, "ROOM", (0.0,))
     given = ["--scenes", "eth-v0", "hotel-v0", "zara1-v0", "--leave-out", "zara1-v0"]
-    more = ["--steps", "50", "--people", "1", "--rounds", "1", "--out", str(tmp_path)]
+    more = ["--steps", "50", "--people", "1", "--out", str(tmp_path)]
     assert anticipate.main(given + more) == 0
     said = capsys.readouterr().out
     assert said.count("): walk ") == 1  # neither widths nor delays are tried

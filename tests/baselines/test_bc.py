@@ -90,7 +90,6 @@ def trips(persons: int = 60, steps: int = 20) -> Demonstrations:
     return Demonstrations(
         observations=seen,
         actions=acts,
-        deviation_m=np.zeros(rows, np.float32),
         person=np.arange(persons),
         offsets=np.arange(persons + 1) * (steps + 1),
         first=np.zeros(persons, dtype=np.int64),
