@@ -94,7 +94,7 @@ with needs("fit", __name__):
 
 
 @dataclass(frozen=True)
-class Settings:
+class AnticipateSettings:
     """Settings of the training; those in `SETTABLE` are described there."""
 
     hidden: int = 128
@@ -211,7 +211,12 @@ class Samples:
 
 
 def fit(
-    walker: Walker, samples: Samples, steps: int, rate: float, settings: Settings, command: Command
+    walker: Walker,
+    samples: Samples,
+    steps: int,
+    rate: float,
+    settings: AnticipateSettings,
+    command: Command,
 ) -> None:
     """Train a network by maximum likelihood, with a one-cycle learning rate."""
     size = max(settings.batch_size, math.ceil(settings.passes * len(samples) / settings.steps))
@@ -267,7 +272,9 @@ def pooled(each: Sequence[Samples]) -> Samples:
     return Samples(torch.cat([lot.seen for lot in lots]), torch.cat([lot.did for lot in lots]))
 
 
-def train(command: Command, split: str, settings: Settings, ahead: int, walker: Walker) -> Walker:
+def train(
+    command: Command, split: str, settings: AnticipateSettings, ahead: int, walker: Walker
+) -> Walker:
     """Clone a network; returns it."""
     where: dict[str, Any] = {
         "split": split,
@@ -323,7 +330,7 @@ def guided(
     sampler: Sampler,
     validators: Sequence[Validator],
     interval: int,
-    settings: Settings,
+    settings: AnticipateSettings,
     fixed: Mapping[str, float] = MappingProxyType({}),
 ) -> Guide:
     """Choose the guide on the training blocks of the validators, one for each scene.
@@ -401,7 +408,7 @@ def _parts(scenes: Sequence[Scene], found: Sequence[Validation]) -> str:
     return ", ".join(f"{family} {x:.2f}" for family, x in found[0].families.items())
 
 
-def learn(command: Command, split: str, settings: Settings) -> Path:
+def learn(command: Command, split: str, settings: AnticipateSettings) -> Path:
     """Train a network, choose its guide, and write both; return the file."""
     interval = decision_frames(*command.scenes)
     # First, because it fails if a scene has no reference statistics.
@@ -416,7 +423,9 @@ def learn(command: Command, split: str, settings: Settings) -> Path:
     return command.write(split, sampler, observation=OBSERVATION, noise=NOISE, interval=interval)
 
 
-def learn_and_walk(split: str, command: Command, settings: Settings, left_out: str | None) -> str:
+def learn_and_walk(
+    split: str, command: Command, settings: AnticipateSettings, left_out: str | None
+) -> str:
     """The same; return lines about how the policy walks, also in the scene that was left out."""
     other = None if left_out is None else Validator(left_out)
     path = learn(command, split, settings)
@@ -429,14 +438,14 @@ def learn_and_walk(split: str, command: Command, settings: Settings, left_out: s
 def command_line() -> argparse.ArgumentParser:
     """Argument parser of this script."""
     parser = new_parser("anticipate", __doc__, several=True)
-    add_settings(parser, Settings(), SETTABLE)
+    add_settings(parser, AnticipateSettings(), SETTABLE)
     return parser
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Train and write a policy for each split; return the exit code."""
     asked = command_line().parse_args(arguments)
-    settings = Settings(**{name: getattr(asked, name) for name in (*SETTABLE, "seed")})
+    settings = AnticipateSettings(**{name: getattr(asked, name) for name in (*SETTABLE, "seed")})
     try:
         zero = ("passes", "smoothing_s", "jitter_mps", "weight_decay", "seed")
         check_numbers(settings, or_zero=zero)

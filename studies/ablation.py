@@ -32,7 +32,7 @@ with needs("fit", __name__):
     from torch import Tensor
 
     from crowdbench.baselines.anticipate import (
-        Settings,
+        AnticipateSettings,
         decision_frames,
         frames_ahead,
         guided,
@@ -54,7 +54,7 @@ NEIGHBOURS = np.arange(social.NEIGHBOURS.start, social.NEIGHBOURS.stop).reshape(
 )
 
 
-USUAL = Settings()
+USUAL = AnticipateSettings()
 
 
 def _columns(*parts: slice) -> tuple[int, ...]:
@@ -72,7 +72,7 @@ class Variant:
     name: str
     what: str
     """Description in the table."""
-    settings: Settings = USUAL
+    settings: AnticipateSettings = USUAL
     unseen: tuple[int, ...] = ()
     """Columns of the observation that the network sees as zeros."""
     interval: int = 1
@@ -103,8 +103,10 @@ VARIANTS = (
         "it remembers neither age, distance walked nor time stood",
         unseen=_columns(social.AGE, social.WALKED, social.STOOD),
     ),
-    Variant("no-smoothing", "cloned on recorded paths as they are", Settings(smoothing_s=0.0)),
-    Variant("no-jitter", "cloned without jitter", Settings(jitter_mps=0.0)),
+    Variant(
+        "no-smoothing", "cloned on recorded paths as they are", AnticipateSettings(smoothing_s=0.0)
+    ),
+    Variant("no-jitter", "cloned without jitter", AnticipateSettings(jitter_mps=0.0)),
     Variant("ahead", "it learns the velocity over twice the time", ahead=2),
     Variant(
         "slower",

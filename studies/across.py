@@ -24,7 +24,7 @@ from crowdbench.scoring.ranking import Row, rows
 from studies.markdown import table
 
 with needs("fit", __name__):
-    from crowdbench.baselines.anticipate import Settings, learn
+    from crowdbench.baselines.anticipate import AnticipateSettings, learn
     from crowdbench.baselines.command import Command, use_one_thread
     from studies.ablation import difference
 
@@ -56,7 +56,7 @@ def write(command: Command) -> None:
     if not command.has_written(SPLIT):
         use_one_thread()
         with contextlib.redirect_stdout(sys.stderr):
-            learn(command, SPLIT, Settings())
+            learn(command, SPLIT, AnticipateSettings())
 
 
 def line(scene: str, found: Mapping[str, Row], elsewhere: str) -> list[str]:

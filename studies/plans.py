@@ -26,9 +26,8 @@ from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.plans.fitting import Marks, fit_plans, marks_of, trips_alone
 from crowdbench.spawn.plans.links import STAGES, Links, candidates, log_likelihood, stages
 from crowdbench.spawn.plans.mixtures import FEWEST, log_gaussians, moments
-from crowdbench.spawn.plans.trip_mixtures import Places, TripMixtures
 from crowdbench.spawn.plans.way_fitting import Trips, log_speeds
-from crowdbench.spawn.plans.ways import Ways
+from crowdbench.spawn.plans.ways import Places, TripMixtures, Ways
 from studies.markdown import table
 
 Pair = tuple[str, str]

@@ -54,7 +54,7 @@ def _nats(
 ) -> float:
     from crowdbench.spawn.ntpp import training as ntpp_training
 
-    settings = replace(ntpp_training.SETTINGS, shared=shared)
+    settings = replace(ntpp_training.DEFAULT, shared=shared)
     model = ntpp_training.fit(known, areas, scene, seed=seed, settings=settings)
     return model.log_likelihood(held_out)
 

@@ -136,9 +136,9 @@ def unadjusted(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def brief_networks(monkeypatch: pytest.MonkeyPatch) -> None:
     """New scenes get `ntpp-gmm` of three epochs; `test_ntpp_training` tests what it learns."""
-    from crowdbench.spawn.ntpp.training import Settings  # not before annotations are checked
+    from crowdbench.spawn.ntpp.training import NtppSettings  # not before annotations are checked
 
-    brief = Settings(epochs=3, patience=1, calibration_points=2000, step_groups=4000)
+    brief = NtppSettings(epochs=3, patience=1, calibration_points=2000, step_groups=4000)
     monkeypatch.setattr("crowdbench.scene_building.fit.training_settings", lambda *of: brief)
 
 

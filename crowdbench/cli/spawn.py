@@ -106,7 +106,7 @@ def sample(
 def test(scene: SceneName, /) -> None:
     """Test a scene's spawn models: likelihoods, and time rescaling of gaps and group sizes."""
     from crowdbench.scene_building.spawn_diagnostics import check_models, trained_networks
-    from crowdbench.spawn.times.rescaling import KolmogorovSmirnov
+    from crowdbench.spawn.times.groups import KolmogorovSmirnov
 
     def ks(found: KolmogorovSmirnov | None) -> str:
         return "" if found is None else f"{found.statistic:.3f} ({found.p:.2g})"

@@ -198,7 +198,7 @@ def training_settings(model: str, changes: Mapping[str, Any]) -> Any:
     Raises:
         SettingError: the model has no setting of that name, or a number is not positive.
     """
-    kinds = {name: importlib.import_module(module).Settings for name, module in NEURAL.items()}
+    kinds = {name: type(importlib.import_module(m).DEFAULT) for name, m in NEURAL.items()}
     known = {name: [f.name for f in fields(kind)] for name, kind in kinds.items()}
     for name, value in changes.items():
         if name not in known[model]:

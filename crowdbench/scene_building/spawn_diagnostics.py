@@ -21,8 +21,12 @@ from crowdbench.spawn.events import arrivals_in, blocks_of
 from crowdbench.spawn.ntpp.model import networks
 from crowdbench.spawn.plaza import SCENE as PLAZA
 from crowdbench.spawn.plaza import PlazaArrivals
-from crowdbench.spawn.times.groups import HasHazards
-from crowdbench.spawn.times.rescaling import KolmogorovSmirnov, kolmogorov_smirnov, rescaled
+from crowdbench.spawn.times.groups import (
+    HasHazards,
+    KolmogorovSmirnov,
+    kolmogorov_smirnov,
+    rescaled,
+)
 
 SAMPLES = 20
 """Number of samples per fit in which persons are counted."""

@@ -14,25 +14,7 @@ from crowdbench.spawn.times.poisson import PoissonGMM, PoissonGroups, PoissonPap
 from crowdbench.spawn.times.renewal import RenewalGMM
 
 __all__ = [
-    "Addition",
-    "Areas",
-    "Arrivals",
-    "BlockReplay",
-    "Change",
-    "CoxGMM",
-    "FittedModel",
-    "NtppGMM",
-    "NtppPaper",
-    "PoissonGMM",
-    "PoissonGroups",
-    "PoissonPaper",
-    "RenewalGMM",
-    "Replay",
-    "Scenario",
-    "SpawnEvents",
-    "SpawnModel",
-    "Steered",
-    "arrivals_in",
-    "arrivals_of",
-    "fit_areas",
-]
+    "Addition", "Areas", "Arrivals", "BlockReplay", "Change", "CoxGMM", "FittedModel", "NtppGMM",
+    "NtppPaper", "PoissonGMM", "PoissonGroups", "PoissonPaper", "RenewalGMM", "Replay",
+    "Scenario", "SpawnEvents", "SpawnModel", "Steered", "arrivals_in", "arrivals_of", "fit_areas",
+]  # fmt: skip

@@ -10,12 +10,22 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from jaxtyping import Float, Float32
+from msgspec import structs
 from numpy.random import Generator
 
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import SceneError, WeightsError
 from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Clustering, Scene
+from crowdbench.spawn.arrays import (
+    DEFINITE,
+    Fit,
+    Rule,
+    are_definite,
+    check_origin,
+    checked,
+    hint,
+)
 from crowdbench.spawn.drawing import Flags, Indices, Numbers, Points, choose, draw_normal
 from crowdbench.spawn.events import SpawnEvents, entering
 from crowdbench.spawn.plans.mixtures import log_gaussians
@@ -25,7 +35,6 @@ SCHEMA = 1
 _FLOOR_M = 0.1  # minimum standard deviation of an area, because people are not points
 _DRAWS = 1000
 _QUANTILES = 101
-_COVARIANCES = "symmetric, positive definite matrices"
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,32 +259,36 @@ def _width(points: Points) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(np.cov(points.T, bias=True))[-1]))
 
 
-class _AreasFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    schema: int
-    scene: str
-    spawn_mean_m: list[list[float]]
-    spawn_covariance_m2: list[list[list[float]]]
-    goal_mean_m: list[list[float]]
-    goal_covariance_m2: list[list[list[float]]]
-    flow: list[list[float]]
-    speed_quantiles_mps: list[float]
+class _AreasFile(Fit, frozen=True):
+    """The arrays of `Areas`."""
+
+    spawn_mean_m: Float[np.ndarray, "K 2"]
+    spawn_covariance_m2: Float[np.ndarray, "K 2 2"]
+    goal_mean_m: Float[np.ndarray, "G 2"]
+    goal_covariance_m2: Float[np.ndarray, "G 2 2"]
+    flow: Float[np.ndarray, "K G"]
+    speed_quantiles_mps: Float[np.ndarray, " 101"]
     left_out: tuple[float, float]
+
+    def rules(self, scene: Scene) -> list[Rule]:
+        """Covariances are definite, there are areas, and flows and speeds are possible."""
+        flow, ascends = self.flow, np.diff(self.speed_quantiles_mps, prepend=0) >= 0
+        shares = flow.size > 0 and (flow >= 0).all() and np.allclose(flow.sum(axis=1), 1)
+        return [
+            ("spawn_covariance_m2", are_definite(self.spawn_covariance_m2), DEFINITE),
+            ("goal_covariance_m2", are_definite(self.goal_covariance_m2), DEFINITE),
+            ("flow", shares, "rows that sum to 1"),
+            ("speed_quantiles_mps", ascends.all(), "ascending speeds"),
+        ]
 
 
 def write_areas(areas: Areas, path: Path) -> None:
     """Write the areas as JSON."""
-    file = _AreasFile(
-        schema=SCHEMA,
-        scene=areas.scene,
-        spawn_mean_m=areas.spawn.mean.tolist(),
-        spawn_covariance_m2=areas.spawn.covariance.tolist(),
-        goal_mean_m=areas.goal.mean.tolist(),
-        goal_covariance_m2=areas.goal.covariance.tolist(),
-        flow=areas.flow.tolist(),
-        speed_quantiles_mps=areas.speed_quantiles.tolist(),
-        left_out=areas.left_out,
-    )
-    write_json(path, file)
+    spawn, goal = areas.spawn, areas.goal
+    parts = spawn.mean, spawn.covariance, goal.mean, goal.covariance, areas.flow
+    file = _AreasFile(*parts, areas.speed_quantiles, areas.left_out)
+    content = {"schema": SCHEMA, "scene": areas.scene, **structs.asdict(file)}
+    write_json(path, msgspec.Raw(msgspec.json.encode(content, enc_hook=np.ndarray.tolist)))
 
 
 def read_areas(scene: Scene) -> Areas:
@@ -284,63 +297,10 @@ def read_areas(scene: Scene) -> Areas:
     Raises:
         WeightsError: the file is missing, broken or inconsistent, or belongs to another scene.
     """
-    path = scene.folder / "areas.json"
-    hint = f"Run `crowdbench scene fit {scene.asked}`."
-    file = read_struct(path, _AreasFile, WeightsError, hint)
-    if file.scene != scene.id or file.schema != SCHEMA:
-        raise WeightsError(
-            path,
-            got=f"areas of {file.scene}, schema {file.schema}",
-            expected=f"areas of {scene.id}, schema {SCHEMA}",
-            hint=hint,
-        )
-    k, g = len(file.spawn_mean_m), len(file.goal_mean_m)
-
-    def array(name: str, *shape: int) -> np.ndarray:
-        return as_array(getattr(file, name), shape, f"{path}, {name}", hint)
-
-    areas = Areas(
-        scene=file.scene,
-        spawn=Gaussians(array("spawn_mean_m", k, 2), array("spawn_covariance_m2", k, 2, 2)),
-        goal=Gaussians(array("goal_mean_m", g, 2), array("goal_covariance_m2", g, 2, 2)),
-        flow=array("flow", k, g),
-        speed_quantiles=array("speed_quantiles_mps", _QUANTILES),
-        left_out=file.left_out,
-    )
-    flow, ascends = areas.flow, (np.diff(areas.speed_quantiles, prepend=0) >= 0).all()
-    for name, holds, expected in (
-        ("spawn_covariance_m2", _are_covariances(areas.spawn.covariance), _COVARIANCES),
-        ("goal_covariance_m2", _are_covariances(areas.goal.covariance), _COVARIANCES),
-        ("flow", (flow >= 0).all() and np.allclose(flow.sum(axis=1), 1), "rows that sum to 1"),
-        ("speed_quantiles_mps", ascends, "ascending speeds"),
-    ):
-        if not holds:
-            raise WeightsError(
-                f"{path}, {name}", got="invalid values", expected=expected, hint=hint
-            )
-    return areas
-
-
-def _are_covariances(matrices: Float[np.ndarray, "K 2 2"]) -> bool:
-    symmetric = np.allclose(matrices, matrices.transpose(0, 2, 1))
-    return symmetric and bool((np.linalg.eigvalsh(matrices) > 0).all())
-
-
-def as_array(values: list, shape: tuple[int, ...], where: str, hint: str) -> np.ndarray:
-    """The numbers of a JSON file as a float64 array of a given shape.
-
-    Raises:
-        WeightsError: the numbers have another shape or are not finite.
-    """
-    try:
-        array = np.array(values, dtype=np.float64)
-    except ValueError:
-        array = np.empty((0, 0, 0, 0))
-    if array.shape != shape or not np.isfinite(array).all():
-        raise WeightsError(
-            where,
-            got=f"values of shape {array.shape}",
-            expected=f"finite numbers of shape {shape}",
-            hint=hint,
-        )
-    return array
+    path, how = scene.folder / "areas.json", hint(scene)
+    raw = read_struct(path, dict, WeightsError, how)
+    check_origin(raw, "areas", ["areas", scene.id, SCHEMA], path, how)
+    file = checked(raw, _AreasFile, scene, {}, f"{path}, areas")
+    spawn = Gaussians(file.spawn_mean_m, file.spawn_covariance_m2)
+    goal = Gaussians(file.goal_mean_m, file.goal_covariance_m2)
+    return Areas(scene.id, spawn, goal, file.flow, file.speed_quantiles_mps, file.left_out)

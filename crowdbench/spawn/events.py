@@ -222,6 +222,10 @@ class Arrivals:
         flat = np.bincount(at * self.areas + self.area, minlength=base[-1] * self.areas)
         return flat.reshape(-1, self.areas)
 
+    def by_window(self) -> list[Int[np.ndarray, "t K"]]:
+        """The counts of each window."""
+        return np.split(self.counts(), np.diff(self.windows, axis=1)[:, 0].cumsum()[:-1])
+
     def exposure_s(self) -> float:
         """Total length of the windows, seconds."""
         return float(np.diff(self.windows, axis=1).sum() * self.grid_s)

@@ -6,10 +6,10 @@ safetensors, one or several for each split, which differ in their random seed; w
 is the same in all of them and stands in the header.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Literal, TypeVar, cast, get_type_hints
+from typing import Any, ClassVar, Generic, Literal, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -20,23 +20,8 @@ from crowdbench.errors import SettingError, WeightsError
 from crowdbench.files import read_bytes, read_struct, replacing, write_json
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
-
-Rule = tuple[str, Any, str]
-"""A condition on a field: its name, whether the condition is met, and the condition as text."""
-
-
-class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, eq=False):
-    """What a model learned from one split.
-
-    Annotations of arrays, such as `Float[np.ndarray, "K 2"]`, are checked when a file is read. K
-    and G are the numbers of spawn and goal areas. Another letter is the same number in all arrays
-    of an object.
-    """
-
-    def rules(self, scene: Scene) -> Iterable[Rule]:
-        """Conditions on the values on this scene, of arrays that have the right shapes."""
-        return ()
-
+from crowdbench.spawn.arrays import Fit, check_origin, checked, hint
+from crowdbench.spawn.model import Start
 
 F = TypeVar("F", bound=Fit)
 Model = TypeVar("Model", bound="Fitted")
@@ -94,28 +79,24 @@ class FitFile(Generic[F]):
         check_split(split, fit)
         path, how = scene.folder / self.name, hint(scene)
         header, tensors = _content(path, how)
-        origin = [header.pop(name, None) for name in ("model", "scene", "schema")]
-        expected = [self.model, scene.id, self.schema]
-        if origin != expected:
-            raise WeightsError(
-                path,
-                got="{} of {}, schema {}".format(*origin),
-                expected="{} of {}, schema {}".format(*expected),
-                hint=how,
-            )
+        check_origin(
+            header, header.pop("model", None), [self.model, scene.id, self.schema], path, how
+        )
         fits: dict[str, F] = {}
         for which, raw in _by_fit(header, tensors, path, how).items():
-            where = f"{path}, splits.{which}"
-            fits[which] = _checked(raw, self.kind, scene, areas, where)
+            sizes = {"K": len(areas.spawn), "G": len(areas.goal)}
+            fits[which] = checked(raw, self.kind, scene, sizes, f"{path}, splits.{which}")
         of_split = [found for which, found in fits.items() if which.partition(".")[0] == split]
         return of_split[fit % len(of_split)]
 
 
+@dataclass(frozen=True, eq=False)
 class Fitted:
     """A spawn model whose fits are in files: a dataclass with the fields of its `Fit`."""
 
     areas: Areas
     file: ClassVar[FitFile[Any]]
+    start: ClassVar[Start] = "stationary"
 
     @classmethod
     def write(cls, folder: Path, fits: Mapping[str, Sequence["Fitted"]]) -> None:
@@ -154,13 +135,6 @@ class Fitted:
         return cls(**{f.name: known[f.name] for f in fields(own) if f.name in known})
 
 
-def hint(scene: Scene) -> str:
-    """The hint of errors about missing or broken fits: how to make them again."""
-    if (scene.folder / "scene.toml").is_file():
-        return f"Run `crowdbench scene fit {scene.asked}`."
-    return f"Create them with `crowdbench scene fit {scene.id} --out FOLDER`."
-
-
 def check_split(split: str, fit: int) -> None:
     """Check the name of a split and the number of a fit.
 
@@ -171,12 +145,6 @@ def check_split(split: str, fit: int) -> None:
         raise SettingError("split", got=repr(split), expected=f"one of {', '.join(SPLITS)}")
     if fit < 0:
         raise SettingError("fit", got=str(fit), expected="0 or more")
-
-
-def are_definite(matrices: np.ndarray) -> bool:
-    """Whether matrices are symmetric and positive definite."""
-    symmetric = np.allclose(matrices, matrices.swapaxes(-1, -2))
-    return symmetric and bool((np.linalg.eigvalsh(matrices) > 0).all() if matrices.size else True)
 
 
 def _content(path: Path, how: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -224,77 +192,3 @@ def _by_fit(
             hint=how,
         )
     return {which: found[which] for which in expected}
-
-
-def _checked(raw: Any, kind: type[F], scene: Scene, areas: Areas, where: str) -> F:
-    """The fit in a file; raises WeightsError if a shape or a value is wrong."""
-    how = hint(scene)
-    fit: F = _read(raw, kind, {"K": len(areas.spawn), "G": len(areas.goal)}, where, how)
-    for name, holds, expected in fit.rules(scene):
-        if not holds:
-            value = getattr(fit, name, None)
-            got = f"{value:g}" if isinstance(value, float) else "invalid values"
-            raise WeightsError(f"{where}.{name}", got=got, expected=expected, hint=how)
-    return fit
-
-
-def _read(raw: Any, kind: Any, known: Mapping[str, int], where: str, how: str) -> Any:
-    """An object of a dataclass or struct, whose arrays have the sizes that are known by letter."""
-    types = get_type_hints(kind, include_extras=True)
-    names = {name: name for name in types}
-    if issubclass(kind, msgspec.Struct):
-        names = {field.name: field.encode_name for field in structs.fields(kind)}
-    wrong = sorted(raw.keys() ^ set(names.values())) if isinstance(raw, dict) else ["all fields"]
-    if wrong:
-        raise WeightsError(
-            where,
-            got=f"missing or unknown: {', '.join(wrong)}",
-            expected=f"exactly {', '.join(names.values())}",
-            hint=how,
-        )
-    sizes, found = dict(known), {}
-    for name, key in names.items():
-        of, value, at = types[name], raw[key], f"{where}.{key}"
-        if hasattr(of, "dim_str"):
-            found[name] = _array(value, of, sizes, at, how)
-        elif is_dataclass(of) or (isinstance(of, type) and issubclass(of, msgspec.Struct)):
-            found[name] = _read(value, of, known, at, how)
-        else:
-            try:
-                found[name] = msgspec.convert(value, of)
-            except (msgspec.ValidationError, OverflowError) as error:
-                raise WeightsError(
-                    at, got=str(error), expected="a valid value", hint=how
-                ) from error
-    return kind(**found)
-
-
-def _array(value: Any, of: Any, sizes: dict[str, int], where: str, how: str) -> np.ndarray:
-    """An array as its annotation `of` says; sizes that were not known are added to `sizes`."""
-    dims = of.dim_str.split()
-    dtype = next(name for name in ("float64", "int64", "float32") if name in of.dtypes)
-    shape = tuple(int(d) if d.isdigit() else sizes.get(d) for d in dims)
-    array = value
-    if not isinstance(value, np.ndarray):
-        try:
-            array = np.array(value)
-        except ValueError:  # rows of different lengths
-            array = np.array(str(value))
-        if array.shape == (0,):  # JSON tells neither the other dimensions nor the kind
-            array = np.zeros([n or 0 for n in (0, *shape[1:])], dtype)
-        elif array.dtype == np.int64:
-            array = array.astype(dtype)
-    sized = zip(shape, array.shape, strict=False)
-    right = array.ndim == len(shape) and all(n in (None, size) for n, size in sized)
-    if not right or array.dtype != dtype:
-        wanted = ", ".join(d if n is None else str(n) for d, n in zip(dims, shape, strict=True))
-        raise WeightsError(
-            where,
-            got=f"{array.dtype} of shape {array.shape}",
-            expected=f"{dtype} of shape ({wanted})",
-            hint=how,
-        )
-    if not np.isfinite(array).all():
-        raise WeightsError(where, got="NaN or infinity", expected="finite numbers", hint=how)
-    sizes |= zip(dims, array.shape, strict=True)
-    return array

@@ -112,14 +112,12 @@ class PlazaArrivals:
         """
         from scipy.stats import binom
 
-        counts = arrivals.counts()
-        stops = np.cumsum(np.diff(arrivals.windows, axis=1)[:, 0])
         states = np.indices((2,) * (1 + arrivals.areas)).reshape(1 + arrivals.areas, -1)
         enters = self._enters[states[0], states[1:], np.arange(arrivals.areas)[:, None]].T
         chains = [self._common, *[self._own] * arrivals.areas]
         stationary, step = (reduce(np.kron, [c[k] for c in chains]) for k in (0, 1))
         total = 0.0
-        for window in np.split(counts, stops[:-1]):
+        for window in arrivals.by_window():
             before = np.zeros_like(window)
             for lag in range(1, LATE + 1):
                 before[lag:] += window[:-lag]

@@ -96,7 +96,7 @@ class Fit:
     configuration: Configuration
     seed: int
     settings: Any
-    """`Settings` of `ntpp_training` or `ntpp_paper_training`."""
+    """`NtppSettings` or `PaperSettings`."""
     path: Path
     made_from: str
     """Hash of everything that the fit depends on."""
@@ -117,7 +117,7 @@ def fit_of(
         from crowdbench.spawn.paper import training as ntpp_paper_training
 
         settings = replace(
-            ntpp_paper_training.PAPER,
+            ntpp_paper_training.DEFAULT,
             window_frames=window,
             stride_frames=stride,
             published_code=configuration.code,
@@ -127,7 +127,7 @@ def fit_of(
     else:
         from crowdbench.spawn.ntpp import training as ntpp_training
 
-        settings = replace(ntpp_training.SETTINGS, window_frames=window, stride_frames=stride)
+        settings = replace(ntpp_training.DEFAULT, window_frames=window, stride_frames=stride)
     lengths_s = f"{scene.dt_s} {arrivals.grid_s} {scene.protocol.block_s}"
     what = f"{settings} {seed} {arrivals.areas} {lengths_s}".encode()
     data = [arrivals.tick, arrivals.area, arrivals.windows]

@@ -33,7 +33,7 @@ from crowdbench.scoring.reference import Reference
 from crowdbench.spawn import Areas, Arrivals, PoissonGMM, PoissonPaper, SpawnModel
 from crowdbench.spawn.paper.kernels import density
 from crowdbench.spawn.paper.model import NtppPaper
-from crowdbench.spawn.times.rescaling import KolmogorovSmirnov, kolmogorov_smirnov
+from crowdbench.spawn.times.groups import KolmogorovSmirnov, kolmogorov_smirnov
 from studies.paper.bursts import Bursts
 from studies.paper.fits import (
     COMPARED,

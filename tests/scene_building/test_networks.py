@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from models import learned
 
-from crowdbench.baselines.anticipate import Settings
+from crowdbench.baselines.anticipate import AnticipateSettings
 from crowdbench.baselines.anticipation import Walker
 from crowdbench.cli import main
 from crowdbench.data.blocks import SPLITS
@@ -107,7 +107,7 @@ def test_submissions_count_what_was_learned(name: str) -> None:
             walker = network / f"{split}.onnx"
             own = _parameters(walker) if walker.is_file() else 0
             if declared.shipped_policy == "anticipate":  # its file also has constants of the guide
-                own = sum(p.numel() for p in Walker(1.0, Settings.hidden).parameters())
+                own = sum(p.numel() for p in Walker(1.0, AnticipateSettings.hidden).parameters())
             if declared.shipped_spawn:
                 model = MODELS[declared.shipped_spawn]
                 # The paper's model has one fit, as the declaration says.

@@ -18,8 +18,8 @@ from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.plans.files import read_plans
 from crowdbench.spawn.plans.fitting import marks_of, trips_alone
 from crowdbench.spawn.plans.mixtures import FEWEST, NARROWEST_M, log_gaussians
-from crowdbench.spawn.plans.trip_mixtures import TripMixtures
 from crowdbench.spawn.plans.way_fitting import Trips
+from crowdbench.spawn.plans.ways import TripMixtures
 
 NEAR_M = 1e-3
 MOVED_M = 4e-3

@@ -11,7 +11,7 @@ from strategies import arrivals_of_two_areas
 
 from crowdbench.errors import SettingError
 from crowdbench.spawn import Arrivals, SpawnModel
-from crowdbench.spawn.times.groups import Hazards, group_size, per_person, spells_of
+from crowdbench.spawn.times.groups import HasHazards, Hazards, group_size, spells_of
 
 # Area 0: a pair at point 1 and one at point 2 of the first stretch; area 1: one at point 11.
 FEW = arrivals_at([1, 1, 2, 11], [0, 0, 0, 1], [(0, 4), (10, 13)])
@@ -44,7 +44,7 @@ def test_gaps_and_rests_fill_the_stretches(arrivals: Arrivals) -> None:
 @given(arrivals_of_two_areas())
 def test_poissons_hazards_give_its_likelihood_in_closed_form(arrivals: Arrivals) -> None:
     model = poisson()
-    by_hazards = per_person(model.hazards(arrivals), arrivals)
+    by_hazards = HasHazards.log_likelihood(model, arrivals)
     assert by_hazards == pytest.approx(model.log_likelihood(arrivals), rel=1e-9)
 
 

@@ -17,11 +17,11 @@ from crowdbench.spawn.ntpp.model import HIDDEN
 from crowdbench.spawn.paper import training
 from crowdbench.spawn.paper.kernels import density, draw
 from crowdbench.spawn.paper.model import SHAPES
-from crowdbench.spawn.paper.training import PAPER, Settings, sequences
+from crowdbench.spawn.paper.training import DEFAULT, PaperSettings, sequences
 from studies.paper.study import residuals_of
 
 ETH = load_scene("eth-v0")
-BRIEF = Settings(window_frames=100, epochs=20, learning_rate=1e-2)
+BRIEF = PaperSettings(window_frames=100, epochs=20, learning_rate=1e-2)
 
 
 def network(seed: int = 0, spread: float = 0.3, *, code: bool = False) -> NtppPaper:
@@ -87,18 +87,18 @@ def test_a_likelihood_bounds_that_of_counts_from_below() -> None:
 def test_every_person_is_an_event_unless_the_code_counts_frames() -> None:
     arrivals = arrivals_at([2, 2, 2, 7], [0, 0, 0, 0], [(0, 20)])
     rng = np.random.default_rng(0)
-    (gaps,) = sequences(arrivals, 0, ETH, PAPER, rng)
+    (gaps,) = sequences(arrivals, 0, ETH, DEFAULT, rng)
     assert len(gaps) == 5
     assert (gaps > 0).all()
     assert gaps.sum() == pytest.approx(20)
-    of_code = sequences(arrivals, 0, ETH, Settings(published_code=True), rng)
+    of_code = sequences(arrivals, 0, ETH, PaperSettings(published_code=True), rng)
     # A window begins at its first event, with a gap of 0, and lasts for 1,000 frames from there.
     assert [gaps.tolist() for gaps in of_code] == [[0, 5, 995]]
 
 
 def test_windows_overlap_and_end_with_their_stretch() -> None:
     arrivals = arrivals_at([5, 60, 119], [0, 0, 0], [(0, 120)])
-    settings = Settings(window_frames=100, stride_frames=50)
+    settings = PaperSettings(window_frames=100, stride_frames=50)
     found = sequences(arrivals, 0, ETH, settings, np.random.default_rng(0))
     assert [len(gaps) for gaps in found] == [3, 3]
     np.testing.assert_allclose([gaps.sum() for gaps in found], 100)
@@ -122,9 +122,9 @@ def test_training_lowers_the_loss_and_is_reproducible() -> None:
 
 
 def test_the_settings_are_those_of_the_paper_and_of_its_code() -> None:
-    assert (PAPER.learning_rate, PAPER.epochs) == (1e-4, 500)
-    assert Settings(published_code=True).learning_rate == 5e-3
-    assert Settings(published_code=True, learning_rate=0.1).learning_rate == 0.1
+    assert (DEFAULT.learning_rate, DEFAULT.epochs) == (1e-4, 500)
+    assert PaperSettings(published_code=True).learning_rate == 5e-3
+    assert PaperSettings(published_code=True, learning_rate=0.1).learning_rate == 0.1
 
 
 def test_nobody_enters_areas_without_arrivals() -> None:

@@ -12,7 +12,7 @@ from crowdbench.scene import load_scene
 from crowdbench.spawn import NtppPaper
 from crowdbench.spawn.paper import training
 from crowdbench.spawn.paper.kernels import TINY, density
-from crowdbench.spawn.paper.training import Settings
+from crowdbench.spawn.paper.training import PaperSettings
 
 FRAMES = 1000
 Network = training._Network
@@ -84,7 +84,7 @@ def test_the_loss_of_batches_is_that_of_their_windows(
 def test_windows_without_events_have_a_gradient_by_the_head_alone(count: int) -> None:
     net = network(False)
     found = [np.array([100.0 * (k + 1)]) for k in range(count)]
-    losses = training.train(net, found, Settings(epochs=1))
+    losses = training.train(net, found, PaperSettings(epochs=1))
     assert losses == [pytest.approx(loss_of(network(False), found).item(), rel=1e-5)]
     moved = {
         name for name, w in net.weights().items() if (w != network(False).weights()[name]).any()
@@ -95,7 +95,7 @@ def test_windows_without_events_have_a_gradient_by_the_head_alone(count: int) ->
 @pytest.mark.long
 @pytest.mark.parametrize("code", [False, True])
 def test_training_follows_that_by_torch(code: bool) -> None:
-    settings = Settings(epochs=30, published_code=code)
+    settings = PaperSettings(epochs=30, published_code=code)
     found, net = windows(count=40), network(code)
     adam = torch.optim.Adam(net.parameters(), lr=settings.learning_rate)
     expected = []
@@ -111,7 +111,7 @@ def test_training_follows_that_by_torch(code: bool) -> None:
 def test_training_is_deterministic() -> None:
     nets = [network(False), network(False)]
     found = windows()
-    first, second = (training.train(net, found, Settings(epochs=5)) for net in nets)
+    first, second = (training.train(net, found, PaperSettings(epochs=5)) for net in nets)
     assert first == second
     for one, other in zip(*(net.weights().values() for net in nets), strict=True):
         np.testing.assert_array_equal(one, other)

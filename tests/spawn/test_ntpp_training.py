@@ -16,11 +16,11 @@ from crowdbench.spawn.ntpp import training as ntpp_training
 from crowdbench.spawn.ntpp.likelihood import Packed, head, nats, pack
 from crowdbench.spawn.ntpp.model import NEVER_FORGETS, SHAPES
 from crowdbench.spawn.ntpp.sequences import Sequence, sequences, windows
-from crowdbench.spawn.ntpp.training import SETTINGS, Settings
+from crowdbench.spawn.ntpp.training import DEFAULT, NtppSettings
 from crowdbench.spawn.times.groups import group_size, spells_of
 
 ETH = load_scene("eth-v0")
-BRIEF = Settings(epochs=12, patience=4, calibration_points=20_000)
+BRIEF = NtppSettings(epochs=12, patience=4, calibration_points=20_000)
 
 
 def double(batch: Packed) -> Packed:
@@ -166,7 +166,7 @@ def test_another_seed_gives_another_fit() -> None:
 def test_windows_that_overlap_much_are_judged_before_all_parts_had_their_turn() -> None:
     """Judged once in 64 steps, more than its patience, training would end there or at nothing."""
     arrivals = bursty(1200.0)
-    often = replace(SETTINGS, window_frames=20, stride_frames=1, step_groups=64)
+    often = replace(DEFAULT, window_frames=20, stride_frames=1, step_groups=64)
     training = ntpp_training._Training(
         arrivals, often, seed=0, width=20, stride=1, reset=20, block=150
     )

@@ -22,9 +22,8 @@ from crowdbench.spawn.plans.fitting import fit_plans, offsets_of
 from crowdbench.spawn.plans.links import Adjustment
 from crowdbench.spawn.plans.mixtures import DECIMALS, NARROWEST_M, moments
 from crowdbench.spawn.plans.planned import PlannedAreas, directions, turned
-from crowdbench.spawn.plans.trip_mixtures import Places, TripMixtures
 from crowdbench.spawn.plans.way_fitting import bends_of
-from crowdbench.spawn.plans.ways import OFF_M, Ways
+from crowdbench.spawn.plans.ways import OFF_M, Places, TripMixtures, Ways
 from crowdbench.spawn.recorded_plans import plans_of
 
 PLAZA = load_scene("plaza-v0")

@@ -9,8 +9,7 @@ from models import GRID_S, arrivals_at, poisson, random_ntpp, renewal
 
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Arrivals, arrivals_in
-from crowdbench.spawn.times.groups import spells_of
-from crowdbench.spawn.times.rescaling import kolmogorov_smirnov, rescaled
+from crowdbench.spawn.times.groups import kolmogorov_smirnov, rescaled, spells_of
 
 ETH = load_scene("eth-v0")
 FORGETFUL = replace(random_ntpp(), memory=4)  # of about three gaps one is longer

@@ -15,8 +15,7 @@ from crowdbench.scene import load_scene
 from crowdbench.spawn import Addition, Arrivals, Change, Scenario, SpawnEvents, SpawnModel, Steered
 from crowdbench.spawn.steering.scenario import Profile
 from crowdbench.spawn.steering.steered import TimeChange
-from crowdbench.spawn.times.groups import HasHazards
-from crowdbench.spawn.times.rescaling import kolmogorov_smirnov, rescaled
+from crowdbench.spawn.times.groups import HasHazards, kolmogorov_smirnov, rescaled
 
 ETH = load_scene("eth-v0")
 HORIZON_S = 120.0

@@ -18,8 +18,8 @@ from crowdbench.spawn.plans.mixtures import (
     responsibilities,
     widened,
 )
-from crowdbench.spawn.plans.trip_mixtures import Places, TripMixtures
 from crowdbench.spawn.plans.way_fitting import Trips, fit_trips, log_speeds
+from crowdbench.spawn.plans.ways import Places, TripMixtures
 from studies.plans import log_trips
 
 PLAZA = load_scene("plaza-v0")
@@ -184,7 +184,9 @@ def test_one_place_has_the_moments_of_the_people_and_of_as_many_usual_ones(areas
         Places.of(areas.spawn), Places.of(areas.goal), log_speeds(trips_of(trip, weight=weight))
     )
     mean, covariance = (x[0, 0] for x in usual.gaussians)
-    expected = mixed(moments(trip, weight), weight.sum(), (mean, covariance))
+    expected = mixed(
+        moments(trip, weight), weight.sum() / (weight.sum() + PRIOR), (mean, covariance)
+    )
     np.testing.assert_array_equal(trips.own, [[0, 0]])
     np.testing.assert_allclose(trips.mean[0], expected[0])
     np.testing.assert_allclose(trips.covariance[0], expected[1], atol=2e-4)
@@ -195,7 +197,7 @@ def test_mixed_moments_are_those_of_both_together() -> None:
     few, usual = rng.normal(size=(7, 3)), rng.normal(size=(40, 3)) + 1
     weight = np.concatenate([np.ones(7), np.full(40, PRIOR / 40)])
     expected = moments(np.concatenate([few, usual]), weight)
-    found = mixed(moments(few, np.ones(7)), 7.0, moments(usual, np.ones(40)))
+    found = mixed(moments(few, np.ones(7)), 7 / (7 + PRIOR), moments(usual, np.ones(40)))
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other)
 

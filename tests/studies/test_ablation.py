@@ -70,7 +70,7 @@ def test_a_network_without_velocities_does_not_see_how_others_move() -> None:
 def test_variants_are_trained_scored_and_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    few = anticipate.Settings(steps=10, people=1)
+    few = anticipate.AnticipateSettings(steps=10, people=1)
     slower = replace(BY_NAME["slower"], settings=few, guide=False)
     monkeypatch.setattr(ablation, "VARIANTS", (slower,))
     monkeypatch.setattr("crowdbench.baselines.command.revision", lambda folder: "0123456789ab")

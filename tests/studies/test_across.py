@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from torch import Tensor, nn
 
-from crowdbench.baselines.anticipate import Settings
+from crowdbench.baselines.anticipate import AnticipateSettings
 from crowdbench.baselines.command import Command
 from crowdbench.evaluation import evaluate
 from crowdbench.policies import OnnxPolicy
@@ -49,7 +49,7 @@ def test_the_page_has_a_row_for_each_scene_and_files_are_kept(
     for name in ("eth", "hotel", "zara01"):
         import_recording(name, opentraj)
 
-    def constant(command: Command, split: str, settings: Settings) -> Path:
+    def constant(command: Command, split: str, settings: AnticipateSettings) -> Path:
         return command.write(split, Constant(), observation="social-1", noise=0)
 
     monkeypatch.setattr(across, "learn", constant)

@@ -29,7 +29,7 @@ from crowdbench.spawn import (
 from crowdbench.spawn.areas import read_areas
 from crowdbench.spawn.ntpp import training as ntpp_training
 from crowdbench.spawn.paper import training as ntpp_paper_training
-from crowdbench.spawn.times.rescaling import KolmogorovSmirnov
+from crowdbench.spawn.times.groups import KolmogorovSmirnov
 from studies.__main__ import main as studies_main
 from studies.paper import fits, kept_people, study, write_paper
 from studies.paper.bursts import Bursts, interval_of, mode, share
@@ -98,9 +98,11 @@ class Study:
             for module in (fits, import_module("studies.paper.claims")):
                 patch.setattr(module, "WINDOWS_FRAMES", (100, 1000))
                 patch.setattr(module, "STRIDES_FRAMES", (50,))
-            brief = ntpp_training.Settings(epochs=3, patience=1, calibration_points=2000)
-            patch.setattr(ntpp_training, "SETTINGS", brief)
-            patch.setattr(ntpp_paper_training, "PAPER", ntpp_paper_training.Settings(epochs=2))
+            brief = ntpp_training.NtppSettings(epochs=3, patience=1, calibration_points=2000)
+            patch.setattr(ntpp_training, "DEFAULT", brief)
+            patch.setattr(
+                ntpp_paper_training, "DEFAULT", ntpp_paper_training.PaperSettings(epochs=2)
+            )
             yield
 
     def windowed(self) -> list[Configuration]:
@@ -227,8 +229,8 @@ def test_other_settings_of_training_make_fits_and_samples_stale(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     before = study.plan(PLAZA, PLAZA_ARRIVALS, Path("work"))
-    changed = replace(ntpp_training.SETTINGS, patience=7)
-    monkeypatch.setattr(ntpp_training, "SETTINGS", changed)
+    changed = replace(ntpp_training.DEFAULT, patience=7)
+    monkeypatch.setattr(ntpp_training, "DEFAULT", changed)
     after = study.plan(PLAZA, PLAZA_ARRIVALS, Path("work"))
     for old, new in zip(before, after, strict=True):
         neural = new.fit is not None and new.configuration.spawn == "ntpp-gmm"

@@ -12,8 +12,10 @@ from studies.__main__ import main
 
 @pytest.fixture(autouse=True)
 def briefly(monkeypatch: pytest.MonkeyPatch) -> None:
-    brief = ntpp_training.Settings(epochs=3, patience=1, calibration_points=2000, step_groups=4000)
-    monkeypatch.setattr(ntpp_training, "SETTINGS", brief)
+    brief = ntpp_training.NtppSettings(
+        epochs=3, patience=1, calibration_points=2000, step_groups=4000
+    )
+    monkeypatch.setattr(ntpp_training, "DEFAULT", brief)
 
 
 def test_both_are_trained_for_each_fold_and_seed() -> None:

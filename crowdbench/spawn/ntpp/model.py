@@ -33,10 +33,10 @@ from numpy.random import Generator
 
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
+from crowdbench.spawn.arrays import Fit, Rule
 from crowdbench.spawn.events import Arrivals, SpawnEvents
-from crowdbench.spawn.fits import Fit, FitFile, Fitted, Rule
-from crowdbench.spawn.model import Start
-from crowdbench.spawn.times.groups import Hazards, check_grid, per_person, spells_of
+from crowdbench.spawn.fits import FitFile, Fitted
+from crowdbench.spawn.times.groups import HasHazards, Hazards, check_grid, spells_of
 
 NAME = "ntpp-gmm"
 NEVER_FORGETS = 2**31 - 1
@@ -115,7 +115,6 @@ def has_network(out_weight: Float[np.ndarray, "K out 32"]) -> Bool[np.ndarray, "
 class NetworkModel(Fitted):
     """A network for each area: what `ntpp-gmm` and `ntpp-paper` have in common."""
 
-    areas: Areas
     weights: Mapping[str, Float[np.ndarray, "K ..."]]
     """Arrays by name as in the model's `NetworkFit`, with all areas as first axis."""
 
@@ -154,7 +153,7 @@ class NetworkModel(Fitted):
 
 
 @dataclass(frozen=True, eq=False)
-class NtppGMM(NetworkModel):
+class NtppGMM(HasHazards, NetworkModel):
     """Neural temporal point process of groups per area, with the scene's Gaussian areas."""
 
     grid_s: float
@@ -165,7 +164,6 @@ class NtppGMM(NetworkModel):
     """Settings of training; fit k of a file has the seed k."""
     name: str = NAME
     file: ClassVar[FitFile[NtppFit]] = FitFile(NAME, 3, NtppFit, ".safetensors")
-    start: ClassVar[Start] = "stationary"
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
         """Sample the people who enter in [0, `horizon_s`), seconds; times are on the grid."""
@@ -178,10 +176,6 @@ class NtppGMM(NetworkModel):
             tick.append(np.repeat(groups, size))
             area.append(np.full(len(tick[-1]), k))
         return self.areas.draw(np.concatenate(tick) * self.grid_s, np.concatenate(area), scene, rng)
-
-    def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Log-probability of the arrivals, in nats per person."""
-        return per_person(self.hazards(arrivals), arrivals)
 
     def hazards(self, arrivals: Arrivals) -> Hazards:
         """Cumulative hazards of the groups.

@@ -36,14 +36,7 @@ from crowdbench.spawn.events import Arrivals
 from crowdbench.spawn.ntpp.kernels import draw
 from crowdbench.spawn.ntpp.likelihood import Packed, nats, pack
 from crowdbench.spawn.ntpp.model import HIDDEN, SHAPES, NtppGMM
-from crowdbench.spawn.ntpp.sequences import (
-    Sequence,
-    joined,
-    pieces_of,
-    sequences,
-    windows,
-    within,
-)
+from crowdbench.spawn.ntpp.sequences import Sequence, joined, pieces_of, sequences, windows, within
 from crowdbench.spawn.times.groups import group_size, spells_of
 
 _JUDGED_EVERY = 8
@@ -61,7 +54,7 @@ _TRAINED = tuple(name for name in SHAPES if name not in _FIXED)
 
 
 @dataclass(frozen=True)
-class Settings:
+class NtppSettings:
     """Settings of training."""
 
     window_frames: int = 100
@@ -88,7 +81,7 @@ class Settings:
     """Whether all areas have the same network, and only rates and scales of their own."""
 
 
-SETTINGS = Settings()
+DEFAULT = NtppSettings()
 
 
 @contextmanager
@@ -110,7 +103,7 @@ def deterministic() -> Iterator[None]:
 
 @deterministic()
 def fit(
-    arrivals: Arrivals, areas: Areas, scene: Scene, *, seed: int, settings: Settings = SETTINGS
+    arrivals: Arrivals, areas: Areas, scene: Scene, *, seed: int, settings: NtppSettings = DEFAULT
 ) -> NtppGMM:
     """Train the networks of a scene's areas; the same seed gives the same weights."""
     training = _Training.of(arrivals, scene, settings, seed)
@@ -128,7 +121,7 @@ class _Training:
     """What the networks of all areas are trained with; lengths are in grid points."""
 
     arrivals: Arrivals
-    settings: Settings
+    settings: NtppSettings
     seed: int
     width: int
     """Length of a training window."""
@@ -140,7 +133,7 @@ class _Training:
     """Length of the pieces that are dealt to the sets of the cross-validation."""
 
     @classmethod
-    def of(cls, arrivals: Arrivals, scene: Scene, settings: Settings, seed: int) -> "_Training":
+    def of(cls, arrivals: Arrivals, scene: Scene, settings: NtppSettings, seed: int) -> "_Training":
         frames = settings.window_frames, settings.stride_frames, settings.reset_frames
         lengths = [n * (scene.dt_s / scene.grid_s) for n in frames]
         lengths.append(scene.protocol.block_s / scene.grid_s)

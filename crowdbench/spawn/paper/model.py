@@ -35,7 +35,6 @@ from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
 from crowdbench.spawn.events import Arrivals, SpawnEvents
 from crowdbench.spawn.fits import FitFile
-from crowdbench.spawn.model import Start
 from crowdbench.spawn.ntpp.model import NetworkFit, NetworkModel
 from crowdbench.spawn.times.groups import check_grid
 
@@ -79,7 +78,6 @@ class NtppPaper(NetworkModel):
     """Training settings (`crowdbench.spawn.paper.training`); fit k of a file has the seed k."""
     name: str = NAME
     file: ClassVar[FitFile[PaperFit]] = FitFile(NAME, 1, PaperFit, ".safetensors")
-    start: ClassVar[Start] = "stationary"
 
     @property
     def published_code(self) -> bool:
@@ -150,7 +148,19 @@ class NtppPaper(NetworkModel):
         for k in range(len(self.areas.spawn)):
             mine = np.sort(times[arrivals.area == k])
             for start, stop in (arrivals.windows * step).tolist():
-                inside = mine[np.searchsorted(mine, start) : np.searchsorted(mine, stop)]
-                gaps = np.diff(np.concatenate([[start], inside, [stop]]))
-                total += density(gaps, self.of_area(k), self.published_code)[0].sum()
+                total += density(
+                    gaps_within(mine, start, stop), self.of_area(k), self.published_code
+                )[0].sum()
         return float(total)
+
+
+def between(times: Float[np.ndarray, " n"], start: float, stop: float) -> Float[np.ndarray, " m"]:
+    """The times, which are ascending, in [`start`, `stop`)."""
+    return times[np.searchsorted(times, start) : np.searchsorted(times, stop)]
+
+
+def gaps_within(
+    times: Float[np.ndarray, " n"], start: float, stop: float
+) -> Float[np.ndarray, " m"]:
+    """The gaps from `start` to `stop`, at and between the times within, which are ascending."""
+    return np.diff(np.concatenate([[start], between(times, start, stop), [stop]]))

@@ -28,7 +28,7 @@ from crowdbench.spawn.ntpp.model import HIDDEN
 from crowdbench.spawn.ntpp.sequences import windows
 from crowdbench.spawn.ntpp.training import deterministic
 from crowdbench.spawn.paper.kernels import TINY
-from crowdbench.spawn.paper.model import SHAPES, NtppPaper
+from crowdbench.spawn.paper.model import SHAPES, NtppPaper, between, gaps_within
 
 _ROWS = 512
 """Windows in a batch; all batches of an area make one step."""
@@ -37,7 +37,7 @@ _NEVER = -100.0
 
 
 @dataclass(frozen=True)
-class Settings:
+class PaperSettings:
     """Settings of training; the defaults are those of the paper."""
 
     window_frames: int = 1000
@@ -54,7 +54,7 @@ class Settings:
             object.__setattr__(self, "learning_rate", 5e-3 if self.published_code else 1e-4)
 
 
-PAPER = Settings()
+DEFAULT = PaperSettings()
 
 
 class _Network(nn.Module):
@@ -97,7 +97,7 @@ class _Network(nn.Module):
 
 
 def fit(
-    arrivals: Arrivals, areas: Areas, scene: Scene, *, seed: int, settings: Settings = PAPER
+    arrivals: Arrivals, areas: Areas, scene: Scene, *, seed: int, settings: PaperSettings = DEFAULT
 ) -> NtppPaper:
     """Train the networks of a scene's areas; the same seed gives the same weights."""
     rng = np.random.default_rng([seed, 0])
@@ -118,7 +118,7 @@ def fit(
 
 
 def sequences(
-    arrivals: Arrivals, area: int, scene: Scene, settings: Settings, rng: np.random.Generator
+    arrivals: Arrivals, area: int, scene: Scene, settings: PaperSettings, rng: np.random.Generator
 ) -> list[Float[np.ndarray, " _"]]:
     """The gaps in each training window of an area, in frames; the last one ends the window."""
     step = arrivals.grid_s / scene.dt_s
@@ -131,27 +131,19 @@ def sequences(
     stride = max(1, round(settings.stride_frames / step))
     if not settings.published_code:
         cut = windows(arrivals.windows, width, stride)
-        return [_gaps(times, a * step, b * step) for a, b in cut.tolist()]
+        return [gaps_within(times, a * step, b * step) for a, b in cut.tolist()]
     found = []
     for start, stop in arrivals.windows.tolist():
         for a in range(start, stop, stride):
-            inside = _between(times, a * step, min(a + width, stop) * step)
+            inside = between(times, a * step, min(a + width, stop) * step)
             if len(inside):
                 last = inside[0] + settings.window_frames
                 found.append(np.diff(np.concatenate([inside[:1], inside, [last]])))
     return found
 
 
-def _between(times: Float[np.ndarray, " n"], start: float, stop: float) -> Float[np.ndarray, " m"]:
-    return times[np.searchsorted(times, start) : np.searchsorted(times, stop)]
-
-
-def _gaps(times: Float[np.ndarray, " n"], start: float, stop: float) -> Float[np.ndarray, " m"]:
-    return np.diff(np.concatenate([[start], _between(times, start, stop), [stop]]))
-
-
 def train(
-    network: _Network, found: Sequence[Float[np.ndarray, " _"]], settings: Settings
+    network: _Network, found: Sequence[Float[np.ndarray, " _"]], settings: PaperSettings
 ) -> list[float]:
     """Train a network on its windows; returns the loss before each epoch."""
     batches = _batches(found, settings.window_frames)

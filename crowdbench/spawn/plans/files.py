@@ -14,14 +14,13 @@ from msgspec import structs
 from crowdbench.errors import WeightsError
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
-from crowdbench.spawn.fits import Fit, FitFile, Rule, are_definite, hint
+from crowdbench.spawn.arrays import DEFINITE, Fit, Rule, are_definite, hint
+from crowdbench.spawn.fits import FitFile
 from crowdbench.spawn.plans.links import Adjustment, Links
 from crowdbench.spawn.plans.mixtures import DECIMALS
 from crowdbench.spawn.plans.planned import PlannedAreas
-from crowdbench.spawn.plans.trip_mixtures import TripMixtures
-from crowdbench.spawn.plans.ways import Ways
+from crowdbench.spawn.plans.ways import TripMixtures, Ways
 
-_DEFINITE = "symmetric, positive definite matrices"
 _SHARES = "shares that sum to 1"
 
 
@@ -65,7 +64,7 @@ class PlansFit(Fit, frozen=True):
             yield f"trips.{name}.area", every, f"places in all of {count} areas"
             shares = _are_shares(places.weight[None], places.area)
             yield f"trips.{name}.weight", shares, _SHARES
-            yield f"trips.{name}.covariance", are_definite(places.covariance), _DEFINITE
+            yield f"trips.{name}.covariance", are_definite(places.covariance), DEFINITE
         both = len(trips.starts), len(trips.goals)
         yield "trips.weight", trips.weight.shape == both, f"weights of shape {both}"
         # Weights in the rows and columns of two areas sum to 1.
@@ -82,7 +81,7 @@ class PlansFit(Fit, frozen=True):
             ("ways.bend_covariance", self.ways.bend_covariance),
             ("ways.stop_covariance", self.ways.stop_covariance),
         ):
-            yield name, are_definite(matrices), _DEFINITE
+            yield name, are_definite(matrices), DEFINITE
 
 
 PLANS = FitFile("plans", 4, PlansFit, compact=True)

@@ -159,11 +159,7 @@ def not_as_planned(
 
 @compiled
 def _walks(
-    points: Float[np.ndarray, " 6"],
-    first_s: float,
-    wait_s: float,
-    second_s: float,
-    since_s: float,
+    points: Float[np.ndarray, " 6"], first_s: float, wait_s: float, second_s: float, since_s: float
 ) -> tuple[float, float, float, float]:
     """Where somebody is who came this long ago, and the velocity."""
     if since_s < first_s:

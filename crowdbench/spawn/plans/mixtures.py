@@ -35,9 +35,8 @@ def moments(x: Float[np.ndarray, "n D"], weight: Float[np.ndarray, " n"]) -> Mom
     return mean, (off * weight[:, None]).T @ off / weight.sum()
 
 
-def mixed(own: Moments, people: float, usual: Moments) -> Moments:
-    """Moments of so many people and of as many as `PRIOR` usual ones together."""
-    share = people / (people + PRIOR)
+def mixed(own: Moments, share: float, usual: Moments) -> Moments:
+    """Moments of people of whom this share is like some and the others are like usual ones."""
     off = own[0] - usual[0]
     between = share * (1 - share) * np.outer(off, off)
     mean, within = (

@@ -17,8 +17,16 @@ from crowdbench.spawn.areas import Areas, Gaussians
 from crowdbench.spawn.drawing import Flags, Indices, Numbers, Points
 from crowdbench.spawn.events import SpawnEvents, entering
 from crowdbench.spawn.plans.links import STAGES, Links
-from crowdbench.spawn.plans.trip_mixtures import GOAL, SPEED, START
-from crowdbench.spawn.plans.ways import LOG_WAIT, VIA, DrawnWays, Ways, have_room
+from crowdbench.spawn.plans.ways import (
+    GOAL,
+    LOG_WAIT,
+    SPEED,
+    START,
+    VIA,
+    DrawnWays,
+    Ways,
+    have_room,
+)
 from crowdbench.spawn.recorded_plans import turning_points
 
 _ALWAYS = 50.0

@@ -30,8 +30,17 @@ from crowdbench.spawn.plans.mixtures import (
     responsibilities,
     widened,
 )
-from crowdbench.spawn.plans.trip_mixtures import GOAL, SPEED, START, Places, TripMixtures
-from crowdbench.spawn.plans.ways import BEND, OFF_M, STOP, Ways
+from crowdbench.spawn.plans.ways import (
+    BEND,
+    GOAL,
+    OFF_M,
+    SPEED,
+    START,
+    STOP,
+    Places,
+    TripMixtures,
+    Ways,
+)
 from crowdbench.spawn.recorded_plans import SLOWEST_MPS, RecordedPlans
 
 _LEAST_VARIANCE_M2 = 0.05
@@ -42,7 +51,7 @@ _STEPS = 10
 _FEW_STOPS = 0.5
 _LEAST_VARIANCE = 1e-2
 _USUAL_BENDS = np.zeros(BEND), np.diag([0.04, 0.25])
-_SHORT_LOG_WAIT = np.log(10.0), 1.0
+_SHORT_LOG_WAIT = np.log([10.0]), np.ones((1, 1))
 """Mean and variance of the log waits by which those of fewer than ten people are filled up to ten:
 the median stop lasts 9 to 11 s in ETH, Hotel, Zara and the Forum."""
 
@@ -133,8 +142,13 @@ def _bends(
     mean, covariance = (np.tile(of, (*shape, *[1] * of.ndim)) for of in usual)
     for pair, people in trips.between_areas():
         own = moments(people.bend, people.weight)
-        mean[pair], covariance[pair] = mixed(own, people.weight.sum(), usual)
+        mean[pair], covariance[pair] = mixed(own, _share(people.weight.sum()), usual)
     return mean, widened(covariance)
+
+
+def _share(people: float) -> float:
+    """Share of these people if as many as `PRIOR` usual ones join them."""
+    return people / (people + PRIOR)
 
 
 def _stopping(trips: Trips, shape: tuple[int, int]) -> Float[np.ndarray, "K G"]:
@@ -225,14 +239,8 @@ def _few(trips: Trips) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"
     half_way = (trips.trip[:, :2] + trips.trip[:, 2:4]) / 2
     mean, covariance = np.zeros(STOP), np.zeros((STOP, STOP))
     mean[:2], covariance[:2, :2] = moments(half_way, trips.weight)
-    usual, variance = _SHORT_LOG_WAIT
-    stops = trips.stops
-    share = stops.sum() / FEWEST
-    own, spread = moments(trips.stop[stops, 2:], trips.weight[stops])
-    mean[2] = share * own[0] + (1 - share) * usual
-    covariance[2, 2] = (
-        share * spread[0, 0] + (1 - share) * variance + share * (1 - share) * (own[0] - usual) ** 2
-    )
+    own = moments(trips.stop[trips.stops, 2:], trips.weight[trips.stops])
+    mean[2:], covariance[2:, 2:] = mixed(own, trips.stops.sum() / FEWEST, _SHORT_LOG_WAIT)
     return mean, covariance
 
 
@@ -306,6 +314,6 @@ def _adapted(
         mean, covariance = usual.copy(), spread.copy()
         for c in np.flatnonzero(enough):
             own = moments(people.trip, weighted[:, c])
-            mean[c], covariance[c] = mixed(own, number[c], (usual[c], spread[c]))
+            mean[c], covariance[c] = mixed(own, _share(number[c]), (usual[c], spread[c]))
             covariance[c] = widened(covariance[c], START, GOAL)
     return share, enough, mean, covariance

@@ -23,9 +23,9 @@ from numpy.random import Generator
 
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
+from crowdbench.spawn.arrays import Fit, Rule
 from crowdbench.spawn.events import Arrivals, SpawnEvents
-from crowdbench.spawn.fits import Fit, FitFile, Fitted, Rule
-from crowdbench.spawn.model import Start
+from crowdbench.spawn.fits import FitFile, Fitted
 from crowdbench.spawn.plans.links import EDGES_S
 from crowdbench.spawn.times.groups import check_grid, next_members
 from crowdbench.spawn.times.waves import STEP_S, Waves, fit_waves, in_steps, mean_correlations
@@ -69,7 +69,6 @@ class CoxFit(Fit, frozen=True):
 class CoxGMM(Fitted):
     """Groups at rates with slow waves, with the scene's Gaussian areas."""
 
-    areas: Areas
     rate_per_s: Float[np.ndarray, " K"]
     """Mean number of persons per second for each area."""
     next_member: Float[np.ndarray, " K"]
@@ -81,7 +80,6 @@ class CoxGMM(Fitted):
     """Step of the time grid on which groups enter, seconds."""
     name: str = NAME
     file: ClassVar[FitFile[CoxFit]] = FitFile(NAME, 1, CoxFit)
-    start: ClassVar[Start] = "stationary"
 
     @classmethod
     def fit(cls, arrivals: Arrivals, areas: Areas) -> "CoxGMM":
@@ -132,12 +130,12 @@ class CoxGMM(Fitted):
         from crowdbench.spawn.times.cox_kernels import filtered
 
         check_grid(arrivals, self.grid_s, NAME)
-        width, counts, base, total = self._width(), arrivals.counts(), 0, 0.0
+        width, total = self._width(), 0.0
         step_s = width * self.grid_s
-        for length in np.diff(arrivals.windows, axis=1)[:, 0].tolist():
+        for counts in arrivals.by_window():
             total += filtered(
-                counts[base : base + length],
-                self._drawn_after(counts[base : base + length]),
+                counts,
+                self._drawn_after(counts),
                 width,
                 self._groups(),
                 self.next_member,
@@ -147,7 +145,6 @@ class CoxGMM(Fitted):
                 PARTICLES,
                 np.random.default_rng(0),
             )
-            base += length
         return total / max(1, len(arrivals.tick))
 
     def _groups(self) -> Float[np.ndarray, " K"]:

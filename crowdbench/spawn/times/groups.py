@@ -5,18 +5,25 @@ area's arrivals in one observed stretch form a *spell*: the wait from the start 
 the first group, the gaps between groups, and the rest of the stretch, in which nobody enters.
 
 For each gap and each size, a model with a likelihood gives the probability of a longer gap or a
-larger size. This is sufficient for its log-likelihood and for time rescaling.
+larger size. This is sufficient for its log-likelihood and for time
+rescaling, which tests how well gaps and sizes fit arrivals. If the model is true, its cumulative
+hazards over the gaps are exponential with mean 1. Because arrivals are on a grid, each group is
+placed at a random time within its last grid step. If observation ends before a gap does, the hazard
+of the incomplete gap is added to the next gap; this is valid because the exponential distribution
+is memoryless. Sources: Brown et al. (2002), The time-rescaling theorem, Neural Computation 14;
+Brockwell (2007), Universal residuals.
 """
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.random import Generator
 
 from crowdbench.errors import SettingError
+from crowdbench.spawn.arrays import Rule
 from crowdbench.spawn.events import Arrivals
-from crowdbench.spawn.fits import Rule
 
 NEVER = 1e-12
 """Groups per grid step for areas without arrivals in training, because log 0 is undefined."""
@@ -110,11 +117,15 @@ class Hazards:
 
 @runtime_checkable  # tests check annotations at run time
 class HasHazards(Protocol):
-    """A model that gives the cumulative hazards of groups."""
+    """A model that gives the cumulative hazards of groups, and thereby a likelihood."""
 
     def hazards(self, arrivals: Arrivals) -> Hazards:
         """Cumulative hazards of the arrivals' groups, in the order of `spells_of`."""
         ...
+
+    def log_likelihood(self, arrivals: Arrivals) -> float:
+        """Log-probability of the arrivals, in nats per person."""
+        return self.hazards(arrivals).log_probability() / max(1, len(arrivals.tick))
 
 
 def check_grid(arrivals: Arrivals, grid_s: float, model: str) -> None:
@@ -148,11 +159,6 @@ def next_members(probability: Float[np.ndarray, " K"]) -> Rule:
     return "next_member", holds, "probabilities in (0, 1)"
 
 
-def per_person(hazards: Hazards, arrivals: Arrivals) -> float:
-    """Log-probability of the arrivals, in nats per person."""
-    return hazards.log_probability() / max(1, len(arrivals.tick))
-
-
 def group_size(arrivals: Arrivals) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, " K"]]:
     """Fit geometric group sizes: P(one more member) of each area, and its groups per grid step.
 
@@ -173,3 +179,37 @@ def group_size(arrivals: Arrivals) -> tuple[Float[np.ndarray, " K"], Float[np.nd
     # Because of rounding and the additional group, the rate could exceed one group per grid point.
     rate = np.clip(persons / size / points, NEVER, 1 - 1e-6)
     return np.clip(1 - 1 / size, NEVER, None), rate
+
+
+@dataclass(frozen=True)
+class KolmogorovSmirnov:
+    """Result of a Kolmogorov–Smirnov test of residuals against the uniform distribution."""
+
+    statistic: float
+    """Largest difference between the distribution functions."""
+    p: float
+    """p-value."""
+    n: int
+    """Number of residuals."""
+
+
+def rescaled(
+    model: HasHazards, arrivals: Arrivals, rng: Generator, what: Literal["gap", "size"] = "gap"
+) -> Float[np.ndarray, " n"]:
+    """Residuals of gaps or sizes, one per group: independent and uniform if the model is true."""
+    spells = spells_of(arrivals)
+    hazards = model.hazards(arrivals)
+    before, until = getattr(hazards, what).T
+    spent = before - np.log1p(rng.random(len(before)) * np.expm1(before - until))
+    if what == "gap":
+        unfinished = np.concatenate([[0.0], np.cumsum(hazards.rest)])[spells.of_group]
+        spent = spent + np.diff(unfinished, prepend=0.0)
+    return -np.expm1(-spent)
+
+
+def kolmogorov_smirnov(residuals: Float[np.ndarray, " n"]) -> KolmogorovSmirnov:
+    """Test residuals against the uniform distribution on [0, 1]."""
+    from scipy.stats import kstest
+
+    found = kstest(residuals, "uniform")
+    return KolmogorovSmirnov(float(found.statistic), float(found.pvalue), len(residuals))

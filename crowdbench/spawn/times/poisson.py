@@ -18,16 +18,16 @@ from numpy.random import Generator
 
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
+from crowdbench.spawn.arrays import Fit, Rule
 from crowdbench.spawn.events import Arrivals, SpawnEvents
-from crowdbench.spawn.fits import Fit, FitFile, Fitted, Rule
-from crowdbench.spawn.model import Start
+from crowdbench.spawn.fits import FitFile, Fitted
 from crowdbench.spawn.times.groups import (
+    HasHazards,
     Hazards,
     check_grid,
     geometric_sizes,
     group_size,
     next_members,
-    per_person,
     spells_of,
 )
 
@@ -48,12 +48,10 @@ class PoissonFit(Fit, frozen=True):
 class PoissonGMM(Fitted):
     """Homogeneous Poisson arrivals per area, with the scene's Gaussian areas."""
 
-    areas: Areas
     rate: Float[np.ndarray, " K"]
     """Expected persons per second for each area."""
     name: str = NAME
     file: ClassVar[FitFile[PoissonFit]] = FitFile(NAME, 2, PoissonFit)
-    start: ClassVar[Start] = "stationary"
 
     @classmethod
     def fit(cls, arrivals: Arrivals, areas: Areas) -> "PoissonGMM":
@@ -142,10 +140,9 @@ class GroupsFit(Fit, frozen=True):
 
 
 @dataclass(frozen=True, eq=False)
-class PoissonGroups(Fitted):
+class PoissonGroups(HasHazards, Fitted):
     """Groups at a constant rate per area, with the scene's Gaussian areas."""
 
-    areas: Areas
     rate_per_s: Float[np.ndarray, " K"]
     """Expected groups per second for each area; at each grid point a group enters with probability
     rate × grid step."""
@@ -155,7 +152,6 @@ class PoissonGroups(Fitted):
     """Step of the time grid on which groups enter, seconds."""
     name: str = GROUPS
     file: ClassVar[FitFile[GroupsFit]] = FitFile(GROUPS, 2, GroupsFit)
-    start: ClassVar[Start] = "stationary"
 
     @classmethod
     def fit(cls, arrivals: Arrivals, areas: Areas) -> "PoissonGroups":
@@ -176,10 +172,6 @@ class PoissonGroups(Fitted):
     def _chance(self) -> Float[np.ndarray, " K"]:
         """P(a group enters at a grid point)."""
         return self.rate_per_s * self.grid_s
-
-    def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Log-probability of the arrivals, in nats per person."""
-        return per_person(self.hazards(arrivals), arrivals)
 
     def hazards(self, arrivals: Arrivals) -> Hazards:
         """Cumulative hazards of the groups: gaps and sizes are geometric.

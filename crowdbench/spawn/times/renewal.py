@@ -19,17 +19,17 @@ from numpy.random import Generator
 
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
+from crowdbench.spawn.arrays import Fit, Rule
 from crowdbench.spawn.events import Arrivals, SpawnEvents
-from crowdbench.spawn.fits import Fit, FitFile, Fitted, Rule
-from crowdbench.spawn.model import Start
+from crowdbench.spawn.fits import FitFile, Fitted
 from crowdbench.spawn.times.groups import (
+    HasHazards,
     Hazards,
     Spells,
     check_grid,
     geometric_sizes,
     group_size,
     next_members,
-    per_person,
     spells_of,
 )
 
@@ -60,10 +60,9 @@ class RenewalFit(Fit, frozen=True):
 
 
 @dataclass(frozen=True, eq=False)
-class RenewalGMM(Fitted):
+class RenewalGMM(HasHazards, Fitted):
     """Weibull renewal arrivals of groups per area, with the scene's Gaussian areas."""
 
-    areas: Areas
     shape: Float[np.ndarray, " K"]
     """Weibull shape of the gaps: 1 is Poisson, smaller is bursty, larger is regular."""
     scale_s: Float[np.ndarray, " K"]
@@ -74,7 +73,6 @@ class RenewalGMM(Fitted):
     """Step of the time grid on which groups enter, seconds."""
     name: str = NAME
     file: ClassVar[FitFile[RenewalFit]] = FitFile(NAME, 2, RenewalFit)
-    start: ClassVar[Start] = "stationary"
 
     @classmethod
     def fit(cls, arrivals: Arrivals, areas: Areas) -> "RenewalGMM":
@@ -114,10 +112,6 @@ class RenewalGMM(Fitted):
             ticks.append(ticks[-1][-1] + np.cumsum(gap))
         every = np.concatenate(ticks)
         return every[every < points]
-
-    def log_likelihood(self, arrivals: Arrivals) -> float:
-        """Log-probability of the arrivals, in nats per person."""
-        return per_person(self.hazards(arrivals), arrivals)
 
     def hazards(self, arrivals: Arrivals) -> Hazards:
         """Cumulative hazards of the groups.

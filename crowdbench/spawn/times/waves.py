@@ -141,15 +141,8 @@ def pairs_of(arrivals: Arrivals, *, longest_s: float) -> PairCorrelations:
 
 def in_steps(arrivals: Arrivals, width: int) -> list[Int[np.ndarray, "T K"]]:
     """Number of persons in each interval of `width` grid points, in each observed stretch."""
-    counts = arrivals.counts()
-    found, base = [], 0
-    for length in np.diff(arrivals.windows, axis=1)[:, 0].tolist():
-        steps = length // width
-        of_window = counts[base : base + steps * width]
-        if steps:
-            found.append(of_window.reshape(steps, width, -1).sum(axis=1))
-        base += length
-    return found
+    steps = [(counts, len(counts) // width) for counts in arrivals.by_window()]
+    return [c[: n * width].reshape(n, width, -1).sum(axis=1) for c, n in steps if n]
 
 
 def fit_waves(arrivals: Arrivals) -> Waves:
