@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 TIMEOUT_DWELLS = 2.0
-_ID = re.compile(r"[a-z][a-z0-9_]*-v[0-9]+")
+ID = re.compile(r"[a-z][a-z0-9_]*-v[0-9]+")
+"""Valid ids of scenes."""
 _MARGIN_M = 0.01  # moved points keep this distance from walls and bounds
 _HINT = "Compare with scenes/plaza-v0/scene.toml."
 
@@ -298,7 +299,7 @@ def load_scene(scene: str | Path | Scene) -> Scene:
     if isinstance(scene, Scene):
         return scene
     folder = Path(scene)
-    if _ID.fullmatch(str(scene)) and (scenes_folder() / str(scene)).is_dir():
+    if ID.fullmatch(str(scene)) and (scenes_folder() / str(scene)).is_dir():
         folder = scenes_folder() / str(scene)
     if not (folder / "scene.toml").is_file():
         raise SceneError(
@@ -323,7 +324,7 @@ def _check(file: _SceneFile, path: Path) -> None:
 
     b, walking = file.bounds, file.walking
     require(file.schema == SCHEMA, f"schema = {file.schema}", f"schema = {SCHEMA}")
-    require(bool(_ID.fullmatch(file.id)), f"id = {file.id!r}", "an id like name-v0")
+    require(bool(ID.fullmatch(file.id)), f"id = {file.id!r}", "an id like name-v0")
     for name, value in _numbers(file):
         holds, expected = value > 0 and math.isfinite(value), "a positive number"
         if name.startswith("bounds."):

@@ -7,7 +7,7 @@ and 20 steps or more, 258 people are left on ETH, as in the paper. The order of 
 matter for who is left.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,35 +20,12 @@ SHORTEST_STEPS = 20
 LONGEST_POSITIONS = 99
 
 
-@dataclass(frozen=True)
-class Counts:
-    """How many people are left after each rule."""
+def paper_preprocessed(crowd: Trajectories) -> tuple[Trajectories, dict[str, str]]:
+    """The people that the paper keeps, and how many are left after each rule, as text for a table.
 
-    recorded: int
-    moving: int
-    """People who end more than √2 m from where they start."""
-    long_enough: int
-    """Of these, people with 20 steps or more."""
-    kept: int
-    """Of these, people with fewer than 100 positions."""
-    coarse: int
-    """People who move and have fewer than 100 positions on the annotation grid, as in the code."""
-
-    def facts(self) -> dict[str, str]:
-        """The counts as text for a table."""
-        return {
-            "recorded": f"{self.recorded} people",
-            "who move": f"{self.moving} end more than 1.41 m from their start",
-            "not too short": f"{self.long_enough} of them have {SHORTEST_STEPS} steps or more",
-            "not too long": f"{self.kept} of them have fewer than {LONGEST_POSITIONS + 1} "
-            "positions",
-            "published code": f"{self.coarse} move and have fewer than "
-            f"{LONGEST_POSITIONS + 1} annotated positions",
-        }
-
-
-def paper_preprocessed(crowd: Trajectories) -> tuple[Trajectories, Counts]:
-    """The people that the paper keeps, and how many are left after each rule."""
+    The last count is that of the published code: positions on the annotation grid, and no lower
+    limit of steps.
+    """
     way = crowd.end.astype(np.float64) - crowd.start
     positions = np.diff(crowd.offsets)
     annotated = (positions - 1) * crowd.dt_s / crowd.grid_s + 1
@@ -56,8 +33,14 @@ def paper_preprocessed(crowd: Trajectories) -> tuple[Trajectories, Counts]:
     long_enough = moving & (positions - 1 >= SHORTEST_STEPS)
     kept = long_enough & (positions <= LONGEST_POSITIONS)
     coarse = moving & (np.round(annotated) <= LONGEST_POSITIONS)
-    counts = (len(crowd), *(int(some.sum()) for some in (moving, long_enough, kept, coarse)))
-    return only(crowd, kept), Counts(*counts)
+    fewer = f"fewer than {LONGEST_POSITIONS + 1}"
+    return only(crowd, kept), {
+        "recorded": f"{len(crowd)} people",
+        "who move": f"{moving.sum()} end more than 1.41 m from their start",
+        "not too short": f"{long_enough.sum()} of them have {SHORTEST_STEPS} steps or more",
+        "not too long": f"{kept.sum()} of them have {fewer} positions",
+        "published code": f"{coarse.sum()} move and have {fewer} annotated positions",
+    }
 
 
 def only(crowd: Trajectories, chosen: Bool[np.ndarray, " P"]) -> Trajectories:

@@ -4,7 +4,6 @@ The scene is built in a temporary folder and moved to its place at the end, so t
 scene is left after an error.
 """
 
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from crowdbench.progress import whole
 from crowdbench.registry import recording as named_recording
 from crowdbench.registry import recording_of
 from crowdbench.run.executor import checked_workers
-from crowdbench.scene import Gate, Recording, Scene, list_scenes, load_scene
+from crowdbench.scene import ID, Gate, Recording, Scene, list_scenes, load_scene
 from crowdbench.scene_building import rules
 from crowdbench.scene_building.anchors import make_anchors, power_study
 from crowdbench.scene_building.fit import (
@@ -40,8 +39,6 @@ from crowdbench.scene_building.toml import like_toml, scene_toml, write_scored
 from crowdbench.scene_building.walls import read_walls
 from crowdbench.scoring.reference import read_reference
 from crowdbench.scoring.scorecard import write_anchors
-
-_ID = re.compile(r"[a-z][a-z0-9_]*-v[0-9]+")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +61,7 @@ class NewScene:
     rollouts_per_fit: int | None = None
 
     def __post_init__(self) -> None:
-        if not _ID.fullmatch(self.name) or self.name in list_scenes():
+        if not ID.fullmatch(self.name) or self.name in list_scenes():
             raise SettingError(
                 "scene",
                 got=f"the name {self.name!r}",

@@ -149,7 +149,7 @@ def _preprocessed(
     of = structs.replace(
         scene.recording, preprocess="paper", dwell_p99_s=round(dwell_p99_s(recording), 6)
     )
-    return replace(scene, recording=of), recording, counts.facts()
+    return replace(scene, recording=of), recording, counts
 
 
 def _write_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: Scene) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from crowdbench.errors import SceneError
+from crowdbench.errors import SceneError, hinting
 from crowdbench.files import read_bytes
 from crowdbench.scene import Bounds, Wall
 
@@ -17,6 +17,7 @@ _LEAST_M2 = 0.001
 _HINT = "Use a file of polygons in GeoJSON or WKT, in metres and in the recording's frame."
 
 
+@hinting(_HINT)
 def read_walls(path: Path, bounds: Bounds) -> tuple[Wall, ...]:
     """The walls in a file, clipped to the bounds.
 
@@ -45,7 +46,6 @@ def read_walls(path: Path, bounds: Bounds) -> tuple[Wall, ...]:
             got=f"walls at {', '.join(_rounded(e) for e in extent[:3])}" if extent else "no wall",
             expected=f"at least one wall within the bounds {_rounded(place.bounds)} "
             "(x min, y min, x max, y max)",
-            hint=_HINT,
         )
     return tuple(walls)
 
@@ -69,7 +69,6 @@ def _shapes(text: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
             path,
             got=str(error).splitlines()[0],
             expected="valid GeoJSON" if is_json else "GeoJSON or WKT",
-            hint=_HINT,
         ) from error
 
 
@@ -92,7 +91,6 @@ def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.
             path,
             got=f"an invalid {kind or 'object without a type'} ({error})",
             expected="GeoJSON features with polygons",
-            hint=_HINT,
         ) from error
 
 

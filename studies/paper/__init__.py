@@ -159,7 +159,7 @@ def _studied(
 
 def kept_people(recording: Trajectories, name: str) -> dict[str, str]:
     """How many people are left after each rule of the paper, beside its own number."""
-    facts = paper_preprocessed(recording)[1].facts()
+    facts = paper_preprocessed(recording)[1]
     if name in PUBLISHED:
         number, what, why = PUBLISHED[name]
         facts["paper"] = f"{number:,} {what}"

@@ -81,13 +81,13 @@ def test_holes_stay_free(tmp_path: Path) -> None:
         ({"type": "Point", "coordinates": [1, 1]}, "got a Point"),
         ("POLYGON ((0 0, 4 4, 4 0, 0 4, 0 0))", "do not cross themselves.*make_valid"),
         ("POLYGON ((8.54 47.3, 8.55 47.3, 8.55 47.4, 8.54 47.3))", r"walls at \(8.54, 47.3, 8.55"),
-        ("POLYGON EMPTY", "got no wall"),
-        ("a wall", "expected GeoJSON or WKT"),
+        ("POLYGON EMPTY", "got no wall.*Use a file of polygons"),
+        ("a wall", "expected GeoJSON or WKT.*Use a file of polygons"),
         ("{", "expected valid GeoJSON"),
         ({"type": "FeatureCollection"}, "an invalid FeatureCollection"),
         ({"type": "Feature", "geometry": None}, "an invalid object"),
         ({"type": "Polygon", "coordinates": [[1, 2]]}, "an invalid Polygon"),
-        ({"walls": []}, "an invalid object without a type"),
+        ({"walls": []}, "an invalid object without a type.*Use a file of polygons"),
     ],
 )
 def test_what_is_no_wall_is_refused(tmp_path: Path, content: object, message: str) -> None:
