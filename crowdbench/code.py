@@ -114,7 +114,8 @@ def _file(module: str) -> Path:
     path = _ROOT.joinpath(*module.split("."))
     if module.startswith(_SCRIPTS) and not path.with_suffix(".py").exists():  # of a clone
         path = _ROOT.joinpath(*module.split(".")[1:])
-    return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    package = path / "__init__.py"  # a folder alone may be left over from a former version
+    return package if package.exists() else path.with_suffix(".py")
 
 
 @cache

@@ -104,6 +104,13 @@ def test_a_change_of_what_is_imported_changes_the_hash(write: Write) -> None:
     assert code_hash("crowdbench.user") != before
 
 
+def test_a_folder_that_was_left_over_is_no_package(write: Write, tmp_path: Path) -> None:
+    before = code_hash("crowdbench.room.one")
+    (tmp_path / "crowdbench" / "room" / "one" / "__pycache__").mkdir(parents=True)
+    code._file.cache_clear()
+    assert code_hash("crowdbench.room.one") == before
+
+
 def test_training_scripts_are_found() -> None:
     assert "crowdbench.policies.policy" in closure(["crowdbench.baselines.orca"])
 

@@ -1,5 +1,6 @@
 """`crowdbench policy`: export a network as a policy file, or show the card of a file."""
 
+import importlib
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -8,7 +9,6 @@ from typing import Any
 from cyclopts import Parameter
 
 import crowdbench
-from crowdbench import plugins
 from crowdbench.cli.running import find_own_code, new_app
 from crowdbench.errors import SettingError, to_install
 from crowdbench.report.text.terminal import print_facts
@@ -113,7 +113,13 @@ def _imported(path: str) -> Any:
             expected="torch to be installed",
             hint=to_install("fit"),
         ) from error
-    found = plugins.find("policies", path if ":" in path else f"{path}:")
+    module, _, name = path.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise SettingError(
+            "network", got=f"{path!r} ({error})", expected="a pkg.module:NAME that can be imported"
+        ) from error
     made = found() if callable(found) and not isinstance(found, torch.nn.Module) else found
     if not isinstance(made, torch.nn.Module):
         raise SettingError(

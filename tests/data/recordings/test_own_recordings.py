@@ -212,7 +212,7 @@ def test_the_command_line_knows_all_formats(capsys: pytest.CaptureFixture[str]) 
 def test_a_format_is_named_by_the_function_that_reads_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "of_mine.py").write_text(
+    (tmp_path / "rows_of_mine.py").write_text(
         "from crowdbench import read\n"
         "def rows(path, *, name, dt_s):\n"
         "    return read(path, 'eth-v0')\n"
@@ -220,10 +220,10 @@ def test_a_format_is_named_by_the_function_that_reads_it(
     monkeypatch.syspath_prepend(tmp_path)
     lines = [f"3,{t},{0.4 * t},0" for t in range(9)]
     (tmp_path / "mine.csv").write_text("\n".join(["person_id,frame,x,y", *lines]))
-    crowd = read_recording(tmp_path / "mine.csv", "of_mine:rows", name="mine")
+    crowd = read_recording(tmp_path / "mine.csv", "rows_of_mine:rows", name="mine")
     assert (crowd.scene, crowd.frames, crowd.provenance["source"]) == ("mine", 9, "mine.csv")
-    with pytest.raises(SettingError, match="got the format of_mine:rows, whose frames"):
-        read_recording(tmp_path / "mine.csv", "of_mine:rows", name="mine", offset_s=0.4)
+    with pytest.raises(SettingError, match="got the format rows_of_mine:rows, whose frames"):
+        read_recording(tmp_path / "mine.csv", "rows_of_mine:rows", name="mine", offset_s=0.4)
     with pytest.raises(SettingError, match=r"format: got 'cvs'.*Did you mean `csv`"):
         read_recording(tmp_path / "mine.csv", "cvs", name="mine")
 
