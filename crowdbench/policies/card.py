@@ -16,7 +16,10 @@ ACTION = "velocity-1"
 frame of the observation."""
 HINT = "Export the network again with `crowdbench policy export`."
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,39}")
-_RANGES = RANGES | {"rays": (1, 1024), "ray_range_m": (0.1, 1000.0)}
+_RANGES = {name: RANGES[name] for name in ("memory", "style", "interval")} | {
+    "rays": (1, 1024),
+    "ray_range_m": (0.1, 1000.0),
+}
 
 
 class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -102,37 +105,27 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         Raises:
             WeightsError: the card has another version, or a value is out of range.
         """
-        ranged = (
-            (name, getattr(self, name), low <= getattr(self, name) <= high, f"{low:g} to {high:g}")
-            for name, (low, high) in _RANGES.items()
-            if name != "noise"
-        )
-        chosen = (
-            (name, getattr(self, name), getattr(self, name) in known, f"one of {', '.join(known)}")
-            for name, known in (
-                ("observation", known_observations()), ("action", (ACTION,)), ("split", SPLITS),
-            )
-        )  # fmt: skip
+        chosen = (("observation", known_observations()), ("action", (ACTION,)), ("split", SPLITS))
         own_unit = self.max_speed_mps is None or (
             0 < self.max_speed_mps < math.inf and self.observation == "social-1"
         )
-        named, unit = "1 to 40 letters, digits, or ' ._+-'", "a positive number, only with social-1"
-        text = "plain text of up to 1000 characters"
-        problems = (
-            ("schema", self.schema, self.schema == SCHEMA, str(SCHEMA)),
-            ("name", self.name, _NAME.fullmatch(self.name), named),
-            *ranged,
-            *chosen,
-            ("max_speed_mps", self.max_speed_mps, own_unit, unit),
-            ("scene", self.scene, all(map(_NAME.fullmatch, self.scenes)), "the id of a scene"),
-            ("command", "", _plain(self.command), text),
-            ("revision", "", _plain(self.revision), text),
+        rules = (
+            ("schema", self.schema == SCHEMA, str(SCHEMA)),
+            ("name", _NAME.fullmatch(self.name), "1 to 40 letters, digits, or ' ._+-'"),
+            *(
+                (name, low <= getattr(self, name) <= high, f"{low:g} to {high:g}")
+                for name, (low, high) in _RANGES.items()
+            ),
+            *((name, getattr(self, name) in of, f"one of {', '.join(of)}") for name, of in chosen),
+            ("max_speed_mps", own_unit, "a positive number, only with social-1"),
+            ("scene", all(map(_NAME.fullmatch, self.scenes)), "the id of a scene"),
+            ("command", _plain(self.command), "plain text of up to 1000 characters"),
+            ("revision", _plain(self.revision), "plain text of up to 1000 characters"),
         )
-        for name, got, fits, expected in problems:
+        for name, fits, expected in rules:
             if not fits:
-                raise WeightsError(
-                    where, got=f"the {name} {got!r}"[:200], expected=expected, hint=HINT
-                )
+                got = f"the {name} {getattr(self, name)!r}"[:200]
+                raise WeightsError(where, got=got, expected=expected, hint=HINT)
         return self
 
 

@@ -32,7 +32,7 @@ from crowdbench.simulation.social import with_velocities_times
 
 if TYPE_CHECKING:
     from google.protobuf.message import Message
-    from onnx import ModelProto, NodeProto, ValueInfoProto
+    from onnx import ModelProto, ValueInfoProto
 
 KEY = "crowdbench"
 LARGEST = 20_000_000  # bytes
@@ -226,15 +226,18 @@ def _check_operators(path: Path, model: "ModelProto") -> None:
     if model.functions:
         raise _invalid(path, "custom functions", "operators of the ONNX standard")
     for part in _parts(model.graph):
-        if isinstance(part, NodeProto) and part.domain not in _STANDARD:
-            found = f"the operator {part.domain}.{part.op_type}"
-            raise _invalid(path, found, "operators of the ONNX standard")
-        if isinstance(part, NodeProto) and _draws(part):
-            raise _invalid(
-                path,
-                f"the operator {part.op_type}, which draws random numbers",
-                "the input noise (A, Z) instead, so that the same seed gives the same crowd",
-            )
+        if isinstance(part, NodeProto):
+            if part.domain not in _STANDARD:
+                found = f"the operator {part.domain}.{part.op_type}"
+                raise _invalid(path, found, "operators of the ONNX standard")
+            # Dropout draws random numbers if its third input (training mode) is set.
+            in_training = part.op_type == "Dropout" and any(part.input[2:])
+            if part.op_type in _DRAWING or in_training:
+                raise _invalid(
+                    path,
+                    f"the operator {part.op_type}, which draws random numbers",
+                    "the input noise (A, Z) instead, so that the same seed gives the same crowd",
+                )
         if isinstance(part, TensorProto) and (
             part.external_data or part.data_location == part.EXTERNAL
         ):
@@ -244,12 +247,6 @@ def _check_operators(path: Path, model: "ModelProto") -> None:
                 "all weights in this file",
                 hint="Save the model without external data.",
             )
-
-
-def _draws(node: "NodeProto") -> bool:
-    # Dropout draws random numbers if its third input (training mode) is set.
-    in_training = node.op_type == "Dropout" and any(node.input[2:])
-    return node.op_type in _DRAWING or in_training
 
 
 def _parts(message: "Message") -> "Iterator[Message]":

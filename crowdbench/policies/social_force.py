@@ -11,7 +11,7 @@ import math
 from typing import ClassVar, Literal
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Float32
 from numpy.random import Generator
 
 from crowdbench.compilation import compiled
@@ -42,6 +42,8 @@ class SocialForce:
     sees: ClassVar[Literal["state"]] = "state"
     deterministic: ClassVar[bool] = True
     many_worlds: ClassVar[bool] = True
+    groups: ClassVar[bool] = False
+    """Whether companions stay together; otherwise everyone is repelled by everyone."""
 
     def reset(self, scene: Scene, rng: Generator) -> None:
         """Load the walls of `scene`."""
@@ -58,6 +60,7 @@ class SocialForce:
         visits = (seen.target != seen.goal).any(axis=1)
         rest = np.linalg.norm(seen.target - seen.position, axis=1) / dt_s
         speed[visits] = np.minimum(speed, rest)[visits]
+        nobody = np.full(len(seen.slot), -1, np.int32)
         displacement = _walk(
             seen.world,
             seen.position.astype(np.float64),
@@ -68,14 +71,10 @@ class SocialForce:
             self._walls,
             max(1, round(dt_s / SUBSTEP_S)),
             dt_s,
-            self._companions(seen),
+            seen.group if self.groups else nobody,
             np.lexsort((seen.position[:, 0], seen.world)),
         )
         return (displacement / (dt_s * self._scene.motion.max_speed_mps)).astype(np.float32)
-
-    def _companions(self, seen: StateView) -> Int[np.ndarray, " A"]:
-        """Groups whose members stay together; −1 for people who are repelled by everyone."""
-        return np.full(len(seen.slot), -1, dtype=np.int32)
 
 
 class GroupForce(SocialForce):
@@ -87,9 +86,7 @@ class GroupForce(SocialForce):
     """
 
     name = "group-force"
-
-    def _companions(self, seen: StateView) -> Int[np.ndarray, " A"]:
-        return seen.group
+    groups = True
 
 
 @compiled

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 
 import msgspec
@@ -238,10 +239,8 @@ def _walking_speed(rolled: dict[Job, RolloutSummary]) -> float | None:
     """Mean speed of people who walk, m/s, over all rollouts; None if nobody does."""
     speed = Speed()
     each = [what.of(speed)["counts"].sum(axis=0) for what in rolled.values()]
-    counts = np.zeros((len(each), max(map(len, each))), dtype=np.int64)
-    for row, of_rollout in zip(counts, each, strict=True):
-        row[: len(of_rollout)] = of_rollout
-    return speed.walking_mps({"counts": counts})
+    counts = np.array(list(zip_longest(*each, fillvalue=0)), dtype=np.int64)
+    return speed.walking_mps({"counts": counts.T})
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,8 @@ from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.spawn.plaza import SCENE, PlazaArrivals
 
-SEED = 0
 
-
-def record(seed: int = SEED, horizon_s: float | None = None) -> Trajectories:
+def record(seed: int = 0, horizon_s: float | None = None) -> Trajectories:
     """Generate a recording of the plaza from its true process and the walker `GroupForce`.
 
     `horizon_s` defaults to the length of the scene's recording (30 minutes). The persons have

@@ -6,12 +6,9 @@ All environments and rollouts use `Simulation`.
 import numba
 
 # numba's own thread pool is not thread-safe; that of OpenMP is. Without OpenMP, any will do.
+# This is set before kernels are imported.
 numba.config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]  # type: ignore[attr-defined]
 
-from crowdbench.simulation.simulation import (  # noqa: E402  (the threading layer comes first)
-    Settings,
-    Shown,
-    Simulation,
-)
+from crowdbench.simulation.simulation import Settings, Shown, Simulation  # noqa: E402
 
 __all__ = ["Settings", "Shown", "Simulation"]

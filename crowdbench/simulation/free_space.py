@@ -13,7 +13,7 @@ import shapely
 from numba import njit
 
 from crowdbench.compilation import compiled
-from crowdbench.scene import Bounds, Scene, Wall
+from crowdbench.scene import Bounds, Wall
 from crowdbench.simulation.rules import distance_to_segment
 
 CELL_M = 0.1
@@ -40,14 +40,10 @@ class FreeSpace(NamedTuple):
     columns: int
     rows: int
 
-    @classmethod
-    def of(cls, scene: Scene) -> "FreeSpace":
-        """The grid of a scene. Recent ones are cached, so they must not be changed."""
-        return _built(scene.walls, scene.bounds)
-
 
 @lru_cache(maxsize=4)
-def _built(walls: tuple[Wall, ...], bounds: Bounds) -> FreeSpace:
+def free_space(walls: tuple[Wall, ...], bounds: Bounds) -> FreeSpace:
+    """The grid of a scene. Recent ones are cached, so they must not be changed."""
     wide, high = bounds.x_max_m - bounds.x_min_m, bounds.y_max_m - bounds.y_min_m
     cell_m = max(CELL_M, math.sqrt(wide * high / MOST_CELLS))
     columns, rows = math.ceil(wide / cell_m), math.ceil(high / cell_m)

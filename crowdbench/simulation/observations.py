@@ -133,15 +133,14 @@ def size_of(name: str, rays: int) -> int:
 
 @Kernel
 def observe(
-    slots, target, beyond, head, bounds, cells, walls, max_speed, radius, reach, remaining, nearest,
-    out,
-):  # fmt: skip
+    slots, target, beyond, head, cells, walls, constants, radius, reach, remaining, nearest, out
+):
     """Write the observations of everyone present or ended in this step to `out` (W, N, head + R).
 
-    `target` (W, N, 2) is the next point on the path to the person's target, `beyond` (W, N) the
-    remaining length of the path from there, and `bounds` is x_min, x_max, y_min, y_max. Also writes
-    the length of the whole path to `remaining` (W, N), and the distance to the nearest visible
-    person to `nearest` (W, N), infinite if there is none. All lengths are in metres.
+    `target` (W, N, 2) is the next point on the path to the person's target, and `beyond` (W, N) the
+    remaining length of the path from there. Also writes the length of the whole path to `remaining`
+    (W, N), and the distance to the nearest visible person to `nearest` (W, N), infinite if there is
+    none. All lengths are in metres.
     """
     # Arrays are unpacked once, because each access through a bundle costs as much as a ray.
     alive, ended, spawned = slots.alive, slots.ended, slots.spawned
@@ -151,7 +150,7 @@ def observe(
     wall_grid = (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows)
     cos, sin, lines = walls.cos, walls.sin, walls.lines
     cos32, sin32 = cos.astype(np.float32), sin.astype(np.float32)
-    x_min, x_max, y_min, y_max = bounds[0], bounds[1], bounds[2], bounds[3]
+    max_speed = constants.max_speed
     ray_start, meeting = walls.ray_start, walls.meeting
     for w in prange(alive.shape[0]):
         sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_slot)
@@ -166,10 +165,10 @@ def observe(
                 out[w, i, 5] = min(1.0, speed[w, i] / max_speed)
             x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
             if head > 6:
-                out[w, i, 6] = _near(x - x_min, reach)
-                out[w, i, 7] = _near(x_max - x, reach)
-                out[w, i, 8] = _near(y - y_min, reach)
-                out[w, i, 9] = _near(y_max - y, reach)
+                out[w, i, 6] = _near(x - constants.x_min, reach)
+                out[w, i, 7] = _near(constants.x_max - x, reach)
+                out[w, i, 8] = _near(y - constants.y_min, reach)
+                out[w, i, 9] = _near(constants.y_max - y, reach)
             cell = cell_of(x, y, wall_grid)
             rays = out[w, i, head:]
             _see_walls(x, y, cos, sin, lines, ray_start[cell], ray_start[cell + 1], meeting, reach,

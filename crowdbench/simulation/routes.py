@@ -74,31 +74,25 @@ class Routes:
 
     def __init__(
         self,
-        segments: Float[np.ndarray, "S 4"],
         corners: Float[np.ndarray, "C 2"],
         between: Float[np.ndarray, "C C"],
-        sight: Sight | None = None,
+        sight: Sight,
     ) -> None:
         # The kernel is compiled once, for arrays of these types and in this order.
         self._corners = np.ascontiguousarray(corners, np.float64)
         self._between = np.ascontiguousarray(between, np.float64)
-        self._sight = sight or Sight.past(segments, len(corners))
-        self._known = np.empty((0, 0, 2), dtype=np.int64)
-        self._goal = np.empty((0, 0, 2))
-        self._seen = np.empty((0, 0, 5))
-        self._to_goal = np.empty((0, 0, len(corners)))
+        self._sight = sight
+        self._forget(0, 0)
 
     @classmethod
     def on(cls, scene: Scene) -> "Routes":
         """Routes in a scene. The visibility graph of a scene is computed once and cached."""
-        graph = _GRAPHS.get((scene.walls, scene.bounds))
-        if graph is None:
+        key = scene.walls, scene.bounds
+        if key not in _GRAPHS:
             corners = _corners(scene)
             sight = Sight.past(scene.wall_segments, len(corners))
-            graph = _GRAPHS[scene.walls, scene.bounds] = (
-                corners, _distances(corners, scene), sight,
-            )  # fmt: skip
-        return cls(scene.wall_segments, *graph)
+            _GRAPHS[key] = corners, _distances(corners, scene), sight
+        return cls(*_GRAPHS[key])
 
     def next_of(
         self,
@@ -114,7 +108,10 @@ class Routes:
         """
         target, beyond = np.array(goal, np.float64, order="C"), np.zeros(len(slot))
         if len(self._sight.segments) and len(slot):
-            self._make_room(int(world.max()) + 1, int(slot.max()) + 1)
+            worlds, slots = int(world.max()) + 1, int(slot.max()) + 1
+            most_worlds, most_slots = self._known.shape[:2]
+            if worlds > most_worlds or slots > most_slots:
+                self._forget(max(worlds, most_worlds), max(2 * slots, most_slots))
             _next(
                 len(slot),
                 np.ascontiguousarray(world, np.int64),
@@ -132,19 +129,12 @@ class Routes:
             )
         return target, beyond
 
-    def _make_room(self, worlds: int, slots: int) -> None:
-        known = self._known.shape
-        if worlds <= known[0] and slots <= known[1]:
-            return
-        shape = (max(worlds, known[0]), max(2 * slots, known[1]))
-
-        def larger(before: np.ndarray, fill: int | float) -> np.ndarray:
-            after = np.full((*shape, before.shape[2]), fill, before.dtype)
-            after[: known[0], : known[1]] = before
-            return after
-
-        self._known, self._goal = larger(self._known, -1), larger(self._goal, np.nan)
-        self._seen, self._to_goal = larger(self._seen, np.nan), larger(self._to_goal, np.inf)
+    def _forget(self, worlds: int, slots: int) -> None:
+        """Make room for so many people; what was cached before is computed again."""
+        self._known = np.full((worlds, slots, 2), -1, np.int64)
+        self._goal = np.full((worlds, slots, 2), np.nan)
+        self._seen = np.full((worlds, slots, 5), np.nan)
+        self._to_goal = np.full((worlds, slots, len(self._corners)), np.inf)
 
 
 def _corners(scene: Scene) -> Float[np.ndarray, "C 2"]:

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float32, Int
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.scene import Scene
 from crowdbench.simulation.cells import Cells
-from crowdbench.simulation.free_space import FreeSpace
+from crowdbench.simulation.free_space import free_space
 from crowdbench.simulation.observations import (
     OBSERVATION,
     Version,
@@ -139,7 +139,7 @@ class Simulation:
             ray_range_m=shown.ray_range_m,
             step_m=step_m,
         )
-        self._free = None if rays else FreeSpace.of(scene)
+        self._free = None if rays else free_space(scene.walls, bounds)
         range_m = shown.ray_range_m if rays else RANGE_M
         self._cells = Cells.between(worlds, s.max_alive, lower, upper, range_m / 2)
         self.constants = Constants(
@@ -157,7 +157,6 @@ class Simulation:
             y_max=bounds.y_max_m,
         )
         self._more = observation_of(shown.observation)
-        self._bounds = np.array([bounds.x_min_m, bounds.x_max_m, bounds.y_min_m, bounds.y_max_m])
         shape = (worlds, s.max_alive)
         numbers = size_of(shown.observation, shown.rays)
         self.observation: Float32[np.ndarray, "W N obs"] = np.zeros((*shape, numbers), np.float32)
@@ -267,8 +266,8 @@ class Simulation:
         what: tuple[object, ...]
         if self._version.rays:
             radius_m, range_m = self.scene.motion.person_radius_m, self._shown.ray_range_m
-            what = (slots, target, beyond, self._version.head, self._bounds, self._cells,
-                    self._walls, self.constants.max_speed, radius_m, range_m)  # fmt: skip
+            what = (slots, target, beyond, self._version.head, self._cells, self._walls,
+                    self.constants, radius_m, range_m)  # fmt: skip
         else:
             what = (slots, self.queue, self.clock, target, beyond, self._cells, self._free,
                     self.constants)  # fmt: skip

@@ -7,13 +7,7 @@ from numba import njit, prange
 
 from crowdbench.compilation import Kernel
 from crowdbench.data.stops import STANDING_MPS
-from crowdbench.simulation.rules import (
-    AHEAD_M,
-    command,
-    distance_to_segment,
-    from_own_frame,
-    walk,
-)
+from crowdbench.simulation.rules import AHEAD_M, command, distance_to_segment, from_own_frame, walk
 from crowdbench.simulation.state import (
     DROPPED,
     ENTERED,

@@ -82,14 +82,7 @@ def wall_table(
         # nearly parallel segments the slope would cause rounding errors of metres.
         edge_on = np.abs(across) <= EDGE_ON * np.hypot(across, u[:, 1] - u[:, 0])
         lines[r, edge_on] = [0.0, 0.0, np.inf, -np.inf]
-    size = columns * rows
-    none = np.empty((0, 2), dtype=np.int32)
-    counts = np.zeros(size, dtype=np.int32)
-    _meetings(origin, columns, rows, cos, sin, lines, ray_range_m, counts, none)
-    ray_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-    meeting = np.empty((ray_start[-1], 2), dtype=np.int32)
-    first = ray_start[:-1].copy()
-    _meetings(origin, columns, rows, cos, sin, lines, ray_range_m, first, meeting)
+    ray_start, meeting = _meetings(origin, columns, rows, cos, sin, lines, ray_range_m)
     # A little further than a step, because a wall just beyond its end can also stop it.
     step_start, step_segment, _, clear = walls_near(
         segments, origin, columns, rows, step_m + CELL_M / 4
@@ -112,45 +105,47 @@ def cell_of(x, y, grid):
 
 
 @compiled
-def _meetings(origin, columns, rows, cosine, sine, lines, ray_range_m, place, out):
-    """List which segments each ray can hit first from each cell.
-
-    If `out` is empty, add the number of pairs of each cell to `place`. Otherwise `place` is the
-    first row of each cell in `out`, to which the pairs are written.
-    """
+def _meetings(origin, columns, rows, cosine, sine, lines, ray_range_m):
+    """`ray_start` and `meeting`: which segments each ray can hit first from each cell."""
     rays, size = lines.shape[0], lines.shape[1]
     nearest = np.empty(size)
     farthest = np.empty(size)
-    for c in range(columns * rows):
-        x0 = origin[0] + (c % columns) * CELL_M
-        y0 = origin[1] + (c // columns) * CELL_M
-        for r in range(rays):
-            cos, sin = cosine[r], sine[r]
-            # The cell's extent along (u) and across (v) the ray.
-            u0 = x0 * cos + y0 * sin + CELL_M * (min(cos, 0.0) + min(sin, 0.0))
-            u1 = x0 * cos + y0 * sin + CELL_M * (max(cos, 0.0) + max(sin, 0.0))
-            v0 = y0 * cos - x0 * sin + CELL_M * (min(cos, 0.0) + min(-sin, 0.0))
-            v1 = y0 * cos - x0 * sin + CELL_M * (max(cos, 0.0) + max(-sin, 0.0))
-            blocked = np.inf  # segments beyond this u are hidden by one that spans the whole strip
-            for s in range(size):
-                lo, hi = max(v0, lines[r, s, 2]), min(v1, lines[r, s, 3])
-                nearest[s] = np.inf
-                if lo > hi:
-                    continue
-                at_lo = lines[r, s, 0] + lines[r, s, 1] * lo
-                at_hi = lines[r, s, 0] + lines[r, s, 1] * hi
-                farthest[s] = max(at_lo, at_hi)
-                if farthest[s] < u0 - 1e-9:
-                    continue
-                nearest[s] = min(at_lo, at_hi)
-                if lines[r, s, 2] <= v0 and lines[r, s, 3] >= v1 and nearest[s] >= u1:
-                    blocked = min(blocked, farthest[s])
-            for s in range(size):
-                if nearest[s] <= blocked + 1e-9 and nearest[s] - u1 <= ray_range_m:
-                    if len(out):
-                        out[place[c], 0] = r
-                        out[place[c], 1] = s
-                    place[c] += 1
+    start = np.zeros(columns * rows + 1, np.int32)
+    for writing in (False, True):
+        meeting = np.empty((start[-1] if writing else 0, 2), np.int32)
+        count = 0
+        for c in range(columns * rows):
+            x0 = origin[0] + (c % columns) * CELL_M
+            y0 = origin[1] + (c // columns) * CELL_M
+            for r in range(rays):
+                cos, sin = cosine[r], sine[r]
+                # The cell's extent along (u) and across (v) the ray.
+                u0 = x0 * cos + y0 * sin + CELL_M * (min(cos, 0.0) + min(sin, 0.0))
+                u1 = x0 * cos + y0 * sin + CELL_M * (max(cos, 0.0) + max(sin, 0.0))
+                v0 = y0 * cos - x0 * sin + CELL_M * (min(cos, 0.0) + min(-sin, 0.0))
+                v1 = y0 * cos - x0 * sin + CELL_M * (max(cos, 0.0) + max(-sin, 0.0))
+                blocked = np.inf  # segments beyond are hidden by one that spans the whole strip
+                for s in range(size):
+                    lo, hi = max(v0, lines[r, s, 2]), min(v1, lines[r, s, 3])
+                    nearest[s] = np.inf
+                    if lo > hi:
+                        continue
+                    at_lo = lines[r, s, 0] + lines[r, s, 1] * lo
+                    at_hi = lines[r, s, 0] + lines[r, s, 1] * hi
+                    farthest[s] = max(at_lo, at_hi)
+                    if farthest[s] < u0 - 1e-9:
+                        continue
+                    nearest[s] = min(at_lo, at_hi)
+                    if lines[r, s, 2] <= v0 and lines[r, s, 3] >= v1 and nearest[s] >= u1:
+                        blocked = min(blocked, farthest[s])
+                for s in range(size):
+                    if nearest[s] <= blocked + 1e-9 and nearest[s] - u1 <= ray_range_m:
+                        if writing:
+                            meeting[count, 0] = r
+                            meeting[count, 1] = s
+                        count += 1
+            start[c + 1] = count
+    return start, meeting
 
 
 @compiled

@@ -67,10 +67,9 @@ def _trails(
     person: Int[np.ndarray, " n"], xy: Float32[np.ndarray, "n 2"], past: Past
 ) -> Float32[np.ndarray, "n k 2"]:
     trail = np.repeat(xy[:, None], max(1, len(past)), axis=1)
-    earlier = xy
     for k in range(len(past) - 2, -1, -1):  # backwards, to repeat first positions
-        where = {int(p): i for i, p in enumerate(past[k][0])}
-        at = np.array([where.get(p, -1) for p in person.tolist()], dtype=np.int64)
-        known = np.where((at < 0)[:, None], earlier, past[k][1][at] if len(where) else earlier)
-        trail[:, k] = earlier = known
+        ids, there = past[k]
+        _, mine, its = np.intersect1d(person, ids, assume_unique=True, return_indices=True)
+        trail[:, k] = trail[:, k + 1]
+        trail[mine, k] = there[its]
     return trail

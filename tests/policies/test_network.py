@@ -389,7 +389,7 @@ def of_the_future(model: onnx.ModelProto) -> None:
         (carded(ray_range_m=1e-320), "ray_range_m"),
         (carded(split="half"), "split"),
         (carded(scene="../eth"), "scene"),
-        (carded(command="\x1b[31m"), "command"),
+        (carded(command="\x1b[31m"), r"the command '\x1b[31m'"),  # escaped
         (external, "another file"),
         (external_within, "another file"),
         (custom, "com.evil"),

@@ -322,7 +322,7 @@ def test_who_stands_on_a_corner_to_the_bit_is_not_sent_there() -> None:
     scene = square(9.0, box(-2, -1, 2, 1), box(-1, 3, 1, 5))
     found = Routes.on(scene)
     corners = found._corners.astype(np.float32)
-    routes = Routes(scene.wall_segments, corners.astype(np.float64), found._between)
+    routes = Routes(corners.astype(np.float64), found._between, found._sight)
     people = [Person(start=tuple(c), goal=tuple(-c)) for c in corners.astype(np.float64)]
     seen = StateView.of(facing(scene, people))
     off = np.linalg.norm(seen.towards(routes) - seen.position, axis=1)

@@ -12,7 +12,7 @@ from crowdbench.policies import Straight
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import Scene, Wall
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.free_space import CELL_M, FreeSpace
+from crowdbench.simulation.free_space import CELL_M, free_space
 from crowdbench.simulation.observations import (
     GOAL_DIRECTION,
     GOAL_DISTANCE,
@@ -393,9 +393,11 @@ def test_free_space_is_nothing_beyond_walls_and_bounds() -> None:
 
 
 def test_the_grid_of_a_large_scene_has_larger_cells() -> None:
-    grid = FreeSpace.of(square(1500.0, box(-3, -3, -1, -1)))
+    large = square(1500.0, box(-3, -3, -1, -1))
+    grid = free_space(large.walls, large.bounds)
     assert len(grid.distance) < 1.1 * 2**20
-    assert FreeSpace.of(BLOCKS).distance is FreeSpace.of(BLOCKS).distance  # computed once
+    again = [free_space(BLOCKS.walls, BLOCKS.bounds) for _ in range(2)]
+    assert again[0].distance is again[1].distance  # computed once
 
 
 @pytest.mark.parametrize("scale", [0.3, 3.0])
