@@ -6,9 +6,9 @@ import msgspec
 
 from crowdbench.errors import SettingError
 from crowdbench.files import write_json
-from crowdbench.leaderboard.sandbox.parent import Limits, Progress, no_progress
+from crowdbench.leaderboard.sandbox.parent import Limits
 from crowdbench.leaderboard.scores import View, scores
-from crowdbench.leaderboard.verification.check import check
+from crowdbench.leaderboard.submission.submission import check
 from crowdbench.leaderboard.verification.entry import SCORER, Earlier, Entry, find_entry, read_entry
 from crowdbench.leaderboard.verification.verify import DEFAULT, entry_of, write_run
 
@@ -21,7 +21,6 @@ def rescore(
     out: Path,
     workers: int | None = None,
     limits: Limits = DEFAULT,
-    progress: Progress = no_progress,
 ) -> Entry:
     """Verify the submission of an entry again, and move its earlier scores to its `history`.
 
@@ -47,7 +46,7 @@ def rescore(
             expected="a newer scorer or a changed submission",
             hint="The scores would be the same.",
         )
-    new, ran = entry_of(submission, out / "work", workers, limits, progress)
+    new, ran = entry_of(submission, out / "work", workers, limits)
     if new.id != entry_id:
         raise SettingError(
             submission, got=f"a submission with the id {new.id}", expected=f"the id {entry_id}"

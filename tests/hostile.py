@@ -5,60 +5,58 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 from crowdbench.errors import SettingError
+from crowdbench.progress import ROLLOUTS
 
-Progress = Callable[[int, int], None]
 
-
-def add(progress: Progress, a: int, b: int) -> int:
-    progress(1, 1)
+def add(a: int, b: int) -> int:
+    ROLLOUTS(1, 1)
     time.sleep(0.5)  # until somebody has looked
     return a + b
 
 
-def hang(progress: Progress) -> None:
+def hang() -> None:
     time.sleep(600)
 
 
-def hang_by_name(progress: Progress, note: str) -> None:
+def hang_by_name(note: str) -> None:
     Path(f"{note}.half").write_text(str(os.getpid()))
     Path(f"{note}.half").rename(note)
     time.sleep(600)
 
 
-def spin(progress: Progress) -> None:
+def spin() -> None:
     while True:
         pass
 
 
-def crash(progress: Progress) -> None:
+def crash() -> None:
     print("about to fall\x1b[31m", flush=True)
     os.abort()
 
 
-def leave(progress: Progress) -> None:
+def leave() -> None:
     os._exit(3)
 
 
-def fail(progress: Progress) -> None:
+def fail() -> None:
     raise ValueError("no such thing")
 
 
-def refuse(progress: Progress) -> None:
+def refuse() -> None:
     raise SettingError("the submission", got="nothing", expected="something", hint="Add it.")
 
 
-def eat(progress: Progress) -> None:
+def eat() -> None:
     """Many small pieces, all touched, until there is no more."""
     kept = []
     while True:
         kept.append(b"x" * 2**23)
 
 
-def eat_together(progress: Progress) -> None:
+def eat_together() -> None:
     """Three processes of 200 MiB each."""
     eaten = "import time; kept = bytearray(200 * 2**20); time.sleep(600)"
     for _ in range(3):
@@ -66,13 +64,13 @@ def eat_together(progress: Progress) -> None:
     time.sleep(600)
 
 
-def multiply(progress: Progress) -> None:
+def multiply() -> None:
     for _ in range(40):
         subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
     time.sleep(600)
 
 
-def outlive(progress: Progress, note: str, hang_s: float) -> None:
+def outlive(note: str, hang_s: float) -> None:
     """Leave a child behind that left the session."""
     child = subprocess.Popen(
         [sys.executable, "-c", "import time; time.sleep(600)"], start_new_session=True
@@ -82,52 +80,52 @@ def outlive(progress: Progress, note: str, hang_s: float) -> None:
     time.sleep(hang_s)
 
 
-def pipe_for_answer(progress: Progress) -> None:
+def pipe_for_answer() -> None:
     """Who opens it to read waits until somebody writes."""
     os.mkfifo(Path(sys.argv[1], "answer.json"))
     os._exit(0)
 
 
-def pipe_for_progress(progress: Progress) -> None:
+def pipe_for_progress() -> None:
     os.mkfifo(Path(sys.argv[1], "progress"))
     time.sleep(600)
 
 
-def endless_progress(progress: Progress) -> None:
+def endless_progress() -> None:
     Path(sys.argv[1], "progress").symlink_to("/dev/zero")
     time.sleep(600)
 
 
-def linked_answer(progress: Progress, to: str) -> None:
+def linked_answer(to: str) -> None:
     Path(sys.argv[1], "answer.json").symlink_to(to)
     os._exit(0)
 
 
-def nested_answer(progress: Progress) -> None:
+def nested_answer() -> None:
     Path(sys.argv[1], "answer.json").write_text('{"network":"none","value":' + "[" * 10**6)
     os._exit(0)
 
 
-def pipe_for_what_it_says(progress: Progress) -> None:
+def pipe_for_what_it_says() -> None:
     said = Path(sys.argv[1], "said.txt")
     said.unlink(missing_ok=True)
     os.mkfifo(said)
     os._exit(3)
 
 
-def paint(progress: Progress) -> None:
+def paint() -> None:
     """A message that would clear a terminal and speak to what reads its lines."""
     raise SettingError("\x1b[2J", got="a\n::warning::b", expected="c", hint="d" * 10_000)
 
 
-def refuse_submission(progress: Progress) -> None:
+def refuse_submission() -> None:
     from crowdbench.leaderboard.submission.errors import SubmissionError  # which is heavy
 
     problems = [SettingError(f"file {k}", got="x", expected="y", hint="Mend.") for k in range(2)]
     raise SubmissionError("mine", problems)
 
 
-def write_much(progress: Progress, path: str) -> str:
+def write_much(path: str) -> str:
     try:
         with open(path, "wb") as file:
             for _ in range(64):
@@ -137,7 +135,7 @@ def write_much(progress: Progress, path: str) -> str:
     return "written"
 
 
-def open_many(progress: Progress) -> int:
+def open_many() -> int:
     opened = []
     try:
         while True:
@@ -148,7 +146,7 @@ def open_many(progress: Progress) -> int:
         return len(opened)
 
 
-def reach(progress: Progress, port: int) -> str:
+def reach(port: int) -> str:
     try:
         socket.create_connection(("127.0.0.1", port), timeout=5).close()
     except OSError as error:
@@ -156,11 +154,11 @@ def reach(progress: Progress, port: int) -> str:
     return "reached"
 
 
-def surroundings(progress: Progress) -> list[str]:
+def surroundings() -> list[str]:
     return sorted(os.environ)
 
 
-def keep_in_the_store(progress: Progress, key: str) -> str:
+def keep_in_the_store(key: str) -> str:
     """What the store has for a key, after this has tried to add to it."""
     from crowdbench.run import store
 

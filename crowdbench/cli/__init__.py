@@ -12,9 +12,8 @@ from cyclopts import Group
 
 from crowdbench import __version__
 from crowdbench.cli import data, leaderboard, policy, scene, spawn, submit
-from crowdbench.cli.evaluate import evaluate
+from crowdbench.cli.evaluate import evaluate, score
 from crowdbench.cli.running import new_app, run
-from crowdbench.cli.score import score
 from crowdbench.cli.view import view
 
 _USE, _MAKE, _PUBLISH = (

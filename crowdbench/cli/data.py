@@ -157,14 +157,7 @@ def arrivals(scene: SceneName, /, *, out: Path) -> None:
 
 
 @app.command
-def convert(
-    table: Path,
-    /,
-    *,
-    to: Written,
-    out: Path,
-    how: OwnFile = OwnFile(),
-) -> None:
+def convert(table: Path, /, *, to: Written, out: Path, how: OwnFile = OwnFile()) -> None:
     """Convert trajectories between the formats of crowdbench and other programs.
 
     Args:

@@ -12,11 +12,12 @@ from crowdbench.cli.options import EngineName, Workers
 from crowdbench.cli.printing import progress_bar
 from crowdbench.cli.running import new_app
 from crowdbench.errors import CrowdbenchError, SettingError
+from crowdbench.progress import heard_by
 from crowdbench.report.text.terminal import print_facts, print_table
 from crowdbench.run.processes import LOCAL
 
 if TYPE_CHECKING:
-    from crowdbench.leaderboard.sandbox.parent import Limits, Progress
+    from crowdbench.leaderboard.sandbox.parent import Limits
     from crowdbench.leaderboard.verification.entry import Entry
 
 app = new_app("leaderboard", "Verify submissions and show entries.")
@@ -68,16 +69,14 @@ def verify(
     limits = at_most.checked()
     found: dict[str, verification.Verified | CrowdbenchError] = {}
     if not is_local():  # all at once, each by one process of the cluster
-        with progress_bar("submissions") as progress:
-            each = verification.verify_each(
-                submissions, out, workers=workers, limits=limits, progress=progress
-            )
+        with progress_bar("submissions"):
+            each = verification.verify_each(submissions, out, workers=workers, limits=limits)
             found = {f"{submission}": verified for submission, verified in each}
     made: set[str] = set()
 
-    def one(submission: str, progress: "Progress") -> "Entry":
+    def one(submission: str) -> "Entry":
         verified = found.get(submission) or verification.verify(
-            Path(submission), out, workers=workers, limits=limits, progress=progress, taken=made
+            Path(submission), out, workers=workers, limits=limits, taken=made
         )
         if isinstance(verified, CrowdbenchError):
             raise verified
@@ -111,13 +110,14 @@ def show(entry: str, /) -> None:
     _print_details(known)
 
 
-def in_turn(names: Sequence[str], one: "Callable[[str, Progress], Entry]") -> None:
+def in_turn(names: Sequence[str], one: "Callable[[str], Entry]") -> None:
     """Process the items in turn and print their entries; at the end, raise if any was rejected."""
     refused = []
     for name in names:
         try:
-            with progress_bar(name) as progress:
-                entry = one(name, progress)
+            # Each bar of rollouts has the name of its submission.
+            with progress_bar(name) as bar, heard_by(lambda _, *steps, bar=bar: bar(*steps)):
+                entry = one(name)
         except CrowdbenchError as error:
             if len(names) == 1:
                 raise

@@ -48,9 +48,9 @@ def check(submission: Path, /) -> None:
     Args:
         submission: folder of a submission
     """
-    from crowdbench.leaderboard.verification import check as checks
+    from crowdbench.leaderboard.submission import submission as submissions
 
-    checked = checks.check(submission)
+    checked = submissions.check(submission)
     declared, layout, (status, why) = checked.declared, checked.layout, checked.judged
     counts = {
         "networks": len(layout.networks),

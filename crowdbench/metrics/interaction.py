@@ -41,13 +41,9 @@ class Avoidance(Metric):
     family = "interaction"
     unit = "m"
 
-    def on_lattice(self, name: str) -> bool:
-        """False: all histograms have the same 40 bins."""
-        return False
-
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`observed[b, d]`, `shifted[b, d]`: encounters in block b, in bins of 5 cm."""
-        from crowdbench.metrics.encounters import encounters
+        from crowdbench.metrics.kernels import encounters
 
         at = ticks_of(crowd, blocks, place.walking.tick_frames)
         velocity = _mean_velocities(at)
@@ -66,10 +62,7 @@ class Avoidance(Metric):
             return flat.reshape(len(blocks), BINS)
 
         shifts = [round(shift_s / at.dt_s) for shift_s in place.walking.shifts_s]
-        return {
-            "observed": histogram(0),
-            "shifted": np.sum([histogram(k) for k in shifts], axis=0),
-        }
+        return {"observed": histogram(0), "shifted": np.sum([histogram(k) for k in shifts], axis=0)}
 
     def embed(self, sums: Sums, support: Support, blocks: TimeBlocks) -> Vectors:
         """G at the upper edge of each bin; without encounters a distribution function is 0."""
@@ -126,7 +119,7 @@ def clearance(
     """Distance of each position to the nearest wall in metres, at most 2; 0 inside a wall."""
     import shapely
 
-    from crowdbench.metrics.wall_distance import clearances
+    from crowdbench.metrics.kernels import clearances
 
     if not walls:
         return np.full(len(xy), WALL_RANGE_M)
@@ -143,7 +136,7 @@ def _walls_by_cell(
     """The union of all walls; their edges, and the edges near each cell of a grid."""
     import shapely
 
-    from crowdbench.metrics.wall_distance import CELL_M, near_segments
+    from crowdbench.metrics.kernels import CELL_M, near_segments
 
     solid = shapely.union_all([shapely.Polygon(corners) for corners in walls])
     shapely.prepare(solid)

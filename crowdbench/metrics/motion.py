@@ -104,7 +104,7 @@ def _products(
     crowd: Trajectories, blocks: TimeBlocks, tick_frames: int, lag: int
 ) -> Int[np.ndarray, "B 3"]:
     """Per block, sums of products along and across the path, in 1e-6 m²/s⁴, and their number."""
-    from crowdbench.metrics.acceleration import products
+    from crowdbench.metrics.kernels import products
 
     at = ticks_of(crowd, blocks, tick_frames)
     stands = STANDING_MPS * (2 * lag + 1) * at.dt_s

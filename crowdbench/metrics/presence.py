@@ -19,7 +19,7 @@ from crowdbench.metrics.lattice import (
     moments,
 )
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support, Vectors, Weights
-from crowdbench.metrics.rows import rows_in
+from crowdbench.metrics.rows import block_of_frames, rows_in
 
 LAGS_S = (10.0, 30.0, 60.0)
 SLOW_LAGS_S = (120.0, 300.0)
@@ -34,10 +34,9 @@ def present_in(
 
     N(t) is 0 after the end of the crowd.
     """
-    last = int(blocks.frames.max())
-    present = np.pad(crowd.present(), (0, max(0, last - crowd.frames)))
-    frame = np.concatenate([np.arange(start, stop) for start, stop in blocks.frames])
-    return present[frame], np.repeat(np.arange(len(blocks)), np.diff(blocks.frames)[:, 0])
+    block = block_of_frames(blocks, crowd.frames)
+    present = np.pad(crowd.present(), (0, len(block) - crowd.frames))
+    return present[block >= 0], block[block >= 0]
 
 
 class AgentsOverTime(RelativeWasserstein):
@@ -167,11 +166,10 @@ def lagged(
     not stop in between.
     """
     since = blocks.since if across else blocks.frames[:, 0]
-    last = max(int(blocks.frames.max()), crowd.frames)
+    block = block_of_frames(blocks, crowd.frames)
+    last = len(block)
     present = np.pad(crowd.present(), (0, last - crowd.frames))
-    block, begin = np.full(last, -1), np.full(last, last)
-    for b, (start, stop) in enumerate(blocks.frames):
-        block[start:stop], begin[start:stop] = b, since[b]
+    begin = np.where(block >= 0, since[block], last)
     found = np.zeros((len(lags_s), len(blocks), 6), dtype=np.int64)
     for k, lag_s in enumerate(lags_s):
         lag = min(_in_frames(lag_s, blocks), last)

@@ -261,11 +261,7 @@ class Embedded:
 
     @classmethod
     def of(
-        cls,
-        metric: Metric,
-        crowds: Sequence[Statistics],
-        recorded: Statistics,
-        blocks: TimeBlocks,
+        cls, metric: Metric, crowds: Sequence[Statistics], recorded: Statistics, blocks: TimeBlocks
     ) -> "Embedded | None":
         """Bring the crowds to a common support; None if the metric is undefined."""
         everyone, support = metric.aligned([*crowds, recorded], blocks)

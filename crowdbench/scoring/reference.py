@@ -78,10 +78,7 @@ def place_of(scene: Scene, areas: Areas) -> Place:
 
 
 def summarise(
-    crowd: Trajectories,
-    blocks: TimeBlocks,
-    place: Place,
-    metrics: Sequence[Metric] | None = None,
+    crowd: Trajectories, blocks: TimeBlocks, place: Place, metrics: Sequence[Metric] | None = None
 ) -> dict[str, Statistics]:
     """Statistics of a crowd by name of metric.
 

@@ -58,8 +58,7 @@ def combined(scores: Sequence[Score]) -> Score | None:
     if not scores:
         return None
     return Score(
-        float(np.mean([s.value for s in scores])),
-        np.mean([s.resampled for s in scores], axis=0),
+        float(np.mean([s.value for s in scores])), np.mean([s.resampled for s in scores], axis=0)
     )
 
 

@@ -10,7 +10,6 @@ from crowdbench.errors import SettingError
 from crowdbench.report.text.terminal import print_table
 
 if TYPE_CHECKING:
-    from crowdbench.leaderboard.sandbox.parent import Progress
     from crowdbench.leaderboard.verification.entry import Entry
 
 
@@ -50,9 +49,9 @@ def rescore(
 
     limits = at_most.checked()
 
-    def one(entry: str, progress: "Progress") -> "Entry":
+    def one(entry: str) -> "Entry":
         return rescoring.rescore(
-            entry, root, reason=reason, out=out, workers=workers, limits=limits, progress=progress
+            entry, root, reason=reason, out=out, workers=workers, limits=limits
         )
 
     named = entries or list(entry_paths(root / "entries"))

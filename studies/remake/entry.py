@@ -19,8 +19,8 @@ def main(entry_id: str) -> None:
     path = entry_path(ROOT / "entries", entry_id)
     history = read_entry(path).history if path.exists() else []
     submission = ROOT / "submissions" / entry_id
-    with progress_bar(entry_id) as progress:
-        entry, ran = entry_of(submission, OUT / "work", None, Limits(), progress)
+    with progress_bar(entry_id):
+        entry, ran = entry_of(submission, OUT / "work", None, Limits())
     write_json(path, msgspec.structs.replace(entry, history=history))
     write_run(OUT / f"{entry_id}.run.json", ran)
 

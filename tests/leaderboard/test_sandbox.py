@@ -14,6 +14,7 @@ import pytest
 from crowdbench.errors import CrowdbenchError
 from crowdbench.leaderboard.sandbox.parent import Limits, SandboxError, call
 from crowdbench.leaderboard.submission.errors import SubmissionError
+from crowdbench.progress import heard_by
 from crowdbench.run import store
 
 NARROW = Limits(
@@ -32,14 +33,12 @@ def tried(name: str, kind: type = object, limits: Limits = NARROW, **arguments: 
 
 def test_a_result_comes_back_with_what_it_took_and_progress_is_told() -> None:
     told = []
-    result, ran = call(
-        "hostile:add", {"a": 2, "b": 3}, int, where="mine", limits=NARROW,
-        progress=lambda done, total: told.append((done, total)),
-    )  # fmt: skip
+    with heard_by(lambda *of: told.append(of)):
+        result, ran = call("hostile:add", {"a": 2, "b": 3}, int, where="mine", limits=NARROW)
     assert result == 5
     assert 0 < ran.wall_s < 20
     assert ran.peak_bytes > 2**20
-    assert set(told) == {(1, 1)}
+    assert set(told) == {("rollouts", 1, 1)}
 
 
 def test_a_child_adds_nothing_to_the_store_of_rollouts() -> None:

@@ -18,8 +18,7 @@ from submissions import (
 
 from crowdbench.cli import main
 from crowdbench.leaderboard.sandbox.parent import SandboxError
-from crowdbench.leaderboard.submission.submission import read_submission
-from crowdbench.leaderboard.verification.check import LIMITS, check
+from crowdbench.leaderboard.submission.submission import LIMITS, check, read_submission
 
 Printed = pytest.CaptureFixture[str]
 

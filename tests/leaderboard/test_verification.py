@@ -25,6 +25,7 @@ from crowdbench.leaderboard.verification.entry import SCORER, Entry, read_entry
 from crowdbench.leaderboard.verification.make_entry import make_entry
 from crowdbench.leaderboard.verification.verify import verify
 from crowdbench.policies import Straight
+from crowdbench.progress import heard_by
 from crowdbench.registry import import_recording
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
@@ -71,10 +72,6 @@ def submitted(folder: Path, track: str, *, trained: str = "none", **fields: str)
     folder.mkdir(parents=True)
     (folder / "submission.toml").write_text("\n".join([*lines, ""]))
     return folder
-
-
-def quietly(done: int, total: int) -> None:
-    """No progress."""
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +166,7 @@ def blocks(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CROWDBENCH_HOME", str(recorded))
         patch.setattr(Submission, "spawn_of", lambda self, scene: "copier:JitteredBlocks")
-        return folder, make_entry(quietly, str(folder / "mine"), str(folder), 1, 2)
+        return folder, make_entry(str(folder / "mine"), str(folder), 1, 2)
 
 
 @pytest.mark.long
@@ -199,12 +196,9 @@ def test_entries_do_not_depend_on_the_number_of_workers(
 ) -> None:
     folder, entry = blocks
     monkeypatch.setattr(Submission, "spawn_of", lambda self, scene: "copier:JitteredBlocks")
-    told: list[tuple[int, int]] = []
-
-    def tell(done: int, total: int) -> None:
-        told.append((done, total))
-
-    again = make_entry(tell, str(folder / "mine"), str(tmp_path), 2, 2)
+    told: list[tuple[int, int | None]] = []
+    with heard_by(lambda stage, *of: told.append(of) if stage == "rollouts" else None):
+        again = make_entry(str(folder / "mine"), str(tmp_path), 2, 2)
     write_json(tmp_path / "a.json", entry)
     write_json(tmp_path / "b.json", again)
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
@@ -233,7 +227,7 @@ def test_blocks_of_the_recording_with_a_frame_of_jitter_are_flagged_as_trajector
     crowds: list[Trajectories], tmp_path: Path
 ) -> None:
     mine = as_trajectories(tmp_path / "mine", crowds)
-    entry = make_entry(quietly, str(mine), str(tmp_path), 1)
+    entry = make_entry(str(mine), str(tmp_path), 1)
     assert entry.status == "listed"
     assert "copied arrivals" in [flag.what for flag in entry.flags]
     scene = entry.scenes["plaza-v0"]
@@ -246,7 +240,7 @@ def test_blocks_of_the_recording_with_a_frame_of_jitter_are_flagged_as_trajector
 def test_a_crowd_of_one_rollout_is_refused(crowds: list[Trajectories], tmp_path: Path) -> None:
     mine = as_trajectories(tmp_path / "mine", crowds[:1])
     with pytest.raises(SubmissionError, match="expected 2 to 30 rollouts"):
-        make_entry(quietly, str(mine), str(tmp_path), 1)
+        make_entry(str(mine), str(tmp_path), 1)
 
 
 def test_without_the_recording_nothing_is_verified(
@@ -257,7 +251,7 @@ def test_without_the_recording_nothing_is_verified(
     text = (mine / "submission.toml").read_text().replace("plaza-v0", "eth-v0")
     (mine / "submission.toml").write_text(text)
     with pytest.raises(RecordingError, match="crowdbench data fetch eth"):
-        make_entry(quietly, str(mine), str(tmp_path), 1)
+        make_entry(str(mine), str(tmp_path), 1)
 
 
 @pytest.mark.parametrize("what", ["nothing", "empty"])

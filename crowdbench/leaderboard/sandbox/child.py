@@ -17,6 +17,7 @@ import msgspec
 
 from crowdbench.errors import CrowdbenchError
 from crowdbench.leaderboard.sandbox.parent import Limits, parts_of
+from crowdbench.progress import heard_by
 from crowdbench.run.processes import end_with
 
 _CLONE_NEWUSER, _CLONE_NEWNET = 0x10000000, 0x40000000
@@ -33,8 +34,7 @@ def main(arguments: Sequence[str]) -> None:
     try:
         answer["value"] = _called(asked["target"], asked["arguments"], desk)
     except CrowdbenchError as error:
-        answer["error"] = parts_of(error)
-        answer["problems"] = [parts_of(problem) for problem in getattr(error, "problems", ())]
+        answer["errors"] = list(map(parts_of, (error, *getattr(error, "problems", ()))))
     except MemoryError:
         sys.exit("out of memory")
     (desk / "answer.json").write_bytes(msgspec.json.encode(answer))
@@ -43,12 +43,14 @@ def main(arguments: Sequence[str]) -> None:
 def _called(target: str, arguments: dict[str, object], desk: Path) -> object:
     module, _, name = target.partition(":")
 
-    def progress(done: int, total: int) -> None:
-        half = desk / "progress.half"
-        half.write_text(f"{done} {total}")
-        half.replace(desk / "progress")
+    def listen(stage: str, done: int, total: int | None) -> None:
+        if stage == "rollouts":
+            half = desk / "progress.half"
+            half.write_text(f"{done} {total}")
+            half.replace(desk / "progress")
 
-    return getattr(importlib.import_module(module), name)(progress, **arguments)
+    with heard_by(listen):
+        return getattr(importlib.import_module(module), name)(**arguments)
 
 
 def _leave_network() -> str:

@@ -14,22 +14,20 @@ import stat
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
-from psutil import Process
+import psutil
 
 from crowdbench.errors import CrowdbenchError
 from crowdbench.files import temporary_folder
-from crowdbench.leaderboard.sandbox.process_tree import end, family, used
+from crowdbench.progress import ROLLOUTS
 
 Result = TypeVar("Result")
-Progress = Callable[[int, int], None]
-"""Called with the steps done and all steps."""
 LARGEST_ANSWER = 2**26
 _LONGEST_NEWS = 100  # bytes of the progress file
 _KEPT = (
@@ -39,6 +37,8 @@ _KEPT_STARTS = ("CROWDBENCH_", "NUMBA_", "OMP_", "PYTHON", "XDG_")
 _READS = {"CROWDBENCH_STORE": "read"}
 """A submission's rollouts are not kept where other evaluations would find them, see `run.store`."""
 _WATCH_S = 0.1
+_LAST_S = 0.5
+"""Time in which the processes of a killed child may end by themselves, seconds."""
 
 
 class SandboxError(CrowdbenchError):
@@ -74,10 +74,6 @@ class ResourceUsage:
     """`none`, or why the network could not be cut off."""
 
 
-def no_progress(done: int, total: int) -> None:
-    """Show no progress."""
-
-
 ErrorParts = tuple[str, str, str, str]
 """Where an error occurred, what was found, what was expected, and a hint."""
 
@@ -92,24 +88,17 @@ class Answer(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
     network: str
     value: msgspec.Raw = msgspec.Raw(b"null")
-    error: ErrorParts | None = None
-    problems: list[ErrorParts] = []
-    """All problems of a rejected submission."""
+    errors: list[ErrorParts] = []
+    """The error, followed by all problems if it is the rejection of a submission."""
 
 
 def call(
-    target: str,
-    arguments: dict[str, object],
-    kind: type[Result],
-    *,
-    where: object,
-    limits: Limits,
-    progress: Progress = no_progress,
+    target: str, arguments: dict[str, object], kind: type[Result], *, where: object, limits: Limits
 ) -> tuple[Result, ResourceUsage]:
-    """Call `module:function(progress, **arguments)` in a child process.
+    """Call `module:function(**arguments)` in a child process.
 
-    Arguments and result are passed as JSON. The child's calls of its `progress` are repeated here
-    as `progress(done, total)`. `where` names the source in messages.
+    Arguments and result are passed as JSON. The progress of the child's rollouts is reported here,
+    see `crowdbench.progress`. `where` names the source in messages.
 
     Returns:
         The function's result, decoded as `kind`, and the resources that the child used.
@@ -137,12 +126,12 @@ def call(
             "parent": os.getpid(),
         }
         (desk / "asked.json").write_text(json.dumps(asked))
-        ran = _run(desk, where, limits, progress)
+        ran = _run(desk, where, limits)
         try:
             found = _beginning(desk / "answer.json", LARGEST_ANSWER)
             answer = msgspec.json.decode(found, type=Answer)
-            if answer.error is not None:  # its text may quote the submission
-                error, *problems = map(_error, (answer.error, *answer.problems))
+            if answer.errors:  # their text may quote the submission
+                error, *problems = map(_error, answer.errors)
                 raise SubmissionError(where, problems) if problems else tidy(error)
             value = msgspec.json.decode(answer.value, type=kind)
         except (OSError, msgspec.DecodeError, RecursionError) as error:
@@ -157,14 +146,14 @@ def _error(parts: ErrorParts) -> CrowdbenchError:
     return CrowdbenchError(where, got=got, expected=expected, hint=hint)
 
 
-def _run(desk: Path, where: object, limits: Limits, progress: Progress) -> dict[str, Any]:
+def _run(desk: Path, where: object, limits: Limits) -> dict[str, Any]:
     """Start the child, watch it until it ends or must be killed, and kill what it has started.
 
     Returns:
         What the child used, see `ResourceUsage`.
     """
     began, peak, cpu, broken = time.monotonic(), 0, 0.0, ""
-    ever: set[Process] = set()
+    ever: set[psutil.Process] = set()
     with (desk / "said.txt").open("w+b") as said:
         child = subprocess.Popen(
             [sys.executable, "-m", "crowdbench.leaderboard.sandbox.child", str(desk)],
@@ -178,14 +167,16 @@ def _run(desk: Path, where: object, limits: Limits, progress: Progress) -> dict[
             while not broken and child.poll() is None:
                 with suppress(subprocess.TimeoutExpired):
                     child.wait(_WATCH_S)
-                seen = family(child.pid)
+                seen = _family(child.pid)
                 ever |= seen
-                memory, cpu_s = used(seen)
+                memory, cpu_s = _used(seen)
                 peak, cpu = max(peak, memory), max(cpu, cpu_s)
                 broken = _broken(limits, len(seen), peak, time.monotonic() - began)
-                _tell(desk / "progress", progress)
+                with suppress(OSError, ValueError):  # it has not told anything, or nonsense
+                    done, total = _beginning(desk / "progress", _LONGEST_NEWS).split()
+                    ROLLOUTS(int(done), int(total))
         finally:
-            end(child, ever)
+            _end(child, ever)
         if broken := broken or _died(child.returncode, limits):
             last = _last_line(said.fileno())
             raise SandboxError(
@@ -196,6 +187,55 @@ def _run(desk: Path, where: object, limits: Limits, progress: Progress) -> dict[
             )
     wall_s = round(time.monotonic() - began, 2)
     return {"wall_s": wall_s, "cpu_s": round(cpu, 2), "peak_bytes": peak}
+
+
+def _family(root: int) -> set[psutil.Process]:
+    """A process, its session and all their descendants, without those that have ended.
+
+    Processes that left the session and whose parents have ended are not found.
+    """
+    parents: dict[psutil.Process, int] = {}
+    found = set()
+    for process in psutil.process_iter():
+        with suppress(psutil.Error, OSError):
+            if process.status() != psutil.STATUS_ZOMBIE:
+                parents[process] = process.ppid()
+                if root in (process.pid, os.getsid(process.pid)):
+                    found.add(process)
+    before = -1
+    while len(found) > before:
+        before, pids = len(found), {process.pid for process in found}
+        found |= {process for process, parent in parents.items() if parent in pids}
+    return found
+
+
+def _used(processes: Iterable[psutil.Process]) -> tuple[int, float]:
+    """The resident memory (bytes) and CPU time (s) of processes together."""
+    memory, cpu_s = 0, 0.0
+    for process in processes:
+        with suppress(psutil.Error), process.oneshot():
+            memory += process.memory_info().rss
+            times = process.cpu_times()
+            cpu_s += times.user + times.system
+    return memory, cpu_s
+
+
+def _end(child: "subprocess.Popen[bytes]", seen: set[psutil.Process]) -> None:
+    """Kill the child, its session, and the processes in `seen` that have left the session.
+
+    Its own workers end with the child. Whoever tracks their shared resources is given time to
+    remove them.
+    """
+    # Nobody else may wait for the child: its exit code would be lost.
+    others = {process for process in seen | _family(child.pid) if process.pid != child.pid}
+    child.kill()
+    psutil.wait_procs(others, timeout=_LAST_S)
+    with suppress(ProcessLookupError):
+        os.killpg(child.pid, signal.SIGKILL)
+    for process in others:
+        with suppress(psutil.Error):
+            process.kill()
+    child.wait()
 
 
 def _environment() -> dict[str, str]:
@@ -228,12 +268,6 @@ def _died(code: int, limits: Limits) -> str:
     if code < 0:
         return f"a crash ({signal.Signals(-code).name})"
     return "" if code == 0 else f"exit code {code}"
-
-
-def _tell(path: Path, progress: Progress) -> None:
-    with suppress(OSError, ValueError):
-        done, total = _beginning(path, _LONGEST_NEWS).split()
-        progress(int(done), int(total))
 
 
 def _beginning(path: Path, most: int) -> bytes:

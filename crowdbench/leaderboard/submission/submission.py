@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from crowdbench.files import sha256
+from crowdbench.leaderboard.sandbox.parent import Limits, call
 from crowdbench.leaderboard.submission.errors import Problems, SubmissionError
 from crowdbench.leaderboard.submission.layout import NETWORK, Layout, files_in, lay_out
 from crowdbench.leaderboard.submission.models import check_models, shipped_class, shipped_files
@@ -15,6 +16,8 @@ from crowdbench.leaderboard.submission.schema import FILE, Declared
 from crowdbench.leaderboard.submission.trajectories import check_crowds
 from crowdbench.leaderboard.verification.entry import Status
 
+LIMITS = Limits(memory_bytes=6 * 2**30, wall_s=600.0, cpu_s=600)
+"""Limits of a check. Reading thirty rollouts of Grand Central takes a minute."""
 _LONGEST_ID = 60
 _COPYING_MODELS = ("replay", "block-replay")
 _UNFITTED_POLICIES = ("replay", "random")
@@ -84,16 +87,26 @@ class Submission:
         return [Path(self.folder, name) for name in self.layout.crowds.get(scene, [])]
 
 
-def read_submission(folder: Path) -> Submission:
+def check(folder: Path, limits: Limits = LIMITS) -> Submission:
+    """Read an untrusted folder in a sandbox: a network may run forever or use all memory.
+
+    Raises:
+        SubmissionError: the submission is invalid; the error lists all its problems.
+        SandboxError: the check crashed or exceeded a limit.
+    """
+    target = f"{__name__}:read_submission"
+    return call(target, {"path": f"{folder}"}, Submission, where=folder, limits=limits)[0]
+
+
+def read_submission(path: Path | str) -> Submission:
     """Read and check a submission's folder.
 
-    This runs the networks on some observations. Check untrusted submissions in a sandbox, as
-    `verification.check.check` does.
+    This runs the networks on some observations. `check` does it in a sandbox.
 
     Raises:
         SubmissionError: the submission is invalid; the error lists all its problems.
     """
-    problems, layout, declared = Problems(), Layout(), None
+    folder, problems, layout, declared = Path(path), Problems(), Layout(), None
     try:
         names = _names_of(folder, problems)
         if not problems:

@@ -1,12 +1,12 @@
 """Curves: the values that the plots on an entry's page are drawn from."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Float
 
 from crowdbench.leaderboard.verification.entry import POINTS, Curve
-from crowdbench.metrics import Metric, Statistics, Sums, total
+from crowdbench.metrics import Metric, Statistics, total
 from crowdbench.metrics.forms import RelativeWasserstein
 from crowdbench.run.judge import MetricSlice
 from crowdbench.scoring.reference import Reference
@@ -44,22 +44,18 @@ def agents_over_time(reference: Reference, splits: Iterable[MetricSlice]) -> Cur
 def distribution(metric: Metric, reference: Reference, splits: Iterable[MetricSlice]) -> Curve:
     """Distribution functions of a metric's values, pooled over all rollouts and splits."""
     assert isinstance(metric, RelativeWasserstein)
-    each = list(splits)
-    recorded = _pooled(metric, [seen.recorded for seen in each])
-    simulated = _pooled(metric, [crowd for seen in each for crowd in seen.crowds])
-    size = max(len(v) for sums in (recorded, simulated) for v in sums.values())
-    size = max(size, metric.if_empty(reference.blocks) + 1)
-    support = np.arange(size)
-    of_recorded, of_simulated = (
-        metric.embed(
-            {n: np.pad(v, (0, size - len(v))) for n, v in sums.items()},
-            support,
-            reference.blocks,
-        )
-        for sums in (recorded, simulated)
-    )
+    each, blocks = list(splits), reference.blocks
+    recorded = [seen.recorded for seen in each]
+    simulated = [crowd for seen in each for crowd in seen.crowds]
+    aligned, support = metric.aligned([*recorded, *simulated], blocks)
+    sums = [total(statistics) for statistics in aligned]
+    # A distribution function is constant between two values of the support.
+    steps = np.repeat(np.arange(len(support)), np.diff(support, append=support[-1] + 1))
+    pools = (sums[: len(recorded)], sums[len(recorded) :])
+    pooled = ({n: np.sum([s[n] for s in pool], axis=0) for n in pool[0]} for pool in pools)
+    of_recorded, of_simulated = (metric.embed(s, support, blocks)[steps] for s in pooled)
     last = max(int(np.searchsorted(f, _SHOWN)) for f in (of_recorded, of_simulated))
-    shown = _spread_out(min(last + 1, size))
+    shown = _spread_out(min(last + 1, len(steps)))
     return Curve(
         x_label=DISTRIBUTIONS[metric.name][1],
         y_label="cumulative share",
@@ -72,18 +68,6 @@ def distribution(metric: Metric, reference: Reference, splits: Iterable[MetricSl
 def _block_means(statistics: Statistics) -> Float[np.ndarray, " B"]:
     counts = statistics["counts"]
     return counts @ np.arange(counts.shape[1]) / np.maximum(counts.sum(axis=1), 1)
-
-
-def _pooled(metric: Metric, crowds: Sequence[Statistics]) -> Sums:
-    """The sum of the histograms of all crowds."""
-    pooled: Sums = {}
-    for sums in map(total, crowds):
-        for name, values in sums.items():
-            if metric.on_lattice(name):
-                known = pooled.get(name, np.zeros(0, dtype=np.int64))
-                pooled[name] = np.pad(known, (0, max(0, len(values) - len(known))))
-                pooled[name][: len(values)] += values
-    return pooled
 
 
 def _spread_out(size: int) -> np.ndarray:

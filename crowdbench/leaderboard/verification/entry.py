@@ -20,9 +20,8 @@ from crowdbench.files import read_struct
 from crowdbench.leaderboard.submission.errors import plain
 from crowdbench.leaderboard.submission.limits import MOST_FILES
 from crowdbench.leaderboard.submission.schema import Declared
-from crowdbench.scoring.energy import RESAMPLES
 from crowdbench.scoring.score import Score
-from crowdbench.scoring.scorecard import Limit
+from crowdbench.scoring.scorecard import Limit, Resamples
 
 SCHEMA: Final = 1
 SCORER = 4
@@ -51,8 +50,7 @@ class ScoreCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """A score with its resamples."""
 
     value: Number
-    resampled: Annotated[bytes, Meta(min_length=4 * RESAMPLES, max_length=4 * RESAMPLES)]
-    """`scoring.energy.RESAMPLES` float32 values in little-endian order (base64 in JSON)."""
+    resampled: Resamples
 
     @classmethod
     def of(cls, score: Score) -> "ScoreCard":

@@ -4,7 +4,7 @@ This runs inside the sandbox. Rollouts stay in the working folder, so that an in
 verification can be continued.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import chdir
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +21,7 @@ from crowdbench.leaderboard.verification.entry import (
     check_unused,
 )
 from crowdbench.leaderboard.verification.scene_entry import SceneRollouts, scene_entry
+from crowdbench.progress import ROLLOUTS
 from crowdbench.registry import recording_of
 from crowdbench.run.judge import TRAJECTORIES
 from crowdbench.run.processes import alone_in
@@ -30,7 +31,6 @@ from crowdbench.scoring.reference import read_reference
 
 
 def make_entry(
-    progress: Callable[[int, int], None],
     submission: str,
     work: str,
     workers: int | None,
@@ -39,7 +39,7 @@ def make_entry(
 ) -> Entry:
     """Roll out a submission, score it and return its entry.
 
-    `progress(done, total)` counts rollouts. `rollouts` is the number per split, by default that of
+    `rollouts` is the number per split, by default that of
     the scene's protocol. `owners` are the authors of other entries by id, see `check_unused`.
 
     Raises:
@@ -59,7 +59,7 @@ def make_entry(
         total, before = sum(len(each.jobs) for each in planned), 0
         with alone_in(folder):
             for each in planned:
-                each.roll_out(workers, lambda done, _, b=before: progress(b + done, total))  # type: ignore[misc]
+                each.roll_out(workers, lambda done, _, b=before: ROLLOUTS(b + done, total))  # type: ignore[misc]
                 before += len(each.jobs)
                 scenes[each.place.id], found = scene_entry(each)
                 flags += found

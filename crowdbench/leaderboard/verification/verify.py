@@ -15,21 +15,10 @@ import numpy as np
 from crowdbench import __version__
 from crowdbench.errors import CrowdbenchError, OutputError, WeightsError
 from crowdbench.files import write_json
-from crowdbench.leaderboard.sandbox.parent import (
-    Limits,
-    Progress,
-    ResourceUsage,
-    SandboxError,
-    call,
-    no_progress,
-)
-from crowdbench.leaderboard.verification.entry import (
-    Entry,
-    check_unused,
-    entry_path,
-    owners_of,
-)
+from crowdbench.leaderboard.sandbox.parent import Limits, ResourceUsage, SandboxError, call
+from crowdbench.leaderboard.verification.entry import Entry, check_unused, entry_path, owners_of
 from crowdbench.leaderboard.verification.soundness import check_entry
+from crowdbench.progress import tell
 from crowdbench.run.executor import call_each, checked_workers
 
 DEFAULT = Limits()
@@ -42,7 +31,6 @@ def verify(
     *,
     workers: int | None = None,
     limits: Limits = DEFAULT,
-    progress: Progress = no_progress,
     taken: Collection[str] = (),
 ) -> Verified:
     """Roll out and score a submission; write `ID.json.gz` and `ID.run.json` into `out`.
@@ -62,18 +50,13 @@ def verify(
             something it needs, such as a recording, is missing.
     """
     owners = owners_of(out) | {name: [] for name in taken}
-    verified = entry_of(submission, out / "work", workers, limits, progress, owners)
+    verified = entry_of(submission, out / "work", workers, limits, owners)
     _write(submission, out, verified, owners)
     return verified
 
 
 def verify_each(
-    submissions: Sequence[Path],
-    out: Path,
-    *,
-    workers: int | None = None,
-    limits: Limits = DEFAULT,
-    progress: Progress = no_progress,
+    submissions: Sequence[Path], out: Path, *, workers: int | None = None, limits: Limits = DEFAULT
 ) -> Iterator[tuple[Path, Verified | CrowdbenchError]]:
     """Verify submissions on the engine of `run.executor`, each by one process and in a sandbox.
 
@@ -88,7 +71,7 @@ def verify_each(
     """
     owners = owners_of(out)
     tasks = [(path.name, _files(path), limits, dict(owners)) for path in submissions]
-    progress(0, len(tasks))
+    tell("submissions", 0, len(tasks))
     found = call_each(_verified, tasks, checked_workers(workers), name=lambda name, *rest: name)
     for done, (k, verified) in enumerate(found, 1):
         if not isinstance(verified, CrowdbenchError):
@@ -97,7 +80,7 @@ def verify_each(
                 owners[verified[0].id] = []
             except CrowdbenchError as error:
                 verified = error
-        progress(done, len(tasks))
+        tell("submissions", done, len(tasks))
         yield submissions[k], verified
 
 
@@ -110,7 +93,7 @@ def _verified(
             (submission / path).parent.mkdir(parents=True, exist_ok=True)
             (submission / path).write_bytes(data)
         try:
-            return entry_of(submission, Path(folder) / "work", 1, limits, no_progress, owners)
+            return entry_of(submission, Path(folder) / "work", 1, limits, owners)
         except CrowdbenchError as error:
             return error
 
@@ -140,7 +123,6 @@ def entry_of(
     work: Path,
     workers: int | None,
     limits: Limits,
-    progress: Progress,
     owners: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> Verified:
     """Verify a submission in a child process; return its entry and the resources used.
@@ -158,7 +140,6 @@ def entry_of(
         Entry,
         where=submission,
         limits=limits,
-        progress=progress,
     )
     try:
         check_entry(entry, submission)

@@ -72,6 +72,3 @@ def _command(card: Scorecard, scene: Scene) -> str:
     policy = list(dict.fromkeys(p for _, p in pairs))
     words = ["crowdbench", "evaluate", named(scene), "--spawn", *spawn, "--policy", *policy]
     return shlex.join([*words, "--protocol", card.protocol, "--seeds", str(card.rollouts)])
-
-
-__all__ = ["write_report"]

@@ -1,7 +1,8 @@
-"""Encounters of two people at ticks, compiled because crowds have millions of them.
+"""Kernels of the metrics, compiled because crowds have millions of positions.
 
-Positions are listed trip by trip. `order` sorts them by tick, and by x within each tick, so that
-only people with similar x are compared; `begins` holds the start of each tick in `order`.
+Those of encounters take positions trip by trip. `order` sorts them by tick, and by x within each
+tick, so that only people with similar x are compared; `begins` holds the start of each tick in
+`order`.
 """
 
 import math
@@ -10,6 +11,40 @@ import numpy as np
 from numba import njit
 
 from crowdbench.compilation import compiled
+
+CELL_M = 0.5
+
+
+@compiled
+def products(xy, person, block, blocks, lag, span_s, stands_m, largest, unit):
+    """Per block: sums of products along and across the path, in `unit`, and their number.
+
+    With D(t) = (x(t + k) − 2 x(t) + x(t − k)) / span² at lag k and the direction u of
+    x(t + k + 1) − x(t − k), they are (D(t)·u)(D(t + 1)·u), and the same with u turned by 90°. The
+    two D share no position if k ≥ 2. People whose way is shorter than `stands_m` have no direction:
+    theirs are D(t)·D(t + 1) and 0. Products are clipped at ± `largest` m²/s⁴.
+    """
+    sums = np.zeros((blocks, 3), np.int64)
+    square = 1.0 / (span_s * span_s)
+    for t in range(lag, len(xy) - lag - 1):
+        b = block[t]
+        if b < 0 or person[t - lag] != person[t + lag + 1]:
+            continue
+        ax = (xy[t + lag, 0] - 2 * xy[t, 0] + xy[t - lag, 0]) * square
+        ay = (xy[t + lag, 1] - 2 * xy[t, 1] + xy[t - lag, 1]) * square
+        bx = (xy[t + lag + 1, 0] - 2 * xy[t + 1, 0] + xy[t - lag + 1, 0]) * square
+        by = (xy[t + lag + 1, 1] - 2 * xy[t + 1, 1] + xy[t - lag + 1, 1]) * square
+        ux, uy = xy[t + lag + 1, 0] - xy[t - lag, 0], xy[t + lag + 1, 1] - xy[t - lag, 1]
+        length = math.sqrt(ux * ux + uy * uy)
+        along, across = ax * bx + ay * by, 0.0
+        if length >= stands_m:
+            ux, uy = ux / length, uy / length
+            along = (ax * ux + ay * uy) * (bx * ux + by * uy)
+            across = (ay * ux - ax * uy) * (by * ux - bx * uy)
+        sums[b, 0] += round(min(largest, max(-largest, along)) / unit)
+        sums[b, 1] += round(min(largest, max(-largest, across)) / unit)
+        sums[b, 2] += 1
+    return sums
 
 
 @compiled
@@ -100,3 +135,55 @@ def _approach(xy, i, j, to_i, to_j):
     if squared > 0.0:
         along = min(1.0, max(0.0, -(px * dx + py * dy) / squared))
     return math.hypot(px + along * dx, py + along * dy)
+
+
+@compiled
+def near_segments(segments, lower, columns, rows, reach_m):
+    """Segments (x0, y0, x1, y1) that may be within `reach_m` of a point in each cell of a grid.
+
+    Cell c has the segments `near[start[c]:start[c + 1]]`.
+    """
+    start = np.zeros(columns * rows + 1, np.int64)
+    near = np.empty(0, np.int64)
+    limit = reach_m + CELL_M * math.sqrt(0.5)
+    for writing in (False, True):
+        count = 0
+        for c in range(columns * rows):
+            x = lower[0] + (c % columns + 0.5) * CELL_M
+            y = lower[1] + (c // columns + 0.5) * CELL_M
+            for s in range(len(segments)):
+                if _distance(x, y, segments[s]) <= limit:
+                    if writing:
+                        near[count] = s
+                    count += 1
+            start[c + 1] = count
+        if not writing:
+            near = np.empty(count, np.int64)
+    return start, near
+
+
+@compiled
+def clearances(xy, reach_m, segments, lower, columns, rows, start, near):
+    """Distance of each position to the nearest segment, at most `reach_m`, in metres."""
+    result = np.full(len(xy), reach_m)
+    for k in range(len(xy)):
+        column = math.floor((xy[k, 0] - lower[0]) / CELL_M)
+        row = math.floor((xy[k, 1] - lower[1]) / CELL_M)
+        if not (0 <= column < columns and 0 <= row < rows):
+            continue
+        c = row * columns + column
+        for m in range(start[c], start[c + 1]):
+            result[k] = min(result[k], _distance(xy[k, 0], xy[k, 1], segments[near[m]]))
+    return result
+
+
+@njit(error_model="numpy")
+def _distance(x, y, segment):
+    """Distance of the point (x, y) to a segment."""
+    ax, ay = segment[0], segment[1]
+    dx, dy = segment[2] - ax, segment[3] - ay
+    squared = dx * dx + dy * dy
+    along = 0.0
+    if squared > 0.0:
+        along = min(1.0, max(0.0, ((x - ax) * dx + (y - ay) * dy) / squared))
+    return math.hypot(x - ax - along * dx, y - ay - along * dy)
