@@ -122,7 +122,7 @@ def find(kind: Kind, name: str, known: Iterable[str] = ()) -> Any:
             raise SettingError(
                 word,
                 got=f"{name!r} ({error})",
-                expected="a class that can be imported",
+                expected="a class or function that can be imported",
                 hint="Install its package, or run the command where Python can import it.",
             ) from error
 

@@ -25,17 +25,17 @@ from crowdbench.metrics.metric import (
 from crowdbench.plugins import blaming, instance_of, names, part
 
 METRICS: tuple[Metric, ...] = (
-    *(arrivals.InterSpawn(), arrivals.InterSpawnPerArea(), arrivals.SpawnCounts()),
-    *(arrivals.FanoFactor10(), arrivals.FanoFactor60s()),
-    *(presence.AgentsOverTime(), presence.AgentsSpread(), presence.Autocorrelation()),
-    *(presence.SlowAutocorrelation(), presence.StandingShare()),
-    *(trips.Dwell(), trips.OriginDestination(), trips.Detour(), trips.GoalShare()),
-    *(space.Occupancy(), space.NearestNeighbour(), space.StartDensity(), space.GoalDensity()),
-    *(groups.CompanionShare(), groups.GroupSize()),
-    *(groups.CompanionDistance(), groups.CompanionOffset()),
-    *(motion.Speed(), motion.Pace(), motion.Acceleration(), motion.Turning(), motion.Deviation()),
-    *(interaction.Avoidance(), interaction.WallClearance(), interaction.OverlapRate()),
-)
+    arrivals.InterSpawn(), arrivals.InterSpawnPerArea(), arrivals.SpawnCounts(),
+    arrivals.FanoFactor10(), arrivals.FanoFactor60s(),
+    presence.AgentsOverTime(), presence.AgentsSpread(), presence.Autocorrelation(),
+    presence.SlowAutocorrelation(), presence.StandingShare(),
+    trips.Dwell(), trips.OriginDestination(), trips.Detour(), trips.GoalShare(),
+    space.Occupancy(), space.NearestNeighbour(), space.StartDensity(), space.GoalDensity(),
+    groups.CompanionShare(), groups.GroupSize(),
+    groups.CompanionDistance(), groups.CompanionOffset(),
+    motion.Speed(), motion.Pace(), motion.Acceleration(), motion.Turning(), motion.Deviation(),
+    interaction.Avoidance(), interaction.WallClearance(), interaction.OverlapRate(),
+)  # fmt: skip
 """crowdbench's own metrics, in the order of the tables."""
 
 PAPER = ("agents_over_time", "inter_spawn", "dwell")
