@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from crowdbench.data.blocks import FOLDS, SPLITS
+from crowdbench.data.blocks import FOLDS, HELD_OUT, SPLITS
 from crowdbench.data.storage import read_own
 from crowdbench.errors import SettingError
 from crowdbench.files import unwritable, write_json
@@ -134,8 +134,8 @@ def publish(
     """Write the report, which shows the first rollouts of each pair in the first split."""
     from crowdbench.report.html import write_report
 
-    # Rollouts under the recorded arrivals may exist for the split `full` only.
-    splits = (splits_of(card.protocol)[0], SPLITS[0])
+    # Rollouts under the recorded arrivals may serve all folds.
+    splits = (splits_of(card.protocol)[0], SPLITS[0], HELD_OUT)
     shown = [job for job in jobs if job.split in splits and job.seed < SHOWN]
     crowds = {(job.spawn, job.policy, job.seed): read_own(job.path) for job in shown}
     write_report(card, scene, reference, crowds, out)

@@ -18,6 +18,9 @@ SPLITS = ("full", *(f"fold{k}" for k in range(FOLDS)))
 fold of the protocol `heldout`, a model is fitted on the blocks outside the fold and scored on those
 in it."""
 
+HELD_OUT = "held-out"
+"""Name of rollouts in which those networks walk that were not trained on the current time block."""
+
 _TOLERANCE = 1e-6  # in grid steps, for rounding errors in times
 
 
@@ -54,6 +57,11 @@ class TimeBlocks:
         if split == "full":
             return np.ones(len(self), dtype=bool)
         return np.arange(len(self)) % FOLDS == SPLITS.index(split) - 1
+
+    def turns(self) -> list[tuple[int, str]]:
+        """First frame of each block, and the fold that it is scored in; the first is frame 0."""
+        starts = [0, *self.frames[1:, 0].tolist()]
+        return [(start, SPLITS[1 + k % FOLDS]) for k, start in enumerate(starts)]
 
     def scored(self, split: str) -> "TimeBlocks":
         """The blocks that models fitted for `split` are scored on."""

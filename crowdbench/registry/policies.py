@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from crowdbench import plugins
-from crowdbench.data.blocks import SPLITS
+from crowdbench.data.blocks import HELD_OUT, SPLITS
 from crowdbench.errors import SettingError
 from crowdbench.policies import (
     OnnxPolicy,
@@ -57,6 +57,11 @@ class PolicySource:
             return None
         return self.networks / f"{split}.onnx" if self.per_split else self.networks
 
+    def files(self, split: str) -> tuple[Path, ...]:
+        """ONNX files of a split, or of all folds for `HELD_OUT`; none if it is not a network."""
+        splits = SPLITS[1:] if split == HELD_OUT else (split,)
+        return tuple(dict.fromkeys(f for s in splits if (f := self.network(s)) is not None))
+
     def card_file(self) -> Path | None:
         """An ONNX file that exists, whose card names the policy; None if it is not a network."""
         files = [file for split in SPLITS if (file := self.network(split)) is not None]
@@ -101,9 +106,8 @@ class PolicySource:
         """What its rollouts depend on."""
         if self.own:
             return Dependencies.of_own("policies", self.name)
-        file = self.network(split)
-        if file is not None:
-            return Dependencies("network", (OnnxPolicy.__module__,), (file,))
+        if files := self.files(split):
+            return Dependencies("network", (OnnxPolicy.__module__,), files)
         kind = {**_PLAIN, **_RECORDED}[self.name]
         return Dependencies(self.name, (kind.__module__,), recording=self.name in _RECORDED)
 

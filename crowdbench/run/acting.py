@@ -105,6 +105,10 @@ class Actor:
         self.policy.reset(self._simulation.scene, rngs[0])
         self._rngs = rngs
 
+    def hand_over(self, policy: Policy) -> None:
+        """Let another policy act from now on, which has the same needs and sees the same."""
+        self.policy = policy
+
     @property
     def world_frame(self) -> bool:
         """Whether the actions are in the world frame, and not in that of the observation."""

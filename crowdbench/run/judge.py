@@ -11,7 +11,7 @@ from jaxtyping import Int
 from threadpoolctl import threadpool_limits
 
 from crowdbench import __version__
-from crowdbench.data.blocks import SPLITS, TimeBlocks
+from crowdbench.data.blocks import HELD_OUT, SPLITS, TimeBlocks
 from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.metrics import WALK, Metric, Statistics, blamed
@@ -262,7 +262,7 @@ def seen_in(
     """One metric's statistics of a pair's rollouts, for each split that the metric applies to."""
     # Pairs that are not fitted to the recording have rollouts of the split `full` only; these
     # are evaluated fold by fold.
-    whole_recording = all(job.split == "full" for job in rolled)
+    whole_recording = all(job.split in (SPLITS[0], HELD_OUT) for job in rolled)
     for split in splits_of(protocol):
         inside = reference.blocks.in_split(split)
         blocks = reference.blocks.scored(split)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from crowdbench import plugins
 from crowdbench.code import code_hash
+from crowdbench.data.blocks import HELD_OUT
 from crowdbench.files import sha256
 from crowdbench.registry.policies import PolicySource, policy_source
 from crowdbench.registry.recordings import recording_hash
@@ -75,6 +76,8 @@ class Resolved:
         spawn, policy = self.spawn.dependencies(), self.policy.dependencies(split)
         parts: list[str | bytes] = [self.scene.id, self.scene.rules, split]
         parts += [code_of_rollouts((*spawn.modules, *policy.modules), foreign=self.foreign)]
+        if split == HELD_OUT:
+            parts += [str(self.scene.protocol.block_s)]
         if spawn.recording or policy.recording:
             parts += [recording_hash(self.scene)]
         for needs, own in ((spawn, self.spawn.own), (policy, self.policy.own)):

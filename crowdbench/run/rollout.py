@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 
-from crowdbench.data.blocks import SPLITS
+from crowdbench.data.blocks import HELD_OUT, SPLITS
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, ReplayPolicy
 from crowdbench.policies.memory import Needs
-from crowdbench.run.acting import settings_for
+from crowdbench.run.acting import needs, settings_for
 from crowdbench.run.episode import (
     Recorder,
     World,
@@ -54,25 +54,41 @@ def rollout(
 
 def seed_of(split: str, seed: int) -> int:
     """The seed of a rollout: those of different splits must not share their random numbers."""
-    return seed * len(SPLITS) + SPLITS.index(split)
+    return seed * len(SPLITS) + (0 if split == HELD_OUT else SPLITS.index(split))
+
+
+Turn = tuple[int, Policy]
+"""A frame, and the policy that acts from it on."""
 
 
 def rollouts(
-    scene: Scene, spawn: Sequence[SpawnModel], policy: Policy, *, seeds: Sequence[int]
+    scene: Scene,
+    spawn: Sequence[SpawnModel],
+    policy: Policy,
+    *,
+    seeds: Sequence[int],
+    turns: Sequence[Turn] = (),
 ) -> list[Trajectories]:
     """Simulate one crowd for each spawn model and seed, each as `rollout` does.
 
     A policy with `many_worlds` is called for all crowds at once. The results of a network depend on
     the size of its batch in the last bits, so its crowds differ from those of `rollout`; the same
-    models and seeds give the same crowds.
+    models and seeds give the same crowds. At the frames of `turns`, other policies take over, which
+    have the same needs (see `alike`).
 
     Raises:
         SettingError, ActionError, CapacityError, RecordingError: see `rollout`.
     """
     worlds = [World(*of) for of in zip(spawn, seeds, strict=True)]
     if batchable(policy):
-        return _simulated(scene, worlds, policy)
-    return [_simulated(scene, [world], policy)[0] for world in worlds]
+        return _simulated(scene, worlds, policy, turns=turns)
+    return [_simulated(scene, [world], policy, turns=turns)[0] for world in worlds]
+
+
+def alike(policies: Sequence[Policy]) -> bool:
+    """Whether these policies may take turns: same needs and observations, and no memory."""
+    first, *others = [(Needs.of(policy), needs(policy)) for policy in policies]
+    return first[0].memory == 0 and all(other == first for other in others)
 
 
 def batchable(policy: Policy) -> bool:
@@ -81,8 +97,8 @@ def batchable(policy: Policy) -> bool:
     A large memory is needed for each slot, and `many_worlds` is not inherited, because subclasses
     may draw random numbers or have a state of their own.
     """
-    needs = Needs.of(policy)
-    return needs.memory + needs.style <= MOST_REMEMBERED and bool(
+    of = Needs.of(policy)
+    return of.memory + of.style <= MOST_REMEMBERED and bool(
         vars(type(policy)).get("many_worlds", False)
     )
 
@@ -95,6 +111,7 @@ def _simulated(
     horizon_s: float | None = None,
     start: Start | None = None,
     settings: Settings | None = None,
+    turns: Sequence[Turn] = (),
 ) -> list[Trajectories]:
     if horizon_s is not None:
         check_horizon(horizon_s)
@@ -117,10 +134,16 @@ def _simulated(
     shown = settings_for(policy, settings)
     simulation = Simulation(scene, worlds=len(worlds), settings=shown)
     actor = drawn.begin(simulation, policy)
-    actor.reset(*(world.generator("policy") for world in worlds))
+    generators = [world.generator("policy") for world in worlds]
+    for _, other in turns:
+        other.reset(scene, generators[0])
+    actor.reset(*generators)
+    turn = dict(turns)
     recorder = Recorder(simulation)
     recorder.write()
-    for _ in range(frames):
+    for frame in range(frames):
+        if (other_policy := turn.get(frame)) is not None:
+            actor.hand_over(other_policy)
         actor.step()
         recorder.write()
     check_capacity(simulation)

@@ -16,7 +16,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from crowdbench.data.blocks import SPLITS
+from crowdbench.data.blocks import HELD_OUT, SPLITS
 from crowdbench.data.storage import read_own, write_parquet
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import CrowdbenchError, OwnCodeError, RecordingError, SettingError
@@ -24,15 +24,17 @@ from crowdbench.files import sha256
 from crowdbench.plugins import told
 from crowdbench.policies import OnnxPolicy, Policy
 from crowdbench.progress import ROLLOUTS
+from crowdbench.registry import recording_of
 from crowdbench.run import store
 from crowdbench.run.executor import call_each, checked_workers, is_local
 from crowdbench.run.processes import Stopped
 from crowdbench.run.resolved import Resolved
-from crowdbench.run.rollout import batchable, rollouts, seed_of
+from crowdbench.run.rollout import alike, batchable, rollouts, seed_of
 from crowdbench.run.summaries import RolloutSummary, summary_key
 from crowdbench.scene import Scene, load_scene, scenes_folder
 from crowdbench.scoring.reference import Reference
 from crowdbench.spawn import SpawnModel
+from crowdbench.spawn.events import blocks_of
 
 Pair = tuple[str, str]
 Models = tuple[str, str, str, str]
@@ -107,13 +109,15 @@ def plan(
     for s, p in pairs:
         pair = Resolved.of(place, s, p)
         recorded = s == "replay"
-        for split in splits_of(protocol) if pair.policy.per_split or not recorded else ("full",):
-            walker = pair.policy.policy(split)
-            _check_unseen(p, walker, place, split)
-            if isinstance(walker, OnnxPolicy) and walker.path not in tried:
-                walker.check_rows()
-                tried.add(walker.path)
-            pair.spawn.model(split)  # raises an error if it cannot be made
+        for split in _splits(pair, protocol, recorded=recorded):
+            walkers = _walkers(pair, split)
+            for fold, walker in walkers.items():
+                _check_unseen(p, walker, place, fold)
+                if isinstance(walker, OnnxPolicy) and walker.path not in tried:
+                    walker.check_rows()
+                    tried.add(walker.path)
+            walker = next(iter(walkers.values()))
+            pair.spawn.model(_fitted(split))  # raises an error if it cannot be made
             fingerprint = pair.fingerprint(split)
             number = min(seeds, RECORDED_PER_FIT * fits) if recorded else seeds
             if recorded and getattr(walker, "deterministic", False):
@@ -127,6 +131,34 @@ def plan(
                 of = fingerprint + several
                 jobs.append(Job(scene, s, p, split, seed % fits, seed, path, of, batch, exact))
     return jobs
+
+
+def _splits(pair: Resolved, protocol: str, *, recorded: bool) -> tuple[str, ...]:
+    """The splits of a pair's rollouts.
+
+    Nothing is fitted to recorded arrivals, so one rollout suffices for all folds. If each fold has
+    a network of its own, those take turns that were not trained on a time block, unless they
+    remember what another network would not understand.
+    """
+    splits = splits_of(protocol)
+    if not recorded:
+        return splits
+    if not pair.policy.per_split:
+        return SPLITS[:1]
+    if len(splits) > 1 and not pair.policy.own and alike([*_walkers(pair, HELD_OUT).values()]):
+        return (HELD_OUT,)
+    return splits
+
+
+def _walkers(pair: Resolved, split: str) -> dict[str, Policy]:
+    """The policies that walk in rollouts of a split, by the split that each is trained for."""
+    splits = SPLITS[1:] if split == HELD_OUT else (split,)
+    return {each: pair.policy.policy(each) for each in splits}
+
+
+def _fitted(split: str) -> str:
+    """The split that the spawn model of a rollout is fitted for."""
+    return SPLITS[0] if split == HELD_OUT else split
 
 
 def batches(jobs: Sequence[Job]) -> list[tuple[Job, ...]]:
@@ -201,7 +233,7 @@ def _light(batched: Sequence[tuple[Job, ...]]) -> bool:
     frames = 0
     for batch in batched:
         pair = _pair(batch[0])
-        if pair.own or pair.policy.network(batch[0].split) is not None:
+        if pair.own or pair.policy.files(batch[0].split):
             return False
         frames += len(batch) * pair.scene.recording.frames
     return frames <= LIGHT_FRAMES
@@ -210,7 +242,7 @@ def _light(batched: Sequence[tuple[Job, ...]]) -> bool:
 def _own_files(batch: tuple[Job, ...]) -> list[Path]:
     """Files of the models of a batch that do not come with crowdbench."""
     pair = _pair(batch[0])
-    named = [pair.policy.network(batch[0].split), pair.spawn.scenario, pair.spawn.fits]
+    named = [*pair.policy.files(batch[0].split), pair.spawn.scenario, pair.spawn.fits]
     if not pair.scene.folder.is_relative_to(scenes_folder()):
         named += sorted(path for path in pair.scene.folder.rglob("*") if path.is_file())
     return [p for p in named if p is not None and not p.is_relative_to(scenes_folder())]
@@ -301,7 +333,12 @@ def _rolled_out(jobs: Sequence[Job]) -> list[Trajectories]:
     try:
         models = [_loaded(job.models, job.split, job.fit) for job in jobs]
         seeds = [seed_of(job.split, job.seed) for job in jobs]
-        return rollouts(pair.scene, [spawn for spawn, _ in models], models[0][1], seeds=seeds)
+        spawn, walkers, turns = [model for model, _ in models], models[0][1], []
+        if first.split == HELD_OUT:
+            blocks = blocks_of(recording_of(pair.scene), pair.scene)
+            turns = [(frame, walkers[fold]) for frame, fold in blocks.turns()]
+        walker = next(iter(walkers.values()))
+        return rollouts(pair.scene, spawn, walker, seeds=seeds, turns=turns)
     except Stopped:
         raise
     except CrowdbenchError as error:
@@ -331,9 +368,9 @@ def _resolved(models: Models) -> Resolved:
 
 
 @functools.lru_cache(maxsize=8)  # jobs of one pair are consecutive, so a recording is read once
-def _loaded(models: Models, split: str, fit: int) -> tuple[SpawnModel, Policy]:
+def _loaded(models: Models, split: str, fit: int) -> tuple[SpawnModel, dict[str, Policy]]:
     pair = _resolved(models)
-    return pair.spawn.model(split, fit), pair.policy.policy(split)
+    return pair.spawn.model(_fitted(split), fit), _walkers(pair, split)
 
 
 def _plain(name: str) -> str:
