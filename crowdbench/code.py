@@ -60,8 +60,13 @@ def code_hash(*roots: str, cut: Collection[str] = (), unused: Collection[str] = 
         unused: functions that are left out, as `module.name`, or `package.*.name` for all modules
             in a package: they are never called for this result.
     """
+    return _code_hash(roots, tuple(cut), tuple(unused))
+
+
+@cache
+def _code_hash(roots: tuple[str, ...], cut: tuple[str, ...], unused: tuple[str, ...]) -> str:
     each = sorted(closure(roots, cut=cut, unused=unused))
-    digests = [f"{name} {_module(name, tuple(unused)).digest}" for name in each]
+    digests = [f"{name} {_module(name, unused).digest}" for name in each]
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()[:16]
 
 

@@ -7,6 +7,7 @@ the machine, the time or the number of workers: the same seeds give the same byt
 import platform
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,17 +42,21 @@ POLICY = ("straight", "social-force")
 def evaluate(
     scene: str | Path | Scene,
     *,
-    spawn: str | Sequence[str] = SPAWN,
-    policy: str | Sequence[str] = POLICY,
+    spawn: str | Sequence[str] | None = None,
+    policy: str | Sequence[str] | None = None,
     metric: str | Sequence[str] = (),
     protocol: Protocol = "full",
     seeds: int | None = None,
+    quick: bool = False,
     workers: int | None = None,
     out: str | Path,
     report: bool = True,
+    keep_rollouts: bool = False,
     progress: Callable[[int, int], None] = ROLLOUTS,
 ) -> Scorecard:
     """Evaluate each spawn model with each policy on a scene, all given by name.
+
+    The default are the spawn models `SPAWN` and the policies `POLICY`.
 
     Worker processes read the scene's files again, so a loaded scene is used by its folder.
 
@@ -59,8 +64,11 @@ def evaluate(
     its time blocks and scores the remaining third, three times. `seeds` is the number of rollouts
     per pair of spawn model and policy (in each fold), by default that of the scene's protocol;
     rollout k uses fit k modulo the number of fits. With fewer than two rollouts per fit there are
-    distances but no scores. The spawn model `MODEL+FILE.toml` is MODEL under the scenario in that
-    file; it is not ranked.
+    distances but no scores. With `quick`, there are as few rollouts as scores need, two per fit.
+    Then a policy is evaluated under the recorded arrivals only if no spawn model is named, with two
+    rollouts, and a spawn model with straight walkers if no policy is named.
+
+    The spawn model `MODEL+FILE.toml` is MODEL under the scenario in that file; it is not ranked.
 
     `metric` names your own metrics as `pkg.module:Class`, in addition to crowdbench's; registered
     metrics are included without being named. They are computed if the recording is imported, and
@@ -70,8 +78,11 @@ def evaluate(
     deterministic policy needs only one rollout there. The policies `replay` and
     `recorded-paths` work only with the spawn model `replay`; other pairs with them are skipped.
 
-    Writes `scorecard.json`, `run.json`, `rollouts/*.parquet` and, with `report`, `report.html` into
-    `out`. Existing rollouts are kept if nothing that they depend on has changed.
+    Writes `scorecard.json`, `run.json` and, with `report`, `report.html` into `out`, and the
+    trajectories of the first rollouts into `rollouts/*.parquet`: of those in the report, of one for
+    each pair without it, or of all with `keep_rollouts`. What scores need of a rollout is kept in
+    the store (`crowdbench.run.store`) and is not made again if nothing that it depends on has
+    changed.
     `progress(done, total)` is called before the first and after each batch of rollouts; by default
     listeners of `crowdbench.progress` are told.
     `workers` is the number of processes, by default one per core.
@@ -92,8 +103,13 @@ def evaluate(
     if protocol not in ("full", "heldout"):
         raise SettingError("protocol", got=repr(protocol), expected="full or heldout")
     scale = read_anchors(place).protocols[protocol]
-    pairs = _pairs(place, _listed(spawn), _listed(policy))
-    seeds = place.protocol.fits * place.protocol.rollouts_per_fit if seeds is None else seeds
+    fits, of_walk = place.protocol.fits, quick and spawn is None and policy is not None
+    if quick and policy is None and spawn is not None:
+        policy = POLICY[0]
+    spawn = _listed((SPAWN if spawn is None else spawn) if not of_walk else "replay")
+    pairs = _pairs(place, spawn, _listed(POLICY if policy is None else policy))
+    if seeds is None:
+        seeds = (2 if of_walk else 2 * fits) if quick else fits * place.protocol.rollouts_per_fit
     workers = checked_workers(workers)
     if protocol == "heldout" and len(reference.blocks) < FOLDS:
         raise SettingError(
@@ -101,7 +117,10 @@ def evaluate(
             got=f"{len(reference.blocks)} time blocks",
             expected=f"at least {FOLDS}, one per fold",
         )
-    jobs = plan(place.asked, place, pairs, protocol, seeds, out / "rollouts")
+    jobs = [
+        replace(job, shown=keep_rollouts or _is_first(job, protocol, SHOWN if report else 1))
+        for job in plan(place.asked, place, pairs, protocol, seeds, out / "rollouts")
+    ]
     with alone_in(out):
         try:
             (out / "rollouts").mkdir(parents=True, exist_ok=True)
@@ -134,11 +153,15 @@ def publish(
     """Write the report, which shows the first rollouts of each pair in the first split."""
     from crowdbench.report.html import write_report
 
-    # Rollouts under the recorded arrivals may serve all folds.
-    splits = (splits_of(card.protocol)[0], SPLITS[0], HELD_OUT)
-    shown = [job for job in jobs if job.split in splits and job.seed < SHOWN]
+    shown = [job for job in jobs if _is_first(job, card.protocol, SHOWN)]
     crowds = {(job.spawn, job.policy, job.seed): read_own(job.path) for job in shown}
     write_report(card, scene, reference, crowds, out)
+
+
+def _is_first(job: Job, protocol: Protocol, number: int) -> bool:
+    """Whether a rollout is one of the first of its pair, in the first split."""
+    # Rollouts under the recorded arrivals may serve all folds.
+    return job.seed < number and job.split in (splits_of(protocol)[0], SPLITS[0], HELD_OUT)
 
 
 def _listed(names: str | Sequence[str]) -> Sequence[str]:

@@ -105,6 +105,8 @@ class Protocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     fits: int
     """Number of fits of each spawn model."""
     rollouts_per_fit: int
+    walk_rollouts: int
+    """Number of rollouts under the recorded arrivals, to which nothing is fitted."""
     scored: tuple[str, ...] = ()
     """Names of the scored metrics, determined by `crowdbench scene power`."""
 

@@ -21,15 +21,17 @@ def evaluate(
     scene: SceneName,
     /,
     *,
-    spawn: Sequence[str] = ("poisson-gmm", "renewal-gmm", "ntpp-gmm"),
-    policy: Sequence[str] = ("straight", "social-force"),
+    spawn: Sequence[str] | None = None,
+    policy: Sequence[str] | None = None,
     metric: Sequence[str] = (),
     scenario: str | None = None,
     protocol: Literal["full", "heldout"] = "full",
     seeds: int | None = None,
+    quick: bool = False,
     workers: Workers = None,
     engine: EngineName = LOCAL,
     no_report: bool = False,
+    keep_rollouts: bool = False,
     out: Path | None = None,
     view: bool = False,
     json: Json = None,
@@ -40,10 +42,11 @@ def evaluate(
         spawn: spawn models: poisson-gmm, poisson-groups, renewal-gmm, ntpp-gmm, cox-gmm,
             poisson-paper and ntpp-paper (single people); poisson-plans, ntpp-plans and cox-plans
             (people with companions and stops); block-replay, replay; a folder with the fits of one
-            model, or pkg.module:Class
+            model, or pkg.module:Class (default: poisson-gmm, renewal-gmm and ntpp-gmm)
         policy: policies: straight, social-force, random, anticipate-any, replay and recorded-paths
             (these two with the spawn model replay), those that come with the scene, FILE.onnx, a
-            folder with such a file for each fold, or pkg.module:Class
+            folder with such a file for each fold, or pkg.module:Class (default: straight and
+            social-force)
         metric: additional metrics of your own, pkg.module:Class (see `crowdbench scene metrics`)
         scenario: TOML file that changes rates, goals and areas of each spawn model without
             retraining
@@ -51,11 +54,16 @@ def evaluate(
             were held out from fitting
         seeds: rollouts of each pair of spawn model and policy (in each fold). Scores need at least
             two rollouts per fit. With the usual 5 fits, use 10, 15, 20, …; fewer give only plain
-            distances (default: as in the scene's protocol, 15 to 50)
+            distances (default: as in the scene's protocol)
+        quick: as few rollouts as scores need; intervals are wider. A policy without --spawn is
+            evaluated under the recorded arrivals only, spawn models without --policy with straight
+            walkers
         no_report: write the scorecard only, without report.html
+        keep_rollouts: write the trajectories of all rollouts, not only of the first ones
         out: output folder (default: results/SCENE-DATE-TIME)
         view: show the first rollout of each pair in the viewer at the end
     """
+    from crowdbench.evaluation import SPAWN
     from crowdbench.report.text.scorecards import print_card
     from crowdbench.scoring.ranking import score_rows
 
@@ -69,14 +77,16 @@ def evaluate(
         with progress_bar("rollouts"):
             card = crowdbench.evaluate(
                 scene,
-                spawn=[f"{s}+{scenario}" for s in spawn] if scenario else spawn,
+                spawn=[f"{s}+{scenario}" for s in spawn or SPAWN] if scenario else spawn,
                 policy=policy,
                 metric=metric,
                 protocol=protocol,
                 seeds=seeds,
+                quick=quick,
                 workers=workers,
                 out=out,
                 report=not no_report,
+                keep_rollouts=keep_rollouts,
             )
         print_card(card, crowdbench.load_scene(scene))
         if any(entry.spawn == entry.policy == "replay" for entry in card.entries):

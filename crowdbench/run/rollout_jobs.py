@@ -1,8 +1,9 @@
 """Rollouts as jobs: which rollouts are needed, and which of them exist already.
 
-Each rollout is a job. It is written as Parquet with a fingerprint of everything that it depends on,
-so that interrupted work can continue and outdated rollouts are never reused. What another
-evaluation has made already is taken from the store (`crowdbench.run.store`).
+Each rollout is a job with a fingerprint of everything that it depends on. All that scores need of
+it is its summary, which goes into the store (`crowdbench.run.store`), so that interrupted work can
+continue and no rollout is made twice. Its trajectories are written as Parquet if somebody wants to
+see them.
 
 Up to `BATCH` rollouts of the same models are made at once, if the policy allows it. The results of
 a network depend on the size of its batch in the last bits. Therefore the rollouts of a batch are
@@ -16,6 +17,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from crowdbench.code import code_hash
 from crowdbench.data.blocks import HELD_OUT, SPLITS
 from crowdbench.data.storage import read_own, write_parquet
 from crowdbench.data.table import Trajectories
@@ -30,7 +32,7 @@ from crowdbench.run.executor import call_each, checked_workers, is_local
 from crowdbench.run.processes import Stopped
 from crowdbench.run.resolved import Resolved
 from crowdbench.run.rollout import alike, batchable, rollouts, seed_of
-from crowdbench.run.summaries import RolloutSummary, summary_key
+from crowdbench.run.summaries import RolloutSummary, code_of_summaries
 from crowdbench.scene import Scene, load_scene, scenes_folder
 from crowdbench.scoring.reference import Reference
 from crowdbench.spawn import SpawnModel
@@ -40,10 +42,10 @@ Pair = tuple[str, str]
 Models = tuple[str, str, str, str]
 """Names of a scene, spawn model and policy, and the fingerprint of their rollouts."""
 Progress = Callable[[int, int], None]
-RECORDED_PER_FIT = 2
-"""Maximum number of rollouts per fit under the recorded arrivals. They differ little, because
-everyone enters as recorded, and are scored by their mean distance: on ETH, the walk score of `bc`
-differs by 0.02 between two sets of ten, and its interval is 0.2 wide."""
+Measure = Callable[["Job", Trajectories], dict[str, float]]
+"""What else is measured of a rollout, by name; a function of a module."""
+TABLE, SUMMARY = ".parquet", ".summary"
+"""Suffixes of files in the store."""
 BATCH = 10
 """Maximum number of rollouts that are made at once."""
 
@@ -69,6 +71,8 @@ class Job:
     """Number of the batch, of those with the same models."""
     exact: bool = True
     """Whether the rollout is the same in any batch."""
+    shown: bool = True
+    """Whether its trajectories are written, not only its summary."""
 
     @property
     def models(self) -> Models:
@@ -89,8 +93,9 @@ def plan(
 ) -> list[Job]:
     """All rollouts that an evaluation of these pairs needs.
 
-    `seeds` is their number per pair and split. Under the recorded arrivals there are at most two
-    per fit, and one for a policy without random draws.
+    `seeds` is their number per pair and split. Under the recorded arrivals there are at most
+    `walk_rollouts` of the scene's protocol, and one for a policy without random draws: everyone
+    enters as recorded, nothing is fitted, and rollouts differ little.
 
     Raises:
         SettingError: a name is unknown, or `seeds` is not a valid number of rollouts.
@@ -119,7 +124,7 @@ def plan(
             walker = next(iter(walkers.values()))
             pair.spawn.model(_fitted(split))  # raises an error if it cannot be made
             fingerprint = pair.fingerprint(split)
-            number = min(seeds, RECORDED_PER_FIT * fits) if recorded else seeds
+            number = min(seeds, place.protocol.walk_rollouts) if recorded else seeds
             if recorded and getattr(walker, "deterministic", False):
                 number = 1
             size = BATCH if batchable(walker) else 1
@@ -129,7 +134,8 @@ def plan(
                 batch = seed // size
                 several = "" if exact else f"-{min(size, number - batch * size)}"
                 of = fingerprint + several
-                jobs.append(Job(scene, s, p, split, seed % fits, seed, path, of, batch, exact))
+                fit = 0 if recorded else seed % fits
+                jobs.append(Job(scene, s, p, split, fit, seed, path, of, batch, exact))
     return jobs
 
 
@@ -194,12 +200,13 @@ def roll_out(
     reference: Reference | None,
     workers: int | None = None,
     progress: Progress = ROLLOUTS,
+    measure: Measure | None = None,
 ) -> dict[Job, RolloutSummary]:
     """Make all missing rollouts; returns the summary of each, in the order of the jobs.
 
     `progress(done, total)` is called before the first and after each batch of rollouts.
     `workers` is the number of processes, by default one per core, or none but this one if that is
-    faster. Without a reference, there are no summaries.
+    faster. Without a reference, there are no summaries. `measure` adds numbers to the summaries.
     """
     batched = batches(jobs)
     if workers is None and is_local() and _light(batched):
@@ -212,7 +219,7 @@ def roll_out(
             _roll_out,
             [(batch,) for batch in batched],
             checked_workers(workers),
-            common=(reference,),
+            common=(reference, measure, _code_of(reference, measure)),
             name=_told,
             files=lambda batch: [job.path for job in batch],
             reads=_own_files,
@@ -253,47 +260,67 @@ def _told(batch: tuple[Job, ...]) -> str:
     return str(first) if first is last else f"{first} to {last.seed}"
 
 
-def _roll_out(batch: tuple[Job, ...], reference: Reference | None) -> list[RolloutSummary]:
-    crowds = _made(batch)
-    if reference is None:
-        return []
-    return [_summary(job, crowd, reference) for job, crowd in zip(batch, crowds, strict=True)]
+def _code_of(reference: Reference | None, measure: Measure | None) -> str | None:
+    """Hash of what makes summaries of rollouts; None if they are not to be kept."""
+    code = None if reference is None else code_of_summaries(reference)
+    return code if measure is None or code is None else code + code_hash(measure.__module__)
 
 
-def _summary(job: Job, crowd: Trajectories, reference: Reference) -> RolloutSummary:
-    """The summary of a rollout, from the store if it is there, otherwise made and kept there."""
-    key = None if _pair(job).foreign else summary_key(_key(job), reference)
-    if key is None:
-        return RolloutSummary.of_crowd(crowd, reference)
-    if (file := store.find(key, ".npz")) is not None:
-        with suppress(OSError):  # another process may remove it
-            return RolloutSummary.decoded(file.read_bytes())
-    summary = RolloutSummary.of_crowd(crowd, reference)
-    store.keep(key, ".npz", summary.encoded())
-    return summary
+def _roll_out(
+    batch: tuple[Job, ...],
+    reference: Reference | None,
+    measure: Measure | None,
+    code: str | None,
+) -> list[RolloutSummary]:
+    """The summaries of a batch: those that are kept, and of the rollouts that are made.
 
-
-def _made(batch: tuple[Job, ...]) -> list[Trajectories]:
-    """The rollouts, from files of the jobs or from the store, otherwise made; then in both.
-
-    The store has no rollouts of other people's code.
+    The store has no rollouts of other people's code, and no summaries by their metrics.
     """
     shared = not _pair(batch[0]).foreign
-    crowds = {job: crowd for job in batch if (crowd := _kept(job)) is not None}
-    missing = [job for job in batch if job not in crowds]
+    keys = {job: sha256(f"{_key(job)} {code}".encode())[:32] for job in batch if shared and code}
+    found = {job: summary for job, key in keys.items() if (summary := _kept_summary(job, key))}
+    shown = [job for job in batch if job.shown or job not in keys]
+    crowds = _made(batch, [job for job in batch if job in shown or job not in found], shown)
+    if reference is None:
+        return []
+    for job in batch:
+        if job not in found:
+            measured = {} if measure is None else measure(job, crowds[job])
+            found[job] = RolloutSummary.of_crowd(crowds[job], reference, measured)
+            if job in keys:
+                store.keep(keys[job], SUMMARY, found[job].encoded(), job.path.parent)
+    return [found[job] for job in batch]
+
+
+def _kept_summary(job: Job, key: str) -> RolloutSummary | None:
+    with suppress(OSError):  # another process may remove it
+        file = store.find(key, SUMMARY, job.path.parent)
+        return None if file is None else RolloutSummary.decoded(file.read_bytes())
+    return None
+
+
+def _made(
+    batch: tuple[Job, ...], wanted: Sequence[Job], shown: Sequence[Job]
+) -> dict[Job, Trajectories]:
+    """The rollouts that are wanted, from files of the jobs or from the store, otherwise made.
+
+    Those that are shown are written into files of the jobs, and into the store.
+    """
+    shared = not _pair(batch[0]).foreign
+    crowds = {job: crowd for job in wanted if (crowd := _kept(job)) is not None}
+    missing = [job for job in wanted if job not in crowds]
     found = {job: crowd for job in missing if shared and (crowd := _in_store(job))}
     to_make = [job for job in missing if job not in found]
     if to_make and not batch[0].exact:
-        missing = to_make = list(batch)
+        to_make = list(batch)
     made = zip(to_make, _rolled_out(to_make), strict=True) if to_make else ()
     for job, crowd in (found | dict(made)).items():
         crowds[job] = replace(crowd, provenance=_provenance(job))
-    for job in missing:
-        write_parquet(crowds[job], job.path)
-    if shared:
-        for job in to_make:
-            store.keep(_key(job), ".parquet", job.path.read_bytes())
-    return [crowds[job] for job in batch]
+        if job in shown:
+            write_parquet(crowds[job], job.path)
+            if shared and job in to_make:
+                store.keep(_key(job), TABLE, job.path.read_bytes(), job.path.parent)
+    return crowds
 
 
 def _kept(job: Job) -> Trajectories | None:
@@ -305,7 +332,7 @@ def _kept(job: Job) -> Trajectories | None:
 
 
 def _in_store(job: Job) -> Trajectories | None:
-    file = store.find(_key(job), ".parquet")
+    file = store.find(_key(job), TABLE, job.path.parent)
     with suppress(RecordingError):  # another process may remove it
         return None if file is None else read_own(file)
     return None

@@ -7,7 +7,8 @@ key and the hash of its content, so that a damaged file is not used. When the fi
 `LIMIT_BYTES`, those that were used least recently are removed. The folder may be deleted at any
 time. Several processes may use it at once: files are renamed when they are complete.
 
-`CROWDBENCH_STORE=read` adds nothing to it: what runs in a sandbox must not.
+With `CROWDBENCH_STORE=read` nothing is added to it: what runs in a sandbox must not. Then, and if
+it cannot be written, files are kept beside the results.
 """
 
 import os
@@ -26,9 +27,13 @@ def folder() -> Path:
     return home() / "rollouts"
 
 
-def find(key: str, suffix: str) -> Path | None:
-    """The file of a key; None if there is none, or if it is damaged."""
-    for path in folder().glob(f"{key}-*{suffix}"):
+def find(key: str, suffix: str, beside: Path) -> Path | None:
+    """The file of a key, in the store or in the folder `beside`; None if there is none.
+
+    A damaged file is removed.
+    """
+    name = f"{key}-*{suffix}"
+    for path in (*folder().glob(name), *beside.glob(name)):
         with suppress(OSError):
             if path.stem == f"{key}-{sha256(path.read_bytes())[:32]}":
                 path.touch()
@@ -38,14 +43,16 @@ def find(key: str, suffix: str) -> Path | None:
     return None
 
 
-def keep(key: str, suffix: str, data: bytes) -> None:
-    """Keep the content of a file under its key, if that is possible."""
-    if os.environ.get("CROWDBENCH_STORE") == "read":
-        return
-    with suppress(OutputError, OSError):
-        with replacing(folder() / f"{key}-{sha256(data)[:32]}{suffix}") as temporary:
-            temporary.write_bytes(data)
-        _clean()
+def keep(key: str, suffix: str, data: bytes, beside: Path) -> None:
+    """Keep the content of a file under its key, if that is possible; see `find`."""
+    shared = [folder()] if os.environ.get("CROWDBENCH_STORE") != "read" else []
+    for place in (*shared, beside):
+        with suppress(OutputError, OSError):
+            with replacing(place / f"{key}-{sha256(data)[:32]}{suffix}") as temporary:
+                temporary.write_bytes(data)
+            if place in shared:
+                _clean()
+            return
 
 
 def _clean() -> None:

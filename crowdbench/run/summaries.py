@@ -1,9 +1,12 @@
 """Summaries of rollouts: all that scores need of them."""
 
-import io
+import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
+from safetensors import numpy as safetensors
 
 from crowdbench.code import code_hash
 from crowdbench.data.table import OUTCOMES, Trajectories
@@ -18,13 +21,20 @@ class RolloutSummary:
     """The statistics of a rollout, stored sparsely, and its outcomes."""
 
     arrays: dict[str, np.ndarray]
-    """`outcomes`, and for each statistic, as `metric/name/part`: `columns` (indices of those that
-    are not zero), their `values`, and the `size`, the number of all columns."""
+    """`outcomes`, each number that was `measured`, and for each statistic, as `metric/name/part`:
+    `columns` (indices of those that are not zero), their `values`, and the `size`, the number of
+    all columns."""
 
     @classmethod
-    def of_crowd(cls, crowd: Trajectories, reference: Reference) -> "RolloutSummary":
-        """Summarise a crowd in the time blocks of the reference."""
+    def of_crowd(
+        cls,
+        crowd: Trajectories,
+        reference: Reference,
+        measured: Mapping[str, float] = MappingProxyType({}),
+    ) -> "RolloutSummary":
+        """Summarise a crowd in the time blocks of the reference; `measured` are more numbers."""
         arrays = {"outcomes": np.bincount(crowd.outcome, minlength=len(OUTCOMES))}
+        arrays |= {f"measured/{name}": np.asarray(value) for name, value in measured.items()}
         for metric, statistics in summarise(
             crowd, reference.blocks, reference.place, reference.metrics
         ).items():
@@ -39,6 +49,10 @@ class RolloutSummary:
         """Number of persons by index in `OUTCOMES`."""
         return self.arrays["outcomes"]
 
+    def measured(self, name: str) -> float:
+        """A number that was measured besides the metrics; NaN if it is undefined."""
+        return float(self.arrays[f"measured/{name}"])
+
     def of(self, metric: Metric) -> Statistics:
         """The statistics of a metric, as dense arrays."""
         start, end, dense = f"{metric.name}/", "/columns", {}
@@ -52,27 +66,21 @@ class RolloutSummary:
         return dense
 
     def encoded(self) -> bytes:
-        """The summary as the content of an npz file."""
-        file = io.BytesIO()
-        np.savez_compressed(file, **self.arrays)  # type: ignore[arg-type]
-        return file.getvalue()
+        """The summary as compressed safetensors."""
+        return zlib.compress(safetensors.save(self.arrays), 1)
 
     @classmethod
     def decoded(cls, data: bytes) -> "RolloutSummary":
-        """The summary in the content of such a file."""
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            return cls(dict(arrays))
+        """The summary in such bytes."""
+        return cls(safetensors.load(zlib.decompress(data)))
 
 
-def summary_key(rollout: str, reference: Reference) -> str | None:
-    """Hash of all that the summary of a rollout depends on; None with metrics of other people.
-
-    `rollout` is the hash of all that the rollout depends on.
-    """
+def code_of_summaries(reference: Reference) -> str | None:
+    """Hash of all that summaries depend on, but their rollouts; None with metrics of others."""
     if any(not type(metric).__module__.startswith("crowdbench.") for metric in reference.metrics):
         return None
     blocks = reference.blocks
     names = [metric.name for metric in reference.metrics]
     code = code_hash("crowdbench.scoring.reference", __name__, cut=MODELS)
-    what = f"{rollout} {names} {reference.place!r} {blocks.dt_s!r} {blocks.grid_s!r} {code}"
+    what = f"{names} {reference.place!r} {blocks.dt_s!r} {blocks.grid_s!r} {code}"
     return sha256(what.encode() + blocks.frames.tobytes() + blocks.since.tobytes())[:32]

@@ -35,6 +35,7 @@ SHORT_BLOCK_S = 30.0
 LEAST_BLOCKS = 3 * FOLDS
 LEAST_PERSONS = 30
 FITS = 5
+WALK_ROLLOUTS = 10
 BUSY_PERSON_S = 100_000.0
 USUAL_SPEED_LIMIT_MPS = 5.0
 RADIUS_M = 0.3
@@ -174,6 +175,7 @@ def protocol_of(crowd: Trajectories, *, fits: int | None, rollouts_per_fit: int 
         resample_s=block_s * (3 if block_s >= LONG_BLOCK_S else 1),
         fits=fits or FITS,
         rollouts_per_fit=rollouts_per_fit or usual,
+        walk_rollouts=WALK_ROLLOUTS,
     )
 
 

@@ -23,12 +23,15 @@ people arrive in 60 s, and similar pairs of arrivals occur somewhere in ten hour
 that do not copy). So windows there are as long as ten people take to arrive on average.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.data.table import Trajectories
-from crowdbench.registry import spawn_model
-from crowdbench.scene import Scene
+from crowdbench.registry import recording_of, spawn_model
+from crowdbench.run.rollout_jobs import Job
+from crowdbench.scene import Scene, load_scene
 
 WINDOW_S = 60.0
 """Shortest window. Where few people arrive it is longer, for `ARRIVALS` arrivals on average."""
@@ -185,3 +188,29 @@ class TripCopies:
 def _long(crowd: Trajectories, frames: int) -> Int[np.ndarray, " n"]:
     """Indices of the persons who entered and whose trip spans at least `frames` frames."""
     return np.flatnonzero(crowd.entered & (crowd.last - crowd.first >= frames))
+
+
+def copies_in(job: Job, crowd: Trajectories) -> dict[str, float]:
+    """The copy index of a rollout's `arrivals`, and the share of copied `trips`.
+
+    NaN where they are undefined, and for recorded arrivals.
+    """
+    recorded = job.spawn == "replay"
+    persons = np.flatnonzero(crowd.entered)
+    area = crowd.spawn_area[persons].astype(np.int64)
+    index = None if recorded else arrival_copies(job.scene).index(crowd.spawn_s[persons], area)
+    found = {"arrivals": index, "trips": _trip_copies(job.scene).share(crowd)}
+    return {name: np.nan if value is None else value for name, value in found.items()}
+
+
+@lru_cache(maxsize=1)
+def arrival_copies(scene: str) -> ArrivalCopies:
+    """What finds the recorded arrivals of a scene, by its name or folder."""
+    place = load_scene(scene)
+    return ArrivalCopies(recording_of(place), place)
+
+
+@lru_cache(maxsize=1)
+def _trip_copies(scene: str) -> TripCopies:
+    place = load_scene(scene)
+    return TripCopies(recording_of(place), place)

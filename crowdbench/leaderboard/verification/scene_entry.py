@@ -6,9 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
-from crowdbench.data.storage import read, read_own
+from crowdbench.data.storage import read
 from crowdbench.data.table import Trajectories
-from crowdbench.leaderboard.verification.copying import ArrivalCopies, TripCopies, independent_limit
+from crowdbench.leaderboard.verification.copying import arrival_copies, copies_in, independent_limit
 from crowdbench.leaderboard.verification.curves import (
     AGENTS,
     DISTRIBUTIONS,
@@ -25,7 +25,6 @@ from crowdbench.leaderboard.verification.entry import (
 )
 from crowdbench.leaderboard.verification.flags import evenness, flags_of
 from crowdbench.metrics import METRICS, WALK, Metric, metrics_for
-from crowdbench.registry import recording_of
 from crowdbench.run.judge import TRAJECTORIES, MetricSlice, judge, seen_in
 from crowdbench.run.rollout_jobs import Job, Pair, roll_out
 from crowdbench.run.summaries import RolloutSummary
@@ -57,10 +56,14 @@ class SceneRollouts:
     def roll_out(self, workers: int | None, progress: Callable[[int, int], None]) -> None:
         """Make the rollouts, or read those of submitted trajectories."""
         if self.jobs[0].policy != TRAJECTORIES:
-            self.rolled.update(roll_out(self.jobs, self.reference, workers, progress))
+            jobs = [replace(job, shown=False) for job in self.jobs]
+            rolled = roll_out(jobs, self.reference, workers, progress, copies_in)
+            self.rolled.update(rolled)
             return
         for done, job in enumerate(self.jobs, 1):
-            self.rolled[job] = RolloutSummary.of_crowd(crowd_of(job), self.reference)
+            crowd = crowd_of(job)
+            copies = copies_in(job, crowd)
+            self.rolled[job] = RolloutSummary.of_crowd(crowd, self.reference, copies)
             progress(done, len(self.jobs))
 
     @cached_property
@@ -113,9 +116,7 @@ class SceneRollouts:
 
 
 def crowd_of(job: Job) -> Trajectories:
-    """Read a rollout's table; areas of submitted trajectories are derived from the positions."""
-    if job.policy != TRAJECTORIES:
-        return read_own(job.path)
+    """Read submitted trajectories; their areas are derived from the positions."""
     place = load_scene(job.scene)
     crowd = read(job.path, scene=place.id, dt_s=place.dt_s)
     nowhere = np.full(len(crowd), -1, dtype=np.int32)
@@ -128,13 +129,14 @@ def crowd_of(job: Job) -> Trajectories:
 def scene_entry(rollouts: SceneRollouts) -> tuple[SceneEntry, list[Flag]]:
     """Return the scene's result and its flags."""
     place, card = rollouts.place, rollouts.card
-    jobs = list(rollouts.of(rollouts.main))
+    rolled = rollouts.of(rollouts.main)
+    jobs = list(rolled)
     entry = rollouts.results[rollouts.main]
     families = _families(rollouts)
     standard = gate_standard(card)
     walker = rollouts.results[rollouts.walk or rollouts.main]
     fails = () if rollouts.walk is None else failures(card, walker)
-    copy = _copy(rollouts, jobs)
+    copy = _copy(rollouts, [*rolled.values()])
     of_scene = SceneEntry(
         made_from=card.made_from,
         protocol=card.protocol,
@@ -210,28 +212,19 @@ def _evenness(rollouts: SceneRollouts) -> float | None:
     return evenness(energies, floors)
 
 
-def _copy(rollouts: SceneRollouts, jobs: Sequence[Job]) -> Copy:
+def _copy(rollouts: SceneRollouts, rolled: Sequence[RolloutSummary]) -> Copy:
     """The copy index, averaged over the rollouts; on track walk of trips only."""
-    recording = recording_of(rollouts.place)
-    trips = TripCopies(recording, rollouts.place)
-    arrivals = None if rollouts.crowd is None else ArrivalCopies(recording, rollouts.place)
-    shares, indices = [], []
-    for crowd in map(crowd_of, jobs):  # one at a time: many of them would not fit into memory
-        shares.append(trips.share(crowd))
-        if arrivals is not None:
-            persons = np.flatnonzero(crowd.entered)
-            area = crowd.spawn_area[persons].astype(np.int64)
-            indices.append(arrivals.index(crowd.spawn_s[persons], area))
+    arrivals, place = rollouts.crowd is not None, rollouts.place
     return Copy(
-        arrivals=_mean(indices),
-        arrivals_limit=None if arrivals is None else independent_limit(arrivals, rollouts.place),
-        trips=_mean(shares),
+        arrivals=_mean([each.measured("arrivals") for each in rolled]) if arrivals else None,
+        arrivals_limit=independent_limit(arrival_copies(place.asked), place) if arrivals else None,
+        trips=_mean([each.measured("trips") for each in rolled]),
     )
 
 
-def _mean(values: Sequence[float | None]) -> float | None:
-    """The mean of the values that are not None; None if there are none."""
-    known = [value for value in values if value is not None]
+def _mean(values: Sequence[float]) -> float | None:
+    """The mean of the numbers that are defined; None if there are none."""
+    known = [value for value in values if not np.isnan(value)]
     return float(np.mean(known)) if known else None
 
 
