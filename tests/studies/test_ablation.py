@@ -18,7 +18,7 @@ from crowdbench.scoring.scorecard import PairResult
 from crowdbench.simulation import social
 from studies import ablation
 from studies.__main__ import main
-from studies.ablation import VARIANTS, lines, walker_of
+from studies.ablation import INTRODUCTION, VARIANTS, lines, walker_of
 
 PLAZA = load_scene("plaza-v0")
 NOTHING = PairResult(
@@ -113,6 +113,13 @@ def test_each_variant_has_a_row_with_its_difference_to_the_first() -> None:
         assert centre == pytest.approx(value - 0.7, abs=0.006)
         assert low < centre < high
         assert high - low < 0.1  # the score's own interval is 0.4 wide
+
+
+def test_the_page_in_docs_is_of_these_variants() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "ablation.md").read_text()
+    assert page.startswith(INTRODUCTION.format(scene="eth-v0"))
+    shown = [line.split(" | ")[0] for line in page.splitlines() if line.startswith("|")]
+    assert shown[2:] == [f"| {variant.what}" for variant in VARIANTS]
 
 
 def test_a_scene_that_does_not_exist_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
