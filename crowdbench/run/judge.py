@@ -307,7 +307,7 @@ def _metric_card(
     whole = bool(known) and len(known) == len(splits_of(protocol))
     return MetricCard(
         distance=_mean([r.distance for r in results]),
-        distances=[_number(r.distance) for r in results],
+        distances=[None if (d := _number(r.distance)) is None else _short(d) for r in results],
         recorded=_mean([r.recorded for r in results]),
         simulated=_mean([r.simulated for r in results]),
         unit=metric.unit,
@@ -318,6 +318,11 @@ def _metric_card(
 
 def _mean(values: list[float]) -> float | None:
     return _number(np.mean(values)) if values else None
+
+
+def _short(value: float) -> float:
+    """The value with six significant digits, which is all that a list of rollouts shows."""
+    return float(f"{value:.6g}")
 
 
 def _number(value: float | np.floating) -> float | None:

@@ -12,6 +12,7 @@ from typing import Annotated, Literal, TypeAlias, get_args
 
 import msgspec
 import numpy as np
+from jaxtyping import Float
 
 from crowdbench.errors import CrowdbenchError, RecordingError, WeightsError
 from crowdbench.files import read_struct, sha256, write_json
@@ -19,7 +20,7 @@ from crowdbench.scene import Gate, Scene
 from crowdbench.scoring.energy import RESAMPLES, Energy
 from crowdbench.scoring.reference import scored_statistics
 
-SCHEMA = 3
+SCHEMA = 4
 
 Protocol = Literal["full", "heldout"]
 Limit = Literal["speed", "arrivals"]
@@ -44,10 +45,34 @@ GATE_STANDARD = ("replay", "recorded-paths")
 """The spawn model and policy whose speed and arrivals are the standard of the scene's gate."""
 
 
-Resamples: TypeAlias = Annotated[
-    bytes, msgspec.Meta(min_length=4 * RESAMPLES, max_length=4 * RESAMPLES)
-]
-"""`scoring.energy.RESAMPLES` float32 values in little-endian order (base64 in JSON)."""
+_BYTES = 4 + 2 * RESAMPLES
+Resamples: TypeAlias = Annotated[bytes, msgspec.Meta(min_length=_BYTES, max_length=_BYTES)]
+"""`scoring.energy.RESAMPLES` numbers as whole steps from a centre, see `pack` (base64 in JSON)."""
+STEPS = 64
+"""A standard deviation of the resamples has at least this number of steps."""
+_MOST = np.iinfo(np.int16).max
+
+
+def pack(centre: float, resampled: Float[np.ndarray, " R"]) -> bytes:
+    """Resamples as whole steps from their centre, each in two bytes.
+
+    The step (a float32) comes first, then the lower bytes of all numbers, then the higher ones,
+    which are nearly equal and take little space when the file is compressed.
+    """
+    change = resampled - centre
+    fine, coarse = float(change.std()) / STEPS, float(np.abs(change).max()) / _MOST
+    # A power of two, so that steps are exact; not so small that the largest number has no place.
+    step = max(2.0 ** np.floor(np.log2(fine)) if fine else 0.0,
+               2.0 ** np.ceil(np.log2(coarse)) if coarse else 0.0)  # fmt: skip
+    steps = np.rint(change / step if step else change).astype("<i2")
+    return np.float32(step).tobytes() + steps.view(np.uint8).reshape(-1, 2).T.tobytes()
+
+
+def unpack(centre: float, packed: bytes) -> Float[np.ndarray, " R"]:
+    """The resamples in what `pack` has returned."""
+    step = np.frombuffer(packed[:4], "<f4").astype(np.float64)
+    both = np.frombuffer(packed[4:], np.uint8).reshape(2, -1)
+    return centre + step * np.ascontiguousarray(both.T).view("<i2")[:, 0]
 
 
 class EnergyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -58,12 +83,12 @@ class EnergyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     @classmethod
     def of(cls, energy: Energy) -> "EnergyCard":
-        """The card of an energy score; its resamples are rounded to float32."""
-        return cls(centre=energy.centre, resampled=energy.resampled.astype("<f4").tobytes())
+        """The card of an energy score; its resamples are rounded, see `pack`."""
+        return cls(centre=energy.centre, resampled=pack(energy.centre, energy.resampled))
 
     def energy(self) -> Energy:
         """The energy score and its resamples as numbers."""
-        return Energy(self.centre, np.frombuffer(self.resampled, "<f4").astype(np.float64))
+        return Energy(self.centre, unpack(self.centre, self.resampled))
 
 
 class MetricCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

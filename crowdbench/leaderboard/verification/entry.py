@@ -21,10 +21,10 @@ from crowdbench.leaderboard.submission.errors import plain
 from crowdbench.leaderboard.submission.limits import MOST_FILES
 from crowdbench.leaderboard.submission.schema import Declared
 from crowdbench.scoring.score import Score
-from crowdbench.scoring.scorecard import Limit, Resamples
+from crowdbench.scoring.scorecard import Limit, Resamples, pack, unpack
 
-SCHEMA: Final = 1
-SCORER = 4
+SCHEMA: Final = 2
+SCORER = 5
 """Version of the scoring. Any change that alters the scores of an entry increases it; then
 `python -m studies rescore` scores the entries again."""
 
@@ -54,12 +54,12 @@ class ScoreCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     @classmethod
     def of(cls, score: Score) -> "ScoreCard":
-        """The card of a score, with its resamples rounded to float32."""
-        return cls(value=score.value, resampled=score.resampled.astype("<f4").tobytes())
+        """The card of a score, with its resamples rounded."""
+        return cls(value=score.value, resampled=pack(score.value, score.resampled))
 
     def score(self) -> Score:
         """The score with its resamples."""
-        return Score(self.value, np.frombuffer(self.resampled, "<f4").astype(np.float64))
+        return Score(self.value, unpack(self.value, self.resampled))
 
 
 class MetricEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -199,7 +199,7 @@ def _of_fits(energies: FitEnergies, floor: Energy, anchor: Energy) -> list[float
     if not span > 0:
         return [None] * len(energies.spread)
     above = energies.to_recorded - energies.spread - floor.centre
-    return [max(LOWEST, float(1 - a / span)) for a in above]
+    return [round(max(LOWEST, float(1 - a / span)), 4) for a in above]
 
 
 def _evenness(rollouts: SceneRollouts) -> float | None:
