@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Final, Literal, TypeAlias
 
 import msgspec
-import numpy as np
 from msgspec import Meta
 
 from crowdbench.data.blocks import SPLITS
