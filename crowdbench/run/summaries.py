@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+import msgspec
 import numpy as np
-from safetensors import numpy as safetensors
 
 from crowdbench.code import code_hash
 from crowdbench.data.table import OUTCOMES, Trajectories
@@ -14,6 +14,9 @@ from crowdbench.files import sha256
 from crowdbench.metrics import Metric, Statistics
 from crowdbench.run.resolved import MODELS
 from crowdbench.scoring.reference import Reference, summarise
+
+_Array = tuple[str, tuple[int, ...], bytes]
+"""Data type, shape and content of an array."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +69,17 @@ class RolloutSummary:
         return dense
 
     def encoded(self) -> bytes:
-        """The summary as compressed safetensors."""
-        return zlib.compress(safetensors.save(self.arrays), 1)
+        """The summary as compressed bytes."""
+        parts = {n: (a.dtype.str, a.shape, a.tobytes()) for n, a in self.arrays.items()}
+        return zlib.compress(msgspec.msgpack.encode(parts), 1)
 
     @classmethod
     def decoded(cls, data: bytes) -> "RolloutSummary":
         """The summary in such bytes."""
-        return cls(safetensors.load(zlib.decompress(data)))
+        parts = msgspec.msgpack.decode(zlib.decompress(data), type=dict[str, _Array])
+        return cls(
+            {n: np.frombuffer(raw, of).reshape(shape) for n, (of, shape, raw) in parts.items()}
+        )
 
 
 def code_of_summaries(reference: Reference) -> str | None:

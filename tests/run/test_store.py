@@ -11,7 +11,7 @@ from crowdbench.data.table import Trajectories
 from crowdbench.metrics.trips import Dwell
 from crowdbench.run import rollout_jobs, store
 from crowdbench.run.rollout_jobs import Job, plan, roll_out
-from crowdbench.run.summaries import RolloutSummary, summary_key
+from crowdbench.run.summaries import RolloutSummary, code_of_summaries
 from crowdbench.scene import load_scene
 from crowdbench.scoring.reference import Reference, read_reference
 
@@ -114,11 +114,11 @@ def test_what_was_used_least_recently_goes_first(
         path.unlink()
     monkeypatch.setattr(store, "LIMIT_BYTES", 3 * table.stat().st_size)
     for k, key in enumerate("abc"):
-        store.keep(key, ".parquet", table.read_bytes())
+        store.keep(key, ".parquet", table.read_bytes(), tmp_path)
         (kept,) = store.folder().glob(f"{key}-*")
         os.utime(kept, (k, k))
-    assert store.find("a", ".parquet") is not None  # used again: `b` is now the oldest
-    store.keep("d", ".parquet", table.read_bytes())
+    assert store.find("a", ".parquet", tmp_path) is not None  # used again: `b` is now the oldest
+    store.keep("d", ".parquet", table.read_bytes(), tmp_path)
     assert {path.name[0] for path in store.folder().iterdir()} == {"a", "c", "d"}
 
 
@@ -134,7 +134,7 @@ def test_of_two_processes_that_keep_the_same_rollout_one_file_stays(tmp_path: Pa
     made(tmp_path / "one")
     table = next((tmp_path / "one").iterdir())
     for _ in range(2):
-        store.keep("same", ".parquet", table.read_bytes())
+        store.keep("same", ".parquet", table.read_bytes(), tmp_path)
     assert len(list(store.folder().glob("same-*"))) == 1
     assert not list(store.folder().glob(".*"))
 
@@ -145,9 +145,11 @@ def summarised(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     found: list[object] = []
     original = RolloutSummary.of_crowd
 
-    def counted(crowd: Trajectories, reference: Reference) -> RolloutSummary:
+    def counted(
+        crowd: Trajectories, reference: Reference, measured: dict[str, float]
+    ) -> RolloutSummary:
         found.append(crowd)
-        return original(crowd, reference)
+        return original(crowd, reference, measured)
 
     monkeypatch.setattr(RolloutSummary, "of_crowd", counted)
     return found
@@ -171,13 +173,12 @@ def test_summaries_are_found_and_are_the_same(tmp_path: Path, summarised: list[o
 def test_other_blocks_and_metrics_have_other_summaries() -> None:
     reference = read_reference(PLAZA)
     later = replace(reference.blocks, frames=reference.blocks.frames + 1)
-    keys = {
-        summary_key("rollout", reference),
-        summary_key("another", reference),
-        summary_key("rollout", replace(reference, place=replace(reference.place, radius_m=0.4))),
-        summary_key("rollout", replace(reference, blocks=later)),
+    codes = {
+        code_of_summaries(reference),
+        code_of_summaries(replace(reference, place=replace(reference.place, radius_m=0.4))),
+        code_of_summaries(replace(reference, blocks=later)),
     }
-    assert len(keys) == 4
+    assert len(codes) == 3
 
 
 def test_with_metrics_of_others_no_summary_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,6 +186,51 @@ def test_with_metrics_of_others_no_summary_is_kept(monkeypatch: pytest.MonkeyPat
         name = "mine"
 
     reference = read_reference(PLAZA)
-    assert summary_key("rollout", reference) is not None
+    assert code_of_summaries(reference) is not None
     monkeypatch.setattr(Reference, "metrics", (*reference.metrics, Mine()))
-    assert summary_key("rollout", reference) is None
+    assert code_of_summaries(reference) is None
+
+
+def hidden(folder: Path, pairs: list[tuple[str, str]] = PAIRS) -> list[Job]:
+    return [replace(job, shown=False) for job in jobs(folder, pairs)]
+
+
+def test_what_is_not_shown_leaves_no_trajectories(tmp_path: Path, simulated: list[str]) -> None:
+    reference = read_reference(PLAZA)
+    roll_out(hidden(tmp_path / "one"), reference, 1)
+    assert not (tmp_path / "one").exists()
+    assert {path.suffix for path in store.folder().iterdir()} == {rollout_jobs.SUMMARY}
+    roll_out(hidden(tmp_path / "two"), reference, 1)
+    assert len(simulated) == 2
+    roll_out(jobs(tmp_path / "three"), reference, 1)  # now they are to be seen
+    assert len(simulated) == 4
+    assert len(list((tmp_path / "three").glob("*.parquet"))) == 2
+
+
+def test_where_the_store_must_not_be_written_summaries_are_kept_beside_the_results(
+    tmp_path: Path, simulated: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CROWDBENCH_STORE", "read")
+    reference = read_reference(PLAZA)
+    for _ in range(2):
+        roll_out(hidden(tmp_path / "one"), reference, 1)
+    assert len(simulated) == 2
+    assert {path.suffix for path in (tmp_path / "one").iterdir()} == {rollout_jobs.SUMMARY}
+    roll_out(hidden(tmp_path / "two"), reference, 1)
+    assert len(simulated) == 4
+
+
+def persons(job: Job, crowd: Trajectories) -> dict[str, float]:
+    """A measurement: the number of people."""
+    return {"persons": float(len(crowd))}
+
+
+def test_what_is_measured_is_in_the_summaries(tmp_path: Path, simulated: list[str]) -> None:
+    reference = read_reference(PLAZA)
+    plain = roll_out(hidden(tmp_path), reference, 1)
+    for _ in range(2):
+        rolled = roll_out(hidden(tmp_path), reference, 1, measure=persons)
+        assert [s.measured("persons") for s in rolled.values()] == [
+            s.outcomes.sum() for s in plain.values()
+        ]
+    assert len(simulated) == 4  # once without, once with the measurement
