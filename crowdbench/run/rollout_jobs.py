@@ -208,26 +208,38 @@ def roll_out(
     `workers` is the number of processes, by default one per core, or none but this one if that is
     faster. Without a reference, there are no summaries. `measure` adds numbers to the summaries.
     """
-    batched = batches(jobs)
-    if workers is None and is_local() and _light(batched):
+    code = _code_of(reference, measure)
+    keys = {job: _summary_key(job, code) for job in jobs if code and not _pair(job).foreign}
+    rolled = {job: summary for job, key in keys.items() if (summary := _kept_summary(job, key))}
+    tasks = [
+        (batch, missing, tuple(job for job in batch if job.shown or job not in keys))
+        for batch in batches(jobs)
+        if (missing := tuple(job for job in batch if job not in rolled))
+        or any(j.shown for j in batch)
+    ]
+    if workers is None and is_local() and _light([batch for batch, *_ in tasks]):
         workers = 1
-    made, rolled = 0, dict[Job, RolloutSummary]()
+    made = len(jobs) - sum(len(batch) for batch, *_ in tasks)
     progress(made, len(jobs))
     # Closing ends the worker processes even if this function is left early.
     with closing(
         call_each(
             _roll_out,
-            [(batch,) for batch in batched],
+            tasks,
             checked_workers(workers),
-            common=(reference, measure, _code_of(reference, measure)),
+            common=(reference, measure),
             name=_told,
-            files=lambda batch: [job.path for job in batch],
+            files=lambda batch, *_: [job.path for job in batch],
             reads=_own_files,
         )
     ) as done:
         for k, summaries in done:
-            made += len(batched[k])
-            rolled |= zip(batched[k], summaries, strict=False)
+            batch, missing, _ = tasks[k]
+            for job, summary in zip(missing, summaries, strict=False):
+                rolled[job] = summary
+                if job in keys:
+                    store.keep(keys[job], SUMMARY, summary.encoded(), job.path.parent)
+            made += len(batch)
             progress(made, len(jobs))
     return {job: rolled[job] for job in jobs if job in rolled}
 
@@ -246,7 +258,7 @@ def _light(batched: Sequence[tuple[Job, ...]]) -> bool:
     return frames <= LIGHT_FRAMES
 
 
-def _own_files(batch: tuple[Job, ...]) -> list[Path]:
+def _own_files(batch: tuple[Job, ...], *_: object) -> list[Path]:
     """Files of the models of a batch that do not come with crowdbench."""
     pair = _pair(batch[0])
     named = [*pair.policy.files(batch[0].split), pair.spawn.scenario, pair.spawn.fits]
@@ -255,41 +267,19 @@ def _own_files(batch: tuple[Job, ...]) -> list[Path]:
     return [p for p in named if p is not None and not p.is_relative_to(scenes_folder())]
 
 
-def _told(batch: tuple[Job, ...]) -> str:
+def _told(batch: tuple[Job, ...], *_: object) -> str:
     first, last = batch[0], batch[-1]
     return str(first) if first is last else f"{first} to {last.seed}"
 
 
-def _code_of(reference: Reference | None, measure: Measure | None) -> str | None:
-    """Hash of what makes summaries of rollouts; None if they are not to be kept."""
+def _code_of(reference: Reference | None, measure: Measure | None) -> str:
+    """Hash of what makes summaries of rollouts; empty if they are not to be kept."""
     code = None if reference is None else code_of_summaries(reference)
-    return code if measure is None or code is None else code + code_hash(measure.__module__)
+    return (code or "") + (code_hash(measure.__module__) if measure and code else "")
 
 
-def _roll_out(
-    batch: tuple[Job, ...],
-    reference: Reference | None,
-    measure: Measure | None,
-    code: str | None,
-) -> list[RolloutSummary]:
-    """The summaries of a batch: those that are kept, and of the rollouts that are made.
-
-    The store has no rollouts of other people's code, and no summaries by their metrics.
-    """
-    shared = not _pair(batch[0]).foreign
-    keys = {job: sha256(f"{_key(job)} {code}".encode())[:32] for job in batch if shared and code}
-    found = {job: summary for job, key in keys.items() if (summary := _kept_summary(job, key))}
-    shown = [job for job in batch if job.shown or job not in keys]
-    crowds = _made(batch, [job for job in batch if job in shown or job not in found], shown)
-    if reference is None:
-        return []
-    for job in batch:
-        if job not in found:
-            measured = {} if measure is None else measure(job, crowds[job])
-            found[job] = RolloutSummary.of_crowd(crowds[job], reference, measured)
-            if job in keys:
-                store.keep(keys[job], SUMMARY, found[job].encoded(), job.path.parent)
-    return [found[job] for job in batch]
+def _summary_key(job: Job, code: str) -> str:
+    return sha256(f"{_key(job)} {code}".encode())[:32]
 
 
 def _kept_summary(job: Job, key: str) -> RolloutSummary | None:
@@ -297,6 +287,25 @@ def _kept_summary(job: Job, key: str) -> RolloutSummary | None:
         file = store.find(key, SUMMARY, job.path.parent)
         return None if file is None else RolloutSummary.decoded(file.read_bytes())
     return None
+
+
+def _roll_out(
+    batch: tuple[Job, ...],
+    missing: tuple[Job, ...],
+    shown: tuple[Job, ...],
+    reference: Reference | None,
+    measure: Measure | None,
+) -> list[RolloutSummary]:
+    """The missing summaries of a batch, and the trajectories of those that are shown."""
+    crowds = _made(batch, tuple(dict.fromkeys((*missing, *shown))), shown)
+    if reference is None:
+        return []
+    return [
+        RolloutSummary.of_crowd(
+            crowds[job], reference, measure(job, crowds[job]) if measure else {}
+        )
+        for job in missing
+    ]
 
 
 def _made(

@@ -155,7 +155,7 @@ class Earlier(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The contents of `entries/ID.json.gz`."""
 
-    schema: Literal[1]
+    schema: Literal[2]
     id: Annotated[str, Meta(pattern=r"\A[a-z0-9]+(-[a-z0-9]+)*\Z", max_length=60)]
     """Name of the file and the page: a-z, 0-9 and single hyphens."""
     status: Status
