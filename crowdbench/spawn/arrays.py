@@ -33,6 +33,12 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True, eq=False):
 F = TypeVar("F", bound=Fit)
 
 
+def dtype_of(annotation: Any) -> str:
+    """Kind of number of an annotated array in a file; of `Float`, it is float64."""
+    kinds = ("float64", "int64", "float32", "float16")
+    return next(name for name in kinds if name in annotation.dtypes)
+
+
 def hint(scene: Scene) -> str:
     """The hint of errors about missing or broken fits: how to make them again."""
     if (scene.folder / "scene.toml").is_file():
@@ -105,8 +111,7 @@ def _read(raw: Any, kind: Any, known: Mapping[str, int], where: str, how: str) -
 
 def _array(value: Any, of: Any, sizes: dict[str, int], where: str, how: str) -> np.ndarray:
     """An array as its annotation `of` says; sizes that were not known are added to `sizes`."""
-    dims = of.dim_str.split()
-    dtype = next(name for name in ("float64", "int64", "float32") if name in of.dtypes)
+    dims, dtype = of.dim_str.split(), dtype_of(of)
     shape = tuple(int(d) if d.isdigit() else sizes.get(d) for d in dims)
     array = value
     if not isinstance(value, np.ndarray):

@@ -12,7 +12,7 @@ from safetensors.numpy import load_file, save_file
 
 from crowdbench.data.blocks import SPLITS
 from crowdbench.errors import SettingError, WeightsError
-from crowdbench.scene import Scene, load_scene
+from crowdbench.scene import Scene, list_scenes, load_scene
 from crowdbench.spawn import NtppGMM, PoissonGMM, PoissonGroups, RenewalGMM, arrivals_in
 from crowdbench.spawn.ntpp.model import SHAPES
 
@@ -187,6 +187,12 @@ TENSORS = {
     "shape": ("full.0.initial", np.ones((2, 31), np.float32), "float32 of shape (2, 31)"),
     "areas": ("full.0.initial", np.ones((3, 32), np.float32), "float32 of shape (3, 32)"),
     "kind": ("full.0.initial", np.ones((2, 32), np.float64), "float64 of shape (2, 32)"),
+    "half": ("full.0.initial", np.ones((2, 32), np.float16), "expected float32 of shape (2, 32)"),
+    "not half": (
+        "full.0.out_weight",
+        np.ones((2, 3, 32), np.float32),
+        "float32 of shape (2, 3, 32); expected float16 of shape (2, 3, 32)",
+    ),
     "nan": ("fold0.1.out_bias", nan_in((2, 3)), "NaN or infinity"),
     "spread": (
         "full.1.scaling",
@@ -205,6 +211,55 @@ def test_broken_tensors_are_refused_in_whatever_part_they_are(
         NtppGMM.read(place, AREAS)
     assert got in str(caught.value)
     assert "crowdbench scene fit " in caught.value.hint
+
+
+def with_weight(name: str, value: float) -> NtppGMM:
+    model = random_ntpp()
+    array = model.weights[name].copy()
+    array[1].flat[-1] = value
+    return replace(model, weights={**model.weights, name: array})
+
+
+BEYOND = [
+    ("state_weight", 1e5, "a weight of 100000; expected float16, a number within ±65504"),
+    ("input_weight", -70000.0, "a weight of -70000"),
+    ("out_weight", np.nan, "a weight of nan"),
+    ("base", np.inf, "a weight of inf; expected float32"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "got"), BEYOND)
+def test_weights_that_a_file_cannot_hold_are_refused_when_a_fit_is_made(
+    name: str, value: float, got: str
+) -> None:
+    with pytest.raises(WeightsError, match=f"^ntpp-gmm of eth-v0, {name} of area 1: ") as caught:
+        with_weight(name, value)
+    assert got in str(caught.value)
+
+
+def test_weights_are_rounded_once_and_not_beyond_their_kind() -> None:
+    one = with_weight("hidden_weight", 0.1).weights["hidden_weight"]
+    assert (one.dtype, float(one[1, -1, -1])) == (np.float32, float(np.float16(0.1)))
+    assert with_weight("hidden_weight", 60000.0).weights["hidden_weight"].max() == 60000
+    log_scale = float(np.float32(9.3001))
+    assert float(with_weight("base", log_scale).weights["base"][1, -1]) == log_scale
+
+
+SHIPPED = [
+    f for s in list_scenes() for f in sorted(load_scene(s).folder.glob("ntpp-*.safetensors"))
+]
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=[f"{f.parent.name}/{f.stem}" for f in SHIPPED])
+def test_matrices_of_shipped_networks_are_half_and_all_else_is_not(path: Path) -> None:
+    kinds: dict[str, set[np.dtype[Any]]] = {}
+    for key, tensor in load_file(path).items():
+        kinds.setdefault(key.rpartition(".")[2], set()).add(tensor.dtype)
+    assert {name for name, kind in kinds.items() if kind == {np.dtype(np.float16)}} == {
+        *("input_weight", "state_weight", "hidden_weight", "out_weight")
+    }
+    others = [kind for name, kind in kinds.items() if not name.endswith("_weight")]
+    assert others == [{np.dtype(np.float32)}] * len(others) != []
 
 
 def test_areas_without_a_network_are_left_out_of_the_file_and_sample_the_same(
@@ -229,7 +284,7 @@ def test_areas_without_a_network_are_left_out_of_the_file_and_sample_the_same(
 
 
 def test_weights_of_another_number_of_networks_are_refused(place: Scene) -> None:
-    weights = np.ones((2, 3, 32), np.float32)
+    weights = np.ones((2, 3, 32), np.float16)
     weights[1] = 0
     altered(place, "fold1.1.out_weight", weights)
     with pytest.raises(WeightsError, match=r"fold1\.1\.initial: got .* expected 1 networks"):
@@ -240,6 +295,7 @@ HEADERS = {
     "scene": ({"scene": "zara01-v0"}, "ntpp-gmm of zara01-v0"),
     "model": ({"model": "other"}, "other of eth-v0"),
     "schema": ({"schema": 9}, "schema 9"),
+    "old schema": ({"schema": 3}, "schema 3; expected ntpp-gmm of eth-v0, schema 4"),
     "grid": ({"grid_s": 0.1}, "grid_s: got 0.1; expected 0.4 s"),
     "no fits": ({"fits": 0}, "one or more fits"),
     "no memory": ({"memory": 0}, "memory: got Expected `int` >= 1"),

@@ -135,6 +135,16 @@ def test_nobody_enters_areas_without_arrivals() -> None:
     assert (events.spawn_area == 0).all()
 
 
+def test_a_fit_is_what_its_file_gives_back(tmp_path: Path) -> None:
+    arrivals = bursty()
+    fitted = training.fit(arrivals, AREAS, ETH, seed=0, settings=BRIEF)
+    NtppPaper.write(tmp_path, {split: [fitted] for split in SPLITS})
+    back = NtppPaper.read(replace(ETH, folder=tmp_path), AREAS)
+    for name in SHAPES:
+        np.testing.assert_array_equal(back.weights[name], fitted.weights[name])
+    assert back.log_likelihood(arrivals) == fitted.log_likelihood(arrivals)
+
+
 def test_samples_that_explode_are_refused() -> None:
     model = network()
     loud = {**model.weights, "out_bias": np.full((2, 2), [80.0, 0.5], np.float32)}
@@ -162,6 +172,9 @@ def test_fits_come_back_from_their_file(tmp_path: Path) -> None:
     one_empty = {name: array.copy() for name, array in found.weights.items()}
     one_empty["out_weight"][1] = 0.0  # as training leaves an area in which nobody enters
     assert learned(replace(found, weights=one_empty)) == learned(found) // 2
+    too_large = {**found.weights, "state_weight": 1e6 * found.weights["state_weight"]}
+    with pytest.raises(WeightsError, match=r"^ntpp-paper of eth-v0, state_weight of area 0: "):
+        replace(found, weights=too_large)
     with pytest.raises(WeightsError, match="ntpp-paper of zara1-v0"):
         NtppPaper.read(replace(place, id="zara1-v0"), AREAS)
 

@@ -1,6 +1,7 @@
 """Training of the neural model: equal to the compiled network, honest windows, reproducible."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from hypothesis import strategies as st
 from models import AREAS, GRID_S, arrivals_at, random_ntpp, renewal
 from strategies import arrivals_of_two_areas, intervals
 
+from crowdbench.data.blocks import SPLITS
 from crowdbench.scene import load_scene
-from crowdbench.spawn import Arrivals, RenewalGMM, arrivals_in
+from crowdbench.spawn import Arrivals, NtppGMM, RenewalGMM, arrivals_in
 from crowdbench.spawn.ntpp import training as ntpp_training
 from crowdbench.spawn.ntpp.likelihood import Packed, head, nats, pack
 from crowdbench.spawn.ntpp.model import NEVER_FORGETS, SHAPES
@@ -155,6 +157,20 @@ def test_the_same_seed_gives_the_same_weights_and_torch_is_left_as_it_was() -> N
     assert all(np.array_equal(one.weights[name], two.weights[name]) for name in SHAPES)
     assert torch.get_num_threads() == threads
     assert not torch.are_deterministic_algorithms_enabled()
+
+
+def test_a_fit_is_what_its_file_gives_back(tmp_path: Path) -> None:
+    arrivals = bursty(400.0)
+    fitted = ntpp_training.fit(arrivals, AREAS, ETH, seed=3, settings=replace(BRIEF, epochs=40))
+    assert fitted.trained().any()
+    NtppGMM.write(tmp_path, {split: [fitted] for split in SPLITS})
+    back = NtppGMM.read(replace(ETH, folder=tmp_path), AREAS)
+    for name in SHAPES:  # of areas without a network, only some weights are in the file
+        one, other = (model.weights[name][fitted.trained()] for model in (fitted, back))
+        np.testing.assert_array_equal(one, other)
+    assert back.log_likelihood(arrivals) == fitted.log_likelihood(arrivals)
+    samples = [m.sample(600.0, ETH, np.random.default_rng(0)) for m in (fitted, back)]
+    np.testing.assert_array_equal(samples[0].time_s, samples[1].time_s)
 
 
 def test_another_seed_gives_another_fit() -> None:

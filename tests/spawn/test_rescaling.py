@@ -23,7 +23,7 @@ MODELS = {
 }
 
 
-def sampled(model: Any, horizon_s: float = 12_000.0, seed: int = 0) -> Arrivals:
+def sampled(model: Any, horizon_s: float = 20_000.0, seed: int = 0) -> Arrivals:
     events = model.sample(horizon_s, ETH, np.random.default_rng(seed))
     return arrivals_in(events, horizon_s, GRID_S, 2)
 

@@ -27,13 +27,14 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Float16, Float32, Int
 from msgspec import Meta, structs
 from numpy.random import Generator
 
+from crowdbench.errors import WeightsError
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
-from crowdbench.spawn.arrays import Fit, Rule
+from crowdbench.spawn.arrays import Fit, Rule, dtype_of
 from crowdbench.spawn.events import Arrivals, SpawnEvents
 from crowdbench.spawn.fits import FitFile, Fitted
 from crowdbench.spawn.times.groups import HasHazards, Hazards, check_grid, spells_of
@@ -44,17 +45,27 @@ HIDDEN = 32
 
 
 class NetworkFit(Fit, frozen=True):
-    """What the fits of `ntpp-gmm` and `ntpp-paper` have in common."""
+    """What the fits of `ntpp-gmm` and `ntpp-paper` have in common.
+
+    Matrices, which are almost all of a file, are float16: the difference is far below that of two
+    fits. Biases and initial states are float32, because they take little space, and so are `base`
+    and `scaling`, for which float16 is not precise enough: it would round a log scale of 9 by up to
+    0.004.
+    """
 
     grid_s: float
     memory: Annotated[int, Meta(ge=1)]
     settings: dict[str, int | float | bool]
 
     @classmethod
+    def arrays(cls) -> dict[str, Any]:
+        """The annotation of each array of weights, by name."""
+        return {f.name: f.type for f in structs.fields(cls) if hasattr(f.type, "dim_str")}
+
+    @classmethod
     def dims(cls) -> dict[str, list[str]]:
         """The letters and sizes of each array of weights, by name."""
-        kinds = {f.name: f.type for f in structs.fields(cls)}
-        return {n: of.dim_str.split() for n, of in kinds.items() if hasattr(of, "dim_str")}
+        return {name: of.dim_str.split() for name, of in cls.arrays().items()}
 
     @classmethod
     def shapes(cls) -> dict[str, tuple[int, ...]]:
@@ -80,14 +91,14 @@ class NtppFit(NetworkFit, frozen=True):
     holds mean and standard deviation of log gap (grid steps), then of log size.
     """
 
-    input_weight: Float32[np.ndarray, "N 96 2"]
+    input_weight: Float16[np.ndarray, "N 96 2"]
     input_bias: Float32[np.ndarray, "N 96"]
-    state_weight: Float32[np.ndarray, "N 96 32"]
+    state_weight: Float16[np.ndarray, "N 96 32"]
     state_bias: Float32[np.ndarray, "N 96"]
     initial: Float32[np.ndarray, "N 32"]
-    hidden_weight: Float32[np.ndarray, "N 32 32"]
+    hidden_weight: Float16[np.ndarray, "N 32 32"]
     hidden_bias: Float32[np.ndarray, "N 32"]
-    out_weight: Float32[np.ndarray, "K 3 32"]
+    out_weight: Float16[np.ndarray, "K 3 32"]
     out_bias: Float32[np.ndarray, "K 3"]
     base: Float32[np.ndarray, "K 3"]
     scaling: Float32[np.ndarray, "K 4"]
@@ -116,7 +127,19 @@ class NetworkModel(Fitted):
     """A network for each area: what `ntpp-gmm` and `ntpp-paper` have in common."""
 
     weights: Mapping[str, Float[np.ndarray, "K ..."]]
-    """Arrays by name as in the model's `NetworkFit`, with all areas as first axis."""
+    """Arrays by name as in the model's `NetworkFit`, with all areas as first axis; float32.
+
+    They are rounded as in a file, so that a model that was just trained is the one that is read.
+    """
+
+    def __post_init__(self) -> None:
+        """Round the weights.
+
+        Raises:
+            WeightsError: a weight is not finite, or too large for its kind of number in files.
+        """
+        weights = {name: array.astype(np.float32) for name, array in self._in_file().items()}
+        object.__setattr__(self, "weights", weights)
 
     def of_area(self, k: int) -> tuple[np.ndarray, ...]:
         """The weights of one area in the form that the kernels expect."""
@@ -131,15 +154,33 @@ class NetworkModel(Fitted):
         """
         return has_network(self.weights["out_weight"])
 
+    def _in_file(self) -> dict[str, np.ndarray]:
+        """The weights with their kind of number in files."""
+        found = {}
+        for name, of in self.file.kind.arrays().items():
+            dtype, array = dtype_of(of), self.weights[name]
+            with np.errstate(over="ignore"):
+                found[name] = array.astype(dtype)
+            wrong = ~np.isfinite(found[name])
+            if wrong.any():
+                area = wrong.nonzero()[0][0]
+                raise WeightsError(
+                    f"{self.file.model} of {self.areas.scene}, {name} of area {area}",
+                    got=f"a weight of {array[wrong][0]:g}",
+                    expected=f"{dtype}, a number within ±{np.finfo(dtype).max:g}",
+                    hint="Train with a lower learning rate.",
+                )
+        return found
+
     def _fit(self) -> NetworkFit:
-        weights, some = dict(self.weights), self.file.kind.of_networks()
-        weights |= {name: weights[name][self.trained()] for name in some}
+        weights, kind = self._in_file(), self.file.kind
+        weights |= {name: weights[name][self.trained()] for name in kind.of_networks()}
         own: Any = self
-        return self.file.kind(
+        return kind(
             grid_s=own.grid_s,
             memory=getattr(self, "memory", NEVER_FORGETS),
             settings=dict(sorted(own.settings.items())),
-            **{name: array.astype(np.float32) for name, array in weights.items()},
+            **weights,
         )
 
     @classmethod
@@ -163,7 +204,7 @@ class NtppGMM(HasHazards, NetworkModel):
     settings: Mapping[str, int | float] = field(default_factory=dict)
     """Settings of training; fit k of a file has the seed k."""
     name: str = NAME
-    file: ClassVar[FitFile[NtppFit]] = FitFile(NAME, 3, NtppFit, ".safetensors")
+    file: ClassVar[FitFile[NtppFit]] = FitFile(NAME, 4, NtppFit, ".safetensors")
 
     def sample(self, horizon_s: float, scene: Scene, rng: Generator) -> SpawnEvents:
         """Sample the people who enter in [0, `horizon_s`), seconds; times are on the grid."""

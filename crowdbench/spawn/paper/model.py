@@ -28,7 +28,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float16, Float32
 from numpy.random import Generator
 
 from crowdbench.errors import SettingError
@@ -51,14 +51,14 @@ class PaperFit(NetworkFit, frozen=True):
     A linear head has no hidden layer; then `hidden_weight` and `hidden_bias` are 0 and not used.
     """
 
-    input_weight: Float32[np.ndarray, "K 96 2"]
+    input_weight: Float16[np.ndarray, "K 96 2"]
     input_bias: Float32[np.ndarray, "K 96"]
-    state_weight: Float32[np.ndarray, "K 96 32"]
+    state_weight: Float16[np.ndarray, "K 96 32"]
     state_bias: Float32[np.ndarray, "K 96"]
     initial: Float32[np.ndarray, "K 32"]
-    hidden_weight: Float32[np.ndarray, "K 32 32"]
+    hidden_weight: Float16[np.ndarray, "K 32 32"]
     hidden_bias: Float32[np.ndarray, "K 32"]
-    out_weight: Float32[np.ndarray, "K 2 32"]
+    out_weight: Float16[np.ndarray, "K 2 32"]
     out_bias: Float32[np.ndarray, "K 2"]
 
 
@@ -77,7 +77,7 @@ class NtppPaper(NetworkModel):
     settings: Mapping[str, int | float | bool] = field(default_factory=dict)
     """Training settings (`crowdbench.spawn.paper.training`); fit k of a file has the seed k."""
     name: str = NAME
-    file: ClassVar[FitFile[PaperFit]] = FitFile(NAME, 1, PaperFit, ".safetensors")
+    file: ClassVar[FitFile[PaperFit]] = FitFile(NAME, 2, PaperFit, ".safetensors")
 
     @property
     def published_code(self) -> bool:
