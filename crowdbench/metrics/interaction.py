@@ -43,13 +43,12 @@ class Avoidance(Metric):
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`observed[b, d]`, `shifted[b, d]`: encounters in block b, in bins of 5 cm."""
+        from crowdbench.data.neighbour_kernels import from_left_to_right
         from crowdbench.metrics.kernels import encounters
 
         at = ticks_of(crowd, blocks, place.walking.tick_frames)
         velocity = _mean_velocities(at)
-        tick = crowd.row_frame()[at.row] // place.walking.tick_frames
-        order = np.lexsort((at.xy[:, 0], tick))
-        begins = np.concatenate([[0], np.cumsum(np.bincount(tick))])
+        order, begins = from_left_to_right(at.tick, at.person, at.xy[:, 0])
 
         def histogram(shift: int) -> Int[np.ndarray, "B 40"]:
             closest, index = encounters(

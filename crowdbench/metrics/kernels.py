@@ -59,7 +59,9 @@ def encounters(xy, velocity, person, order, begins, shift, radius_m, stranger_mp
     """
     ticks, count = len(begins) - 1, 0
     closest, index = np.empty(1024), np.empty(1024, np.int64)
-    x, y = xy[order, 0], xy[order, 1]  # in order, because jumping through memory is slow
+    # In order, because jumping through memory is slow.
+    x, y, whose = xy[order, 0], xy[order, 1], person[order]
+    vx, vy = velocity[order, 0], velocity[order, 1]
     for f in range(max(0, shift), min(ticks, ticks + shift)):
         first, stop = begins[f - shift], begins[f - shift + 1]
         for k in range(begins[f], begins[f + 1]):
@@ -73,12 +75,12 @@ def encounters(xy, velocity, person, order, begins, shift, radius_m, stranger_mp
                     break
                 if dx * dx + dy * dy > radius_m * radius_m:
                     continue
+                if whose[k] == whose[m]:
+                    continue
+                ux, uy = vx[k] - vx[m], vy[k] - vy[m]
+                if ux * ux + uy * uy <= stranger_mps * stranger_mps:
+                    continue
                 j = order[m]
-                if person[i] == person[j]:
-                    continue
-                vx, vy = velocity[i, 0] - velocity[j, 0], velocity[i, 1] - velocity[j, 1]
-                if vx * vx + vy * vy <= stranger_mps * stranger_mps:
-                    continue
                 if _same(person, i, j, -1) and _within(xy, i - 1, j - 1, radius_m):
                     continue  # the encounter began earlier
                 if count == len(index):

@@ -43,10 +43,11 @@ def _speeds(
     at = ticks_of(crowd, blocks, walking.tick_frames)
     half = (walking.window_ticks - 1) // 2
     index = at.with_room(half, half)
-    slope = np.zeros((len(index), 2))
+    windows = max(0, len(at.xy) - 2 * half)  # those across two trips too, which are not used
+    slope = np.zeros((windows, 2))
     for i in range(1, half + 1):
-        slope += i * (at.xy[index + i] - at.xy[index - i])
-    slope /= at.dt_s * 2 * sum(i * i for i in range(1, half + 1))
+        slope += i * (at.xy[half + i :][:windows] - at.xy[half - i :][:windows])
+    slope = slope[index - half] / (at.dt_s * 2 * sum(i * i for i in range(1, half + 1)))
     speed = np.minimum(np.hypot(slope[:, 0], slope[:, 1]), FASTEST_MPS)
     return speed, at.person[index], at.block[index]
 
