@@ -48,6 +48,24 @@ def products(xy, person, block, blocks, lag, span_s, stands_m, largest, unit):
 
 
 @compiled
+def harmonics(xy, begin, steps, along, sines, start):
+    """Per trip, the sums of its sideways offsets times the sines of each harmonic.
+
+    Trip p has `steps[p] + 1` positions from index `begin[p]` on and the direction `along[p]`. Trips
+    of as many steps share their `sines`, which begin at `start[p]`, one row per step.
+    """
+    sums = np.zeros((len(begin), sines.shape[1]))
+    for p in range(len(begin)):
+        x, y = xy[begin[p], 0], xy[begin[p], 1]
+        for step in range(steps[p] + 1):
+            t = begin[p] + step
+            offset = along[p, 0] * (xy[t, 1] - y) - along[p, 1] * (xy[t, 0] - x)
+            for m in range(sines.shape[1]):
+                sums[p, m] += offset * sines[start[p] + step, m]
+    return sums
+
+
+@compiled
 def encounters(xy, velocity, person, order, begins, shift, radius_m, stranger_mps):
     """Closest approaches of strangers, in metres, and the position index of each.
 
@@ -165,8 +183,12 @@ def near_segments(segments, lower, columns, rows, reach_m):
 
 
 @compiled
-def clearances(xy, reach_m, segments, lower, columns, rows, start, near):
-    """Distance of each position to the nearest segment, at most `reach_m`, in metres."""
+def clearances(xy, reach_m, segments, lower, columns, rows, start, near, solid):
+    """Distance of each position to the nearest segment, at most `reach_m`, in metres.
+
+    It is 0 where no segment is within `CELL_M` and the cell's centre is `solid`, that is, inside a
+    wall: then so is the position, because there is no edge between them.
+    """
     result = np.full(len(xy), reach_m)
     for k in range(len(xy)):
         column = math.floor((xy[k, 0] - lower[0]) / CELL_M)
@@ -176,6 +198,8 @@ def clearances(xy, reach_m, segments, lower, columns, rows, start, near):
         c = row * columns + column
         for m in range(start[c], start[c + 1]):
             result[k] = min(result[k], _distance(xy[k, 0], xy[k, 1], segments[near[m]]))
+        if solid[c] and result[k] > CELL_M:
+            result[k] = 0.0
     return result
 
 
