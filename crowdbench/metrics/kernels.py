@@ -16,6 +16,41 @@ CELL_M = 0.5
 
 
 @compiled
+def write_cdf(counts, empty, result, at):
+    """Write the distribution function of each row of `counts` into `result`, from column `at` on.
+
+    Rows without counts get `empty`. This is memory-bound, so each row is passed over only once.
+    """
+    for r in range(len(counts)):
+        total = 0.0
+        for v in range(counts.shape[1]):
+            total += counts[r, v]
+            result[r, at + v] = total
+        for v in range(counts.shape[1]):
+            result[r, at + v] = result[r, at + v] / max(total, 1.0) if total != 0.0 else empty[v]
+
+
+@compiled
+def write_kaplan_meier(events, censored, empty, result):
+    """Write the Kaplan–Meier distribution function of each row into `result`.
+
+    Rows in which nobody is at risk get `empty`; see `crowdbench.metrics.lattice.kaplan_meier_cdf`.
+    """
+    size = events.shape[1]
+    at_risk = np.zeros(size + 1)
+    for r in range(len(events)):
+        for v in range(size - 1, -1, -1):
+            at_risk[v] = at_risk[v + 1] + (events[r, v] + censored[r, v])
+        survival = 1.0
+        for v in range(size):
+            if at_risk[v] > 0:
+                survival *= 1 - events[r, v] / at_risk[v]
+            result[r, v] = 1 - survival if at_risk[v + 1] > 0 else 1.0
+        if at_risk[0] == 0:
+            result[r] = empty
+
+
+@compiled
 def products(xy, person, block, blocks, lag, span_s, stands_m, largest, unit):
     """Per block: sums of products along and across the path, in `unit`, and their number.
 
