@@ -5,6 +5,7 @@ that blocks can be dealt into folds (fit on some, score others) and resampled.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -94,13 +95,8 @@ class TimeBlocks:
         The arrival time is the first grid point at or after `spawn_s`, because an annotator sees a
         person at the first grid point after the entry. Simulated arrivals are treated the same way.
         """
-        persons = np.flatnonzero(trajectories.entered)
-        tick = np.ceil(trajectories.spawn_s[persons] / self.grid_s - _TOLERANCE).astype(np.int64)
-        at = tick * self.grid_s + _TOLERANCE * self.grid_s
-        block = np.searchsorted(self.arrival_s[:, 0], at, side="right") - 1
-        inside = (block >= 0) & (at < self.arrival_s[np.maximum(block, 0), 1])
-        order = np.lexsort((persons[inside], tick[inside]))
-        return persons[inside][order], block[inside][order], tick[inside][order]
+        persons, block, tick = _arrivals(self, trajectories)
+        return persons.copy(), block.copy(), tick.copy()  # what is kept is nobody's to change
 
     def parts(self, trajectories: Trajectories) -> Trajectories:
         """The crowd in these blocks alone: each uninterrupted part of a path is a person.
@@ -128,6 +124,20 @@ class TimeBlocks:
             **{name: getattr(trajectories, name)[whose] for name in PERSON_COLUMNS},
         )
         return parts.observed_in(edges.reshape(-1, 2))
+
+
+@lru_cache(maxsize=1)  # several metrics use the arrivals of the same crowd
+def _arrivals(
+    blocks: TimeBlocks, trajectories: Trajectories
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    persons = np.flatnonzero(trajectories.entered)
+    tick = np.ceil(trajectories.spawn_s[persons] / blocks.grid_s - _TOLERANCE).astype(np.int64)
+    at = tick * blocks.grid_s + _TOLERANCE * blocks.grid_s
+    begin, stop = blocks.arrival_s.T
+    block = np.searchsorted(begin, at, side="right") - 1
+    inside = (block >= 0) & (at < stop[np.maximum(block, 0)])
+    order = np.lexsort((persons[inside], tick[inside]))
+    return persons[inside][order], block[inside][order], tick[inside][order]
 
 
 def cut(

@@ -1,4 +1,4 @@
-"""Neighbours and companions, compiled because crowds may have millions of rows.
+"""Neighbours, companions and who stands, compiled because crowds may have millions of rows.
 
 Positions are sorted by frame, and by x within each frame, so that only people with similar x are
 compared. `begins` holds the start of each frame: `xy[begins[f]:begins[f + 1]]` are the positions
@@ -11,6 +11,56 @@ import numpy as np
 from numba import njit
 
 from crowdbench.compilation import compiled
+
+
+@compiled
+def from_left_to_right(frame, person, x):
+    """Indices that sort positions by frame, then x, then index; and `begins` of each frame.
+
+    The positions are given trip by trip. From one frame to the next few people change places, so
+    each frame begins with the order of the one before, and insertion sort has little to do.
+    """
+    size = len(frame)
+    frames = frame.max() + 1 if size > 0 else 0
+    begins = np.zeros(frames + 1, np.int64)
+    for i in range(size):
+        begins[frame[i] + 1] += 1
+    begins = np.cumsum(begins)
+    order, sorted_x, newcomers = np.empty(size, np.int64), np.empty(size), begins[1:].copy()
+    for i in range(size - 1, -1, -1):
+        if i == 0 or person[i] != person[i - 1] or frame[i] != frame[i - 1] + 1:
+            newcomers[frame[i]] -= 1  # they fill the end of their frame
+            order[newcomers[frame[i]]] = i
+    for f in range(frames):
+        count = begins[f]
+        for k in range(begins[f - 1] if f > 0 else 0, begins[f]):
+            i = order[k] + 1
+            if i < size and person[i] == person[i - 1] and frame[i] == f:
+                order[count] = i
+                count += 1
+        for k in range(begins[f], begins[f + 1]):
+            i, to = order[k], k
+            while to > begins[f] and (
+                sorted_x[to - 1] > x[i] or (sorted_x[to - 1] == x[i] and order[to - 1] > i)
+            ):
+                order[to], sorted_x[to] = order[to - 1], sorted_x[to - 1]
+                to -= 1
+            order[to], sorted_x[to] = i, x[i]
+    return order, begins
+
+
+@compiled
+def stands(xy, offsets, half, slow_mps, dt_s):
+    """Whether the person of each row stands; see `crowdbench.data.stops.standing`."""
+    result = np.zeros(len(xy), np.bool_)
+    for p in range(len(offsets) - 1):
+        for row in range(offsets[p], offsets[p + 1]):
+            before, after = max(row - half, offsets[p]), min(row + half, offsets[p + 1] - 1)
+            dx = np.float64(xy[after, 0]) - np.float64(xy[before, 0])
+            dy = np.float64(xy[after, 1]) - np.float64(xy[before, 1])
+            limit = slow_mps * (after - before) * dt_s
+            result[row] = dx * dx + dy * dy < limit * limit  # never true for a single row
+    return result
 
 
 @compiled

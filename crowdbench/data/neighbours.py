@@ -14,11 +14,9 @@ FAR_M = 5e3
 @lru_cache(maxsize=1)  # several metrics search for neighbours in the same crowd
 def nearest_neighbour_m(crowd: Trajectories) -> Float[np.ndarray, " R"]:
     """Distance of each row to the nearest other person in the same frame; infinite if alone."""
-    from crowdbench.data.neighbour_kernels import nearest
+    from crowdbench.data.neighbour_kernels import from_left_to_right, nearest
 
-    frame = crowd.row_frame()
-    row = np.lexsort((crowd.xy[:, 0], frame))  # in each frame from left to right
-    begins = np.concatenate([[0], np.cumsum(np.bincount(frame))])
+    row, begins = from_left_to_right(crowd.row_frame(), crowd.row_person(), crowd.xy[:, 0])
     xy = crowd.xy[row].astype(np.float64)
     result = np.empty(len(row))
     result[row] = nearest(xy, begins, FAR_M)

@@ -38,13 +38,10 @@ class Stops:
 
 def standing(crowd: Trajectories) -> Bool[np.ndarray, " R"]:
     """Whether the person of each row stands in its frame."""
+    from crowdbench.data.neighbour_kernels import stands
+
     half = max(1, round(HALF_S / crowd.dt_s))
-    person, row = crowd.row_person(), np.arange(len(crowd.xy))
-    before = np.maximum(row - half, crowd.offsets[:-1][person])
-    after = np.minimum(row + half, crowd.offsets[1:][person] - 1)
-    way = crowd.xy[after].astype(np.float64) - crowd.xy[before]
-    limit = STANDING_MPS * (after - before) * crowd.dt_s
-    return np.asarray((way * way).sum(axis=1) < limit * limit)  # never true for a single row
+    return stands(crowd.xy, crowd.offsets, half, STANDING_MPS, crowd.dt_s)
 
 
 @lru_cache(maxsize=1)  # metrics and plans use the stops of the same crowd

@@ -132,7 +132,9 @@ class Trajectories:
 
     def present(self) -> Int[np.ndarray, " frames"]:
         """N(t): the number of persons in each frame, including empty frames."""
-        return np.bincount(self.row_frame(), minlength=self.frames)
+        came = np.bincount(self.first, minlength=self.frames + 1)
+        gone = np.bincount(self.last + 1, minlength=self.frames + 1)
+        return np.cumsum(came - gone)[: self.frames]
 
     def is_observed(self) -> Bool[np.ndarray, " frames"]:
         """Whether each frame was observed."""
@@ -153,7 +155,8 @@ class Trajectories:
 
     def path_lengths(self) -> Float[np.ndarray, " P"]:
         """Path length of each person, metres."""
-        steps = np.linalg.norm(np.diff(self.xy.astype(np.float64), axis=0), axis=1)
+        x, y = np.diff(self.xy.astype(np.float64), axis=0).T
+        steps = np.sqrt(x * x + y * y)
         person = self.row_person()
         same = np.diff(person) == 0
         lengths = np.bincount(person[1:][same], steps[same], minlength=len(self))

@@ -11,7 +11,7 @@ from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import LogRatio, RelativeWasserstein
 from crowdbench.metrics.lattice import (
     Numbers,
-    cdf,
+    cdfs,
     correlation,
     histograms,
     lagged_sums,
@@ -112,8 +112,7 @@ class InterSpawnPerArea(Metric):
 
     def embed(self, sums: Sums, support: Support, blocks: TimeBlocks) -> Vectors:
         """The distribution functions of all areas, concatenated."""
-        block = self.if_empty(blocks)
-        return np.concatenate([cdf(c, support, if_empty=block) for c in sums.values()], axis=-1)
+        return cdfs(list(sums.values()), support, if_empty=self.if_empty(blocks))
 
     def weights(self, recorded: Sums, support: Support, blocks: TimeBlocks) -> Weights:
         """Lattice widths times each area's share of the gaps, over the mean gap of all areas.

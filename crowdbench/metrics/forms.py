@@ -94,7 +94,10 @@ class TotalVariation(Metric):
         """Probability of each cell, then 1 for an empty sample and 0 otherwise."""
         counts = sums["counts"]
         n = counts.sum(axis=-1, keepdims=True)
-        return np.concatenate([counts / np.maximum(n, 1), n == 0], axis=-1)
+        result = np.empty((*counts.shape[:-1], counts.shape[-1] + 1))
+        np.divide(counts, np.maximum(n, 1), out=result[..., :-1])
+        result[..., -1:] = n == 0
+        return result
 
     def weights(self, recorded: Sums, support: Support, blocks: TimeBlocks) -> Weights:
         """The factor ½ of the total variation."""

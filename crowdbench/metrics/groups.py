@@ -18,7 +18,7 @@ from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
 from crowdbench.metrics.lattice import counted, histograms
 from crowdbench.metrics.metric import Place, Statistics
-from crowdbench.metrics.rows import ticks_of
+from crowdbench.metrics.rows import Ticks, ticks_of
 
 APART_M = 5.0
 """Distances between companions are clipped at this value."""
@@ -126,29 +126,33 @@ def pairs_of(crowd: Trajectories, blocks: TimeBlocks, tick_frames: int) -> Compa
     """All pairs of companions at the ticks at which both are there."""
     at = ticks_of(crowd, blocks, tick_frames)
     group = groups_of(crowd)
-    begin = np.searchsorted(at.person, np.arange(len(crowd)))
-    stop = np.searchsorted(at.person, np.arange(len(crowd)), side="right")
-    tick = crowd.row_frame()[at.row] // tick_frames
-    velocity = np.zeros_like(at.xy)
-    inner = at.with_room(1, 1)
-    velocity[inner] = (at.xy[inner + 1] - at.xy[inner - 1]) / (2 * at.dt_s)
     members = np.flatnonzero(group >= 0)
     members = members[np.argsort(group[members], kind="stable")]
     edges = np.flatnonzero(np.diff(group[members])) + 1
-    ones, others = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-    for of_group in np.split(members, edges):
-        for a, b in combinations(of_group.tolist(), 2):
-            if stop[a] == begin[a] or stop[b] == begin[b]:
-                continue
-            shift = int(begin[b] - tick[begin[b]] - begin[a] + tick[begin[a]])
-            first, last = max(begin[a], begin[b] - shift), min(stop[a], stop[b] - shift)
-            if first < last:
-                ones.append(np.arange(first, last))
-                others.append(np.arange(first, last) + shift)
-    one, other = np.concatenate(ones), np.concatenate(others)
+    groups = [of_group.tolist() for of_group in np.split(members, edges)]
+    pairs = [pair for of_group in groups for pair in combinations(of_group, 2)]
+    persons = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    begin = np.searchsorted(at.person, persons)
+    stop = np.searchsorted(at.person, persons, side="right")
+    seen = (begin < stop).all(axis=1)
+    begin, stop = begin[seen], stop[seen]
+    origin = begin - at.tick[begin]  # index of a person's position at tick 0, if it were there
+    first, last = (begin - origin).max(axis=1), (stop - origin).min(axis=1)
+    size = np.maximum(last - first, 0)
+    tick = np.arange(size.sum()) + np.repeat(first - (size.cumsum() - size), size)
+    one, other = (tick + np.repeat(origin[:, k], size) for k in (0, 1))
     inside = at.block[one] >= 0
     one, other = one[inside], other[inside]
-    both = (velocity[one] + velocity[other]) / 2
-    known = (velocity[one] != 0).any(axis=1) & (velocity[other] != 0).any(axis=1)
+    velocity, of_other = _velocities(at, one), _velocities(at, other)
+    both = (velocity + of_other) / 2
+    known = (velocity != 0).any(axis=1) & (of_other != 0).any(axis=1)
     both[~known] = 0.0
     return CompanionPairs(at.xy[other] - at.xy[one], both, at.block[one])
+
+
+def _velocities(at: Ticks, index: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+    """Mean velocities from the tick before to the tick after, m/s; 0 where one is missing."""
+    before, after = np.maximum(index - 1, 0), np.minimum(index + 1, len(at.person) - 1)
+    velocity = (at.xy[after] - at.xy[before]) / (2 * at.dt_s)
+    velocity[(at.person[before] != at.person[after]) | (after - before < 2)] = 0.0
+    return velocity

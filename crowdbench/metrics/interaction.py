@@ -43,13 +43,12 @@ class Avoidance(Metric):
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`observed[b, d]`, `shifted[b, d]`: encounters in block b, in bins of 5 cm."""
+        from crowdbench.data.neighbour_kernels import from_left_to_right
         from crowdbench.metrics.kernels import encounters
 
         at = ticks_of(crowd, blocks, place.walking.tick_frames)
         velocity = _mean_velocities(at)
-        tick = crowd.row_frame()[at.row] // place.walking.tick_frames
-        order = np.lexsort((at.xy[:, 0], tick))
-        begins = np.concatenate([[0], np.cumsum(np.bincount(tick))])
+        order, begins = from_left_to_right(at.tick, at.person, at.xy[:, 0])
 
         def histogram(shift: int) -> Int[np.ndarray, "B 40"]:
             closest, index = encounters(
@@ -119,13 +118,14 @@ def clearance(
     """Distance of each position to the nearest wall in metres, at most 2; 0 inside a wall."""
     import shapely
 
-    from crowdbench.metrics.kernels import clearances
+    from crowdbench.metrics.kernels import CELL_M, clearances
 
     if not walls:
         return np.full(len(xy), WALL_RANGE_M)
     solid, grid = _walls_by_cell(walls)
     distance = clearances(xy, WALL_RANGE_M, *grid)
-    distance[shapely.contains_xy(solid, xy[:, 0], xy[:, 1])] = 0.0
+    near = np.flatnonzero(distance <= CELL_M)  # the others are where the centre of their cell is
+    distance[near[shapely.contains_xy(solid, *xy[near].T)]] = 0.0
     return distance
 
 
@@ -133,7 +133,9 @@ def clearance(
 def _walls_by_cell(
     walls: tuple[tuple[tuple[float, float], ...], ...],
 ) -> tuple[Any, tuple[Any, ...]]:
-    """The union of all walls; their edges, and the edges near each cell of a grid."""
+    """The union of all walls; their edges, and for each cell of a grid the edges near it, and
+    whether its centre is inside a wall.
+    """
     import shapely
 
     from crowdbench.metrics.kernels import CELL_M, near_segments
@@ -146,7 +148,11 @@ def _walls_by_cell(
     lower = points.min(axis=0) - WALL_RANGE_M
     columns, rows = (np.ceil((points.max(axis=0) + WALL_RANGE_M - lower) / CELL_M)).astype(int)
     start, near = near_segments(segments, lower, int(columns), int(rows), WALL_RANGE_M)
-    return solid, (segments, lower, int(columns), int(rows), start, near)
+    row, column = np.divmod(np.arange(columns * rows), columns)
+    inside = shapely.contains_xy(
+        solid, lower[0] + (column + 0.5) * CELL_M, lower[1] + (row + 0.5) * CELL_M
+    )
+    return solid, (segments, lower, int(columns), int(rows), start, near, inside)
 
 
 class OverlapRate(ShareDifference):

@@ -16,6 +16,41 @@ CELL_M = 0.5
 
 
 @compiled
+def write_cdf(counts, empty, result, at):
+    """Write the distribution function of each row of `counts` into `result`, from column `at` on.
+
+    Rows without counts get `empty`. This is memory-bound, so each row is passed over only once.
+    """
+    for r in range(len(counts)):
+        total = 0.0
+        for v in range(counts.shape[1]):
+            total += counts[r, v]
+            result[r, at + v] = total
+        for v in range(counts.shape[1]):
+            result[r, at + v] = result[r, at + v] / max(total, 1.0) if total != 0.0 else empty[v]
+
+
+@compiled
+def write_kaplan_meier(events, censored, empty, result):
+    """Write the Kaplan–Meier distribution function of each row into `result`.
+
+    Rows in which nobody is at risk get `empty`; see `crowdbench.metrics.lattice.kaplan_meier_cdf`.
+    """
+    size = events.shape[1]
+    at_risk = np.zeros(size + 1)
+    for r in range(len(events)):
+        for v in range(size - 1, -1, -1):
+            at_risk[v] = at_risk[v + 1] + (events[r, v] + censored[r, v])
+        survival = 1.0
+        for v in range(size):
+            if at_risk[v] > 0:
+                survival *= 1 - events[r, v] / at_risk[v]
+            result[r, v] = 1 - survival if at_risk[v + 1] > 0 else 1.0
+        if at_risk[0] == 0:
+            result[r] = empty
+
+
+@compiled
 def products(xy, person, block, blocks, lag, span_s, stands_m, largest, unit):
     """Per block: sums of products along and across the path, in `unit`, and their number.
 
@@ -48,6 +83,24 @@ def products(xy, person, block, blocks, lag, span_s, stands_m, largest, unit):
 
 
 @compiled
+def harmonics(xy, begin, steps, along, sines, start):
+    """Per trip, the sums of its sideways offsets times the sines of each harmonic.
+
+    Trip p has `steps[p] + 1` positions from index `begin[p]` on and the direction `along[p]`. Trips
+    of as many steps share their `sines`, which begin at `start[p]`, one row per step.
+    """
+    sums = np.zeros((len(begin), sines.shape[1]))
+    for p in range(len(begin)):
+        x, y = xy[begin[p], 0], xy[begin[p], 1]
+        for step in range(steps[p] + 1):
+            t = begin[p] + step
+            offset = along[p, 0] * (xy[t, 1] - y) - along[p, 1] * (xy[t, 0] - x)
+            for m in range(sines.shape[1]):
+                sums[p, m] += offset * sines[start[p] + step, m]
+    return sums
+
+
+@compiled
 def encounters(xy, velocity, person, order, begins, shift, radius_m, stranger_mps):
     """Closest approaches of strangers, in metres, and the position index of each.
 
@@ -59,7 +112,9 @@ def encounters(xy, velocity, person, order, begins, shift, radius_m, stranger_mp
     """
     ticks, count = len(begins) - 1, 0
     closest, index = np.empty(1024), np.empty(1024, np.int64)
-    x, y = xy[order, 0], xy[order, 1]  # in order, because jumping through memory is slow
+    # In order, because jumping through memory is slow.
+    x, y, whose = xy[order, 0], xy[order, 1], person[order]
+    vx, vy = velocity[order, 0], velocity[order, 1]
     for f in range(max(0, shift), min(ticks, ticks + shift)):
         first, stop = begins[f - shift], begins[f - shift + 1]
         for k in range(begins[f], begins[f + 1]):
@@ -73,12 +128,12 @@ def encounters(xy, velocity, person, order, begins, shift, radius_m, stranger_mp
                     break
                 if dx * dx + dy * dy > radius_m * radius_m:
                     continue
+                if whose[k] == whose[m]:
+                    continue
+                ux, uy = vx[k] - vx[m], vy[k] - vy[m]
+                if ux * ux + uy * uy <= stranger_mps * stranger_mps:
+                    continue
                 j = order[m]
-                if person[i] == person[j]:
-                    continue
-                vx, vy = velocity[i, 0] - velocity[j, 0], velocity[i, 1] - velocity[j, 1]
-                if vx * vx + vy * vy <= stranger_mps * stranger_mps:
-                    continue
                 if _same(person, i, j, -1) and _within(xy, i - 1, j - 1, radius_m):
                     continue  # the encounter began earlier
                 if count == len(index):
@@ -163,8 +218,12 @@ def near_segments(segments, lower, columns, rows, reach_m):
 
 
 @compiled
-def clearances(xy, reach_m, segments, lower, columns, rows, start, near):
-    """Distance of each position to the nearest segment, at most `reach_m`, in metres."""
+def clearances(xy, reach_m, segments, lower, columns, rows, start, near, solid):
+    """Distance of each position to the nearest segment, at most `reach_m`, in metres.
+
+    It is 0 where no segment is within `CELL_M` and the cell's centre is `solid`, that is, inside a
+    wall: then so is the position, because there is no edge between them.
+    """
     result = np.full(len(xy), reach_m)
     for k in range(len(xy)):
         column = math.floor((xy[k, 0] - lower[0]) / CELL_M)
@@ -174,6 +233,8 @@ def clearances(xy, reach_m, segments, lower, columns, rows, start, near):
         c = row * columns + column
         for m in range(start[c], start[c + 1]):
             result[k] = min(result[k], _distance(xy[k, 0], xy[k, 1], segments[near[m]]))
+        if solid[c] and result[k] > CELL_M:
+            result[k] = 0.0
     return result
 
 

@@ -3,6 +3,8 @@
 Leading axes are batch axes, such as resamples or rollouts.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -30,10 +32,20 @@ def cdf(
 
     An empty sample is treated as a point mass at `if_empty`, which the support contains.
     """
-    result = np.atleast_1d(counts.cumsum(axis=-1, dtype=np.float64))
-    n = result[..., -1:].copy()
-    result /= np.maximum(n, 1)
-    result[n[..., 0] == 0] = support >= if_empty
+    return cdfs([counts], support, if_empty=if_empty)
+
+
+def cdfs(
+    counts: Sequence[np.ndarray], support: Int[np.ndarray, " V"], *, if_empty: int
+) -> Float[np.ndarray, "*batch FV"]:
+    """Distribution functions of `F` histograms on the same support, concatenated; see `cdf`."""
+    from crowdbench.metrics.kernels import write_cdf
+
+    size, empty = len(support), (support >= if_empty).astype(np.float64)
+    result = np.empty((*counts[0].shape[:-1], len(counts) * size))
+    for k, c in enumerate(counts):
+        rows = np.ascontiguousarray(c, dtype=np.float64).reshape(-1, size)
+        write_cdf(rows, empty, result.reshape(len(rows), -1), k * size)
     return result
 
 
@@ -47,13 +59,16 @@ def kaplan_meier_cdf(
     censored, the remaining probability is placed at its length (Efron's 1967 convention). An empty
     sample is treated as a point mass at `if_empty`.
     """
-    at_risk = np.cumsum((events + censored)[..., ::-1], axis=-1)[..., ::-1]
-    hazard = np.divide(events, at_risk, out=np.zeros(events.shape), where=at_risk > 0)
-    result = 1 - np.cumprod(1 - hazard, axis=-1)
-    nobody_left = np.ones(events.shape, dtype=bool)
-    nobody_left[..., :-1] = at_risk[..., 1:] == 0
-    result[nobody_left] = 1.0
-    return np.where(at_risk[..., :1] > 0, result, support >= if_empty)
+    from crowdbench.metrics.kernels import write_kaplan_meier
+
+    result, size = np.empty(events.shape), len(support)
+    write_kaplan_meier(
+        np.ascontiguousarray(events, dtype=np.float64).reshape(-1, size),
+        np.ascontiguousarray(censored, dtype=np.float64).reshape(-1, size),
+        (support >= if_empty).astype(np.float64),
+        result.reshape(-1, size),
+    )
+    return result
 
 
 def widths(support: Int[np.ndarray, " V"]) -> Int[np.ndarray, " V"]:
@@ -89,10 +104,10 @@ def lagged_sums(
     x: Int[np.ndarray, " n"], y: Int[np.ndarray, " n"], block: Int[np.ndarray, " n"], blocks: int
 ) -> Int[np.ndarray, "B 6"]:
     """Per block, the sums that `correlation` takes as input."""
-    terms = np.stack([np.ones_like(x), x, y, x * y, x**2, y**2], axis=1)
-    sums = np.zeros((blocks, 6), dtype=np.int64)
-    np.add.at(sums, block, terms)
-    return sums
+    sums = np.zeros((6, blocks), dtype=np.int64)
+    for of_term, term in zip(sums, (np.ones_like(x), x, y, x * y, x**2, y**2), strict=True):
+        np.add.at(of_term, block, term)  # with one axis it is much faster than with two
+    return np.ascontiguousarray(sums.T)
 
 
 def counted(hits: Bool[np.ndarray, " n"], block: np.ndarray, blocks: int) -> np.ndarray:

@@ -43,10 +43,11 @@ def _speeds(
     at = ticks_of(crowd, blocks, walking.tick_frames)
     half = (walking.window_ticks - 1) // 2
     index = at.with_room(half, half)
-    slope = np.zeros((len(index), 2))
+    windows = max(0, len(at.xy) - 2 * half)  # those across two trips too, which are not used
+    slope = np.zeros((windows, 2))
     for i in range(1, half + 1):
-        slope += i * (at.xy[index + i] - at.xy[index - i])
-    slope /= at.dt_s * 2 * sum(i * i for i in range(1, half + 1))
+        slope += i * (at.xy[half + i :][:windows] - at.xy[half - i :][:windows])
+    slope = slope[index - half] / (at.dt_s * 2 * sum(i * i for i in range(1, half + 1)))
     speed = np.minimum(np.hypot(slope[:, 0], slope[:, 1]), FASTEST_MPS)
     return speed, at.person[index], at.block[index]
 
@@ -186,6 +187,8 @@ class Deviation(RelativeWasserstein):
 
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, d]`: number of trips that begin in block b with a deviation of d cm."""
+        from crowdbench.metrics.kernels import harmonics
+
         at = ticks_of(crowd, blocks, place.walking.tick_frames)
         begin = np.flatnonzero(np.diff(at.person, prepend=-1) != 0)
         steps = np.diff(np.append(begin, len(at.person))) - 1
@@ -193,17 +196,15 @@ class Deviation(RelativeWasserstein):
         length = np.hypot(chord[:, 0], chord[:, 1])
         whole = (crowd.entered & crowd.left)[at.person[begin]]
         chosen = whole & (length >= SHORTEST_M) & (steps >= FEWEST_STEPS) & (at.block[begin] >= 0)
-        trip = np.repeat(np.arange(len(begin)), steps + 1)
-        step = np.arange(len(at.person)) - begin[trip]
-        r = at.xy - at.xy[begin[trip]]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            u = (chord / length[:, None])[trip]
-            phase = np.pi * step / steps[trip]
-        offset = np.where(chosen[trip], u[:, 0] * r[:, 1] - u[:, 1] * r[:, 0], 0.0)
+        begin, steps = begin[chosen], steps[chosen]
+        along = chord[chosen] / length[chosen, None]
+        numbers, which = np.unique(steps, return_inverse=True)
+        start = np.cumsum(numbers + 1) - (numbers + 1)
+        step = np.arange((numbers + 1).sum()) - np.repeat(start, numbers + 1)
+        phase = np.pi * step / np.repeat(numbers, numbers + 1)
+        sines = np.sin(np.arange(1, HARMONICS + 1) * phase[:, None])
+        sums = harmonics(at.xy, begin, steps, along, sines, start[which])
         square = np.zeros(len(begin))
-        for m in range(1, HARMONICS + 1):
-            sine = np.where(chosen[trip], offset * np.sin(m * phase), 0.0)
-            square += (2 / np.maximum(steps, 1) * np.bincount(trip, sine)) ** 2
-        deviation = np.sqrt(square)[chosen]
-        block = at.block[begin][chosen]
-        return self.histogram(deviation, block, blocks)
+        for of_harmonic in sums.T:
+            square += (2 / steps * of_harmonic) ** 2
+        return self.histogram(np.sqrt(square), at.block[begin], blocks)

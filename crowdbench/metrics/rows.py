@@ -10,6 +10,7 @@ from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.table import Trajectories
 
 
+@lru_cache(maxsize=1)  # several metrics use the rows of the same crowd
 def rows_in(
     crowd: Trajectories, blocks: TimeBlocks
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
@@ -19,6 +20,7 @@ def rows_in(
     return rows, block[rows]
 
 
+@lru_cache(maxsize=1)
 def block_of_frames(blocks: TimeBlocks, frames: int) -> Int[np.ndarray, " frames"]:
     """The block of each frame; −1 outside all blocks."""
     block = np.full(max(frames, int(blocks.frames.max())), -1)
@@ -32,8 +34,8 @@ class Ticks(NamedTuple):
 
     xy: Float[np.ndarray, "n 2"]
     """Metres."""
-    row: Int[np.ndarray, " n"]
-    """Index of each position in `Trajectories.xy`."""
+    tick: Int[np.ndarray, " n"]
+    """Number of the tick of each position: its frame over `Walking.tick_frames`."""
     person: Int[np.ndarray, " n"]
     block: Int[np.ndarray, " n"]
     """Time block of each position; −1 outside all blocks."""
@@ -51,6 +53,7 @@ def ticks_of(crowd: Trajectories, blocks: TimeBlocks, tick_frames: int) -> Ticks
     """The positions of a crowd at its ticks."""
     frame = crowd.row_frame()
     rows = np.flatnonzero(frame % tick_frames == 0)
-    block = block_of_frames(blocks, crowd.frames)[frame[rows]]
+    frame, person = frame[rows], crowd.row_person()[rows]
+    block = block_of_frames(blocks, crowd.frames)[frame]
     xy = crowd.xy[rows].astype(np.float64)
-    return Ticks(xy, rows, crowd.row_person()[rows], block, tick_frames * crowd.dt_s)
+    return Ticks(xy, frame // tick_frames, person, block, tick_frames * crowd.dt_s)

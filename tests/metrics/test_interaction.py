@@ -273,3 +273,14 @@ def test_clearance_is_what_a_library_finds(
     solid = shapely.union_all([shapely.Polygon(wall) for wall in walls])
     gap = np.minimum(np.nan_to_num(shapely.distance(solid, shapely.points(spots)), nan=2.0), 2.0)
     np.testing.assert_allclose(clearance(walls, spots), gap, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("spot", "expected"),
+    [((0.0, 0.0), 0.0), ((2.9, 2.9), 0.0), ((4.0, 0.0), 1.0), ((9.0, 0.0), 2.0)],
+)
+def test_deep_inside_a_wall_the_clearance_is_0(spot: tuple[float, float], expected: float) -> None:
+    wall = ((-3.0, -3.0), (3.0, -3.0), (3.0, 3.0), (-3.0, 3.0))
+    inner = ((-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2))  # its edges are no way out
+    for walls in ((wall,), (wall, inner)):
+        assert clearance(walls, np.array([spot])).tolist() == pytest.approx([expected])

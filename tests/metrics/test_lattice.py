@@ -7,6 +7,7 @@ from scipy.stats import wasserstein_distance
 
 from crowdbench.metrics.lattice import (
     cdf,
+    cdfs,
     correlation,
     counted,
     histograms,
@@ -44,6 +45,18 @@ def test_histograms_of_nothing_have_one_column():
 
 def test_values_are_rounded_to_the_nearest_lattice_point_and_halves_up():
     assert rounded(np.array([0.0, 0.49, 0.5, 1.49, 2.5]), 1.0).tolist() == [0, 0, 1, 1, 3]
+
+
+def test_functions_of_several_histograms_stand_next_to_each_other_in_every_batch():
+    rng = np.random.default_rng(0)
+    counts = [rng.integers(0, 9, (3, 2, SIZE)).astype(float) for _ in range(2)]
+    counts[1][2, 1] = 0  # an empty sample
+    found = cdfs(counts, SUPPORT, if_empty=10)
+    for k, c in enumerate(counts):
+        part = found[..., k * SIZE : (k + 1) * SIZE]
+        expected = c.cumsum(axis=-1) / np.maximum(c.sum(axis=-1, keepdims=True), 1)
+        expected[c.sum(axis=-1) == 0] = SUPPORT >= 10
+        assert part.tolist() == expected.tolist() == cdf(c, SUPPORT, if_empty=10).tolist()
 
 
 @given(COUNTS.filter(np.any), COUNTS.filter(np.any))

@@ -5,6 +5,7 @@ from hypothesis import given
 from strategies import crowd_of, later
 
 from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.neighbour_kernels import from_left_to_right
 from crowdbench.data.neighbours import nearest_neighbour_m
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics import Place
@@ -106,6 +107,16 @@ def test_nearest_neighbours_count_in_the_block_of_their_frame():
     xy = np.array([(0, 0)] * 3 + [(1, 0), (2, 0), (3, 0)])
     crowd = crowd_of([(0, 2), (0, 2)], xy=xy)
     assert sample(NearestNeighbour(), crowd, blocks) == [[100, 100], [300, 300]]
+
+
+@given(any_crowds)
+def test_positions_are_sorted_by_frame_then_x_then_index(crowd):
+    # Many share an x, and trips may pause: rows of some frames are left out.
+    for rows in (np.arange(len(crowd.xy)), np.flatnonzero(crowd.row_frame() % 3 != 1)):
+        frame, x = crowd.row_frame()[rows], crowd.xy[rows, 0].round()
+        order, begins = from_left_to_right(frame, crowd.row_person()[rows], x)
+        assert order.tolist() == np.lexsort((x, frame)).tolist()
+        assert begins.tolist() == [0, *np.cumsum(np.bincount(frame))]
 
 
 def gaps(crowd: Trajectories) -> np.ndarray:

@@ -1,11 +1,21 @@
 """The benchmark of speed measures what it says it measures."""
 
 import json
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from studies import open_square
+from crowdbench.data.blocks import TimeBlocks
+from crowdbench.data.table import Trajectories
+from crowdbench.metrics import Metric, Place, Statistics, space
+from crowdbench.policies import Straight
+from crowdbench.registry import spawn_model
+from crowdbench.run.rollout import rollout
+from crowdbench.scene import load_scene
+from crowdbench.scoring.reference import read_reference
+from studies import judging, open_square
 from studies import speed as bench
 from studies.__main__ import main as studies_main
 
@@ -93,3 +103,53 @@ def test_nobody_leaves_while_the_core_is_measured() -> None:
     for action in open_square.to_and_fro((2, 50, 2)) * 3:
         simulation.step(action)
     assert simulation.slots.alive.all()
+
+
+def test_judging_tells_what_each_metric_of_a_scene_costs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(judging, "ROLLOUTS", 2)
+    out = tmp_path / "figures.json"
+    assert studies_main(["speed", "--judging", "zara1-v0", "--json", str(out)]) == 0
+    figures = json.loads(out.read_text())
+    printed = [line.split("  ")[0] for line in capsys.readouterr().out.splitlines()]
+    assert sorted(printed) == sorted(figures)
+    scene = load_scene("zara1-v0")
+    metrics = [metric.name for metric in read_reference(scene).metrics]
+    for what, names, unit in (
+        ("summarising", [*metrics, judging.SHARED], "CPU-s per 1,000 persons"),
+        ("energy score", list(scene.protocol.scored), "CPU-s per rollout"),
+    ):
+        found = [name for name in printed if name.startswith(f"{what}, ")]
+        assert sorted(found[:-1]) == sorted(f"{what}, {name}" for name in names)
+        *each, total = (figures[name]["value"] for name in found)
+        assert found[-1] == f"{what}, total"
+        assert total == pytest.approx(sum(each))
+        assert each == sorted(each, reverse=True)
+        assert min(each) > 0
+        assert {figures[name]["unit"] for name in found} == {unit}
+
+
+def test_shared_work_is_not_put_down_to_the_metric_that_comes_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene, now, seen = load_scene("zara1-v0"), [0.0], []
+    monkeypatch.setattr(time, "process_time", lambda: now[0])
+
+    class Costly(space.Occupancy):
+        def __init__(self, name: str, own_s: float) -> None:
+            self.name, self.own_s = name, own_s  # type: ignore[misc]
+
+        def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
+            now[0] += self.own_s
+            if not any(crowd is other for other in seen):
+                now[0] += 10.0
+                seen.append(crowd)
+            return super().summarise(crowd, blocks, place)
+
+    metrics: tuple[Metric, ...] = (Costly("first", 1.0), Costly("second", 2.0))
+    reference = replace(read_reference(scene), statistics={m.name: {} for m in metrics})
+    monkeypatch.setattr(judging.Reference, "metrics", property(lambda self: metrics))
+    crowd = rollout(scene, spawn_model("poisson-gmm", scene), Straight(), seed=0, horizon_s=10.0)
+    took_s = judging._summarising_s([crowd, crowd], reference)
+    assert took_s == {"first": 2.0, "second": 4.0, judging.SHARED: 20.0}
