@@ -21,10 +21,11 @@ from crowdbench.plugins import add_metric
 from crowdbench.progress import ROLLOUTS
 from crowdbench.registry import has_recording
 from crowdbench.run.executor import checked_workers
+from crowdbench.run.jobs import Job, Pair, plan, splits_of
 from crowdbench.run.judge import judge
 from crowdbench.run.processes import alone_in
 from crowdbench.run.references import reference_of
-from crowdbench.run.rollout_jobs import Job, Pair, plan, roll_out, splits_of
+from crowdbench.run.rollout_jobs import roll_out
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.ranking import RECORDED_POLICIES
 from crowdbench.scoring.reference import Reference

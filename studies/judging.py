@@ -19,9 +19,9 @@ from crowdbench.data.table import Trajectories
 from crowdbench.metrics import WALK, Metric, blamed
 from crowdbench.policies import Straight
 from crowdbench.registry import spawn_model
+from crowdbench.run.jobs import Job
 from crowdbench.run.judge import draws_of, seen_in
 from crowdbench.run.rollout import rollout
-from crowdbench.run.rollout_jobs import Job
 from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import energy

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from crowdbench.metrics import WALK, Metric
+from crowdbench.run.jobs import Pair, plan
 from crowdbench.run.judge import MetricSlice, draws_of, seen_in
 from crowdbench.run.references import reference_of
-from crowdbench.run.rollout_jobs import Pair, Progress, plan, roll_out
+from crowdbench.run.rollout_jobs import Progress, roll_out
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.energy import RESAMPLES, Embedded, Energy, pair_mean
 from crowdbench.scoring.l1_kernel import l1_distances

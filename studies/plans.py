@@ -18,8 +18,8 @@ from crowdbench.data.blocks import SPLITS
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics import METRICS, Metric
 from crowdbench.registry import list_policies, policy, recording_of, spawn_model
+from crowdbench.run.jobs import BATCH
 from crowdbench.run.rollout import rollouts
-from crowdbench.run.rollout_jobs import BATCH
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.spawn.areas import Areas, read_areas

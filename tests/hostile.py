@@ -162,6 +162,6 @@ def keep_in_the_store(key: str) -> str:
     """What the store has for a key, after this has tried to add to it."""
     from crowdbench.run import store
 
-    store.keep(key, ".parquet", b"hostile")
-    found = store.find(key, ".parquet")
+    store.keep(key, ".parquet", b"hostile", Path("beside"))
+    found = store.find(key, ".parquet", Path("elsewhere"))
     return "" if found is None else found.read_text()

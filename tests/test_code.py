@@ -21,6 +21,7 @@ def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Write]:
         path = tmp_path.joinpath(*module.split("."))
         path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
         path.write_text(text)
+        code._code_hash.cache_clear()
         code._module.cache_clear()
         code._file.cache_clear()
 
@@ -31,6 +32,7 @@ def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Write]:
     put("crowdbench.room.one", "a = 1\n")
     put("crowdbench.room.two", "b = 2\n")
     yield put
+    code._code_hash.cache_clear()
     code._module.cache_clear()
     code._file.cache_clear()
 

@@ -18,7 +18,7 @@ from crowdbench.errors import OwnCodeError, SettingError
 from crowdbench.metrics import METRICS, all_metrics
 from crowdbench.metrics.trips import Dwell
 from crowdbench.plugins import register
-from crowdbench.run.rollout_jobs import plan
+from crowdbench.run.jobs import plan
 from crowdbench.scene import load_scene
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import Observation, size_of

@@ -28,7 +28,7 @@ from crowdbench.registry import (
     recording_of,
     spawn_model,
 )
-from crowdbench.run.rollout_jobs import plan
+from crowdbench.run.jobs import plan
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Replay
 

@@ -19,7 +19,7 @@ from crowdbench.metrics.metric import in_blocks
 from crowdbench.metrics.motion import Speed
 from crowdbench.progress import steps
 from crowdbench.registry import recording_of
-from crowdbench.run.rollout_jobs import Job, Pair, splits_of
+from crowdbench.run.jobs import Job, Pair, splits_of
 from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import Scene
 from crowdbench.scoring.energy import RESAMPLES, Draws, FloorDraws, energy, floor, mean_of

@@ -1,198 +1,47 @@
-"""Rollouts as jobs: which rollouts are needed, and which of them exist already.
+"""Makes the rollouts that jobs ask for, unless they exist already.
 
-Each rollout is a job with a fingerprint of everything that it depends on. All that scores need of
-it is its summary, which goes into the store (`crowdbench.run.store`), so that interrupted work can
-continue and no rollout is made twice. Its trajectories are written as Parquet if somebody wants to
-see them.
-
-Up to `BATCH` rollouts of the same models are made at once, if the policy allows it. The results of
-a network depend on the size of its batch in the last bits. Therefore the rollouts of a batch are
-determined by the jobs, never by the number of workers or by what exists already, and they are part
-of the fingerprint: if one of them is missing, all are made again.
+All that scores need of a rollout is its summary. It goes into the store, `crowdbench.run.store`, so
+that interrupted work can continue and no rollout is made twice. Its trajectories are written as a
+Parquet file if somebody wants to see them.
 """
 
 import functools
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from crowdbench.code import code_hash
-from crowdbench.data.blocks import HELD_OUT, SPLITS
+from crowdbench.data.blocks import HELD_OUT
 from crowdbench.data.storage import read_own, write_parquet
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import CrowdbenchError, OwnCodeError, RecordingError, SettingError
+from crowdbench.errors import CrowdbenchError, OwnCodeError, RecordingError
 from crowdbench.files import sha256
 from crowdbench.plugins import told
-from crowdbench.policies import OnnxPolicy, Policy
+from crowdbench.policies import Policy
 from crowdbench.progress import ROLLOUTS
 from crowdbench.registry import recording_of
 from crowdbench.run import store
 from crowdbench.run.executor import call_each, checked_workers, is_local
+from crowdbench.run.jobs import Job, Models, batches, fitted_for, walkers_of
 from crowdbench.run.processes import Stopped
 from crowdbench.run.resolved import Resolved
-from crowdbench.run.rollout import alike, batchable, rollouts, seed_of
+from crowdbench.run.rollout import rollouts, seed_of
 from crowdbench.run.summaries import RolloutSummary, code_of_summaries
-from crowdbench.scene import Scene, load_scene, scenes_folder
+from crowdbench.scene import load_scene, scenes_folder
 from crowdbench.scoring.reference import Reference
 from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.events import blocks_of
 
-Pair = tuple[str, str]
-Models = tuple[str, str, str, str]
-"""Names of a scene, spawn model and policy, and the fingerprint of their rollouts."""
 Progress = Callable[[int, int], None]
-Measure = Callable[["Job", Trajectories], dict[str, float]]
+Measure = Callable[[Job, Trajectories], dict[str, float]]
 """What else is measured of a rollout, by name; a function of a module."""
 TABLE, SUMMARY = ".parquet", ".summary"
 """Suffixes of files in the store."""
-BATCH = 10
-"""Maximum number of rollouts that are made at once."""
 
 LIGHT_FRAMES = 30_000
 """Up to this number of frames, no other process is started: about two seconds of work, which is
 what a process needs to start."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """One rollout that is needed."""
-
-    scene: str
-    spawn: str
-    policy: str
-    split: str
-    fit: int
-    seed: int
-    path: Path
-    fingerprint: str
-    """Hash of everything that the rollout depends on."""
-    batch: int = 0
-    """Number of the batch, of those with the same models."""
-    exact: bool = True
-    """Whether the rollout is the same in any batch."""
-    shown: bool = True
-    """Whether its trajectories are written, not only its summary."""
-
-    @property
-    def models(self) -> Models:
-        """What its models are found by."""
-        return self.scene, self.spawn, self.policy, self.fingerprint
-
-    def __str__(self) -> str:
-        return f"rollout {self.seed} of {self.spawn} × {self.policy} on {self.scene} ({self.split})"
-
-
-def splits_of(protocol: str) -> tuple[str, ...]:
-    """The splits that a protocol averages over: `full`, or all folds."""
-    return SPLITS[:1] if protocol == "full" else SPLITS[1:]
-
-
-def plan(
-    scene: str, place: Scene, pairs: Sequence[Pair], protocol: str, seeds: int, folder: Path
-) -> list[Job]:
-    """All rollouts that an evaluation of these pairs needs.
-
-    `seeds` is their number per pair and split. Under the recorded arrivals there are at most
-    `walk_rollouts` of the scene's protocol, and one for a policy without random draws: everyone
-    enters as recorded, nothing is fitted, and rollouts differ little.
-
-    Raises:
-        SettingError: a name is unknown, or `seeds` is not a valid number of rollouts.
-        WeightsError: the action of one person in a network depends on other persons' rows.
-    """
-    fits = place.protocol.fits
-    if seeds < 1 or (seeds >= 2 * fits and seeds % fits):
-        raise SettingError(
-            "seeds",
-            got=str(seeds),
-            expected=f"a multiple of {fits}, so that all fits have the same number of rollouts, or "
-            f"1 to {2 * fits - 1} for distances without scores",
-        )
-    jobs = []
-    tried: set[Path] = set()
-    for s, p in pairs:
-        pair = Resolved.of(place, s, p)
-        recorded = s == "replay"
-        for split in _splits(pair, protocol, recorded=recorded):
-            walkers = _walkers(pair, split)
-            for fold, walker in walkers.items():
-                _check_unseen(p, walker, place, fold)
-                if isinstance(walker, OnnxPolicy) and walker.path not in tried:
-                    walker.check_rows()
-                    tried.add(walker.path)
-            walker = next(iter(walkers.values()))
-            pair.spawn.model(_fitted(split))  # raises an error if it cannot be made
-            fingerprint = pair.fingerprint(split)
-            number = min(seeds, place.protocol.walk_rollouts) if recorded else seeds
-            if recorded and getattr(walker, "deterministic", False):
-                number = 1
-            size = BATCH if batchable(walker) else 1
-            exact = size == 1 or walker.sees == "state"
-            for seed in range(number):
-                path = folder / f"{_plain(s)}_{_plain(p)}_{split}_{seed}.parquet"
-                batch = seed // size
-                several = "" if exact else f"-{min(size, number - batch * size)}"
-                of = fingerprint + several
-                fit = 0 if recorded else seed % fits
-                jobs.append(Job(scene, s, p, split, fit, seed, path, of, batch, exact))
-    return jobs
-
-
-def _splits(pair: Resolved, protocol: str, *, recorded: bool) -> tuple[str, ...]:
-    """The splits of a pair's rollouts.
-
-    Nothing is fitted to recorded arrivals, so one rollout suffices for all folds. If each fold has
-    a network of its own, those take turns that were not trained on a time block, unless they
-    remember what another network would not understand.
-    """
-    splits = splits_of(protocol)
-    if not recorded:
-        return splits
-    if not pair.policy.per_split:
-        return SPLITS[:1]
-    if len(splits) > 1 and not pair.policy.own and alike([*_walkers(pair, HELD_OUT).values()]):
-        return (HELD_OUT,)
-    return splits
-
-
-def _walkers(pair: Resolved, split: str) -> dict[str, Policy]:
-    """The policies that walk in rollouts of a split, by the split that each is trained for."""
-    splits = SPLITS[1:] if split == HELD_OUT else (split,)
-    return {each: pair.policy.policy(each) for each in splits}
-
-
-def _fitted(split: str) -> str:
-    """The split that the spawn model of a rollout is fitted for."""
-    return SPLITS[0] if split == HELD_OUT else split
-
-
-def batches(jobs: Sequence[Job]) -> list[tuple[Job, ...]]:
-    """The jobs whose rollouts are made at once."""
-    of: dict[tuple[object, ...], list[Job]] = {}
-    for job in jobs:
-        key = (job.models[:3], job.split, job.path.parent, job.batch)
-        of.setdefault(key, []).append(job)
-    return [tuple(each) for each in of.values()]
-
-
-def _check_unseen(policy: str, walker: Policy, place: Scene, split: str) -> None:
-    """Check that a policy was not trained on data that it is scored on.
-
-    Raises:
-        SettingError: it was trained on the scene, but for another split or on other scenes too.
-    """
-    if split == "full" or not isinstance(walker, OnnxPolicy):
-        return
-    card = walker.card
-    if place.id in card.scenes and (card.scene, card.split) != (place.id, split):
-        raise SettingError(
-            f"policy {policy}",
-            got=f"a network trained on {card.trained_on}",
-            expected=f"a network that has not seen the data that {split} is scored on",
-            hint="Train one network for each fold and name the folder with fold0.onnx, fold1.onnx, "
-            "…, or evaluate with --protocol full.",
-        )
 
 
 def roll_out(
@@ -406,9 +255,4 @@ def _resolved(models: Models) -> Resolved:
 @functools.lru_cache(maxsize=8)  # jobs of one pair are consecutive, so a recording is read once
 def _loaded(models: Models, split: str, fit: int) -> tuple[SpawnModel, dict[str, Policy]]:
     pair = _resolved(models)
-    return pair.spawn.model(_fitted(split), fit), _walkers(pair, split)
-
-
-def _plain(name: str) -> str:
-    plain = "".join(c if c.isalnum() or c in "-." else "-" for c in name)
-    return plain if plain == name else f"{plain}-{sha256(name.encode())[:6]}"
+    return pair.spawn.model(fitted_for(split), fit), walkers_of(pair, split)

@@ -4,8 +4,9 @@ from pathlib import Path
 
 from crowdbench.metrics import WALK, metrics_for
 from crowdbench.progress import steps
+from crowdbench.run.jobs import plan
 from crowdbench.run.judge import draws_of, entries_of, floors
-from crowdbench.run.rollout_jobs import plan, roll_out
+from crowdbench.run.rollout_jobs import roll_out
 from crowdbench.scene import load_scene
 from crowdbench.scoring.power import Power, power
 from crowdbench.scoring.reference import read_reference

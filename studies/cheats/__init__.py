@@ -18,10 +18,11 @@ from crowdbench.errors import RecordingError
 from crowdbench.policies import Policy, Random, RecordedPaths, SocialForce, Straight
 from crowdbench.registry import has_recording, raw_recording_of, recording_of
 from crowdbench.report.text.words import to_import
+from crowdbench.run.jobs import Job
 from crowdbench.run.judge import judge
 from crowdbench.run.references import reference_of
 from crowdbench.run.rollout import rollout
-from crowdbench.run.rollout_jobs import Job, Progress
+from crowdbench.run.rollout_jobs import Progress
 from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.scorecard import Scorecard, read_anchors

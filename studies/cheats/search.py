@@ -14,10 +14,10 @@ import numpy as np
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, SocialForce, StateView
 from crowdbench.registry import recording_of
+from crowdbench.run.jobs import Job
 from crowdbench.run.judge import judge
 from crowdbench.run.references import reference_of
 from crowdbench.run.rollout import rollout
-from crowdbench.run.rollout_jobs import Job
 from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import load_scene
 from crowdbench.scoring.ranking import rows

@@ -19,8 +19,9 @@ from crowdbench.files import replacing, unwritable, write_json
 from crowdbench.registry import has_recording, recording_of, trained_policies
 from crowdbench.registry import policy as find_policy
 from crowdbench.report.plots.plot_data import PlotData
+from crowdbench.run.jobs import Job, plan
 from crowdbench.run.processes import alone_in
-from crowdbench.run.rollout_jobs import Job, Progress, plan, roll_out
+from crowdbench.run.rollout_jobs import Progress, roll_out
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn.areas import Areas, read_areas

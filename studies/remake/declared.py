@@ -18,8 +18,8 @@ from crowdbench.leaderboard.scores import View, scores
 from crowdbench.leaderboard.submission.models import shipped_class
 from crowdbench.leaderboard.verification.entry import read_entry
 from crowdbench.registry import FITTED, GENERATED, PLANNED, WEIGHTS
+from crowdbench.run.jobs import splits_of
 from crowdbench.run.resolved import MODELS, Resolved, code_of_rollouts
-from crowdbench.run.rollout_jobs import splits_of
 from crowdbench.scene import list_scenes, load_scene
 from crowdbench.scene_building.fit import NEURAL
 from crowdbench.scoring.scorecard import BASELINES

@@ -1,4 +1,7 @@
-"""`python -m studies.remake.entry ID`: verify a submission, and replace all but its history."""
+"""`python -m studies.remake.entry ID`: score a submission, and replace all but its history.
+
+Submissions in the repository are trusted: their rollouts go into the store, where pages find them.
+"""
 
 import sys
 from pathlib import Path
@@ -7,22 +10,19 @@ import msgspec
 
 from crowdbench.cli.printing import progress_bar
 from crowdbench.files import write_json
-from crowdbench.leaderboard.sandbox.parent import Limits
 from crowdbench.leaderboard.verification.entry import entry_path, read_entry
-from crowdbench.leaderboard.verification.verify import entry_of, write_run
+from crowdbench.leaderboard.verification.make_entry import make_entry
 
-ROOT, OUT = Path("leaderboard"), Path("results/leaderboard")
+ROOT, WORK = Path("leaderboard"), Path("results/leaderboard/work")
 
 
 def main(entry_id: str) -> None:
-    """Verify the submission of an entry, and write the entry."""
+    """Score the submission of an entry, and write the entry."""
     path = entry_path(ROOT / "entries", entry_id)
     history = read_entry(path).history if path.exists() else []
-    submission = ROOT / "submissions" / entry_id
     with progress_bar(entry_id):
-        entry, ran = entry_of(submission, OUT / "work", None, Limits())
+        entry = make_entry(str(ROOT / "submissions" / entry_id), str(WORK), None)
     write_json(path, msgspec.structs.replace(entry, history=history))
-    write_run(OUT / f"{entry_id}.run.json", ran)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,8 @@ from crowdbench.evaluation import POLICY, SPAWN, evaluate
 from crowdbench.files import replacing, write_text
 from crowdbench.registry import has_recording, recording_of
 from crowdbench.report.plots.plot_data import PlotData
-from crowdbench.run.rollout_jobs import Job, Progress, plan, splits_of
+from crowdbench.run.jobs import Job, plan, splits_of
+from crowdbench.run.rollout_jobs import Progress
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import Reference, read_reference
 from crowdbench.scoring.scorecard import Protocol, Scorecard

@@ -16,8 +16,9 @@ from crowdbench.policies import RecordedPaths
 from crowdbench.registry import has_recording, recording_of, trained_policies
 from crowdbench.registry import policy as find_policy
 from crowdbench.report.plots.plot_data import Crowds
+from crowdbench.run.jobs import plan
 from crowdbench.run.rollout import rollout
-from crowdbench.run.rollout_jobs import Progress, plan
+from crowdbench.run.rollout_jobs import Progress
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.scoring.scorecard import Protocol, Scorecard

@@ -11,7 +11,7 @@ from PIL import Image
 import crowdbench
 from crowdbench.cli import main
 from crowdbench.report.steering.changes import Steering, area_changes, goal_changes, steering
-from crowdbench.run.rollout_jobs import plan
+from crowdbench.run.jobs import plan
 from crowdbench.scene import load_scene
 from crowdbench.scoring.ranking import may_rank
 from crowdbench.scoring.scorecard import read_scorecard

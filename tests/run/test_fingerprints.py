@@ -45,6 +45,7 @@ def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def fingerprints(scene: Scene) -> dict[str, str]:
+    code._code_hash.cache_clear()
     code._module.cache_clear()
     code._file.cache_clear()
     return {f"{s} {p}": Resolved.of(scene, s, p).fingerprint("full") for s, p in PAIRS}

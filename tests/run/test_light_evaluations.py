@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from crowdbench.run import executor, rollout_jobs
-from crowdbench.run.rollout_jobs import plan
+from crowdbench.run.jobs import plan
 from crowdbench.run.rollout_jobs import roll_out as roll_out_jobs
 from crowdbench.scene import load_scene
 from crowdbench.scoring.reference import read_reference

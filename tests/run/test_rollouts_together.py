@@ -15,8 +15,9 @@ from crowdbench.policies import Policy, Random, SocialForce, StateView, Straight
 from crowdbench.policies.memory import Memory
 from crowdbench.policies.social_force import GroupForce
 from crowdbench.run.episode import most_at_once
+from crowdbench.run.jobs import BATCH, Job, batches, plan
 from crowdbench.run.rollout import batchable, rollout, rollouts
-from crowdbench.run.rollout_jobs import BATCH, Job, batches, plan, roll_out
+from crowdbench.run.rollout_jobs import roll_out
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn import SpawnModel
 

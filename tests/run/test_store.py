@@ -10,7 +10,8 @@ import pytest
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics.trips import Dwell
 from crowdbench.run import rollout_jobs, store
-from crowdbench.run.rollout_jobs import Job, plan, roll_out
+from crowdbench.run.jobs import Job, plan
+from crowdbench.run.rollout_jobs import roll_out
 from crowdbench.run.summaries import RolloutSummary, code_of_summaries
 from crowdbench.scene import load_scene
 from crowdbench.scoring.reference import Reference, read_reference

@@ -30,7 +30,7 @@ from jaxtyping import Float, Int
 
 from crowdbench.data.table import Trajectories
 from crowdbench.registry import recording_of, spawn_model
-from crowdbench.run.rollout_jobs import Job
+from crowdbench.run.jobs import Job
 from crowdbench.scene import Scene, load_scene
 
 WINDOW_S = 60.0

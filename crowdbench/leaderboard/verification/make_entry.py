@@ -23,9 +23,9 @@ from crowdbench.leaderboard.verification.entry import (
 from crowdbench.leaderboard.verification.scene_entry import SceneRollouts, scene_entry
 from crowdbench.progress import ROLLOUTS
 from crowdbench.registry import recording_of
+from crowdbench.run.jobs import Job, plan
 from crowdbench.run.judge import TRAJECTORIES
 from crowdbench.run.processes import alone_in
-from crowdbench.run.rollout_jobs import Job, plan
 from crowdbench.scene import load_scene
 from crowdbench.scoring.reference import read_reference
 

@@ -25,8 +25,9 @@ from crowdbench.leaderboard.verification.entry import (
 )
 from crowdbench.leaderboard.verification.flags import evenness, flags_of
 from crowdbench.metrics import METRICS, WALK, Metric, metrics_for
+from crowdbench.run.jobs import Job, Pair
 from crowdbench.run.judge import TRAJECTORIES, MetricSlice, judge, seen_in
-from crowdbench.run.rollout_jobs import Job, Pair, roll_out
+from crowdbench.run.rollout_jobs import roll_out
 from crowdbench.run.summaries import RolloutSummary
 from crowdbench.scene import Scene, load_scene
 from crowdbench.scoring.energy import Energy, FitEnergies, energies_of_fits
