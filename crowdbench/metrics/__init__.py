@@ -88,20 +88,6 @@ def metrics_for(blocks: TimeBlocks) -> tuple[Metric, ...]:
 
 
 __all__ = [
-    "FAMILIES",
-    "METRICS",
-    "PAPER",
-    "WALK",
-    "Metric",
-    "MetricResult",
-    "Place",
-    "Statistics",
-    "Sums",
-    "Support",
-    "all_metrics",
-    "blamed",
-    "distance",
-    "metrics_for",
-    "paper_first",
-    "total",
-]
+    "FAMILIES", "METRICS", "PAPER", "WALK", "Metric", "MetricResult", "Place", "Statistics",
+    "Sums", "Support", "all_metrics", "blamed", "distance", "metrics_for", "paper_first", "total",
+]  # fmt: skip
