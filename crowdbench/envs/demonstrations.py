@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Float, Float32, Int
 from numpy.random import Generator
 
 from crowdbench import __version__, registry
@@ -281,21 +281,13 @@ class _Watched:
         moved &= place.walkable(here) & place.walkable(recorded.recording.xy[following] + beside)
         slots.position[0, there[moved]] = here[moved]
         slots.velocity[0, there[moved]] += aside.drift[row[moved]].astype(np.float32)
-        slots.heading[0, there] = _headings(
-            slots.velocity[0, there], slots.heading[0, there], moved
+        velocity, heading = slots.velocity[0, there], slots.heading[0, there]
+        speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+        turned = moved[:, None] & (speed >= STANDING_MPS)  # those who stand keep their headings
+        slots.heading[0, there] = np.where(
+            turned, velocity / np.maximum(speed, STANDING_MPS), heading
         )
         return np.where(moved[:, None], here, stood), np.where(moved[:, None], beside, 0.0)
-
-
-def _headings(
-    velocity: Float32[np.ndarray, "n 2"],
-    heading: Float32[np.ndarray, "n 2"],
-    moved: Bool[np.ndarray, " n"],
-) -> Float32[np.ndarray, "n 2"]:
-    """Headings of people with displaced velocities; those who stand keep theirs."""
-    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    turned = moved[:, None] & (speed >= STANDING_MPS)
-    return np.where(turned, velocity / np.maximum(speed, STANDING_MPS), heading)
 
 
 def _cite(name: str) -> str:

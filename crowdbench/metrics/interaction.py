@@ -7,12 +7,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.data.blocks import TimeBlocks
-from crowdbench.data.neighbours import nearest_neighbour_m
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
 from crowdbench.metrics.lattice import counted
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support, Vectors, Weights
-from crowdbench.metrics.rows import Ticks, rows_in, ticks_of
+from crowdbench.metrics.rows import nearest_neighbour_m, rows_in, ticks_of
 
 ENCOUNTER_M = 2.0
 STRANGERS_MPS = 0.7
@@ -46,7 +45,10 @@ class Avoidance(Metric):
         from crowdbench.metrics.kernels import encounters
 
         at = ticks_of(crowd, blocks, place.walking.tick_frames)
-        velocity = _mean_velocities(at)
+        begin = np.flatnonzero(np.diff(at.person, prepend=-1) != 0)
+        length = np.diff(np.append(begin, len(at.person)))
+        way_s = (np.maximum(length - 1, 1) * at.dt_s)[:, None]
+        velocity = np.repeat((at.xy[begin + length - 1] - at.xy[begin]) / way_s, length, axis=0)
         tick = crowd.row_frame()[at.row] // place.walking.tick_frames
         order = np.lexsort((at.xy[:, 0], tick))
         begins = np.concatenate([[0], np.cumsum(np.bincount(tick))])
@@ -83,14 +85,6 @@ class Avoidance(Metric):
     def size(self, sums: Sums) -> int:
         """Number of observed encounters."""
         return int(sums["observed"].sum())
-
-
-def _mean_velocities(at: Ticks) -> Float[np.ndarray, "n 2"]:
-    """Mean velocity of each position's person from its first to its last tick, m/s."""
-    begin = np.flatnonzero(np.diff(at.person, prepend=-1) != 0)
-    length = np.diff(np.append(begin, len(at.person)))
-    way = at.xy[begin + length - 1] - at.xy[begin]
-    return np.repeat(way / (np.maximum(length - 1, 1) * at.dt_s)[:, None], length, axis=0)
 
 
 class WallClearance(RelativeWasserstein):

@@ -1,4 +1,4 @@
-"""Rows in time blocks, and ticks: the frames with annotated positions."""
+"""Rows in time blocks, their nearest neighbours, and ticks: the frames with annotated positions."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -8,6 +8,9 @@ from jaxtyping import Float, Int
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.table import Trajectories
+
+FAR_M = 5e3
+"""Distance beyond which people do not count as neighbours."""
 
 
 def rows_in(
@@ -25,6 +28,20 @@ def block_of_frames(blocks: TimeBlocks, frames: int) -> Int[np.ndarray, " frames
     for b, (start, stop) in enumerate(blocks.frames):
         block[start:stop] = b
     return block
+
+
+@lru_cache(maxsize=1)  # several metrics search for neighbours in the same crowd
+def nearest_neighbour_m(crowd: Trajectories) -> Float[np.ndarray, " R"]:
+    """Distance of each row to the nearest other person in the same frame; infinite if alone."""
+    from crowdbench.data.neighbour_kernels import nearest
+
+    frame = crowd.row_frame()
+    row = np.lexsort((crowd.xy[:, 0], frame))  # in each frame from left to right
+    begins = np.concatenate([[0], np.cumsum(np.bincount(frame))])
+    xy = crowd.xy[row].astype(np.float64)
+    result = np.empty(len(row))
+    result[row] = nearest(xy, begins, FAR_M)
+    return result
 
 
 class Ticks(NamedTuple):

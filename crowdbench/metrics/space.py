@@ -4,11 +4,10 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from crowdbench.data.blocks import TimeBlocks
-from crowdbench.data.neighbours import nearest_neighbour_m
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, TotalVariation
 from crowdbench.metrics.metric import Place, Statistics
-from crowdbench.metrics.rows import rows_in
+from crowdbench.metrics.rows import nearest_neighbour_m, rows_in
 
 ALONE_M = 50.0
 

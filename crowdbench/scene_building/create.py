@@ -6,6 +6,7 @@ scene is left after an error.
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import structs
@@ -17,11 +18,14 @@ from crowdbench.data.recordings.mending import Gaps
 from crowdbench.data.recordings.noise import noise_of
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import OutputError, SceneError, SettingError
-from crowdbench.files import temporary_folder, unwritable, write_text
+from crowdbench.files import replacing, temporary_folder, unwritable, write_text
 from crowdbench.metrics import METRICS, metrics_for
 from crowdbench.progress import whole
 from crowdbench.registry import recording as named_recording
 from crowdbench.registry import recording_of
+from crowdbench.report.plots import panels
+from crowdbench.report.plots.canvas import picture
+from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.run.executor import checked_workers
 from crowdbench.scene import ID, Gate, Recording, Scene, list_scenes, load_scene
 from crowdbench.scene_building import rules
@@ -34,11 +38,13 @@ from crowdbench.scene_building.fit import (
     fit_scene,
     has_torch,
 )
-from crowdbench.scene_building.pictures import draw_place
 from crowdbench.scene_building.toml import like_toml, scene_toml, write_scored
 from crowdbench.scene_building.walls import read_walls
 from crowdbench.scoring.reference import read_reference
 from crowdbench.scoring.scorecard import write_anchors
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,7 +273,7 @@ def _fill(built: Path, crowd: Trajectories, workers: int) -> dict[str, str]:
     facts["walking"] = _walking(scene, crowd)
     facts["scored metrics"] = ", ".join(name.replace("_", " ") for name in scored) or "none"
     with whole("pictures"):
-        draw_place(scene, recording_of(scene), built)
+        _draw_place(scene, recording_of(scene), built)
     return facts
 
 
@@ -282,3 +288,33 @@ def _walking(scene: Scene, crowd: Trajectories) -> str:
         f"paths; speeds over {(walking.window_ticks - 1) * tick_s:.3g} s, accelerations over "
         f"{lags} s"
     )
+
+
+def _draw_place(scene: Scene, recording: Trajectories, out: Path) -> None:
+    """Draw `place.png` (recorded paths, walls and areas) and `time.png` (persons over time)."""
+    plot = PlotData.of(scene, read_reference(scene), {}, "full")
+
+    def place(axes: "list[Axes]") -> None:
+        panels.paths(axes[0], plot, recording)
+        axes[0].set_title("recorded; spawn areas (dashed) and goal areas, 2 σ")
+
+    def over_time(axes: "list[Axes]") -> None:
+        (axis,) = axes
+        blocks, dt_s = plot.reference.blocks, recording.dt_s
+        present = recording.present()
+        axis.plot(np.arange(len(present)) * dt_s, present, color="black", linewidth=0.7)
+        for k, (start, stop) in enumerate((blocks.frames * dt_s).tolist()):
+            axis.axvspan(start, stop, color=("0.93", "0.85")[k % 2], linewidth=0)
+        axis.set(xlim=(0, recording.duration_s), ylim=(0, 1.05 * present.max()))
+        axis.set(xlabel="time (s); grey: time blocks, white: unobserved", ylabel="agents")
+        axis.set_title(f"{scene.title}: agents over time")
+
+    b, width = scene.bounds, 5.0
+    height = width * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m)
+    for name, draw, size in (
+        ("place.png", place, (width + 0.6, height + 0.6)),
+        ("time.png", over_time, (9.0, 2.6)),
+    ):
+        data = picture(draw, width=size[0], height=size[1], kind="small png")
+        with replacing(out / name) as temporary:
+            temporary.write_bytes(data)

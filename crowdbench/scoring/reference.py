@@ -218,7 +218,14 @@ def read_reference(scene: Scene) -> Reference:
         WeightsError: the file is missing or broken, or belongs to another scene.
         SceneError: `protocol.scored` names a metric that does not exist.
     """
-    _check_scored(scene)
+    names = [metric.name for metric in METRICS]
+    if unknown := [name for name in scene.protocol.scored if name not in names]:
+        raise SceneError(
+            scene.folder / "scene.toml",
+            got=f"protocol.scored with {', '.join(unknown)}",
+            expected=f"names of metrics: {', '.join(names)}",
+            hint=did_you_mean(unknown[0], names),
+        )
     path = scene.folder / "reference.json.gz"
     hint = f"Run `crowdbench scene fit {scene.asked}`."
     wrong = partial(WeightsError, path, hint=hint)
@@ -294,18 +301,6 @@ def scored_statistics(scene: Scene) -> bytes:
         )
     of_scored = [part for n in scored for part in (n.encode(), bytes(file.statistics[n]))]
     return b"\n".join([bytes(file.blocks), bytes(file.opens), *of_scored])
-
-
-def _check_scored(scene: Scene) -> None:
-    known = [metric.name for metric in METRICS]
-    unknown = [name for name in scene.protocol.scored if name not in known]
-    if unknown:
-        raise SceneError(
-            scene.folder / "scene.toml",
-            got=f"protocol.scored with {', '.join(unknown)}",
-            expected=f"names of metrics: {', '.join(known)}",
-            hint=did_you_mean(unknown[0], known),
-        )
 
 
 def _nobody(scene: Scene) -> Trajectories:

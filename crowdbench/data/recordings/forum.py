@@ -9,7 +9,7 @@ from collections import Counter, defaultdict
 from itertools import permutations
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from crowdbench.data.table import Trajectories, from_rows, interpolated
 from crowdbench.errors import RecordingError
@@ -53,7 +53,9 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
         )
     pieces, fast, short = [], 0, 0
     for number, rows in tracks.items():
-        tick, at = _at_each_time(rows)
+        tick, of_row, count = np.unique(rows[:, 2], return_inverse=True, return_counts=True)
+        x, y = (np.bincount(of_row, rows[:, k]) / count for k in (0, 1))
+        at = PIXEL_M * np.stack([x, IMAGE_ROWS - y], axis=1)
         speed = np.linalg.norm(np.diff(at, axis=0), axis=1) / np.diff(tick) * FPS
         fast += bool((speed > 3.0).any())
         frame = np.arange(-(-tick[0] // FRAME), tick[-1] // FRAME + 1)
@@ -164,16 +166,6 @@ def _no_detections(got: bytes, where: str) -> RecordingError:
 
 def _shown(text: bytes) -> str:
     return repr(text[:40].decode("ascii", "replace"))
-
-
-def _at_each_time(
-    rows: Int[np.ndarray, "n 3"],
-) -> tuple[Int[np.ndarray, " t"], Float[np.ndarray, "t 2"]]:
-    """The distinct times, and the mean detected position at each, in metres."""
-    tick, of_row, count = np.unique(rows[:, 2], return_inverse=True, return_counts=True)
-    x = np.bincount(of_row, rows[:, 0]) / count
-    y = np.bincount(of_row, rows[:, 1]) / count
-    return tick, PIXEL_M * np.stack([x, IMAGE_ROWS - y], axis=1)
 
 
 def _doubles(tracks: dict[int, Int[np.ndarray, "n 3"]], where: object) -> set[int]:

@@ -71,7 +71,10 @@ def read_gc(
             single += 1
             continue
         upto = inside.sum() + (not inside.all())  # one more row, to interpolate up to the end
-        video, at = _each_frame(rows[:upto], video_frames)
+        # Interpolated in pixels, as in the published data; between consecutive annotations that is
+        # practically the same as in metres.
+        video = np.arange(rows[0, 2], min(rows[upto - 1, 2] + 1, video_frames), FRAME)
+        at = interpolated(video, rows[:upto, 2], rows[:upto, :2])
         pieces.append(np.column_stack([np.full(len(video), person), video // FRAME, at]))
     if not pieces:
         raise RecordingError(
@@ -136,19 +139,6 @@ def _annotations(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
             where, got=f"frame {after} after frame {before}", expected="frames in ascending order"
         )
     return rows
-
-
-def _each_frame(
-    rows: Int[np.ndarray, "n 3"], stop: int
-) -> tuple[Int[np.ndarray, " f"], Float[np.ndarray, "f 2"]]:
-    """Video frames of the scene's frames from the first annotation to `stop`, and the pixels.
-
-    Positions are interpolated in pixels, as in the published data. Between consecutive annotations
-    the result is practically the same as in metres. Where a person was lost for minutes, the true
-    path is unknown in any case.
-    """
-    video = np.arange(rows[0, 2], min(rows[-1, 2] + 1, stop), FRAME)
-    return video, interpolated(video, rows[:, 2], rows[:, :2])
 
 
 def _metres(

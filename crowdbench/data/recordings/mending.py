@@ -217,7 +217,10 @@ def _refuse_most(
             else "Correct the frame numbers, or --dt-s.",
         )
     if astray.mean() > 0.5:
-        late = _usual_phase(rows.ticks())
+        late: float | None = _phase(rows.ticks(), digits=3)
+        apart = rows.ticks() - late
+        if (np.abs(apart - np.round(apart)) < _BESIDE["s"]).mean() <= 0.5:
+            late = None  # most rows have no offset in common
         by = "" if late is None else f", most of them {late * rows.step:.4g} s after a frame"
         raise RecordingError(
             where,
@@ -277,14 +280,6 @@ def _mended(
     notes = {"mended": "; ".join(part for part in told if part)}
     person_id, frame, xy, source = (np.concatenate(each) for each in zip(*pieces, strict=True))
     return Rows(person_id, frame, xy, source, continued, notes)
-
-
-def _usual_phase(ticks: Float[np.ndarray, " R"]) -> float | None:
-    """The offset from a frame, in steps, that most rows share; None if there is none."""
-    usual = _phase(ticks, digits=3)
-    apart = ticks - usual
-    most = (np.abs(apart - np.round(apart)) < _BESIDE["s"]).mean() > 0.5
-    return usual if most else None
 
 
 def _phase(ticks: Float[np.ndarray, " n"], digits: int = 6) -> float:

@@ -294,23 +294,20 @@ def _numbered(data: bytes, asked: _Asked) -> Trajectories:
     if asked.layout == "obsmat":
         rows, velocity = parse_obsmat(data, path)
         dt_s = checked_dt_s(path, None, asked.dt_s)
-        _check_speeds(step_by_speed_s(rows, velocity), dt_s, path)
+        by_speed_s = step_by_speed_s(rows, velocity)
+        if by_speed_s is not None and not np.isclose(by_speed_s, dt_s, rtol=0.1):
+            raise RecordingError(
+                path,
+                got=f"rows {by_speed_s:.2f} s apart according to their positions and velocities",
+                expected=f"rows {dt_s:g} s apart, as set by --dt-s",
+                hint="Correct --dt-s, or set the velocities to zero if they are wrong.",
+            )
     else:
         parse = {"trajnet": parse_trajnet, "jupedsim": parse_jupedsim}[asked.layout]
         rows, stated_s = parse(data, path)
         dt_s = checked_dt_s(path, stated_s, asked.dt_s)
     whole = on_frames(rows, gaps=asked.gaps, where=path)
     return whole.crowd(scene=asked.name, dt_s=dt_s, where=path)
-
-
-def _check_speeds(by_speed_s: float | None, dt_s: float, path: Path) -> None:
-    if by_speed_s is not None and not np.isclose(by_speed_s, dt_s, rtol=0.1):
-        raise RecordingError(
-            path,
-            got=f"rows {by_speed_s:.2f} s apart according to their positions and velocities",
-            expected=f"rows {dt_s:g} s apart, as set by --dt-s",
-            hint="Correct --dt-s, or set the velocities to zero if they are wrong.",
-        )
 
 
 def _check_motion(crowd: Trajectories, path: Path) -> None:

@@ -131,7 +131,11 @@ def call(
             found = _beginning(desk / "answer.json", LARGEST_ANSWER)
             answer = msgspec.json.decode(found, type=Answer)
             if answer.errors:  # their text may quote the submission
-                error, *problems = map(_error, answer.errors)
+                names = ("got", "expected", "hint")
+                error, *problems = (
+                    CrowdbenchError(at, **dict(zip(names, parts, strict=True)))
+                    for at, *parts in answer.errors
+                )
                 raise SubmissionError(where, problems) if problems else tidy(error)
             value = msgspec.json.decode(answer.value, type=kind)
         except (OSError, msgspec.DecodeError, RecursionError) as error:
@@ -139,11 +143,6 @@ def call(
                 where, got=f"an answer that cannot be read ({error})", expected=kind.__name__
             ) from error
     return value, ResourceUsage(**ran, network=plain(answer.network))
-
-
-def _error(parts: ErrorParts) -> CrowdbenchError:
-    where, got, expected, hint = parts
-    return CrowdbenchError(where, got=got, expected=expected, hint=hint)
 
 
 def _run(desk: Path, where: object, limits: Limits) -> dict[str, Any]:

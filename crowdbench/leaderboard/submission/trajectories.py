@@ -1,4 +1,6 @@
-"""Check submitted trajectories against the rules for listing.
+"""Read untrusted tables of trajectories, and check them against the rules for listing.
+
+The size of a table is checked before it is decoded.
 
 Only the trajectories themselves are known, so they must be plausible: the scene's time step and
 length, one person per trip and no gaps in it, few positions in walls, few jumps, trips that end
@@ -13,13 +15,18 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from crowdbench.data.storage import columns_of, of_table
-from crowdbench.data.table import OUTCOMES, Trajectories
+from crowdbench.data.table import OUTCOMES, PERSON_COLUMNS, Trajectories
 from crowdbench.errors import RecordingError
-from crowdbench.files import sha256
+from crowdbench.files import read_bytes, sha256
 from crowdbench.leaderboard.submission.errors import Problems, RefusedError
-from crowdbench.leaderboard.submission.limits import MOST_PERSONS
+from crowdbench.leaderboard.submission.limits import (
+    LARGEST_DECODED,
+    LARGEST_TABLE,
+    MOST_COLUMNS,
+    MOST_PERSONS,
+    MOST_ROWS,
+)
 from crowdbench.leaderboard.submission.schema import Track
-from crowdbench.leaderboard.submission.untrusted import read_table
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn.areas import Areas, read_areas
 
@@ -42,6 +49,10 @@ GOAL_SD = 4.0
 """or within this many standard deviations of a goal area's centre."""
 LAST = 0.9
 """The last row must be later than this share of the scene's duration."""
+_COLUMNS = ("person_id", "frame", "time_s", "x", "y", *PERSON_COLUMNS)
+_BATCH = 2**16
+_HINT = "Write one row per person and frame, with only the columns person_id, frame, x and y."
+_LONGEST_HEADER = 10_000  # bytes of the first line of a CSV file
 
 
 def check_crowds(
@@ -117,7 +128,7 @@ def broken_rules(
 ) -> Iterator[RefusedError]:
     """Yield the rules for listing that a crowd breaks; `name` identifies the crowd in messages."""
     frames = scene.recording.frames
-    yield from _columns(name, crowd, track, areas)
+    yield from _wrong_columns(name, crowd, track, areas)
     last = int(crowd.last.max())
     if crowd.frames != frames or crowd.observed.tolist() != [[0, frames]] or last < LAST * frames:
         yield RefusedError(
@@ -162,7 +173,9 @@ def broken_rules(
             )
 
 
-def _columns(name: str, crowd: Trajectories, track: Track, areas: Areas) -> Iterator[RefusedError]:
+def _wrong_columns(
+    name: str, crowd: Trajectories, track: Track, areas: Areas
+) -> Iterator[RefusedError]:
     """Yield columns of persons that contradict the positions; metrics rely on these columns."""
     start_s = crowd.first * crowd.dt_s
     slack_s = 1.01 * crowd.dt_s  # events happen between frames
@@ -240,3 +253,94 @@ def undeclared_drops(
     if track != "walk":
         vanished |= ~crowd.left
     return early & vanished
+
+
+def read_table(path: Path) -> "pyarrow.Table":
+    """Return the trajectory columns of a Parquet or CSV file.
+
+    The limits of a Parquet file are checked on its metadata before it is decoded, and again on the
+    decoded data, since the metadata may be false.
+
+    Raises:
+        RecordingError: the file is missing, broken or too large.
+    """
+    import pyarrow as pa
+
+    size = path.stat().st_size
+    if size > LARGEST_TABLE:
+        most = f"at most {LARGEST_TABLE / 1e6:.0f} MB"
+        hint = "A Parquet file has a tenth of the size of a CSV file."
+        raise RecordingError(path, got=f"{size / 1e6:.1f} MB", expected=most, hint=hint)
+    read = _parquet if path.suffix == ".parquet" else _csv
+    try:
+        table = read(path)
+        named = [name.strip() for name in table.column_names]
+    except (pa.ArrowException, OSError, MemoryError, UnicodeDecodeError) as error:
+        told = (str(error) or type(error).__name__).splitlines()[0]
+        raise RecordingError(path, got=told, expected="a readable table", hint=_HINT) from error
+    _check_names(path, named)
+    return table.rename_columns(named).replace_schema_metadata(table.schema.metadata)
+
+
+def _refuse(path: Path, wrong: bool, got: str, most: str) -> None:
+    if wrong:
+        raise RecordingError(path, got=got, expected=f"at most {most}", hint=_HINT)
+
+
+def _csv(path: Path) -> "pyarrow.Table":
+    from pyarrow import BufferReader, csv
+
+    data = read_bytes(path, RecordingError, "")
+    header = data[: _LONGEST_HEADER + 1].partition(b"\n")[0]
+    _refuse(path, len(header) > _LONGEST_HEADER, "a first line over 10 kB", "10 kB of names")
+    _check_columns(path, header.count(b",") + 1)
+    table = csv.read_csv(BufferReader(data), csv.ReadOptions(use_threads=False))
+    _check_size(path, len(table))
+    return table
+
+
+def _parquet(path: Path) -> "pyarrow.Table":
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    # The file is read into memory first: a mapped file could change while it is decoded.
+    data = pa.BufferReader(read_bytes(path, RecordingError, ""))
+    file = parquet.ParquetFile(data)
+    told = file.metadata
+    _check_columns(path, told.num_columns)
+    sizes = [told.row_group(k).total_byte_size for k in range(told.num_row_groups)]
+    size = sum(sizes) if min(sizes, default=0) >= 0 else LARGEST_DECODED + 1
+    _check_size(path, told.num_rows, size)
+    schema = file.schema_arrow
+    _check_names(path, schema.names)
+    wanted = [name for name in schema.names if name.strip() in _COLUMNS]
+    for name in wanted:
+        kind = schema.field(name).type
+        if not (
+            pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
+        ):
+            raise RecordingError(
+                path, got=f"{kind} in column {name}", expected="numbers", hint=_HINT
+            )
+    batches, rows, size = [], 0, 0
+    for batch in file.iter_batches(_BATCH, columns=wanted, use_threads=False):
+        rows, size = rows + batch.num_rows, size + batch.nbytes
+        _check_size(path, rows, size)
+        batches.append(batch)
+    kept = pa.schema([schema.field(name) for name in wanted], schema.metadata)
+    table = pa.Table.from_batches(batches) if batches else kept.empty_table()
+    return table.replace_schema_metadata(schema.metadata)
+
+
+def _check_names(path: Path, names: list[str]) -> None:
+    _refuse(path, len(set(names)) < len(names), "two columns of the same name", "one")
+
+
+def _check_columns(path: Path, columns: int) -> None:
+    _refuse(path, columns > MOST_COLUMNS, f"{columns} columns", str(MOST_COLUMNS))
+
+
+def _check_size(path: Path, rows: int, size: int = 0) -> None:
+    _refuse(path, rows > MOST_ROWS, f"{rows} rows", str(MOST_ROWS))
+    most = f"{LARGEST_DECODED / 1e6:.0f} MB"
+    _refuse(path, size > LARGEST_DECODED, "a table that takes more memory", most)

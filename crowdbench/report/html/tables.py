@@ -1,7 +1,7 @@
 """The report's tables: scores with intervals, single metrics, and outcomes of trips."""
 
 import inspect
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from markupsafe import Markup
@@ -56,7 +56,12 @@ def score_table(card: Scorecard, table: Sequence[Row], names: Names) -> Markup:
         },
         too_few_rollouts=too_few_rollouts,
         beyond_gate=gate_notes(card, table, names),
-        scale=_Scale([score for row in table for score in _scores(row)]),
+        scale=_Scale(
+            score
+            for row in table
+            for score in (*row.families.values(), row.crowd, row.walk, row.overall)
+            if score is not None
+        ),
     )
 
 
@@ -67,17 +72,12 @@ def _ordered_by(rows: Sequence[Row], by: str) -> str:
     return " (not ranked)" if rows and rows[0].spawn == "replay" else ""
 
 
-def _scores(row: Row) -> list[Score]:
-    every = [*row.families.values(), row.crowd, row.walk, row.overall]
-    return [score for score in every if score is not None]
-
-
 class _Scale:
     """The common horizontal scale of all score bars of a table."""
 
     width = 76  # pixels
 
-    def __init__(self, scores: Sequence[Score]) -> None:
+    def __init__(self, scores: Iterable[Score]) -> None:
         ends = [end for s in scores for end in (*s.interval, s.value)]
         self.low, self.high = min([-0.25, *ends]) - 0.05, max([1.25, *ends]) + 0.05
 

@@ -109,8 +109,10 @@ def fit(
             found = sequences(arrivals, k, scene, settings, rng)
             if any(len(gaps) > 1 for gaps in found):
                 train(network, found, settings)
-            else:
-                _silence(network)
+            else:  # nobody enters: a rate of almost 0
+                with torch.no_grad():
+                    network.out.weight.zero_()
+                    network.out.bias.copy_(torch.tensor([_NEVER, 1.0]))
             for name, array in network.weights().items():
                 weights[name].append(array)
     stacked = {name: np.stack(each) for name, each in weights.items()}
@@ -200,10 +202,3 @@ def _loss(network: _Network, batch: _Windows) -> Float[Tensor, ""]:
     density = rate.log() + shape.log() + (shape - 1) * batch.log_gap
     hazard = rate * torch.exp(shape * batch.log_gap)
     return -(batch.share * (batch.event * density - hazard)).sum()
-
-
-def _silence(network: _Network) -> None:
-    """Make the rate of an area without arrivals almost 0; there is nothing to train on."""
-    with torch.no_grad():
-        network.out.weight.zero_()
-        network.out.bias.copy_(torch.tensor([_NEVER, 1.0]))
