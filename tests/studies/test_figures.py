@@ -19,7 +19,7 @@ from crowdbench.spawn.areas import Gaussians, read_areas
 from studies import figures
 from studies.__main__ import main as studies_main
 from studies.figures import FIGURES, with_areas, write_figures
-from studies.figures.flows import CELL_M, DENSITY_PARTS, density, draw_flows
+from studies.figures.flows import DENSITY_PARTS, density, draw_flows
 from studies.figures.ways import LEAST_PEOPLE, whole
 
 pytestmark = pytest.mark.long
