@@ -21,8 +21,7 @@ DECIDE_NOTHING = tuple(
 )
 """Modules whose code changes no result: messages, reading and writing, finding code of others,
 which is hashed itself, and where something is computed."""
-_ROOT = Path(__file__).parents[1]
-"""The folder of the package, and of `studies` in a clone."""
+_ROOT = Path(__file__).parents[1]  # the folder of the package, and of `studies` in a clone
 _OURS = ("crowdbench", "studies")
 _SCRIPTS = "crowdbench.baselines."
 

@@ -26,8 +26,7 @@ from crowdbench.errors import CrowdbenchError, OutputError, did_you_mean
 
 T = TypeVar("T")
 _PREFIX = "crowdbench-tmp-"
-_YOUNG_S = 1.0
-"""What was made less than this time ago may not be locked yet."""
+_YOUNG_S = 1.0  # what was made less than this time ago may not be locked yet
 LARGEST_UNPACKED = 2**26  # bytes of a compressed file's content; the largest has 4 million
 
 

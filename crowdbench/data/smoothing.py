@@ -6,8 +6,7 @@ import numpy as np
 
 from crowdbench.data.table import Trajectories
 
-_DEGREE = 2
-"""Degree of the polynomials: a constant acceleration is not changed."""
+_DEGREE = 2  # degree of the polynomials: a constant acceleration is not changed
 
 
 def smoothed(recording: Trajectories, window_s: float) -> Trajectories:

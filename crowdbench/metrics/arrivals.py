@@ -8,16 +8,8 @@ from jaxtyping import Int
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.table import Trajectories
+from crowdbench.metrics import lattice
 from crowdbench.metrics.forms import LogRatio, RelativeWasserstein
-from crowdbench.metrics.lattice import (
-    Numbers,
-    cdf,
-    correlation,
-    histograms,
-    lagged_sums,
-    moments,
-    widths,
-)
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support, Vectors, Weights
 
 ENOUGH_GAPS = 10
@@ -45,8 +37,10 @@ class InterSpawn(RelativeWasserstein):
         gap, block = np.diff(tick)[within], block[1:][within]
         both = np.diff(block) == 0
         return {
-            "counts": histograms(gap, block, len(blocks)),
-            "pairs": lagged_sums(gap[:-1][both], gap[1:][both], block[1:][both], len(blocks)),
+            "counts": lattice.histograms(gap, block, len(blocks)),
+            "pairs": lattice.lagged_sums(
+                gap[:-1][both], gap[1:][both], block[1:][both], len(blocks)
+            ),
         }
 
     def step(self, blocks: TimeBlocks) -> float:
@@ -64,7 +58,7 @@ def burstiness(sums: Sums, support: Support) -> float:
     `sums` are those of `InterSpawn`. B is −1 for equal gaps, 0 for a Poisson process, and
     approaches 1 for extremely bursty arrivals. Shown, not scored.
     """
-    mean, variance = moments(sums["counts"], support)
+    mean, variance = lattice.moments(sums["counts"], support)
     sigma = np.sqrt(variance)
     return float((sigma - mean) / (sigma + mean)) if sigma + mean > 0 else 0.0
 
@@ -74,7 +68,7 @@ def memory(sums: Sums) -> float:
 
     `sums` are those of `InterSpawn`. Shown, not scored.
     """
-    return float(correlation(sums["pairs"]))
+    return float(lattice.correlation(sums["pairs"]))
 
 
 class InterSpawnPerArea(Metric):
@@ -99,7 +93,9 @@ class InterSpawnPerArea(Metric):
         for k in range(place.spawn_areas):
             b, t = block[area == k], tick[area == k]
             within = np.diff(b) == 0
-            statistics[f"area {k}"] = histograms(np.diff(t)[within], b[1:][within], len(blocks))
+            statistics[f"area {k}"] = lattice.histograms(
+                np.diff(t)[within], b[1:][within], len(blocks)
+            )
         return statistics
 
     def on_lattice(self, name: str) -> bool:
@@ -113,7 +109,9 @@ class InterSpawnPerArea(Metric):
     def embed(self, sums: Sums, support: Support, blocks: TimeBlocks) -> Vectors:
         """The distribution functions of all areas, concatenated."""
         block = self.if_empty(blocks)
-        return np.concatenate([cdf(c, support, if_empty=block) for c in sums.values()], axis=-1)
+        return np.concatenate(
+            [lattice.cdf(c, support, if_empty=block) for c in sums.values()], axis=-1
+        )
 
     def weights(self, recorded: Sums, support: Support, blocks: TimeBlocks) -> Weights:
         """Lattice widths times each area's share of the gaps, over the mean gap of all areas.
@@ -130,7 +128,7 @@ class InterSpawnPerArea(Metric):
             return np.full(1, np.inf)
         gaps = np.array([c.sum() for c in counts.values()])
         shares = gaps / gaps.sum() if gaps.any() else np.full(len(gaps), 1 / len(gaps))
-        return np.concatenate([widths(support) * (share / mean) for share in shares])
+        return np.concatenate([lattice.widths(support) * (share / mean) for share in shares])
 
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
         """Mean gap over all areas, seconds."""
@@ -178,9 +176,9 @@ class FanoFactor10(LogRatio):
         """`counts[b, n]`: number of bins of block b in which n persons enter."""
         return {"counts": _binned(crowd, blocks, 10 * blocks.dt_s)}
 
-    def value(self, sums: Sums, support: Support) -> Numbers:
+    def value(self, sums: Sums, support: Support) -> lattice.Numbers:
         """Variance of the counts over their mean; 0 if the mean is 0."""
-        mean, variance = moments(sums["counts"], support)
+        mean, variance = lattice.moments(sums["counts"], support)
         return np.divide(variance, mean, out=np.zeros_like(variance), where=mean > 0)
 
 
@@ -209,7 +207,7 @@ def _binned(crowd: Trajectories, blocks: TimeBlocks, bin_s: float) -> Int[np.nda
     at = (tick - ticks[block, 0]) // steps
     whole = at < bins[block]
     entered = np.bincount((first[block] + at)[whole], minlength=first[-1])
-    return histograms(entered, np.repeat(np.arange(len(blocks)), bins), len(blocks))
+    return lattice.histograms(entered, np.repeat(np.arange(len(blocks)), bins), len(blocks))
 
 
 def _block_in_grid_steps(blocks: TimeBlocks) -> int:

@@ -9,15 +9,8 @@ from jaxtyping import Int
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.stops import standing
 from crowdbench.data.table import Trajectories
+from crowdbench.metrics import lattice
 from crowdbench.metrics.forms import LogRatio, RelativeWasserstein, ShareDifference
-from crowdbench.metrics.lattice import (
-    Numbers,
-    correlation,
-    counted,
-    histograms,
-    lagged_sums,
-    moments,
-)
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support, Vectors, Weights
 from crowdbench.metrics.rows import block_of_frames, rows_in
 
@@ -53,7 +46,7 @@ class AgentsOverTime(RelativeWasserstein):
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, n]`: number of frames of block b with n persons."""
         present, block = present_in(crowd, blocks)
-        return {"counts": histograms(present, block, len(blocks))}
+        return {"counts": lattice.histograms(present, block, len(blocks))}
 
 
 class AgentsSpread(LogRatio):
@@ -69,11 +62,11 @@ class AgentsSpread(LogRatio):
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`counts[b, n]`: number of frames of block b with n persons."""
         present, block = present_in(crowd, blocks)
-        return {"counts": histograms(present, block, len(blocks))}
+        return {"counts": lattice.histograms(present, block, len(blocks))}
 
-    def value(self, sums: Sums, support: Support) -> Numbers:
+    def value(self, sums: Sums, support: Support) -> lattice.Numbers:
         """Standard deviation of N(t)."""
-        return np.sqrt(moments(sums["counts"], support)[1])
+        return np.sqrt(lattice.moments(sums["counts"], support)[1])
 
 
 class _Correlations(Metric):
@@ -95,7 +88,9 @@ class _Correlations(Metric):
 
     def embed(self, sums: Sums, support: Support, blocks: TimeBlocks) -> Vectors:
         """The correlation at each lag that is used."""
-        return np.stack([correlation(sums[lag_key(lag)]) for lag in self._used(blocks)], axis=-1)
+        return np.stack(
+            [lattice.correlation(sums[lag_key(lag)]) for lag in self._used(blocks)], axis=-1
+        )
 
     def weights(self, recorded: Sums, support: Support, blocks: TimeBlocks) -> Weights:
         """1 / number of lags: the distance is a mean over the lags."""
@@ -154,7 +149,7 @@ class StandingShare(ShareDifference):
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`share[b]`: number of positions in block b of people who stand, and of all."""
         rows, block = rows_in(crowd, blocks)
-        return {"share": counted(standing(crowd)[rows], block, len(blocks))}
+        return {"share": lattice.counted(standing(crowd)[rows], block, len(blocks))}
 
 
 def lagged(
@@ -175,7 +170,7 @@ def lagged(
         lag = min(_in_frames(lag_s, blocks), last)
         counts = np.arange(last - lag) >= begin[lag:]
         x, y = present[: last - lag][counts], present[lag:][counts]
-        found[k] = lagged_sums(x, y, block[lag:][counts], len(blocks))
+        found[k] = lattice.lagged_sums(x, y, block[lag:][counts], len(blocks))
     return found
 
 

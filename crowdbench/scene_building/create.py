@@ -28,16 +28,8 @@ from crowdbench.report.plots.canvas import picture
 from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.run.executor import checked_workers
 from crowdbench.scene import ID, Gate, Recording, Scene, list_scenes, load_scene
-from crowdbench.scene_building import rules
+from crowdbench.scene_building import fit, rules
 from crowdbench.scene_building.anchors import make_anchors, power_study
-from crowdbench.scene_building.fit import (
-    ASTRAY,
-    MODELS,
-    check_against,
-    dwell_p99_s,
-    fit_scene,
-    has_torch,
-)
 from crowdbench.scene_building.toml import like_toml, scene_toml, write_scored
 from crowdbench.scene_building.walls import read_walls
 from crowdbench.scoring.reference import read_reference
@@ -192,7 +184,7 @@ def create_like(
         id=new.name,
         title=new.shown_title,
         recording=Recording(
-            recording, crowd.frames, round(dwell_p99_s(kept), 2), preprocess=dropping
+            recording, crowd.frames, round(fit.dwell_p99_s(kept), 2), preprocess=dropping
         ),
         protocol=structs.replace(
             known.protocol,
@@ -201,7 +193,7 @@ def create_like(
             scored=(),
         ),
     )
-    check_against(scene, kept)  # in the folder of `like`: names the file that the user knows
+    fit.check_against(scene, kept)  # in the folder of `like`: names the file that the user knows
     return _build(new, like_toml(known, scene), crowd, workers)
 
 
@@ -214,7 +206,7 @@ def _scene(new: NewScene, crowd: Trajectories, source: Path, walls: Path | None)
         dt_s=crowd.dt_s,
         grid_s=crowd.grid_s,
         recording=Recording(
-            crowd.scene, crowd.frames, round(dwell_p99_s(crowd), 2), crowd.provenance["sha256"]
+            crowd.scene, crowd.frames, round(fit.dwell_p99_s(crowd), 2), crowd.provenance["sha256"]
         ),
         bounds=bounds,
         walls=read_walls(walls, bounds) if walls else (),
@@ -227,12 +219,12 @@ def _scene(new: NewScene, crowd: Trajectories, source: Path, walls: Path | None)
         folder=Path(new.name),
     )
     inside = ~scene.walkable(crowd.xy.astype(np.float64))
-    if walls and inside.mean() > ASTRAY:
+    if walls and inside.mean() > fit.ASTRAY:
         at = crowd.xy[np.flatnonzero(inside)[0]].astype(np.float64).round(2).tolist()
         raise SceneError(
             walls,
             got=f"walls that contain {inside.mean():.1%} of the recorded positions, one at {at} m",
-            expected=f"at most {ASTRAY:.0%}",
+            expected=f"at most {fit.ASTRAY:.0%}",
             hint="Walls must be in metres and in the recording's frame: plot both together.",
         )
     return scene
@@ -258,8 +250,8 @@ def _build(new: NewScene, toml: str, crowd: Trajectories, workers: int) -> Creat
 def _fill(built: Path, crowd: Trajectories, workers: int) -> dict[str, str]:
     """Compute all files of the scene except `scene.toml`; returns results for a table."""
     scene = load_scene(built)
-    models = MODELS if has_torch() else tuple(m for m in MODELS if m != "ntpp-gmm")
-    facts = fit_scene(scene, crowd, models=models, workers=workers)
+    models = fit.MODELS if fit.has_torch() else tuple(m for m in fit.MODELS if m != "ntpp-gmm")
+    facts = fit.fit_scene(scene, crowd, models=models, workers=workers)
     if "ntpp-gmm" not in models:
         facts["ntpp-gmm"] = "left out: fitting needs torch (extra `fit`)"
     with temporary_folder("rollouts") as rollouts:

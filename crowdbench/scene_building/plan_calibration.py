@@ -30,26 +30,19 @@ from crowdbench.spawn.plans.planned import PlannedAreas
 from crowdbench.spawn.recorded_plans import turning_points
 
 _LONGEST_WAIT_S = 600.0
-_ADJUSTING = 10
-"""Number of rounds in which plans are adjusted to the times of a model."""
-_ADJUSTED = 6_000
-"""About the number of people drawn in each of these rounds."""
+_ADJUSTING = 10  # number of rounds in which plans are adjusted to the times of a model
+_ADJUSTED = 6_000  # about the number of people drawn in each of these rounds
 _GAIN = 1.5
 """Gain of the first rounds: statistics change less than in proportion to what is changed."""
 _FULL_STEPS = np.array([2.5, 2.5, 5.0, 5.0])
 """The gains of round k are these numbers divided by k, from the round on in which they are smaller.
 Distances change least."""
-_CORRECTING = 4
-"""Round in which it is found how people in the simulation differ from straight ones."""
-_SIMULATED = 2_000
-"""About the number of people who are simulated then."""
+_CORRECTING = 4  # round in which it is found how people in the simulation differ from straight ones
+_SIMULATED = 2_000  # about the number of people who are simulated then
 _FEWEST_COMPANIONS = 10
-_MOST_ODDS = 8.0
-"""Largest change of a log weight."""
-_HARDLY = 0.05
-"""Least distance, and number of people, of which the logarithm is taken."""
-_FACTORS = 0.2, 3.0
-"""Smallest and largest factor of offsets."""
+_MOST_ODDS = 8.0  # largest change of a log weight
+_HARDLY = 0.05  # least distance, and number of people, of which the logarithm is taken
+_FACTORS = 0.2, 3.0  # smallest and largest factor of offsets
 
 
 def adjustment(

@@ -13,6 +13,7 @@ import pytest
 from crowdbench.data.storage import read_own
 from crowdbench.errors import CrowdbenchError, RecordingError, SettingError
 from crowdbench.registry import import_recording, recording_of
+from crowdbench.report.plots.panels import CELL_M
 from crowdbench.scene import load_scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn.areas import Gaussians, read_areas

@@ -37,8 +37,7 @@ _KEPT_STARTS = ("CROWDBENCH_", "NUMBA_", "OMP_", "PYTHON", "XDG_")
 _READS = {"CROWDBENCH_STORE": "read"}
 """A submission's rollouts are not kept where other evaluations would find them, see `run.store`."""
 _WATCH_S = 0.1
-_LAST_S = 0.5
-"""Time in which the processes of a killed child may end by themselves, seconds."""
+_LAST_S = 0.5  # time in which the processes of a killed child may end by themselves, seconds
 
 
 class SandboxError(CrowdbenchError):

@@ -42,8 +42,7 @@ _UNSEEN = re.compile(
     "\U000e0100-\U000e01ef]"
 )
 """Printable but invisible characters: fillers, blanks and variation selectors."""
-_MOST_MARKS = 4
-"""Combining marks on one letter; more of them would overlap the lines above."""
+_MOST_MARKS = 4  # combining marks on one letter; more of them would overlap the lines above
 # They replace invalid fields that are only displayed, so that the artefacts are checked as well.
 _STAND_INS = {
     "name": "?",

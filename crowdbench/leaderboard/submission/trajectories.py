@@ -18,14 +18,8 @@ from crowdbench.data.storage import columns_of, of_table
 from crowdbench.data.table import OUTCOMES, PERSON_COLUMNS, Trajectories
 from crowdbench.errors import RecordingError
 from crowdbench.files import read_bytes, sha256
+from crowdbench.leaderboard.submission import limits
 from crowdbench.leaderboard.submission.errors import Problems, RefusedError
-from crowdbench.leaderboard.submission.limits import (
-    LARGEST_DECODED,
-    LARGEST_TABLE,
-    MOST_COLUMNS,
-    MOST_PERSONS,
-    MOST_ROWS,
-)
 from crowdbench.leaderboard.submission.schema import Track
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn.areas import Areas, read_areas
@@ -102,11 +96,11 @@ def _check_lives(path: Path, table: "pyarrow.Table") -> None:
     ids, when = ids[order], when[order]
     same = ids[1:] == ids[:-1]
     persons = len(ids) - int(same.sum())
-    if persons > MOST_PERSONS:
+    if persons > limits.MOST_PERSONS:
         raise RecordingError(
             path,
             got=f"{persons} persons",
-            expected=f"at most {MOST_PERSONS}",
+            expected=f"at most {limits.MOST_PERSONS}",
             hint="Give each person one id for the whole trip.",
         )
     steps = np.diff(when)[same]
@@ -267,8 +261,8 @@ def read_table(path: Path) -> "pyarrow.Table":
     import pyarrow as pa
 
     size = path.stat().st_size
-    if size > LARGEST_TABLE:
-        most = f"at most {LARGEST_TABLE / 1e6:.0f} MB"
+    if size > limits.LARGEST_TABLE:
+        most = f"at most {limits.LARGEST_TABLE / 1e6:.0f} MB"
         hint = "A Parquet file has a tenth of the size of a CSV file."
         raise RecordingError(path, got=f"{size / 1e6:.1f} MB", expected=most, hint=hint)
     read = _parquet if path.suffix == ".parquet" else _csv
@@ -309,7 +303,7 @@ def _parquet(path: Path) -> "pyarrow.Table":
     told = file.metadata
     _check_columns(path, told.num_columns)
     sizes = [told.row_group(k).total_byte_size for k in range(told.num_row_groups)]
-    size = sum(sizes) if min(sizes, default=0) >= 0 else LARGEST_DECODED + 1
+    size = sum(sizes) if min(sizes, default=0) >= 0 else limits.LARGEST_DECODED + 1
     _check_size(path, told.num_rows, size)
     schema = file.schema_arrow
     _check_names(path, schema.names)
@@ -337,10 +331,10 @@ def _check_names(path: Path, names: list[str]) -> None:
 
 
 def _check_columns(path: Path, columns: int) -> None:
-    _refuse(path, columns > MOST_COLUMNS, f"{columns} columns", str(MOST_COLUMNS))
+    _refuse(path, columns > limits.MOST_COLUMNS, f"{columns} columns", str(limits.MOST_COLUMNS))
 
 
 def _check_size(path: Path, rows: int, size: int = 0) -> None:
-    _refuse(path, rows > MOST_ROWS, f"{rows} rows", str(MOST_ROWS))
-    most = f"{LARGEST_DECODED / 1e6:.0f} MB"
-    _refuse(path, size > LARGEST_DECODED, "a table that takes more memory", most)
+    _refuse(path, rows > limits.MOST_ROWS, f"{rows} rows", str(limits.MOST_ROWS))
+    most = f"{limits.LARGEST_DECODED / 1e6:.0f} MB"
+    _refuse(path, size > limits.LARGEST_DECODED, "a table that takes more memory", most)

@@ -30,10 +30,8 @@ from crowdbench.spawn.ntpp.training import deterministic
 from crowdbench.spawn.paper.kernels import TINY
 from crowdbench.spawn.paper.model import SHAPES, NtppPaper, between, gaps_within
 
-_ROWS = 512
-"""Windows in a batch; all batches of an area make one step."""
-_NEVER = -100.0
-"""Output of a head that gives a rate of almost 0."""
+_ROWS = 512  # windows in a batch; all batches of an area make one step
+_NEVER = -100.0  # output of a head that gives a rate of almost 0
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from crowdbench.spawn.plans.planned import PlannedAreas, directions, turned
 from crowdbench.spawn.plans.way_fitting import Trips, fit_ways, trips_of
 from crowdbench.spawn.recorded_plans import SLOWEST_MPS, plans_of
 
-_FEWEST_ROWS = 4
-"""Least number of times at which two people walk together that tell how they do so."""
+_FEWEST_ROWS = 4  # least number of times at which two people walk together that tell how they do so
 
 
 def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedAreas:

@@ -29,8 +29,7 @@ from crowdbench.spawn.plans.ways import (
 )
 from crowdbench.spawn.recorded_plans import turning_points
 
-_ALWAYS = 50.0
-"""Logarithm of a weight that decides alone."""
+_ALWAYS = 50.0  # logarithm of a weight that decides alone
 _TRIES = 30
 """Number of ways that are drawn for a companion until one stays near, and runs into nobody; and for
 a group until people have the companions that are planned."""

@@ -43,8 +43,7 @@ from crowdbench.spawn.recorded_plans import SLOWEST_MPS
 TRIP = 5
 """Dimensions of a trip: start, goal, log speed."""
 START, GOAL, SPEED = slice(0, 2), slice(2, 4), 4
-_LEAST_VARIANCE = 1e-4
-"""Of log speeds."""
+_LEAST_VARIANCE = 1e-4  # of log speeds
 BEND = 2
 """Dimensions of a bend: fraction along the straight line, metres to its left."""
 STOP = 3
@@ -56,8 +55,7 @@ straight, the log wait for those who do not stop."""
 OFF_M = 0.75
 """Smallest bend that is a via point."""
 _DRAWS = 1000
-_DRAWS_IN_PLACE = 50
-"""One in ten has room in the worst place of Grand Central."""
+_DRAWS_IN_PLACE = 50  # one in ten has room in the worst place of Grand Central
 
 
 @dataclass(frozen=True, eq=False)
