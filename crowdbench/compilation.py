@@ -107,18 +107,14 @@ def _named(module: str, name: str) -> Kernel:
     return found.fresh()
 
 
-_dispatchers: dict[tuple[Callable[..., None], bool], Any] = {}
-
-
+@cache
 def _dispatcher(function: Any, parallel: bool) -> Any:
-    if (function, parallel) not in _dispatchers:
-        # Stored code is found by the name of its function, so each kind has a name of its own.
-        name = f"{function.__name__}_{'parallel' if parallel else 'alone'}"
-        named = types.FunctionType(function.__code__, function.__globals__, name)
-        named.__qualname__ = name
-        named.__module__ = function.__module__
-        _dispatchers[function, parallel] = compiled(named, parallel=parallel)
-    return _dispatchers[function, parallel]
+    # Stored code is found by the name of its function, so each kind has a name of its own.
+    name = f"{function.__name__}_{'parallel' if parallel else 'alone'}"
+    named = types.FunctionType(function.__code__, function.__globals__, name)
+    named.__qualname__ = name
+    named.__module__ = function.__module__
+    return compiled(named, parallel=parallel)
 
 
 class _Store(caching.FunctionCache):

@@ -11,7 +11,6 @@ others in one line.
 import functools
 import importlib
 import inspect
-import os
 import re
 import sys
 import sysconfig
@@ -245,16 +244,13 @@ def told(error: BaseException) -> str:
 
 def _frame(frames: traceback.StackSummary) -> traceback.FrameSummary | None:
     """The innermost frame of the user's code, or what is nearest to that."""
-    foreign = [f for f in frames if not _within(f.filename, _OURS) and os.path.isabs(f.filename)]
-    theirs = [f for f in foreign if not any(_within(f.filename, place) for place in _LIBRARIES)]
-    return next(reversed(theirs or foreign or list(frames)), None)
-
-
-def _within(file: str, folder: Path) -> bool:
-    return Path(file).is_relative_to(folder)
+    known = [(f, Path(f.filename)) for f in frames]
+    foreign = [(f, p) for f, p in known if p.is_absolute() and not p.is_relative_to(_OURS)]
+    theirs = [f for f, p in foreign if not any(map(p.is_relative_to, _LIBRARIES))]
+    return next(reversed(theirs or [f for f, _ in foreign] or list(frames)), None)
 
 
 def _short(file: str) -> str:
     """As seen from where the user stands."""
-    here = Path.cwd()
-    return str(Path(file).relative_to(here)) if _within(file, here) else file
+    path, here = Path(file), Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else file

@@ -165,7 +165,6 @@ def print_entry(entry: "Entry") -> None:
 
 
 def _print_details(entry: "Entry") -> None:
-    """Print what a submitter declares, and the results of each metric."""
     from crowdbench.leaderboard.submission.errors import plain
     from crowdbench.report.text.words import NOTHING, digits, plainly
 

@@ -72,12 +72,7 @@ def export(network: str, file: Path, /, *, noise: int = 0, of: _Card) -> None:
 
 
 def _of_zip(path: str, noise: int, card: _Card) -> Any:
-    """Network of a zip, which knows the size of its memory.
-
-    Raises:
-        SettingError: a package is not installed, or options do not fit the network.
-        WeightsError: the zip is not that of a policy that can be exported.
-    """
+    """Network of a zip, which knows the size of its memory."""
     from crowdbench.policies.sb3 import read_sb3
 
     for option, value in (("--memory", card.memory), ("--style", card.style)):
@@ -99,11 +94,7 @@ def _of_zip(path: str, noise: int, card: _Card) -> Any:
 
 
 def _imported(path: str) -> Any:
-    """Network named by `pkg.module:NAME`.
-
-    Raises:
-        SettingError: torch is not installed, or the name is not that of a network.
-    """
+    """Network named by `pkg.module:NAME`."""
     try:
         import torch
     except ImportError as error:

@@ -63,19 +63,10 @@ def write_parquet(trajectories: Trajectories, path: str | Path) -> None:
     """
     from pyarrow import parquet
 
-    t = trajectories
-    metadata = Metadata(
-        schema=SCHEMA,
-        scene=t.scene,
-        dt_s=t.dt_s,
-        grid_s=t.grid_s,
-        frames=t.frames,
-        observed=t.observed.tolist(),
-        provenance=dict(t.provenance),
-    )
-    table = _flat(t).replace_schema_metadata(
-        {_KEY: msgspec.json.encode(metadata, order="deterministic")}
-    )
+    names = (name for name in Metadata.__struct_fields__ if name != "schema")
+    stated = {"schema": SCHEMA} | {name: getattr(trajectories, name) for name in names}
+    encoded = msgspec.json.encode(stated, order="deterministic", enc_hook=np.ndarray.tolist)
+    table = _flat(trajectories).replace_schema_metadata({_KEY: encoded})
     with replacing(Path(path)) as temporary:
         parquet.write_table(table, temporary, compression="zstd")
 

@@ -29,7 +29,11 @@ PERSON_COLUMNS = {
     "outcome": np.int8,
 }
 
-
+Numbers = Float[np.ndarray, " n"]
+Indices = Int[np.ndarray, " n"]
+Flags = Bool[np.ndarray, " n"]
+Points = Float[np.ndarray, "n 2"]
+"""Kinds of arrays of `n` people or places."""
 MAX_FRAMES = 10_000_000
 """Maximum length, about six weeks of 0.4 s frames; longer tables are errors and exceed memory."""
 

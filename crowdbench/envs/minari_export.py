@@ -90,7 +90,6 @@ def _write(dataset_id: str, shown: "Demonstrations") -> "MinariDataset":
 
 
 def _description(provenance: Mapping[str, Any]) -> str:
-    """Description of a dataset in Minari's lists."""
     words = "Observations and actions of pedestrians. An episode is a trip or a part of one. "
     words += "All rewards are zero."
     if name := provenance.get("recording"):

@@ -240,10 +240,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             self._renderer.close()
 
     def _skip_empty(self) -> int:
-        """Continue to the next arrival or the horizon if nobody is present.
-
-        Returns the number of frames skipped.
-        """
+        """Continue to the next arrival or horizon if nobody is there; return the frames skipped."""
         simulation = self._simulation
         slots, clock = simulation.slots, simulation.clock
         first = int(clock.frame[0])

@@ -4,12 +4,13 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import shapely
 from jaxtyping import Float, Int
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
-from crowdbench.metrics.lattice import counted
+from crowdbench.metrics.lattice import counted, histograms
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support, Vectors, Weights
 from crowdbench.metrics.rows import nearest_neighbour_m, rows_in, ticks_of
 
@@ -60,8 +61,7 @@ class Avoidance(Metric):
             block = at.block[index]
             inside = block >= 0
             bins = np.minimum((closest[inside] / BIN_M).astype(np.int64), BINS - 1)
-            flat = np.bincount(block[inside] * BINS + bins, minlength=len(blocks) * BINS)
-            return flat.reshape(len(blocks), BINS)
+            return histograms(bins, block[inside], len(blocks), BINS)
 
         shifts = [round(shift_s / at.dt_s) for shift_s in place.walking.shifts_s]
         return {"observed": histogram(0), "shifted": np.sum([histogram(k) for k in shifts], axis=0)}
@@ -111,8 +111,6 @@ def clearance(
     walls: tuple[tuple[tuple[float, float], ...], ...], xy: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, " n"]:
     """Distance of each position to the nearest wall in metres, at most 2; 0 inside a wall."""
-    import shapely
-
     from crowdbench.metrics.kernels import clearances
 
     if not walls:
@@ -128,8 +126,6 @@ def _walls_by_cell(
     walls: tuple[tuple[tuple[float, float], ...], ...],
 ) -> tuple[Any, tuple[Any, ...]]:
     """The union of all walls; their edges, and the edges near each cell of a grid."""
-    import shapely
-
     from crowdbench.metrics.kernels import CELL_M, near_segments
 
     solid = shapely.union_all([shapely.Polygon(corners) for corners in walls])

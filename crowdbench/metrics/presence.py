@@ -8,7 +8,7 @@ from jaxtyping import Int
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.stops import standing
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Indices, Trajectories
 from crowdbench.metrics import lattice
 from crowdbench.metrics.forms import LogRatio, RelativeWasserstein, ShareDifference
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support, Vectors, Weights
@@ -20,9 +20,7 @@ ENOUGH = 0.1
 """Minimum share of frames that must have a frame one lag later in the same block."""
 
 
-def present_in(
-    crowd: Trajectories, blocks: TimeBlocks
-) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+def present_in(crowd: Trajectories, blocks: TimeBlocks) -> tuple[Indices, Indices]:
     """N(t) in each frame of the blocks, and the frame's block.
 
     N(t) is 0 after the end of the crowd.
@@ -32,7 +30,17 @@ def present_in(
     return present[block >= 0], block[block >= 0]
 
 
-class AgentsOverTime(RelativeWasserstein):
+class _Present(Metric):
+    family = "presence"
+    unit = "persons"
+
+    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
+        """`counts[b, n]`: number of frames of block b with n persons."""
+        present, block = present_in(crowd, blocks)
+        return {"counts": lattice.histograms(present, block, len(blocks))}
+
+
+class AgentsOverTime(_Present, RelativeWasserstein):
     """N(t), the number of persons present, in all frames of the blocks, including empty frames.
 
     N(t) is the number of people whose first frame is ≤ t minus those whose last frame is < t.
@@ -40,29 +48,15 @@ class AgentsOverTime(RelativeWasserstein):
     """
 
     name = "agents_over_time"
-    family = "presence"
-    unit = "persons"
-
-    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, n]`: number of frames of block b with n persons."""
-        present, block = present_in(crowd, blocks)
-        return {"counts": lattice.histograms(present, block, len(blocks))}
 
 
-class AgentsSpread(LogRatio):
+class AgentsSpread(_Present, LogRatio):
     """Standard deviation of N(t) over the frames in the blocks.
 
     Distance: |log((a + .05)/(b + .05))|.
     """
 
     name = "agents_sd"
-    family = "presence"
-    unit = "persons"
-
-    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, n]`: number of frames of block b with n persons."""
-        present, block = present_in(crowd, blocks)
-        return {"counts": lattice.histograms(present, block, len(blocks))}
 
     def value(self, sums: Sums, support: Support) -> lattice.Numbers:
         """Standard deviation of N(t)."""
@@ -95,10 +89,6 @@ class _Correlations(Metric):
     def weights(self, recorded: Sums, support: Support, blocks: TimeBlocks) -> Weights:
         """1 / number of lags: the distance is a mean over the lags."""
         return np.full(1, 1 / len(self._used(blocks)))
-
-    def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
-        """Mean correlation over the lags."""
-        return float(self.embed(sums, support, blocks).mean())
 
     def size(self, sums: Sums) -> int:
         """Number of pairs of frames at the shortest lag."""

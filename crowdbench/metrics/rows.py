@@ -7,15 +7,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.data.blocks import TimeBlocks
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Indices, Trajectories
 
 FAR_M = 5e3
 """Distance beyond which people do not count as neighbours."""
 
 
-def rows_in(
-    crowd: Trajectories, blocks: TimeBlocks
-) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+def rows_in(crowd: Trajectories, blocks: TimeBlocks) -> tuple[Indices, Indices]:
     """Indices of the rows whose frame lies in a block, and the block of each."""
     block = block_of_frames(blocks, crowd.frames)[crowd.row_frame()]
     rows = np.flatnonzero(block >= 0)

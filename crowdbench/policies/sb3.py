@@ -143,7 +143,6 @@ def _policy(path: Path, data: dict[str, Any], use_sde: bool, weights: dict[str, 
 
 
 def _network(path: Path, policy: Any, noise: int) -> "Sb3Network":
-    """Parts of the policy that lead to its actions."""
     from crowdbench.policies.sb3_network import Sb3Network
 
     try:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from crowdbench import plugins, spawn
 from crowdbench.errors import SettingError, WeightsError
@@ -15,15 +16,7 @@ from crowdbench.spawn.plans.files import FILE as PLANS
 from crowdbench.spawn.plans.files import read_plans
 from crowdbench.spawn.steering.scenario import check_scenario, read_scenario, split_scenario
 
-Fitted = type[
-    spawn.PoissonGMM
-    | spawn.PoissonGroups
-    | spawn.RenewalGMM
-    | spawn.NtppGMM
-    | spawn.CoxGMM
-    | spawn.NtppPaper
-]
-FITTED: dict[str, Fitted] = {
+FITTED: dict[str, Any] = {
     "poisson-gmm": spawn.PoissonGMM,
     "poisson-groups": spawn.PoissonGroups,
     "renewal-gmm": spawn.RenewalGMM,
@@ -167,12 +160,7 @@ def _steer(model: spawn.SpawnModel, scene: Scene, scenario: spawn.Scenario | Pat
 
 
 def _fits_of(model: str, scene: Scene) -> Path | None:
-    """File with the fits of a model; None if it has none.
-
-    Raises:
-        WeightsError: the scene has no fits of this model; the message lists those that it has.
-        SettingError: `model` is a folder without the fits of exactly one model.
-    """
+    """File with the fits of a model; None if it has none."""
     if model in FITTED or model in PLANNED:
         return _shipped_fits(PLANNED.get(model, model), scene)
     folder = Path(model)

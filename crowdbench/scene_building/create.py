@@ -198,7 +198,6 @@ def create_like(
 
 
 def _scene(new: NewScene, crowd: Trajectories, source: Path, walls: Path | None) -> Scene:
-    """The settings of the scene, as determined by `rules`."""
     bounds = rules.bounds_of(crowd)
     scene = Scene(
         id=new.name,

@@ -166,11 +166,7 @@ def _write_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: S
 
 
 def _all_settings(models: Sequence[str], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """The training settings of the neural ones of these models.
-
-    Raises:
-        SettingError: a model does not exist, torch is missing, or see `training_settings`.
-    """
+    """The training settings of the neural ones of these models."""
     for name in models:
         if name not in FITTED:
             raise SettingError(
@@ -245,10 +241,7 @@ def _fit_models(
     scene: Scene,
     workers: int,
 ) -> dict[str, dict[str, list[Any]]]:
-    """The fits of each model for each split, by names of model and split.
-
-    Neural models, those with settings, are fitted `count` times.
-    """
+    """The fits by names of model and split; models with settings are fitted `count` times."""
     light = [(n, split, 0) for n in models if n not in settings for split in SPLITS]
     heavy = [(n, split, k) for n in settings for split in SPLITS for k in range(count)]
     fits: dict[str, dict[str, list[Any]]] = {

@@ -83,7 +83,10 @@ def adjustment(
         if k == _CORRECTING:
             events, whole = sent(by, _SIMULATED)
             walked = _company(straight_walks(events, scene), whole, scene)
-            simulated = _company(_simulated(events, scene), whole, scene)
+            horizon_s = float(events.time_s.max(initial=0.0)) + scene.grid_s
+            straight = policy("straight", scene)
+            by_policy = rollout(scene, _These(events), straight, seed=0, horizon_s=horizon_s)
+            simulated = _company(by_policy, whole, scene)
             aim = aim + walked.numbers() - simulated.numbers()
         events, whole = sent(by, _ADJUSTED)
         found = _company(straight_walks(events, scene), whole, scene)
@@ -100,8 +103,6 @@ def adjustment(
 
 @dataclass(frozen=True)
 class _Company:
-    """The companions of a crowd."""
-
     people: int
     """Number of people with a companion."""
     people_in_all: int
@@ -136,17 +137,8 @@ def _company(crowd: Trajectories, blocks: TimeBlocks, scene: Scene) -> _Company:
     return _Company(len(together), len(persons), mean_size, distance_m, across_m)
 
 
-def _simulated(events: SpawnEvents, scene: Scene) -> Trajectories:
-    """The people of these events, as the policy `straight` walks them in the simulation."""
-    horizon_s = float(events.time_s.max(initial=0.0)) + scene.grid_s
-    straight = policy("straight", scene)
-    return rollout(scene, _These(events), straight, seed=0, horizon_s=horizon_s)
-
-
 @dataclass(frozen=True, eq=False)
 class _These:
-    """Sends people who are known."""
-
     events: SpawnEvents
     start: ClassVar[Start] = "empty"
     name: ClassVar[str] = "people who are known"

@@ -122,9 +122,10 @@ class Networks:
 
     def __str__(self) -> str:
         """The numbers as a text for users."""
-        folds = len(SPLITS) - 1
+        folds, low, high = len(SPLITS) - 1, min(self.full), max(self.full)
+        span = f"{low}" if low == high else f"{low} to {high} (by fit)"
         return (
-            f"ntpp-gmm has a trained network in {_span(self.full)} of {self.areas} areas if fitted "
+            f"ntpp-gmm has a trained network in {span} of {self.areas} areas if fitted "
             f"to the whole recording, and in {sum(self.heldout)} of "
             f"{len(self.heldout) * folds * self.areas} cases over all fits of all folds. "
             f"{self.constant:.0%} of the persons enter areas without a network, where groups enter "
@@ -147,11 +148,6 @@ def trained_networks(scene: Scene) -> Networks:
         heldout=heldout.sum(axis=1).tolist(),
         constant=float(((full == 0) * rate).sum(axis=1).mean() / rate.sum()),
     )
-
-
-def _span(counts: Sequence[int]) -> str:
-    low, high = min(counts), max(counts)
-    return f"{low}" if low == high else f"{low} to {high} (by fit)"
 
 
 def _fitted(name: str, scene: Scene, split: str, fit: int) -> FittedModel:

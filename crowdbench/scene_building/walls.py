@@ -3,14 +3,13 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import shapely
 
 from crowdbench.errors import SceneError, hinting
 from crowdbench.files import read_bytes
 from crowdbench.scene import Bounds, Wall
-
-if TYPE_CHECKING:
-    import shapely
 
 _GRID_M = 0.001  # coordinates are rounded to millimetres
 _LEAST_M2 = 0.001
@@ -28,8 +27,6 @@ def read_walls(path: Path, bounds: Bounds) -> tuple[Wall, ...]:
         SceneError: the file is missing or broken, contains something other than polygons, or no
             wall lies within the bounds.
     """
-    import shapely
-
     text = read_bytes(path, SceneError, _HINT).decode("utf-8-sig", "replace")
     shapes = list(_shapes(text, path))
     place = shapely.box(bounds.x_min_m, bounds.y_min_m, bounds.x_max_m, bounds.y_max_m)
@@ -54,10 +51,7 @@ def _rounded(extent: tuple[float, ...]) -> str:
     return "(" + ", ".join(f"{x:.6g}" for x in extent) + ")"
 
 
-def _shapes(text: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
-    """The names and shapes in GeoJSON or WKT."""
-    import shapely
-
+def _shapes(text: str, path: Path) -> Iterator[tuple[str, shapely.Geometry]]:
     is_json = text.lstrip().startswith("{")
     try:
         if is_json:
@@ -72,10 +66,7 @@ def _shapes(text: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
         ) from error
 
 
-def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
-    from shapely.errors import ShapelyError
-    from shapely.geometry import shape
-
+def _features(item: Any, name: str, path: Path) -> Iterator[tuple[str, shapely.Geometry]]:
     kind = item.get("type") if isinstance(item, dict) else None
     try:
         if kind == "FeatureCollection":
@@ -85,8 +76,8 @@ def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.
             properties = item.get("properties") or {}
             yield from _features(item["geometry"], str(properties.get("name") or name), path)
         else:
-            yield name, shape(item)
-    except (ShapelyError, KeyError, TypeError, AttributeError, IndexError) as error:
+            yield name, shapely.geometry.shape(item)
+    except (shapely.errors.ShapelyError, KeyError, TypeError, AttributeError, IndexError) as error:
         raise SceneError(
             path,
             got=f"an invalid {kind or 'object without a type'} ({error})",
@@ -94,9 +85,7 @@ def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.
         ) from error
 
 
-def _polygons(shape: "shapely.Geometry", where: object) -> "Iterator[shapely.Polygon]":
-    import shapely
-
+def _polygons(shape: shapely.Geometry, where: object) -> Iterator[shapely.Polygon]:
     if isinstance(shape, shapely.MultiPolygon | shapely.GeometryCollection):
         for part in shape.geoms:
             yield from _polygons(part, where)
@@ -118,10 +107,8 @@ def _polygons(shape: "shapely.Geometry", where: object) -> "Iterator[shapely.Pol
     yield shape
 
 
-def _solid(shape: "shapely.Geometry") -> "Iterator[shapely.Polygon]":
+def _solid(shape: shapely.Geometry) -> Iterator[shapely.Polygon]:
     """The polygons of a shape, cut in two through holes until none of them has a hole."""
-    import shapely
-
     for piece in getattr(shape, "geoms", [shape]):
         if not isinstance(piece, shapely.Polygon) or piece.area < _LEAST_M2:
             continue

@@ -13,12 +13,12 @@ from jaxtyping import Float, Float32
 from msgspec import structs
 from numpy.random import Generator
 
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Flags, Indices, Numbers, Points, Trajectories
 from crowdbench.errors import SceneError, WeightsError
 from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Clustering, Scene
 from crowdbench.spawn import arrays
-from crowdbench.spawn.drawing import Flags, Indices, Numbers, Points, choose, draw_normal
+from crowdbench.spawn.drawing import choose, draw_normal
 from crowdbench.spawn.events import SpawnEvents, entering
 from crowdbench.spawn.plans.mixtures import log_gaussians
 from crowdbench.spawn.recorded_plans import cut_at_goals, plans_of
@@ -252,8 +252,6 @@ def _width(points: Points) -> float:
 
 
 class _AreasFile(arrays.Fit, frozen=True):
-    """The arrays of `Areas`."""
-
     spawn_mean_m: Float[np.ndarray, "K 2"]
     spawn_covariance_m2: Float[np.ndarray, "K 2 2"]
     goal_mean_m: Float[np.ndarray, "G 2"]

@@ -123,7 +123,6 @@ class Fitted:
         return model
 
     def _fit(self) -> Any:
-        """What is written."""
         kind = self.file.kind
         return kind(**{name: getattr(self, name) for name in kind.__struct_fields__})
 

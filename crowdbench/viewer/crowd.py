@@ -8,10 +8,10 @@ import rerun as rr
 from jaxtyping import Bool, Float32, Int, UInt16
 
 from crowdbench.colours import goal_colour
-from crowdbench.data.table import OUTCOMES, Trajectories
+from crowdbench.data.table import OUTCOMES, Indices, Trajectories
 from crowdbench.scene import Scene
 from crowdbench.viewer import place
-from crowdbench.viewer.now import trail_steps
+from crowdbench.viewer.picture import trail_steps
 
 WINDOW = 10
 """Number of frames per count of spawns, as in the metric `spawns_per_10_frames`."""
@@ -150,10 +150,8 @@ def ids(person_id: Int[np.ndarray, " n"]) -> pa.Array:
     return pa.array(person_id, pa.int64())
 
 
-def trails(
-    crowd: Trajectories, rows: Int[np.ndarray, " n"], first_row: Int[np.ndarray, " n"]
-) -> Float32[np.ndarray, "n k 2"]:
-    """Positions in the last `now.TRAIL_S` seconds up to each row, metres.
+def trails(crowd: Trajectories, rows: Indices, first_row: Indices) -> Float32[np.ndarray, "n k 2"]:
+    """Positions in the last `picture.TRAIL_S` seconds up to each row, metres.
 
     Times before a person's first row have the position of the first row.
     """

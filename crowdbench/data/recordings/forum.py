@@ -103,7 +103,10 @@ def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
     tracks: dict[int, Int[np.ndarray, "n 3"]] = {}
     for piece in data.split(b"TRACK.R")[1:]:
         label, _, body = piece.partition(b"=")
-        number = _number(label, where)
+        if not label.strip().isdigit() or len(label) > 18:
+            got = f"a track named TRACK.R{_shown(label)}"
+            raise RecordingError(where, got=got, expected="TRACK.RNUMBER=[...]")
+        number = int(label)
         if number in tracks:
             raise RecordingError(where, got=f"TRACK.R{number} twice", expected="each track once")
         body = body.partition(b"Properties")[0].partition(b"%")[0]
@@ -115,14 +118,6 @@ def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
             expected=f"{int(stated[1])}, as stated in the file's first line, and at least one",
         )
     return tracks
-
-
-def _number(label: bytes, where: object) -> int:
-    if not label.strip().isdigit() or len(label) > 18:
-        raise RecordingError(
-            where, got=f"a track named TRACK.R{_shown(label)}", expected="TRACK.RNUMBER=[...]"
-        )
-    return int(label)
 
 
 def _detections(body: bytes, where: str) -> Int[np.ndarray, "n 3"]:

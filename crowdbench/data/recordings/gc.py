@@ -83,6 +83,10 @@ def read_gc(
             expected="at least one person with two annotations",
         )
     table = np.concatenate(pieces)
+    # The homography expects (row, column): with the opposite order people would walk at 0.6 m/s.
+    plane = np.column_stack([table[:, [3, 2]], np.ones(len(table))]) @ homography.T
+    with np.errstate(divide="ignore", invalid="ignore"):  # values not finite are rejected below
+        xy = UNIT_M * plane[:, :2] / plane[:, 2:]
     return from_rows(
         scene=name,
         dt_s=FRAME / FPS,
@@ -90,7 +94,7 @@ def read_gc(
         frames=video_frames // FRAME,
         person_id=table[:, 0].astype(np.int64),
         frame=table[:, 1].astype(np.int64),
-        xy=_metres(table[:, 2:], homography),
+        xy=xy,
         provenance={
             "notes": {
                 "files": f"{len(tracks)}, {single} of them left out for having a single annotation",
@@ -139,18 +143,6 @@ def _annotations(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
             where, got=f"frame {after} after frame {before}", expected="frames in ascending order"
         )
     return rows
-
-
-def _metres(
-    pixels: Float[np.ndarray, "n 2"], homography: Float[np.ndarray, "3 3"]
-) -> Float[np.ndarray, "n 2"]:
-    """World positions in metres of pixels (column, row).
-
-    The homography expects (row, column): with the opposite order people would walk at 0.6 m/s.
-    """
-    plane = np.column_stack([pixels[:, 1], pixels[:, 0], np.ones(len(pixels))]) @ homography.T
-    with np.errstate(divide="ignore", invalid="ignore"):  # values not finite are rejected later
-        return UNIT_M * plane[:, :2] / plane[:, 2:]
 
 
 def _homography(data: bytes | None, where: object) -> Float[np.ndarray, "3 3"]:

@@ -77,7 +77,6 @@ def _text(data: bytes, where: object) -> tuple[float | None, Float[np.ndarray, "
 
 
 def _sqlite(data: bytes, where: object) -> tuple[float, Shaped[np.ndarray, "R 4"]]:
-    """Frames per second, and the columns id, frame, x and y in metres."""
     connection = sqlite3.connect(":memory:")
     try:
         connection.deserialize(data)

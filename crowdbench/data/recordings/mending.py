@@ -12,11 +12,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from crowdbench.data.table import MAX_FRAMES, Trajectories, from_rows, interpolated
+from crowdbench.data.table import MAX_FRAMES, Flags, Indices, Trajectories, from_rows, interpolated
 from crowdbench.errors import RecordingError
 
 Gaps = Literal["interpolate", "split"]
-GAPS: tuple[Gaps, ...] = ("interpolate", "split")
 """How missing rows are repaired: by linear interpolation, or by splitting the person into two."""
 
 _MISSING = 1.5
@@ -234,9 +233,7 @@ def _refuse_most(
         )
 
 
-def _mended(
-    rows: Stamped, order: Int[np.ndarray, " R"], faulty: Bool[np.ndarray, " R"], gaps: Gaps
-) -> Rows:
+def _mended(rows: Stamped, order: Indices, faulty: Flags, gaps: Gaps) -> Rows:
     """All rows, with those of the `faulty` persons repaired; rows are sorted, see `on_frames`."""
     right, ticks, free = _as_they_are(rows, order), rows.ticks(), int(rows.person.max()) + 1
     pieces = [tuple(each[~faulty] for each in (right.person, right.frame, right.xy, right.source))]

@@ -203,7 +203,6 @@ def _read_by_others(asked: _Asked) -> tuple[Trajectories, Mapping[str, bytes], b
 
 
 def _check_options(asked: _Asked) -> None:
-    """Raise if the format does not support an option that is given."""
     gaps, offset_s, layout = asked.gaps, asked.offset_s, asked.layout
     mendable = [name for name in FORMATS if name not in ("gc", "forum")]
     if gaps is not None and layout not in mendable:

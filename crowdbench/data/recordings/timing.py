@@ -12,9 +12,9 @@ people at its edges have neither left nor entered.
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Int
 
-from crowdbench.data.table import Trajectories, from_rows
+from crowdbench.data.table import Flags, Points, Trajectories, from_rows
 from crowdbench.errors import RecordingError
 
 USUAL_DT_S = 0.4
@@ -149,9 +149,7 @@ def observed_intervals(crowd: Trajectories) -> Int[np.ndarray, "I 2"]:
     return np.array(intervals, dtype=np.int64)
 
 
-def _unusual(
-    points: Float[np.ndarray, "P 2"], usual: Bool[np.ndarray, " P"], crowd: Trajectories
-) -> Bool[np.ndarray, " P"]:
+def _unusual(points: Points, usual: Flags, crowd: Trajectories) -> Flags:
     """Whether each person's start (end) is a place where people pass but rarely start (end)."""
     person = crowd.row_person()
     result = np.zeros(len(points), dtype=bool)

@@ -145,11 +145,7 @@ def call(
 
 
 def _run(desk: Path, where: object, limits: Limits) -> dict[str, Any]:
-    """Start the child, watch it until it ends or must be killed, and kill what it has started.
-
-    Returns:
-        What the child used, see `ResourceUsage`.
-    """
+    """Start the child, watch it, and kill what it has started; returns what it used."""
     began, peak, cpu, broken = time.monotonic(), 0, 0.0, ""
     ever: set[psutil.Process] = set()
     with (desk / "said.txt").open("w+b") as said:
@@ -269,11 +265,7 @@ def _died(code: int, limits: Limits) -> str:
 
 
 def _beginning(path: Path, most: int) -> bytes:
-    """The first bytes of a regular file. Links could lead anywhere, and reading pipes could block.
-
-    Raises:
-        OSError: the path is missing or no regular file.
-    """
+    """The first bytes of a regular file: links could lead anywhere, and pipes could block."""
 
     def opener(name: str, flags: int) -> int:
         return os.open(name, flags | os.O_NOFOLLOW | os.O_NONBLOCK)

@@ -165,7 +165,8 @@ def _crowds(declared: Declared, found: set[str], problems: Problems) -> dict[str
             problems.refuse(
                 f"{scene}/trajectories",
                 got="files " + ", ".join(map(str, numbers)) if numbers else "no files",
-                expected=f"{least} to {limits.MOST_ROLLOUTS} rollouts, one per file, numbered 0, 1, …",
+                expected=f"{least} to {limits.MOST_ROLLOUTS} rollouts, one per file, numbered "
+                "0, 1, …",
                 hint="A score needs at least two rollouts." if len(numbers) < least else "",
             )
     for name in ("shipped_policy", "shipped_spawn"):
@@ -194,7 +195,8 @@ def wrong_name(name: str) -> RefusedError | None:
             return RefusedError(
                 ascii(name[: limits.LONGEST_PATH]),
                 got=got,
-                expected=f"up to {limits.LONGEST_PATH} letters, digits and ._+-, with / between folders",
+                expected=f"up to {limits.LONGEST_PATH} letters, digits and ._+-, with / between "
+                "folders",
                 hint="Remove or rename the file.",
             )
     return None

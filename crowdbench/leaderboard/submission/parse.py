@@ -157,7 +157,6 @@ def _hint(name: str, value: Any, kind: Any) -> str | None:
 
 
 def _most_marks(text: str) -> int:
-    """The largest number of combining marks on one letter."""
     marks = [unicodedata.category(c) in ("Mn", "Me") for c in text]
     return max((len(list(run)) for of_marks, run in groupby(marks) if of_marks), default=0)
 

@@ -14,7 +14,7 @@ from crowdbench.leaderboard.submission.layout import NETWORK, NOTES
 from crowdbench.leaderboard.submission.parse import PLACEHOLDER
 from crowdbench.leaderboard.submission.schema import FILE, SCENES, SCHEMA, Track
 from crowdbench.policies import OnnxPolicy
-from crowdbench.report.text.templates import environment
+from crowdbench.report.text.words import environment
 from crowdbench.scene import load_scene
 
 
@@ -96,7 +96,6 @@ def start_submission(
 
 
 def _networks(policies: Sequence[Path], track: Track) -> dict[str, OnnxPolicy]:
-    """The networks by their paths in the submission."""
     if policies and track == "spawn":
         expected = "none, since track spawn uses straight walkers"
         raise SettingError("--policy", got="a policy", expected=expected)

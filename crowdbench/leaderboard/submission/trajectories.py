@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import shapely
 from jaxtyping import Bool, Float
 
 from crowdbench.data.storage import columns_of, of_table
@@ -83,12 +84,7 @@ def _read(path: Path, scene: Scene) -> Trajectories:
 
 
 def _check_lives(path: Path, table: "pyarrow.Table") -> None:
-    """Reject reused ids, before the reader fills in rows for missing frames.
-
-    Raises:
-        RecordingError: a column is missing or invalid, there are too many persons, or a person
-            lacks a row in a frame between its first and its last.
-    """
+    """Reject reused ids, before the reader fills in rows for missing frames."""
     columns = columns_of(table, path)
     time = "frame" if "frame" in columns else "time_s"
     ids, when = columns["person_id"], columns[time].astype(np.float64)
@@ -205,8 +201,6 @@ def _depth_m(xy: Float[np.ndarray, "n 2"], scene: Scene) -> Float[np.ndarray, " 
 
 
 def _in_walls(xy: Float[np.ndarray, "n 2"], scene: Scene) -> float:
-    import shapely
-
     deep = scene.obstacles.buffer(-WALL_M)
     shapely.prepare(deep)
     return float(shapely.intersects_xy(deep, xy[:, 0], xy[:, 1]).mean())

@@ -56,8 +56,6 @@ DEFAULT = PaperSettings()
 
 
 class _Network(nn.Module):
-    """The network of one area."""
-
     def __init__(self, linear: bool) -> None:
         super().__init__()
         self.gru = nn.GRU(2, HIDDEN, batch_first=True)
@@ -161,8 +159,6 @@ def train(
 
 
 class _Windows(NamedTuple):
-    """Windows, padded to the length of the longest one."""
-
     gap: Float[Tensor, "V L"]
     """In frames; the last one of a window ends without an event."""
     log_gap: Float[Tensor, "V L"]

@@ -8,9 +8,8 @@ from jaxtyping import Bool, Float, Int
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.companions import groups_of
 from crowdbench.data.stops import HALF_S
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Indices, Trajectories
 from crowdbench.spawn.areas import Areas
-from crowdbench.spawn.drawing import Indices
 from crowdbench.spawn.plans.links import FEWEST, Links, candidates, fit_links
 from crowdbench.spawn.plans.planned import PlannedAreas, directions, turned
 from crowdbench.spawn.plans.way_fitting import Trips, fit_ways, trips_of

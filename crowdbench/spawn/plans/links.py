@@ -18,7 +18,8 @@ from jaxtyping import Float, Int
 from numpy.random import Generator
 
 from crowdbench.data.companions import ENTRY_S
-from crowdbench.spawn.drawing import Flags, Indices, Numbers, draw_normal
+from crowdbench.data.table import Flags, Indices, Numbers
+from crowdbench.spawn.drawing import draw_normal
 from crowdbench.spawn.plans.mixtures import moments, responsibilities
 
 EDGES_S = (0.0, 1e-6, 1.0, 2.0, 3.0, 4.5, ENTRY_S + 1e-6)

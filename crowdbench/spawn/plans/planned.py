@@ -12,9 +12,9 @@ from jaxtyping import Float
 from numpy.random import Generator
 
 from crowdbench.data.companions import ENTRY_S, LEAST_S, RELATIVE_MPS, SHARE, WITHIN_M
+from crowdbench.data.table import Flags, Indices, Numbers, Points
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, Gaussians
-from crowdbench.spawn.drawing import Flags, Indices, Numbers, Points
 from crowdbench.spawn.events import SpawnEvents, entering
 from crowdbench.spawn.plans.links import STAGES, Links
 from crowdbench.spawn.plans.ways import (

@@ -17,10 +17,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from crowdbench.data.stops import LEAST_S, standing
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Flags, Indices, Numbers, Points, Trajectories
 from crowdbench.errors import SceneError
 from crowdbench.spawn.areas import Areas, Gaussians
-from crowdbench.spawn.drawing import Flags, Indices, Numbers, Points
 from crowdbench.spawn.plans import mixtures, ways
 from crowdbench.spawn.recorded_plans import SLOWEST_MPS, RecordedPlans
 
@@ -122,13 +121,9 @@ def _bends(
     mean, covariance = (np.tile(of, (*shape, *[1] * of.ndim)) for of in usual)
     for pair, people in trips.between_areas():
         own = mixtures.moments(people.bend, people.weight)
-        mean[pair], covariance[pair] = mixtures.mixed(own, _share(people.weight.sum()), usual)
+        share = people.weight.sum() / (people.weight.sum() + mixtures.PRIOR)
+        mean[pair], covariance[pair] = mixtures.mixed(own, share, usual)
     return mean, mixtures.widened(covariance)
-
-
-def _share(people: float) -> float:
-    """Share of these people if as many as `PRIOR` usual ones join them."""
-    return people / (people + mixtures.PRIOR)
 
 
 def _stopping(trips: Trips, shape: tuple[int, int]) -> Float[np.ndarray, "K G"]:
@@ -255,7 +250,6 @@ def log_speeds(trips: Trips) -> Float[np.ndarray, " 2"]:
 
 
 def _places(x: Points, weight: Numbers, area: Indices, areas: Gaussians) -> ways.Places:
-    """The places of each area."""
     whole = ways.Places.of(areas)
     found = []
     for k in range(len(areas)):
@@ -298,6 +292,7 @@ def _adapted(
         mean, covariance = usual.copy(), spread.copy()
         for c in np.flatnonzero(enough):
             own = mixtures.moments(people.trip, weighted[:, c])
-            mean[c], covariance[c] = mixtures.mixed(own, _share(number[c]), (usual[c], spread[c]))
+            of_own = number[c] / (number[c] + mixtures.PRIOR)
+            mean[c], covariance[c] = mixtures.mixed(own, of_own, (usual[c], spread[c]))
             covariance[c] = mixtures.widened(covariance[c], ways.START, ways.GOAL)
     return share, enough, mean, covariance

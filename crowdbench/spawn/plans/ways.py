@@ -33,10 +33,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.random import Generator
 
+from crowdbench.data.table import Flags, Indices, Numbers, Points
 from crowdbench.errors import SceneError
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, Gaussians
-from crowdbench.spawn.drawing import Flags, Indices, Numbers, Points, choose, draw_normal
+from crowdbench.spawn.drawing import choose, draw_normal
 from crowdbench.spawn.plans.mixtures import widened
 from crowdbench.spawn.recorded_plans import SLOWEST_MPS
 
@@ -258,7 +259,6 @@ class Ways:
         return np.clip(log_speed, *np.log([SLOWEST_MPS, self.fastest_mps]))
 
     def _stops(self, a: Indices, g: Indices, rng: Generator) -> Float[np.ndarray, "n 3"]:
-        """Places and log waits of stops."""
         if len(a) == 0:
             return np.zeros((0, STOP))
         shares = self.from_area[:, a] * self.to_area[:, g]

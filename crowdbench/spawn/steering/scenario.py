@@ -209,8 +209,19 @@ def check_scenario(scenario: Scenario, scene: Scene, areas: Areas, where: str) -
         _check_numbers(change, at)
         if change.goals is not None:
             _check_goals(change.goals, scenario, areas, f"{at}, goals", scene)
-        if change.of_plans:
-            _check_plans(change, areas, at)
+        if change.of_plans and not isinstance(areas, PlannedAreas):
+            raise SettingError(
+                f"{at}, {change.of_plans[0]}",
+                got="a model of people who come alone and do not stop",
+                expected="a model of plans, such as ntpp-plans or cox-plans",
+            )
+        stops = {"stop", "wait_s"} & set(change.of_plans)
+        if stops and isinstance(areas, PlannedAreas) and len(areas.ways.stop_mean) == 0:
+            raise SettingError(
+                f"{at}, stop",
+                got=f"a change of stops on {areas.scene}, where too few recorded people stop",
+                expected="a scene whose model knows places of stops",
+            )
     for k, addition in enumerate(scenario.add, 1):
         at = f"{where}, add {k}"
         if not scene.walkable(np.array([addition.mean_m], dtype=np.float64))[0]:
@@ -223,25 +234,6 @@ def check_scenario(scenario: Scenario, scene: Scene, areas: Areas, where: str) -
             )
         _check_numbers(addition, at)
         _check_goals(addition.goals, scenario, areas, f"{at}, goals", scene)
-    _check_ways_out(scenario, areas, where)
-
-
-def _check_plans(change: Change, areas: Areas, at: str) -> None:
-    if not isinstance(areas, PlannedAreas):
-        raise SettingError(
-            f"{at}, {change.of_plans[0]}",
-            got="a model of people who come alone and do not stop",
-            expected="a model of plans, such as ntpp-plans or cox-plans",
-        )
-    if len(areas.ways.stop_mean) == 0 and {"stop", "wait_s"} & set(change.of_plans):
-        raise SettingError(
-            f"{at}, stop",
-            got=f"a change of stops on {areas.scene}, where too few recorded people stop",
-            expected="a scene whose model knows places of stops",
-        )
-
-
-def _check_ways_out(scenario: Scenario, areas: Areas, where: str) -> None:
     named = [change.area for change in scenario.change if change.goals is not None]
     others = np.delete(areas.flow, list(set(scenario.closed_goals)), axis=1).sum(axis=1)
     stuck = [k for k in np.flatnonzero(others <= 0).tolist() if k not in named]

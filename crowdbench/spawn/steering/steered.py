@@ -21,10 +21,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy.random import Generator, default_rng
 
+from crowdbench.data.table import Indices, Numbers
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
-from crowdbench.spawn.drawing import Indices, Numbers
 from crowdbench.spawn.events import SpawnEvents, entering, joined
 from crowdbench.spawn.model import SpawnModel, Start
 from crowdbench.spawn.plans.planned import PlannedAreas
