@@ -164,12 +164,9 @@ def _unpacked(data: bytes, path: Path, error: type[CrowdbenchError], hint: str) 
     except zlib.error as cause:
         raise error(path, got=str(cause), expected="a gzip file", hint=hint) from cause
     if not reader.eof or reader.unused_data:
-        raise error(
-            path,
-            got="a gzip file that is cut, too large, or followed by other bytes",
-            expected=f"one gzip stream of at most {LARGEST_UNPACKED / 1e6:.0f} MB, unpacked",
-            hint=hint,
-        )
+        got = "a gzip file that is cut, too large, or followed by other bytes"
+        expected = f"one gzip stream of at most {LARGEST_UNPACKED / 1e6:.0f} MB, unpacked"
+        raise error(path, got=got, expected=expected, hint=hint)
     return content
 
 
@@ -191,11 +188,9 @@ def read_struct(path: Path, kind: type[T], error: type[CrowdbenchError], hint: s
         # lists to tuples, and text keys to other types.
         return msgspec.convert(raw, kind, strict=True, str_keys=True)
     except (msgspec.ValidationError, OverflowError) as cause:
+        expected = "the fields that its format defines"
         raise error(
-            path,
-            got=str(cause),
-            expected="the fields that its format defines",
-            hint=_nearest_field(str(cause), kind, hint),
+            path, got=str(cause), expected=expected, hint=_nearest_field(str(cause), kind, hint)
         ) from cause
 
 

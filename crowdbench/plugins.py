@@ -78,11 +78,9 @@ def names(kind: Kind, ours: Collection[str] = ()) -> list[str]:
     """
     found = dict.fromkeys((*_installed(kind), *_registered[kind]))
     if taken := sorted(found.keys() & set(ours)):
-        raise SettingError(
-            f"crowdbench.{kind}",
-            got=f"{', '.join(taken)}, registered by another package or program",
-            expected="names that crowdbench does not have",
-        )
+        got = f"{', '.join(taken)}, registered by another package or program"
+        expected = "names that crowdbench does not have"
+        raise SettingError(f"crowdbench.{kind}", got=got, expected=expected)
     return list(found)
 
 
@@ -107,23 +105,18 @@ def find(kind: Kind, name: str, known: Iterable[str] = ()) -> Any:
         found = part(kind, name)
         if found is None:
             known = (*known, *names(kind))
-            raise SettingError(
-                word,
-                got=repr(name),
-                expected="one of " * bool(known) + ", ".join([*known, "or pkg.module:Class"]),
-                hint=did_you_mean(name, known),
-            )
+            got = repr(name)
+            expected = "one of " * bool(known) + ", ".join([*known, "or pkg.module:Class"])
+            raise SettingError(word, got=got, expected=expected, hint=did_you_mean(name, known))
         return found
     with blaming(f"{word} {name}, on import"):
         try:
             return getattr(importlib.import_module(module), attribute)
         except (ImportError, AttributeError, ValueError, TypeError) as error:
-            raise SettingError(
-                word,
-                got=f"{name!r} ({error})",
-                expected="a class or function that can be imported",
-                hint="Install its package, or run the command where Python can import it.",
-            ) from error
+            got = f"{name!r} ({error})"
+            expected = "a class or function that can be imported"
+            hint = "Install its package, or run the command where Python can import it."
+            raise SettingError(word, got=got, expected=expected, hint=hint) from error
 
 
 def takes(kind: Any, name: str) -> bool:

@@ -288,12 +288,9 @@ def load_scene(scene: str | Path | Scene) -> Scene:
     if ID.fullmatch(str(scene)) and (scenes_folder() / str(scene)).is_dir():
         folder = scenes_folder() / str(scene)
     if not (folder / "scene.toml").is_file():
-        raise SceneError(
-            "scene",
-            got=repr(str(scene)),
-            expected=f"one of {', '.join(list_scenes())}, or a folder with a scene.toml",
-            hint=did_you_mean(scene, list_scenes()),
-        )
+        expected = f"one of {', '.join(list_scenes())}, or a folder with a scene.toml"
+        hint = did_you_mean(scene, list_scenes())
+        raise SceneError("scene", got=repr(str(scene)), expected=expected, hint=hint)
     path = folder / "scene.toml"
     file = read_struct(path, _SceneFile, SceneError, _HINT)
     _check(file, path)

@@ -48,12 +48,10 @@ def import_(name: str, /, *, source: Path | None = None, how: OwnFile = OwnFile(
 
     if how.layout is None:
         if how.given():
-            raise SettingError(
-                "crowdbench data import",
-                got=f"{how.given()[0]} without --format",
-                expected="--format as well",
-                hint="The option applies to your own recordings only.",
-            )
+            got = f"{how.given()[0]} without --format"
+            expected = "--format as well"
+            hint = "The option applies to your own recordings only."
+            raise SettingError("crowdbench data import", got=got, expected=expected, hint=hint)
         _import_published(name, source)
         return
     if source is None:

@@ -126,12 +126,9 @@ def in_turn(names: Sequence[str], one: "Callable[[str], Entry]") -> None:
         else:
             print_entry(entry)
     if refused:
-        raise SettingError(
-            "leaderboard",
-            got=f"{len(refused)} of {len(names)} rejected ({', '.join(refused)})",
-            expected="none",
-            hint="The reasons are listed above.",
-        )
+        got = f"{len(refused)} of {len(names)} rejected ({', '.join(refused)})"
+        hint = "The reasons are listed above."
+        raise SettingError("leaderboard", got=got, expected="none", hint=hint)
 
 
 def print_entry(entry: "Entry") -> None:

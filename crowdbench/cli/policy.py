@@ -77,12 +77,9 @@ def _of_zip(path: str, noise: int, card: _Card) -> Any:
 
     for option, value in (("--memory", card.memory), ("--style", card.style)):
         if value:
-            raise SettingError(
-                option,
-                got=f"{value}",
-                expected="no such option for a zip of Stable-Baselines3",
-                hint="The size of a memory is found in the zip; styles are not known there.",
-            )
+            expected = "no such option for a zip of Stable-Baselines3"
+            hint = "The size of a memory is found in the zip; styles are not known there."
+            raise SettingError(option, got=f"{value}", expected=expected, hint=hint)
     network = read_sb3(Path(path), noise=noise)
     if network.normalized:
         print(
@@ -98,12 +95,9 @@ def _imported(path: str) -> Any:
     try:
         import torch
     except ImportError as error:
-        raise SettingError(
-            "policy export",
-            got="no torch",
-            expected="torch to be installed",
-            hint=to_install("fit"),
-        ) from error
+        expected = "torch to be installed"
+        hint = to_install("fit")
+        raise SettingError("policy export", got="no torch", expected=expected, hint=hint) from error
     module, _, name = path.partition(":")
     try:
         found = getattr(importlib.import_module(module), name)

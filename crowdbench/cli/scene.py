@@ -105,17 +105,13 @@ def create(
 
     if like is not None:
         for option in (*how.given(), *["--walls"] * (walls is not None)):
-            raise SettingError(
-                "crowdbench scene create",
-                got=f"{option} and --like",
-                expected=f"--like without {option}, which the other scene determines",
-            )
+            got = f"{option} and --like"
+            expected = f"--like without {option}, which the other scene determines"
+            raise SettingError("crowdbench scene create", got=got, expected=expected)
     elif how.layout is None:
-        raise SettingError(
-            "crowdbench scene create",
-            got="neither --format nor --like",
-            expected="the format of the recording, or a scene of the same place",
-        )
+        got = "neither --format nor --like"
+        expected = "the format of the recording, or a scene of the same place"
+        raise SettingError("crowdbench scene create", got=got, expected=expected)
     new = NewScene(name=name, title=title, out=out, fits=fits, rollouts_per_fit=rollouts_per_fit)
     if like is not None:
         crowdbench.load_scene(like)  # what is wrong is said before anything is fetched

@@ -177,12 +177,9 @@ class CrowdEnv(EnvBase):
         actions = action.detach().cpu().numpy()
         actions = np.where(acted[..., None], actions, 0).astype(np.float32)
         if not np.isfinite(actions).all():
-            raise SettingError(
-                "action",
-                got=f"{int((~np.isfinite(actions)).sum())} values that are not finite",
-                expected="numbers in [−1, 1]",
-                hint="Check the policy for a division by zero or a diverged network.",
-            )
+            got = f"{int((~np.isfinite(actions)).sum())} values that are not finite"
+            hint = "Check the policy for a division by zero or a diverged network."
+            raise SettingError("action", got=got, expected="numbers in [−1, 1]", hint=hint)
         simulation.step(actions)
         self._crowd.check_capacity()
         simulation.observe()

@@ -168,12 +168,10 @@ def _fits_of(model: str, scene: Scene) -> Path | None:
         return None
     found = [folder / name for name in WEIGHTS if (folder / name).is_file()]
     if len(found) != 1:
-        raise SettingError(
-            f"spawn model {model}",
-            got=f"a folder with {', '.join(f.name for f in found) or 'no fits'}",
-            expected=f"exactly one of {', '.join(WEIGHTS)}",
-            hint="Put the fits of each model into a separate folder.",
-        )
+        got = f"a folder with {', '.join(f.name for f in found) or 'no fits'}"
+        expected = f"exactly one of {', '.join(WEIGHTS)}"
+        hint = "Put the fits of each model into a separate folder."
+        raise SettingError(f"spawn model {model}", got=got, expected=expected, hint=hint)
     return found[0]
 
 

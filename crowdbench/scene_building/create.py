@@ -92,13 +92,9 @@ class NewScene:
     def check_free(self) -> None:
         """Check that nothing is in its place."""
         if self.place.exists():
-            raise OutputError(
-                self.place,
-                got="a path that exists already",
-                expected="a new folder",
-                hint="Choose another folder with --out, or delete this one if it is no longer "
-                "needed.",
-            )
+            got = "a path that exists already"
+            hint = "Choose another folder with --out, or delete this one if it is no longer needed."
+            raise OutputError(self.place, got=got, expected="a new folder", hint=hint)
 
 
 @dataclass(frozen=True)
@@ -220,12 +216,9 @@ def _scene(new: NewScene, crowd: Trajectories, source: Path, walls: Path | None)
     inside = ~scene.walkable(crowd.xy.astype(np.float64))
     if walls and inside.mean() > fit.ASTRAY:
         at = crowd.xy[np.flatnonzero(inside)[0]].astype(np.float64).round(2).tolist()
-        raise SceneError(
-            walls,
-            got=f"walls that contain {inside.mean():.1%} of the recorded positions, one at {at} m",
-            expected=f"at most {fit.ASTRAY:.0%}",
-            hint="Walls must be in metres and in the recording's frame: plot both together.",
-        )
+        got = f"walls that contain {inside.mean():.1%} of the recorded positions, one at {at} m"
+        hint = "Walls must be in metres and in the recording's frame: plot both together."
+        raise SceneError(walls, got=got, expected=f"at most {fit.ASTRAY:.0%}", hint=hint)
     return scene
 
 

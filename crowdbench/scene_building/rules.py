@@ -66,12 +66,9 @@ def check_size(crowd: Trajectories, where: object) -> None:
         )
     whole = int((crowd.entered & crowd.left & (crowd.last > crowd.first)).sum())
     if whole < LEAST_PERSONS:
-        raise RecordingError(
-            where,
-            got=f"{whole} persons who were seen to enter and to leave",
-            expected=f"{LEAST_PERSONS} or more",
-            hint="Areas, goals and dwell times are estimated from these people.",
-        )
+        got = f"{whole} persons who were seen to enter and to leave"
+        hint = "Areas, goals and dwell times are estimated from these people."
+        raise RecordingError(where, got=got, expected=f"{LEAST_PERSONS} or more", hint=hint)
 
 
 def bounds_of(crowd: Trajectories) -> Bounds:

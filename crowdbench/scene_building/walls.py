@@ -59,11 +59,8 @@ def _shapes(text: str, path: Path) -> Iterator[tuple[str, shapely.Geometry]]:
         else:
             yield "", shapely.from_wkt(text)
     except (ValueError, RecursionError, shapely.errors.ShapelyError) as error:
-        raise SceneError(
-            path,
-            got=str(error).splitlines()[0],
-            expected="valid GeoJSON" if is_json else "GeoJSON or WKT",
-        ) from error
+        expected = "valid GeoJSON" if is_json else "GeoJSON or WKT"
+        raise SceneError(path, got=str(error).splitlines()[0], expected=expected) from error
 
 
 def _features(item: Any, name: str, path: Path) -> Iterator[tuple[str, shapely.Geometry]]:
@@ -78,11 +75,8 @@ def _features(item: Any, name: str, path: Path) -> Iterator[tuple[str, shapely.G
         else:
             yield name, shapely.geometry.shape(item)
     except (shapely.errors.ShapelyError, KeyError, TypeError, AttributeError, IndexError) as error:
-        raise SceneError(
-            path,
-            got=f"an invalid {kind or 'object without a type'} ({error})",
-            expected="GeoJSON features with polygons",
-        ) from error
+        got = f"an invalid {kind or 'object without a type'} ({error})"
+        raise SceneError(path, got=got, expected="GeoJSON features with polygons") from error
 
 
 def _polygons(shape: shapely.Geometry, where: object) -> Iterator[shapely.Polygon]:
@@ -91,19 +85,14 @@ def _polygons(shape: shapely.Geometry, where: object) -> Iterator[shapely.Polygo
             yield from _polygons(part, where)
         return
     if not isinstance(shape, shapely.Polygon):
-        raise SceneError(
-            where,
-            got=f"a {shape.geom_type}",
-            expected="polygons, because walls are solid",
-            hint="Convert lines to polygons first, for example with shapely's line.buffer(0.1).",
-        )
+        got = f"a {shape.geom_type}"
+        hint = "Convert lines to polygons first, for example with shapely's line.buffer(0.1)."
+        raise SceneError(where, got=got, expected="polygons, because walls are solid", hint=hint)
     if not shape.is_valid:
-        raise SceneError(
-            where,
-            got=f"an invalid polygon ({shapely.is_valid_reason(shape)})",
-            expected="polygons that do not cross themselves",
-            hint="shapely.make_valid repairs most of them.",
-        )
+        got = f"an invalid polygon ({shapely.is_valid_reason(shape)})"
+        expected = "polygons that do not cross themselves"
+        hint = "shapely.make_valid repairs most of them."
+        raise SceneError(where, got=got, expected=expected, hint=hint)
     yield shape
 
 

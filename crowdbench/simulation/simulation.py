@@ -234,11 +234,9 @@ class Simulation:
         if actions.dtype != np.float32 or not actions.flags.c_contiguous:
             actions = np.ascontiguousarray(actions, dtype=np.float32)
         if actions.shape != self.slots.position.shape:
-            raise ActionError(
-                "Simulation.step",
-                got=f"actions of shape {actions.shape}",
-                expected=f"one velocity command per world and slot, {self.slots.position.shape}",
-            )
+            got = f"actions of shape {actions.shape}"
+            expected = f"one velocity command per world and slot, {self.slots.position.shape}"
+            raise ActionError("Simulation.step", got=got, expected=expected)
         np.copyto(self.remaining_before, self.remaining)
         own = self._own if own_frame is None else np.full(self._own.shape, own_frame)
         # People of one world interact when they enter, so threads run different worlds.

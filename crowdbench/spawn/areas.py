@@ -161,11 +161,9 @@ def fit_areas(
     known, speed = (spawn_area >= 0) & (goal_area >= 0), plans_of(crowd).speed
     whole = known & np.isfinite(speed)
     if not whole.any():
-        raise SceneError(
-            scene.folder,
-            got=f"a recording of {len(crowd)} persons none of whom was seen to enter and to leave",
-            expected="complete trips to learn flows and speeds from",
-        )
+        got = f"a recording of {len(crowd)} persons none of whom was seen to enter and to leave"
+        expected = "complete trips to learn flows and speeds from"
+        raise SceneError(scene.folder, got=got, expected=expected)
     np.add.at(flow, (spawn_area[known], goal_area[known]), 1.0)
     # If no trip from an area is complete, the goals of all people are used for it.
     everyone = flow.sum(axis=0)

@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from models import AREAS, GRID_S, arrivals_at, random_ntpp
+from models import AREAS, GRID_S, arrivals_at, parameters, random_ntpp
 
 from crowdbench.scene import load_scene
-from crowdbench.spawn import Areas, Arrivals, NtppGMM, PoissonGMM, arrivals_in
-from crowdbench.spawn.ntpp import kernels
+from crowdbench.spawn import Areas, NtppGMM, PoissonGMM, arrivals_in
 from crowdbench.spawn.ntpp.model import SHAPES
 from crowdbench.spawn.times.groups import Spells, spells_of
 
@@ -24,19 +23,6 @@ def silent(scale: float = 6.0, more: float = 0.25) -> NtppGMM:
     base = [0.0, np.log(scale), np.log(more / (1 - more))]
     weights["base"] = np.tile(np.array(base, np.float32), (2, 1))
     return replace(model, weights=weights)
-
-
-def parameters(model: NtppGMM, arrivals: Arrivals) -> np.ndarray:
-    """Weibull shape, scale and −log P(one more member) before each group, (n, 3)."""
-    spells, found = spells_of(arrivals), [np.empty((0, 3))]
-    for spell, area in enumerate(spells.area.tolist()):
-        weights = model.of_area(area)
-        h = weights[4].copy()
-        for i in range(spells.offsets[spell], spells.offsets[spell + 1]):
-            h, steps, _ = kernels._forget(h, spells.gap[i], model.memory, weights)
-            found.append(np.array([kernels._head(h, weights)]))
-            h = kernels._update(h, steps, spells.size[i], weights)
-    return np.concatenate(found)
 
 
 def test_a_silent_head_is_a_memoryless_process_by_hand() -> None:

@@ -168,11 +168,9 @@ def remove_imported(name: str) -> Path:
         path.unlink()
         shutil.rmtree(prepared_folder(name), ignore_errors=True)
     except FileNotFoundError as error:
-        raise RecordingError(
-            f"recording {name}",
-            got="no imported recording of that name",
-            expected="one that `crowdbench data list` shows as imported",
-        ) from error
+        got = "no imported recording of that name"
+        expected = "one that `crowdbench data list` shows as imported"
+        raise RecordingError(f"recording {name}", got=got, expected=expected) from error
     except OSError as error:
         raise unwritable(path, error) from error
     return path

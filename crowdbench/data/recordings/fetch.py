@@ -101,12 +101,9 @@ def _by_git(published: catalogue.Source, folder: Path) -> FetchError:
             shlex.join(bring),
         ]
         hint = "Run\n\n" + "".join(f"  {command}\n" for command in commands)
-    return FetchError(
-        f"recording {published.name}",
-        got="thousands of files that cannot be downloaded as one, so nothing was downloaded",
-        expected="a checkout of their folder with git",
-        hint=hint,
-    )
+    got = "thousands of files that cannot be downloaded as one, so nothing was downloaded"
+    expected = "a checkout of their folder with git"
+    return FetchError(f"recording {published.name}", got=got, expected=expected, hint=hint)
 
 
 def _tracks(data: bytes, published: catalogue.Source, path: Path) -> bytes:
@@ -170,21 +167,13 @@ def _download(address: str, progress: Progress) -> bytes:
             try:
                 answer = session.get(address, stream=True, timeout=TIMEOUT_S)
             except requests.RequestException as error:
-                raise FetchError(
-                    address,
-                    got=_reason(error),
-                    expected="a response",
-                    hint="Check that this machine can reach the address, and run the command "
-                    "again.",
-                ) from error
+                got = _reason(error)
+                hint = "Check that this machine can reach the address, and run the command again."
+                raise FetchError(address, got=got, expected="a response", hint=hint) from error
             with answer, suppress(requests.RequestException):
                 return _content(answer, address, progress)
-    raise FetchError(
-        address,
-        got=f"a transfer that was interrupted {TRIES} times",
-        expected="the whole file",
-        hint="Run the command again.",
-    )
+    got = f"a transfer that was interrupted {TRIES} times"
+    raise FetchError(address, got=got, expected="the whole file", hint="Run the command again.")
 
 
 def _content(answer: "requests.Response", address: str, progress: Progress) -> bytes:
@@ -197,22 +186,15 @@ def _content(answer: "requests.Response", address: str, progress: Progress) -> b
             "address in a browser.",
         )
     if answer.headers.get("Content-Type", "").startswith("text/html"):
-        raise FetchError(
-            address,
-            got="an HTML page",
-            expected="a data file",
-            hint="The network may require a login: open the address in a browser.",
-        )
+        hint = "The network may require a login: open the address in a browser."
+        raise FetchError(address, got="an HTML page", expected="a data file", hint=hint)
     length = answer.headers.get("Content-Length", "")
     data = bytearray()
     for chunk in answer.iter_content(_CHUNK):
         data += chunk
         if len(data) > MAX_BYTES:
-            raise FetchError(
-                address,
-                got=f"more than {MAX_BYTES} bytes",
-                expected="a recording, which is smaller",
-            )
+            got = f"more than {MAX_BYTES} bytes"
+            raise FetchError(address, got=got, expected="a recording, which is smaller")
         progress(len(data), int(length) if length.isdecimal() else None)
     return bytes(data)
 

@@ -77,11 +77,8 @@ def read_gc(
         at = interpolated(video, rows[:upto, 2], rows[:upto, :2])
         pieces.append(np.column_stack([np.full(len(video), person), video // FRAME, at]))
     if not pieces:
-        raise RecordingError(
-            where,
-            got=f"{single} files with a single annotation each",
-            expected="at least one person with two annotations",
-        )
+        got = f"{single} files with a single annotation each"
+        raise RecordingError(where, got=got, expected="at least one person with two annotations")
     table = np.concatenate(pieces)
     # The homography expects (row, column): with the opposite order people would walk at 0.6 m/s.
     plane = np.column_stack([table[:, [3, 2]], np.ones(len(table))]) @ homography.T
@@ -122,20 +119,14 @@ def _annotations(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
     except (ValueError, OverflowError) as error:
         raise RecordingError(where, got=str(error)[:100], expected="whole numbers") from error
     if len(numbers) == 0 or len(numbers) % 3:
-        raise RecordingError(
-            where,
-            got=f"{len(numbers)} numbers",
-            expected="three per annotation: column, row, frame",
-        )
+        got = f"{len(numbers)} numbers"
+        raise RecordingError(where, got=got, expected="three per annotation: column, row, frame")
     rows = numbers.reshape(-1, 3)
     frame = rows[:, 2]
     wrong = (frame % STEP != 0) | (frame < 0)
     if wrong.any():
-        raise RecordingError(
-            where,
-            got=f"an annotation of frame {frame[wrong][0]}",
-            expected=f"annotations of every {STEP}th frame",
-        )
+        got = f"an annotation of frame {frame[wrong][0]}"
+        raise RecordingError(where, got=got, expected=f"annotations of every {STEP}th frame")
     back = np.flatnonzero(np.diff(frame) <= 0)
     if len(back):
         before, after = frame[back[0] : back[0] + 2]
@@ -151,19 +142,14 @@ def _homography(data: bytes | None, where: object) -> Float[np.ndarray, "3 3"]:
     try:
         return np.array(msgspec.json.decode(data, type=_Homography).homog)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise RecordingError(
-            f"{where}/{HOMOGRAPHY}",
-            got=str(error)[:100],
-            expected='{"homog": 3 x 3 finite numbers}',
-        ) from error
+        got = str(error)[:100]
+        expected = '{"homog": 3 x 3 finite numbers}'
+        raise RecordingError(f"{where}/{HOMOGRAPHY}", got=got, expected=expected) from error
 
 
 def _person(name: str, where: object) -> int:
     number = _PERSON.fullmatch(name)
     if number is None:
-        raise RecordingError(
-            where,
-            got=f"a file {name}",
-            expected="Annotation/NUMBER.txt with a number of six digits",
-        )
+        expected = "Annotation/NUMBER.txt with a number of six digits"
+        raise RecordingError(where, got=f"a file {name}", expected=expected)
     return int(number[1])

@@ -181,12 +181,8 @@ def on_frames(rows: Stamped, *, gaps: Gaps | None, where: object, hint: str = FE
         else:
             k = int(wrong.argmax())
             first = f"{rows.named(k + 1)}, {rows.long(float(steps[k]))} after its previous row"
-        raise RecordingError(
-            where,
-            got=f"{first} ({got})",
-            expected=f"a row of each person every {rows.long(1.0)}",
-            hint=hint,
-        )
+        expected = f"a row of each person every {rows.long(1.0)}"
+        raise RecordingError(where, got=f"{first} ({got})", expected=expected, hint=hint)
     if ticks.max() - ticks.min() > MAX_FRAMES:  # `from_rows` rejects this
         return _as_they_are(rows, order)
     faulty = np.isin(rows.person, np.r_[rows.person[1:][wrong], rows.person[astray]])

@@ -37,26 +37,18 @@ def checked_dt_s(where: object, stated_s: float | None, asked_s: float | None) -
     """
     dt_s = stated_s if stated_s is not None else asked_s
     if dt_s is None:
-        raise RecordingError(
-            where,
-            got="a file that does not state the time between rows",
-            expected="--dt-s SECONDS",
-            hint="It is the time between consecutive rows of a person.",
-        )
+        got = "a file that does not state the time between rows"
+        hint = "It is the time between consecutive rows of a person."
+        raise RecordingError(where, got=got, expected="--dt-s SECONDS", hint=hint)
     if stated_s is not None and asked_s is not None and not np.isclose(stated_s, asked_s, 0.05):
-        raise RecordingError(
-            where,
-            got=f"rows every {stated_s:.4g} s according to the file",
-            expected=f"rows every {asked_s:g} s, as set by --dt-s",
-            hint="Correct --dt-s, or the file if it is wrong.",
-        )
+        got = f"rows every {stated_s:.4g} s according to the file"
+        expected = f"rows every {asked_s:g} s, as set by --dt-s"
+        hint = "Correct --dt-s, or the file if it is wrong."
+        raise RecordingError(where, got=got, expected=expected, hint=hint)
     if not 0 < dt_s <= LONGEST_DT_S:
-        raise RecordingError(
-            where,
-            got=f"rows every {dt_s:g} s",
-            expected=f"an interval of more than 0 and at most {LONGEST_DT_S:g} s",
-            hint="If rows are further apart, the paths between them are unknown.",
-        )
+        expected = f"an interval of more than 0 and at most {LONGEST_DT_S:g} s"
+        hint = "If rows are further apart, the paths between them are unknown."
+        raise RecordingError(where, got=f"rows every {dt_s:g} s", expected=expected, hint=hint)
     return dt_s
 
 

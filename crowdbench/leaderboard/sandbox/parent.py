@@ -111,12 +111,9 @@ def call(
     from crowdbench.leaderboard.submission.errors import SubmissionError, plain, tidy
 
     if os.name != "posix":
-        raise SandboxError(
-            where,
-            got=f"the platform {sys.platform}",
-            expected="Linux or macOS: the sandbox uses process groups and resource limits of POSIX",
-            hint="On Windows, use the Windows Subsystem for Linux (WSL).",
-        )
+        expected = "Linux or macOS: the sandbox uses process groups and resource limits of POSIX"
+        hint = "On Windows, use the Windows Subsystem for Linux (WSL)."
+        raise SandboxError(where, got=f"the platform {sys.platform}", expected=expected, hint=hint)
     with temporary_folder("sandbox") as desk:
         asked = {
             "target": target,
@@ -173,12 +170,10 @@ def _run(desk: Path, where: object, limits: Limits) -> dict[str, Any]:
             _end(child, ever)
         if broken := broken or _died(child.returncode, limits):
             last = _last_line(said.fileno())
-            raise SandboxError(
-                where,
-                got=f"{broken}{f', last output: {last}' if last else ''}",
-                expected="a run that ends within the limits",
-                hint="If the submission is correct and needs more, raise the limits.",
-            )
+            got = f"{broken}{f', last output: {last}' if last else ''}"
+            expected = "a run that ends within the limits"
+            hint = "If the submission is correct and needs more, raise the limits."
+            raise SandboxError(where, got=got, expected=expected, hint=hint)
     wall_s = round(time.monotonic() - began, 2)
     return {"wall_s": wall_s, "cpu_s": round(cpu, 2), "peak_bytes": peak}
 

@@ -79,12 +79,10 @@ def lay_out(declared: Declared, names: list[str], problems: Problems) -> Layout:
             layout.weights = _weights(declared, found, problems)
     used = {*layout.networks, *layout.weights.values()}.union(*layout.crowds.values())
     if surplus := sorted(found - used):
-        problems.refuse(
-            ", ".join(surplus),
-            got="an unexpected file" if len(surplus) == 1 else "unexpected files",
-            expected=_places(declared, layout, needs_policy, needs_spawn),
-            hint=f"Remove or rename unexpected files, or correct {FILE}.",
-        )
+        got = "an unexpected file" if len(surplus) == 1 else "unexpected files"
+        expected = _places(declared, layout, needs_policy, needs_spawn)
+        hint = f"Remove or rename unexpected files, or correct {FILE}."
+        problems.refuse(", ".join(surplus), got=got, expected=expected, hint=hint)
     return layout
 
 
@@ -162,21 +160,16 @@ def _crowds(declared: Declared, found: set[str], problems: Problems) -> dict[str
         if not least <= len(numbers) <= limits.MOST_ROLLOUTS or numbers != list(
             range(len(numbers))
         ):
-            problems.refuse(
-                f"{scene}/trajectories",
-                got="files " + ", ".join(map(str, numbers)) if numbers else "no files",
-                expected=f"{least} to {limits.MOST_ROLLOUTS} rollouts, one per file, numbered "
-                "0, 1, …",
-                hint="A score needs at least two rollouts." if len(numbers) < least else "",
-            )
+            got = "files " + ", ".join(map(str, numbers)) if numbers else "no files"
+            expected = f"{least} to {limits.MOST_ROLLOUTS} rollouts, one per file, numbered 0, 1, …"
+            hint = "A score needs at least two rollouts." if len(numbers) < least else ""
+            problems.refuse(f"{scene}/trajectories", got=got, expected=expected, hint=hint)
     for name in ("shipped_policy", "shipped_spawn"):
         if getattr(declared, name):
-            problems.refuse(
-                f"{FILE}, {name}",
-                got="a model together with trajectories",
-                expected="either trajectories or models",
-                hint="Remove one of them.",
-            )
+            got = "a model together with trajectories"
+            expected = "either trajectories or models"
+            hint = "Remove one of them."
+            problems.refuse(f"{FILE}, {name}", got=got, expected=expected, hint=hint)
     return crowds
 
 

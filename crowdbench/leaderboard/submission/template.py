@@ -101,11 +101,8 @@ def _networks(policies: Sequence[Path], track: Track) -> dict[str, OnnxPolicy]:
         raise SettingError("--policy", got="a policy", expected=expected)
     if any(path.is_file() for path in policies):
         if len(policies) > 1:
-            raise SettingError(
-                "--policy",
-                got=f"a file among {len(policies)} policies",
-                expected="one file, or one folder per scene",
-            )
+            got = f"a file among {len(policies)} policies"
+            raise SettingError("--policy", got=got, expected="one file, or one folder per scene")
         return {NETWORK: OnnxPolicy(policies[0])}
     found: dict[str, OnnxPolicy] = {}
     for path in policies:

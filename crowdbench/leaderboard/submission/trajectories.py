@@ -68,12 +68,9 @@ def check_crowds(
                 content = b"".join(x.tobytes() for x in (crowd.first, crowd.offsets, crowd.xy))
                 same = seen.setdefault(sha256(content), name)
                 if same != name:
-                    problems.refuse(
-                        name,
-                        got=f"the same crowd as in {same}",
-                        expected="rollouts that differ",
-                        hint="Use a different seed for each rollout.",
-                    )
+                    got = f"the same crowd as in {same}"
+                    hint = "Use a different seed for each rollout."
+                    problems.refuse(name, got=got, expected="rollouts that differ", hint=hint)
 
 
 def _read(path: Path, scene: Scene) -> Trajectories:
@@ -93,12 +90,9 @@ def _check_lives(path: Path, table: "pyarrow.Table") -> None:
     same = ids[1:] == ids[:-1]
     persons = len(ids) - int(same.sum())
     if persons > limits.MOST_PERSONS:
-        raise RecordingError(
-            path,
-            got=f"{persons} persons",
-            expected=f"at most {limits.MOST_PERSONS}",
-            hint="Give each person one id for the whole trip.",
-        )
+        got = f"{persons} persons"
+        hint = "Give each person one id for the whole trip."
+        raise RecordingError(path, got=got, expected=f"at most {limits.MOST_PERSONS}", hint=hint)
     steps = np.diff(when)[same]
     # The reader reports repeated frames. The time step is the shortest positive difference.
     step = 1.0 if time == "frame" else float(steps[steps > 0].min(initial=np.inf))

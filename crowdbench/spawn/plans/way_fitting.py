@@ -92,11 +92,8 @@ def fit_ways(trips: Trips, areas: Areas) -> ways.Ways:
         SceneError: there is no trip.
     """
     if len(trips.weight) == 0:
-        raise SceneError(
-            areas.scene,
-            got="a recording of people none of whom was seen to enter, walk and leave",
-            expected="complete trips to learn ways from",
-        )
+        got = "a recording of people none of whom was seen to enter, walk and leave"
+        raise SceneError(areas.scene, got=got, expected="complete trips to learn ways from")
     shape = len(areas.spawn), len(areas.goal)
     bend_mean, bend_covariance = _bends(trips.chosen(~trips.stops), shape)
     places = _stops(trips, shape)

@@ -247,12 +247,10 @@ class Ways:
                 return found
             if attempt % _DRAWS_IN_PLACE == 0:
                 chosen[open_] = self.trips.choose(spawn_area[open_], goal_area[open_], rng)
-        raise SceneError(
-            scene.folder,
-            got=f"{len(open_)} people for whom no way could be drawn in {_DRAWS} attempts",
-            expected="starts, goals and via points inside the bounds, a person's radius from walls",
-            hint="Check the bounds and walls, or fit the scene again.",
-        )
+        got = f"{len(open_)} people for whom no way could be drawn in {_DRAWS} attempts"
+        expected = "starts, goals and via points inside the bounds, a person's radius from walls"
+        hint = "Check the bounds and walls, or fit the scene again."
+        raise SceneError(scene.folder, got=got, expected=expected, hint=hint)
 
     def possible_speed(self, log_speed: Numbers) -> Numbers:
         """The log speeds, or the nearest ones that are not slower or faster than recorded ones."""
