@@ -21,8 +21,7 @@ DECIDE_NOTHING = tuple(
 )
 """Modules whose code changes no result: messages, reading and writing, finding code of others,
 which is hashed itself, and where something is computed."""
-_ROOT = Path(__file__).parents[1]
-"""The folder of the package, and of `studies` in a clone."""
+_ROOT = Path(__file__).parents[1]  # the folder of the package, and of `studies` in a clone
 _OURS = ("crowdbench", "studies")
 _SCRIPTS = "crowdbench.baselines."
 
@@ -88,12 +87,8 @@ def closure(
             continue
         found.add(name)
         wanted = (_defined_in(*each) for each in _module(name, tuple(unused)).imports)
-        todo += [m for m in wanted if m and not any(_is_in(m, each) for each in left)]
+        todo += [m for m in wanted if m and not any(f"{m}.".startswith(f"{of}.") for of in left)]
     return found
-
-
-def _is_in(module: str, package: str) -> bool:
-    return module == package or module.startswith(package + ".")
 
 
 def _defined_in(module: str, name: str) -> str | None:

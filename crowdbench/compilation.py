@@ -4,13 +4,12 @@
 processes. `Kernel` does so for functions over many persons, for one thread and for several.
 
 numba stores machine code by the file of a function and does not notice when a function or a
-constant of another file changes. Here, stored code is used only if everything is unchanged that
-it was made from: the function, all functions that it calls, the values of the constants that they
-read, and the fields of the named tuples that it is called with.
+constant of another file changes. Here, stored code is used only if the code of the function's
+module, and of all modules that it imports, is unchanged (`crowdbench.code`), and so are the fields
+of the named tuples that it is called with. Functions of other packages are not stored.
 """
 
 import atexit
-import hashlib
 import importlib
 import multiprocessing
 import os
@@ -25,10 +24,11 @@ from typing import Any
 
 import filelock
 import numba
-import numpy as np
 from numba.core import caching
 from numba.core.dispatcher import Dispatcher
 from numba.core.types import BaseNamedTuple, BaseTuple
+
+from crowdbench.code import code_hash
 
 THREADS = "NUMBA_NUM_THREADS"
 """Environment variable that enables several threads; without it, kernels run on one thread.
@@ -56,7 +56,8 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     if function is None:
         return lambda function: compiled(function, **options)
     dispatcher = numba.njit(**{"error_model": "numpy", **options})(function)
-    if isinstance(dispatcher, Dispatcher):  # not if compilation is switched off
+    ours = function.__module__.startswith("crowdbench.")
+    if ours and isinstance(dispatcher, Dispatcher):  # not if compilation is switched off
         with suppress(RuntimeError):  # there is no folder for it
             dispatcher._cache = _Store(function, dispatcher.targetoptions)  # type: ignore[attr-defined]
     return dispatcher
@@ -106,18 +107,14 @@ def _named(module: str, name: str) -> Kernel:
     return found.fresh()
 
 
-_dispatchers: dict[tuple[Callable[..., None], bool], Any] = {}
-
-
+@cache
 def _dispatcher(function: Any, parallel: bool) -> Any:
-    if (function, parallel) not in _dispatchers:
-        # Stored code is found by the name of its function, so each kind has a name of its own.
-        name = f"{function.__name__}_{'parallel' if parallel else 'alone'}"
-        named = types.FunctionType(function.__code__, function.__globals__, name)
-        named.__qualname__ = name
-        named.__module__ = function.__module__
-        _dispatchers[function, parallel] = compiled(named, parallel=parallel)
-    return _dispatchers[function, parallel]
+    # Stored code is found by the name of its function, so each kind has a name of its own.
+    name = f"{function.__name__}_{'parallel' if parallel else 'alone'}"
+    named = types.FunctionType(function.__code__, function.__globals__, name)
+    named.__qualname__ = name
+    named.__module__ = function.__module__
+    return compiled(named, parallel=parallel)
 
 
 class _Store(caching.FunctionCache):
@@ -130,8 +127,7 @@ class _Store(caching.FunctionCache):
         self._lock: filelock.FileLock | None = None
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        # Not before it is called: only then do all the functions exist that it calls.
-        self._cache_file._source_stamp = fingerprint(self._py_func) + self._options
+        self._cache_file._source_stamp = code_hash(self._py_func.__module__) + self._options
         try:
             found = super()._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         except (AttributeError, ImportError):  # a named tuple has been renamed or moved since
@@ -212,72 +208,3 @@ def _announce() -> None:
         else "only the first time."
     )
     print(f"Compiling for this machine: about 20 s, {when}", file=sys.stderr, flush=True)
-
-
-def fingerprint(function: Callable[..., Any]) -> str:
-    """Hash of everything that the machine code of a function is made from."""
-    digest = hashlib.sha256()
-    for part in _parts(function, set()):
-        digest.update(part)
-    return digest.hexdigest()
-
-
-def _parts(function: Any, seen: set[Any]) -> Iterator[bytes]:
-    if function in seen:
-        return
-    seen.add(function)
-    yield from _code(function.__code__)
-    closure = function.__closure__ or ()
-    for name, value in zip(function.__code__.co_freevars, closure, strict=True):
-        yield from _value(name, value.cell_contents, seen)
-    for name in _names(function.__code__):
-        if name in function.__globals__:
-            value = function.__globals__[name]
-            if isinstance(value, types.ModuleType) and value.__name__.startswith("crowdbench."):
-                for attribute in _names(function.__code__):
-                    if hasattr(value, attribute):
-                        yield from _value(attribute, getattr(value, attribute), seen)
-            else:
-                yield from _value(name, value, seen)
-
-
-def _code(code: types.CodeType) -> Iterator[bytes]:
-    yield code.co_code
-    yield repr((code.co_names, code.co_varnames, code.co_freevars)).encode()
-    docstring = isinstance(next(iter(code.co_consts), None), str)
-    for constant in code.co_consts[docstring:]:
-        if isinstance(constant, types.CodeType):
-            yield from _code(constant)
-        else:
-            yield repr(constant).encode()
-
-
-def _names(code: types.CodeType) -> list[str]:
-    inner = [c for c in code.co_consts if isinstance(c, types.CodeType)]
-    return sorted({*code.co_names, *(name for c in inner for name in _names(c))})
-
-
-def _value(name: str, value: Any, seen: set[Any]) -> Iterator[bytes]:
-    """A value that a function reads: a constant or another function.
-
-    Raises:
-        TypeError: it is something that is not known to be constant.
-    """
-    yield name.encode()
-    if isinstance(value, Dispatcher):
-        yield repr(sorted(value.targetoptions.items())).encode()
-        yield from _parts(value.py_func, seen)
-    elif isinstance(value, types.FunctionType) and value.__module__.startswith("crowdbench"):
-        yield from _parts(value, seen)
-    elif isinstance(value, np.ndarray):
-        yield repr((value.dtype.str, value.shape)).encode() + value.tobytes()
-    elif isinstance(value, bool | int | float | str | None | np.generic | tuple):
-        yield repr(value).encode()
-    elif isinstance(value, type) and hasattr(value, "_fields"):
-        yield repr(value._fields).encode()
-    elif isinstance(value, types.ModuleType):
-        yield value.__name__.encode()
-    elif not getattr(value, "__module__", "crowdbench").startswith("crowdbench"):
-        yield f"{value.__module__}.{getattr(value, '__qualname__', value)}".encode()
-    else:
-        raise TypeError(f"compiled code cannot depend on {name}, {value!r}")

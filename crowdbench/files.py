@@ -26,8 +26,7 @@ from crowdbench.errors import CrowdbenchError, OutputError, did_you_mean
 
 T = TypeVar("T")
 _PREFIX = "crowdbench-tmp-"
-_YOUNG_S = 1.0
-"""What was made less than this time ago may not be locked yet."""
+_YOUNG_S = 1.0  # what was made less than this time ago may not be locked yet
 LARGEST_UNPACKED = 2**26  # bytes of a compressed file's content; the largest has 4 million
 
 
@@ -165,12 +164,9 @@ def _unpacked(data: bytes, path: Path, error: type[CrowdbenchError], hint: str) 
     except zlib.error as cause:
         raise error(path, got=str(cause), expected="a gzip file", hint=hint) from cause
     if not reader.eof or reader.unused_data:
-        raise error(
-            path,
-            got="a gzip file that is cut, too large, or followed by other bytes",
-            expected=f"one gzip stream of at most {LARGEST_UNPACKED / 1e6:.0f} MB, unpacked",
-            hint=hint,
-        )
+        got = "a gzip file that is cut, too large, or followed by other bytes"
+        expected = f"one gzip stream of at most {LARGEST_UNPACKED / 1e6:.0f} MB, unpacked"
+        raise error(path, got=got, expected=expected, hint=hint)
     return content
 
 
@@ -192,11 +188,9 @@ def read_struct(path: Path, kind: type[T], error: type[CrowdbenchError], hint: s
         # lists to tuples, and text keys to other types.
         return msgspec.convert(raw, kind, strict=True, str_keys=True)
     except (msgspec.ValidationError, OverflowError) as cause:
+        expected = "the fields that its format defines"
         raise error(
-            path,
-            got=str(cause),
-            expected="the fields that its format defines",
-            hint=_nearest_field(str(cause), kind, hint),
+            path, got=str(cause), expected=expected, hint=_nearest_field(str(cause), kind, hint)
         ) from cause
 
 

@@ -11,7 +11,6 @@ others in one line.
 import functools
 import importlib
 import inspect
-import os
 import re
 import sys
 import sysconfig
@@ -79,11 +78,9 @@ def names(kind: Kind, ours: Collection[str] = ()) -> list[str]:
     """
     found = dict.fromkeys((*_installed(kind), *_registered[kind]))
     if taken := sorted(found.keys() & set(ours)):
-        raise SettingError(
-            f"crowdbench.{kind}",
-            got=f"{', '.join(taken)}, registered by another package or program",
-            expected="names that crowdbench does not have",
-        )
+        got = f"{', '.join(taken)}, registered by another package or program"
+        expected = "names that crowdbench does not have"
+        raise SettingError(f"crowdbench.{kind}", got=got, expected=expected)
     return list(found)
 
 
@@ -108,23 +105,18 @@ def find(kind: Kind, name: str, known: Iterable[str] = ()) -> Any:
         found = part(kind, name)
         if found is None:
             known = (*known, *names(kind))
-            raise SettingError(
-                word,
-                got=repr(name),
-                expected="one of " * bool(known) + ", ".join([*known, "or pkg.module:Class"]),
-                hint=did_you_mean(name, known),
-            )
+            got = repr(name)
+            expected = "one of " * bool(known) + ", ".join([*known, "or pkg.module:Class"])
+            raise SettingError(word, got=got, expected=expected, hint=did_you_mean(name, known))
         return found
     with blaming(f"{word} {name}, on import"):
         try:
             return getattr(importlib.import_module(module), attribute)
         except (ImportError, AttributeError, ValueError, TypeError) as error:
-            raise SettingError(
-                word,
-                got=f"{name!r} ({error})",
-                expected="a class or function that can be imported",
-                hint="Install its package, or run the command where Python can import it.",
-            ) from error
+            got = f"{name!r} ({error})"
+            expected = "a class or function that can be imported"
+            hint = "Install its package, or run the command where Python can import it."
+            raise SettingError(word, got=got, expected=expected, hint=hint) from error
 
 
 def takes(kind: Any, name: str) -> bool:
@@ -245,16 +237,13 @@ def told(error: BaseException) -> str:
 
 def _frame(frames: traceback.StackSummary) -> traceback.FrameSummary | None:
     """The innermost frame of the user's code, or what is nearest to that."""
-    foreign = [f for f in frames if not _within(f.filename, _OURS) and os.path.isabs(f.filename)]
-    theirs = [f for f in foreign if not any(_within(f.filename, place) for place in _LIBRARIES)]
-    return next(reversed(theirs or foreign or list(frames)), None)
-
-
-def _within(file: str, folder: Path) -> bool:
-    return Path(file).is_relative_to(folder)
+    known = [(f, Path(f.filename)) for f in frames]
+    foreign = [(f, p) for f, p in known if p.is_absolute() and not p.is_relative_to(_OURS)]
+    theirs = [f for f, p in foreign if not any(map(p.is_relative_to, _LIBRARIES))]
+    return next(reversed(theirs or [f for f, _ in foreign] or list(frames)), None)
 
 
 def _short(file: str) -> str:
     """As seen from where the user stands."""
-    here = Path.cwd()
-    return str(Path(file).relative_to(here)) if _within(file, here) else file
+    path, here = Path(file), Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else file

@@ -8,20 +8,18 @@ scores requires a new version.
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
+import shapely
 from jaxtyping import Bool, Float
 
 from crowdbench.errors import SceneError, did_you_mean
 from crowdbench.files import read_struct
-
-if TYPE_CHECKING:
-    import shapely
 
 SCHEMA = 1
 TIMEOUT_DWELLS = 2.0
@@ -137,24 +135,7 @@ class Gate(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Share of people at the goal, as a share of that of recorded people walked."""
 
 
-class _SceneFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    schema: int
-    id: str
-    title: str
-    dt_s: float
-    grid_s: float
-    recording: Recording
-    bounds: Bounds
-    walls: tuple[Wall, ...] = ()
-    motion: Motion
-    spawning: Spawning
-    clustering: dict[str, Clustering]
-    walking: Walking = Walking()
-    gate: Gate = Gate()
-    protocol: Protocol
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Scene:
     """A place and its rules, read from `scene.toml` by `load_scene`."""
 
@@ -166,12 +147,12 @@ class Scene:
     """Step of the grid on which the recording's arrivals were annotated, seconds."""
     recording: Recording
     bounds: Bounds
-    walls: tuple[Wall, ...]
+    walls: tuple[Wall, ...] = ()
     motion: Motion
     spawning: Spawning
     clustering: dict[str, Clustering]
-    walking: Walking
-    gate: Gate
+    walking: Walking = Walking()
+    gate: Gate = Gate()
     protocol: Protocol
     folder: Path
 
@@ -211,10 +192,8 @@ class Scene:
         return int(np.ceil(duration_s / self.dt_s - 1e-6))
 
     @cached_property
-    def obstacles(self) -> "shapely.Geometry":
+    def obstacles(self) -> shapely.Geometry:
         """The union of all walls."""
-        import shapely
-
         obstacles = shapely.union_all([shapely.Polygon(wall.corners_m) for wall in self.walls])
         shapely.prepare(obstacles)
         return obstacles
@@ -248,24 +227,18 @@ class Scene:
 
     def walkable(self, points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         """Whether each point lies within the bounds and outside all walls."""
-        import shapely
-
         return self.inside(points) & ~shapely.intersects_xy(
             self.obstacles, points[:, 0], points[:, 1]
         )
 
     def has_room(self, points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         """Whether each point lies within the bounds, a person's radius or more from all walls."""
-        import shapely
-
         circles = shapely.points(points)
         near = shapely.dwithin(self.obstacles, circles, self.motion.person_radius_m)
         return self.inside(points) & ~near
 
     def nearest_walkable(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """The points; those outside the bounds or in a wall are moved to the nearest free place."""
-        import shapely
-
         lost = np.flatnonzero(~self.walkable(points))
         moved = points.copy()
         if len(lost):
@@ -275,6 +248,19 @@ class Scene:
             ways = shapely.shortest_line(free, shapely.points(points[lost]))
             moved[lost] = shapely.get_coordinates(ways)[::2]
         return moved
+
+
+_SceneFile: Any = msgspec.defstruct(
+    "_SceneFile",
+    [
+        ("schema", int),
+        *((f.name, f.type) for f in fields(Scene) if f.default is MISSING and f.name != "folder"),
+        *((f.name, f.type, f.default) for f in fields(Scene) if f.default is not MISSING),
+    ],
+    frozen=True,
+    forbid_unknown_fields=True,
+)
+"""The content of `scene.toml`."""
 
 
 def scenes_folder() -> Path:
@@ -304,12 +290,9 @@ def load_scene(scene: str | Path | Scene) -> Scene:
     if ID.fullmatch(str(scene)) and (scenes_folder() / str(scene)).is_dir():
         folder = scenes_folder() / str(scene)
     if not (folder / "scene.toml").is_file():
-        raise SceneError(
-            "scene",
-            got=repr(str(scene)),
-            expected=f"one of {', '.join(list_scenes())}, or a folder with a scene.toml",
-            hint=did_you_mean(scene, list_scenes()),
-        )
+        expected = f"one of {', '.join(list_scenes())}, or a folder with a scene.toml"
+        hint = did_you_mean(scene, list_scenes())
+        raise SceneError("scene", got=repr(str(scene)), expected=expected, hint=hint)
     path = folder / "scene.toml"
     file = read_struct(path, _SceneFile, SceneError, _HINT)
     _check(file, path)
@@ -317,9 +300,7 @@ def load_scene(scene: str | Path | Scene) -> Scene:
     return Scene(**known, folder=folder)
 
 
-def _check(file: _SceneFile, path: Path) -> None:
-    import shapely
-
+def _check(file: Any, path: Path) -> None:
     def require(holds: bool, got: str, expected: str) -> None:
         if not holds:
             raise SceneError(path, got=got, expected=expected, hint=_HINT)

@@ -15,7 +15,9 @@ from crowdbench.spawn import (
     RenewalGMM,
 )
 from crowdbench.spawn.areas import Gaussians
+from crowdbench.spawn.ntpp import kernels
 from crowdbench.spawn.ntpp.model import SHAPES
+from crowdbench.spawn.times.groups import spells_of
 
 GRID_S = 0.4
 _BOTH = Gaussians(np.array([[3.0, 5.0], [11.0, 6.0]]), np.stack([np.eye(2), np.eye(2)]))
@@ -90,3 +92,16 @@ def learned(model: NtppGMM | NtppPaper) -> int:
     trained = model.trained()
     others = 2 * int((~trained).sum()) if isinstance(model, NtppGMM) else 0
     return int(trained.sum()) * each + others
+
+
+def parameters(model: NtppGMM, arrivals: Arrivals) -> np.ndarray:
+    """Weibull shape, scale and −log P(one more member) before each group, (n, 3)."""
+    spells, found = spells_of(arrivals), [np.empty((0, 3))]
+    for spell, area in enumerate(spells.area.tolist()):
+        weights = model.of_area(area)
+        h = weights[4].copy()
+        for i in range(spells.offsets[spell], spells.offsets[spell + 1]):
+            h, steps, _ = kernels._forget(h, spells.gap[i], model.memory, weights)
+            found.append(np.array([kernels._head(h, weights)]))
+            h = kernels._update(h, steps, spells.size[i], weights)
+    return np.concatenate(found)

@@ -8,13 +8,7 @@ from crowdbench.cli.options import OwnFile, SceneName, Written
 from crowdbench.cli.printing import progress_bar
 from crowdbench.cli.running import new_app
 from crowdbench.errors import SettingError
-from crowdbench.report.text.terminal import (
-    new_console,
-    new_table,
-    print_facts,
-    print_fitting,
-    print_note,
-)
+from crowdbench.report.text import terminal
 
 app = new_app("data", "Recordings: fetch, import, list, describe, convert and remove them.")
 
@@ -54,12 +48,10 @@ def import_(name: str, /, *, source: Path | None = None, how: OwnFile = OwnFile(
 
     if how.layout is None:
         if how.given():
-            raise SettingError(
-                "crowdbench data import",
-                got=f"{how.given()[0]} without --format",
-                expected="--format as well",
-                hint="The option applies to your own recordings only.",
-            )
+            got = f"{how.given()[0]} without --format"
+            expected = "--format as well"
+            hint = "The option applies to your own recordings only."
+            raise SettingError("crowdbench data import", got=got, expected=expected, hint=hint)
         _import_published(name, source)
         return
     if source is None:
@@ -68,7 +60,7 @@ def import_(name: str, /, *, source: Path | None = None, how: OwnFile = OwnFile(
         )
     crowd = import_own(name, source, **asdict(how))
     facts = repairs(crowd, how) | describe(crowd) | {"stored at": str(cached(name))}
-    print_facts(name, facts)
+    terminal.print_facts(name, facts)
 
 
 def _import_published(name: str, folder: Path | None) -> None:
@@ -78,7 +70,7 @@ def _import_published(name: str, folder: Path | None) -> None:
 
     first = name != "plaza" and known_sha256(source(name)) is None
     crowd = import_recording(name, folder)
-    print_facts(name, describe(crowd) | {"stored at": str(cached(name))})
+    terminal.print_facts(name, describe(crowd) | {"stored at": str(cached(name))})
     if first:
         print(
             f"SHA-256 {crowd.provenance['sha256']} stored at first use; the publisher states none."
@@ -113,9 +105,11 @@ def list_() -> None:
         if OWN_NAME.fullmatch(file.stem) and file.stem not in RECORDINGS:
             rows.append((file.stem, scenes.get(file.stem, ""), "imported", "your own"))
     heads = ("scene", "state", "source")
-    print_fitting([[new_table("name", *heads, rows=rows, left=heads)]], new_console())
+    terminal.print_fitting(
+        [[terminal.new_table("name", *heads, rows=rows, left=heads)]], terminal.new_console()
+    )
     print(f"File paths are those of OpenTraj, {REPOSITORY}/tree/{COMMIT}")
-    print_note(
+    terminal.print_note(
         "`crowdbench data fetch` also accepts other days of the Forum, for example forum-14jul."
     )
 
@@ -129,7 +123,7 @@ def describe(name: str, /) -> None:
     """
     from crowdbench.data.recordings import describe as recordings
 
-    print_facts(name, recordings.describe(crowdbench.recording(name)))
+    terminal.print_facts(name, recordings.describe(crowdbench.recording(name)))
 
 
 @app.command

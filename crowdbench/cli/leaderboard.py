@@ -126,12 +126,9 @@ def in_turn(names: Sequence[str], one: "Callable[[str], Entry]") -> None:
         else:
             print_entry(entry)
     if refused:
-        raise SettingError(
-            "leaderboard",
-            got=f"{len(refused)} of {len(names)} rejected ({', '.join(refused)})",
-            expected="none",
-            hint="The reasons are listed above.",
-        )
+        got = f"{len(refused)} of {len(names)} rejected ({', '.join(refused)})"
+        hint = "The reasons are listed above."
+        raise SettingError("leaderboard", got=got, expected="none", hint=hint)
 
 
 def print_entry(entry: "Entry") -> None:
@@ -165,7 +162,6 @@ def print_entry(entry: "Entry") -> None:
 
 
 def _print_details(entry: "Entry") -> None:
-    """Print what a submitter declares, and the results of each metric."""
     from crowdbench.leaderboard.submission.errors import plain
     from crowdbench.report.text.words import NOTHING, digits, plainly
 

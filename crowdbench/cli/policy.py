@@ -72,22 +72,14 @@ def export(network: str, file: Path, /, *, noise: int = 0, of: _Card) -> None:
 
 
 def _of_zip(path: str, noise: int, card: _Card) -> Any:
-    """Network of a zip, which knows the size of its memory.
-
-    Raises:
-        SettingError: a package is not installed, or options do not fit the network.
-        WeightsError: the zip is not that of a policy that can be exported.
-    """
+    """Network of a zip, which knows the size of its memory."""
     from crowdbench.policies.sb3 import read_sb3
 
     for option, value in (("--memory", card.memory), ("--style", card.style)):
         if value:
-            raise SettingError(
-                option,
-                got=f"{value}",
-                expected="no such option for a zip of Stable-Baselines3",
-                hint="The size of a memory is found in the zip; styles are not known there.",
-            )
+            expected = "no such option for a zip of Stable-Baselines3"
+            hint = "The size of a memory is found in the zip; styles are not known there."
+            raise SettingError(option, got=f"{value}", expected=expected, hint=hint)
     network = read_sb3(Path(path), noise=noise)
     if network.normalized:
         print(
@@ -99,20 +91,13 @@ def _of_zip(path: str, noise: int, card: _Card) -> Any:
 
 
 def _imported(path: str) -> Any:
-    """Network named by `pkg.module:NAME`.
-
-    Raises:
-        SettingError: torch is not installed, or the name is not that of a network.
-    """
+    """Network named by `pkg.module:NAME`."""
     try:
         import torch
     except ImportError as error:
-        raise SettingError(
-            "policy export",
-            got="no torch",
-            expected="torch to be installed",
-            hint=to_install("fit"),
-        ) from error
+        expected = "torch to be installed"
+        hint = to_install("fit")
+        raise SettingError("policy export", got="no torch", expected=expected, hint=hint) from error
     module, _, name = path.partition(":")
     try:
         found = getattr(importlib.import_module(module), name)

@@ -14,13 +14,7 @@ from crowdbench.cli.options import EngineName, OwnFile, SceneName, Workers
 from crowdbench.cli.printing import progress_bar
 from crowdbench.cli.running import new_app
 from crowdbench.errors import SceneError, SettingError
-from crowdbench.report.text.terminal import (
-    new_console,
-    new_table,
-    print_facts,
-    print_note,
-    print_table,
-)
+from crowdbench.report.text import terminal
 from crowdbench.run.processes import LOCAL
 
 app = new_app("scene", "Scenes: list them, make one from your own recording, and what is scored.")
@@ -65,8 +59,8 @@ def metrics() -> None:
         package = "crowdbench" if metric in METRICS else type(metric).__module__
         rows.append((metric.name, metric.family, metric.unit, ", ".join(scenes), package))
     heads = ("family", "unit", "scored on", "from")
-    print_table("metric", *heads, rows=rows, left=heads)
-    print_note(
+    terminal.print_table("metric", *heads, rows=rows, left=heads)
+    terminal.print_note(
         "A scene is scored on the metrics that, according to `crowdbench scene power`, distinguish "
         "its anchor (the crowd that scores 0) from its recording. Other metrics are shown as "
         "distances."
@@ -111,17 +105,13 @@ def create(
 
     if like is not None:
         for option in (*how.given(), *["--walls"] * (walls is not None)):
-            raise SettingError(
-                "crowdbench scene create",
-                got=f"{option} and --like",
-                expected=f"--like without {option}, which the other scene determines",
-            )
+            got = f"{option} and --like"
+            expected = f"--like without {option}, which the other scene determines"
+            raise SettingError("crowdbench scene create", got=got, expected=expected)
     elif how.layout is None:
-        raise SettingError(
-            "crowdbench scene create",
-            got="neither --format nor --like",
-            expected="the format of the recording, or a scene of the same place",
-        )
+        got = "neither --format nor --like"
+        expected = "the format of the recording, or a scene of the same place"
+        raise SettingError("crowdbench scene create", got=got, expected=expected)
     new = NewScene(name=name, title=title, out=out, fits=fits, rollouts_per_fit=rollouts_per_fit)
     if like is not None:
         crowdbench.load_scene(like)  # what is wrong is said before anything is fetched
@@ -135,8 +125,8 @@ def create(
             created = create_scene(new, Path(recording), **of_file, walls=walls, workers=workers)
     scene, crowd = created.scene, created.recording
     print()
-    print_facts(f"recording {crowd.scene}", repairs(crowd, how) | describe(crowd))
-    print_facts(scene.id, created.facts)
+    terminal.print_facts(f"recording {crowd.scene}", repairs(crowd, how) | describe(crowd))
+    terminal.print_facts(scene.id, created.facts)
     whole = (scene.folder / "ntpp-gmm.safetensors").exists()
     models = f"--policy social-force {ANY_PLACE}" + ("" if whole else " --spawn renewal-gmm")
     print(f"Check place.png and time.png there. Next: crowdbench evaluate {scene.asked} {models}")
@@ -150,9 +140,11 @@ def check(scene: SceneName, /) -> None:
     from crowdbench.scene_building import check_scene
 
     findings = list(check_scene(scene))
-    table = new_table("part", "state", rows=[(f.part, f.state) for f in findings], left=("state",))
+    table = terminal.new_table(
+        "part", "state", rows=[(f.part, f.state) for f in findings], left=("state",)
+    )
     table.columns[1].no_wrap = False
-    new_console().print(table)
+    terminal.new_console().print(table)
     problems = [finding.problem for finding in findings if finding.problem is not None]
     for problem in problems:
         print(f"crowdbench: {problem}", file=sys.stderr)
@@ -202,7 +194,7 @@ def fit(
             out=out,
             workers=workers,
         )
-    print_facts(place.id, facts)
+    terminal.print_facts(place.id, facts)
     print(f"Next, if arrivals or areas changed: crowdbench scene anchors {out or scene}")
 
 
@@ -242,8 +234,8 @@ def power(scene: SceneName, /, *, write: bool = False) -> None:
         )
         for s in studies
     ]
-    print_table("metric", "floor", "95 %", "anchor", "power", "", rows=rows)
-    print_note(
+    terminal.print_table("metric", "floor", "95 %", "anchor", "power", "", rows=rows)
+    terminal.print_note(
         "Energy scores on synthetic recordings. floor and 95 %: mean and 95th percentile for the "
         "true process. anchor: mean for the anchor. power: share of synthetic recordings on which "
         "the anchor's score exceeds the 95th percentile. A metric is scored if its power is at "

@@ -63,19 +63,10 @@ def write_parquet(trajectories: Trajectories, path: str | Path) -> None:
     """
     from pyarrow import parquet
 
-    t = trajectories
-    metadata = Metadata(
-        schema=SCHEMA,
-        scene=t.scene,
-        dt_s=t.dt_s,
-        grid_s=t.grid_s,
-        frames=t.frames,
-        observed=t.observed.tolist(),
-        provenance=dict(t.provenance),
-    )
-    table = _flat(t).replace_schema_metadata(
-        {_KEY: msgspec.json.encode(metadata, order="deterministic")}
-    )
+    names = (name for name in Metadata.__struct_fields__ if name != "schema")
+    stated = {"schema": SCHEMA} | {name: getattr(trajectories, name) for name in names}
+    encoded = msgspec.json.encode(stated, order="deterministic", enc_hook=np.ndarray.tolist)
+    table = _flat(trajectories).replace_schema_metadata({_KEY: encoded})
     with replacing(Path(path)) as temporary:
         parquet.write_table(table, temporary, compression="zstd")
 
@@ -201,21 +192,15 @@ def columns_of(table: "pyarrow.Table", path: Path) -> dict[str, np.ndarray]:
     if len(goal := {"goal_x", "goal_y"} - set(named)) == 1:
         missing += goal
     if missing:
-        raise RecordingError(
-            path,
-            got=f"columns {', '.join(named)}",
-            expected=f"a column {' and a column '.join(missing)}",
-        )
+        got = f"columns {', '.join(named)}"
+        raise RecordingError(path, got=got, expected=f"a column {' and a column '.join(missing)}")
     if len(table) == 0:
         raise RecordingError(path, got="no rows", expected="at least one row")
     columns = {name: _numbers(path, table, name) for name in _COLUMNS if name in named}
     outcome = columns.get("outcome", np.zeros(1))
     if not ((outcome >= 0) & (outcome < len(OUTCOMES))).all():
-        raise RecordingError(
-            path,
-            got=f"outcomes {np.unique(outcome)[:5]}",
-            expected=f"outcomes from 0 to {len(OUTCOMES) - 1}",
-        )
+        got = f"outcomes {np.unique(outcome)[:5]}"
+        raise RecordingError(path, got=got, expected=f"outcomes from 0 to {len(OUTCOMES) - 1}")
     return columns
 
 
@@ -304,9 +289,6 @@ def own_metadata(table: "pyarrow.Table", path: Path) -> Metadata | None:
     try:
         return msgspec.json.decode(raw, type=Metadata)
     except (msgspec.DecodeError, RecursionError) as error:
-        raise RecordingError(
-            path,
-            got=f"invalid metadata ({error})",
-            expected="crowdbench's metadata",
-            hint="Read it with the crowdbench version that wrote it.",
-        ) from error
+        got = f"invalid metadata ({error})"
+        hint = "Read it with the crowdbench version that wrote it."
+        raise RecordingError(path, got=got, expected="crowdbench's metadata", hint=hint) from error

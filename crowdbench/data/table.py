@@ -29,7 +29,11 @@ PERSON_COLUMNS = {
     "outcome": np.int8,
 }
 
-
+Numbers = Float[np.ndarray, " n"]
+Indices = Int[np.ndarray, " n"]
+Flags = Bool[np.ndarray, " n"]
+Points = Float[np.ndarray, "n 2"]
+"""Kinds of arrays of `n` people or places."""
 MAX_FRAMES = 10_000_000
 """Maximum length, about six weeks of 0.4 s frames; longer tables are errors and exceed memory."""
 
@@ -188,11 +192,8 @@ def integers(
     right = (np.abs(values) < 2.0 ** (bits - 1)) & (values == np.floor(values))  # false for NaN
     if not right.all():
         row = int(right.argmin())
-        raise RecordingError(
-            where,
-            got=f"{column} {values[row]} in row {row + 1}",
-            expected=f"integers of {bits} bits in column {column}",
-        )
+        got = f"{column} {values[row]} in row {row + 1}"
+        raise RecordingError(where, got=got, expected=f"integers of {bits} bits in column {column}")
     return values.astype(kind)
 
 
@@ -242,31 +243,23 @@ def from_rows(
         )
     length = int(frame.max()) + 1 if frames is None else frames
     if length > MAX_FRAMES:
-        raise RecordingError(
-            where,
-            got=f"{length} frames",
-            expected=f"at most {MAX_FRAMES}",
-            hint="Number the frames of the scene from 0, not milliseconds or video frames.",
-        )
+        got = f"{length} frames"
+        hint = "Number the frames of the scene from 0, not milliseconds or video frames."
+        raise RecordingError(where, got=got, expected=f"at most {MAX_FRAMES}", hint=hint)
     if frame.min() < 0 or frame.max() >= length:
-        raise RecordingError(
-            where,
-            got=f"frames {frame.min()} to {frame.max()}",
-            expected=f"frames from 0 to {length - 1}",
-            hint="Number frames from 0, and remove rows after the end.",
-        )
+        got = f"frames {frame.min()} to {frame.max()}"
+        hint = "Number frames from 0, and remove rows after the end."
+        raise RecordingError(where, got=got, expected=f"frames from 0 to {length - 1}", hint=hint)
 
     order = np.lexsort((frame, person_id))
     ids, frame, xy = person_id[order], frame[order], xy[order].astype(np.float32)
     twice = (np.diff(ids) == 0) & (np.diff(frame) == 0)
     if twice.any():
         row = int(twice.argmax())
-        raise RecordingError(
-            where,
-            got=f"person {ids[row]} twice in frame {frame[row]} ({int(twice.sum())} such rows)",
-            expected="one position per person and frame",
-            hint="Remove the duplicates, or give each person a separate id.",
-        )
+        got = f"person {ids[row]} twice in frame {frame[row]} ({int(twice.sum())} such rows)"
+        expected = "one position per person and frame"
+        hint = "Remove the duplicates, or give each person a separate id."
+        raise RecordingError(where, got=got, expected=expected, hint=hint)
 
     begins = np.flatnonzero(np.r_[True, np.diff(ids) != 0])
     ends = np.r_[begins[1:], len(ids)]

@@ -77,12 +77,9 @@ class EnvConfig:
         for name, known in (("start", get_args(Start)), ("on_full", get_args(OnFull))):
             value = getattr(self, name)
             if value not in known and (name, value) != ("start", None):
-                raise SettingError(
-                    name,
-                    got=repr(value),
-                    expected=f"one of {', '.join(known)}",
-                    hint=did_you_mean(value, known),
-                )
+                got = repr(value)
+                hint = did_you_mean(value, known)
+                raise SettingError(name, got=got, expected=f"one of {', '.join(known)}", hint=hint)
         if not isinstance(self.reward, Reward) and not callable(self.reward):
             raise SettingError(
                 "reward", got=repr(self.reward), expected="a crowdbench.Reward or a function"
@@ -104,12 +101,10 @@ class EnvConfig:
             if name not in known:
                 parameters = signature(env.__init__).parameters.values()  # type: ignore[misc]
                 ours = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
-                raise SettingError(
-                    env.__name__,
-                    got=f"the setting {name!r}",
-                    expected=f"one of {', '.join([*known, *ours])}",
-                    hint=did_you_mean(name, [*known, *ours]),
-                )
+                got = f"the setting {name!r}"
+                expected = f"one of {', '.join([*known, *ours])}"
+                hint = did_you_mean(name, [*known, *ours])
+                raise SettingError(env.__name__, got=got, expected=expected, hint=hint)
         return replace(config or cls(), **settings)
 
 

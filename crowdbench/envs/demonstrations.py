@@ -7,19 +7,18 @@ companions, stops and preferred speeds, which are those of the spawn model `repl
 the frame of the observation.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Float, Float32, Int
 from numpy.random import Generator
 
 from crowdbench import __version__, registry
 from crowdbench.data.recordings.catalogue import source
-from crowdbench.data.smoothing import smoothed
 from crowdbench.data.stops import STANDING_MPS
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Indices, Points, Trajectories
 from crowdbench.envs.demonstrated_trips import Demonstrations, Rows, pieces_of
 from crowdbench.envs.perturbation import PathPerturbation
 from crowdbench.errors import SettingError
@@ -38,6 +37,7 @@ __all__ = ["Demonstrations", "demonstrations"]
 
 RECOVERY_S = 1.5
 """Default time constant of displacements, seconds."""
+_DEGREE = 2  # of the polynomials that smooth paths: a constant acceleration is not changed
 
 
 def demonstrations(
@@ -77,9 +77,9 @@ def demonstrations(
         rays: number of rays.
         ray_range_m: range of the rays in metres.
         interval: number of frames between two decisions.
-        smoothing_s: window in which recorded positions are smoothed, in seconds, as in
-            `crowdbench.data.smoothing.smoothed`; 0: not at all. Without it, actions contain
-            the noise of annotations, and sampled walkers tremble.
+        smoothing_s: window in which recorded positions are smoothed, in seconds, as in `smoothed`;
+            0: not at all. Without it, actions contain the noise of annotations, and sampled
+            walkers tremble.
         displaced_m: standard deviation σ of each component of δ in metres; each component of ε has
             σ/τ. 0: no displacements.
         recovery_s: τ in seconds. Each displacement lasts for 4 τ and is followed by another one.
@@ -135,6 +135,28 @@ def demonstrations(
     return pieces_of(watched.rows, recording.first, left, provenance)
 
 
+def smoothed(recording: Trajectories, window_s: float) -> Trajectories:
+    """The recording with positions from a Savitzky-Golay filter of degree 2.
+
+    Each position is that of the quadratic that fits best within a window of `window_s` seconds
+    around it (Savitzky & Golay 1964, Analytical Chemistry 36, 1627), at the ends of a path within
+    its first or last window. Paths that are shorter than the window are fitted as a whole. The
+    first position of each path is kept. Windows of less than five frames change nothing.
+    """
+    frames = 2 * round(window_s / recording.dt_s / 2) + 1
+    if frames <= _DEGREE + 1:
+        return recording
+    from scipy.signal import savgol_filter
+
+    xy = recording.xy.astype(np.float64)
+    for start, stop in zip(recording.offsets[:-1], recording.offsets[1:], strict=True):
+        width = min(frames, (stop - start - 1) // 2 * 2 + 1)
+        if width > _DEGREE + 1:
+            path = savgol_filter(xy[start:stop], width, _DEGREE, axis=0, mode="interp")
+            xy[start + 1 : stop] = path[1:]
+    return replace(recording, xy=xy.astype(recording.xy.dtype))
+
+
 @dataclass(frozen=True, eq=False)
 class _RecordedContinuation:
     """Leads people straight to their recorded positions at their next decisions.
@@ -160,15 +182,11 @@ class _RecordedContinuation:
         """Actions (A, 2) with which everyone is at its recorded position at its next decision."""
         return self.action(seen.event, seen.frame, seen.position)
 
-    def row(
-        self, person: Int[np.ndarray, " n"], frame: int | Int[np.ndarray, " n"]
-    ) -> Int[np.ndarray, " n"]:
+    def row(self, person: Indices, frame: int | Indices) -> Indices:
         """Row of `recording.xy` of each person in a frame; its last row after its end."""
         return self._at(person, frame - self.recording.first[person])
 
-    def following(
-        self, person: Int[np.ndarray, " n"], frame: int | Int[np.ndarray, " n"]
-    ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    def following(self, person: Indices, frame: int | Indices) -> tuple[Indices, Indices]:
         """Row of each person at its next decision after a frame, and the frames until then.
 
         After the end of its record, these are its last row and 1.
@@ -194,9 +212,7 @@ class _RecordedContinuation:
         way /= self.recording.dt_s * frames[:, None]
         return (way / self.max_speed_mps).astype(np.float32)
 
-    def _at(
-        self, person: Int[np.ndarray, " n"], age: Int[np.ndarray, " n"]
-    ) -> Int[np.ndarray, " n"]:
+    def _at(self, person: Indices, age: Indices) -> Indices:
         offsets = self.recording.offsets
         return np.minimum(offsets[person] + age, offsets[person + 1] - 1)
 
@@ -263,8 +279,8 @@ class _Watched:
         self.rows.append(Rows(*(column[due] for column in rows)))
 
     def _displace(
-        self, aside: PathPerturbation, frame: int, there: Int[np.ndarray, " n"]
-    ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+        self, aside: PathPerturbation, frame: int, there: Indices
+    ) -> tuple[Points, Points]:
         """Displace the people in these slots.
 
         Returns where they are now, and by how much their actions lead beside their recorded
@@ -281,21 +297,13 @@ class _Watched:
         moved &= place.walkable(here) & place.walkable(recorded.recording.xy[following] + beside)
         slots.position[0, there[moved]] = here[moved]
         slots.velocity[0, there[moved]] += aside.drift[row[moved]].astype(np.float32)
-        slots.heading[0, there] = _headings(
-            slots.velocity[0, there], slots.heading[0, there], moved
+        velocity, heading = slots.velocity[0, there], slots.heading[0, there]
+        speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+        turned = moved[:, None] & (speed >= STANDING_MPS)  # those who stand keep their headings
+        slots.heading[0, there] = np.where(
+            turned, velocity / np.maximum(speed, STANDING_MPS), heading
         )
         return np.where(moved[:, None], here, stood), np.where(moved[:, None], beside, 0.0)
-
-
-def _headings(
-    velocity: Float32[np.ndarray, "n 2"],
-    heading: Float32[np.ndarray, "n 2"],
-    moved: Bool[np.ndarray, " n"],
-) -> Float32[np.ndarray, "n 2"]:
-    """Headings of people with displaced velocities; those who stand keep theirs."""
-    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    turned = moved[:, None] & (speed >= STANDING_MPS)
-    return np.where(turned, velocity / np.maximum(speed, STANDING_MPS), heading)
 
 
 def _cite(name: str) -> str:

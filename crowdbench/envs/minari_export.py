@@ -31,12 +31,9 @@ def write_minari(dataset_id: str, shown: "Demonstrations") -> "MinariDataset":
     try:
         folder = get_dataset_path(dataset_id)
         if folder.exists():
-            raise OutputError(
-                folder,
-                got="a dataset that already exists",
-                expected="a new id",
-                hint=f"Increase its version, or run `minari delete {dataset_id}`.",
-            )
+            got = "a dataset that already exists"
+            hint = f"Increase its version, or run `minari delete {dataset_id}`."
+            raise OutputError(folder, got=got, expected="a new id", hint=hint)
         try:
             return _write(dataset_id, shown)
         except (FileExistsError, ValueError):  # another process has created it meanwhile
@@ -45,12 +42,9 @@ def write_minari(dataset_id: str, shown: "Demonstrations") -> "MinariDataset":
             shutil.rmtree(folder, ignore_errors=True)
             raise
     except OSError as error:
-        raise OutputError(
-            dataset_id,
-            got=str(error),
-            expected="a writable folder",
-            hint="Set MINARI_DATASETS_PATH to one.",
-        ) from error
+        got = str(error)
+        hint = "Set MINARI_DATASETS_PATH to one."
+        raise OutputError(dataset_id, got=got, expected="a writable folder", hint=hint) from error
 
 
 def _write(dataset_id: str, shown: "Demonstrations") -> "MinariDataset":
@@ -90,7 +84,6 @@ def _write(dataset_id: str, shown: "Demonstrations") -> "MinariDataset":
 
 
 def _description(provenance: Mapping[str, Any]) -> str:
-    """Description of a dataset in Minari's lists."""
     words = "Observations and actions of pedestrians. An episode is a trip or a part of one. "
     words += "All rewards are zero."
     if name := provenance.get("recording"):

@@ -240,10 +240,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
             self._renderer.close()
 
     def _skip_empty(self) -> int:
-        """Continue to the next arrival or the horizon if nobody is present.
-
-        Returns the number of frames skipped.
-        """
+        """Continue to the next arrival or horizon if nobody is there; return the frames skipped."""
         simulation = self._simulation
         slots, clock = simulation.slots, simulation.clock
         first = int(clock.frame[0])
@@ -288,20 +285,16 @@ def _commands_of(actions: Mapping[str, np.ndarray], agents: Sequence[str]) -> np
     except KeyError:
         given = []
     except (TypeError, IndexError) as error:
-        raise ActionError(
-            "step",
-            got=f"actions of type {type(actions).__name__}",
-            expected="a dictionary from the names in env.agents to arrays of shape (2,)",
-        ) from error
+        got = f"actions of type {type(actions).__name__}"
+        expected = "a dictionary from the names in env.agents to arrays of shape (2,)"
+        raise ActionError("step", got=got, expected=expected) from error
     if not given or len(actions) != len(given):
         missing = [name for name in agents if name not in actions]
         unknown = sorted(set(actions) - set(agents))
-        raise ActionError(
-            "step",
-            got=f"missing actions for {missing[:3]}, actions for unknown agents {unknown[:3]}",
-            expected=f"one action for each of the {len(agents)} agents",
-            hint="Pass one action for each name in env.agents.",
-        )
+        got = f"missing actions for {missing[:3]}, actions for unknown agents {unknown[:3]}"
+        expected = f"one action for each of the {len(agents)} agents"
+        hint = "Pass one action for each name in env.agents."
+        raise ActionError("step", got=got, expected=expected, hint=hint)
     try:
         commands = np.array(given)
     except ValueError:  # rows of different shapes

@@ -8,9 +8,9 @@ steady than the recorded motion.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Float32
 
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Indices, Points, Trajectories
 
 HOMING_S = 2.0
 """In this time before the end of a trajectory, the actions of a displaced person lead straight to
@@ -95,14 +95,14 @@ def _pace(path: Float32[np.ndarray, "n 2"], dt_s: float) -> Float[np.ndarray, "n
 
 
 def _between_knots(
-    displaced: Float[np.ndarray, "n 2"],
-    velocity: Float[np.ndarray, "n 2"],
-    step: Int[np.ndarray, " n"],
-    within: Int[np.ndarray, " n"],
+    displaced: Points,
+    velocity: Points,
+    step: Indices,
+    within: Indices,
     knot: int,
     dt_s: float,
     tau: float,
-) -> Float[np.ndarray, "n 2"]:
+) -> Points:
     """The spring at frames `step` · `knot` + `within`, interpolated linearly between knots."""
     first = (step + within // knot)[:, None] * knot * dt_s
     share = (within % knot / knot)[:, None]
@@ -110,11 +110,6 @@ def _between_knots(
     return (1 - share) * ends[0] + share * ends[1]
 
 
-def _spring(
-    displaced: Float[np.ndarray, "n 2"],
-    velocity: Float[np.ndarray, "n 2"],
-    t: Float[np.ndarray, "n 1"],
-    tau: float,
-) -> Float[np.ndarray, "n 2"]:
+def _spring(displaced: Points, velocity: Points, t: Float[np.ndarray, "n 1"], tau: float) -> Points:
     """Displacement at time t of a critically damped spring, from displacement and velocity at 0."""
     return (displaced + (velocity + displaced / tau) * t) * np.exp(-t / tau)

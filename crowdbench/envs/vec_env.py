@@ -271,12 +271,10 @@ class CrowdVecEnv(VecEnv):
         Raises:
             SettingError: always.
         """
-        raise SettingError(
-            "CrowdVecEnv",
-            got=f"a call of {method_name} in sub-environments",
-            expected="a method of the whole environment",
-            hint="Sub-environments are persons in shared worlds, not separate objects.",
-        )
+        got = f"a call of {method_name} in sub-environments"
+        expected = "a method of the whole environment"
+        hint = "Sub-environments are persons in shared worlds, not separate objects."
+        raise SettingError("CrowdVecEnv", got=got, expected=expected, hint=hint)
 
     def env_is_wrapped(
         self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None

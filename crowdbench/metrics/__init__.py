@@ -69,11 +69,9 @@ def _check(name: str, given: Metric | type[Metric]) -> Metric:
             f"metric {name}", got=f"{metric!r}", expected="a subclass of crowdbench.metrics.Metric"
         )
     if metric.name != name or metric.family not in FAMILIES:
-        raise SettingError(
-            f"metric {name}",
-            got=f"the name {metric.name!r} and the family {metric.family!r}",
-            expected=f"the name {name!r} and one of the families {', '.join(FAMILIES)}",
-        )
+        got = f"the name {metric.name!r} and the family {metric.family!r}"
+        expected = f"the name {name!r} and one of the families {', '.join(FAMILIES)}"
+        raise SettingError(f"metric {name}", got=got, expected=expected)
     return metric
 
 
@@ -88,20 +86,6 @@ def metrics_for(blocks: TimeBlocks) -> tuple[Metric, ...]:
 
 
 __all__ = [
-    "FAMILIES",
-    "METRICS",
-    "PAPER",
-    "WALK",
-    "Metric",
-    "MetricResult",
-    "Place",
-    "Statistics",
-    "Sums",
-    "Support",
-    "all_metrics",
-    "blamed",
-    "distance",
-    "metrics_for",
-    "paper_first",
-    "total",
-]
+    "FAMILIES", "METRICS", "PAPER", "WALK", "Metric", "MetricResult", "Place", "Statistics",
+    "Sums", "Support", "all_metrics", "blamed", "distance", "metrics_for", "paper_first", "total",
+]  # fmt: skip

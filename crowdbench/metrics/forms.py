@@ -78,10 +78,6 @@ class ShareDifference(Metric):
         """The share, a number from 0 to 1."""
         return np.asarray(share(sums["share"]))[..., None]
 
-    def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
-        """The share, a number from 0 to 1."""
-        return float(share(sums["share"]))
-
     def size(self, sums: Sums) -> int:
         """Denominator of the share."""
         return int(sums["share"][1])

@@ -7,12 +7,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.data.blocks import TimeBlocks
-from crowdbench.data.neighbours import nearest_neighbour_m
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, ShareDifference
-from crowdbench.metrics.lattice import counted
+from crowdbench.metrics.lattice import counted, histograms
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support, Vectors, Weights
-from crowdbench.metrics.rows import Ticks, rows_in, ticks_of
+from crowdbench.metrics.rows import Ticks, nearest_neighbour_m, rows_in, ticks_of
 
 ENCOUNTER_M = 2.0
 STRANGERS_MPS = 0.7
@@ -57,8 +56,7 @@ class Avoidance(Metric):
             block = at.block[index]
             inside = block >= 0
             bins = np.minimum((closest[inside] / BIN_M).astype(np.int64), BINS - 1)
-            flat = np.bincount(block[inside] * BINS + bins, minlength=len(blocks) * BINS)
-            return flat.reshape(len(blocks), BINS)
+            return histograms(bins, block[inside], len(blocks), BINS)
 
         shifts = [round(shift_s / at.dt_s) for shift_s in place.walking.shifts_s]
         return {"observed": histogram(0), "shifted": np.sum([histogram(k) for k in shifts], axis=0)}

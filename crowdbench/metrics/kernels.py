@@ -240,7 +240,6 @@ def clearances(xy, reach_m, segments, lower, columns, rows, start, near, solid):
 
 @njit(error_model="numpy")
 def _distance(x, y, segment):
-    """Distance of the point (x, y) to a segment."""
     ax, ay = segment[0], segment[1]
     dx, dy = segment[2] - ax, segment[3] - ay
     squared = dx * dx + dy * dy

@@ -13,10 +13,10 @@ Numbers = Float[np.ndarray, "*batch"] | np.float64
 
 
 def histograms(
-    values: Int[np.ndarray, " n"], block: Int[np.ndarray, " n"], blocks: int
+    values: Int[np.ndarray, " n"], block: Int[np.ndarray, " n"], blocks: int, size: int = 0
 ) -> Int[np.ndarray, "B V"]:
-    """Histogram of the values in each block; V is the largest value plus one (at least 1)."""
-    size = int(values.max()) + 1 if len(values) else 1
+    """Histogram of the values in each block; V is `size`, or the largest value plus one if more."""
+    size = max(size, 1, int(values.max(initial=0)) + 1)
     return np.bincount(block * size + values, minlength=blocks * size).reshape(blocks, size)
 
 

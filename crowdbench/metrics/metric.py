@@ -130,9 +130,9 @@ class Metric(ABC):
         """Weight of each vector component, computed from the recording's sums."""
         return np.ones(1)
 
-    @abstractmethod
     def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
-        """The typical value that tables show, in `unit`."""
+        """The typical value that tables show, in `unit`; by default the mean of the vector."""
+        return float(self.embed(sums, support, blocks).mean())
 
     def size(self, sums: Sums) -> int:
         """Size of the sample; that of the histogram `counts` unless a metric says otherwise."""

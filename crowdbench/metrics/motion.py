@@ -140,10 +140,6 @@ class _NoiseCancelled(Metric):
         with np.errstate(divide="ignore"):
             return 1.0 / (len(value) * value)
 
-    def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
-        """Mean over the lags, m/s²."""
-        return float(self.embed(sums, support, blocks).mean())
-
     def size(self, sums: Sums) -> int:
         """Number of products at the shortest lag."""
         shortest = min(sums, key=lambda name: int(name.split()[-1]))

@@ -8,16 +8,9 @@ from jaxtyping import Int
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.stops import standing
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Indices, Trajectories
+from crowdbench.metrics import lattice
 from crowdbench.metrics.forms import LogRatio, RelativeWasserstein, ShareDifference
-from crowdbench.metrics.lattice import (
-    Numbers,
-    correlation,
-    counted,
-    histograms,
-    lagged_sums,
-    moments,
-)
 from crowdbench.metrics.metric import Metric, Place, Statistics, Sums, Support, Vectors, Weights
 from crowdbench.metrics.rows import block_of_frames, rows_in
 
@@ -27,9 +20,7 @@ ENOUGH = 0.1
 """Minimum share of frames that must have a frame one lag later in the same block."""
 
 
-def present_in(
-    crowd: Trajectories, blocks: TimeBlocks
-) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+def present_in(crowd: Trajectories, blocks: TimeBlocks) -> tuple[Indices, Indices]:
     """N(t) in each frame of the blocks, and the frame's block.
 
     N(t) is 0 after the end of the crowd.
@@ -39,7 +30,17 @@ def present_in(
     return present[block >= 0], block[block >= 0]
 
 
-class AgentsOverTime(RelativeWasserstein):
+class _Present(Metric):
+    family = "presence"
+    unit = "persons"
+
+    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
+        """`counts[b, n]`: number of frames of block b with n persons."""
+        present, block = present_in(crowd, blocks)
+        return {"counts": lattice.histograms(present, block, len(blocks))}
+
+
+class AgentsOverTime(_Present, RelativeWasserstein):
     """N(t), the number of persons present, in all frames of the blocks, including empty frames.
 
     N(t) is the number of people whose first frame is ≤ t minus those whose last frame is < t.
@@ -47,33 +48,19 @@ class AgentsOverTime(RelativeWasserstein):
     """
 
     name = "agents_over_time"
-    family = "presence"
-    unit = "persons"
-
-    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, n]`: number of frames of block b with n persons."""
-        present, block = present_in(crowd, blocks)
-        return {"counts": histograms(present, block, len(blocks))}
 
 
-class AgentsSpread(LogRatio):
+class AgentsSpread(_Present, LogRatio):
     """Standard deviation of N(t) over the frames in the blocks.
 
     Distance: |log((a + .05)/(b + .05))|.
     """
 
     name = "agents_sd"
-    family = "presence"
-    unit = "persons"
 
-    def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
-        """`counts[b, n]`: number of frames of block b with n persons."""
-        present, block = present_in(crowd, blocks)
-        return {"counts": histograms(present, block, len(blocks))}
-
-    def value(self, sums: Sums, support: Support) -> Numbers:
+    def value(self, sums: Sums, support: Support) -> lattice.Numbers:
         """Standard deviation of N(t)."""
-        return np.sqrt(moments(sums["counts"], support)[1])
+        return np.sqrt(lattice.moments(sums["counts"], support)[1])
 
 
 class _Correlations(Metric):
@@ -95,15 +82,13 @@ class _Correlations(Metric):
 
     def embed(self, sums: Sums, support: Support, blocks: TimeBlocks) -> Vectors:
         """The correlation at each lag that is used."""
-        return np.stack([correlation(sums[lag_key(lag)]) for lag in self._used(blocks)], axis=-1)
+        return np.stack(
+            [lattice.correlation(sums[lag_key(lag)]) for lag in self._used(blocks)], axis=-1
+        )
 
     def weights(self, recorded: Sums, support: Support, blocks: TimeBlocks) -> Weights:
         """1 / number of lags: the distance is a mean over the lags."""
         return np.full(1, 1 / len(self._used(blocks)))
-
-    def typical(self, sums: Sums, support: Support, blocks: TimeBlocks) -> float:
-        """Mean correlation over the lags."""
-        return float(self.embed(sums, support, blocks).mean())
 
     def size(self, sums: Sums) -> int:
         """Number of pairs of frames at the shortest lag."""
@@ -154,7 +139,7 @@ class StandingShare(ShareDifference):
     def summarise(self, crowd: Trajectories, blocks: TimeBlocks, place: Place) -> Statistics:
         """`share[b]`: number of positions in block b of people who stand, and of all."""
         rows, block = rows_in(crowd, blocks)
-        return {"share": counted(standing(crowd)[rows], block, len(blocks))}
+        return {"share": lattice.counted(standing(crowd)[rows], block, len(blocks))}
 
 
 def lagged(
@@ -175,7 +160,7 @@ def lagged(
         lag = min(_in_frames(lag_s, blocks), last)
         counts = np.arange(last - lag) >= begin[lag:]
         x, y = present[: last - lag][counts], present[lag:][counts]
-        found[k] = lagged_sums(x, y, block[lag:][counts], len(blocks))
+        found[k] = lattice.lagged_sums(x, y, block[lag:][counts], len(blocks))
     return found
 
 

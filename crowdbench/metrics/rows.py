@@ -1,4 +1,4 @@
-"""Rows in time blocks, and ticks: the frames with annotated positions."""
+"""Rows in time blocks, their nearest neighbours, and ticks: the frames with annotated positions."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -7,13 +7,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.data.blocks import TimeBlocks
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Indices, Trajectories
+
+FAR_M = 5e3
+"""Distance beyond which people do not count as neighbours."""
 
 
 @lru_cache(maxsize=1)  # several metrics use the rows of the same crowd
-def rows_in(
-    crowd: Trajectories, blocks: TimeBlocks
-) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+def rows_in(crowd: Trajectories, blocks: TimeBlocks) -> tuple[Indices, Indices]:
     """Indices of the rows whose frame lies in a block, and the block of each."""
     block = block_of_frames(blocks, crowd.frames)[crowd.row_frame()]
     rows = np.flatnonzero(block >= 0)
@@ -27,6 +28,18 @@ def block_of_frames(blocks: TimeBlocks, frames: int) -> Int[np.ndarray, " frames
     for b, (start, stop) in enumerate(blocks.frames):
         block[start:stop] = b
     return block
+
+
+@lru_cache(maxsize=1)  # several metrics search for neighbours in the same crowd
+def nearest_neighbour_m(crowd: Trajectories) -> Float[np.ndarray, " R"]:
+    """Distance of each row to the nearest other person in the same frame; infinite if alone."""
+    from crowdbench.data.neighbour_kernels import from_left_to_right, nearest
+
+    row, begins = from_left_to_right(crowd.row_frame(), crowd.row_person(), crowd.xy[:, 0])
+    xy = crowd.xy[row].astype(np.float64)
+    result = np.empty(len(row))
+    result[row] = nearest(xy, begins, FAR_M)
+    return result
 
 
 class Ticks(NamedTuple):

@@ -1,14 +1,14 @@
 """Family space: where people are, and how close they are to each other."""
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Int
 
 from crowdbench.data.blocks import TimeBlocks
-from crowdbench.data.neighbours import nearest_neighbour_m
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Indices, Points, Trajectories
 from crowdbench.metrics.forms import RelativeWasserstein, TotalVariation
+from crowdbench.metrics.lattice import histograms
 from crowdbench.metrics.metric import Place, Statistics
-from crowdbench.metrics.rows import rows_in
+from crowdbench.metrics.rows import nearest_neighbour_m, rows_in
 
 ALONE_M = 50.0
 
@@ -60,17 +60,14 @@ class GoalDensity(TotalVariation):
         return {"counts": _cells(crowd.end[persons[left]], block[left], len(blocks), place)}
 
 
-def _cells(
-    xy: Float32[np.ndarray, "n 2"], block: Int[np.ndarray, " n"], blocks: int, place: Place
-) -> Int[np.ndarray, "B C"]:
+def _cells(xy: Points, block: Indices, blocks: int, place: Place) -> Int[np.ndarray, "B C"]:
     """Number of points of each block in each cell, with a margin of one cell."""
     x0, x1, y0, y1 = place.bounds_m
     low = np.floor([x0, y0]).astype(np.int64) - 1
     high = np.ceil([x1, y1]).astype(np.int64)
     cell = np.clip(np.floor(xy), low, high).astype(np.int64) - low
     columns, cells = high - low + 1, int((high - low + 1).prod())
-    flat = block * cells + cell[:, 0] * columns[1] + cell[:, 1]
-    return np.bincount(flat, minlength=blocks * cells).reshape(blocks, cells)
+    return histograms(cell[:, 0] * columns[1] + cell[:, 1], block, blocks, cells)
 
 
 class NearestNeighbour(RelativeWasserstein):

@@ -77,8 +77,7 @@ class OriginDestination(TotalVariation):
         known &= (destination >= 0) & (destination < place.goal_areas)
         cell = origin[known].astype(np.int64) * place.goal_areas + destination[known]
         cells = place.spawn_areas * place.goal_areas
-        flat = np.bincount(block[known] * cells + cell, minlength=len(blocks) * cells)
-        return {"counts": flat.reshape(len(blocks), cells)}
+        return {"counts": histograms(cell, block[known], len(blocks), cells)}
 
 
 class Detour(RelativeWasserstein):

@@ -14,17 +14,7 @@ from crowdbench.policies.social_force import SocialForce
 from crowdbench.policies.walkers import Random, RecordedPaths, ReplayPolicy, Straight
 
 __all__ = [
-    "Memory",
-    "ObservationPolicy",
-    "OnnxPolicy",
-    "Policy",
-    "PolicyCard",
-    "Random",
-    "RecordedPaths",
-    "RememberingPolicy",
-    "ReplayPolicy",
-    "SocialForce",
-    "StatePolicy",
-    "StateView",
-    "Straight",
-]
+    "Memory", "ObservationPolicy", "OnnxPolicy", "Policy", "PolicyCard", "Random",
+    "RecordedPaths", "RememberingPolicy", "ReplayPolicy", "SocialForce", "StatePolicy",
+    "StateView", "Straight",
+]  # fmt: skip

@@ -92,12 +92,10 @@ class PolicyCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         """
         if width != self.inputs:
             rays = f", rays={self.rays}, ray_range_m={self.ray_range_m:g}" * bool(self.with_rays)
-            raise SettingError(
-                f"policy {self.name}",
-                got=f"observations of {width} numbers",
-                expected=f"the {self.inputs} numbers of {self.observation}{self.with_rays}",
-                hint=f"Make the environment with observation={self.observation!r}{rays}.",
-            )
+            got = f"observations of {width} numbers"
+            expected = f"the {self.inputs} numbers of {self.observation}{self.with_rays}"
+            hint = f"Make the environment with observation={self.observation!r}{rays}."
+            raise SettingError(f"policy {self.name}", got=got, expected=expected, hint=hint)
 
     def checked(self, where: object) -> "PolicyCard":
         """This card, after validation; `where` is named in error messages.

@@ -151,12 +151,9 @@ def _check_survival(file: Path, path: Path) -> None:
     path_of_modules = {"PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(command, env=os.environ | path_of_modules, capture_output=True)
     if done.returncode < 0:
-        raise WeightsError(
-            path,
-            got=f"a network that crashes onnxruntime with signal {-done.returncode}",
-            expected="one that runs",
-            hint="Use other operators; recurrent layers are often the cause.",
-        )
+        got = f"a network that crashes onnxruntime with signal {-done.returncode}"
+        hint = "Use other operators; recurrent layers are often the cause."
+        raise WeightsError(path, got=got, expected="one that runs", hint=hint)
 
 
 def _onnx(
@@ -181,11 +178,9 @@ def _onnx(
                 dynamic_shapes=tuple({0: persons} for _ in fed),
             )
     except Exception as error:  # torch's errors have no common base class
-        raise WeightsError(
-            path,
-            got=f"a network that torch cannot export ({str(error).splitlines()[0][:200]})",
-            expected="one with standard operators that takes any number of persons",
-        ) from error
+        got = f"a network that torch cannot export ({str(error).splitlines()[0][:200]})"
+        expected = "one with standard operators that takes any number of persons"
+        raise WeightsError(path, got=got, expected=expected) from error
     finally:
         log.setLevel(level)
     assert program is not None

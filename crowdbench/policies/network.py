@@ -140,12 +140,9 @@ def check_onnx(*more: str) -> None:
     """
     for package in ("onnx", "onnxruntime", *more):
         if find_spec(package) is None:
-            raise SettingError(
-                "policy",
-                got=f"no {package}",
-                expected="the packages for ONNX files",
-                hint=to_install("onnx"),
-            )
+            got = f"no {package}"
+            expected = "the packages for ONNX files"
+            raise SettingError("policy", got=got, expected=expected, hint=to_install("onnx"))
 
 
 def read_card(path: Path) -> PolicyCard:
@@ -165,11 +162,8 @@ def _read_model(path: Path) -> tuple[bytes, "ModelProto"]:
     from google.protobuf.message import DecodeError
 
     if path.is_file() and path.stat().st_size > LARGEST:
-        raise WeightsError(
-            path,
-            got=f"{path.stat().st_size / 1e6:.1f} MB",
-            expected=f"an ONNX file of up to {LARGEST / 1e6:.0f} MB",
-        )
+        got = f"{path.stat().st_size / 1e6:.1f} MB"
+        raise WeightsError(path, got=got, expected=f"an ONNX file of up to {LARGEST / 1e6:.0f} MB")
     data = read_bytes(path, WeightsError, HINT)
     try:
         return data, onnx.ModelProto.FromString(data)

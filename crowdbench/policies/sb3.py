@@ -48,11 +48,9 @@ def read_sb3(path: Path, *, noise: int = 0) -> "Sb3Network":
     try:
         import stable_baselines3  # noqa: F401
     except ImportError as error:
+        expected = "the packages that read a model of Stable-Baselines3"
         raise SettingError(
-            "policy export",
-            got=f"no {error.name}",
-            expected="the packages that read a model of Stable-Baselines3",
-            hint=to_install("sb3,onnx"),
+            "policy export", got=f"no {error.name}", expected=expected, hint=to_install("sb3,onnx")
         ) from error
     if noise not in (0, 2):
         raise SettingError("noise", got=str(noise), expected="0 for the mean action, 2 to sample")
@@ -143,7 +141,6 @@ def _policy(path: Path, data: dict[str, Any], use_sde: bool, weights: dict[str, 
 
 
 def _network(path: Path, policy: Any, noise: int) -> "Sb3Network":
-    """Parts of the policy that lead to its actions."""
     from crowdbench.policies.sb3_network import Sb3Network
 
     try:

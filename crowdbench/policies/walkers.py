@@ -75,11 +75,8 @@ class ReplayPolicy:
         """
         crowd = self.recording
         if len(seen.event) and seen.event.max() >= len(crowd):
-            raise SettingError(
-                f"policy {self.name}",
-                got="arrivals of another model",
-                expected="the spawn model replay",
-            )
+            got = "arrivals of another model"
+            raise SettingError(f"policy {self.name}", got=got, expected="the spawn model replay")
         row = crowd.offsets[seen.event] + (seen.frame + 1 - crowd.first[seen.event])
         row = np.clip(row, crowd.offsets[seen.event], crowd.offsets[seen.event + 1] - 1)
         step = (crowd.xy[row].astype(np.float64) - seen.position) / self._scene.dt_s

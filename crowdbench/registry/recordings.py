@@ -32,8 +32,7 @@ GENERATED = {"plaza": "crowdbench.run.plaza_recording:record"}
 """Recordings that are simulated, and the functions that simulate them, imported on first use."""
 RECORDINGS = (*catalogue.SOURCES, *GENERATED)
 """Names of the listed recordings. The catalogue has further days of the Forum."""
-_READERS = "crowdbench.data.recordings"
-"""Their product, the recording's table, is hashed itself."""
+_READERS = "crowdbench.data.recordings"  # their product, the recording's table, is hashed itself
 _LIBRARIES = ("numpy", "scipy", "scikit-learn")
 _IN_MEMORY = 4
 _ON_DISK = 8

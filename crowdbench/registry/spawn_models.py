@@ -2,26 +2,13 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from crowdbench import plugins
+from crowdbench import plugins, spawn
 from crowdbench.errors import SettingError, WeightsError
 from crowdbench.registry.dependencies import Dependencies
 from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene
-from crowdbench.spawn import (
-    BlockReplay,
-    CoxGMM,
-    NtppGMM,
-    NtppPaper,
-    PoissonGMM,
-    PoissonGroups,
-    PoissonPaper,
-    RenewalGMM,
-    Replay,
-    Scenario,
-    SpawnModel,
-    Steered,
-)
 from crowdbench.spawn.areas import Areas, read_areas
 from crowdbench.spawn.events import blocks_of
 from crowdbench.spawn.fits import check_split
@@ -29,15 +16,14 @@ from crowdbench.spawn.plans.files import FILE as PLANS
 from crowdbench.spawn.plans.files import read_plans
 from crowdbench.spawn.steering.scenario import check_scenario, read_scenario, split_scenario
 
-Fitted = type[PoissonGMM | PoissonGroups | RenewalGMM | NtppGMM | CoxGMM | NtppPaper]
-FITTED: dict[str, Fitted] = {
-    "poisson-gmm": PoissonGMM,
-    "poisson-groups": PoissonGroups,
-    "renewal-gmm": RenewalGMM,
-    "ntpp-gmm": NtppGMM,
-    "cox-gmm": CoxGMM,
-    "poisson-paper": PoissonPaper,
-    "ntpp-paper": NtppPaper,
+FITTED: dict[str, Any] = {
+    "poisson-gmm": spawn.PoissonGMM,
+    "poisson-groups": spawn.PoissonGroups,
+    "renewal-gmm": spawn.RenewalGMM,
+    "ntpp-gmm": spawn.NtppGMM,
+    "cox-gmm": spawn.CoxGMM,
+    "poisson-paper": spawn.PoissonPaper,
+    "ntpp-paper": spawn.NtppPaper,
 }
 """Spawn models that are fitted to a recording; scenes ship their fits."""
 _NETWORKS = ("ntpp-gmm", "ntpp-paper")
@@ -45,7 +31,10 @@ WEIGHTS = {f"{name}.safetensors" if name in _NETWORKS else f"{name}.json": name 
 """File name of the fits of each spawn model in `FITTED`."""
 PLANNED = {"poisson-plans": "poisson-groups", "ntpp-plans": "ntpp-gmm", "cox-plans": "cox-gmm"}
 """Models of plans, and the model in `FITTED` that their times are from."""
-_PLAYED: dict[str, type[BlockReplay | Replay]] = {"block-replay": BlockReplay, "replay": Replay}
+_PLAYED: dict[str, type[spawn.BlockReplay | spawn.Replay]] = {
+    "block-replay": spawn.BlockReplay,
+    "replay": spawn.Replay,
+}
 SPAWN_MODELS = (*FITTED, *PLANNED, *_PLAYED)
 DEFAULT_SPAWN = "ntpp-gmm"
 """Default spawn model of the environments."""
@@ -67,7 +56,7 @@ class SpawnSource:
     own: bool
     """Whether it is a class of a user or another package, which `model` imports."""
 
-    def model(self, split: str = "full", fit: int = 0) -> SpawnModel:
+    def model(self, split: str = "full", fit: int = 0) -> spawn.SpawnModel:
         """The model, fitted to a split; see `spawn_model`."""
         check_split(split, fit)
         model = self._build(split, fit)
@@ -81,7 +70,7 @@ class SpawnSource:
             beside = sorted(f for f in folder.iterdir() if f.is_file() and f.name not in _SCORING)
             return Dependencies.of_own("spawn_models", self.base, *scenario, *beside)
         files = (folder / "areas.json", *scenario)
-        modules = (Steered.__module__,) * len(scenario)
+        modules = (spawn.Steered.__module__,) * len(scenario)
         if self.fits is None:
             modules += (_PLAYED[self.base].__module__,)
             return Dependencies(self.base, modules, files, recording=True)
@@ -92,7 +81,7 @@ class SpawnSource:
             return Dependencies(self.base, modules, (*files, self.fits, folder / PLANS))
         return Dependencies(times, modules, (*files, self.fits))
 
-    def _build(self, split: str, fit: int) -> SpawnModel:
+    def _build(self, split: str, fit: int) -> spawn.SpawnModel:
         scene = self.scene
         if self.fits is not None:
             holding, times = replace(scene, folder=self.fits.parent), WEIGHTS[self.fits.name]
@@ -105,14 +94,14 @@ class SpawnSource:
             known = (*SPAWN_MODELS, "a folder with the fits of one model")
             kind = plugins.find("spawn_models", self.base, known)
             needed = ("name", "start", "sample")
-            model: SpawnModel = plugins.create(
+            model: spawn.SpawnModel = plugins.create(
                 kind, self.base, scene, needed=needed, split=split, fit=fit
             )
             return model
         crowd = recording_of(scene)
         if self.base == "replay":
-            return Replay(crowd)
-        return BlockReplay(crowd, blocks_of(crowd, scene).training(split), read_areas(scene))
+            return spawn.Replay(crowd)
+        return spawn.BlockReplay(crowd, blocks_of(crowd, scene).training(split), read_areas(scene))
 
 
 def spawn_source(name: str, scene: Scene) -> SpawnSource:
@@ -130,12 +119,12 @@ def spawn_source(name: str, scene: Scene) -> SpawnSource:
 
 
 def spawn_model(
-    model: str | SpawnModel,
+    model: str | spawn.SpawnModel,
     scene: str | Path | Scene,
     split: str = "full",
     fit: int = 0,
-    scenario: Scenario | None = None,
-) -> SpawnModel:
+    scenario: spawn.Scenario | None = None,
+) -> spawn.SpawnModel:
     """Spawn model with the given name, fitted to a split of the recording.
 
     Args:
@@ -160,23 +149,18 @@ def spawn_model(
     return model if scenario is None else _steer(model, place, scenario)
 
 
-def _steer(model: SpawnModel, scene: Scene, scenario: Scenario | Path) -> Steered:
+def _steer(model: spawn.SpawnModel, scene: Scene, scenario: spawn.Scenario | Path) -> spawn.Steered:
     own = getattr(model, "areas", None)
     areas = own if isinstance(own, Areas) else read_areas(scene)
     if isinstance(scenario, Path):
         scenario = read_scenario(scenario, scene, areas)
     else:
         check_scenario(scenario, scene, areas, f"scenario {scenario.name}")
-    return Steered(model, scenario, areas)
+    return spawn.Steered(model, scenario, areas)
 
 
 def _fits_of(model: str, scene: Scene) -> Path | None:
-    """File with the fits of a model; None if it has none.
-
-    Raises:
-        WeightsError: the scene has no fits of this model; the message lists those that it has.
-        SettingError: `model` is a folder without the fits of exactly one model.
-    """
+    """File with the fits of a model; None if it has none."""
     if model in FITTED or model in PLANNED:
         return _shipped_fits(PLANNED.get(model, model), scene)
     folder = Path(model)
@@ -184,12 +168,10 @@ def _fits_of(model: str, scene: Scene) -> Path | None:
         return None
     found = [folder / name for name in WEIGHTS if (folder / name).is_file()]
     if len(found) != 1:
-        raise SettingError(
-            f"spawn model {model}",
-            got=f"a folder with {', '.join(f.name for f in found) or 'no fits'}",
-            expected=f"exactly one of {', '.join(WEIGHTS)}",
-            hint="Put the fits of each model into a separate folder.",
-        )
+        got = f"a folder with {', '.join(f.name for f in found) or 'no fits'}"
+        expected = f"exactly one of {', '.join(WEIGHTS)}"
+        hint = "Put the fits of each model into a separate folder."
+        raise SettingError(f"spawn model {model}", got=got, expected=expected, hint=hint)
     return found[0]
 
 

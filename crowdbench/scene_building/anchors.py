@@ -8,20 +8,14 @@ from crowdbench.run.jobs import plan
 from crowdbench.run.judge import draws_of, entries_of, floors
 from crowdbench.run.rollout_jobs import roll_out
 from crowdbench.scene import load_scene
+from crowdbench.scoring import scorecard
 from crowdbench.scoring.power import Power, power
 from crowdbench.scoring.reference import read_reference
-from crowdbench.scoring.scorecard import (
-    ANCHOR,
-    BASELINES,
-    SCHEMA,
-    WALK_ANCHOR,
-    Anchors,
-    Scale,
-    files_of,
-)
 
 
-def make_anchors(scene: str | Path, folder: Path, *, workers: int | None = None) -> Anchors:
+def make_anchors(
+    scene: str | Path, folder: Path, *, workers: int | None = None
+) -> scorecard.Anchors:
     """Roll out the anchors of a scene in both protocols; the rollouts are stored in `folder`.
 
     Raises:
@@ -32,12 +26,17 @@ def make_anchors(scene: str | Path, folder: Path, *, workers: int | None = None)
     seeds = place.protocol.fits * place.protocol.rollouts_per_fit
     protocols = {}
     for protocol in ("full", "heldout"):
-        jobs = plan(str(scene), place, BASELINES, protocol, seeds, folder)
+        jobs = plan(str(scene), place, scorecard.BASELINES, protocol, seeds, folder)
         rolled = roll_out(jobs, reference, workers)
         entries = entries_of(place, reference, rolled, protocol, seeds)
-        scale = Scale(floor=floors(place, reference, protocol), anchors=entries)
+        scale = scorecard.Scale(floor=floors(place, reference, protocol), anchors=entries)
         protocols[protocol] = scale.of(place.protocol.scored)
-    return Anchors(schema=SCHEMA, scene=place.id, made_from=files_of(place), protocols=protocols)
+    return scorecard.Anchors(
+        schema=scorecard.SCHEMA,
+        scene=place.id,
+        made_from=scorecard.files_of(place),
+        protocols=protocols,
+    )
 
 
 def power_study(scene: str | Path, folder: Path, *, workers: int | None = None) -> list[Power]:
@@ -51,12 +50,12 @@ def power_study(scene: str | Path, folder: Path, *, workers: int | None = None) 
     place = load_scene(scene)
     reference = read_reference(place)
     seeds = place.protocol.fits * place.protocol.rollouts_per_fit
-    jobs = plan(str(scene), place, [ANCHOR, WALK_ANCHOR], "full", seeds, folder)
+    jobs = plan(str(scene), place, [scorecard.ANCHOR, scorecard.WALK_ANCHOR], "full", seeds, folder)
     rolled = roll_out(jobs, reference, workers)
     draws = draws_of(place, reference, "full")
     found = []
     for metric in steps("power", [m for m in metrics_for(reference.blocks) if m.scored]):
-        pair = WALK_ANCHOR if metric.family in WALK else ANCHOR
+        pair = scorecard.WALK_ANCHOR if metric.family in WALK else scorecard.ANCHOR
         crowds = [
             what.of(metric) for job, what in rolled.items() if (job.spawn, job.policy) == pair
         ]

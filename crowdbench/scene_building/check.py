@@ -83,24 +83,20 @@ def _read(
 def _areas(scene: Scene, areas: Areas) -> str:
     most = max(areas.left_out)
     if most >= LEFT_OUT:
-        raise SceneError(
-            scene.folder / "areas.json",
-            got=f"{most:.1%} of the starts or ends in no area, or only in the broad one",
-            expected=f"less than {LEFT_OUT:.0%}",
-            hint="Increase eps_m in [clustering.default] of scene.toml, and fit the scene again.",
-        )
+        got = f"{most:.1%} of the starts or ends in no area, or only in the broad one"
+        expected = f"less than {LEFT_OUT:.0%}"
+        hint = "Increase eps_m in [clustering.default] of scene.toml, and fit the scene again."
+        raise SceneError(scene.folder / "areas.json", got=got, expected=expected, hint=hint)
     return f"{len(areas.spawn)} spawn, {len(areas.goal)} goal; at most {most:.1%} left out"
 
 
 def _blocks(scene: Scene, reference: Reference) -> str:
     blocks = reference.blocks
     if len(blocks) < FOLDS:
-        raise SceneError(
-            scene.folder / "scene.toml",
-            got=f"{len(blocks)} time blocks",
-            expected=f"{FOLDS} or more, at least one per fold",
-            hint="Decrease protocol.block_s, and fit the scene again.",
-        )
+        got = f"{len(blocks)} time blocks"
+        expected = f"{FOLDS} or more, at least one per fold"
+        hint = "Decrease protocol.block_s, and fit the scene again."
+        raise SceneError(scene.folder / "scene.toml", got=got, expected=expected, hint=hint)
     return f"{len(blocks)} time blocks, {blocks.exposure_s():.0f} s"
 
 
@@ -130,13 +126,10 @@ def _scored(scene: Scene, reference: Reference | None) -> str:
     unknown = set(scored) - {metric.name for metric in metrics_for(reference.blocks)}
     if unknown or not scored:
         names = ", ".join(sorted(unknown))
-        raise SceneError(
-            scene.folder / "scene.toml",
-            got=f"{names} in protocol.scored" if scored else "no protocol.scored",
-            expected="at least one metric, and only metrics that apply to time blocks of this "
-            "length",
-            hint=f"Import the recording, and run `crowdbench scene power {scene.asked} --write`.",
-        )
+        got = f"{names} in protocol.scored" if scored else "no protocol.scored"
+        expected = "at least one metric, and only metrics that apply to time blocks of this length"
+        hint = f"Import the recording, and run `crowdbench scene power {scene.asked} --write`."
+        raise SceneError(scene.folder / "scene.toml", got=got, expected=expected, hint=hint)
     return f"{len(scored)} of {len(metrics_for(reference.blocks))}"
 
 

@@ -6,6 +6,7 @@ scene is left after an error.
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import structs
@@ -17,28 +18,25 @@ from crowdbench.data.recordings.mending import Gaps
 from crowdbench.data.recordings.noise import noise_of
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import OutputError, SceneError, SettingError
-from crowdbench.files import temporary_folder, unwritable, write_text
+from crowdbench.files import replacing, temporary_folder, unwritable, write_text
 from crowdbench.metrics import METRICS, metrics_for
 from crowdbench.progress import whole
 from crowdbench.registry import recording as named_recording
 from crowdbench.registry import recording_of
+from crowdbench.report.plots import panels
+from crowdbench.report.plots.canvas import picture
+from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.run.executor import checked_workers
 from crowdbench.scene import ID, Gate, Recording, Scene, list_scenes, load_scene
-from crowdbench.scene_building import rules
+from crowdbench.scene_building import fit, rules
 from crowdbench.scene_building.anchors import make_anchors, power_study
-from crowdbench.scene_building.fit import (
-    ASTRAY,
-    MODELS,
-    check_against,
-    dwell_p99_s,
-    fit_scene,
-    has_torch,
-)
-from crowdbench.scene_building.pictures import draw_place
 from crowdbench.scene_building.toml import like_toml, scene_toml, write_scored
 from crowdbench.scene_building.walls import read_walls
 from crowdbench.scoring.reference import read_reference
 from crowdbench.scoring.scorecard import write_anchors
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,13 +92,9 @@ class NewScene:
     def check_free(self) -> None:
         """Check that nothing is in its place."""
         if self.place.exists():
-            raise OutputError(
-                self.place,
-                got="a path that exists already",
-                expected="a new folder",
-                hint="Choose another folder with --out, or delete this one if it is no longer "
-                "needed.",
-            )
+            got = "a path that exists already"
+            hint = "Choose another folder with --out, or delete this one if it is no longer needed."
+            raise OutputError(self.place, got=got, expected="a new folder", hint=hint)
 
 
 @dataclass(frozen=True)
@@ -186,7 +180,7 @@ def create_like(
         id=new.name,
         title=new.shown_title,
         recording=Recording(
-            recording, crowd.frames, round(dwell_p99_s(kept), 2), preprocess=dropping
+            recording, crowd.frames, round(fit.dwell_p99_s(kept), 2), preprocess=dropping
         ),
         protocol=structs.replace(
             known.protocol,
@@ -195,12 +189,11 @@ def create_like(
             scored=(),
         ),
     )
-    check_against(scene, kept)  # in the folder of `like`: names the file that the user knows
+    fit.check_against(scene, kept)  # in the folder of `like`: names the file that the user knows
     return _build(new, like_toml(known, scene), crowd, workers)
 
 
 def _scene(new: NewScene, crowd: Trajectories, source: Path, walls: Path | None) -> Scene:
-    """The settings of the scene, as determined by `rules`."""
     bounds = rules.bounds_of(crowd)
     scene = Scene(
         id=new.name,
@@ -208,7 +201,7 @@ def _scene(new: NewScene, crowd: Trajectories, source: Path, walls: Path | None)
         dt_s=crowd.dt_s,
         grid_s=crowd.grid_s,
         recording=Recording(
-            crowd.scene, crowd.frames, round(dwell_p99_s(crowd), 2), crowd.provenance["sha256"]
+            crowd.scene, crowd.frames, round(fit.dwell_p99_s(crowd), 2), crowd.provenance["sha256"]
         ),
         bounds=bounds,
         walls=read_walls(walls, bounds) if walls else (),
@@ -221,14 +214,11 @@ def _scene(new: NewScene, crowd: Trajectories, source: Path, walls: Path | None)
         folder=Path(new.name),
     )
     inside = ~scene.walkable(crowd.xy.astype(np.float64))
-    if walls and inside.mean() > ASTRAY:
+    if walls and inside.mean() > fit.ASTRAY:
         at = crowd.xy[np.flatnonzero(inside)[0]].astype(np.float64).round(2).tolist()
-        raise SceneError(
-            walls,
-            got=f"walls that contain {inside.mean():.1%} of the recorded positions, one at {at} m",
-            expected=f"at most {ASTRAY:.0%}",
-            hint="Walls must be in metres and in the recording's frame: plot both together.",
-        )
+        got = f"walls that contain {inside.mean():.1%} of the recorded positions, one at {at} m"
+        hint = "Walls must be in metres and in the recording's frame: plot both together."
+        raise SceneError(walls, got=got, expected=f"at most {fit.ASTRAY:.0%}", hint=hint)
     return scene
 
 
@@ -252,8 +242,8 @@ def _build(new: NewScene, toml: str, crowd: Trajectories, workers: int) -> Creat
 def _fill(built: Path, crowd: Trajectories, workers: int) -> dict[str, str]:
     """Compute all files of the scene except `scene.toml`; returns results for a table."""
     scene = load_scene(built)
-    models = MODELS if has_torch() else tuple(m for m in MODELS if m != "ntpp-gmm")
-    facts = fit_scene(scene, crowd, models=models, workers=workers)
+    models = fit.MODELS if fit.has_torch() else tuple(m for m in fit.MODELS if m != "ntpp-gmm")
+    facts = fit.fit_scene(scene, crowd, models=models, workers=workers)
     if "ntpp-gmm" not in models:
         facts["ntpp-gmm"] = "left out: fitting needs torch (extra `fit`)"
     with temporary_folder("rollouts") as rollouts:
@@ -267,7 +257,7 @@ def _fill(built: Path, crowd: Trajectories, workers: int) -> dict[str, str]:
     facts["walking"] = _walking(scene, crowd)
     facts["scored metrics"] = ", ".join(name.replace("_", " ") for name in scored) or "none"
     with whole("pictures"):
-        draw_place(scene, recording_of(scene), built)
+        _draw_place(scene, recording_of(scene), built)
     return facts
 
 
@@ -282,3 +272,33 @@ def _walking(scene: Scene, crowd: Trajectories) -> str:
         f"paths; speeds over {(walking.window_ticks - 1) * tick_s:.3g} s, accelerations over "
         f"{lags} s"
     )
+
+
+def _draw_place(scene: Scene, recording: Trajectories, out: Path) -> None:
+    """Draw `place.png` (recorded paths, walls and areas) and `time.png` (persons over time)."""
+    plot = PlotData.of(scene, read_reference(scene), {}, "full")
+
+    def place(axes: "list[Axes]") -> None:
+        panels.paths(axes[0], plot, recording)
+        axes[0].set_title("recorded; spawn areas (dashed) and goal areas, 2 σ")
+
+    def over_time(axes: "list[Axes]") -> None:
+        (axis,) = axes
+        blocks, dt_s = plot.reference.blocks, recording.dt_s
+        present = recording.present()
+        axis.plot(np.arange(len(present)) * dt_s, present, color="black", linewidth=0.7)
+        for k, (start, stop) in enumerate((blocks.frames * dt_s).tolist()):
+            axis.axvspan(start, stop, color=("0.93", "0.85")[k % 2], linewidth=0)
+        axis.set(xlim=(0, recording.duration_s), ylim=(0, 1.05 * present.max()))
+        axis.set(xlabel="time (s); grey: time blocks, white: unobserved", ylabel="agents")
+        axis.set_title(f"{scene.title}: agents over time")
+
+    b, width = scene.bounds, 5.0
+    height = width * (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m)
+    for name, draw, size in (
+        ("place.png", place, (width + 0.6, height + 0.6)),
+        ("time.png", over_time, (9.0, 2.6)),
+    ):
+        data = picture(draw, width=size[0], height=size[1], kind="small png")
+        with replacing(out / name) as temporary:
+            temporary.write_bytes(data)

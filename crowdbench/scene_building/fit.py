@@ -137,12 +137,9 @@ def _preprocessed(
     if preprocess not in ("", "paper"):
         raise SettingError("preprocess", got=repr(preprocess), expected="'paper'")
     if preprocess != scene.recording.preprocess and out is None:
-        raise SettingError(
-            "preprocess",
-            got=f"{preprocess!r} and no output folder",
-            expected="an output folder, because other people make another scene",
-            hint="Add --out DIR.",
-        )
+        got = f"{preprocess!r} and no output folder"
+        expected = "an output folder, because other people make another scene"
+        raise SettingError("preprocess", got=got, expected=expected, hint="Add --out DIR.")
     if not preprocess:
         return scene, recording, {}
     recording, counts = paper_preprocessed(recording)
@@ -166,29 +163,19 @@ def _write_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas, scene: S
 
 
 def _all_settings(models: Sequence[str], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """The training settings of the neural ones of these models.
-
-    Raises:
-        SettingError: a model does not exist, torch is missing, or see `training_settings`.
-    """
+    """The training settings of the neural ones of these models."""
     for name in models:
         if name not in FITTED:
-            raise SettingError(
-                "models",
-                got=repr(name),
-                expected=f"one or more of {', '.join(FITTED)}",
-                hint=did_you_mean(name, FITTED),
-            )
+            expected = f"one or more of {', '.join(FITTED)}"
+            hint = did_you_mean(name, FITTED)
+            raise SettingError("models", got=repr(name), expected=expected, hint=hint)
     neural = [name for name in NEURAL if name in models]
     if neural:
         check_torch("Or omit the model: --models poisson-gmm poisson-groups renewal-gmm.")
     elif changes:
-        raise SettingError(
-            "training",
-            got=", ".join(changes),
-            expected="none without a neural model",
-            hint="Name one with --models ntpp-gmm or --models ntpp-paper.",
-        )
+        got = ", ".join(changes)
+        hint = "Name one with --models ntpp-gmm or --models ntpp-paper."
+        raise SettingError("training", got=got, expected="none without a neural model", hint=hint)
     return {name: training_settings(name, changes) for name in neural}
 
 
@@ -245,10 +232,7 @@ def _fit_models(
     scene: Scene,
     workers: int,
 ) -> dict[str, dict[str, list[Any]]]:
-    """The fits of each model for each split, by names of model and split.
-
-    Neural models, those with settings, are fitted `count` times.
-    """
+    """The fits by names of model and split; models with settings are fitted `count` times."""
     light = [(n, split, 0) for n in models if n not in settings for split in SPLITS]
     heavy = [(n, split, k) for n in settings for split in SPLITS for k in range(count)]
     fits: dict[str, dict[str, list[Any]]] = {

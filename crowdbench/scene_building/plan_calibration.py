@@ -30,26 +30,19 @@ from crowdbench.spawn.plans.planned import PlannedAreas
 from crowdbench.spawn.recorded_plans import turning_points
 
 _LONGEST_WAIT_S = 600.0
-_ADJUSTING = 10
-"""Number of rounds in which plans are adjusted to the times of a model."""
-_ADJUSTED = 6_000
-"""About the number of people drawn in each of these rounds."""
+_ADJUSTING = 10  # number of rounds in which plans are adjusted to the times of a model
+_ADJUSTED = 6_000  # about the number of people drawn in each of these rounds
 _GAIN = 1.5
 """Gain of the first rounds: statistics change less than in proportion to what is changed."""
 _FULL_STEPS = np.array([2.5, 2.5, 5.0, 5.0])
 """The gains of round k are these numbers divided by k, from the round on in which they are smaller.
 Distances change least."""
-_CORRECTING = 4
-"""Round in which it is found how people in the simulation differ from straight ones."""
-_SIMULATED = 2_000
-"""About the number of people who are simulated then."""
+_CORRECTING = 4  # round in which it is found how people in the simulation differ from straight ones
+_SIMULATED = 2_000  # about the number of people who are simulated then
 _FEWEST_COMPANIONS = 10
-_MOST_ODDS = 8.0
-"""Largest change of a log weight."""
-_HARDLY = 0.05
-"""Least distance, and number of people, of which the logarithm is taken."""
-_FACTORS = 0.2, 3.0
-"""Smallest and largest factor of offsets."""
+_MOST_ODDS = 8.0  # largest change of a log weight
+_HARDLY = 0.05  # least distance, and number of people, of which the logarithm is taken
+_FACTORS = 0.2, 3.0  # smallest and largest factor of offsets
 
 
 def adjustment(
@@ -90,7 +83,10 @@ def adjustment(
         if k == _CORRECTING:
             events, whole = sent(by, _SIMULATED)
             walked = _company(straight_walks(events, scene), whole, scene)
-            simulated = _company(_simulated(events, scene), whole, scene)
+            horizon_s = float(events.time_s.max(initial=0.0)) + scene.grid_s
+            straight = policy("straight", scene)
+            by_policy = rollout(scene, _These(events), straight, seed=0, horizon_s=horizon_s)
+            simulated = _company(by_policy, whole, scene)
             aim = aim + walked.numbers() - simulated.numbers()
         events, whole = sent(by, _ADJUSTED)
         found = _company(straight_walks(events, scene), whole, scene)
@@ -107,8 +103,6 @@ def adjustment(
 
 @dataclass(frozen=True)
 class _Company:
-    """The companions of a crowd."""
-
     people: int
     """Number of people with a companion."""
     people_in_all: int
@@ -143,17 +137,8 @@ def _company(crowd: Trajectories, blocks: TimeBlocks, scene: Scene) -> _Company:
     return _Company(len(together), len(persons), mean_size, distance_m, across_m)
 
 
-def _simulated(events: SpawnEvents, scene: Scene) -> Trajectories:
-    """The people of these events, as the policy `straight` walks them in the simulation."""
-    horizon_s = float(events.time_s.max(initial=0.0)) + scene.grid_s
-    straight = policy("straight", scene)
-    return rollout(scene, _These(events), straight, seed=0, horizon_s=horizon_s)
-
-
 @dataclass(frozen=True, eq=False)
 class _These:
-    """Sends people who are known."""
-
     events: SpawnEvents
     start: ClassVar[Start] = "empty"
     name: ClassVar[str] = "people who are known"

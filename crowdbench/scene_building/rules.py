@@ -7,7 +7,6 @@ The shipped scenes follow these rules exactly or approximately. All settings can
 import math
 
 import numpy as np
-from jaxtyping import Float
 
 from crowdbench.data.blocks import FOLDS
 from crowdbench.data.recordings.noise import noise_of
@@ -68,12 +67,9 @@ def check_size(crowd: Trajectories, where: object) -> None:
         )
     whole = int((crowd.entered & crowd.left & (crowd.last > crowd.first)).sum())
     if whole < LEAST_PERSONS:
-        raise RecordingError(
-            where,
-            got=f"{whole} persons who were seen to enter and to leave",
-            expected=f"{LEAST_PERSONS} or more",
-            hint="Areas, goals and dwell times are estimated from these people.",
-        )
+        got = f"{whole} persons who were seen to enter and to leave"
+        hint = "Areas, goals and dwell times are estimated from these people."
+        raise RecordingError(where, got=got, expected=f"{LEAST_PERSONS} or more", hint=hint)
 
 
 def bounds_of(crowd: Trajectories) -> Bounds:
@@ -110,10 +106,13 @@ def clustering_of(crowd: Trajectories, where: object) -> Clustering:
     Raises:
         RecordingError: too many starts or ends are in no cluster with any ε.
     """
-    sides = crowd.start[crowd.entered], crowd.end[crowd.left]
+    from sklearn.cluster import DBSCAN
+
+    sides = [p.astype(np.float64) for p in (crowd.start[crowd.entered], crowd.end[crowd.left])]
     least = max(3, round(math.sqrt(len(sides[0])) / PERSONS_ROOT))
     for eps_m in EPS_M:
-        left_out = [_noise(side.astype(np.float64), eps_m, least) for side in sides]
+        cluster = DBSCAN(eps=eps_m, min_samples=least)
+        left_out = [float((cluster.fit_predict(side) < 0).mean()) for side in sides]
         if max(left_out) < LEFT_OUT:
             return Clustering(
                 spawn_eps_m=eps_m,
@@ -130,12 +129,6 @@ def clustering_of(crowd: Trajectories, where: object) -> Clustering:
         expected=f"areas where at least {1 - LEFT_OUT:.0%} of people enter and leave",
         hint="Tracks may be fragmented (join them), or the recording is too short.",
     )
-
-
-def _noise(points: Float[np.ndarray, "n 2"], eps_m: float, least: int) -> float:
-    from sklearn.cluster import DBSCAN
-
-    return float((DBSCAN(eps=eps_m, min_samples=least).fit_predict(points) < 0).mean())
 
 
 def walking_of(crowd: Trajectories) -> Walking:

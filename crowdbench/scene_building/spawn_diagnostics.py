@@ -21,12 +21,7 @@ from crowdbench.spawn.events import arrivals_in, blocks_of
 from crowdbench.spawn.ntpp.model import networks
 from crowdbench.spawn.plaza import SCENE as PLAZA
 from crowdbench.spawn.plaza import PlazaArrivals
-from crowdbench.spawn.times.groups import (
-    HasHazards,
-    KolmogorovSmirnov,
-    kolmogorov_smirnov,
-    rescaled,
-)
+from crowdbench.spawn.times import groups
 
 SAMPLES = 20
 """Number of samples per fit in which persons are counted."""
@@ -46,11 +41,11 @@ class Checked:
     """Log-likelihood of the folds, each by models fitted to the other folds, nats per person."""
     fresh: float | None = None
     """Log-likelihood of ten new hours of the plaza, whose true process is known; else None."""
-    gaps: KolmogorovSmirnov | None = None
-    sizes: KolmogorovSmirnov | None = None
+    gaps: groups.KolmogorovSmirnov | None = None
+    sizes: groups.KolmogorovSmirnov | None = None
     """Tests of the recorded gaps and group sizes, for the first fit; None without hazards."""
-    own_gaps: KolmogorovSmirnov | None = None
-    own_sizes: KolmogorovSmirnov | None = None
+    own_gaps: groups.KolmogorovSmirnov | None = None
+    own_sizes: groups.KolmogorovSmirnov | None = None
     """The same of a sample of that fit."""
     persons: float | None = None
     """Number of people in samples, relative to the recorded number in the same time."""
@@ -127,9 +122,10 @@ class Networks:
 
     def __str__(self) -> str:
         """The numbers as a text for users."""
-        folds = len(SPLITS) - 1
+        folds, low, high = len(SPLITS) - 1, min(self.full), max(self.full)
+        span = f"{low}" if low == high else f"{low} to {high} (by fit)"
         return (
-            f"ntpp-gmm has a trained network in {_span(self.full)} of {self.areas} areas if fitted "
+            f"ntpp-gmm has a trained network in {span} of {self.areas} areas if fitted "
             f"to the whole recording, and in {sum(self.heldout)} of "
             f"{len(self.heldout) * folds * self.areas} cases over all fits of all folds. "
             f"{self.constant:.0%} of the persons enter areas without a network, where groups enter "
@@ -154,11 +150,6 @@ def trained_networks(scene: Scene) -> Networks:
     )
 
 
-def _span(counts: Sequence[int]) -> str:
-    low, high = min(counts), max(counts)
-    return f"{low}" if low == high else f"{low} to {high} (by fit)"
-
-
 def _fitted(name: str, scene: Scene, split: str, fit: int) -> FittedModel:
     model = spawn_model(name, scene, split, fit)
     assert isinstance(model, FittedModel)
@@ -173,11 +164,11 @@ def _pooled(models: Sequence[FittedModel], folds: list[Arrivals]) -> float:
 
 def _test(
     model: FittedModel, arrivals: Arrivals, rng: np.random.Generator, what: Literal["gap", "size"]
-) -> KolmogorovSmirnov | None:
+) -> groups.KolmogorovSmirnov | None:
     # Rates of `cox-gmm` are hidden; `ntpp-paper` has densities of gaps.
-    if not isinstance(model, HasHazards):
+    if not isinstance(model, groups.HasHazards):
         return None
-    return kolmogorov_smirnov(rescaled(model, arrivals, rng, what))
+    return groups.kolmogorov_smirnov(groups.rescaled(model, arrivals, rng, what))
 
 
 def _counts(models: list[FittedModel], scene: Scene, whole: Arrivals) -> tuple[float, float]:

@@ -3,14 +3,13 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import shapely
 
 from crowdbench.errors import SceneError, hinting
 from crowdbench.files import read_bytes
 from crowdbench.scene import Bounds, Wall
-
-if TYPE_CHECKING:
-    import shapely
 
 _GRID_M = 0.001  # coordinates are rounded to millimetres
 _LEAST_M2 = 0.001
@@ -28,8 +27,6 @@ def read_walls(path: Path, bounds: Bounds) -> tuple[Wall, ...]:
         SceneError: the file is missing or broken, contains something other than polygons, or no
             wall lies within the bounds.
     """
-    import shapely
-
     text = read_bytes(path, SceneError, _HINT).decode("utf-8-sig", "replace")
     shapes = list(_shapes(text, path))
     place = shapely.box(bounds.x_min_m, bounds.y_min_m, bounds.x_max_m, bounds.y_max_m)
@@ -54,10 +51,7 @@ def _rounded(extent: tuple[float, ...]) -> str:
     return "(" + ", ".join(f"{x:.6g}" for x in extent) + ")"
 
 
-def _shapes(text: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
-    """The names and shapes in GeoJSON or WKT."""
-    import shapely
-
+def _shapes(text: str, path: Path) -> Iterator[tuple[str, shapely.Geometry]]:
     is_json = text.lstrip().startswith("{")
     try:
         if is_json:
@@ -65,17 +59,11 @@ def _shapes(text: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
         else:
             yield "", shapely.from_wkt(text)
     except (ValueError, RecursionError, shapely.errors.ShapelyError) as error:
-        raise SceneError(
-            path,
-            got=str(error).splitlines()[0],
-            expected="valid GeoJSON" if is_json else "GeoJSON or WKT",
-        ) from error
+        expected = "valid GeoJSON" if is_json else "GeoJSON or WKT"
+        raise SceneError(path, got=str(error).splitlines()[0], expected=expected) from error
 
 
-def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.Geometry]]":
-    from shapely.errors import ShapelyError
-    from shapely.geometry import shape
-
+def _features(item: Any, name: str, path: Path) -> Iterator[tuple[str, shapely.Geometry]]:
     kind = item.get("type") if isinstance(item, dict) else None
     try:
         if kind == "FeatureCollection":
@@ -85,43 +73,31 @@ def _features(item: Any, name: str, path: Path) -> "Iterator[tuple[str, shapely.
             properties = item.get("properties") or {}
             yield from _features(item["geometry"], str(properties.get("name") or name), path)
         else:
-            yield name, shape(item)
-    except (ShapelyError, KeyError, TypeError, AttributeError, IndexError) as error:
-        raise SceneError(
-            path,
-            got=f"an invalid {kind or 'object without a type'} ({error})",
-            expected="GeoJSON features with polygons",
-        ) from error
+            yield name, shapely.geometry.shape(item)
+    except (shapely.errors.ShapelyError, KeyError, TypeError, AttributeError, IndexError) as error:
+        got = f"an invalid {kind or 'object without a type'} ({error})"
+        raise SceneError(path, got=got, expected="GeoJSON features with polygons") from error
 
 
-def _polygons(shape: "shapely.Geometry", where: object) -> "Iterator[shapely.Polygon]":
-    import shapely
-
+def _polygons(shape: shapely.Geometry, where: object) -> Iterator[shapely.Polygon]:
     if isinstance(shape, shapely.MultiPolygon | shapely.GeometryCollection):
         for part in shape.geoms:
             yield from _polygons(part, where)
         return
     if not isinstance(shape, shapely.Polygon):
-        raise SceneError(
-            where,
-            got=f"a {shape.geom_type}",
-            expected="polygons, because walls are solid",
-            hint="Convert lines to polygons first, for example with shapely's line.buffer(0.1).",
-        )
+        got = f"a {shape.geom_type}"
+        hint = "Convert lines to polygons first, for example with shapely's line.buffer(0.1)."
+        raise SceneError(where, got=got, expected="polygons, because walls are solid", hint=hint)
     if not shape.is_valid:
-        raise SceneError(
-            where,
-            got=f"an invalid polygon ({shapely.is_valid_reason(shape)})",
-            expected="polygons that do not cross themselves",
-            hint="shapely.make_valid repairs most of them.",
-        )
+        got = f"an invalid polygon ({shapely.is_valid_reason(shape)})"
+        expected = "polygons that do not cross themselves"
+        hint = "shapely.make_valid repairs most of them."
+        raise SceneError(where, got=got, expected=expected, hint=hint)
     yield shape
 
 
-def _solid(shape: "shapely.Geometry") -> "Iterator[shapely.Polygon]":
+def _solid(shape: shapely.Geometry) -> Iterator[shapely.Polygon]:
     """The polygons of a shape, cut in two through holes until none of them has a hole."""
-    import shapely
-
     for piece in getattr(shape, "geoms", [shape]):
         if not isinstance(piece, shapely.Polygon) or piece.area < _LEAST_M2:
             continue

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from crowdbench.metrics import METRICS, WALK
+from crowdbench.scoring import scorecard
 from crowdbench.scoring.energy import Energy
 from crowdbench.scoring.score import (
     Score,
@@ -16,15 +17,6 @@ from crowdbench.scoring.score import (
     ranks,
     score_of,
     walk_score,
-)
-from crowdbench.scoring.scorecard import (
-    ANCHOR,
-    GATE_STANDARD,
-    WALK_ANCHOR,
-    Limit,
-    PairResult,
-    Scorecard,
-    has_recorded_arrivals,
 )
 from crowdbench.spawn.steering.scenario import split_scenario
 
@@ -41,7 +33,7 @@ class Row:
     spawn: str
     policy: str
     kind: Literal["entry", "baseline"]
-    entry: PairResult
+    entry: scorecard.PairResult
     families: dict[str, Score]
     """Score of each family; motion and interaction are scored under the recorded arrivals."""
     crowd: Score | None
@@ -51,7 +43,7 @@ class Row:
     """The lesser of motion and interaction; None if the recording is needed and not imported."""
     overall: Score | None
     """Mean of crowd and walk."""
-    fails: tuple[Limit, ...]
+    fails: tuple[scorecard.Limit, ...]
     """Why the policy does not pass the scene's gate, `speed` and `arrivals`; empty if it does."""
     rank: int | None = None
     """Rank by the score that `ranked_by` names; None if the row does not compete."""
@@ -62,13 +54,15 @@ class Row:
         return walk_score(self.families, passes=True)
 
 
-def scale_of(card: Scorecard) -> dict[str, tuple[Energy, Energy]]:
+def scale_of(card: scorecard.Scorecard) -> dict[str, tuple[Energy, Energy]]:
     """Noise floor and energy score of the anchor for each scored metric."""
     by_pair = {(e.spawn, e.policy): e for e in card.scale.anchors}
     scale = {}
     for metric in METRICS:
         walks = metric.family in WALK
-        anchor = by_pair[WALK_ANCHOR if walks else ANCHOR].metrics.get(metric.name)
+        anchor = by_pair[scorecard.WALK_ANCHOR if walks else scorecard.ANCHOR].metrics.get(
+            metric.name
+        )
         floor = card.scale.floor.get(metric.name)
         if metric.name not in card.scored or anchor is None or floor is None:
             continue
@@ -79,7 +73,7 @@ def scale_of(card: Scorecard) -> dict[str, tuple[Energy, Energy]]:
 
 
 def metric_scores(
-    scale: dict[str, tuple[Energy, Energy]], entry: PairResult
+    scale: dict[str, tuple[Energy, Energy]], entry: scorecard.PairResult
 ) -> dict[str, Score | None]:
     """The score of an entry in each scored metric, on the scale of `scale_of`; None for none."""
     scores: dict[str, Score | None] = {}
@@ -89,15 +83,15 @@ def metric_scores(
     return scores
 
 
-def rows(card: Scorecard) -> list[Row]:
+def rows(card: scorecard.Scorecard) -> list[Row]:
     """The table of a scorecard: its entries in their order, then the baselines.
 
     The scores of motion and interaction are those of the policy under the recorded arrivals
     (spawn model `replay`). They apply to all entries with the same policy.
     """
-    scale, recorded = scale_of(card), has_recorded_arrivals(card)
+    scale, recorded = scale_of(card), scorecard.has_recorded_arrivals(card)
 
-    def row(entry: PairResult, kind: Literal["entry", "baseline"]) -> Row:
+    def row(entry: scorecard.PairResult, kind: Literal["entry", "baseline"]) -> Row:
         # The walk scores of baselines are shipped; those of entries need the imported recording.
         walker = walker_of(card, entry.policy) if kind == "baseline" or recorded else None
         scores = metric_scores(scale, entry)
@@ -118,18 +112,18 @@ def rows(card: Scorecard) -> list[Row]:
     return [*entries, *(row(e, "baseline") for e in others)]
 
 
-def walker_of(card: Scorecard, policy: str) -> PairResult | None:
+def walker_of(card: scorecard.Scorecard, policy: str) -> scorecard.PairResult | None:
     """A policy's result under the recorded arrivals, which the gate judges; None without one."""
     everyone = [*card.entries, *card.scale.anchors]
     return next((e for e in everyone if (e.spawn, e.policy) == ("replay", policy)), None)
 
 
-def gate_standard(card: Scorecard) -> PairResult:
+def gate_standard(card: scorecard.Scorecard) -> scorecard.PairResult:
     """The result of recorded people walked under the rules of the simulation."""
-    return next(e for e in card.scale.anchors if (e.spawn, e.policy) == GATE_STANDARD)
+    return next(e for e in card.scale.anchors if (e.spawn, e.policy) == scorecard.GATE_STANDARD)
 
 
-def failures(card: Scorecard, entry: PairResult) -> tuple[Limit, ...]:
+def failures(card: scorecard.Scorecard, entry: scorecard.PairResult) -> tuple[scorecard.Limit, ...]:
     """Which limits of the scene's gate a policy exceeds, `speed` or `arrivals`; empty for none.
 
     `entry` is the policy's result under the recorded arrivals. Its mean walking speed and its share
@@ -137,7 +131,7 @@ def failures(card: Scorecard, entry: PairResult) -> tuple[Limit, ...]:
     unknown, as for the policy `replay`, is not compared.
     """
     standard = gate_standard(card)
-    exceeded: list[Limit] = []
+    exceeded: list[scorecard.Limit] = []
     if standard.speed_mps is not None:
         speed = 0.0 if entry.speed_mps is None else entry.speed_mps
         if abs(speed / standard.speed_mps - 1) > card.gate.speed:
@@ -210,7 +204,7 @@ def _ranked(entries: Sequence[Row]) -> list[Row]:
     return [replace(row, rank=rank.get(id(row))) for row in entries]
 
 
-def score_rows(card: Scorecard) -> dict[str, Any]:
+def score_rows(card: scorecard.Scorecard) -> dict[str, Any]:
     """The rows of a scorecard's table: the crowds in their order, then the unranked baselines.
 
     Spawn models and policies have the names that they were given. Scores and distances that are
@@ -220,7 +214,7 @@ def score_rows(card: Scorecard) -> dict[str, Any]:
     return {"ranked_by": ranked_by(table), "rows": [_row(row, card) for row in table]}
 
 
-def _row(row: Row, card: Scorecard) -> dict[str, Any]:
+def _row(row: Row, card: scorecard.Scorecard) -> dict[str, Any]:
     return {
         "spawn": row.spawn,
         "policy": row.policy,

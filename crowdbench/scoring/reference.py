@@ -128,11 +128,9 @@ def check_fits(crowd: Trajectories, scene: Scene, where: object = None) -> None:
     """
     wrong = partial(RecordingError, f"crowd scored on {scene.id}" if where is None else where)
     if not np.isclose(crowd.dt_s, scene.dt_s):
-        raise wrong(
-            got=f"frames of {crowd.dt_s:g} s",
-            expected=f"frames of {scene.dt_s:g} s",
-            hint="Resample the trajectories to the scene's time step.",
-        )
+        got = f"frames of {crowd.dt_s:g} s"
+        hint = "Resample the trajectories to the scene's time step."
+        raise wrong(got=got, expected=f"frames of {scene.dt_s:g} s", hint=hint)
     if crowd.scene not in (scene.id, scene.recording.name):
         raise wrong(got=f"a crowd of {crowd.scene}", expected=scene.id)
     needed = scene.recording.frames
@@ -148,11 +146,9 @@ def check_fits(crowd: Trajectories, scene: Scene, where: object = None) -> None:
     outside = np.any((crowd.xy < low) | (crowd.xy > high), axis=1)
     if len(crowd.xy) and outside.mean() > 0.5:
         x, y = f"x from {b.x_min_m:g} to {b.x_max_m:g}", f"y from {b.y_min_m:g} to {b.y_max_m:g}"
-        raise wrong(
-            got=f"{outside.mean():.0%} of the positions outside {scene.id}",
-            expected=f"{x} and {y}",
-            hint="Use metres, and the scene's axes and origin.",
-        )
+        got = f"{outside.mean():.0%} of the positions outside {scene.id}"
+        expected = f"{x} and {y}"
+        raise wrong(got=got, expected=expected, hint="Use metres, and the scene's axes and origin.")
 
 
 _Count = Annotated[int, msgspec.Meta(ge=0)]
@@ -218,7 +214,14 @@ def read_reference(scene: Scene) -> Reference:
         WeightsError: the file is missing or broken, or belongs to another scene.
         SceneError: `protocol.scored` names a metric that does not exist.
     """
-    _check_scored(scene)
+    names = [metric.name for metric in METRICS]
+    if unknown := [name for name in scene.protocol.scored if name not in names]:
+        raise SceneError(
+            scene.folder / "scene.toml",
+            got=f"protocol.scored with {', '.join(unknown)}",
+            expected=f"names of metrics: {', '.join(names)}",
+            hint=did_you_mean(unknown[0], names),
+        )
     path = scene.folder / "reference.json.gz"
     hint = f"Run `crowdbench scene fit {scene.asked}`."
     wrong = partial(WeightsError, path, hint=hint)
@@ -286,26 +289,10 @@ def scored_statistics(scene: Scene) -> bytes:
         ) from error
     scored = sorted(scene.protocol.scored)
     if lacking := [name for name in scored if name not in file.statistics]:
-        raise WeightsError(
-            path,
-            got=f"no statistics of {', '.join(lacking)}",
-            expected="statistics of all scored metrics",
-            hint=hint,
-        )
+        got = f"no statistics of {', '.join(lacking)}"
+        raise WeightsError(path, got=got, expected="statistics of all scored metrics", hint=hint)
     of_scored = [part for n in scored for part in (n.encode(), bytes(file.statistics[n]))]
     return b"\n".join([bytes(file.blocks), bytes(file.opens), *of_scored])
-
-
-def _check_scored(scene: Scene) -> None:
-    known = [metric.name for metric in METRICS]
-    unknown = [name for name in scene.protocol.scored if name not in known]
-    if unknown:
-        raise SceneError(
-            scene.folder / "scene.toml",
-            got=f"protocol.scored with {', '.join(unknown)}",
-            expected=f"names of metrics: {', '.join(known)}",
-            hint=did_you_mean(unknown[0], known),
-        )
 
 
 def _nobody(scene: Scene) -> Trajectories:

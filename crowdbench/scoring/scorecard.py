@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from crowdbench.errors import CrowdbenchError, RecordingError, WeightsError
+from crowdbench.errors import WeightsError
 from crowdbench.files import read_struct, sha256, write_json
 from crowdbench.scene import Gate, Scene
 from crowdbench.scoring.energy import RESAMPLES, Energy
@@ -221,32 +221,9 @@ def read_anchors(scene: Scene) -> Anchors:
             hint=hint,
         )
     for protocol in get_args(Protocol):
-        _check(anchors.protocols.get(protocol), path, hint, WeightsError)
+        scale = anchors.protocols.get(protocol)
+        there = {(e.spawn, e.policy) for e in (scale.anchors if scale else ())}
+        if missing := sorted(set(BASELINES) - there):
+            lacking = f"anchors without {missing}"
+            raise WeightsError(path, got=lacking, expected="all anchors", hint=hint)
     return anchors
-
-
-class _AnySchema(msgspec.Struct, frozen=True):
-    schema: int | None = None
-
-
-def read_scorecard(path: Path) -> Scorecard:
-    """Read a `scorecard.json`.
-
-    Raises:
-        RecordingError: the file is missing or broken, or has another schema version.
-    """
-    hint = "Run `crowdbench evaluate` again."
-    schema = read_struct(path, _AnySchema, RecordingError, hint).schema
-    if schema not in (None, SCHEMA):  # otherwise an unknown field would be the error
-        raise RecordingError(path, got=f"schema {schema}", expected=f"schema {SCHEMA}", hint=hint)
-    card = read_struct(path, Scorecard, RecordingError, hint)
-    _check(card.scale, path, hint, RecordingError)
-    return card
-
-
-def _check(scale: Scale | None, path: Path, hint: str, error: type[CrowdbenchError]) -> None:
-    """Raise `error` if anchors are missing."""
-    missing = set(BASELINES) - {(e.spawn, e.policy) for e in (scale.anchors if scale else ())}
-    if missing:
-        got = f"anchors without {sorted(missing)}"
-        raise error(path, got=got, expected="all anchors", hint=hint)

@@ -155,11 +155,8 @@ def _checked(function: RewardFn, state: CrowdState) -> Float32[np.ndarray, "W N 
         )
     parts = np.where(acted[..., None], parts, np.float32(0))
     if not np.isfinite(parts).all():
-        raise OwnCodeError(
-            "reward",
-            got=f"{int((~np.isfinite(parts)).sum())} values that are not finite",
-            expected="finite numbers for everyone who acted",
-        )
+        got = f"{int((~np.isfinite(parts)).sum())} values that are not finite"
+        raise OwnCodeError("reward", got=got, expected="finite numbers for everyone who acted")
     return parts
 
 

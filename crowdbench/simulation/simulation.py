@@ -7,18 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32, Int
 
+from crowdbench.data.table import Indices
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.scene import Scene
+from crowdbench.simulation import observations
 from crowdbench.simulation.cells import Cells
 from crowdbench.simulation.free_space import free_space
-from crowdbench.simulation.observations import (
-    OBSERVATION,
-    Version,
-    observation_of,
-    observe,
-    size_of,
-    version_of,
-)
 from crowdbench.simulation.routes import Routes
 from crowdbench.simulation.social import RANGE_M, observe_social
 from crowdbench.simulation.state import Clock, Constants, Queue, Slots
@@ -43,14 +37,14 @@ def check_count(name: str, value: object) -> None:
 class Shown(NamedTuple):
     """What a simulation shows to policies that see observations."""
 
-    observation: str = OBSERVATION
+    observation: str = observations.OBSERVATION
     rays: int = 32
     ray_range_m: float = 10.0
 
     @property
-    def version(self) -> Version:
+    def version(self) -> observations.Version:
         """The built-in version of the observation."""
-        return version_of(self.observation)
+        return observations.version_of(self.observation)
 
 
 @dataclass(frozen=True)
@@ -82,7 +76,7 @@ class Settings:
             raise SettingError(
                 "ray_range_m", got=str(shown.ray_range_m), expected="0.1 to 1000 metres"
             )
-        observation_of(shown.observation)  # raises an error if it does not exist
+        observations.observation_of(shown.observation)  # raises an error if it does not exist
 
     @property
     def shown(self) -> Shown:
@@ -156,13 +150,15 @@ class Simulation:
             y_min=bounds.y_min_m,
             y_max=bounds.y_max_m,
         )
-        self._more = observation_of(shown.observation)
+        self._more = observations.observation_of(shown.observation)
         shape = (worlds, s.max_alive)
-        numbers = size_of(shown.observation, shown.rays)
+        numbers = observations.size_of(shown.observation, shown.rays)
         self.observation: Float32[np.ndarray, "W N obs"] = np.zeros((*shape, numbers), np.float32)
         self._seen = self.observation
         if self._more is not None:  # kernels write contiguous arrays
-            self._seen = np.zeros((*shape, size_of(self._more.base, shown.rays)), np.float32)
+            self._seen = np.zeros(
+                (*shape, observations.size_of(self._more.base, shown.rays)), np.float32
+            )
         self._own = np.full(shape, self._version.own_frame)
         self.nearest: Float32[np.ndarray, "W N"] = np.full(shape, np.inf, np.float32)
         self.remaining: Float32[np.ndarray, "W N"] = np.zeros(shape, np.float32)
@@ -176,7 +172,7 @@ class Simulation:
         self.episode: Int[np.ndarray, " W"] = np.zeros(worlds, np.int64)
         self.queue = Queue.of(self.events, scene.dt_s)
         self._advance = advance.fresh()
-        self._observe = (observe if rays else observe_social).fresh()
+        self._observe = (observations.observe if rays else observe_social).fresh()
 
     def reset(self, events: Sequence[SpawnEvents], *, horizon: int, first_frame: int = 0) -> None:
         """Begin an episode with the spawn events of each world.
@@ -238,11 +234,9 @@ class Simulation:
         if actions.dtype != np.float32 or not actions.flags.c_contiguous:
             actions = np.ascontiguousarray(actions, dtype=np.float32)
         if actions.shape != self.slots.position.shape:
-            raise ActionError(
-                "Simulation.step",
-                got=f"actions of shape {actions.shape}",
-                expected=f"one velocity command per world and slot, {self.slots.position.shape}",
-            )
+            got = f"actions of shape {actions.shape}"
+            expected = f"one velocity command per world and slot, {self.slots.position.shape}"
+            raise ActionError("Simulation.step", got=got, expected=expected)
         np.copyto(self.remaining_before, self.remaining)
         own = self._own if own_frame is None else np.full(self._own.shape, own_frame)
         # People of one world interact when they enter, so threads run different worlds.
@@ -319,8 +313,6 @@ class Simulation:
         """Set the clock to the frame before `frame`; all worlds must be empty until then."""
         np.maximum(self.clock.frame, frame - 1, out=self.clock.frame)
 
-    def waited(
-        self, world: int, event: Int[np.ndarray, " n"], born: Int[np.ndarray, " n"]
-    ) -> Int[np.ndarray, " n"]:
+    def waited(self, world: int, event: Indices, born: Indices) -> Indices:
         """Number of frames that the persons of `event` waited before they entered in `born`."""
         return born - self.queue.due[world, event]

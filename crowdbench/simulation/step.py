@@ -7,20 +7,8 @@ from numba import njit, prange
 
 from crowdbench.compilation import Kernel
 from crowdbench.data.stops import STANDING_MPS
+from crowdbench.simulation import state
 from crowdbench.simulation.rules import AHEAD_M, command, distance_to_segment, from_own_frame, walk
-from crowdbench.simulation.state import (
-    DROPPED,
-    ENTERED,
-    EXIT,
-    GOAL,
-    HORIZON,
-    PENDING,
-    RECORDED,
-    TIMEOUT,
-    TO_GOAL,
-    TO_VIA,
-    WAITING,
-)
 from crowdbench.simulation.walls import CELL_M, cell_of
 from crowdbench.spawn.recorded_plans import PASSED_M, VISIT_M
 
@@ -83,9 +71,9 @@ def advance(actions, own, slots, queue, clock, constants, walls):
                     heading[w, i, 0] = (to_x - x) / length
                     heading[w, i, 1] = (to_y - y) / length
                 to_goal = np.inf
-                if stage[w, i] != TO_GOAL:
+                if stage[w, i] != state.TO_GOAL:
                     _visit(w, i, frame, x, y, to_x, to_y, slots, queue, constants)
-                if stage[w, i] == TO_GOAL:
+                if stage[w, i] == state.TO_GOAL:
                     goal_x, goal_y = np.float64(goal[w, i, 0]), np.float64(goal[w, i, 1])
                     to_goal = distance_to_segment(goal_x, goal_y, x, y, to_x, to_y)
                 since = born[w, i] + wait[w, event[w, i]]
@@ -110,22 +98,22 @@ def outcome(to_goal, x, y, frame, since, leave, scripted, horizon, constants):
     """
     if not scripted:
         if to_goal <= constants.goal_radius:
-            return GOAL
+            return state.GOAL
         if not (constants.x_min < x < constants.x_max and constants.y_min < y < constants.y_max):
-            return EXIT
+            return state.EXIT
         if frame - since >= constants.timeout:
-            return TIMEOUT
+            return state.TIMEOUT
     if 0 <= leave <= frame:
-        return RECORDED
+        return state.RECORDED
     if frame >= horizon:
-        return HORIZON
+        return state.HORIZON
     return 0
 
 
 @njit(error_model="numpy")
 def _visit(w, i, frame, x, y, to_x, to_y, slots, queue, constants):
     """Advance the visit of a person to its via point; see `Simulation` for the rules."""
-    if slots.stage[w, i] == TO_VIA:
+    if slots.stage[w, i] == state.TO_VIA:
         e = slots.event[w, i]
         via_x, via_y = np.float64(slots.target[w, i, 0]), np.float64(slots.target[w, i, 1])
         distance = distance_to_segment(via_x, via_y, x, y, to_x, to_y)
@@ -138,10 +126,10 @@ def _visit(w, i, frame, x, y, to_x, to_y, slots, queue, constants):
             way_x, way_y = via_x - queue.start[w, e, 0], via_y - queue.start[w, e, 1]
             passed = (to_x - via_x) * way_x + (to_y - via_y) * way_y > 0.0
         if distance <= VISIT_M or passed or given_up:
-            slots.stage[w, i] = WAITING
+            slots.stage[w, i] = state.WAITING
             slots.until[w, i] = frame if given_up else frame + queue.wait[w, e]
-    if slots.stage[w, i] == WAITING and frame >= slots.until[w, i]:
-        slots.stage[w, i] = TO_GOAL
+    if slots.stage[w, i] == state.WAITING and frame >= slots.until[w, i]:
+        slots.stage[w, i] = state.TO_GOAL
         slots.target[w, i, 0] = slots.goal[w, i, 0]
         slots.target[w, i, 1] = slots.goal[w, i, 1]
 
@@ -154,7 +142,7 @@ def _spawn_due(w, slots, queue, clock, constants):
     free = 0  # no slot below this one is free
     e = np.int64(clock.cursor[w])  # of one type, for which all that is called is compiled once
     while e < queue.due.shape[1] and queue.due[w, e] <= frame:
-        if queue.status[w, e] == PENDING:
+        if queue.status[w, e] == state.PENDING:
             patient = queue.may_wait[w, e] and frame - queue.due[w, e] < constants.patience
             if not (patient and _blocked(w, e, slots, queue, frame, constants.clearance)):
                 while free < slots.alive.shape[1] and (
@@ -164,18 +152,18 @@ def _spawn_due(w, slots, queue, clock, constants):
                 if clock.ids[w] >= constants.max_persons:
                     clock.no_id[w] += 1
                     clock.changed[w] = 1
-                    queue.status[w, e] = DROPPED
+                    queue.status[w, e] = state.DROPPED
                 elif free >= slots.alive.shape[1]:
                     clock.no_slot[w] += 1
                     clock.changed[w] = 1
-                    queue.status[w, e] = DROPPED
+                    queue.status[w, e] = state.DROPPED
                 else:
                     _enter(w, free, e, slots, queue, clock)
         e += 1
     while (
         clock.cursor[w] < queue.due.shape[1]
         and queue.due[w, clock.cursor[w]] <= frame
-        and queue.status[w, clock.cursor[w]] != PENDING
+        and queue.status[w, clock.cursor[w]] != state.PENDING
     ):
         clock.cursor[w] += 1
 
@@ -195,7 +183,7 @@ def _blocked(w, e, slots, queue, frame, clearance):
 @njit(error_model="numpy")
 def _enter(w, i, e, slots, queue, clock):
     clock.changed[w] = 1
-    queue.status[w, e] = ENTERED
+    queue.status[w, e] = state.ENTERED
     slots.alive[w, i] = True
     slots.ended[w, i] = 0
     slots.spawned[w, i] = True
@@ -204,14 +192,14 @@ def _enter(w, i, e, slots, queue, clock):
         slots.velocity[w, i, k] = queue.velocity[w, e, k]
         slots.goal[w, i, k] = queue.goal[w, e, k]
         slots.target[w, i, k] = queue.via[w, e, k]
-    slots.stage[w, i] = TO_VIA
+    slots.stage[w, i] = state.TO_VIA
     via_x = np.float64(queue.via[w, e, 0]) - np.float64(queue.start[w, e, 0])
     via_y = np.float64(queue.via[w, e, 1]) - np.float64(queue.start[w, e, 1])
     if math.hypot(via_x, via_y) <= VISIT_M:
-        slots.stage[w, i] = WAITING
+        slots.stage[w, i] = state.WAITING
         slots.until[w, i] = clock.frame[w] + queue.wait[w, e]
-    if np.isnan(via_x) or (slots.stage[w, i] == WAITING and queue.wait[w, e] == 0):
-        slots.stage[w, i] = TO_GOAL
+    if np.isnan(via_x) or (slots.stage[w, i] == state.WAITING and queue.wait[w, e] == 0):
+        slots.stage[w, i] = state.TO_GOAL
         for k in range(2):
             slots.target[w, i, k] = queue.goal[w, e, k]
     vx, vy = np.float64(queue.velocity[w, e, 0]), np.float64(queue.velocity[w, e, 1])

@@ -13,20 +13,12 @@ from jaxtyping import Float, Float32
 from msgspec import structs
 from numpy.random import Generator
 
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Flags, Indices, Numbers, Points, Trajectories
 from crowdbench.errors import SceneError, WeightsError
 from crowdbench.files import read_struct, write_json
 from crowdbench.scene import Clustering, Scene
-from crowdbench.spawn.arrays import (
-    DEFINITE,
-    Fit,
-    Rule,
-    are_definite,
-    check_origin,
-    checked,
-    hint,
-)
-from crowdbench.spawn.drawing import Flags, Indices, Numbers, Points, choose, draw_normal
+from crowdbench.spawn import arrays
+from crowdbench.spawn.drawing import choose, draw_normal
 from crowdbench.spawn.events import SpawnEvents, entering
 from crowdbench.spawn.plans.mixtures import log_gaussians
 from crowdbench.spawn.recorded_plans import cut_at_goals, plans_of
@@ -169,11 +161,9 @@ def fit_areas(
     known, speed = (spawn_area >= 0) & (goal_area >= 0), plans_of(crowd).speed
     whole = known & np.isfinite(speed)
     if not whole.any():
-        raise SceneError(
-            scene.folder,
-            got=f"a recording of {len(crowd)} persons none of whom was seen to enter and to leave",
-            expected="complete trips to learn flows and speeds from",
-        )
+        got = f"a recording of {len(crowd)} persons none of whom was seen to enter and to leave"
+        expected = "complete trips to learn flows and speeds from"
+        raise SceneError(scene.folder, got=got, expected=expected)
     np.add.at(flow, (spawn_area[known], goal_area[known]), 1.0)
     # If no trip from an area is complete, the goals of all people are used for it.
     everyone = flow.sum(axis=0)
@@ -259,9 +249,7 @@ def _width(points: Points) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(np.cov(points.T, bias=True))[-1]))
 
 
-class _AreasFile(Fit, frozen=True):
-    """The arrays of `Areas`."""
-
+class _AreasFile(arrays.Fit, frozen=True):
     spawn_mean_m: Float[np.ndarray, "K 2"]
     spawn_covariance_m2: Float[np.ndarray, "K 2 2"]
     goal_mean_m: Float[np.ndarray, "G 2"]
@@ -270,13 +258,13 @@ class _AreasFile(Fit, frozen=True):
     speed_quantiles_mps: Float[np.ndarray, " 101"]
     left_out: tuple[float, float]
 
-    def rules(self, scene: Scene) -> list[Rule]:
+    def rules(self, scene: Scene) -> list[arrays.Rule]:
         """Covariances are definite, there are areas, and flows and speeds are possible."""
         flow, ascends = self.flow, np.diff(self.speed_quantiles_mps, prepend=0) >= 0
         shares = flow.size > 0 and (flow >= 0).all() and np.allclose(flow.sum(axis=1), 1)
         return [
-            ("spawn_covariance_m2", are_definite(self.spawn_covariance_m2), DEFINITE),
-            ("goal_covariance_m2", are_definite(self.goal_covariance_m2), DEFINITE),
+            ("spawn_covariance_m2", arrays.are_definite(self.spawn_covariance_m2), arrays.DEFINITE),
+            ("goal_covariance_m2", arrays.are_definite(self.goal_covariance_m2), arrays.DEFINITE),
             ("flow", shares, "rows that sum to 1"),
             ("speed_quantiles_mps", ascends.all(), "ascending speeds"),
         ]
@@ -297,10 +285,10 @@ def read_areas(scene: Scene) -> Areas:
     Raises:
         WeightsError: the file is missing, broken or inconsistent, or belongs to another scene.
     """
-    path, how = scene.folder / "areas.json", hint(scene)
+    path, how = scene.folder / "areas.json", arrays.hint(scene)
     raw = read_struct(path, dict, WeightsError, how)
-    check_origin(raw, "areas", ["areas", scene.id, SCHEMA], path, how)
-    file = checked(raw, _AreasFile, scene, {}, f"{path}, areas")
+    arrays.check_origin(raw, "areas", ["areas", scene.id, SCHEMA], path, how)
+    file = arrays.checked(raw, _AreasFile, scene, {}, f"{path}, areas")
     spawn = Gaussians(file.spawn_mean_m, file.spawn_covariance_m2)
     goal = Gaussians(file.goal_mean_m, file.goal_covariance_m2)
     return Areas(scene.id, spawn, goal, file.flow, file.speed_quantiles_mps, file.left_out)

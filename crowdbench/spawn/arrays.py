@@ -58,11 +58,9 @@ def check_origin(
     """Check what a file is of, its scene and its schema; the latter two are taken out of it."""
     origin = [what, header.pop("scene", None), header.pop("schema", None)]
     if origin != expected:
+        got = "{} of {}, schema {}".format(*origin)
         raise WeightsError(
-            path,
-            got="{} of {}, schema {}".format(*origin),
-            expected="{} of {}, schema {}".format(*expected),
-            hint=how,
+            path, got=got, expected="{} of {}, schema {}".format(*expected), hint=how
         )
 
 
@@ -86,12 +84,9 @@ def _read(raw: Any, kind: Any, known: Mapping[str, int], where: str, how: str) -
         names = {field.name: field.encode_name for field in structs.fields(kind)}
     wrong = sorted(raw.keys() ^ set(names.values())) if isinstance(raw, dict) else ["all fields"]
     if wrong:
-        raise WeightsError(
-            where,
-            got=f"missing or unknown: {', '.join(wrong)}",
-            expected=f"exactly {', '.join(names.values())}",
-            hint=how,
-        )
+        got = f"missing or unknown: {', '.join(wrong)}"
+        expected = f"exactly {', '.join(names.values())}"
+        raise WeightsError(where, got=got, expected=expected, hint=how)
     sizes, found = dict(known), {}
     for name, key in names.items():
         of, value, at = types[name], raw[key], f"{where}.{key}"
@@ -127,12 +122,8 @@ def _array(value: Any, of: Any, sizes: dict[str, int], where: str, how: str) -> 
     right = array.ndim == len(shape) and all(n in (None, size) for n, size in sized)
     if not right or array.dtype != dtype:
         wanted = ", ".join(d if n is None else str(n) for d, n in zip(dims, shape, strict=True))
-        raise WeightsError(
-            where,
-            got=f"{array.dtype} of shape {array.shape}",
-            expected=f"{dtype} of shape ({wanted})",
-            hint=how,
-        )
+        got = f"{array.dtype} of shape {array.shape}"
+        raise WeightsError(where, got=got, expected=f"{dtype} of shape ({wanted})", hint=how)
     if not np.isfinite(array).all():
         raise WeightsError(where, got="NaN or infinity", expected="finite numbers", hint=how)
     sizes |= zip(dims, array.shape, strict=True)

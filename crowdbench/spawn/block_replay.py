@@ -12,10 +12,9 @@ from jaxtyping import Int
 from numpy.random import Generator
 
 from crowdbench.data.blocks import TimeBlocks
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Indices, Trajectories
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
-from crowdbench.spawn.drawing import Indices
 from crowdbench.spawn.events import SpawnEvents, entering
 from crowdbench.spawn.model import Start
 from crowdbench.spawn.recorded_plans import places_of, plans_of

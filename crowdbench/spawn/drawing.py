@@ -1,13 +1,10 @@
-"""Kinds of arrays of `n` people or places, and draws from mixtures and Gaussians."""
+"""Draws from mixtures and Gaussians."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from numpy.random import Generator
 
-Numbers = Float[np.ndarray, " n"]
-Indices = Int[np.ndarray, " n"]
-Flags = Bool[np.ndarray, " n"]
-Points = Float[np.ndarray, "n 2"]
+from crowdbench.data.table import Indices
 
 
 def choose(cumulative: Float[np.ndarray, "n C"], rng: Generator) -> Indices:

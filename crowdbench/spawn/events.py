@@ -115,12 +115,8 @@ def check_events(events: object, model: str) -> SpawnEvents:
     """
     where = f"events of the spawn model {model}"
     if not isinstance(events, SpawnEvents):
-        raise SettingError(
-            where,
-            got=type(events).__name__,
-            expected="SpawnEvents",
-            hint="Create them with crowdbench.spawn.events.entering.",
-        )
+        hint = "Create them with crowdbench.spawn.events.entering."
+        raise SettingError(where, got=type(events).__name__, expected="SpawnEvents", hint=hint)
     for name in COLUMNS:
         values = np.asarray(getattr(events, name))
         shape = (len(events), 2) if name in POINTS else (len(events),)
@@ -132,18 +128,12 @@ def check_events(events: object, model: str) -> SpawnEvents:
         if name == "via":  # people without one have NaN in both coordinates
             finite |= np.isnan(values).all(axis=1)[:, None]
         if not finite.all():
-            raise SettingError(
-                where,
-                got=f"{int((~finite).sum())} values of {name} that are not finite",
-                expected="finite numbers",
-            )
+            got = f"{int((~finite).sum())} values of {name} that are not finite"
+            raise SettingError(where, got=got, expected="finite numbers")
     without = np.isnan(events.via).any(axis=1)
     if (events.wait_s < 0).any() or (events.wait_s[without] > 0).any():
-        raise SettingError(
-            where,
-            got="a negative wait_s, or one of a person without via",
-            expected="wait_s of 0 or more, and 0 where via is NaN",
-        )
+        got = "a negative wait_s, or one of a person without via"
+        raise SettingError(where, got=got, expected="wait_s of 0 or more, and 0 where via is NaN")
     if (np.diff(events.time_s) < 0).any():
         raise SettingError(
             where, got="time_s that is not sorted", expected="time_s in ascending order"

@@ -123,7 +123,6 @@ class Fitted:
         return model
 
     def _fit(self) -> Any:
-        """What is written."""
         kind = self.file.kind
         return kind(**{name: getattr(self, name) for name in kind.__struct_fields__})
 
@@ -161,12 +160,9 @@ def _content(path: Path, how: str) -> tuple[dict[str, Any], dict[str, np.ndarray
         raw = msgspec.json.decode(data[8 : 8 + int.from_bytes(data[:8], "little")])
         return msgspec.json.decode(raw["__metadata__"]["crowdbench"], type=dict[str, Any]), tensors
     except (SafetensorError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise WeightsError(
-            path,
-            got=f"unreadable weights ({error})",
-            expected="safetensors with crowdbench's header",
-            hint=how,
-        ) from error
+        got = f"unreadable weights ({error})"
+        expected = "safetensors with crowdbench's header"
+        raise WeightsError(path, got=got, expected=expected, hint=how) from error
 
 
 def _by_fit(

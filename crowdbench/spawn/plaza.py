@@ -25,9 +25,9 @@ from jaxtyping import Float, Int
 from numpy.random import Generator
 
 from crowdbench.compilation import compiled
+from crowdbench.data.table import Indices, Numbers
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, Gaussians
-from crowdbench.spawn.drawing import Indices, Numbers
 from crowdbench.spawn.events import Arrivals, SpawnEvents, entering
 from crowdbench.spawn.model import Start
 

@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from crowdbench.data.stops import HALF_S, stops_of
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Flags, Numbers, Points, Trajectories
 from crowdbench.scene import Scene
-from crowdbench.spawn.drawing import Flags, Numbers, Points
 
 VISIT_M = 1.0
 """Distance at which a via point counts as visited; see `Simulation`."""

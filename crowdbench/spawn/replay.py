@@ -31,11 +31,9 @@ class Replay:
         """The recorded events in [0, `horizon_s`); `rng` is not used."""
         crowd = self.recording
         if not np.isclose(crowd.dt_s, scene.dt_s):
-            raise SettingError(
-                "replay",
-                got=f"a recording of {crowd.scene} with frames of {crowd.dt_s:g} s",
-                expected=f"frames of {scene.dt_s:g} s, as in {scene.id}",
-            )
+            got = f"a recording of {crowd.scene} with frames of {crowd.dt_s:g} s"
+            expected = f"frames of {scene.dt_s:g} s, as in {scene.id}"
+            raise SettingError("replay", got=got, expected=expected)
         first_row = crowd.offsets[:-1]
         second_row = np.minimum(first_row + 1, crowd.offsets[1:] - 1)
         velocity = (crowd.xy[second_row] - crowd.xy[first_row]) / scene.dt_s

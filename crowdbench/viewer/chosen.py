@@ -27,12 +27,9 @@ def index_of(person_id: int, crowd: Trajectories) -> int:
     """
     found = np.flatnonzero(crowd.person_id == person_id)
     if not len(found):
-        raise SettingError(
-            "person",
-            got=str(person_id),
-            expected=f"an id from the table, {crowd.person_id.min()} to {crowd.person_id.max()}",
-            hint="The viewer shows ids in its log and next to the cursor.",
-        )
+        expected = f"an id from the table, {crowd.person_id.min()} to {crowd.person_id.max()}"
+        hint = "The viewer shows ids in its log and next to the cursor."
+        raise SettingError("person", got=str(person_id), expected=expected, hint=hint)
     return int(found[0])
 
 

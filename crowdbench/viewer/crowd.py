@@ -8,20 +8,10 @@ import rerun as rr
 from jaxtyping import Bool, Float32, Int, UInt16
 
 from crowdbench.colours import goal_colour
-from crowdbench.data.table import OUTCOMES, Trajectories
+from crowdbench.data.table import OUTCOMES, Indices, Trajectories
 from crowdbench.scene import Scene
-from crowdbench.viewer.now import trail_steps
-from crowdbench.viewer.place import (
-    GREY,
-    SIMULATION,
-    UNKNOWN,
-    WORLD,
-    areas_of,
-    corners,
-    dashed_areas,
-    hatching,
-    rgb,
-)
+from crowdbench.viewer import place
+from crowdbench.viewer.picture import trail_steps
 
 WINDOW = 10
 """Number of frames per count of spawns, as in the metric `spawns_per_10_frames`."""
@@ -43,12 +33,12 @@ def log_place(stream: rr.RecordingStream, scene: Scene) -> None:
     """Log the scene's walls, bounds and areas, and the colours and labels of goal areas."""
     # rerun's 2D views always have y pointing downwards. A single flip at the root keeps all logged
     # coordinates, and those shown at the cursor, in metres.
-    stream.log(WORLD, rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
-    areas = areas_of(scene)
-    spawns = dashed_areas(scene, areas) if areas else []
+    stream.log(place.WORLD, rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
+    areas = place.areas_of(scene)
+    spawns = place.dashed_areas(scene, areas) if areas else []
     goals = [areas.goal.outline(k) for k in range(len(areas.goal))] if areas else []
-    classes = [(UNKNOWN, "goal area unknown", rgb(GREY))]
-    classes += [(k, f"to goal area {k}", rgb(goal_colour(k))) for k in range(len(goals))]
+    classes = [(place.UNKNOWN, "goal area unknown", place.rgb(place.GREY))]
+    classes += [(k, f"to goal area {k}", place.rgb(goal_colour(k))) for k in range(len(goals))]
     stream.log("/", rr.AnnotationContext(classes), static=True)
 
     def lines(name: str, strips: Sequence[np.ndarray], width: float, *colours: str) -> None:
@@ -56,14 +46,14 @@ def log_place(stream: rr.RecordingStream, scene: Scene) -> None:
             list(strips),
             # In screen points, so that line widths do not depend on the size of the scene.
             radii=rr.Radius.ui_points(width / 2),
-            colors=[rgb(c) for c in colours],
+            colors=[place.rgb(c) for c in colours],
             draw_order=_PLACE_ORDER,
         )
-        stream.log(f"{WORLD}/place/{name}", drawn, static=True)
+        stream.log(f"{place.WORLD}/place/{name}", drawn, static=True)
 
-    lines("bounds", [_closed(corners(scene))], 1.0, _DIM)
-    lines("walls", [_closed(wall.corners_m) for wall in scene.walls], 1.5, GREY)
-    lines("walls/hatching", hatching(scene), 1.0, _DIM)
+    lines("bounds", [_closed(place.corners(scene))], 1.0, _DIM)
+    lines("walls", [_closed(wall.corners_m) for wall in scene.walls], 1.5, place.GREY)
+    lines("walls/hatching", place.hatching(scene), 1.0, _DIM)
     lines("spawn_areas", spawns, 1.0, "#CCCCCC")
     lines("goal_areas", goals, 2.0, *map(goal_colour, range(len(goals))))
 
@@ -79,7 +69,7 @@ def log_crowd(stream: rr.RecordingStream, side: str, crowd: Trajectories, scene:
     rows = np.argsort(frame, kind="stable")
     rows = rows[known[frame[rows]]]
     frame, person = frame[rows], person[rows]
-    where = f"{WORLD}/{side}"
+    where = f"{place.WORLD}/{side}"
     for start in range(0, crowd.frames, _BATCH):
         stop = min(start + _BATCH, crowd.frames)
         now = slice(*np.searchsorted(frame, [start, stop]))
@@ -105,12 +95,12 @@ def log_looks(stream: rr.RecordingStream, side: str, scene: Scene) -> None:
     """Log the style of a side's people, of their trails, and of its lines in the plots."""
     radius_m = scene.motion.person_radius_m
     disc = rr.Points2D.from_fields(radii=radius_m, show_labels=False, draw_order=_DISC_ORDER)
-    stream.log(f"{WORLD}/{side}/people", disc, static=True)
+    stream.log(f"{place.WORLD}/{side}/people", disc, static=True)
     trail = rr.LineStrips2D.from_fields(
         radii=radius_m / 4, show_labels=False, draw_order=_TRAIL_ORDER
     )
-    stream.log(f"{WORLD}/{side}/trails", trail, static=True)
-    colour = _SIMULATED if side == SIMULATION else _COMPARED
+    stream.log(f"{place.WORLD}/{side}/trails", trail, static=True)
+    colour = _SIMULATED if side == place.SIMULATION else _COMPARED
     modes = rr.components.InterpolationMode
     for name, mode in (("agents", modes.Linear), ("spawns", modes.StepAfter)):
         look = rr.SeriesLines(names=side, colors=colour, widths=1.5, interpolation_mode=mode)
@@ -152,7 +142,7 @@ def ending(person_id: int, outcome: int, from_s: float, to_s: float) -> tuple[st
 
 def class_of(goal_area: Int[np.ndarray, " n"]) -> UInt16[np.ndarray, " n"]:
     """Class of people with these goal areas, which determines their colour and label."""
-    return np.where(goal_area < 0, UNKNOWN, goal_area).astype(np.uint16)
+    return np.where(goal_area < 0, place.UNKNOWN, goal_area).astype(np.uint16)
 
 
 def ids(person_id: Int[np.ndarray, " n"]) -> pa.Array:
@@ -160,10 +150,8 @@ def ids(person_id: Int[np.ndarray, " n"]) -> pa.Array:
     return pa.array(person_id, pa.int64())
 
 
-def trails(
-    crowd: Trajectories, rows: Int[np.ndarray, " n"], first_row: Int[np.ndarray, " n"]
-) -> Float32[np.ndarray, "n k 2"]:
-    """Positions in the last `now.TRAIL_S` seconds up to each row, metres.
+def trails(crowd: Trajectories, rows: Indices, first_row: Indices) -> Float32[np.ndarray, "n k 2"]:
+    """Positions in the last `picture.TRAIL_S` seconds up to each row, metres.
 
     Times before a person's first row have the position of the first row.
     """
@@ -182,7 +170,7 @@ def _log_unobserved(
     """Log a label in the middle of the scene for frames that were not observed."""
     turns = np.flatnonzero(np.diff(known, prepend=not known[0]))
     shown = (~known[turns]).astype(np.int64)
-    middle = np.tile(np.mean(corners(scene), axis=0), (shown.sum(), 1))
+    middle = np.tile(np.mean(place.corners(scene), axis=0), (shown.sum(), 1))
     note = rr.Points2D.columns(positions=middle, labels=["not observed"] * len(middle))
     stream.send_columns(where, time_columns(turns, dt_s), note.partition(shown))
     look = rr.Points2D.from_fields(radii=0.0, colors=[[255, 255, 255]], show_labels=True)

@@ -8,7 +8,7 @@ import rerun as rr
 from crowdbench.scene import Scene
 from crowdbench.viewer.crowd import WINDOW, class_of, ending, ids, log_looks, log_place
 from crowdbench.viewer.layout import layout, open_stream
-from crowdbench.viewer.now import Now
+from crowdbench.viewer.picture import Now
 from crowdbench.viewer.place import SIMULATION, WORLD
 
 

@@ -1,6 +1,7 @@
 """The static parts of a scene: walls, bounds, spawn areas and goal areas, as lines to draw."""
 
 import numpy as np
+import shapely
 from jaxtyping import Float
 
 from crowdbench.errors import WeightsError
@@ -45,8 +46,6 @@ def corners(scene: Scene) -> list[tuple[float, float]]:
 
 def hatching(scene: Scene) -> list[Float[np.ndarray, "2 2"]]:
     """Strokes at 45° that hatch the walls, because rerun draws only outlines; metres."""
-    import shapely
-
     b = scene.bounds
     height = b.y_max_m - b.y_min_m
     x = np.arange(b.x_min_m - height, b.x_max_m, extent_m(scene) / _HATCHES)

@@ -8,8 +8,7 @@ from jaxtyping import UInt8
 from crowdbench.run.episode import Recorder
 from crowdbench.scene import Scene
 from crowdbench.viewer.access import check_rerun
-from crowdbench.viewer.now import Now
-from crowdbench.viewer.picture import Pictures
+from crowdbench.viewer.picture import Now, Pictures
 
 if TYPE_CHECKING:
     from crowdbench.viewer.live import Live

@@ -14,7 +14,6 @@ from jaxtyping import Float, Int
 from crowdbench.colours import COLOURS, goal_colour
 from crowdbench.data.table import Trajectories
 from crowdbench.report.plots import panels
-from crowdbench.report.plots.cells import CELL_M, draw_cells, in_cells
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
 from studies.figures.maps import maps
@@ -133,7 +132,7 @@ def draw_flows(
         "rollouts": len(crowds),
         "spawn_areas_left_out": left_out,
         "their_share_of_people": round(their_share, 4),
-        "cell_m": CELL_M,
+        "cell_m": panels.CELL_M,
         "density_parts": DENSITY_PARTS,
         "density_from_m": [scene.bounds.x_min_m, scene.bounds.y_min_m],
         "areas": [flow.numbers() for flow in found],
@@ -144,7 +143,7 @@ def density(crowds: Sequence[Trajectories], area: int, scene: Scene) -> Float[np
     """Share of time that people from `area` spend in each cell of `CELL_M`; sums to 1."""
     theirs = [(c.entered & (c.spawn_area == area))[c.row_person()] for c in crowds]
     xy = np.concatenate([crowd.xy[rows] for crowd, rows in zip(crowds, theirs, strict=True)])
-    found = in_cells(xy, scene)
+    found = panels.in_cells(xy, scene)
     return found / max(1.0, found.sum())
 
 
@@ -162,7 +161,7 @@ def _map(axis: "Axes", scene: Scene, areas: Areas, flow: Outflow) -> None:
     from matplotlib.patheffects import withStroke
 
     norm = PowerNorm(0.4, vmin=0, vmax=flow.density.max())
-    draw_cells(axis, np.ma.masked_equal(flow.density, 0), scene, cmap="Greys", norm=norm)
+    panels.draw_cells(axis, np.ma.masked_equal(flow.density, 0), scene, cmap="Greys", norm=norm)
     panels.place(axis, scene, fill=_WALLS)
     labels: list[np.ndarray] = []
     for g in sorted(flow.drawn, key=lambda g: -flow.share[g]):

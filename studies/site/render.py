@@ -5,8 +5,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from crowdbench.leaderboard.scores import View
-from crowdbench.report.text.templates import environment
-from crowdbench.report.text.words import NOTHING, digits, speed
+from crowdbench.report.text.words import NOTHING, digits, environment, speed
 from crowdbench.report.text.words import share as shown_share
 from studies.site import axis
 from studies.site.tables import GATE, gated

@@ -14,11 +14,15 @@ from crowdbench import rollout
 from crowdbench.data.storage import write_csv, write_parquet
 from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.errors import RecordingError
-from crowdbench.leaderboard.submission import untrusted
+from crowdbench.leaderboard.submission import limits
 from crowdbench.leaderboard.submission.limits import MOST_COLUMNS, MOST_PERSONS, MOST_ROWS
 from crowdbench.leaderboard.submission.submission import read_submission
-from crowdbench.leaderboard.submission.trajectories import DROPPED, broken_rules, undeclared_drops
-from crowdbench.leaderboard.submission.untrusted import read_table
+from crowdbench.leaderboard.submission.trajectories import (
+    DROPPED,
+    broken_rules,
+    read_table,
+    undeclared_drops,
+)
 from crowdbench.registry import policy, recording, spawn_model
 from crowdbench.spawn.areas import read_areas
 
@@ -214,7 +218,7 @@ def test_parquet_that_says_less_is_refused_while_it_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = made_of(tmp_path / "0.parquet", 100_000)
-    monkeypatch.setattr(untrusted, "LARGEST_DECODED", 200_000)
+    monkeypatch.setattr(limits, "LARGEST_DECODED", 200_000)
     with pytest.raises(RecordingError, match="takes more memory"):
         read_table(path)
 

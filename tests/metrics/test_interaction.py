@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from strategies import crowd_of
 
 from crowdbench.data.blocks import TimeBlocks
-from crowdbench.data.neighbours import nearest_neighbour_m
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics import Place
 from crowdbench.metrics.interaction import Avoidance, OverlapRate, WallClearance, clearance
 from crowdbench.metrics.kernels import encounters
+from crowdbench.metrics.rows import nearest_neighbour_m
 from crowdbench.scene import Walking
 
 BESIDE_M = 0.3

@@ -6,9 +6,9 @@ from strategies import crowd_of, later
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.neighbour_kernels import from_left_to_right
-from crowdbench.data.neighbours import nearest_neighbour_m
 from crowdbench.data.table import Trajectories
 from crowdbench.metrics import Place
+from crowdbench.metrics.rows import nearest_neighbour_m
 from crowdbench.metrics.space import GoalDensity, NearestNeighbour, Occupancy, StartDensity
 
 THREE = whole(3)

@@ -4,6 +4,7 @@ import re
 import shlex
 from pathlib import Path
 
+import msgspec
 import pages
 import pytest
 from PIL import Image
@@ -14,7 +15,7 @@ from crowdbench.report.steering.changes import Steering, area_changes, goal_chan
 from crowdbench.run.jobs import plan
 from crowdbench.scene import load_scene
 from crowdbench.scoring.ranking import may_rank
-from crowdbench.scoring.scorecard import read_scorecard
+from crowdbench.scoring.scorecard import Scorecard
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "steering.md").read_text()
@@ -134,7 +135,7 @@ def test_an_evaluation_under_a_scenario_has_distances_and_no_ranks(
     printed = " ".join(capsys.readouterr().out.split())
     assert "renewal-gmm+quiet × straight" in printed
     assert "is meant to differ from the recording" in printed
-    (entry,) = read_scorecard(Path("out/scorecard.json")).entries
+    (entry,) = msgspec.json.decode(Path("out/scorecard.json").read_bytes(), type=Scorecard).entries
     assert (entry.spawn, entry.policy) == ("renewal-gmm+quiet.toml", "straight")
     assert (entry.metrics["spawns_per_10_frames"].distance or 0) > 0.5
     assert 0 < entry.persons < 250  # without the busier of the two doors

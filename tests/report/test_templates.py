@@ -6,7 +6,7 @@ import pytest
 from jinja2 import UndefinedError
 from markupsafe import Markup
 
-from crowdbench.report.text.templates import environment
+from crowdbench.report.text.words import environment
 
 
 @pytest.fixture

@@ -77,7 +77,7 @@ def made(yard: Trajectories, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     asked += ["--walls", str(geojson(folder)), *SMALL]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CROWDBENCH_HOME", str(folder / "home"))
-        patch.setattr(create, "has_torch", lambda: False)
+        patch.setattr(create.fit, "has_torch", lambda: False)
         # As `unadjusted`, which is a fixture of single tests.
         patch.setattr("crowdbench.scene_building.fit.adjustment", lambda *of: Adjustment())
         patch.chdir(folder)
@@ -311,7 +311,7 @@ def test_what_breaks_on_the_way_leaves_nothing(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(create, "power_study", interrupt)
-    monkeypatch.setattr(create, "has_torch", lambda: False)
+    monkeypatch.setattr(create.fit, "has_torch", lambda: False)
     with pytest.raises(KeyboardInterrupt):
         attempt(tmp_path, yard)
     assert remains(tmp_path) == []

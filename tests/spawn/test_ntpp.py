@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from models import AREAS, GRID_S, arrivals_at, random_ntpp
+from models import AREAS, GRID_S, arrivals_at, parameters, random_ntpp
 
 from crowdbench.scene import load_scene
 from crowdbench.spawn import Areas, NtppGMM, PoissonGMM, arrivals_in
@@ -44,7 +44,7 @@ def test_time_without_arrivals_costs_its_survival_and_no_more() -> None:
 def test_what_the_head_says_depends_on_gaps_and_on_sizes() -> None:
     model = random_ntpp()
     after = [
-        model.parameters(arrivals_at([*ticks, 15], [0] * (len(ticks) + 1), [(0, 20)]))[-1]
+        parameters(model, arrivals_at([*ticks, 15], [0] * (len(ticks) + 1), [(0, 20)]))[-1]
         for ticks in ([3], [4], [3, 3])
     ]
     assert not np.allclose(after[0], after[1], rtol=1e-3)
@@ -61,7 +61,7 @@ def test_the_sampler_walks_through_the_states_of_the_likelihood() -> None:
     arrivals = arrivals_in(events, points * GRID_S, GRID_S, 1)
     spells = spells_of(arrivals)
     u = np.random.default_rng(8).random(2 * len(spells.gap)).reshape(-1, 2)
-    shape, scale, more = one.parameters(arrivals).T
+    shape, scale, more = parameters(one, arrivals).T
     gap = np.maximum(1, np.ceil(scale * (-np.log1p(-u[:, 0])) ** (1 / shape)))
     size = 1 + np.floor(-np.log1p(-u[:, 1]) / more)
     assert len(gap) > 100
@@ -77,8 +77,8 @@ def _one(areas: Areas) -> Areas:
 def test_groups_of_a_sample_are_bounded_by_what_the_head_can_say() -> None:
     # No weights, however wild, let in more than the bounds around the base allow.
     wild = random_ntpp(spread=30.0)
-    assert all(np.isfinite(wild.parameters(OF_TWO)).ravel())
-    shape, scale, more = wild.parameters(OF_TWO).T
+    assert all(np.isfinite(parameters(wild, OF_TWO)).ravel())
+    shape, scale, more = parameters(wild, OF_TWO).T
     area = spells_of(OF_TWO).area[spells_of(OF_TWO).of_group]
     base = wild.weights["base"][area]
     assert (np.abs(np.log(shape) - base[:, 0]) <= 2 + 1e-6).all()
@@ -143,8 +143,8 @@ def test_after_a_silence_as_long_as_its_memory_the_network_starts_anew() -> None
     busy = [3, 4, 4, 6]
     for silence in (7, 8, 14, 15, 40):
         ticks = [*busy, busy[-1] + silence]
-        said = model.parameters(arrivals_at(ticks, [0] * len(ticks), [(0, 60)]))[-1]
-        at_first = model.parameters(arrivals_at([3], [0], [(0, 60)]))[0]
+        said = parameters(model, arrivals_at(ticks, [0] * len(ticks), [(0, 60)]))[-1]
+        at_first = parameters(model, arrivals_at([3], [0], [(0, 60)]))[0]
         assert np.array_equal(said, at_first) == (silence > 7)
 
 
@@ -152,7 +152,7 @@ def test_a_forgotten_silence_costs_what_each_of_its_parts_costs() -> None:
     # 17 = 7 + 7 + 3 steps, of which the first part follows a group and the others nothing.
     model = replace(random_ntpp(), memory=7)
     hazards = model.hazards(arrivals_at([3, 20], [0, 0], [(0, 60)]))
-    shape, scale, _ = model.parameters(arrivals_at([3, 4], [0, 0], [(0, 60)])).T
+    shape, scale, _ = parameters(model, arrivals_at([3, 4], [0, 0], [(0, 60)])).T
     anew = (7 / scale[0]) ** shape[0]
     for step, until in enumerate(hazards.gap[1]):
         parts = (7 / scale[1]) ** shape[1] + anew + ((2 + step) / scale[0]) ** shape[0]

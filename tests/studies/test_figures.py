@@ -13,13 +13,14 @@ import pytest
 from crowdbench.data.storage import read_own
 from crowdbench.errors import CrowdbenchError, RecordingError, SettingError
 from crowdbench.registry import import_recording, recording_of
+from crowdbench.report.plots.panels import CELL_M
 from crowdbench.scene import load_scene
 from crowdbench.scoring.reference import read_reference
 from crowdbench.spawn.areas import Gaussians, read_areas
 from studies import figures
 from studies.__main__ import main as studies_main
 from studies.figures import FIGURES, with_areas, write_figures
-from studies.figures.flows import CELL_M, DENSITY_PARTS, density, draw_flows
+from studies.figures.flows import DENSITY_PARTS, density, draw_flows
 from studies.figures.ways import LEAST_PEOPLE, whole
 
 pytestmark = pytest.mark.long

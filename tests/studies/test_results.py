@@ -24,7 +24,6 @@ from crowdbench.scoring.scorecard import (
     Protocol,
     Scorecard,
     read_anchors,
-    read_scorecard,
 )
 from studies.__main__ import main as studies_main
 from studies.results.correlations import Lag, at_lags
@@ -39,6 +38,10 @@ PLAZA = load_scene("plaza-v0")
 REFERENCE = read_reference(PLAZA)
 LAGS = [Lag(10.0, 0.61, 0.42), Lag(30.0, 0.15, -0.07)]
 PICTURES = [Picture("dwell.png", "Dwell time", "How long people stay.")]
+
+
+def read_scorecard(path: Path) -> Scorecard:
+    return msgspec.json.decode(path.read_bytes(), type=Scorecard)
 
 
 @pytest.fixture(scope="module")

@@ -168,11 +168,9 @@ def remove_imported(name: str) -> Path:
         path.unlink()
         shutil.rmtree(prepared_folder(name), ignore_errors=True)
     except FileNotFoundError as error:
-        raise RecordingError(
-            f"recording {name}",
-            got="no imported recording of that name",
-            expected="one that `crowdbench data list` shows as imported",
-        ) from error
+        got = "no imported recording of that name"
+        expected = "one that `crowdbench data list` shows as imported"
+        raise RecordingError(f"recording {name}", got=got, expected=expected) from error
     except OSError as error:
         raise unwritable(path, error) from error
     return path
@@ -191,7 +189,18 @@ def import_recording(name: str, folder: Path | None = None) -> Trajectories:
         OutputError: the imported table cannot be written.
     """
     published = source(name)
-    crowd = read_published(published, _folder(folder))
+    if folder is None:
+        named = os.environ.get("CROWDBENCH_DATA")
+        if not named:
+            raise SettingError(
+                "crowdbench data import",
+                got="no folder",
+                expected="--source DIR or the environment variable CROWDBENCH_DATA",
+                hint="Give a folder in the layout of github.com/crowdbotp/OpenTraj, or run "
+                "`crowdbench data fetch NAME`.",
+            )
+        folder = Path(named)
+    crowd = read_published(published, folder)
     storage.write_parquet(crowd, cached(name))
     if known_sha256(published) is None:
         write_json(note_of(name), _Note(crowd.provenance["sha256"], published.address))
@@ -289,7 +298,6 @@ def verify(
 
 
 def _files(source: Source, path: Path) -> dict[str, bytes]:
-    """The files that a recording is read from, by name."""
     hint = f"Run `crowdbench data fetch {source.name}`, or copy {source.address} to that path."
     if source.format != "gc":
         return {path.name: read_bytes(path, RecordingError, hint)}
@@ -301,17 +309,3 @@ def hash_of(files: Mapping[str, bytes]) -> str:
     if len(files) == 1:
         return sha256(*files.values())
     return sha256("".join(f"{sha256(files[name])}  {name}\n" for name in sorted(files)).encode())
-
-
-def _folder(folder: Path | None) -> Path:
-    if folder is not None:
-        return folder
-    if named := os.environ.get("CROWDBENCH_DATA"):
-        return Path(named)
-    raise SettingError(
-        "crowdbench data import",
-        got="no folder",
-        expected="--source DIR or the environment variable CROWDBENCH_DATA",
-        hint="Give a folder in the layout of github.com/crowdbotp/OpenTraj, or run "
-        "`crowdbench data fetch NAME`.",
-    )

@@ -11,16 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crowdbench.data.recordings.catalogue import (
-    COMMIT,
-    REPOSITORY,
-    Source,
-    known_sha256,
-    read_files,
-    sha256_in,
-    source,
-    verify,
-)
+from crowdbench.data.recordings import catalogue
 from crowdbench.errors import FetchError
 from crowdbench.files import home, replacing, sha256
 
@@ -29,8 +20,7 @@ if TYPE_CHECKING:
 
 MAX_TRACKS_BYTES = 1 << 26
 """Maximum size of an unpacked tracks file; ten times that of the busiest day."""
-_HEAD = 1 << 16
-"""Bytes at the beginning of a file in which the first track must begin."""
+_HEAD = 1 << 16  # bytes at the beginning of a file in which the first track must begin
 TIMEOUT_S = 30.0
 """Time after which a server that sends nothing counts as unreachable."""
 TRIES = 3
@@ -61,9 +51,9 @@ def fetch(name: str, folder: Path, progress: Progress = lambda *_: None) -> bool
         RecordingError: the data are not a recording.
         OutputError: the folder cannot be written.
     """
-    published = source(name)
-    known = known_sha256(published)
-    there = sha256_in(published, folder)
+    published = catalogue.source(name)
+    known = catalogue.known_sha256(published)
+    there = catalogue.sha256_in(published, folder)
     if there is not None and known in (None, there):
         return False
     if published.format == "gc":
@@ -76,15 +66,17 @@ def fetch(name: str, folder: Path, progress: Progress = lambda *_: None) -> bool
         hint = "The download was discarded. Run the command again. If that does not help, the "
         hint += "network alters the data, or the publisher has changed them."
         also = " and the day's tracks file, and run the command again"
-        verify(published, sha256(data), published.address, FetchError, hint, also)
+        catalogue.verify(published, sha256(data), published.address, FetchError, hint, also)
         if known is None:
             # Its hash will be stored and required from now on, so it must be readable.
-            read_files(published, {path.name: data}, published.address)
+            catalogue.read_files(published, {path.name: data}, published.address)
         temporary.write_bytes(data)
     return True
 
 
-def git_commands(published: Source, folder: Path, repository: str, commit: str) -> list[str]:
+def git_commands(
+    published: catalogue.Source, folder: Path, repository: str, commit: str
+) -> list[str]:
     """Shell commands that check out only a recording's folder at the pinned commit."""
     git = ["git", "-C", str(folder)]
     return [
@@ -100,21 +92,21 @@ def git_commands(published: Source, folder: Path, repository: str, commit: str) 
     ]
 
 
-def _by_git(published: Source, folder: Path) -> FetchError:
+def _by_git(published: catalogue.Source, folder: Path) -> FetchError:
     hint = "Choose another folder with --out: this one contains a git repository."
     if not (folder / ".git").exists():
         bring = ["crowdbench", "data", "import", published.name, "--source", str(folder)]
-        commands = [*git_commands(published, folder, REPOSITORY, COMMIT), shlex.join(bring)]
+        commands = [
+            *git_commands(published, folder, catalogue.REPOSITORY, catalogue.COMMIT),
+            shlex.join(bring),
+        ]
         hint = "Run\n\n" + "".join(f"  {command}\n" for command in commands)
-    return FetchError(
-        f"recording {published.name}",
-        got="thousands of files that cannot be downloaded as one, so nothing was downloaded",
-        expected="a checkout of their folder with git",
-        hint=hint,
-    )
+    got = "thousands of files that cannot be downloaded as one, so nothing was downloaded"
+    expected = "a checkout of their folder with git"
+    return FetchError(f"recording {published.name}", got=got, expected=expected, hint=hint)
 
 
-def _tracks(data: bytes, published: Source, path: Path) -> bytes:
+def _tracks(data: bytes, published: catalogue.Source, path: Path) -> bytes:
     """The text of a day's tracks from a zip archive, in which the file may have any name.
 
     At most 64 kB of other files are unpacked, and no file name from the archive is used on disk.
@@ -175,21 +167,13 @@ def _download(address: str, progress: Progress) -> bytes:
             try:
                 answer = session.get(address, stream=True, timeout=TIMEOUT_S)
             except requests.RequestException as error:
-                raise FetchError(
-                    address,
-                    got=_reason(error),
-                    expected="a response",
-                    hint="Check that this machine can reach the address, and run the command "
-                    "again.",
-                ) from error
+                got = _reason(error)
+                hint = "Check that this machine can reach the address, and run the command again."
+                raise FetchError(address, got=got, expected="a response", hint=hint) from error
             with answer, suppress(requests.RequestException):
                 return _content(answer, address, progress)
-    raise FetchError(
-        address,
-        got=f"a transfer that was interrupted {TRIES} times",
-        expected="the whole file",
-        hint="Run the command again.",
-    )
+    got = f"a transfer that was interrupted {TRIES} times"
+    raise FetchError(address, got=got, expected="the whole file", hint="Run the command again.")
 
 
 def _content(answer: "requests.Response", address: str, progress: Progress) -> bytes:
@@ -202,22 +186,15 @@ def _content(answer: "requests.Response", address: str, progress: Progress) -> b
             "address in a browser.",
         )
     if answer.headers.get("Content-Type", "").startswith("text/html"):
-        raise FetchError(
-            address,
-            got="an HTML page",
-            expected="a data file",
-            hint="The network may require a login: open the address in a browser.",
-        )
+        hint = "The network may require a login: open the address in a browser."
+        raise FetchError(address, got="an HTML page", expected="a data file", hint=hint)
     length = answer.headers.get("Content-Length", "")
     data = bytearray()
     for chunk in answer.iter_content(_CHUNK):
         data += chunk
         if len(data) > MAX_BYTES:
-            raise FetchError(
-                address,
-                got=f"more than {MAX_BYTES} bytes",
-                expected="a recording, which is smaller",
-            )
+            got = f"more than {MAX_BYTES} bytes"
+            raise FetchError(address, got=got, expected="a recording, which is smaller")
         progress(len(data), int(length) if length.isdecimal() else None)
     return bytes(data)
 

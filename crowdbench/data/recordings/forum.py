@@ -9,7 +9,7 @@ from collections import Counter, defaultdict
 from itertools import permutations
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from crowdbench.data.table import Trajectories, from_rows, interpolated
 from crowdbench.errors import RecordingError
@@ -45,15 +45,14 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
     doubles = _doubles(tracks, where)
     spans = sum((int(rows[-1, 2]) - int(rows[0, 2])) // FRAME + 1 for rows in tracks.values())
     if spans > MAX_ROWS:
-        raise RecordingError(
-            where,
-            got=f"{spans} rows (persons times frames)",
-            expected=f"at most {MAX_ROWS}",
-            hint="A time may be wrong.",
-        )
+        got = f"{spans} rows (persons times frames)"
+        expected = f"at most {MAX_ROWS}"
+        raise RecordingError(where, got=got, expected=expected, hint="A time may be wrong.")
     pieces, fast, short = [], 0, 0
     for number, rows in tracks.items():
-        tick, at = _at_each_time(rows)
+        tick, of_row, count = np.unique(rows[:, 2], return_inverse=True, return_counts=True)
+        x, y = (np.bincount(of_row, rows[:, k]) / count for k in (0, 1))
+        at = PIXEL_M * np.stack([x, IMAGE_ROWS - y], axis=1)
         speed = np.linalg.norm(np.diff(at, axis=0), axis=1) / np.diff(tick) * FPS
         fast += bool((speed > 3.0).any())
         frame = np.arange(-(-tick[0] // FRAME), tick[-1] // FRAME + 1)
@@ -65,11 +64,8 @@ def read_forum(data: bytes, *, name: str, where: object) -> Trajectories:
         of_person = (np.full(len(frame), value) for value in (number, tick[0] / FPS))
         pieces.append((*of_person, frame, interpolated(frame * FRAME, tick, at)))
     if not pieces:
-        raise RecordingError(
-            where,
-            got=f"{len(tracks)} tracks, all of them between two frames of {FRAME}/9 s",
-            expected="at least one track that spans a frame",
-        )
+        got = f"{len(tracks)} tracks, all of them between two frames of {FRAME}/9 s"
+        raise RecordingError(where, got=got, expected="at least one track that spans a frame")
     person, entered_s, frame, xy = (np.concatenate(part) for part in zip(*pieces, strict=True))
     notes = {
         "tracks": f"{len(tracks)}; left out: {len(doubles)} duplicates of other tracks, {short} "
@@ -101,26 +97,18 @@ def _tracks(data: bytes, where: object) -> dict[int, Int[np.ndarray, "n 3"]]:
     tracks: dict[int, Int[np.ndarray, "n 3"]] = {}
     for piece in data.split(b"TRACK.R")[1:]:
         label, _, body = piece.partition(b"=")
-        number = _number(label, where)
+        if not label.strip().isdigit() or len(label) > 18:
+            got = f"a track named TRACK.R{_shown(label)}"
+            raise RecordingError(where, got=got, expected="TRACK.RNUMBER=[...]")
+        number = int(label)
         if number in tracks:
             raise RecordingError(where, got=f"TRACK.R{number} twice", expected="each track once")
         body = body.partition(b"Properties")[0].partition(b"%")[0]
         tracks[number] = _detections(body, f"{where}, TRACK.R{number}")
     if len(tracks) != int(stated[1]) or not tracks:
-        raise RecordingError(
-            where,
-            got=f"{len(tracks)} tracks",
-            expected=f"{int(stated[1])}, as stated in the file's first line, and at least one",
-        )
+        expected = f"{int(stated[1])}, as stated in the file's first line, and at least one"
+        raise RecordingError(where, got=f"{len(tracks)} tracks", expected=expected)
     return tracks
-
-
-def _number(label: bytes, where: object) -> int:
-    if not label.strip().isdigit() or len(label) > 18:
-        raise RecordingError(
-            where, got=f"a track named TRACK.R{_shown(label)}", expected="TRACK.RNUMBER=[...]"
-        )
-    return int(label)
 
 
 def _detections(body: bytes, where: str) -> Int[np.ndarray, "n 3"]:
@@ -155,25 +143,12 @@ def _detections(body: bytes, where: str) -> Int[np.ndarray, "n 3"]:
 
 
 def _no_detections(got: bytes, where: str) -> RecordingError:
-    return RecordingError(
-        where,
-        got=f"{_shown(got)} among the detections",
-        expected="[[column row time];…], all in brackets",
-    )
+    expected = "[[column row time];…], all in brackets"
+    return RecordingError(where, got=f"{_shown(got)} among the detections", expected=expected)
 
 
 def _shown(text: bytes) -> str:
     return repr(text[:40].decode("ascii", "replace"))
-
-
-def _at_each_time(
-    rows: Int[np.ndarray, "n 3"],
-) -> tuple[Int[np.ndarray, " t"], Float[np.ndarray, "t 2"]]:
-    """The distinct times, and the mean detected position at each, in metres."""
-    tick, of_row, count = np.unique(rows[:, 2], return_inverse=True, return_counts=True)
-    x = np.bincount(of_row, rows[:, 0]) / count
-    y = np.bincount(of_row, rows[:, 1]) / count
-    return tick, PIXEL_M * np.stack([x, IMAGE_ROWS - y], axis=1)
 
 
 def _doubles(tracks: dict[int, Int[np.ndarray, "n 3"]], where: object) -> set[int]:
@@ -188,11 +163,8 @@ def _doubles(tracks: dict[int, Int[np.ndarray, "n 3"]], where: object) -> set[in
             owners[detection].append(number)
     most = max(len(of) for of in owners.values())
     if most > MAX_SHARING:  # the loop over pairs below would take too long
-        raise RecordingError(
-            where,
-            got=f"a detection that {most} tracks share",
-            expected=f"at most {MAX_SHARING} tracks per detection",
-        )
+        got = f"a detection that {most} tracks share"
+        raise RecordingError(where, got=got, expected=f"at most {MAX_SHARING} tracks per detection")
     shared = Counter(pair for of in owners.values() for pair in permutations(of, 2))
     length = {number: (len(each), -number) for number, each in detections.items()}
     return {

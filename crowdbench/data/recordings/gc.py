@@ -71,15 +71,19 @@ def read_gc(
             single += 1
             continue
         upto = inside.sum() + (not inside.all())  # one more row, to interpolate up to the end
-        video, at = _each_frame(rows[:upto], video_frames)
+        # Interpolated in pixels, as in the published data; between consecutive annotations that is
+        # practically the same as in metres.
+        video = np.arange(rows[0, 2], min(rows[upto - 1, 2] + 1, video_frames), FRAME)
+        at = interpolated(video, rows[:upto, 2], rows[:upto, :2])
         pieces.append(np.column_stack([np.full(len(video), person), video // FRAME, at]))
     if not pieces:
-        raise RecordingError(
-            where,
-            got=f"{single} files with a single annotation each",
-            expected="at least one person with two annotations",
-        )
+        got = f"{single} files with a single annotation each"
+        raise RecordingError(where, got=got, expected="at least one person with two annotations")
     table = np.concatenate(pieces)
+    # The homography expects (row, column): with the opposite order people would walk at 0.6 m/s.
+    plane = np.column_stack([table[:, [3, 2]], np.ones(len(table))]) @ homography.T
+    with np.errstate(divide="ignore", invalid="ignore"):  # values not finite are rejected below
+        xy = UNIT_M * plane[:, :2] / plane[:, 2:]
     return from_rows(
         scene=name,
         dt_s=FRAME / FPS,
@@ -87,7 +91,7 @@ def read_gc(
         frames=video_frames // FRAME,
         person_id=table[:, 0].astype(np.int64),
         frame=table[:, 1].astype(np.int64),
-        xy=_metres(table[:, 2:], homography),
+        xy=xy,
         provenance={
             "notes": {
                 "files": f"{len(tracks)}, {single} of them left out for having a single annotation",
@@ -115,20 +119,14 @@ def _annotations(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
     except (ValueError, OverflowError) as error:
         raise RecordingError(where, got=str(error)[:100], expected="whole numbers") from error
     if len(numbers) == 0 or len(numbers) % 3:
-        raise RecordingError(
-            where,
-            got=f"{len(numbers)} numbers",
-            expected="three per annotation: column, row, frame",
-        )
+        got = f"{len(numbers)} numbers"
+        raise RecordingError(where, got=got, expected="three per annotation: column, row, frame")
     rows = numbers.reshape(-1, 3)
     frame = rows[:, 2]
     wrong = (frame % STEP != 0) | (frame < 0)
     if wrong.any():
-        raise RecordingError(
-            where,
-            got=f"an annotation of frame {frame[wrong][0]}",
-            expected=f"annotations of every {STEP}th frame",
-        )
+        got = f"an annotation of frame {frame[wrong][0]}"
+        raise RecordingError(where, got=got, expected=f"annotations of every {STEP}th frame")
     back = np.flatnonzero(np.diff(frame) <= 0)
     if len(back):
         before, after = frame[back[0] : back[0] + 2]
@@ -138,50 +136,20 @@ def _annotations(data: bytes, where: str) -> Int[np.ndarray, "n 3"]:
     return rows
 
 
-def _each_frame(
-    rows: Int[np.ndarray, "n 3"], stop: int
-) -> tuple[Int[np.ndarray, " f"], Float[np.ndarray, "f 2"]]:
-    """Video frames of the scene's frames from the first annotation to `stop`, and the pixels.
-
-    Positions are interpolated in pixels, as in the published data. Between consecutive annotations
-    the result is practically the same as in metres. Where a person was lost for minutes, the true
-    path is unknown in any case.
-    """
-    video = np.arange(rows[0, 2], min(rows[-1, 2] + 1, stop), FRAME)
-    return video, interpolated(video, rows[:, 2], rows[:, :2])
-
-
-def _metres(
-    pixels: Float[np.ndarray, "n 2"], homography: Float[np.ndarray, "3 3"]
-) -> Float[np.ndarray, "n 2"]:
-    """World positions in metres of pixels (column, row).
-
-    The homography expects (row, column): with the opposite order people would walk at 0.6 m/s.
-    """
-    plane = np.column_stack([pixels[:, 1], pixels[:, 0], np.ones(len(pixels))]) @ homography.T
-    with np.errstate(divide="ignore", invalid="ignore"):  # values not finite are rejected later
-        return UNIT_M * plane[:, :2] / plane[:, 2:]
-
-
 def _homography(data: bytes | None, where: object) -> Float[np.ndarray, "3 3"]:
     if data is None:
         raise RecordingError(where, got=f"no {HOMOGRAPHY}", expected="the homography")
     try:
         return np.array(msgspec.json.decode(data, type=_Homography).homog)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise RecordingError(
-            f"{where}/{HOMOGRAPHY}",
-            got=str(error)[:100],
-            expected='{"homog": 3 x 3 finite numbers}',
-        ) from error
+        got = str(error)[:100]
+        expected = '{"homog": 3 x 3 finite numbers}'
+        raise RecordingError(f"{where}/{HOMOGRAPHY}", got=got, expected=expected) from error
 
 
 def _person(name: str, where: object) -> int:
     number = _PERSON.fullmatch(name)
     if number is None:
-        raise RecordingError(
-            where,
-            got=f"a file {name}",
-            expected="Annotation/NUMBER.txt with a number of six digits",
-        )
+        expected = "Annotation/NUMBER.txt with a number of six digits"
+        raise RecordingError(where, got=f"a file {name}", expected=expected)
     return int(number[1])

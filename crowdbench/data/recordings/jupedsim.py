@@ -77,7 +77,6 @@ def _text(data: bytes, where: object) -> tuple[float | None, Float[np.ndarray, "
 
 
 def _sqlite(data: bytes, where: object) -> tuple[float, Shaped[np.ndarray, "R 4"]]:
-    """Frames per second, and the columns id, frame, x and y in metres."""
     connection = sqlite3.connect(":memory:")
     try:
         connection.deserialize(data)
@@ -85,11 +84,7 @@ def _sqlite(data: bytes, where: object) -> tuple[float, Shaped[np.ndarray, "R 4"
         rows = connection.execute("SELECT id, frame, pos_x, pos_y FROM trajectory_data").fetchall()
         return float(rate), np.array(rows, dtype=np.float64).reshape(-1, 4)
     except (sqlite3.Error, TypeError, ValueError) as error:
-        raise RecordingError(
-            where,
-            got=str(error),
-            expected="JuPedSim's tables trajectory_data and metadata, the latter with the key fps",
-            hint=_HINT,
-        ) from error
+        expected = "JuPedSim's tables trajectory_data and metadata, the latter with the key fps"
+        raise RecordingError(where, got=str(error), expected=expected, hint=_HINT) from error
     finally:
         connection.close()

@@ -12,11 +12,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from crowdbench.data.table import MAX_FRAMES, Trajectories, from_rows, interpolated
+from crowdbench.data.table import MAX_FRAMES, Flags, Indices, Trajectories, from_rows, interpolated
 from crowdbench.errors import RecordingError
 
 Gaps = Literal["interpolate", "split"]
-GAPS: tuple[Gaps, ...] = ("interpolate", "split")
 """How missing rows are repaired: by linear interpolation, or by splitting the person into two."""
 
 _MISSING = 1.5
@@ -182,12 +181,8 @@ def on_frames(rows: Stamped, *, gaps: Gaps | None, where: object, hint: str = FE
         else:
             k = int(wrong.argmax())
             first = f"{rows.named(k + 1)}, {rows.long(float(steps[k]))} after its previous row"
-        raise RecordingError(
-            where,
-            got=f"{first} ({got})",
-            expected=f"a row of each person every {rows.long(1.0)}",
-            hint=hint,
-        )
+        expected = f"a row of each person every {rows.long(1.0)}"
+        raise RecordingError(where, got=f"{first} ({got})", expected=expected, hint=hint)
     if ticks.max() - ticks.min() > MAX_FRAMES:  # `from_rows` rejects this
         return _as_they_are(rows, order)
     faulty = np.isin(rows.person, np.r_[rows.person[1:][wrong], rows.person[astray]])
@@ -217,7 +212,10 @@ def _refuse_most(
             else "Correct the frame numbers, or --dt-s.",
         )
     if astray.mean() > 0.5:
-        late = _usual_phase(rows.ticks())
+        late: float | None = _phase(rows.ticks(), digits=3)
+        apart = rows.ticks() - late
+        if (np.abs(apart - np.round(apart)) < _BESIDE["s"]).mean() <= 0.5:
+            late = None  # most rows have no offset in common
         by = "" if late is None else f", most of them {late * rows.step:.4g} s after a frame"
         raise RecordingError(
             where,
@@ -231,9 +229,7 @@ def _refuse_most(
         )
 
 
-def _mended(
-    rows: Stamped, order: Int[np.ndarray, " R"], faulty: Bool[np.ndarray, " R"], gaps: Gaps
-) -> Rows:
+def _mended(rows: Stamped, order: Indices, faulty: Flags, gaps: Gaps) -> Rows:
     """All rows, with those of the `faulty` persons repaired; rows are sorted, see `on_frames`."""
     right, ticks, free = _as_they_are(rows, order), rows.ticks(), int(rows.person.max()) + 1
     pieces = [tuple(each[~faulty] for each in (right.person, right.frame, right.xy, right.source))]
@@ -277,14 +273,6 @@ def _mended(
     notes = {"mended": "; ".join(part for part in told if part)}
     person_id, frame, xy, source = (np.concatenate(each) for each in zip(*pieces, strict=True))
     return Rows(person_id, frame, xy, source, continued, notes)
-
-
-def _usual_phase(ticks: Float[np.ndarray, " R"]) -> float | None:
-    """The offset from a frame, in steps, that most rows share; None if there is none."""
-    usual = _phase(ticks, digits=3)
-    apart = ticks - usual
-    most = (np.abs(apart - np.round(apart)) < _BESIDE["s"]).mean() > 0.5
-    return usual if most else None
 
 
 def _phase(ticks: Float[np.ndarray, " n"], digits: int = 6) -> float:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Indices, Points, Trajectories
 
 WALKING_MPS = 0.5
 """Only people who are faster have a direction."""
@@ -41,9 +41,7 @@ def noise_of(crowd: Trajectories, tick_frames: int) -> tuple[Noise, Noise]:
     return _fitted(lags, variance[:, 0]), _fitted(lags, variance[:, 1])
 
 
-def _variances(
-    xy: Float[np.ndarray, "n 2"], person: Int[np.ndarray, " n"], lag: int, tick_s: float
-) -> tuple[float, float]:
+def _variances(xy: Points, person: Indices, lag: int, tick_s: float) -> tuple[float, float]:
     """Variance of second differences along and across the path, m²; NaN without any."""
     t = np.arange(lag, max(lag, len(xy) - lag))
     t = t[person[t - lag] == person[t + lag]]
@@ -61,7 +59,6 @@ def _variances(
 
 
 def _fitted(lags: Int[np.ndarray, " L"], variance: Float[np.ndarray, " L"]) -> Noise:
-    """Fit 6 σ² + a Lᵇ by relative least squares."""
     from scipy.optimize import least_squares
 
     known = np.isfinite(variance) & (variance > 0)

@@ -36,12 +36,9 @@ def read_obsmat(
     """
     rows, _ = parse_obsmat(data, where)
     if len(np.unique(rows.person)) < len(rows.person) and rows.step != frame_step:
-        raise RecordingError(
-            where,
-            got=f"positions every {rows.step:.0f} frames",
-            expected=f"positions every {frame_step} frames ({frame_step / fps:g} s at {fps:g} fps)",
-            hint=_OTHER_INTERVAL,
-        )
+        got = f"positions every {rows.step:.0f} frames"
+        expected = f"positions every {frame_step} frames ({frame_step / fps:g} s at {fps:g} fps)"
+        raise RecordingError(where, got=got, expected=expected, hint=_OTHER_INTERVAL)
     rows = replace(rows, step=float(frame_step))
     whole = on_frames(rows, gaps=None, where=where, hint=_OTHER_INTERVAL)
     return with_pauses(whole.crowd(scene=name, dt_s=frame_step / fps, where=where))
@@ -58,11 +55,9 @@ def parse_obsmat(data: bytes, where: object) -> tuple[Stamped, Float[np.ndarray,
         raise RecordingError(where, got="an empty file", expected="rows of numbers")
     for number, line in enumerate(lines, start=1):
         if len(line.split()) != _COLUMNS:
-            raise RecordingError(
-                where,
-                got=f"{len(line.split())} columns in row {number}",
-                expected=f"{_COLUMNS} (frame, person, x, z, y, vx, vz, vy)",
-            )
+            got = f"{len(line.split())} columns in row {number}"
+            expected = f"{_COLUMNS} (frame, person, x, z, y, vx, vz, vy)"
+            raise RecordingError(where, got=got, expected=expected)
     try:
         table = np.loadtxt(lines, ndmin=2, comments=None)
     except ValueError as error:

@@ -203,22 +203,16 @@ def _read_by_others(asked: _Asked) -> tuple[Trajectories, Mapping[str, bytes], b
 
 
 def _check_options(asked: _Asked) -> None:
-    """Raise if the format does not support an option that is given."""
     gaps, offset_s, layout = asked.gaps, asked.offset_s, asked.layout
     mendable = [name for name in FORMATS if name not in ("gc", "forum")]
     if gaps is not None and layout not in mendable:
-        raise SettingError(
-            "--gaps",
-            got=f"{gaps} with the format {layout}",
-            expected=f"one of the formats {', '.join(mendable)}",
-            hint="In the formats gc and forum, missing rows are always interpolated linearly.",
-        )
+        got = f"{gaps} with the format {layout}"
+        expected = f"one of the formats {', '.join(mendable)}"
+        hint = "In the formats gc and forum, missing rows are always interpolated linearly."
+        raise SettingError("--gaps", got=got, expected=expected, hint=hint)
     if offset_s is not None and layout != "csv":
-        raise SettingError(
-            "--offset-s",
-            got=f"the format {layout}, whose frames are numbered",
-            expected="the format csv with a column time_s",
-        )
+        got = f"the format {layout}, whose frames are numbered"
+        raise SettingError("--offset-s", got=got, expected="the format csv with a column time_s")
     if offset_s is not None and not np.isfinite(offset_s):
         raise SettingError("--offset-s", got=f"{offset_s}", expected="a finite number of seconds")
 
@@ -229,11 +223,9 @@ def _table(asked: _Asked) -> tuple[Trajectories, bool]:
     table = storage.read_table(path)
     ours = storage.own_metadata(table, path) is not None
     if offset_s is not None and (ours or "time_s" not in table.column_names):
-        raise SettingError(
-            "--offset-s",
-            got=f"{path.name}, which crowdbench wrote or which has no column time_s",
-            expected="a table of another program with that column",
-        )
+        got = f"{path.name}, which crowdbench wrote or which has no column time_s"
+        expected = "a table of another program with that column"
+        raise SettingError("--offset-s", got=got, expected=expected)
     if ours:
         crowd = storage.of_table(table, path)
         checked_dt_s(path, crowd.dt_s, asked.dt_s)
@@ -259,12 +251,10 @@ def _stamped(columns: Mapping[str, np.ndarray], dt_s: float, asked: _Asked) -> S
         _check_agree(rows, frame, asked.path)
     ticks = rows.ticks()
     if offset_s is not None and ticks.min() < -0.05:
-        raise RecordingError(
-            asked.path,
-            got=rows.named(int(ticks.argmin())),
-            expected=f"times of at least {offset_s:g} s, as set by --offset-s",
-            hint="--offset-s must not be later than the first row.",
-        )
+        got = rows.named(int(ticks.argmin()))
+        expected = f"times of at least {offset_s:g} s, as set by --offset-s"
+        hint = "--offset-s must not be later than the first row."
+        raise RecordingError(asked.path, got=got, expected=expected, hint=hint)
     return rows
 
 
@@ -294,7 +284,12 @@ def _numbered(data: bytes, asked: _Asked) -> Trajectories:
     if asked.layout == "obsmat":
         rows, velocity = parse_obsmat(data, path)
         dt_s = checked_dt_s(path, None, asked.dt_s)
-        _check_speeds(step_by_speed_s(rows, velocity), dt_s, path)
+        by_speed_s = step_by_speed_s(rows, velocity)
+        if by_speed_s is not None and not np.isclose(by_speed_s, dt_s, rtol=0.1):
+            got = f"rows {by_speed_s:.2f} s apart according to their positions and velocities"
+            expected = f"rows {dt_s:g} s apart, as set by --dt-s"
+            hint = "Correct --dt-s, or set the velocities to zero if they are wrong."
+            raise RecordingError(path, got=got, expected=expected, hint=hint)
     else:
         parse = {"trajnet": parse_trajnet, "jupedsim": parse_jupedsim}[asked.layout]
         rows, stated_s = parse(data, path)
@@ -303,36 +298,19 @@ def _numbered(data: bytes, asked: _Asked) -> Trajectories:
     return whole.crowd(scene=asked.name, dt_s=dt_s, where=path)
 
 
-def _check_speeds(by_speed_s: float | None, dt_s: float, path: Path) -> None:
-    if by_speed_s is not None and not np.isclose(by_speed_s, dt_s, rtol=0.1):
-        raise RecordingError(
-            path,
-            got=f"rows {by_speed_s:.2f} s apart according to their positions and velocities",
-            expected=f"rows {dt_s:g} s apart, as set by --dt-s",
-            hint="Correct --dt-s, or set the velocities to zero if they are wrong.",
-        )
-
-
 def _check_motion(crowd: Trajectories, path: Path) -> None:
     speeds = crowd.mean_speeds()
     size = float(np.ptp(crowd.xy.astype(np.float64), axis=0).max())
     hint = "Positions must be in metres, not in pixels or centimetres, and --dt-s must be the time "
     hint += "between consecutive rows of a person."
     if np.isnan(speeds).all():
-        raise RecordingError(
-            path,
-            got="no person with more than one row",
-            expected="people with two rows or more",
-            hint=hint,
-        )
+        got = "no person with more than one row"
+        raise RecordingError(path, got=got, expected="people with two rows or more", hint=hint)
     median = float(np.nanmedian(speeds))
     if not _SPEEDS_MPS[0] <= median <= _SPEEDS_MPS[1]:
-        raise RecordingError(
-            path,
-            got=f"a median walking speed of {median:.3g} m/s",
-            expected=f"{_SPEEDS_MPS[0]:g} to {_SPEEDS_MPS[1]:g} m/s",
-            hint=hint,
-        )
+        got = f"a median walking speed of {median:.3g} m/s"
+        expected = f"{_SPEEDS_MPS[0]:g} to {_SPEEDS_MPS[1]:g} m/s"
+        raise RecordingError(path, got=got, expected=expected, hint=hint)
     if size > _LONGEST_M:
         raise RecordingError(
             path,

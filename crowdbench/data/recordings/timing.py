@@ -12,9 +12,9 @@ people at its edges have neither left nor entered.
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Int
 
-from crowdbench.data.table import Trajectories, from_rows
+from crowdbench.data.table import Flags, Points, Trajectories, from_rows
 from crowdbench.errors import RecordingError
 
 USUAL_DT_S = 0.4
@@ -37,26 +37,18 @@ def checked_dt_s(where: object, stated_s: float | None, asked_s: float | None) -
     """
     dt_s = stated_s if stated_s is not None else asked_s
     if dt_s is None:
-        raise RecordingError(
-            where,
-            got="a file that does not state the time between rows",
-            expected="--dt-s SECONDS",
-            hint="It is the time between consecutive rows of a person.",
-        )
+        got = "a file that does not state the time between rows"
+        hint = "It is the time between consecutive rows of a person."
+        raise RecordingError(where, got=got, expected="--dt-s SECONDS", hint=hint)
     if stated_s is not None and asked_s is not None and not np.isclose(stated_s, asked_s, 0.05):
-        raise RecordingError(
-            where,
-            got=f"rows every {stated_s:.4g} s according to the file",
-            expected=f"rows every {asked_s:g} s, as set by --dt-s",
-            hint="Correct --dt-s, or the file if it is wrong.",
-        )
+        got = f"rows every {stated_s:.4g} s according to the file"
+        expected = f"rows every {asked_s:g} s, as set by --dt-s"
+        hint = "Correct --dt-s, or the file if it is wrong."
+        raise RecordingError(where, got=got, expected=expected, hint=hint)
     if not 0 < dt_s <= LONGEST_DT_S:
-        raise RecordingError(
-            where,
-            got=f"rows every {dt_s:g} s",
-            expected=f"an interval of more than 0 and at most {LONGEST_DT_S:g} s",
-            hint="If rows are further apart, the paths between them are unknown.",
-        )
+        expected = f"an interval of more than 0 and at most {LONGEST_DT_S:g} s"
+        hint = "If rows are further apart, the paths between them are unknown."
+        raise RecordingError(where, got=f"rows every {dt_s:g} s", expected=expected, hint=hint)
     return dt_s
 
 
@@ -149,9 +141,7 @@ def observed_intervals(crowd: Trajectories) -> Int[np.ndarray, "I 2"]:
     return np.array(intervals, dtype=np.int64)
 
 
-def _unusual(
-    points: Float[np.ndarray, "P 2"], usual: Bool[np.ndarray, " P"], crowd: Trajectories
-) -> Bool[np.ndarray, " P"]:
+def _unusual(points: Points, usual: Flags, crowd: Trajectories) -> Flags:
     """Whether each person's start (end) is a place where people pass but rarely start (end)."""
     person = crowd.row_person()
     result = np.zeros(len(points), dtype=bool)

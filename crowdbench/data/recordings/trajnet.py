@@ -52,11 +52,9 @@ def parse_trajnet(data: bytes, where: object) -> tuple[Stamped, float | None]:
         try:
             line = decoder.decode(text)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            expected = "a JSON object with a track or a scene"
             raise RecordingError(
-                f"{where}, line {number}",
-                got=str(error),
-                expected="a JSON object with a track or a scene",
-                hint=_HINT,
+                f"{where}, line {number}", got=str(error), expected=expected, hint=_HINT
             ) from error
         if line.scene is not None and line.scene.fps is not None:
             rates.add(line.scene.fps)
@@ -73,11 +71,8 @@ def parse_trajnet(data: bytes, where: object) -> tuple[Stamped, float | None]:
         raise RecordingError(where, got="no track", expected="at least one", hint=_HINT)
     if len(rates) > 1 or not all(0 < rate < np.inf for rate in rates):
         shown = ", ".join(f"{rate:g}" for rate in sorted(rates))
-        raise RecordingError(
-            where,
-            got=f"scenes of {shown} rows per second",
-            expected="the same positive rate in all scenes",
-        )
+        got = f"scenes of {shown} rows per second"
+        raise RecordingError(where, got=got, expected="the same positive rate in all scenes")
     person, frame = (np.array([getattr(track, name) for track in tracks]) for name in "pf")
     xy = np.array([(track.x, track.y) for track in tracks], dtype=np.float64)
     return Stamped.of_frames(person, frame, xy), 1 / rates.pop() if rates else None

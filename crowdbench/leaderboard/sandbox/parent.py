@@ -37,8 +37,7 @@ _KEPT_STARTS = ("CROWDBENCH_", "NUMBA_", "OMP_", "PYTHON", "XDG_")
 _READS = {"CROWDBENCH_STORE": "read"}
 """A submission's rollouts are not kept where other evaluations would find them, see `run.store`."""
 _WATCH_S = 0.1
-_LAST_S = 0.5
-"""Time in which the processes of a killed child may end by themselves, seconds."""
+_LAST_S = 0.5  # time in which the processes of a killed child may end by themselves, seconds
 
 
 class SandboxError(CrowdbenchError):
@@ -112,12 +111,9 @@ def call(
     from crowdbench.leaderboard.submission.errors import SubmissionError, plain, tidy
 
     if os.name != "posix":
-        raise SandboxError(
-            where,
-            got=f"the platform {sys.platform}",
-            expected="Linux or macOS: the sandbox uses process groups and resource limits of POSIX",
-            hint="On Windows, use the Windows Subsystem for Linux (WSL).",
-        )
+        expected = "Linux or macOS: the sandbox uses process groups and resource limits of POSIX"
+        hint = "On Windows, use the Windows Subsystem for Linux (WSL)."
+        raise SandboxError(where, got=f"the platform {sys.platform}", expected=expected, hint=hint)
     with temporary_folder("sandbox") as desk:
         asked = {
             "target": target,
@@ -131,7 +127,11 @@ def call(
             found = _beginning(desk / "answer.json", LARGEST_ANSWER)
             answer = msgspec.json.decode(found, type=Answer)
             if answer.errors:  # their text may quote the submission
-                error, *problems = map(_error, answer.errors)
+                names = ("got", "expected", "hint")
+                error, *problems = (
+                    CrowdbenchError(at, **dict(zip(names, parts, strict=True)))
+                    for at, *parts in answer.errors
+                )
                 raise SubmissionError(where, problems) if problems else tidy(error)
             value = msgspec.json.decode(answer.value, type=kind)
         except (OSError, msgspec.DecodeError, RecursionError) as error:
@@ -141,17 +141,8 @@ def call(
     return value, ResourceUsage(**ran, network=plain(answer.network))
 
 
-def _error(parts: ErrorParts) -> CrowdbenchError:
-    where, got, expected, hint = parts
-    return CrowdbenchError(where, got=got, expected=expected, hint=hint)
-
-
 def _run(desk: Path, where: object, limits: Limits) -> dict[str, Any]:
-    """Start the child, watch it until it ends or must be killed, and kill what it has started.
-
-    Returns:
-        What the child used, see `ResourceUsage`.
-    """
+    """Start the child, watch it, and kill what it has started; returns what it used."""
     began, peak, cpu, broken = time.monotonic(), 0, 0.0, ""
     ever: set[psutil.Process] = set()
     with (desk / "said.txt").open("w+b") as said:
@@ -179,12 +170,10 @@ def _run(desk: Path, where: object, limits: Limits) -> dict[str, Any]:
             _end(child, ever)
         if broken := broken or _died(child.returncode, limits):
             last = _last_line(said.fileno())
-            raise SandboxError(
-                where,
-                got=f"{broken}{f', last output: {last}' if last else ''}",
-                expected="a run that ends within the limits",
-                hint="If the submission is correct and needs more, raise the limits.",
-            )
+            got = f"{broken}{f', last output: {last}' if last else ''}"
+            expected = "a run that ends within the limits"
+            hint = "If the submission is correct and needs more, raise the limits."
+            raise SandboxError(where, got=got, expected=expected, hint=hint)
     wall_s = round(time.monotonic() - began, 2)
     return {"wall_s": wall_s, "cpu_s": round(cpu, 2), "peak_bytes": peak}
 
@@ -271,11 +260,7 @@ def _died(code: int, limits: Limits) -> str:
 
 
 def _beginning(path: Path, most: int) -> bytes:
-    """The first bytes of a regular file. Links could lead anywhere, and reading pipes could block.
-
-    Raises:
-        OSError: the path is missing or no regular file.
-    """
+    """The first bytes of a regular file: links could lead anywhere, and pipes could block."""
 
     def opener(name: str, flags: int) -> int:
         return os.open(name, flags | os.O_NOFOLLOW | os.O_NONBLOCK)

@@ -7,13 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from crowdbench.data.blocks import SPLITS
+from crowdbench.leaderboard.submission import limits
 from crowdbench.leaderboard.submission.errors import Problems, RefusedError
-from crowdbench.leaderboard.submission.limits import (
-    LARGEST_SUBMISSION,
-    LONGEST_PATH,
-    MOST_FILES,
-    MOST_ROLLOUTS,
-)
 from crowdbench.leaderboard.submission.schema import FILE, Declared
 from crowdbench.registry import WEIGHTS
 
@@ -48,11 +43,11 @@ def files_in(folder: Path, problems: Problems) -> list[str]:
                 name = path.relative_to(folder).as_posix()
                 status = path.lstat()
                 seen, size = seen + 1, size + status.st_size
-                if seen > MOST_FILES or size > LARGEST_SUBMISSION:
+                if seen > limits.MOST_FILES or size > limits.LARGEST_SUBMISSION:
                     problems.refuse(
                         folder.name,
-                        got=f"more than {MOST_FILES} files and folders, or "
-                        f"{LARGEST_SUBMISSION / 1e6:.0f} MB",
+                        got=f"more than {limits.MOST_FILES} files and folders, or "
+                        f"{limits.LARGEST_SUBMISSION / 1e6:.0f} MB",
                         expected="fewer or smaller files",
                         hint="Does the folder contain only the submission?",
                     )
@@ -84,12 +79,10 @@ def lay_out(declared: Declared, names: list[str], problems: Problems) -> Layout:
             layout.weights = _weights(declared, found, problems)
     used = {*layout.networks, *layout.weights.values()}.union(*layout.crowds.values())
     if surplus := sorted(found - used):
-        problems.refuse(
-            ", ".join(surplus),
-            got="an unexpected file" if len(surplus) == 1 else "unexpected files",
-            expected=_places(declared, layout, needs_policy, needs_spawn),
-            hint=f"Remove or rename unexpected files, or correct {FILE}.",
-        )
+        got = "an unexpected file" if len(surplus) == 1 else "unexpected files"
+        expected = _places(declared, layout, needs_policy, needs_spawn)
+        hint = f"Remove or rename unexpected files, or correct {FILE}."
+        problems.refuse(", ".join(surplus), got=got, expected=expected, hint=hint)
     return layout
 
 
@@ -164,21 +157,19 @@ def _crowds(declared: Declared, found: set[str], problems: Problems) -> dict[str
         matches.sort(key=lambda m: int(m[2]))
         crowds[scene] = [m[0] for m in matches]
         numbers = [int(m[2]) for m in matches]
-        if not least <= len(numbers) <= MOST_ROLLOUTS or numbers != list(range(len(numbers))):
-            problems.refuse(
-                f"{scene}/trajectories",
-                got="files " + ", ".join(map(str, numbers)) if numbers else "no files",
-                expected=f"{least} to {MOST_ROLLOUTS} rollouts, one per file, numbered 0, 1, …",
-                hint="A score needs at least two rollouts." if len(numbers) < least else "",
-            )
+        if not least <= len(numbers) <= limits.MOST_ROLLOUTS or numbers != list(
+            range(len(numbers))
+        ):
+            got = "files " + ", ".join(map(str, numbers)) if numbers else "no files"
+            expected = f"{least} to {limits.MOST_ROLLOUTS} rollouts, one per file, numbered 0, 1, …"
+            hint = "A score needs at least two rollouts." if len(numbers) < least else ""
+            problems.refuse(f"{scene}/trajectories", got=got, expected=expected, hint=hint)
     for name in ("shipped_policy", "shipped_spawn"):
         if getattr(declared, name):
-            problems.refuse(
-                f"{FILE}, {name}",
-                got="a model together with trajectories",
-                expected="either trajectories or models",
-                hint="Remove one of them.",
-            )
+            got = "a model together with trajectories"
+            expected = "either trajectories or models"
+            hint = "Remove one of them."
+            problems.refuse(f"{FILE}, {name}", got=got, expected=expected, hint=hint)
     return crowds
 
 
@@ -189,15 +180,16 @@ def wrong_name(name: str) -> RefusedError | None:
         ("\\" in name, "a backslash in a path"),
         (re.match(r"[A-Za-z]:", name), "a drive letter in a path"),
         (".." in name.split("/"), "a path that leads out of the folder"),
-        (len(name) > LONGEST_PATH, f"a path of {len(name)} characters"),
+        (len(name) > limits.LONGEST_PATH, f"a path of {len(name)} characters"),
         (not _NAME.fullmatch(name), "a hidden path or invalid characters"),
     )
     for wrong, got in problems:
         if wrong:
             return RefusedError(
-                ascii(name[:LONGEST_PATH]),
+                ascii(name[: limits.LONGEST_PATH]),
                 got=got,
-                expected=f"up to {LONGEST_PATH} letters, digits and ._+-, with / between folders",
+                expected=f"up to {limits.LONGEST_PATH} letters, digits and ._+-, with / between "
+                "folders",
                 hint="Remove or rename the file.",
             )
     return None

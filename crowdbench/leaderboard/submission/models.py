@@ -31,12 +31,9 @@ def check_models(folder: Path, declared: Declared, layout: Layout, problems: Pro
         with problems.collected(folder):
             _read_weights(folder / name, scene)
     if declared.kind == "privileged" and (layout.networks or layout.weights):
-        problems.refuse(
-            f"{FILE}, kind",
-            got="'privileged'",
-            expected="learned or model-based, since files receive observations, not the state",
-            hint="Choose one of the two.",
-        )
+        got = "'privileged'"
+        expected = "learned or model-based, since files receive observations, not the state"
+        problems.refuse(f"{FILE}, kind", got=got, expected=expected, hint="Choose one of the two.")
 
 
 def shipped_class(named: str) -> str:
@@ -95,12 +92,10 @@ def _check_names(declared: Declared, problems: Problems) -> None:
         ("shipped_spawn", "walk", "the recorded arrivals"),
     ):
         if getattr(declared, name) and declared.track == track:
-            problems.refuse(
-                f"{FILE}, {name}",
-                got=repr(getattr(declared, name)),
-                expected=f"no such field, since track {track} uses {other}",
-                hint="Remove it, or choose the track crowd.",
-            )
+            got = repr(getattr(declared, name))
+            expected = f"no such field, since track {track} uses {other}"
+            hint = "Remove it, or choose the track crowd."
+            problems.refuse(f"{FILE}, {name}", got=got, expected=expected, hint=hint)
             return
     named = declared.shipped_policy
     if not named or named in POLICIES:
@@ -115,9 +110,7 @@ def _check_names(declared: Declared, problems: Problems) -> None:
         files = [policy_source(named, place).network(split) for split in splits]
         if not (files and all(file is not None and file.is_file() for file in files)):
             known = (*POLICIES, *trained, "crowdbench.baselines.MODULE:Class")
-            problems.refuse(
-                f"{FILE}, shipped_policy",
-                got=repr(named),
-                expected=f"a policy that comes with {place.id}: {', '.join(known)}",
-                hint="Submit ONNX files for other policies.",
-            )
+            got = repr(named)
+            expected = f"a policy that comes with {place.id}: {', '.join(known)}"
+            hint = "Submit ONNX files for other policies."
+            problems.refuse(f"{FILE}, shipped_policy", got=got, expected=expected, hint=hint)

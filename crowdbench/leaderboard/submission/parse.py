@@ -42,8 +42,7 @@ _UNSEEN = re.compile(
     "\U000e0100-\U000e01ef]"
 )
 """Printable but invisible characters: fillers, blanks and variation selectors."""
-_MOST_MARKS = 4
-"""Combining marks on one letter; more of them would overlap the lines above."""
+_MOST_MARKS = 4  # combining marks on one letter; more of them would overlap the lines above
 # They replace invalid fields that are only displayed, so that the artefacts are checked as well.
 _STAND_INS = {
     "name": "?",
@@ -158,7 +157,6 @@ def _hint(name: str, value: Any, kind: Any) -> str | None:
 
 
 def _most_marks(text: str) -> int:
-    """The largest number of combining marks on one letter."""
     marks = [unicodedata.category(c) in ("Mn", "Me") for c in text]
     return max((len(list(run)) for of_marks, run in groupby(marks) if of_marks), default=0)
 

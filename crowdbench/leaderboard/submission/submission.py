@@ -130,24 +130,17 @@ def _names_of(folder: Path, problems: Problems) -> list[str]:
     """The files of a submission, which must have a declaration at the top."""
     if not folder.is_dir():
         there = folder.exists()
-        problems.refuse(
-            folder.name,
-            got="a file" if there else "no such folder",
-            expected="a submission's folder",
-            hint="Unpack it, and name the folder." if there else "",
-        )
+        got = "a file" if there else "no such folder"
+        hint = "Unpack it, and name the folder." if there else ""
+        problems.refuse(folder.name, got=got, expected="a submission's folder", hint=hint)
         return []
     names = files_in(folder, problems)
     if not problems and FILE not in names:
         inside = [name for name in names if name.endswith(f"/{FILE}")]
-        problems.refuse(
-            FILE,
-            got=f"only {inside[0]}" if inside else "no such file",
-            expected="the file at the top level, next to the scene folders",
-            hint="Name that folder instead."
-            if inside
-            else "Create it with `crowdbench submit init`.",
-        )
+        got = f"only {inside[0]}" if inside else "no such file"
+        expected = "the file at the top level, next to the scene folders"
+        hint = "Name that folder instead." if inside else "Create it with `crowdbench submit init`."
+        problems.refuse(FILE, got=got, expected=expected, hint=hint)
     return names
 
 

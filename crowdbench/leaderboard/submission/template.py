@@ -14,7 +14,7 @@ from crowdbench.leaderboard.submission.layout import NETWORK, NOTES
 from crowdbench.leaderboard.submission.parse import PLACEHOLDER
 from crowdbench.leaderboard.submission.schema import FILE, SCENES, SCHEMA, Track
 from crowdbench.policies import OnnxPolicy
-from crowdbench.report.text.templates import environment
+from crowdbench.report.text.words import environment
 from crowdbench.scene import load_scene
 
 
@@ -96,17 +96,13 @@ def start_submission(
 
 
 def _networks(policies: Sequence[Path], track: Track) -> dict[str, OnnxPolicy]:
-    """The networks by their paths in the submission."""
     if policies and track == "spawn":
         expected = "none, since track spawn uses straight walkers"
         raise SettingError("--policy", got="a policy", expected=expected)
     if any(path.is_file() for path in policies):
         if len(policies) > 1:
-            raise SettingError(
-                "--policy",
-                got=f"a file among {len(policies)} policies",
-                expected="one file, or one folder per scene",
-            )
+            got = f"a file among {len(policies)} policies"
+            raise SettingError("--policy", got=got, expected="one file, or one folder per scene")
         return {NETWORK: OnnxPolicy(policies[0])}
     found: dict[str, OnnxPolicy] = {}
     for path in policies:

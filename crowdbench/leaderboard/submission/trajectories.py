@@ -1,4 +1,6 @@
-"""Check submitted trajectories against the rules for listing.
+"""Read untrusted tables of trajectories, and check them against the rules for listing.
+
+The size of a table is checked before it is decoded.
 
 Only the trajectories themselves are known, so they must be plausible: the scene's time step and
 length, one person per trip and no gaps in it, few positions in walls, few jumps, trips that end
@@ -10,16 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import shapely
 from jaxtyping import Bool, Float
 
 from crowdbench.data.storage import columns_of, of_table
-from crowdbench.data.table import OUTCOMES, Trajectories
+from crowdbench.data.table import OUTCOMES, PERSON_COLUMNS, Trajectories
 from crowdbench.errors import RecordingError
-from crowdbench.files import sha256
+from crowdbench.files import read_bytes, sha256
+from crowdbench.leaderboard.submission import limits
 from crowdbench.leaderboard.submission.errors import Problems, RefusedError
-from crowdbench.leaderboard.submission.limits import MOST_PERSONS
 from crowdbench.leaderboard.submission.schema import Track
-from crowdbench.leaderboard.submission.untrusted import read_table
 from crowdbench.scene import Scene, load_scene
 from crowdbench.spawn.areas import Areas, read_areas
 
@@ -42,6 +44,10 @@ GOAL_SD = 4.0
 """or within this many standard deviations of a goal area's centre."""
 LAST = 0.9
 """The last row must be later than this share of the scene's duration."""
+_COLUMNS = ("person_id", "frame", "time_s", "x", "y", *PERSON_COLUMNS)
+_BATCH = 2**16
+_HINT = "Write one row per person and frame, with only the columns person_id, frame, x and y."
+_LONGEST_HEADER = 10_000  # bytes of the first line of a CSV file
 
 
 def check_crowds(
@@ -62,12 +68,9 @@ def check_crowds(
                 content = b"".join(x.tobytes() for x in (crowd.first, crowd.offsets, crowd.xy))
                 same = seen.setdefault(sha256(content), name)
                 if same != name:
-                    problems.refuse(
-                        name,
-                        got=f"the same crowd as in {same}",
-                        expected="rollouts that differ",
-                        hint="Use a different seed for each rollout.",
-                    )
+                    got = f"the same crowd as in {same}"
+                    hint = "Use a different seed for each rollout."
+                    problems.refuse(name, got=got, expected="rollouts that differ", hint=hint)
 
 
 def _read(path: Path, scene: Scene) -> Trajectories:
@@ -78,12 +81,7 @@ def _read(path: Path, scene: Scene) -> Trajectories:
 
 
 def _check_lives(path: Path, table: "pyarrow.Table") -> None:
-    """Reject reused ids, before the reader fills in rows for missing frames.
-
-    Raises:
-        RecordingError: a column is missing or invalid, there are too many persons, or a person
-            lacks a row in a frame between its first and its last.
-    """
+    """Reject reused ids, before the reader fills in rows for missing frames."""
     columns = columns_of(table, path)
     time = "frame" if "frame" in columns else "time_s"
     ids, when = columns["person_id"], columns[time].astype(np.float64)
@@ -91,13 +89,10 @@ def _check_lives(path: Path, table: "pyarrow.Table") -> None:
     ids, when = ids[order], when[order]
     same = ids[1:] == ids[:-1]
     persons = len(ids) - int(same.sum())
-    if persons > MOST_PERSONS:
-        raise RecordingError(
-            path,
-            got=f"{persons} persons",
-            expected=f"at most {MOST_PERSONS}",
-            hint="Give each person one id for the whole trip.",
-        )
+    if persons > limits.MOST_PERSONS:
+        got = f"{persons} persons"
+        hint = "Give each person one id for the whole trip."
+        raise RecordingError(path, got=got, expected=f"at most {limits.MOST_PERSONS}", hint=hint)
     steps = np.diff(when)[same]
     # The reader reports repeated frames. The time step is the shortest positive difference.
     step = 1.0 if time == "frame" else float(steps[steps > 0].min(initial=np.inf))
@@ -117,7 +112,7 @@ def broken_rules(
 ) -> Iterator[RefusedError]:
     """Yield the rules for listing that a crowd breaks; `name` identifies the crowd in messages."""
     frames = scene.recording.frames
-    yield from _columns(name, crowd, track, areas)
+    yield from _wrong_columns(name, crowd, track, areas)
     last = int(crowd.last.max())
     if crowd.frames != frames or crowd.observed.tolist() != [[0, frames]] or last < LAST * frames:
         yield RefusedError(
@@ -162,7 +157,9 @@ def broken_rules(
             )
 
 
-def _columns(name: str, crowd: Trajectories, track: Track, areas: Areas) -> Iterator[RefusedError]:
+def _wrong_columns(
+    name: str, crowd: Trajectories, track: Track, areas: Areas
+) -> Iterator[RefusedError]:
     """Yield columns of persons that contradict the positions; metrics rely on these columns."""
     start_s = crowd.first * crowd.dt_s
     slack_s = 1.01 * crowd.dt_s  # events happen between frames
@@ -198,8 +195,6 @@ def _depth_m(xy: Float[np.ndarray, "n 2"], scene: Scene) -> Float[np.ndarray, " 
 
 
 def _in_walls(xy: Float[np.ndarray, "n 2"], scene: Scene) -> float:
-    import shapely
-
     deep = scene.obstacles.buffer(-WALL_M)
     shapely.prepare(deep)
     return float(shapely.intersects_xy(deep, xy[:, 0], xy[:, 1]).mean())
@@ -240,3 +235,94 @@ def undeclared_drops(
     if track != "walk":
         vanished |= ~crowd.left
     return early & vanished
+
+
+def read_table(path: Path) -> "pyarrow.Table":
+    """Return the trajectory columns of a Parquet or CSV file.
+
+    The limits of a Parquet file are checked on its metadata before it is decoded, and again on the
+    decoded data, since the metadata may be false.
+
+    Raises:
+        RecordingError: the file is missing, broken or too large.
+    """
+    import pyarrow as pa
+
+    size = path.stat().st_size
+    if size > limits.LARGEST_TABLE:
+        most = f"at most {limits.LARGEST_TABLE / 1e6:.0f} MB"
+        hint = "A Parquet file has a tenth of the size of a CSV file."
+        raise RecordingError(path, got=f"{size / 1e6:.1f} MB", expected=most, hint=hint)
+    read = _parquet if path.suffix == ".parquet" else _csv
+    try:
+        table = read(path)
+        named = [name.strip() for name in table.column_names]
+    except (pa.ArrowException, OSError, MemoryError, UnicodeDecodeError) as error:
+        told = (str(error) or type(error).__name__).splitlines()[0]
+        raise RecordingError(path, got=told, expected="a readable table", hint=_HINT) from error
+    _check_names(path, named)
+    return table.rename_columns(named).replace_schema_metadata(table.schema.metadata)
+
+
+def _refuse(path: Path, wrong: bool, got: str, most: str) -> None:
+    if wrong:
+        raise RecordingError(path, got=got, expected=f"at most {most}", hint=_HINT)
+
+
+def _csv(path: Path) -> "pyarrow.Table":
+    from pyarrow import BufferReader, csv
+
+    data = read_bytes(path, RecordingError, "")
+    header = data[: _LONGEST_HEADER + 1].partition(b"\n")[0]
+    _refuse(path, len(header) > _LONGEST_HEADER, "a first line over 10 kB", "10 kB of names")
+    _check_columns(path, header.count(b",") + 1)
+    table = csv.read_csv(BufferReader(data), csv.ReadOptions(use_threads=False))
+    _check_size(path, len(table))
+    return table
+
+
+def _parquet(path: Path) -> "pyarrow.Table":
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    # The file is read into memory first: a mapped file could change while it is decoded.
+    data = pa.BufferReader(read_bytes(path, RecordingError, ""))
+    file = parquet.ParquetFile(data)
+    told = file.metadata
+    _check_columns(path, told.num_columns)
+    sizes = [told.row_group(k).total_byte_size for k in range(told.num_row_groups)]
+    size = sum(sizes) if min(sizes, default=0) >= 0 else limits.LARGEST_DECODED + 1
+    _check_size(path, told.num_rows, size)
+    schema = file.schema_arrow
+    _check_names(path, schema.names)
+    wanted = [name for name in schema.names if name.strip() in _COLUMNS]
+    for name in wanted:
+        kind = schema.field(name).type
+        if not (
+            pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
+        ):
+            raise RecordingError(
+                path, got=f"{kind} in column {name}", expected="numbers", hint=_HINT
+            )
+    batches, rows, size = [], 0, 0
+    for batch in file.iter_batches(_BATCH, columns=wanted, use_threads=False):
+        rows, size = rows + batch.num_rows, size + batch.nbytes
+        _check_size(path, rows, size)
+        batches.append(batch)
+    kept = pa.schema([schema.field(name) for name in wanted], schema.metadata)
+    table = pa.Table.from_batches(batches) if batches else kept.empty_table()
+    return table.replace_schema_metadata(schema.metadata)
+
+
+def _check_names(path: Path, names: list[str]) -> None:
+    _refuse(path, len(set(names)) < len(names), "two columns of the same name", "one")
+
+
+def _check_columns(path: Path, columns: int) -> None:
+    _refuse(path, columns > limits.MOST_COLUMNS, f"{columns} columns", str(limits.MOST_COLUMNS))
+
+
+def _check_size(path: Path, rows: int, size: int = 0) -> None:
+    _refuse(path, rows > limits.MOST_ROWS, f"{rows} rows", str(limits.MOST_ROWS))
+    most = f"{limits.LARGEST_DECODED / 1e6:.0f} MB"
+    _refuse(path, size > limits.LARGEST_DECODED, "a table that takes more memory", most)

@@ -28,8 +28,6 @@ _LEAST_GAPS = 20
 
 
 class _Figure(NamedTuple):
-    """A picture with its caption; the template shows it."""
-
     title: str
     note: str
     """What the caption says after the title."""
@@ -50,7 +48,6 @@ def _drawn(
     inches: tuple[float, float],
     kind: Literal["small png", "svg"] = "svg",
 ) -> _Figure:
-    """Draw a picture of a width and height in inches."""
     width, height = inches
     data = picture(lambda axes: draw(axes[0]), width=width, height=height, kind=kind)
     mime = "image/svg+xml" if kind == "svg" else "image/png"

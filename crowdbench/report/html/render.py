@@ -7,7 +7,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from crowdbench.report.text import words
-from crowdbench.report.text.templates import environment
+from crowdbench.report.text.words import environment
 
 _FOLDER = Path(__file__).parent
 _HTML = environment(_FOLDER / "templates")

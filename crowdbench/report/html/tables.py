@@ -1,7 +1,7 @@
 """The report's tables: scores with intervals, single metrics, and outcomes of trips."""
 
 import inspect
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from markupsafe import Markup
@@ -13,25 +13,17 @@ from crowdbench.report.display_names import Names
 from crowdbench.report.html.render import html
 from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.report.text.notes import gate_notes, too_few_rollouts
-from crowdbench.scoring.ranking import (
-    Row,
-    competing_rows,
-    metric_scores,
-    ordered,
-    ranked_by,
-    scale_of,
-    steered,
-)
+from crowdbench.scoring import ranking
 from crowdbench.scoring.score import Score
 from crowdbench.scoring.scorecard import PairResult, Scorecard, has_recorded_arrivals
 
 
-def score_table(card: Scorecard, table: Sequence[Row], names: Names) -> Markup:
+def score_table(card: Scorecard, table: Sequence[ranking.Row], names: Names) -> Markup:
     """HTML table of scores: crowds and policies under recorded arrivals by rank, baselines.
 
     Above it is a summary of the ranks, below it an explanation of the columns.
     """
-    by, table = ranked_by(table), ordered(table)
+    by, table = ranking.ranked_by(table), ranking.ordered(table)
     entries = [row for row in table if row.kind == "entry"]
     crowds = [row for row in entries if row.spawn != "replay"]
     walkers = [row for row in entries if row.spawn == "replay"]
@@ -43,9 +35,9 @@ def score_table(card: Scorecard, table: Sequence[Row], names: Names) -> Markup:
         walk=WALK,
         gate=card.gate,
         walked=has_recorded_arrivals(card),
-        steered=any(steered(entry.spawn) for entry in card.entries),
+        steered=any(ranking.steered(entry.spawn) for entry in card.entries),
         by=by,
-        competing=competing_rows(table),
+        competing=ranking.competing_rows(table),
         first=[
             (names.pair(row.spawn, row.policy), getattr(row, by)) for row in table if row.rank == 1
         ],
@@ -56,20 +48,20 @@ def score_table(card: Scorecard, table: Sequence[Row], names: Names) -> Markup:
         },
         too_few_rollouts=too_few_rollouts,
         beyond_gate=gate_notes(card, table, names),
-        scale=_Scale([score for row in table for score in _scores(row)]),
+        scale=_Scale(
+            score
+            for row in table
+            for score in (*row.families.values(), row.crowd, row.walk, row.overall)
+            if score is not None
+        ),
     )
 
 
-def _ordered_by(rows: Sequence[Row], by: str) -> str:
+def _ordered_by(rows: Sequence[ranking.Row], by: str) -> str:
     """How a part of the table is sorted, as an addition to its name."""
     if any(row.rank is not None for row in rows):
         return f", by rank ({by})"
     return " (not ranked)" if rows and rows[0].spawn == "replay" else ""
-
-
-def _scores(row: Row) -> list[Score]:
-    every = [*row.families.values(), row.crowd, row.walk, row.overall]
-    return [score for score in every if score is not None]
 
 
 class _Scale:
@@ -77,7 +69,7 @@ class _Scale:
 
     width = 76  # pixels
 
-    def __init__(self, scores: Sequence[Score]) -> None:
+    def __init__(self, scores: Iterable[Score]) -> None:
         ends = [end for s in scores for end in (*s.interval, s.value)]
         self.low, self.high = min([-0.25, *ends]) - 0.05, max([1.25, *ends]) + 0.05
 
@@ -110,11 +102,11 @@ def _metric_table(
 ) -> dict[str, Any]:
     """A table with a column for each entry, and a row for each metric of the families."""
     shown = [metric for metric in all_metrics() if metric.name in entries[0].metrics]
-    scale = scale_of(card)
+    scale = ranking.scale_of(card)
     return {
         "caption": caption,
         "entries": entries,
-        "scores": [metric_scores(scale, entry) for entry in entries],
+        "scores": [ranking.metric_scores(scale, entry) for entry in entries],
         "families": {family: [m for m in shown if m.family == family] for family in families},
     }
 

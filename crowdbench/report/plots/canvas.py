@@ -59,14 +59,12 @@ def picture(
             figure.savefig(buffer, format="svg", metadata=nothing)
         else:
             figure.savefig(buffer, dpi=_DPI, format="png", metadata={"Software": None})
-    return _with_few_colours(buffer) if kind == "small png" else buffer.getvalue()
-
-
-def _with_few_colours(png: BytesIO) -> bytes:
+    if kind != "small png":
+        return buffer.getvalue()
     from PIL import Image
 
     small = BytesIO()
-    with Image.open(png) as image:
+    with Image.open(buffer) as image:
         # Median cut would drop the colours of small objects.
         few = image.convert("RGB").quantize(_PALETTE, method=Image.Quantize.FASTOCTREE)
         few.save(small, format="png", optimize=True)

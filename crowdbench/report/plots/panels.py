@@ -1,8 +1,9 @@
-"""Functions that draw onto axes: time series, survival curves, maps."""
+"""Functions that draw onto axes: time series, survival curves, maps, values in cells."""
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float, Float32
 
 from crowdbench.colours import goal_colour
 from crowdbench.data.table import Trajectories
@@ -22,6 +23,8 @@ LEAST_SHARE = 0.01
 """Minimum share of people for a flow to be drawn on a map."""
 LEAST_LABELLED = 0.1
 _BEND = 0.18
+CELL_M = 0.5
+"""Size of the cells of `in_cells`."""
 
 
 def linestyle(group: Group) -> Any:
@@ -240,3 +243,22 @@ def occupancy(axis: "Axes", plot: PlotData, share: np.ndarray, top: float) -> "A
     )  # fmt: skip
     place(axis, plot.scene)
     return image
+
+
+def in_cells(xy: Float32[np.ndarray, "n 2"], scene: Scene) -> Float[np.ndarray, "Y X"]:
+    """Number of positions in each cell of `CELL_M`; the first cell is at the lowest x and y."""
+    b = scene.bounds
+    edges = [
+        low + CELL_M * np.arange(int(np.ceil((high - low) / CELL_M)) + 1)
+        for low, high in ((b.y_min_m, b.y_max_m), (b.x_min_m, b.x_max_m))
+    ]
+    x, y = xy.T
+    return np.histogram2d(y, x, bins=edges)[0]
+
+
+def draw_cells(axis: "Axes", values: Float[np.ndarray, "Y X"], scene: Scene, **style: Any) -> Any:
+    """Draw a value per cell and return the image, for a colour bar."""
+    b, (rows, columns) = scene.bounds, values.shape
+    x, y = b.x_min_m, b.y_min_m
+    extent = (x, x + CELL_M * columns, y, y + CELL_M * rows)
+    return axis.imshow(values, origin="lower", interpolation="nearest", extent=extent, **style)

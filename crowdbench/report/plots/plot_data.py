@@ -1,7 +1,7 @@
 """Data of the pictures: an evaluation's crowds and the recording, in the same time blocks."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -83,6 +83,8 @@ class PlotData:
     """Reference statistics in the time blocks on which `split` is scored."""
     split: str
     groups: list[Group]
+    _known: dict[str, list[list[Statistics]]] = field(default_factory=dict, kw_only=True)
+    """Statistics of each crowd of each group, by metric; filled on demand."""
 
     @classmethod
     def of(cls, scene: Scene, reference: Reference, crowds: Crowds, protocol: str) -> "PlotData":
@@ -210,11 +212,6 @@ class PlotData:
                 [summarise(crowd, blocks, place) for crowd in group.crowds] for group in self.groups
             ]
         return self._known[name]
-
-    @cached_property
-    def _known(self) -> dict[str, list[list[Statistics]]]:
-        """Statistics of each crowd of each group, by metric; filled on demand."""
-        return {}
 
 
 def _metric(name: str) -> Metric:

@@ -13,7 +13,6 @@ from crowdbench.files import replacing
 from crowdbench.registry import policy as find_policy
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.canvas import Draw, picture
-from crowdbench.report.plots.cells import CELL_M, draw_cells, in_cells
 from crowdbench.report.steering.changes import Steering, total
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import Scene
@@ -212,8 +211,8 @@ def _spot(gaussians: Gaussians, k: int, scene: Scene) -> Float[np.ndarray, " 2"]
 
 def _density(scene: Scene, crowds: Sequence[Trajectories]) -> Float[np.ndarray, "Y X"]:
     """Mean number of persons in each cell, per 100 m²."""
-    each = [in_cells(crowd.xy, scene) / crowd.frames for crowd in crowds]
-    density: np.ndarray = 100 / CELL_M**2 * np.mean(each, axis=0)
+    each = [panels.in_cells(crowd.xy, scene) / crowd.frames for crowd in crowds]
+    density: np.ndarray = 100 / panels.CELL_M**2 * np.mean(each, axis=0)
     return density
 
 
@@ -224,7 +223,7 @@ def _draw_density(
     # A percentile, so that single cells with very high values do not darken all others.
     top = float(np.percentile(np.abs(density[density != 0]), 99)) if density.any() else 1.0
     low, colours, extend = (-top, "RdBu_r", "both") if change else (0.0, "viridis", "max")
-    image = draw_cells(axis, density, scene, cmap=colours, vmin=low, vmax=top)
+    image = panels.draw_cells(axis, density, scene, cmap=colours, vmin=low, vmax=top)
     panels.place(axis, scene)
     bar = axis.figure.colorbar(
         image, ax=axis, location="bottom", aspect=40, pad=0.02, extend=extend

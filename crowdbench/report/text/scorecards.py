@@ -9,14 +9,8 @@ from rich.text import Text
 
 from crowdbench.metrics import FAMILIES, WALK, MetricResult, all_metrics, paper_first
 from crowdbench.report.display_names import Names, names_of
+from crowdbench.report.text import terminal
 from crowdbench.report.text.notes import made, score_notes
-from crowdbench.report.text.terminal import (
-    new_console,
-    new_table,
-    print_fitting,
-    print_note,
-    print_table,
-)
 from crowdbench.report.text.words import interval, number, share, speed
 from crowdbench.scene import Scene
 from crowdbench.scoring.ranking import Row, ordered, ranked_by, rows
@@ -33,13 +27,13 @@ def print_card(card: Scorecard, scene: Scene) -> None:
     names = names_of([(row.spawn, row.policy) for row in table], scene)
     ranked = any(row.rank is not None for row in table)
     print()
-    print_note(
+    terminal.print_note(
         f"{card.scene}, protocol {card.protocol}: {card.horizon_s:.0f} s, {card.blocks} time "
         f"blocks, {made(card)}.{f' Ranked by {ranked_by(table)}.' if ranked else ''}"
     )
-    print_fitting(_score_tables(table, names), new_console())
+    terminal.print_fitting(_score_tables(table, names), terminal.new_console())
     for note in score_notes(card, scene, table, names):
-        print_note(note)
+        terminal.print_note(note)
     print()
     _print_distances(card, names)
 
@@ -50,8 +44,8 @@ def print_results(results: dict[str, MetricResult]) -> None:
     for name, r in results.items():
         means = (_typical(r.recorded, r.unit), _typical(r.simulated, r.unit))
         cells.append((name.replace("_", " "), _distance(r.distance), *means, f"{r.n}"))
-    print_table("metric", "distance", "recorded mean", "your mean", "your n", rows=cells)
-    print_note(
+    terminal.print_table("metric", "distance", "recorded mean", "your mean", "your n", rows=cells)
+    terminal.print_note(
         "Plain distances to the recording. 0: equal; –: not defined here. A single crowd has no "
         "score, because a score needs several rollouts."
     )
@@ -85,7 +79,7 @@ def _score_tables(table: Sequence[Row], names: Names) -> Iterator[Sequence[Table
 
 
 def _score_table(columns: Sequence[Column], table: Sequence[Row], names: Names) -> Table:
-    grid = new_table("spawn × policy", *(head for head, _ in columns))
+    grid = terminal.new_table("spawn × policy", *(head for head, _ in columns))
     grid.columns[0].min_width = _NAME
     for k, row in enumerate(table):
         if row.kind == "baseline" and table[k - 1].kind == "entry":
@@ -106,8 +100,8 @@ def _print_distances(card: Scorecard, names: Names) -> None:
         [_distance_table(card, numbered[k : k + size]) for k in range(0, len(numbered), size)]
         for size in range(len(numbered), 0, -1)
     )
-    print_fitting(layouts, new_console())
-    print_note("Plain distances to the recording, means over rollouts; 0: equal. Crowds:")
+    terminal.print_fitting(layouts, terminal.new_console())
+    terminal.print_note("Plain distances to the recording, means over rollouts; 0: equal. Crowds:")
     for k, entry in numbered:
         print(f"{k:4d}  {names.pair(entry.spawn, entry.policy)}")
     print()
@@ -125,7 +119,9 @@ def _distance_table(card: Scorecard, numbered: Sequence[tuple[int, PairResult]])
         for name in (metric.name for metric in paper_first(all_metrics()))
         if name in known
     ]
-    return new_table("distance", "", "recorded", *(f"{k}" for k, _ in numbered), rows=cells)
+    return terminal.new_table(
+        "distance", "", "recorded", *(f"{k}" for k, _ in numbered), rows=cells
+    )
 
 
 def _typical(value: float | None, unit: str) -> str:

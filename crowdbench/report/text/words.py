@@ -1,4 +1,8 @@
-"""How HTML and Markdown pages write numbers, names and protocols."""
+"""How HTML and Markdown pages write numbers, names and protocols; environments of templates."""
+
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from crowdbench.data.recordings.catalogue import SOURCES
 from crowdbench.scene import Scene
@@ -65,3 +69,19 @@ def to_import(scene: Scene) -> str:
     """The command that imports a scene's recording, in backticks."""
     name = scene.recording.name
     return f"`crowdbench data {'fetch' if name in SOURCES else 'import'} {name}`"
+
+
+def environment(folder: Path, *, html: bool = True) -> Environment:
+    """An environment for the templates in a folder; a value that a template lacks is an error.
+
+    With `html`, values are escaped unless they are `markupsafe.Markup`. Lines that contain only
+    block tags leave no trace in the page.
+    """
+    return Environment(
+        loader=FileSystemLoader(folder, encoding="utf-8"),
+        autoescape=html,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )

@@ -79,18 +79,16 @@ def _forget(h, steps, memory, weights):
 
 
 @compiled(error_model="python")
-def expect(gap, size, offsets, rest, memory, weights, gaps, sizes, rests, parameters):
+def expect(gap, size, offsets, rest, memory, weights, gaps, sizes, rests):
     """Run the network along the spells of one area.
 
-    Fills the cumulative hazards `gaps` and `sizes` (n, 2) and `rests` (S,), and the output of the
-    head before each group, `parameters` (n, 3).
+    Fills the cumulative hazards `gaps` and `sizes` (n, 2) and `rests` (S,).
     """
     for s in range(len(rest)):
         h = weights[4].copy()
         for i in range(offsets[s], offsets[s + 1]):
             h, steps, before = _forget(h, gap[i], memory, weights)
             shape, scale, more = _head(h, weights)
-            parameters[i, 0], parameters[i, 1], parameters[i, 2] = shape, scale, more
             gaps[i, 0] = before + ((steps - 1) / scale) ** shape
             gaps[i, 1] = before + (steps / scale) ** shape
             sizes[i, 0] = more * (size[i] - 1)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from crowdbench.spawn.ntpp.kernels import BOUND, LOG_SHAPE_BOUND
 from crowdbench.spawn.ntpp.model import HIDDEN
-from crowdbench.spawn.ntpp.sequences import Sequence, silence
+from crowdbench.spawn.ntpp.sequences import Sequence
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,9 @@ class Packed:
 def pack(networks: list[list[Sequence]], scaling: np.ndarray) -> Packed:
     """Pack the sequences of each network; `scaling` are the weights of that name."""
     networks = [sorted(each, key=lambda s: -len(s.gap)) for each in networks]
-    lengths = np.array([[len(s.gap) for s in each] for each in _padded(networks)])
+    lengths = np.zeros((len(networks), max(map(len, networks))), dtype=np.int64)
+    for b, each in enumerate(networks):
+        lengths[b, : len(each)] = [len(s.gap) for s in each]
     live = [int((lengths >= j).sum(axis=1).max()) for j in range(lengths.max() + 1)]
     begin = np.cumsum([0, *live])
     shape = (len(networks), begin[-1])
@@ -55,12 +57,6 @@ def pack(networks: list[list[Sequence]], scaling: np.ndarray) -> Packed:
     persons = np.maximum(1, size.sum(axis=1))
     parts = (torch.tensor(a, dtype=torch.float32) for a in (x, before, until, size, persons))
     return Packed(live, *parts)
-
-
-def _padded(networks: list[list[Sequence]]) -> list[list[Sequence]]:
-    """The sequences, with empty ones added so that all networks have the same number."""
-    most = max(len(each) for each in networks)
-    return [each + [silence(0)] * (most - len(each)) for each in networks]
 
 
 def head(weights: dict[str, Tensor], batch: Packed) -> tuple[Tensor, Tensor, Tensor]:

@@ -224,16 +224,6 @@ class NtppGMM(HasHazards, NetworkModel):
         Raises:
             SettingError: the arrivals have another time grid than the model.
         """
-        return self._along(arrivals)[0]
-
-    def parameters(self, arrivals: Arrivals) -> Float[np.ndarray, "n 3"]:
-        """Output of the head before each group.
-
-        The columns are Weibull shape, Weibull scale (grid steps), and −log P(one more member).
-        """
-        return self._along(arrivals)[1]
-
-    def _along(self, arrivals: Arrivals) -> tuple[Hazards, Float[np.ndarray, "n 3"]]:
         from crowdbench.spawn.ntpp.kernels import expect
 
         check_grid(arrivals, self.grid_s, NAME)
@@ -241,11 +231,10 @@ class NtppGMM(HasHazards, NetworkModel):
         for k in range(len(self.areas.spawn)):
             own = spells.of_area(k)
             n, of_area = len(own.gap), (own.gap, own.size, own.offsets, own.rest)
-            filled = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(len(own.rest)), np.ones((n, 3))
+            filled = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(len(own.rest))
             expect(*of_area, self.memory, self.of_area(k), *filled)
             found.append(filled)
-        gap, size, rest, parameters = (np.concatenate(each) for each in zip(*found, strict=True))
-        return Hazards(gap, size, rest), parameters
+        return Hazards(*(np.concatenate(each) for each in zip(*found, strict=True)))
 
 
 def networks(scene: Scene, areas: Areas, splits: Sequence[str]) -> Int[np.ndarray, "F K"]:

@@ -46,8 +46,7 @@ evaluation."""
 _PART_WINDOWS = 8
 """Minimum number of windows of an area per step. Without it, long windows with many groups would be
 used one or two at a time, or a part could be empty."""
-_FURTHEST = 1.0
-"""Maximum shift of a log scale."""
+_FURTHEST = 1.0  # maximum shift of a log scale
 _FIXED = ("base", "scaling")
 _ZERO = ("initial", "out_weight", "out_bias")  # the output of the head starts at `base`
 _TRAINED = tuple(name for name in SHAPES if name not in _FIXED)

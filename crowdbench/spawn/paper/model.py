@@ -31,6 +31,7 @@ import numpy as np
 from jaxtyping import Float, Float16, Float32
 from numpy.random import Generator
 
+from crowdbench.data.table import Numbers
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
 from crowdbench.spawn.events import Arrivals, SpawnEvents
@@ -159,8 +160,6 @@ def between(times: Float[np.ndarray, " n"], start: float, stop: float) -> Float[
     return times[np.searchsorted(times, start) : np.searchsorted(times, stop)]
 
 
-def gaps_within(
-    times: Float[np.ndarray, " n"], start: float, stop: float
-) -> Float[np.ndarray, " m"]:
+def gaps_within(times: Numbers, start: float, stop: float) -> Float[np.ndarray, " m"]:
     """The gaps from `start` to `stop`, at and between the times within, which are ascending."""
     return np.diff(np.concatenate([[start], between(times, start, stop), [stop]]))

@@ -30,10 +30,8 @@ from crowdbench.spawn.ntpp.training import deterministic
 from crowdbench.spawn.paper.kernels import TINY
 from crowdbench.spawn.paper.model import SHAPES, NtppPaper, between, gaps_within
 
-_ROWS = 512
-"""Windows in a batch; all batches of an area make one step."""
-_NEVER = -100.0
-"""Output of a head that gives a rate of almost 0."""
+_ROWS = 512  # windows in a batch; all batches of an area make one step
+_NEVER = -100.0  # output of a head that gives a rate of almost 0
 
 
 @dataclass(frozen=True)
@@ -58,8 +56,6 @@ DEFAULT = PaperSettings()
 
 
 class _Network(nn.Module):
-    """The network of one area."""
-
     def __init__(self, linear: bool) -> None:
         super().__init__()
         self.gru = nn.GRU(2, HIDDEN, batch_first=True)
@@ -109,8 +105,10 @@ def fit(
             found = sequences(arrivals, k, scene, settings, rng)
             if any(len(gaps) > 1 for gaps in found):
                 train(network, found, settings)
-            else:
-                _silence(network)
+            else:  # nobody enters: a rate of almost 0
+                with torch.no_grad():
+                    network.out.weight.zero_()
+                    network.out.bias.copy_(torch.tensor([_NEVER, 1.0]))
             for name, array in network.weights().items():
                 weights[name].append(array)
     stacked = {name: np.stack(each) for name, each in weights.items()}
@@ -161,8 +159,6 @@ def train(
 
 
 class _Windows(NamedTuple):
-    """Windows, padded to the length of the longest one."""
-
     gap: Float[Tensor, "V L"]
     """In frames; the last one of a window ends without an event."""
     log_gap: Float[Tensor, "V L"]
@@ -200,10 +196,3 @@ def _loss(network: _Network, batch: _Windows) -> Float[Tensor, ""]:
     density = rate.log() + shape.log() + (shape - 1) * batch.log_gap
     hazard = rate * torch.exp(shape * batch.log_gap)
     return -(batch.share * (batch.event * density - hazard)).sum()
-
-
-def _silence(network: _Network) -> None:
-    """Make the rate of an area without arrivals almost 0; there is nothing to train on."""
-    with torch.no_grad():
-        network.out.weight.zero_()
-        network.out.bias.copy_(torch.tensor([_NEVER, 1.0]))

@@ -8,16 +8,14 @@ from jaxtyping import Bool, Float, Int
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.companions import groups_of
 from crowdbench.data.stops import HALF_S
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Indices, Trajectories
 from crowdbench.spawn.areas import Areas
-from crowdbench.spawn.drawing import Indices
 from crowdbench.spawn.plans.links import FEWEST, Links, candidates, fit_links
 from crowdbench.spawn.plans.planned import PlannedAreas, directions, turned
 from crowdbench.spawn.plans.way_fitting import Trips, fit_ways, trips_of
 from crowdbench.spawn.recorded_plans import SLOWEST_MPS, plans_of
 
-_FEWEST_ROWS = 4
-"""Least number of times at which two people walk together that tell how they do so."""
+_FEWEST_ROWS = 4  # least number of times at which two people walk together that tell how they do so
 
 
 def fit_plans(crowd: Trajectories, blocks: TimeBlocks, areas: Areas) -> PlannedAreas:

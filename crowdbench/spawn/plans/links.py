@@ -18,18 +18,17 @@ from jaxtyping import Float, Int
 from numpy.random import Generator
 
 from crowdbench.data.companions import ENTRY_S
-from crowdbench.spawn.drawing import Flags, Indices, Numbers, draw_normal
+from crowdbench.data.table import Flags, Indices, Numbers
+from crowdbench.spawn.drawing import draw_normal
 from crowdbench.spawn.plans.mixtures import moments, responsibilities
 
 EDGES_S = (0.0, 1e-6, 1.0, 2.0, 3.0, 4.5, ENTRY_S + 1e-6)
 """Limits of the bins of delays; the first contains people who enter at the same grid point."""
 SPREAD = 0.7
 """Standard deviation of the normal prior of u_a."""
-_FURTHEST = 30.0
-"""Largest tendency."""
+_FURTHEST = 30.0  # largest tendency
 _HALVINGS = 14
-_DRAWN = 4_000
-"""Number of people from whom the mean size of groups is estimated."""
+_DRAWN = 4_000  # number of people from whom the mean size of groups is estimated
 _MOST = 4
 """Largest number of components of the mixture of offsets; more hardly change what is drawn."""
 STAGES = 4

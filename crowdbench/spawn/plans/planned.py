@@ -12,9 +12,9 @@ from jaxtyping import Float
 from numpy.random import Generator
 
 from crowdbench.data.companions import ENTRY_S, LEAST_S, RELATIVE_MPS, SHARE, WITHIN_M
+from crowdbench.data.table import Flags, Indices, Numbers, Points
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, Gaussians
-from crowdbench.spawn.drawing import Flags, Indices, Numbers, Points
 from crowdbench.spawn.events import SpawnEvents, entering
 from crowdbench.spawn.plans.links import STAGES, Links
 from crowdbench.spawn.plans.ways import (
@@ -29,8 +29,7 @@ from crowdbench.spawn.plans.ways import (
 )
 from crowdbench.spawn.recorded_plans import turning_points
 
-_ALWAYS = 50.0
-"""Logarithm of a weight that decides alone."""
+_ALWAYS = 50.0  # logarithm of a weight that decides alone
 _TRIES = 30
 """Number of ways that are drawn for a companion until one stays near, and runs into nobody; and for
 a group until people have the companions that are planned."""

@@ -17,40 +17,19 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from crowdbench.data.stops import LEAST_S, standing
-from crowdbench.data.table import Trajectories
+from crowdbench.data.table import Flags, Indices, Numbers, Points, Trajectories
 from crowdbench.errors import SceneError
 from crowdbench.spawn.areas import Areas, Gaussians
-from crowdbench.spawn.drawing import Flags, Indices, Numbers, Points
-from crowdbench.spawn.plans.mixtures import (
-    FEWEST,
-    PRIOR,
-    log_gaussians,
-    mixed,
-    moments,
-    responsibilities,
-    widened,
-)
-from crowdbench.spawn.plans.ways import (
-    BEND,
-    GOAL,
-    OFF_M,
-    SPEED,
-    START,
-    STOP,
-    Places,
-    TripMixtures,
-    Ways,
-)
+from crowdbench.spawn.plans import mixtures, ways
 from crowdbench.spawn.recorded_plans import SLOWEST_MPS, RecordedPlans
 
 _LEAST_VARIANCE_M2 = 0.05
 """Of 0.01, 0.02, 0.03, 0.05 and 0.09: with less, held-out people of ETH are 0.05 nats or more less
 likely, with more those of Grand Central and the Forum 0.02."""
-_STEPS = 10
-"""30 change held-out likelihoods by 0.002 nats."""
+_STEPS = 10  # 30 change held-out likelihoods by 0.002 nats
 _FEW_STOPS = 0.5
 _LEAST_VARIANCE = 1e-2
-_USUAL_BENDS = np.zeros(BEND), np.diag([0.04, 0.25])
+_USUAL_BENDS = np.zeros(ways.BEND), np.diag([0.04, 0.25])
 _SHORT_LOG_WAIT = np.log([10.0]), np.ones((1, 1))
 """Mean and variance of the log waits by which those of fewer than ten people are filled up to ten:
 the median stop lasts 9 to 11 s in ETH, Hotel, Zara and the Forum."""
@@ -83,7 +62,7 @@ class Trips:
         """The pairs of a spawn and a goal area that enough people walked, with their trips."""
         for a, g in np.unique(np.stack([self.spawn_area, self.goal_area], axis=1), axis=0).tolist():
             people = (self.spawn_area == a) & (self.goal_area == g)
-            if people.sum() >= FEWEST:
+            if people.sum() >= mixtures.FEWEST:
                 yield (a, g), self.chosen(people)
 
 
@@ -106,29 +85,26 @@ def trips_of(crowd: Trajectories, plans: RecordedPlans, chosen: Bool[np.ndarray,
     )
 
 
-def fit_ways(trips: Trips, areas: Areas) -> Ways:
+def fit_ways(trips: Trips, areas: Areas) -> ways.Ways:
     """Fit the ways of people to their complete trips.
 
     Raises:
         SceneError: there is no trip.
     """
     if len(trips.weight) == 0:
-        raise SceneError(
-            areas.scene,
-            got="a recording of people none of whom was seen to enter, walk and leave",
-            expected="complete trips to learn ways from",
-        )
+        got = "a recording of people none of whom was seen to enter, walk and leave"
+        raise SceneError(areas.scene, got=got, expected="complete trips to learn ways from")
     shape = len(areas.spawn), len(areas.goal)
     bend_mean, bend_covariance = _bends(trips.chosen(~trips.stops), shape)
     places = _stops(trips, shape)
-    return Ways(
+    return ways.Ways(
         fit_trips(trips, areas),
         bend_mean,
         bend_covariance,
         _stopping(trips, shape) * (len(places[0]) > 0),
         *places,
         longer=np.zeros(shape[0]),
-        fastest_mps=max(float(np.exp(trips.trip[:, SPEED].max())), 1.01 * SLOWEST_MPS),
+        fastest_mps=max(float(np.exp(trips.trip[:, ways.SPEED].max())), 1.01 * SLOWEST_MPS),
     )
 
 
@@ -137,18 +113,14 @@ def _bends(
 ) -> tuple[Float[np.ndarray, "K G 2"], Float[np.ndarray, "K G 2 2"]]:
     """Gaussians of bends between areas: that of all, and towards it those of enough people."""
     usual = _USUAL_BENDS
-    if trips.weight.sum() >= FEWEST:
-        usual = moments(trips.bend, trips.weight)
+    if trips.weight.sum() >= mixtures.FEWEST:
+        usual = mixtures.moments(trips.bend, trips.weight)
     mean, covariance = (np.tile(of, (*shape, *[1] * of.ndim)) for of in usual)
     for pair, people in trips.between_areas():
-        own = moments(people.bend, people.weight)
-        mean[pair], covariance[pair] = mixed(own, _share(people.weight.sum()), usual)
-    return mean, widened(covariance)
-
-
-def _share(people: float) -> float:
-    """Share of these people if as many as `PRIOR` usual ones join them."""
-    return people / (people + PRIOR)
+        own = mixtures.moments(people.bend, people.weight)
+        share = people.weight.sum() / (people.weight.sum() + mixtures.PRIOR)
+        mean[pair], covariance[pair] = mixtures.mixed(own, share, usual)
+    return mean, mixtures.widened(covariance)
 
 
 def _stopping(trips: Trips, shape: tuple[int, int]) -> Float[np.ndarray, "K G"]:
@@ -164,8 +136,8 @@ def _stopping(trips: Trips, shape: tuple[int, int]) -> Float[np.ndarray, "K G"]:
     for table, people in ((both, trips), (stop_both, trips.chosen(trips.stops))):
         np.add.at(table, (people.spawn_area, people.goal_area), people.weight)
     overall = float(trips.weight[trips.stops].sum() / trips.weight.sum())
-    area = (stop_both.sum(axis=1) + PRIOR * overall) / (both.sum(axis=1) + PRIOR)
-    p = (stop_both + PRIOR * area[:, None]) / (both + PRIOR)
+    area = (stop_both.sum(axis=1) + mixtures.PRIOR * overall) / (both.sum(axis=1) + mixtures.PRIOR)
+    p = (stop_both + mixtures.PRIOR * area[:, None]) / (both + mixtures.PRIOR)
     if overall in (0.0, 1.0):  # no factor leads there, and all probabilities are there already
         return p
     share, log_odds = both / both.sum(), logit(p)
@@ -175,12 +147,12 @@ def _stopping(trips: Trips, shape: tuple[int, int]) -> Float[np.ndarray, "K G"]:
 
 def bends_of(crowd: Trajectories, persons: Indices) -> Points:
     """Fraction along the straight line, and metres to its left, of the furthest point of paths."""
-    found = np.zeros((len(persons), BEND))
+    found = np.zeros((len(persons), ways.BEND))
     for k, person in enumerate(persons.tolist()):
         path = crowd.path(person).astype(np.float64)
         way = crowd.goal[person] - path[0]
         length = np.hypot(*way)
-        if length < OFF_M:
+        if length < ways.OFF_M:
             continue
         off = path - path[0]
         along = (off @ way) / length**2
@@ -209,22 +181,22 @@ def _stops(
     people = trips.chosen(trips.stops)
     x, weight, a, g = people.stop, people.weight, people.spawn_area, people.goal_area
     if len(x) == 0:
-        none = np.zeros((0, STOP)), np.zeros((0, STOP, STOP))
+        none = np.zeros((0, ways.STOP)), np.zeros((0, ways.STOP, ways.STOP))
         return *none, np.zeros((0, shape[0])), np.zeros((0, shape[1]))
-    if len(x) < FEWEST:
+    if len(x) < mixtures.FEWEST:
         fitted, shares = [_few(trips)], weight[:, None]
     else:
-        shares = responsibilities(x, _LEAST_VARIANCE) * weight[:, None]
-        fitted = [moments(x, shares[:, c]) for c in range(shares.shape[1])]
+        shares = mixtures.responsibilities(x, _LEAST_VARIANCE) * weight[:, None]
+        fitted = [mixtures.moments(x, shares[:, c]) for c in range(shares.shape[1])]
     total = shares.sum(axis=0)[:, None] / shares.sum()
     of_spawn = np.stack([np.bincount(a, s, minlength=shape[0]) for s in shares.T])
     of_goal = np.stack([np.bincount(g, s, minlength=shape[1]) for s in shares.T])
     # P(c | a, g) ∝ P(c) P(a | c) P(g | c), each drawn towards what does not depend on c.
-    from_area = of_spawn + PRIOR * total * of_spawn.sum(axis=0).clip(_FEW_STOPS) / len(x)
-    to_area = of_goal + PRIOR * total * of_goal.sum(axis=0).clip(_FEW_STOPS) / len(x)
+    from_area = of_spawn + mixtures.PRIOR * total * of_spawn.sum(axis=0).clip(_FEW_STOPS) / len(x)
+    to_area = of_goal + mixtures.PRIOR * total * of_goal.sum(axis=0).clip(_FEW_STOPS) / len(x)
     return (
         np.stack([mean for mean, _ in fitted]),
-        widened(np.stack([covariance for _, covariance in fitted]), slice(0, 2)),
+        mixtures.widened(np.stack([covariance for _, covariance in fitted]), slice(0, 2)),
         from_area,
         to_area / to_area.sum(axis=1, keepdims=True),
     )
@@ -237,18 +209,20 @@ def _few(trips: Trips) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"
     waits that are usual elsewhere.
     """
     half_way = (trips.trip[:, :2] + trips.trip[:, 2:4]) / 2
-    mean, covariance = np.zeros(STOP), np.zeros((STOP, STOP))
-    mean[:2], covariance[:2, :2] = moments(half_way, trips.weight)
-    own = moments(trips.stop[trips.stops, 2:], trips.weight[trips.stops])
-    mean[2:], covariance[2:, 2:] = mixed(own, trips.stops.sum() / FEWEST, _SHORT_LOG_WAIT)
+    mean, covariance = np.zeros(ways.STOP), np.zeros((ways.STOP, ways.STOP))
+    mean[:2], covariance[:2, :2] = mixtures.moments(half_way, trips.weight)
+    own = mixtures.moments(trips.stop[trips.stops, 2:], trips.weight[trips.stops])
+    mean[2:], covariance[2:, 2:] = mixtures.mixed(
+        own, trips.stops.sum() / mixtures.FEWEST, _SHORT_LOG_WAIT
+    )
     return mean, covariance
 
 
-def fit_trips(trips: Trips, areas: Areas) -> TripMixtures:
+def fit_trips(trips: Trips, areas: Areas) -> ways.TripMixtures:
     """Fit starts, goals and log speeds to those of at least one person."""
-    starts = _places(trips.trip[:, START], trips.weight, trips.spawn_area, areas.spawn)
-    goals = _places(trips.trip[:, GOAL], trips.weight, trips.goal_area, areas.goal)
-    common = TripMixtures.apart(starts, goals, log_speeds(trips))
+    starts = _places(trips.trip[:, ways.START], trips.weight, trips.spawn_area, areas.spawn)
+    goals = _places(trips.trip[:, ways.GOAL], trips.weight, trips.goal_area, areas.goal)
+    common = ways.TripMixtures.apart(starts, goals, log_speeds(trips))
     weights = common.weight.copy()
     own, mean, covariance = [common.own], [common.mean], [common.covariance]
     for pair, people in trips.between_areas():
@@ -268,33 +242,34 @@ def fit_trips(trips: Trips, areas: Areas) -> TripMixtures:
 
 def log_speeds(trips: Trips) -> Float[np.ndarray, " 2"]:
     """Weighted mean and variance."""
-    mean, variance = moments(trips.trip[:, SPEED, None], trips.weight)
+    mean, variance = mixtures.moments(trips.trip[:, ways.SPEED, None], trips.weight)
     return np.array([mean[0], variance[0, 0]])
 
 
-def _places(x: Points, weight: Numbers, area: Indices, areas: Gaussians) -> Places:
-    """The places of each area."""
-    whole = Places.of(areas)
+def _places(x: Points, weight: Numbers, area: Indices, areas: Gaussians) -> ways.Places:
+    whole = ways.Places.of(areas)
     found = []
     for k in range(len(areas)):
         mine, area_mean, area_covariance = area == k, whole.mean[k, None], whole.covariance[k, None]
-        shares = responsibilities(x[mine], _LEAST_VARIANCE_M2)
+        shares = mixtures.responsibilities(x[mine], _LEAST_VARIANCE_M2)
         if shares.shape[1] == 1:
             found.append((np.ones(1), area_mean, area_covariance))
             continue
         weighted = shares * weight[mine, None]
-        mean, covariance = zip(*(moments(x[mine], of) for of in weighted.T), strict=True)
-        total = np.append(weighted.sum(axis=0), PRIOR)
-        covariances = np.concatenate([widened(np.stack(covariance), START), area_covariance])
+        mean, covariance = zip(*(mixtures.moments(x[mine], of) for of in weighted.T), strict=True)
+        total = np.append(weighted.sum(axis=0), mixtures.PRIOR)
+        covariances = np.concatenate(
+            [mixtures.widened(np.stack(covariance), ways.START), area_covariance]
+        )
         found.append((total / total.sum(), np.concatenate([mean, area_mean]), covariances))
-    return Places(
+    return ways.Places(
         np.repeat(np.arange(len(areas)), [len(weights) for weights, _, _ in found]),
         *(np.concatenate(part) for part in zip(*found, strict=True)),
     )
 
 
 def _adapted(
-    common: TripMixtures, at: tuple[Indices, Indices], people: Trips
+    common: ways.TripMixtures, at: tuple[Indices, Indices], people: Trips
 ) -> tuple[Numbers, Flags, Float[np.ndarray, "n 5"], Float[np.ndarray, "n 5 5"]]:
     """Draw the mixture between two areas towards the people who walk from one to the other.
 
@@ -305,15 +280,16 @@ def _adapted(
     usual, spread = (of[at] for of in common.gaussians)
     share, mean, covariance = before, usual, spread
     for _ in range(_STEPS):
-        log = log_gaussians(people.trip, mean, covariance) + np.log(share)
+        log = mixtures.log_gaussians(people.trip, mean, covariance) + np.log(share)
         each = np.exp(log - np.logaddexp.reduce(log, axis=1)[:, None])
         weighted = each * people.weight[:, None]
         number = weighted.sum(axis=0)
-        share = (number + PRIOR * before) / (number.sum() + PRIOR)
-        enough = each.sum(axis=0) >= FEWEST
+        share = (number + mixtures.PRIOR * before) / (number.sum() + mixtures.PRIOR)
+        enough = each.sum(axis=0) >= mixtures.FEWEST
         mean, covariance = usual.copy(), spread.copy()
         for c in np.flatnonzero(enough):
-            own = moments(people.trip, weighted[:, c])
-            mean[c], covariance[c] = mixed(own, _share(number[c]), (usual[c], spread[c]))
-            covariance[c] = widened(covariance[c], START, GOAL)
+            own = mixtures.moments(people.trip, weighted[:, c])
+            of_own = number[c] / (number[c] + mixtures.PRIOR)
+            mean[c], covariance[c] = mixtures.mixed(own, of_own, (usual[c], spread[c]))
+            covariance[c] = mixtures.widened(covariance[c], ways.START, ways.GOAL)
     return share, enough, mean, covariance

@@ -33,18 +33,18 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.random import Generator
 
+from crowdbench.data.table import Flags, Indices, Numbers, Points
 from crowdbench.errors import SceneError
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas, Gaussians
-from crowdbench.spawn.drawing import Flags, Indices, Numbers, Points, choose, draw_normal
+from crowdbench.spawn.drawing import choose, draw_normal
 from crowdbench.spawn.plans.mixtures import widened
 from crowdbench.spawn.recorded_plans import SLOWEST_MPS
 
 TRIP = 5
 """Dimensions of a trip: start, goal, log speed."""
 START, GOAL, SPEED = slice(0, 2), slice(2, 4), 4
-_LEAST_VARIANCE = 1e-4
-"""Of log speeds."""
+_LEAST_VARIANCE = 1e-4  # of log speeds
 BEND = 2
 """Dimensions of a bend: fraction along the straight line, metres to its left."""
 STOP = 3
@@ -56,8 +56,7 @@ straight, the log wait for those who do not stop."""
 OFF_M = 0.75
 """Smallest bend that is a via point."""
 _DRAWS = 1000
-_DRAWS_IN_PLACE = 50
-"""One in ten has room in the worst place of Grand Central."""
+_DRAWS_IN_PLACE = 50  # one in ten has room in the worst place of Grand Central
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,19 +247,16 @@ class Ways:
                 return found
             if attempt % _DRAWS_IN_PLACE == 0:
                 chosen[open_] = self.trips.choose(spawn_area[open_], goal_area[open_], rng)
-        raise SceneError(
-            scene.folder,
-            got=f"{len(open_)} people for whom no way could be drawn in {_DRAWS} attempts",
-            expected="starts, goals and via points inside the bounds, a person's radius from walls",
-            hint="Check the bounds and walls, or fit the scene again.",
-        )
+        got = f"{len(open_)} people for whom no way could be drawn in {_DRAWS} attempts"
+        expected = "starts, goals and via points inside the bounds, a person's radius from walls"
+        hint = "Check the bounds and walls, or fit the scene again."
+        raise SceneError(scene.folder, got=got, expected=expected, hint=hint)
 
     def possible_speed(self, log_speed: Numbers) -> Numbers:
         """The log speeds, or the nearest ones that are not slower or faster than recorded ones."""
         return np.clip(log_speed, *np.log([SLOWEST_MPS, self.fastest_mps]))
 
     def _stops(self, a: Indices, g: Indices, rng: Generator) -> Float[np.ndarray, "n 3"]:
-        """Places and log waits of stops."""
         if len(a) == 0:
             return np.zeros((0, STOP))
         shares = self.from_area[:, a] * self.to_area[:, g]

@@ -187,30 +187,32 @@ def check_scenario(scenario: Scenario, scene: Scene, areas: Areas, where: str) -
             factor, rate, size or probability is out of range; or it leaves people without a goal.
     """
     if scenario.scene != scene.id:
-        raise SettingError(
-            f"{where}, scene",
-            got=repr(scenario.scene),
-            expected=repr(scene.id),
-            hint="The numbers of areas differ between scenes.",
-        )
+        got = repr(scenario.scene)
+        hint = "The numbers of areas differ between scenes."
+        raise SettingError(f"{where}, scene", got=got, expected=repr(scene.id), hint=hint)
     for goal in scenario.closed_goals:
         _check_area(goal, len(areas.goal), "goal", f"{where}, closed_goals", scene)
     for k, change in enumerate(scenario.change, 1):
         at = f"{where}, change {k}"
         _check_area(change.area, len(areas.spawn), "spawn", f"{at}, area", scene)
         if change.area in [c.area for c in scenario.change[: k - 1]]:
-            raise SettingError(
-                f"{at}, area",
-                got=f"spawn area {change.area} a second time",
-                expected="at most one [[change]] per area",
-                hint="Combine them into one.",
-            )
+            got = f"spawn area {change.area} a second time"
+            expected = "at most one [[change]] per area"
+            hint = "Combine them into one."
+            raise SettingError(f"{at}, area", got=got, expected=expected, hint=hint)
         at = f"{at} (area {change.area})"
         _check_numbers(change, at)
         if change.goals is not None:
             _check_goals(change.goals, scenario, areas, f"{at}, goals", scene)
-        if change.of_plans:
-            _check_plans(change, areas, at)
+        if change.of_plans and not isinstance(areas, PlannedAreas):
+            got = "a model of people who come alone and do not stop"
+            expected = "a model of plans, such as ntpp-plans or cox-plans"
+            raise SettingError(f"{at}, {change.of_plans[0]}", got=got, expected=expected)
+        stops = {"stop", "wait_s"} & set(change.of_plans)
+        if stops and isinstance(areas, PlannedAreas) and len(areas.ways.stop_mean) == 0:
+            got = f"a change of stops on {areas.scene}, where too few recorded people stop"
+            expected = "a scene whose model knows places of stops"
+            raise SettingError(f"{at}, stop", got=got, expected=expected)
     for k, addition in enumerate(scenario.add, 1):
         at = f"{where}, add {k}"
         if not scene.walkable(np.array([addition.mean_m], dtype=np.float64))[0]:
@@ -223,45 +225,21 @@ def check_scenario(scenario: Scenario, scene: Scene, areas: Areas, where: str) -
             )
         _check_numbers(addition, at)
         _check_goals(addition.goals, scenario, areas, f"{at}, goals", scene)
-    _check_ways_out(scenario, areas, where)
-
-
-def _check_plans(change: Change, areas: Areas, at: str) -> None:
-    if not isinstance(areas, PlannedAreas):
-        raise SettingError(
-            f"{at}, {change.of_plans[0]}",
-            got="a model of people who come alone and do not stop",
-            expected="a model of plans, such as ntpp-plans or cox-plans",
-        )
-    if len(areas.ways.stop_mean) == 0 and {"stop", "wait_s"} & set(change.of_plans):
-        raise SettingError(
-            f"{at}, stop",
-            got=f"a change of stops on {areas.scene}, where too few recorded people stop",
-            expected="a scene whose model knows places of stops",
-        )
-
-
-def _check_ways_out(scenario: Scenario, areas: Areas, where: str) -> None:
     named = [change.area for change in scenario.change if change.goals is not None]
     others = np.delete(areas.flow, list(set(scenario.closed_goals)), axis=1).sum(axis=1)
     stuck = [k for k in np.flatnonzero(others <= 0).tolist() if k not in named]
     if stuck:
-        raise SettingError(
-            f"{where}, closed_goals",
-            got=f"all goals of spawn area {', '.join(map(str, stuck))}",
-            expected="at least one open goal for each spawn area",
-            hint="Define `goals` for these areas in a [[change]].",
-        )
+        got = f"all goals of spawn area {', '.join(map(str, stuck))}"
+        expected = "at least one open goal for each spawn area"
+        hint = "Define `goals` for these areas in a [[change]]."
+        raise SettingError(f"{where}, closed_goals", got=got, expected=expected, hint=hint)
 
 
 def _check_area(area: int, number: int, kind: str, where: str, scene: Scene) -> None:
     if not 0 <= area < number:
-        raise SettingError(
-            where,
-            got=f"{kind} area {area}",
-            expected=f"one of the {number} {kind} areas of {scene.id}, 0 to {number - 1}",
-            hint=f"See `crowdbench spawn areas {scene.asked}`.",
-        )
+        expected = f"one of the {number} {kind} areas of {scene.id}, 0 to {number - 1}"
+        hint = f"See `crowdbench spawn areas {scene.asked}`."
+        raise SettingError(where, got=f"{kind} area {area}", expected=expected, hint=hint)
 
 
 def _check_numbers(of: Change | Addition, where: str) -> None:
@@ -275,11 +253,9 @@ def _check_numbers(of: Change | Addition, where: str) -> None:
             finite = all(math.isfinite(time_s) and time_s >= 0 for time_s in times)
             ascending = all(a < b for a, b in pairwise(times))
             if not (times and finite and ascending):
-                raise SettingError(
-                    at,
-                    got=f"times {times}" if times else "no steps",
-                    expected="pairs [time_s, number] with ascending times ≥ 0 s",
-                )
+                got = f"times {times}" if times else "no steps"
+                expected = "pairs [time_s, number] with ascending times ≥ 0 s"
+                raise SettingError(at, got=got, expected=expected)
         for number in numbers:
             _check_range(number, *_LIMITS[name], at)
 
@@ -296,16 +272,11 @@ def _check_goals(goals: Goals, scenario: Scenario, areas: Areas, where: str, sce
         _check_area(goal, len(areas.goal), "goal", where, scene)
         _check_range(share, 0.0, 1.0, f"{where}, {goal}")
         if share > 0 and goal in scenario.closed_goals:
-            raise SettingError(
-                f"{where}, {goal}",
-                got=f"probability {share:g} for a goal in closed_goals",
-                expected="positive probabilities for open goals only",
-            )
+            got = f"probability {share:g} for a goal in closed_goals"
+            expected = "positive probabilities for open goals only"
+            raise SettingError(f"{where}, {goal}", got=got, expected=expected)
     total = math.fsum(goals.values())
     if abs(total - 1) > 1e-6:
-        raise SettingError(
-            where,
-            got=f"probabilities that sum to {total:g}",
-            expected="a sum of 1",
-            hint="Goals that are not listed have probability 0.",
-        )
+        got = f"probabilities that sum to {total:g}"
+        hint = "Goals that are not listed have probability 0."
+        raise SettingError(where, got=got, expected="a sum of 1", hint=hint)

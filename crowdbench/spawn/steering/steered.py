@@ -21,10 +21,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy.random import Generator, default_rng
 
+from crowdbench.data.table import Indices, Numbers
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
 from crowdbench.spawn.areas import Areas
-from crowdbench.spawn.drawing import Indices, Numbers
 from crowdbench.spawn.events import SpawnEvents, entering, joined
 from crowdbench.spawn.model import SpawnModel, Start
 from crowdbench.spawn.plans.planned import PlannedAreas
@@ -94,19 +94,14 @@ class Steered:
             SettingError: the model is not stationary, or it is steered already.
         """
         if isinstance(self.model, Steered):
-            raise SettingError(
-                self.name,
-                got="a second scenario",
-                expected="one scenario per model",
-                hint="Combine both scenarios into one.",
-            )
+            got = "a second scenario"
+            hint = "Combine both scenarios into one."
+            raise SettingError(self.name, got=got, expected="one scenario per model", hint=hint)
         if self.model.start != "stationary":
-            raise SettingError(
-                self.name,
-                got=f"the spawn model {self.model.name} with start {self.model.start!r}",
-                expected="a model with start 'stationary', of which more people can be sampled",
-                hint="Use a fitted model or block-replay.",
-            )
+            got = f"the spawn model {self.model.name} with start {self.model.start!r}"
+            expected = "a model with start 'stationary', of which more people can be sampled"
+            hint = "Use a fitted model or block-replay."
+            raise SettingError(self.name, got=got, expected=expected, hint=hint)
 
     @property
     def name(self) -> str:

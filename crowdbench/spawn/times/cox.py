@@ -37,8 +37,7 @@ FOLLOWING_S = EDGES_S[1:]
 """Limits of the bins of delays in which φ is constant, seconds."""
 _MOST_MEMBERS = 0.95
 _MOST_FOLLOWERS = 0.8
-_WARM_UP = 4
-"""Samples begin this number of times the longest delay before time 0."""
+_WARM_UP = 4  # samples begin this number of times the longest delay before time 0
 
 
 class CoxFit(Fit, frozen=True):

@@ -135,11 +135,9 @@ def check_grid(arrivals: Arrivals, grid_s: float, model: str) -> None:
         SettingError: the grids differ.
     """
     if not np.isclose(arrivals.grid_s, grid_s):
-        raise SettingError(
-            model,
-            got=f"arrivals on a grid of {arrivals.grid_s:g} s",
-            expected=f"a grid of {grid_s:g} s, on which the model was fitted",
-        )
+        got = f"arrivals on a grid of {arrivals.grid_s:g} s"
+        expected = f"a grid of {grid_s:g} s, on which the model was fitted"
+        raise SettingError(model, got=got, expected=expected)
 
 
 def geometric_sizes(

@@ -29,20 +29,15 @@ STEP_S = 0.8
 """Shortest lag, and step of the factors; at least a step of the annotation grid."""
 LEAST_LAG_S = ENTRY_S
 """Shortest delay at which correlations are due to waves: at shorter ones, companions enter."""
-_LAGS_PER_SCALE = 3.0
-"""The longest lag is this number of times the longest scale."""
-_SHORTEST_STRETCHES = 10.0
-"""A scale is used if the observed time is this number of times as long."""
+_LAGS_PER_SCALE = 3.0  # the longest lag is this number of times the longest scale
+_SHORTEST_STRETCHES = 10.0  # a scale is used if the observed time is this number of times as long
 _BINS_PER_OCTAVE = 3
 _PRIOR_PERSONS = 100.0
 """Weight of the mean of all areas in the pair correlation of one area, persons."""
-_LEAST = 0.05
-"""Least pair correlation, of which the logarithm is taken."""
-_TOTAL = 10.0
-"""Weight of the total rate in the least squares."""
+_LEAST = 0.05  # least pair correlation, of which the logarithm is taken
+_TOTAL = 10.0  # weight of the total rate in the least squares
 _STEPS = 500
-_MOST = 4.0
-"""Largest variance of the logarithm of a factor, for one scale and area."""
+_MOST = 4.0  # largest variance of the logarithm of a factor, for one scale and area
 
 
 @dataclass(frozen=True, eq=False)

@@ -433,8 +433,8 @@ def test_of_gc_the_commands_are_told_that_check_it_out(
     repository: tuple[str, str], tmp_path: Path, monkeypatch: Patch, capsys: Printed
 ):
     address, commit = repository
-    monkeypatch.setattr(fetch, "REPOSITORY", address)
-    monkeypatch.setattr(fetch, "COMMIT", commit)
+    monkeypatch.setattr(fetch.catalogue, "REPOSITORY", address)
+    monkeypatch.setattr(fetch.catalogue, "COMMIT", commit)
     folder = tmp_path / "my recordings"
     assert main(["data", "fetch", "gc", "--out", str(folder)]) == 2
     error = capsys.readouterr().err

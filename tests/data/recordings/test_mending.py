@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crowdbench.cli import main, options
-from crowdbench.data.recordings.mending import GAPS, Gaps, Stamped, on_frames
+from crowdbench.data.recordings.mending import Gaps, Stamped, on_frames
 from crowdbench.data.recordings.own import read_recording
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError, SettingError
@@ -52,7 +52,7 @@ def test_a_step_off_the_grid_is_refused_by_person_and_frame(campus: Path, late: 
     assert "--gaps split" in told.value.hint
 
 
-@pytest.mark.parametrize("gaps", GAPS)
+@pytest.mark.parametrize("gaps", get_args(Gaps))
 def test_a_row_off_the_grid_is_moved_onto_it(campus: Path, late: list[str], gaps: Gaps) -> None:
     crowd = read_recording(campus / "campus.txt", "obsmat", name="c", dt_s=0.4, gaps=gaps)
     person, frame, _ = late
@@ -228,7 +228,7 @@ def test_published_recordings_are_not_mended(capsys: Printed) -> None:
     for option, value in (("--gaps", "split"), ("--offset-s", "1"), ("--dt-s", "0.4")):
         assert main(["data", "import", "eth", option, value]) == 2
         assert f"{option} without --format" in capsys.readouterr().err
-    assert get_args(options.Gaps) == GAPS
+    assert get_args(options.Gaps) == get_args(Gaps)
 
 
 # Any crowd: rows may be missing, and shifted by up to a third of a step.
@@ -242,7 +242,7 @@ LIFE = st.tuples(
 )
 
 
-@given(trips=st.lists(LIFE, min_size=1, max_size=5), gaps=st.sampled_from(GAPS))
+@given(trips=st.lists(LIFE, min_size=1, max_size=5), gaps=st.sampled_from(get_args(Gaps)))
 def test_what_is_mended_stands_on_the_ways_that_were_seen(
     trips: list[tuple[int, list[str]]], gaps: Gaps
 ) -> None:

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from crowdbench.data.smoothing import smoothed
 from crowdbench.data.table import Trajectories, from_rows
+from crowdbench.envs.demonstrations import smoothed
 
 DT_S, WINDOW_S = 0.4, 3.2
 
