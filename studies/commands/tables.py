@@ -1,4 +1,10 @@
-"""Studies that print tables: `plans`, `sharing`, `cheats-twins` and `cheats-search`."""
+"""Studies that print tables: `plans`, `sharing`, `monte-carlo`, `cheats-twins`, `cheats-search`."""
+
+from pathlib import Path
+
+from crowdbench.cli.options import Workers
+from crowdbench.cli.printing import progress_bar
+from crowdbench.progress import ROLLOUTS
 
 
 def plans(scenes: list[str], /) -> None:
@@ -21,6 +27,26 @@ def sharing(scenes: list[str], /) -> None:
     from studies.sharing import comparison
 
     print(comparison(scenes))
+
+
+def monte_carlo(
+    scenes: list[str] | None = None,
+    /,
+    *,
+    out: Path = Path("results/rollouts"),
+    workers: Workers = None,
+) -> None:
+    """Print the page on the error that few rollouts make, beside that of few time blocks.
+
+    Args:
+        scenes: ids of scenes, or their folders (default: all real ones)
+        out: folder of the rollouts that are made
+    """
+    from studies.monte_carlo import SCENES, page
+
+    with progress_bar("rollouts"):
+        found = page(scenes or SCENES, out=out, workers=workers, progress=ROLLOUTS)
+    print(found, end="")
 
 
 def cheats_twins(scenes: list[str], /, *, policy: str = "anticipate", rollouts: int = 6) -> None:
