@@ -10,6 +10,7 @@ from crowdbench.run.resolved import MODELS
 from crowdbench.scene import list_scenes, load_scene
 from studies.figures import BASELINE, BEST, WALKERS
 from studies.figures import SPAWN as DRAWN
+from studies.monte_carlo import PAIRS as MONTE_CARLO
 from studies.paper.study import walker_of
 from studies.plans import PAIRS as PLAN_PAIRS
 from studies.remake.declared import (
@@ -123,6 +124,15 @@ def _comparisons() -> Iterator[Result]:
             for scene in LARGE
         },
         splits=FULL,
+    )
+    yield _page(
+        "docs/rollouts",
+        ("docs/rollouts.md",),
+        [("python", "-m", "studies", "monte-carlo")],
+        "studies.monte_carlo",
+        dict.fromkeys(REAL, MONTE_CARLO),
+        splits=FOLDS,
+        stdout="docs/rollouts.md",
     )
     yield _page(
         "docs/cheats",
