@@ -166,7 +166,6 @@ def _is_first(job: Job, protocol: Protocol, number: int) -> bool:
 
 
 def _listed(names: str | Sequence[str]) -> Sequence[str]:
-    """The names as a sequence; a single string becomes a list."""
     return [names] if isinstance(names, str) else names
 
 

@@ -244,6 +244,5 @@ def _frame(frames: traceback.StackSummary) -> traceback.FrameSummary | None:
 
 
 def _short(file: str) -> str:
-    """As seen from where the user stands."""
     path, here = Path(file), Path.cwd()
     return str(path.relative_to(here)) if path.is_relative_to(here) else file

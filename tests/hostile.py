@@ -158,10 +158,10 @@ def surroundings() -> list[str]:
     return sorted(os.environ)
 
 
-def keep_in_the_store(key: str) -> str:
+def keep_in_the_store(key: str, beside: str) -> str:
     """What the store has for a key, after this has tried to add to it."""
     from crowdbench.run import store
 
-    store.keep(key, ".parquet", b"hostile", Path("beside"))
+    store.keep(key, ".parquet", b"hostile", Path(beside))
     found = store.find(key, ".parquet", Path("elsewhere"))
     return "" if found is None else found.read_text()

@@ -137,7 +137,6 @@ def score(
 
 
 def _print_replay(scene: str, out: Path) -> None:
-    """Print how the replay differs from the recording."""
     from crowdbench.run.replay_check import compare_replay
 
     place = crowdbench.load_scene(scene)

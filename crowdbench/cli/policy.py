@@ -72,7 +72,6 @@ def export(network: str, file: Path, /, *, noise: int = 0, of: _Card) -> None:
 
 
 def _of_zip(path: str, noise: int, card: _Card) -> Any:
-    """Network of a zip, which knows the size of its memory."""
     from crowdbench.policies.sb3 import read_sb3
 
     for option, value in (("--memory", card.memory), ("--style", card.style)):
@@ -91,7 +90,6 @@ def _of_zip(path: str, noise: int, card: _Card) -> Any:
 
 
 def _imported(path: str) -> Any:
-    """Network named by `pkg.module:NAME`."""
     try:
         import torch
     except ImportError as error:

@@ -152,7 +152,6 @@ def _within(xy, i, j, radius_m):
 
 @njit(error_model="numpy")
 def _same(person, i, j, ahead):
-    """Whether both people are present that many ticks later."""
     size = len(person)
     if not (0 <= i + ahead < size and 0 <= j + ahead < size):
         return False

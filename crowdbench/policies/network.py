@@ -112,7 +112,6 @@ class OnnxPolicy:
         check_rows(where or self.path, self._run, random_inputs(self.card, self.noise, ROWS))
 
     def _run(self, fed: dict[str, np.ndarray]) -> Float32[np.ndarray, "A _"]:
-        """Actions and, beside them, the next states."""
         try:
             found = self._session.run(list(self.card.output_sizes), fed)
         except Exception as error:  # onnxruntime's errors have no common base class

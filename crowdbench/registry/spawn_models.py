@@ -160,7 +160,6 @@ def _steer(model: spawn.SpawnModel, scene: Scene, scenario: spawn.Scenario | Pat
 
 
 def _fits_of(model: str, scene: Scene) -> Path | None:
-    """File with the fits of a model; None if it has none."""
     if model in FITTED or model in PLANNED:
         return _shipped_fits(PLANNED.get(model, model), scene)
     folder = Path(model)

@@ -200,7 +200,6 @@ class Actor:
         return in_own_frame(action, heading * np.array([1, -1]) if back else heading)
 
     def _due(self, at: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Whose decision is due, by the number of frames since the entry."""
         simulation = self._simulation
         world = at // simulation.slots.alive.shape[1]
         age = simulation.clock.frame[world] - simulation.slots.born.ravel()[at]

@@ -166,7 +166,6 @@ _given: tuple[bytes, bytes]
 
 
 def _begin(parent: int, given: tuple[bytes, bytes]) -> None:
-    """Set up a new process."""
     global _given
     end_with(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # handled by the process that started this one

@@ -177,7 +177,6 @@ def call_each(
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Short names of files, `number of the folder/name`."""
     folders = list(dict.fromkeys(path.parent for path in paths))
     return {path: f"{folders.index(path.parent)}/{path.name}" for path in paths}
 

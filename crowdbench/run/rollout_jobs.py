@@ -108,7 +108,6 @@ def _light(batched: Sequence[tuple[Job, ...]]) -> bool:
 
 
 def _own_files(batch: tuple[Job, ...], *_: object) -> list[Path]:
-    """Files of the models of a batch that do not come with crowdbench."""
     pair = _pair(batch[0])
     named = [*pair.policy.files(batch[0].split), pair.spawn.scenario, pair.spawn.fits]
     if not pair.scene.folder.is_relative_to(scenes_folder()):
@@ -182,7 +181,6 @@ def _made(
 
 
 def _kept(job: Job) -> Trajectories | None:
-    """The rollout in the file of a job, if it belongs to it."""
     with suppress(RecordingError):  # not a valid rollout: it is overwritten
         crowd = read_own(job.path)
         return crowd if dict(crowd.provenance) == _provenance(job) else None

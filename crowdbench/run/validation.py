@@ -167,12 +167,10 @@ class Validator:
         )
 
     def _ended(self, crowd: Trajectories) -> Int[np.ndarray, " outcomes"]:
-        """Number of trips with each outcome that ended in the blocks."""
         inside = block_of_frames(self._blocks, crowd.frames)[crowd.last] >= 0
         return np.bincount(crowd.outcome[inside], minlength=len(OUTCOMES))
 
     def _seen(self, crowd: Trajectories) -> dict[str, Statistics]:
-        """Statistics of what the crowd does in the blocks."""
         here = self._blocks.parts(read_areas(self.scene).assign(crowd))
         return summarise(here, self._blocks, self._reference.place, self._metrics)
 

@@ -157,7 +157,6 @@ def _fitted(name: str, scene: Scene, split: str, fit: int) -> FittedModel:
 
 
 def _pooled(models: Sequence[FittedModel], folds: list[Arrivals]) -> float:
-    """Log-likelihood of all folds together, nats per person."""
     nats = [m.log_likelihood(a) * len(a.tick) for m, a in zip(models, folds, strict=True)]
     return float(sum(nats) / sum(len(a.tick) for a in folds))
 

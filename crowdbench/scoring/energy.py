@@ -319,7 +319,6 @@ def pair_mean(distances: Float[np.ndarray, "*batch K K"]) -> Float[np.ndarray, "
 def _distances(
     y: Float[np.ndarray, "r F"], x: Float[np.ndarray, "r g K F"]
 ) -> tuple[Float[np.ndarray, "r g K"], Float[np.ndarray, "r g K K"]]:
-    """L1 distances of each x to y, and between all x of a group."""
     from crowdbench.scoring.l1_kernel import l1_distances
 
     return l1_distances(np.ascontiguousarray(y), np.ascontiguousarray(x))

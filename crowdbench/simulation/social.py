@@ -207,7 +207,6 @@ def _see_itself(w, i, slots, queue, clock, target, beyond, constants, me):
 
 @njit(error_model="numpy")
 def _probe(x, y, cos, sin, distance, grid, probes):
-    """Write the free distances around a person at (x, y) to `probes`."""
     for k in range(probes.shape[0]):
         dx, dy = from_own_frame(_AHEAD[k], _LEFT[k], cos, sin)
         probes[k] = free_distance(x + dx, y + dy, distance, grid) / REACH_M

@@ -142,7 +142,6 @@ def _chain_of(
 def _with_late(
     frame: Int[np.ndarray, " n"], group: Int[np.ndarray, " n"], rng: Generator
 ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """Frames and groups of these people and of all who follow them."""
     frames, groups = [frame], [group]
     while len(frame):
         followed = rng.random((LATE, len(frame))) < FOLLOWS

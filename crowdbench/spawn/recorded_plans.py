@@ -116,7 +116,6 @@ def cut_at_goals(crowd: Trajectories, scene: Scene) -> Trajectories:
 
 
 def _distance(point: Points, a: Points, b: Points) -> Numbers:
-    """Distance of each point to the segment from a to b, metres."""
     way, off = b - a, point - a
     squared = (way * way).sum(axis=1)
     along = np.divide((off * way).sum(axis=1), squared, out=np.zeros(len(a)), where=squared > 0)

@@ -86,7 +86,6 @@ class Live:
         stream.log(f"{where}/goals", rr.Points2D.from_fields(positions=now.target, class_ids=goal))
 
     def _log_spawns(self, frame: int) -> None:
-        """Log the spawns of all windows that end before `frame`."""
         while (self._window + 1) * WINDOW <= frame:
             self._at(self._window * WINDOW)
             self._stream.log(f"spawns/{SIMULATION}", rr.Scalars(float(self._spawned)))

@@ -41,11 +41,12 @@ def test_a_result_comes_back_with_what_it_took_and_progress_is_told() -> None:
     assert set(told) == {("rollouts", 1, 1)}
 
 
-def test_a_child_adds_nothing_to_the_store_of_rollouts() -> None:
-    tried("keep_in_the_store", str, key="mine")
+def test_a_child_adds_nothing_to_the_store_of_rollouts(tmp_path: Path) -> None:
+    asked = {"key": "mine", "beside": str(tmp_path / "beside")}
+    tried("keep_in_the_store", str, **asked)
     assert not store.folder().exists()
-    store.keep("mine", ".parquet", b"here")
-    assert tried("keep_in_the_store", str, key="mine") == "here"
+    store.keep("mine", ".parquet", b"here", tmp_path)
+    assert tried("keep_in_the_store", str, **asked) == "here"
 
 
 @pytest.mark.parametrize(

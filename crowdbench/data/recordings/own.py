@@ -51,8 +51,6 @@ _LONGEST_M = 300.0
 
 @dataclass(frozen=True)
 class _Asked:
-    """The arguments of `read_recording`."""
-
     path: Path
     layout: str
     name: str
@@ -218,7 +216,6 @@ def _check_options(asked: _Asked) -> None:
 
 
 def _table(asked: _Asked) -> tuple[Trajectories, bool]:
-    """The crowd in a table, and whether crowdbench wrote it."""
     path, offset_s = asked.path, asked.offset_s
     table = storage.read_table(path)
     ours = storage.own_metadata(table, path) is not None
@@ -279,7 +276,6 @@ def _check_agree(rows: Stamped, frame: np.ndarray, path: Path) -> None:
 
 
 def _numbered(data: bytes, asked: _Asked) -> Trajectories:
-    """The crowd in a file whose rows have frame numbers."""
     path = asked.path
     if asked.layout == "obsmat":
         rows, velocity = parse_obsmat(data, path)

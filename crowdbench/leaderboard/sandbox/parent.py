@@ -228,7 +228,6 @@ def _end(child: "subprocess.Popen[bytes]", seen: set[psutil.Process]) -> None:
 
 
 def _environment() -> dict[str, str]:
-    """Environment variables for the child, without keys and tokens."""
     kept = {
         name: value
         for name, value in os.environ.items()

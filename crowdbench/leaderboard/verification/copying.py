@@ -125,7 +125,6 @@ def _blurred(counts: Float[np.ndarray, "K T"]) -> Float[np.ndarray, "K T"]:
 
 
 def _running(values: Float[np.ndarray, "K T"], length: int) -> Float[np.ndarray, "K S"]:
-    """Sums over every window of `length` columns."""
     sums = np.pad(values.cumsum(axis=1), ((0, 0), (1, 0)))
     return sums[:, length:] - sums[:, :-length]
 

@@ -224,7 +224,6 @@ def _copy(rollouts: SceneRollouts, rolled: Sequence[RolloutSummary]) -> Copy:
 
 
 def _mean(values: Sequence[float]) -> float | None:
-    """The mean of the numbers that are defined; None if there are none."""
     known = [value for value in values if not np.isnan(value)]
     return float(np.mean(known)) if known else None
 

@@ -63,7 +63,6 @@ def _page(card: Scorecard, plot: PlotData) -> str:
 
 
 def _command(card: Scorecard, scene: Scene) -> str:
-    """The shell command that reproduces the evaluation."""
     pairs = [(e.spawn, e.policy) for e in card.entries]
     spawn = list(dict.fromkeys(s for s, _ in pairs))
     # `evaluate` runs every policy except `replay` under the recorded arrivals by default.

@@ -182,7 +182,6 @@ def _busiest(gaps: Sequence[int]) -> list[int]:
 
 
 def _size_of_map(plot: PlotData, below: float = 0.0) -> tuple[float, float]:
-    """Width and height of a map in inches, with room below it."""
     b = plot.scene.bounds
     ratio = (b.y_max_m - b.y_min_m) / (b.x_max_m - b.x_min_m)
     return _MAP_WIDTH, (_MAP_WIDTH - 0.6) * ratio + 0.5 + below

@@ -156,7 +156,6 @@ def goal_changes(found: Steering) -> list[AreaChange]:
 
 
 def _means(areas: list[np.ndarray], number: int) -> Float[np.ndarray, " n"]:
-    """Number of people of each area, means over the seeds."""
     known = np.concatenate(areas)
     return np.bincount(known[known >= 0], minlength=number) / len(areas)
 

@@ -108,7 +108,6 @@ def _panel(axis: "Axes", found: Steering, areas: list[int], edges: Float[np.ndar
 def _per_minute(
     events: list[SpawnEvents], areas: list[int], edges: Float[np.ndarray, " b"]
 ) -> Float[np.ndarray, " n"]:
-    """Persons per minute in each bin, means over the seeds."""
     times = np.concatenate([e.time_s[np.isin(e.spawn_area, areas)] for e in events])
     return 60 * np.histogram(times, edges)[0] / len(events) / np.diff(edges)
 
@@ -210,7 +209,6 @@ def _spot(gaussians: Gaussians, k: int, scene: Scene) -> Float[np.ndarray, " 2"]
 
 
 def _density(scene: Scene, crowds: Sequence[Trajectories]) -> Float[np.ndarray, "Y X"]:
-    """Mean number of persons in each cell, per 100 m²."""
     each = [panels.in_cells(crowd.xy, scene) / crowd.frames for crowd in crowds]
     density: np.ndarray = 100 / panels.CELL_M**2 * np.mean(each, axis=0)
     return density

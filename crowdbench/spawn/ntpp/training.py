@@ -313,7 +313,6 @@ def start_weights(arrivals: Arrivals, seed: int) -> dict[str, np.ndarray]:
 
 
 def _rounded(weights: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Weights rounded to float32, as in their file."""
     return {name: array.astype(np.float32) for name, array in weights.items()}
 
 

@@ -243,7 +243,6 @@ def _check_area(area: int, number: int, kind: str, where: str, scene: Scene) -> 
 
 
 def _check_numbers(of: Change | Addition, where: str) -> None:
-    """Check numbers, pairs of numbers, and the steps of profiles."""
     for name in (name for name in _LIMITS if getattr(of, name, None) is not None):
         value, at = getattr(of, name), f"{where}, {name}"
         numbers = [value] if isinstance(value, Number) else value

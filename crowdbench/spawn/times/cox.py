@@ -147,7 +147,6 @@ class CoxGMM(Fitted):
         return total / max(1, len(arrivals.tick))
 
     def _groups(self) -> Float[np.ndarray, " K"]:
-        """Mean number of groups per grid step that follow nobody."""
         share = (1 - self.followers.sum()) * (1 - self.next_member)
         return np.asarray(self.rate_per_s * self.grid_s * share)
 

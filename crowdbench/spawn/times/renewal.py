@@ -99,7 +99,6 @@ class RenewalGMM(HasHazards, Fitted):
         return self.areas.draw(np.concatenate(tick) * self.grid_s, np.concatenate(area), scene, rng)
 
     def _groups(self, k: int, points: int, rng: Generator) -> Int[np.ndarray, " n"]:
-        """Grid points in [0, `points`) at which a group enters area k."""
         shape, scale = self.shape[k], self.scale_s[k] / self.grid_s
         mean = np.exp(_log_tail(np.zeros(1), shape, scale))
         within = np.cumsum(np.exp(-((np.arange(points) / scale) ** shape))) / mean
