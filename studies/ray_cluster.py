@@ -48,14 +48,24 @@ def compare(arguments: list[str]) -> bool:
     with tempfile.TemporaryDirectory() as folder:
         here, there = Path(folder) / "here", Path(folder) / "there"
         began = time.monotonic()
-        assert cli.main(["evaluate", *arguments, "--out", str(here), "--workers", "1"]) == 0
+        assert (
+            cli.main(
+                ["evaluate", *arguments, "--keep-rollouts", "--out", str(here), "--workers", "1"]
+            )
+            == 0
+        )
         print(f"--workers 1: {time.monotonic() - began:.0f} s")
         cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
         others = [cluster.add_node(num_cpus=1) for _ in range(NODES - 1)]
         os.environ["RAY_ADDRESS"] = cluster.address
         threading.Thread(target=kill_later, args=(cluster, others[0], there), daemon=True).start()
         began = time.monotonic()
-        assert cli.main(["evaluate", *arguments, "--out", str(there), "--engine", "ray"]) == 0
+        assert (
+            cli.main(
+                ["evaluate", *arguments, "--keep-rollouts", "--out", str(there), "--engine", "ray"]
+            )
+            == 0
+        )
         ray.init(address=cluster.address, log_to_driver=False)
         left = sum(node["Alive"] for node in ray.nodes())
         print(f"{NODES} nodes, of which {left} are left: {time.monotonic() - began:.0f} s")

@@ -60,6 +60,7 @@ def write_results(
                 workers=workers,
                 out=folder,
                 report=False,
+                keep_rollouts=True,
                 progress=progress,
             )
             for protocol, folder in folders.items()

@@ -100,6 +100,7 @@ def _walk(
             workers=workers,
             out=work / f"walks-{place.id}-{protocol}",
             report=False,
+            keep_rollouts=protocol == "full",
             progress=progress,
         )
     sampled = evaluate(
