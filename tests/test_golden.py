@@ -22,7 +22,7 @@ def test_yesterdays_rollout_is_read() -> None:
 
 
 def test_yesterdays_scorecard_is_read_and_ranked() -> None:
-    card = msgspec.json.decode((GOLDEN / "scorecard-3.json").read_bytes(), type=Scorecard)
+    card = msgspec.json.decode((GOLDEN / "scorecard-4.json").read_bytes(), type=Scorecard)
     assert (card.scene, card.protocol, card.blocks, card.rollouts) == ("eth-v0", "full", 17, 30)
     entry, walk, *anchors = rows(card)
     assert (entry.spawn, entry.policy, entry.rank) == ("renewal-gmm", "straight", 1)

@@ -14,7 +14,7 @@ from crowdbench.leaderboard.verification.entry import SCHEMA, SCORER, entry_path
 from crowdbench.leaderboard.verification.verify import verify
 from crowdbench.registry import import_recording, trained_policies
 from crowdbench.scene import load_scene
-from crowdbench.scoring.scorecard import files_of
+from crowdbench.scoring.scorecard import files_of, unpack
 
 pytestmark = pytest.mark.long
 
@@ -64,7 +64,7 @@ def numbers(found: object) -> list[float]:
         case int() | float():
             return [found]
         case bytes():
-            return np.frombuffer(found, "<f4").tolist()
+            return unpack(0.0, found).tolist()
         case dict():
             return [x for value in found.values() for x in numbers(value)]
         case list() | tuple():

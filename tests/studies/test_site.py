@@ -20,6 +20,7 @@ from crowdbench.leaderboard.verification.entry import (
     read_entry,
 )
 from crowdbench.scoring.energy import RESAMPLES
+from crowdbench.scoring.scorecard import pack
 from studies.__main__ import main as studies_main
 from studies.site import build
 from studies.site.excerpt import BEGIN, END, PAPER_BEGIN, paper_metrics, with_excerpt
@@ -164,8 +165,8 @@ def replaced(entry: Entry, **changes: object) -> Entry:
 
 ONE = made_up("one", "walk", 0.5)
 UNEVEN = Curve(x_label="x", y_label="y", x=[0.0, 1.0], recorded=[1.0], simulated=[1.0, 2.0])
-NOTHING = ScoreCard(value=0.0, resampled=bytes(4 * RESAMPLES))
-NO_NUMBER = ScoreCard(value=0.0, resampled=np.full(RESAMPLES, np.nan, "<f4").tobytes())
+NOTHING = ScoreCard(value=0.0, resampled=pack(0.0, np.zeros(RESAMPLES)))
+NO_NUMBER = ScoreCard(value=0.0, resampled=np.float32(np.nan).tobytes() + bytes(2 * RESAMPLES))
 HUGE = Curve(x_label="x", y_label="y", x=[0.0, 1.7e308], recorded=[0.0, 1.0], simulated=[0.0, 1.0])
 LONG = Curve(x_label="x", y_label="y", **dict.fromkeys(("x", "recorded", "simulated"), [0.0] * 101))  # type: ignore[arg-type]
 SPEED = ONE.scenes["eth-v0"].metrics["speed"]
