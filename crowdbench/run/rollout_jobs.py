@@ -57,7 +57,7 @@ def roll_out(
     `workers` is the number of processes, by default one per core, or none but this one if that is
     faster. Without a reference, there are no summaries. `measure` adds numbers to the summaries.
     """
-    code = _code_of(reference, measure)
+    code, plain = _code_of(reference, measure), _code_of(reference, None)
     keys = {job: _summary_key(job, code) for job in jobs if code and not _pair(job).foreign}
     rolled = {job: summary for job, key in keys.items() if (summary := _kept_summary(job, key))}
     tasks = [
@@ -86,8 +86,9 @@ def roll_out(
             batch, missing, _ = tasks[k]
             for job, summary in zip(missing, summaries, strict=False):
                 rolled[job] = summary
-                if job in keys:
-                    store.keep(keys[job], SUMMARY, summary.encoded(), job.path.parent)
+                if job in keys:  # kept for whoever measures nothing, too
+                    for key in {keys[job], _summary_key(job, plain)}:
+                        store.keep(key, SUMMARY, summary.encoded(), job.path.parent)
             made += len(batch)
             progress(made, len(jobs))
     return {job: rolled[job] for job in jobs if job in rolled}

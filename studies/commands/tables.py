@@ -3,8 +3,6 @@
 from pathlib import Path
 
 from crowdbench.cli.options import Workers
-from crowdbench.cli.printing import progress_bar
-from crowdbench.progress import ROLLOUTS
 
 
 def plans(scenes: list[str], /) -> None:
@@ -44,9 +42,7 @@ def monte_carlo(
     """
     from studies.monte_carlo import SCENES, page
 
-    with progress_bar("rollouts"):
-        found = page(scenes or SCENES, out=out, workers=workers, progress=ROLLOUTS)
-    print(found, end="")
+    print(page(scenes or SCENES, out=out, workers=workers), end="")
 
 
 def cheats_twins(scenes: list[str], /, *, policy: str = "anticipate", rollouts: int = 6) -> None:

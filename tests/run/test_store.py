@@ -235,3 +235,12 @@ def test_what_is_measured_is_in_the_summaries(tmp_path: Path, simulated: list[st
             s.outcomes.sum() for s in plain.values()
         ]
     assert len(simulated) == 4  # once without, once with the measurement
+
+
+def test_summaries_with_measurements_serve_whoever_measures_nothing(
+    tmp_path: Path, simulated: list[str]
+) -> None:
+    reference = read_reference(PLAZA)
+    roll_out(hidden(tmp_path), reference, 1, measure=persons)
+    roll_out(hidden(tmp_path), reference, 1)
+    assert len(simulated) == 2
