@@ -177,7 +177,7 @@ def _made(
         if job in shown:
             write_parquet(crowds[job], job.path)
             if shared and job in to_make:
-                store.keep(_key(job), TABLE, job.path.read_bytes(), job.path.parent)
+                store.keep(_key(job), TABLE, job.path.read_bytes())
     return crowds
 
 
@@ -189,7 +189,7 @@ def _kept(job: Job) -> Trajectories | None:
 
 
 def _in_store(job: Job) -> Trajectories | None:
-    file = store.find(_key(job), TABLE, job.path.parent)
+    file = store.find(_key(job), TABLE)
     with suppress(RecordingError):  # another process may remove it
         return None if file is None else read_own(file)
     return None

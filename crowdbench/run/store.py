@@ -27,13 +27,13 @@ def folder() -> Path:
     return home() / "rollouts"
 
 
-def find(key: str, suffix: str, beside: Path) -> Path | None:
+def find(key: str, suffix: str, beside: Path | None = None) -> Path | None:
     """The file of a key, in the store or in the folder `beside`; None if there is none.
 
     A damaged file is removed.
     """
     name = f"{key}-*{suffix}"
-    for path in (*folder().glob(name), *beside.glob(name)):
+    for path in (*folder().glob(name), *(beside.glob(name) if beside else ())):
         with suppress(OSError):
             if path.stem == f"{key}-{sha256(path.read_bytes())[:32]}":
                 path.touch()
@@ -43,10 +43,10 @@ def find(key: str, suffix: str, beside: Path) -> Path | None:
     return None
 
 
-def keep(key: str, suffix: str, data: bytes, beside: Path) -> None:
+def keep(key: str, suffix: str, data: bytes, beside: Path | None = None) -> None:
     """Keep the content of a file under its key, if that is possible; see `find`."""
     shared = [folder()] if os.environ.get("CROWDBENCH_STORE") != "read" else []
-    for place in (*shared, beside):
+    for place in (*shared, *([beside] if beside else [])):
         with suppress(OutputError, OSError):
             with replacing(place / f"{key}-{sha256(data)[:32]}{suffix}") as temporary:
                 temporary.write_bytes(data)

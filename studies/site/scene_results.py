@@ -30,7 +30,7 @@ def scene_results(name: str, entry: Entry) -> Markup:
         given=are_trajectories(entry),
         # A policy that is trained on no recording is the same in all folds: its rollouts of the
         # whole recording serve each of them.
-        per_fold=declared.track != "walk" or declared.training.protocol == "heldout",
+        per_fold=declared.track != "walk",
         trip_limit=trip_limit(name),
         gate=gate_notes(entry).get(name, ""),
         families=shown,

@@ -113,8 +113,8 @@ def _unscored(walked: Walked, card: Scorecard, scored: set[str]) -> list[str]:
     if not missing:
         return []
     return [
-        f"No scores: {', '.join(missing)}. Rollouts of each policy: {card.rollouts}. Scores need "
-        f"two rollouts of each fit, {2 * card.fits} in all."
+        f"No scores: {', '.join(missing)}. Rollouts of each policy: {card.rollouts}. "
+        "Scores need two."
     ]
 
 

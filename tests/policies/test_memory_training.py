@@ -24,13 +24,13 @@ from torch import Tensor, nn
 
 from crowdbench import rollout, spawn_model
 from crowdbench.cli import main
+from crowdbench.data.blocks import SPLITS
 from crowdbench.data.storage import read_own
 from crowdbench.data.table import Trajectories
 from crowdbench.leaderboard.verification.entry import read_entry
 from crowdbench.policies import Memory, OnnxPolicy, PolicyCard
 from crowdbench.policies.export import export_policy
 from crowdbench.registry import import_recording
-from crowdbench.run.rollout_jobs import SPLITS
 from crowdbench.scene import Scene
 
 pytestmark = pytest.mark.nightly

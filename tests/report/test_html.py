@@ -303,14 +303,14 @@ def test_replays_alone_are_not_said_to_lack_scores(tmp_path: Path) -> None:
 def test_each_row_has_the_number_of_its_own_rollouts(scored: str) -> None:
     found = [row for row in parsed(scored).rows if "[" in row]
     for pair, made in (
-        ("poisson-gmm × random", "30 rollouts"),
-        ("replay × random", "10 rollouts"),
+        ("poisson-gmm × random", "15 rollouts"),
+        ("replay × random", "8 rollouts"),
         ("replay × straight", "1 rollout"),
     ):
         (row, *_) = [row for row in found if re.match(rf"(\d\W*)?{pair}", row)]
         assert row.partition(pair)[2].startswith(made)
-    assert "1 to 30 rollouts of each pair" in " ".join(scored.split())
-    assert "30 of each crowd" not in scored
+    assert "1 to 15 rollouts of each pair" in " ".join(scored.split())
+    assert "15 of each crowd" not in scored
 
 
 def test_the_gate_says_limit_value_and_the_score_without_it(scored: str, tmp_path: Path) -> None:

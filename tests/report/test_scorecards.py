@@ -164,8 +164,8 @@ def test_policies_alone_are_ranked_and_sorted_by_walk(capsys: Printed) -> None:
 def test_the_number_of_rollouts_is_that_of_each_row(capsys: Printed) -> None:
     pairs = [("poisson-gmm", "random"), ("replay", "random"), ("replay", "straight")]
     out = printed(card_of(*(ANCHORS[pair] for pair in pairs)), capsys)
-    assert "1 to 30 rollouts of each pair. Ranked by overall." in " ".join(out.split())
-    for pair, number_made in zip(pairs, (30, 10, 1), strict=True):
+    assert "1 to 15 rollouts of each pair. Ranked by overall." in " ".join(out.split())
+    for pair, number_made in zip(pairs, (15, 8, 1), strict=True):
         (line,) = [line for line in lines_of(out) if line.startswith(f" {' × '.join(pair)} ")]
         assert line.split()[3] == str(number_made)
 

@@ -7,7 +7,9 @@ import pytest
 
 from crowdbench.data.blocks import TimeBlocks
 from crowdbench.data.table import Trajectories
+from crowdbench.policies import Straight
 from crowdbench.registry import FITTED, recording_of
+from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from crowdbench.scene_building import plan_calibration
 from crowdbench.scene_building.plan_calibration import adjustment, straight_walks
@@ -80,7 +82,11 @@ def test_samples_of_a_model_have_companions_like_those_recorded(
 
     def companions(areas: PlannedAreas) -> plan_calibration._Company:
         events = replace(model, areas=areas).sample(horizon_s, PLAZA, np.random.default_rng(9))
-        return plan_calibration._company(plan_calibration._simulated(events, PLAZA), whole, PLAZA)
+        end_s = float(events.time_s.max()) + PLAZA.grid_s
+        walked = rollout(
+            PLAZA, plan_calibration._These(events), Straight(), seed=0, horizon_s=end_s
+        )
+        return plan_calibration._company(walked, whole, PLAZA)
 
     recorded = plan_calibration._company(crowd, blocks, PLAZA)
     found = companions(replace(fitted, links=fitted.links.adjusted(by)))

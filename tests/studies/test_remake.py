@@ -191,7 +191,7 @@ def touch(monkeypatch: pytest.MonkeyPatch, touched: str) -> None:
             "scenes/gc-v0/policies/anticipate/fold1.onnx",
             {
                 *("entries/anticipate", "entries/cox-plans-anticipate", "docs/walks"),
-                *("docs/encounters/gc-v0", "docs/across"),
+                *("docs/encounters/gc-v0", "docs/across", "docs/rollouts"),
             },
             {"leaderboard"},
         ),
