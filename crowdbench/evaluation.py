@@ -104,13 +104,16 @@ def evaluate(
     if protocol not in ("full", "heldout"):
         raise SettingError("protocol", got=repr(protocol), expected="full or heldout")
     scale = read_anchors(place).protocols[protocol]
-    fits, of_walk = place.protocol.fits, quick and spawn is None and policy is not None
-    if quick and policy is None and spawn is not None:
-        policy = POLICY[0]
-    spawn = _listed((SPAWN if spawn is None else spawn) if not of_walk else "replay")
-    pairs = _pairs(place, spawn, _listed(POLICY if policy is None else policy))
+    only_policy = quick and policy is not None and spawn is None
+    if spawn is None:
+        spawn = "replay" if only_policy else SPAWN
+        policy = POLICY if policy is None else policy
+    elif policy is None:
+        policy = POLICY[:1] if quick else POLICY
+    pairs = _pairs(place, _listed(spawn), _listed(policy))
     if seeds is None:
-        seeds = (2 if of_walk else 2 * fits) if quick else fits * place.protocol.rollouts_per_fit
+        per_fit = 2 if quick else place.protocol.rollouts_per_fit
+        seeds = 2 if only_policy else place.protocol.fits * per_fit
     workers = checked_workers(workers)
     if protocol == "heldout" and len(reference.blocks) < FOLDS:
         raise SettingError(

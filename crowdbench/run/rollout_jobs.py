@@ -21,11 +21,12 @@ from crowdbench.plugins import told
 from crowdbench.policies import Policy
 from crowdbench.progress import ROLLOUTS
 from crowdbench.registry import recording_of
+from crowdbench.registry.recordings import recording_hash
 from crowdbench.run import store
 from crowdbench.run.executor import call_each, checked_workers, is_local
 from crowdbench.run.jobs import Job, Models, batches, fitted_for, walkers_of
 from crowdbench.run.processes import Stopped
-from crowdbench.run.resolved import Resolved
+from crowdbench.run.resolved import MODELS, Resolved
 from crowdbench.run.rollout import rollouts, seed_of
 from crowdbench.run.summaries import RolloutSummary, code_of_summaries
 from crowdbench.scene import load_scene, scenes_folder
@@ -57,8 +58,11 @@ def roll_out(
     `workers` is the number of processes, by default one per core, or none but this one if that is
     faster. Without a reference, there are no summaries. `measure` adds numbers to the summaries.
     """
-    code, plain = _code_of(reference, measure), _code_of(reference, None)
-    keys = {job: _summary_key(job, code) for job in jobs if code and not _pair(job).foreign}
+    code = None if reference is None else code_of_summaries(reference)
+    of_measure = _measured_by(jobs, measure)
+    keys = {
+        job: _summary_key(job, code + of_measure) for job in jobs if code and not _pair(job).foreign
+    }
     rolled = {job: summary for job, key in keys.items() if (summary := _kept_summary(job, key))}
     tasks = [
         (batch, missing, tuple(job for job in batch if job.shown or job not in keys))
@@ -86,11 +90,14 @@ def roll_out(
             batch, missing, _ = tasks[k]
             for job, summary in zip(missing, summaries, strict=False):
                 rolled[job] = summary
-                if job in keys:  # kept for whoever measures nothing, too
-                    for key in {keys[job], _summary_key(job, plain)}:
-                        store.keep(key, SUMMARY, summary.encoded(), job.path.parent)
+                if code and job in keys:  # kept for whoever measures nothing, too
+                    encoded = summary.encoded()
+                    for key in {keys[job], _summary_key(job, code)}:
+                        store.keep(key, SUMMARY, encoded, job.path.parent)
             made += len(batch)
             progress(made, len(jobs))
+    if tasks:
+        store.clean()
     return {job: rolled[job] for job in jobs if job in rolled}
 
 
@@ -121,10 +128,13 @@ def _told(batch: tuple[Job, ...], *_: object) -> str:
     return str(first) if first is last else f"{first} to {last.seed}"
 
 
-def _code_of(reference: Reference | None, measure: Measure | None) -> str:
-    """Hash of what makes summaries of rollouts; empty if they are not to be kept."""
-    code = None if reference is None else code_of_summaries(reference)
-    return (code or "") + (code_hash(measure.__module__) if measure and code else "")
+def _measured_by(jobs: Sequence[Job], measure: Measure | None) -> str:
+    """Hash of what a measurement depends on besides the rollout: its code and the recordings."""
+    if measure is None:
+        return ""
+    scenes = {job.scene: _pair(job).scene for job in jobs}
+    recordings = [recording_hash(scene) for scene in scenes.values()]
+    return "".join([code_hash(measure.__module__, cut=MODELS), *recordings])
 
 
 def _summary_key(job: Job, code: str) -> str:

@@ -1,6 +1,7 @@
 """The store of rollouts: what one evaluation has made, another takes from it."""
 
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -71,12 +72,12 @@ def test_the_same_fits_under_another_name_are_the_same_rollouts(
 
 def test_a_damaged_file_is_not_used(tmp_path: Path, simulated: list[str]) -> None:
     first = made(tmp_path / "one")
-    kept = sorted(store.folder().glob("*.parquet"))
+    kept = sorted(store.folder().rglob("*.parquet"))
     other = kept[0].read_bytes()
     kept[1].write_bytes(other)  # a valid table, but another one
     assert made(tmp_path / "two") == first
     assert len(simulated) == 3
-    assert sorted(store.folder().glob("*.parquet")) == kept
+    assert sorted(store.folder().rglob("*.parquet")) == kept
 
 
 def test_nothing_is_added_in_a_sandbox(
@@ -111,16 +112,16 @@ def test_what_was_used_least_recently_goes_first(
     table = tmp_path / "table.parquet"
     made(tmp_path / "one")
     table.write_bytes(next((tmp_path / "one").iterdir()).read_bytes())
-    for path in store.folder().iterdir():
-        path.unlink()
+    shutil.rmtree(store.folder())
     monkeypatch.setattr(store, "LIMIT_BYTES", 3 * table.stat().st_size)
     for k, key in enumerate("abc"):
         store.keep(key, ".parquet", table.read_bytes(), tmp_path)
-        (kept,) = store.folder().glob(f"{key}-*")
+        (kept,) = store.folder().rglob(f"{key}-*")
         os.utime(kept, (k, k))
     assert store.find("a", ".parquet", tmp_path) is not None  # used again: `b` is now the oldest
     store.keep("d", ".parquet", table.read_bytes(), tmp_path)
-    assert {path.name[0] for path in store.folder().iterdir()} == {"a", "c", "d"}
+    store.clean()
+    assert {path.name[0] for path in store.folder().rglob("*-*")} == {"a", "c", "d"}
 
 
 def test_a_store_that_cannot_be_written_is_done_without(
@@ -136,8 +137,8 @@ def test_of_two_processes_that_keep_the_same_rollout_one_file_stays(tmp_path: Pa
     table = next((tmp_path / "one").iterdir())
     for _ in range(2):
         store.keep("same", ".parquet", table.read_bytes(), tmp_path)
-    assert len(list(store.folder().glob("same-*"))) == 1
-    assert not list(store.folder().glob(".*"))
+    assert len(list(store.folder().rglob("same-*"))) == 1
+    assert not list(store.folder().rglob(".*"))
 
 
 @pytest.fixture
@@ -200,7 +201,7 @@ def test_what_is_not_shown_leaves_no_trajectories(tmp_path: Path, simulated: lis
     reference = read_reference(PLAZA)
     roll_out(hidden(tmp_path / "one"), reference, 1)
     assert not (tmp_path / "one").exists()
-    assert {path.suffix for path in store.folder().iterdir()} == {rollout_jobs.SUMMARY}
+    assert {path.suffix for path in store.folder().rglob("*-*")} == {rollout_jobs.SUMMARY}
     roll_out(hidden(tmp_path / "two"), reference, 1)
     assert len(simulated) == 2
     roll_out(jobs(tmp_path / "three"), reference, 1)  # now they are to be seen
@@ -244,3 +245,24 @@ def test_summaries_with_measurements_serve_whoever_measures_nothing(
     roll_out(hidden(tmp_path), reference, 1, measure=persons)
     roll_out(hidden(tmp_path), reference, 1)
     assert len(simulated) == 2
+
+
+def test_a_measurement_is_made_again_if_the_recording_has_changed(
+    tmp_path: Path, simulated: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reference = read_reference(PLAZA)
+    for recording in ("one", "another", "one"):
+        monkeypatch.setattr(rollout_jobs, "recording_hash", lambda scene, name=recording: name)
+        roll_out(hidden(tmp_path), reference, 1, measure=persons)
+    assert len(simulated) == 4
+
+
+def test_rollouts_leave_a_store_of_limited_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    roll_out(hidden(tmp_path), read_reference(PLAZA), 1)
+    sizes = [path.stat().st_size for path in store.folder().rglob("*-*")]
+    assert len(sizes) == 2
+    monkeypatch.setattr(store, "LIMIT_BYTES", sum(sizes) - 1)
+    roll_out(jobs(tmp_path), None, 1)
+    assert sum(p.stat().st_size for p in store.folder().rglob("*-*")) < sum(sizes)
