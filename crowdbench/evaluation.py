@@ -57,7 +57,7 @@ def evaluate(
 ) -> Scorecard:
     """Evaluate each spawn model with each policy on a scene, all given by name.
 
-    The default are the spawn models `SPAWN` and the policies `POLICY`.
+    Without names, the spawn models are `SPAWN` and the policies `POLICY`.
 
     Worker processes read the scene's files again, so a loaded scene is used by its folder.
 
@@ -65,9 +65,9 @@ def evaluate(
     its time blocks and scores the remaining third, three times. `seeds` is the number of rollouts
     per pair of spawn model and policy (in each fold), by default that of the scene's protocol;
     rollout k uses fit k modulo the number of fits. With fewer than two rollouts per fit there are
-    distances but no scores. With `quick`, there are as few rollouts as scores need, two per fit.
-    Then a policy is evaluated under the recorded arrivals only if no spawn model is named, with two
-    rollouts, and a spawn model with straight walkers if no policy is named.
+    distances but no scores. With `quick`, there are as few rollouts as scores need: two per fit.
+    Then, if only a policy is named, people enter as recorded in two rollouts, and only walking is
+    scored. If only a spawn model is named, people walk straight.
 
     The spawn model `MODEL+FILE.toml` is MODEL under the scenario in that file; it is not ranked.
 

@@ -55,9 +55,8 @@ def evaluate(
         seeds: rollouts of each pair of spawn model and policy (in each fold). Scores need at least
             two rollouts per fit. With the usual 5 fits, use 10, 15, 20, …; fewer give only plain
             distances (default: as in the scene's protocol)
-        quick: as few rollouts as scores need; intervals are wider. A policy without --spawn is
-            evaluated under the recorded arrivals only, spawn models without --policy with straight
-            walkers
+        quick: as few rollouts as scores need; intervals are wider. With --policy alone, people
+            enter as recorded and only walking is scored; with --spawn alone, people walk straight
         no_report: write the scorecard only, without report.html
         keep_rollouts: write the trajectories of all rollouts, not only of the first ones
         out: output folder (default: results/SCENE-DATE-TIME)
