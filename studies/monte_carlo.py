@@ -32,26 +32,20 @@ PAIRS = (("cox-plans", "straight"), ("cox-plans", "anticipate"), ("replay", "ant
 TITLE = """# How many rollouts
 
 A score has two sources of error: the recording has few time blocks, and a model has few rollouts.
-The second one costs computing time only. `rollouts_per_fit` of a scene's protocol is large enough
-that the error of rollouts is about a third of that of blocks, or less, in the score that ranks:
-*crowd*, the mean of its families. Then an interval is about 5 % wider than with infinitely many
-rollouts. `walk_rollouts` is the number under the recorded arrivals; there, *walk* is the lesser of
-motion and interaction. Both errors are part of all intervals, so a smaller number makes intervals
-wider, not wrong.
+More rollouts cost only computing time. If their error is a third of that of blocks, an interval is
+5 % wider than with infinitely many rollouts. The protocol of a scene has about as many rollouts as
+that takes for *crowd* and *walk*, the scores by which entries are ranked. Single families may have
+larger errors. All intervals contain both errors, so with fewer rollouts they are wider, but right.
 
-Errors are standard deviations of held-out scores: of rollouts, from how the score changes with each
-of them; of blocks, from the resamples of the recording's time blocks. *needed* is the number per
-fit (or of walks) at which the first is a third of the second. This page is the output of
+The table has the standard deviations of held-out scores. The error of rollouts follows from how
+much each rollout changes a score, the error of blocks from the resamples of the recording's time
+blocks. *rollouts* is the number of each fit, `rollouts_per_fit` of the protocol; under the recorded
+arrivals (`replay`), where nothing is fitted, it is `walk_rollouts`. *needed* is the number at which
+their error is a third of that of blocks. This page is the output of
 
 ```sh
 python -m studies monte-carlo
-```
-
-One set of walks serves all folds: in each time block those networks walk that were not trained on
-it. Scores agree with those of three sets, one for each fold, within the error of 30 rollouts of
-each: interaction differs by −0.03 ± 0.02 for `gail`, −0.02 ± 0.015 for `anticipate` and
-−0.01 ± 0.02 for `bc` on ETH, whose time blocks are short, and by −0.01 ± 0.02 for `gail` on the
-Forum."""
+```"""
 
 
 @dataclass(frozen=True, eq=False)
