@@ -6,13 +6,14 @@ import subprocess
 import sys
 from contextlib import suppress
 from dataclasses import fields
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pages
 import pytest
-from conftest import need_imitation, need_sb3
+from conftest import need, need_imitation, need_sb3
 from cyclopts import MissingArgumentError
 
 import crowdbench
@@ -109,6 +110,14 @@ def test_the_main_job_prints_the_tables_of_its_page(
     assert main(shlex.split(command)[1:]) == 0
     (shown,) = pages.blocks(page("evaluation.md"), "text")
     assert pages.differences(shown, capsys.readouterr().out) == []
+
+
+def test_the_example_of_flow_and_density_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    need(find_spec("pedpy"), "the extra pedpy")
+    run_example("evaluation.md", "flow_through(")
+    flow, speed = (float(line.split()[0]) for line in capsys.readouterr().out.splitlines())
+    assert 0.005 < flow < 0.05
+    assert 0.7 < speed < 1.3
 
 
 def test_the_page_on_metrics_counts_those_of_each_scene() -> None:

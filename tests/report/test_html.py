@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from html import escape, unescape
 from html.parser import HTMLParser
 from importlib import import_module
+from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 
@@ -169,6 +170,27 @@ def test_pictures_say_in_words_what_they_show(scored: str) -> None:
     assert len(alts) > 12
     assert all(alt and len(alt) > 30 for alt in alts)
     assert len(set(alts)) == len(alts)
+
+
+def test_flow_and_density_are_measured_where_pedpy_is(scored: str) -> None:
+    need(find_spec("pedpy"), "the extra pedpy")
+    alts = [str(a.get("alt")) for tag, a in parsed(scored).tags if tag == "img"]
+    for name in ("poisson-gmm × straight", "poisson-gmm × random"):
+        assert any(re.search(rf"Means: {name} \d\.\d\d m/s", alt) for alt in alts)
+        assert any(re.search(rf"{name} \d+ people \(0\.\d+ per metre", alt) for alt in alts)
+    said = " ".join(parsed(scored).text.split())
+    assert "recorded; not shown, because no recording is imported" in said
+    assert "One dot for every 3 frames: Voronoi speed over Voronoi density" in said
+    assert "in the square of 4 m² around (3.25, 5.00) m" in said
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_without_pedpy_the_page_says_how_to_get_it(
+    crowds: Crowds, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("crowdbench.report.flow.find_spec", lambda name: None)
+    html = page(card_of(anchor("poisson-gmm", "straight")), crowds, tmp_path)
+    assert re.search(r"Not measured\. flow and density: got no pedpy; .*pip install", html)
 
 
 def test_table_heads_say_what_they_head(scored: str) -> None:

@@ -2,7 +2,7 @@
 
 It shows the scorecard, and pictures of the rollouts beside the recording. It computes no scores of
 its own. The page depends on neither the machine nor the time: the same evaluation gives the same
-bytes.
+bytes, where PedPy (for flow and density) is installed or where it is not.
 """
 
 import shlex

@@ -13,10 +13,13 @@ import numpy as np
 from markupsafe import Markup
 
 from crowdbench.colours import COLOURS
+from crowdbench.errors import SettingError
 from crowdbench.progress import steps
 from crowdbench.report.html.render import html
 from crowdbench.report.plots import panels
 from crowdbench.report.plots.canvas import picture
+from crowdbench.report.plots.flow import highest, plot_n_t, plot_speed_density
+from crowdbench.report.plots.measured import RECORDED, Measured
 from crowdbench.report.plots.plot_data import Curves, Group, PlotData
 
 if TYPE_CHECKING:
@@ -62,6 +65,7 @@ def pictures(plot: PlotData) -> Markup:
     curves = plot.curves("inter_spawn_per_area", samples=len(gaps))
     shares = plot.cells("occupancy")
     labels = ["recorded", *(group.label for group in plot.groups)]
+    measured, unmeasured = _measured(plot)
     parts: dict[str, list[Callable[[], _Figure]]] = {
         "over_time": [partial(_over_time, plot, group) for group in plot.groups],
         "autocorrelation": [partial(_autocorrelation, plot)],
@@ -75,6 +79,8 @@ def pictures(plot: PlotData) -> Markup:
             partial(_occupancy, plot, shares[0], *of) for of in zip(labels, shares, strict=True)
         ],
         "paths": [partial(_paths, plot, group) for group in plot.groups],
+        "clouds": [partial(_cloud, measured, group) for group in plot.groups if measured],
+        "passed": [partial(_passed, measured)] if measured else [],
     }
     figures: dict[str, list[_Figure]] = {name: [] for name in parts}
     for name, draw in steps("pictures", [(n, draw) for n, part in parts.items() for draw in part]):
@@ -89,6 +95,8 @@ def pictures(plot: PlotData) -> Markup:
         gaps_left_out=sum(gaps) - sum(gaps[k] for k in busiest),
         least_share=f"{100 * panels.LEAST_SHARE:.0f}",
         first_colour=COLOURS[0],
+        measured=measured,
+        unmeasured=unmeasured,
         **figures,
     )
 
@@ -228,5 +236,49 @@ def _paths(plot: PlotData, group: Group) -> _Figure:
         "and goal areas.",
         note=f", the first {count} people",
         inches=_size_of_map(plot),
+        kind="small png",
+    )
+
+
+def _measured(plot: PlotData) -> tuple[Measured | None, str]:
+    """Flow and density, or None and the reason: PedPy is missing, or a free place."""
+    try:
+        return Measured.of(plot), ""
+    except SettingError as error:
+        return None, str(error)
+
+
+def _cloud(measured: Measured, group: Group) -> _Figure:
+    clouds = {n: c for n, c in measured.clouds.items() if n in (RECORDED, group.label)}
+    styles = {n: {"color": measured.styles[n]["color"]} for n in clouds}
+
+    def draw(axis: "Axes") -> None:
+        plot_speed_density(axis, clouds, styles)
+        density, speed = highest(measured.clouds.values())  # all panels have the same scales
+        axis.set(xlim=(0, density), ylim=(0, speed))
+
+    each = ", ".join(
+        f"{n} {c.mean_speed_mps():.2f} m/s (at most {c.per_m2.max():.2f} people per m²)"
+        for n, c in clouds.items()
+    )
+    return _drawn(
+        draw,
+        group.label,
+        f"Speed over density in the middle of the scene, and Weidmann’s curve. Means: {each}.",
+        inches=(4.6, 2.7),
+        kind="small png",
+    )
+
+
+def _passed(measured: Measured) -> _Figure:
+    each = ", ".join(
+        f"{n} {len(flow.crossed_s)} people ({flow.per_metre_s:.3f} per metre and second)"
+        for n, flow in measured.flows.items()
+    )
+    return _drawn(
+        lambda axis: plot_n_t(axis, measured.flows, measured.styles),
+        "People who have crossed the line, N(t)",
+        f"Number of people who have crossed a line in the middle of the scene: {each}.",
+        inches=(4.6, 2.7),
         kind="small png",
     )

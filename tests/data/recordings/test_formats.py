@@ -2,10 +2,12 @@
 
 import json
 import sqlite3
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import need
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import crowds
@@ -226,9 +228,10 @@ def test_converting_goes_round(tmp_path: Path, capsys: pytest.CaptureFixture[str
     np.testing.assert_array_equal(crowd.xy, other.xy)
 
 
-@pytest.mark.slow
 def test_pedpy_loads_what_is_written(tmp_path: Path) -> None:
-    pedpy = pytest.importorskip("pedpy")  # pip install pedpy, and run with -m slow
+    need(find_spec("pedpy"), "the extra pedpy")
+    import pedpy
+
     path = tmp_path / "crowd.txt"
     write_jupedsim(trajnet(scene(2.25), *tracks()), path)
     loaded = pedpy.load_trajectory(trajectory_file=path)
