@@ -43,7 +43,7 @@ with needs("torchrl", __name__):
 
     from crowdbench.envs.torchrl_env import CrowdEnv
     from crowdbench.simulation import observations, social
-    from crowdbench.simulation.observations import OBSERVATION, version_of
+    from crowdbench.simulation.observations import EXTENDED, OBSERVATION, version_of
     from crowdbench.spawn.recorded_plans import VISIT_M
 
     from .command import (
@@ -57,7 +57,7 @@ with needs("torchrl", __name__):
 
 NOISE = 2
 """Number of normal numbers per action."""
-OBSERVATIONS = ("lidar-2", "lidar-3", "social-1")
+OBSERVATIONS = ("lidar-2", "lidar-3", "social-1", *EXTENDED)
 """Observations that a policy can be trained on: those with the preferred speed."""
 VELOCITY = slice(0, 2)
 """Velocity / max_speed, in all of them."""
@@ -369,7 +369,8 @@ def command_line() -> argparse.ArgumentParser:
         choices=OBSERVATIONS,
         default=OBSERVATION,
         help="observation of the policy; social-1 shows stops and companions, which the spawn "
-        "models cox-plans and ntpp-plans send (default: %(default)s)",
+        "models cox-plans and ntpp-plans send, and those with `contact` what bodies kept a person "
+        "from walking, which a scene with body_radius_m needs (default: %(default)s)",
     )
     add_settings(parser, PpoSettings(), SETTABLE)
     return parser

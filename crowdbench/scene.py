@@ -25,6 +25,8 @@ SCHEMA = 1
 TIMEOUT_DWELLS = 2.0
 ID = re.compile(r"[a-z][a-z0-9_]*-v[0-9]+")
 """Valid ids of scenes."""
+LARGEST_BODY_M = 0.19
+"""Largest radius of a body: paths pass the corners of walls at 0.2 m."""
 _MARGIN_M = 0.01  # moved points keep this distance from walls and bounds
 _HINT = "Compare with scenes/plaza-v0/scene.toml."
 
@@ -59,7 +61,7 @@ class Wall(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     corners_m: tuple[tuple[float, float], ...]
 
 
-class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Limits of motion, and sizes of persons and goals."""
 
     max_speed_mps: float
@@ -67,6 +69,9 @@ class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Radius of a person's disc in rays and overlaps."""
     goal_radius_m: float
     """A person arrives when the segment walked in a step comes this close to the goal."""
+    body_radius_m: float = 0.0
+    """Radius of bodies that pass neither through each other nor through walls, 0 for none; see
+    `crowdbench.simulation.contact`."""
 
 
 class Spawning(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -314,6 +319,9 @@ def _check(file: Any, path: Path) -> None:
             holds, expected = math.isfinite(value), "a finite number"
         elif name.startswith("spawning."):
             holds, expected = 0 <= value < math.inf, "zero or more"
+        elif name == "motion.body_radius_m":
+            holds = 0 <= value <= LARGEST_BODY_M
+            expected = f"0 (no bodies) to {LARGEST_BODY_M}"
         elif name == "gate.arrivals":
             holds, expected = 0 <= value <= 1, "a share from 0 to 1"
         elif name.endswith(".widest_m"):

@@ -16,7 +16,7 @@ M2_PER_BOX = 300.0
 MARGIN_M = 1.5  # so that nobody leaves the scene during a measurement
 
 
-def open_square(persons: int) -> Scene:
+def open_square(persons: int, body_radius_m: float = 0.0) -> Scene:
     """A square scene with 0.07 persons/m² and a box of 2 m per 300 m², in which no trip ends."""
     eth = load_scene("eth-v0")
     side_m = (persons / PERSONS_PER_M2) ** 0.5
@@ -30,6 +30,7 @@ def open_square(persons: int) -> Scene:
         eth,
         bounds=Bounds(0.0, side_m, 0.0, side_m),
         walls=walls,
+        motion=msgspec.structs.replace(eth.motion, body_radius_m=body_radius_m),
         recording=msgspec.structs.replace(eth.recording, dwell_p99_s=1e6),
     )
 

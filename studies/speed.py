@@ -71,6 +71,8 @@ def measure() -> Iterator[Figure]:
     for worlds, persons in ((1, 100), (64, 50)):
         name = f"core with social-1, {worlds} × {persons}"
         yield Figure(name, _core(worlds, persons, "social-1"), "agent-steps/s")
+    name = "core with observations and bodies, 64 × 50"
+    yield Figure(name, _core(64, 50, body_radius_m=0.15), "agent-steps/s")
     for persons in (20, 100, 300):
         yield Figure(
             f"PettingZoo environment, {persons} agents", _pettingzoo(persons), "agent-steps/s"
@@ -142,8 +144,10 @@ def _viewing(scene: Scene, crowd: Trajectories) -> Iterator[Figure]:
         yield Figure("size of that viewer file", path.stat().st_size / 1e6, "MB")
 
 
-def _core(worlds: int, persons: int, observation: str = OBSERVATION) -> float:
-    scene = open_square(persons)
+def _core(
+    worlds: int, persons: int, observation: str = OBSERVATION, body_radius_m: float = 0.0
+) -> float:
+    scene = open_square(persons, body_radius_m)
     settings = Settings(max_alive=persons, observation=observation)
     simulation = Simulation(scene, worlds=worlds, settings=settings)
     events = [crowd_at_once(scene, persons, world) for world in range(worlds)]

@@ -3,9 +3,10 @@
     python -m studies without-reward-parts eth-v0
 
 trains `crowdbench.baselines.ppo` with the observation `social-1`, with the default reward and with
-each part dropped, under arrivals with stops and companions. Each trained policy then walks in new
-worlds. A row has the mean of each part there, with the default weights, in 1/1000 per step of a
-person, its speed divided by its preferred speed, and the share of trips that end at the goal.
+each part dropped, under arrivals with stops and companions. `contact` is a part only in a scene
+with bodies. Each trained policy then walks in new worlds. A row has the mean of each part there,
+with the default weights, in 1/1000 per step of a person, its speed divided by its preferred speed,
+and the share of trips that end at the goal.
 """
 
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ from dataclasses import replace
 
 import torch
 
-from crowdbench import Reward, spawn_model
+from crowdbench import Reward, load_scene, spawn_model
 from crowdbench.baselines import ppo
 from crowdbench.baselines.command import use_one_thread
 from crowdbench.envs.torchrl_env import CrowdEnv
@@ -23,8 +24,8 @@ from crowdbench.simulation.reward import PARTS
 WORLDS, SEED = 16, 1_000
 
 
-def row(network: ppo.Around, scene: str, settings: ppo.PpoSettings) -> str:
-    """Means over all steps in new worlds, as a row of a table."""
+def row(network: ppo.Around, scene: str, settings: ppo.PpoSettings, count: int) -> str:
+    """Means over all steps in new worlds of the first `count` parts, as a row of a table."""
     env = CrowdEnv(
         scene,
         spawn=spawn_model(settings.spawn, scene),
@@ -50,17 +51,19 @@ def row(network: ppo.Around, scene: str, settings: ppo.PpoSettings) -> str:
             goals.append(after["terminated"][..., 0][mask & after["done"][..., 0]])
     mean = 1000 * torch.cat(parts).mean(dim=0)
     arrived = torch.cat(goals).float().mean()
-    numbers = " | ".join(f"{x:.1f}" for x in mean.tolist())
+    numbers = " | ".join(f"{x:.1f}" for x in mean[:count].tolist())
     return f"{numbers} | {torch.cat(ratio).mean():.2f} | {arrived:.1%}"
 
 
 def rows(scene: str, *, spawn: str, frames: int) -> Iterator[str]:
     """The lines of the table, each after its training of `frames` frames."""
     use_one_thread()
+    bodies = load_scene(scene).motion.body_radius_m > 0
+    parts = [name for name in PARTS if bodies or name != "contact"]
     settings = ppo.PpoSettings(observation="social-1", spawn=spawn, frames=frames)
-    yield f"| dropped | {' | '.join(PARTS)} | speed / preferred | at goal |"
-    yield "|---" * (len(PARTS) + 3) + "|"
-    for name in ("", *PARTS):
+    yield f"| dropped | {' | '.join(parts)} | speed / preferred | at goal |"
+    yield "|---" * (len(parts) + 3) + "|"
+    for name in ("", *parts):
         reward = replace(Reward(), **{name: 0.0}) if name else Reward()
         *_, last = ppo.train(scene, settings, reward)
-        yield f"| {name or 'nothing'} | {row(last.network, scene, settings)} |"
+        yield f"| {name or 'nothing'} | {row(last.network, scene, settings, len(parts))} |"

@@ -32,6 +32,14 @@ def square(
     )
 
 
+BODY_M = 0.15
+
+
+def with_bodies(scene: Scene, radius_m: float = BODY_M) -> Scene:
+    """The same scene, in which people have bodies."""
+    return replace(scene, motion=structs.replace(scene.motion, body_radius_m=radius_m))
+
+
 def box(x0: float, y0: float, x1: float, y1: float) -> tuple[Point, ...]:
     """Corners of a rectangle."""
     return ((x0, y0), (x1, y0), (x1, y1), (x0, y1))

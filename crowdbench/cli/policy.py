@@ -26,7 +26,7 @@ class _Card:
     split: str = "full"
     """split of the recording it was trained on: full, fold0, fold1 or fold2"""
     observation: str | None = None
-    """observation of the policy: lidar-1, lidar-2, lidar-3 or social-1 (default: lidar-2)"""
+    """observation of the policy, for example lidar-2 or social-1-contact (default: lidar-2)"""
     rays: int = 32
     """number of rays"""
     ray_range_m: float = 10.0

@@ -57,7 +57,8 @@ class EnvConfig:
     observation: str = OBSERVATION
     """`lidar-1`; `lidar-2` (default), which contains the preferred speed and the path around walls;
     `lidar-3`, which also contains the distances to the bounds; `social-1`, the nearest people in
-    the person's own frame, without rays; or a registered observation."""
+    the person's own frame, without rays; `lidar-2-contact` and `social-1-contact`, which also
+    contain what bodies and walls kept the person from walking; or a registered observation."""
     rays: int = 32
     """Number of rays of an observation."""
     ray_range_m: float = 10.0

@@ -258,7 +258,8 @@ class _Watched:
         person, alive = slots.event[0, there], slots.alive[0, there]
         age = frame - slots.born[0, there]
         position, beside = slots.position[0, there], np.zeros((len(there), 2))
-        before = [state[0, there] for state in (slots.position, slots.velocity, slots.heading)]
+        states = (slots.position, slots.velocity, slots.commanded, slots.heading)
+        before = [state[0, there] for state in states]
         if self.aside is not None:
             position, beside = self._displace(self.aside, frame, there)
         simulation.observe()
@@ -267,7 +268,8 @@ class _Watched:
             actions = in_own_frame(actions, slots.heading[0, there])
         actions = actions.clip(-1, 1)
         actions[~alive] = np.nan
-        slots.position[0, there], slots.velocity[0, there], slots.heading[0, there] = before
+        for state, was in zip(states, before, strict=True):
+            state[0, there] = was
         due = ~alive | (age % recorded.interval == 0)
         rows = Rows(
             person=person,
@@ -296,7 +298,9 @@ class _Watched:
         moved = now.any(axis=1) | after.any(axis=1)
         moved &= place.walkable(here) & place.walkable(recorded.recording.xy[following] + beside)
         slots.position[0, there[moved]] = here[moved]
-        slots.velocity[0, there[moved]] += aside.drift[row[moved]].astype(np.float32)
+        drift = aside.drift[row[moved]].astype(np.float32)
+        slots.velocity[0, there[moved]] += drift
+        slots.commanded[0, there[moved]] += drift
         velocity, heading = slots.velocity[0, there], slots.heading[0, there]
         speed = np.linalg.norm(velocity, axis=1, keepdims=True)
         turned = moved[:, None] & (speed >= STANDING_MPS)  # those who stand keep their headings

@@ -20,6 +20,7 @@ from crowdbench.envs.global_state import global_state
 from crowdbench.errors import ActionError, SettingError
 from crowdbench.run.episode import Recorder
 from crowdbench.scene import Scene
+from crowdbench.simulation.reward import total
 from crowdbench.simulation.state import TERMINAL
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     the number of `frames_skipped` and, in the last step of a trip, the `outcome`. `agents` is
     therefore empty only when the episode is over.
 
-    - Observation: `lidar-1` to `lidar-3` or `social-1`, see `crowdbench.simulation.observations`.
+    - Observation: `lidar-2` or another one of `crowdbench.simulation.observations`.
     - Action: velocity in units of the scene's maximum speed, Box(−1, 1, (2,)), in the frame of the
       observation: the world frame, or with `social-1` the own frame. Values out of range are
       clipped. NaN, infinity, or missing or unknown agents raise an `ActionError`.
@@ -176,7 +177,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
         frame = int(simulation.clock.frame[0])
         observations = dict(zip(acting, simulation.observe()[0].take(acted, axis=0), strict=True))
         parts = self._crowd.reward_parts()[0].take(acted, axis=0)
-        rewards = dict(zip(acting, parts.sum(axis=1).tolist(), strict=True))
+        rewards = dict(zip(acting, total(parts).tolist(), strict=True))
         terminations = dict.fromkeys(acting, False)
         truncations = dict.fromkeys(acting, False)
         infos: dict[str, dict[str, Any]] = {

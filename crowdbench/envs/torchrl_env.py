@@ -19,6 +19,7 @@ from crowdbench.envs.global_state import global_state
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
+from crowdbench.simulation.reward import total
 from crowdbench.simulation.state import TERMINAL
 
 
@@ -185,7 +186,7 @@ class CrowdEnv(EnvBase):
         simulation.observe()
         parts = self._crowd.reward_parts()
         tensors = self._tensors(parts, ~acted)
-        tensors["agents", "reward"] = torch.from_numpy(parts.sum(axis=2, keepdims=True))
+        tensors["agents", "reward"] = torch.from_numpy(total(parts)[..., None])
         return tensors
 
     def _tensors(self, parts: np.ndarray, nobody: np.ndarray) -> TensorDict:

@@ -25,6 +25,7 @@ from crowdbench.registry import spawn_model
 from crowdbench.run.acting import Actor, needs
 from crowdbench.run.episode import generator
 from crowdbench.scene import Scene, load_scene
+from crowdbench.simulation.reward import total
 from crowdbench.simulation.simulation import check_count
 from crowdbench.simulation.state import TERMINAL
 from crowdbench.spawn import SpawnModel
@@ -188,7 +189,7 @@ class CrowdVecEnv(VecEnv):
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         rewards = np.zeros(self.num_envs, np.float32)
         parts = self._crowd.reward_parts()[at]
-        rewards[acting] = parts.sum(axis=1)
+        rewards[acting] = total(parts)
         self._collected += rewards
         self._steps += acting
         ended = np.zeros(self.num_envs, np.int8)

@@ -15,7 +15,7 @@ from crowdbench.errors import SettingError, WeightsError
 from crowdbench.files import replacing
 from crowdbench.policies.card import PolicyCard
 from crowdbench.policies.network import KEY, MOST_NOISE, OnnxPolicy, check_onnx, random_inputs
-from crowdbench.simulation.observations import OBSERVATIONS, size_of
+from crowdbench.simulation.observations import BUILT_IN, size_of
 
 if TYPE_CHECKING:
     import torch
@@ -92,7 +92,7 @@ def _answer(
             found = network(*inputs)
     except Exception as error:  # a user's network may raise any exception
         takes = _takes(network, inputs)
-        version = {size_of(name, card.rays): name for name in OBSERVATIONS}.get(takes or -1)
+        version = {size_of(name, card.rays): name for name in BUILT_IN}.get(takes or -1)
         others = "".join(f", and {n} of shape {tuple(x.shape)}" for n, x in [*fed.items()][1:])
         raise WeightsError(
             path,

@@ -15,6 +15,13 @@ person's own frame; its parts and its kernel are in `crowdbench.simulation.socia
 - then: distance along ray k / ray_range; 1 if nothing is in range. Ray k = 0 … R − 1 has the angle
   2πk/R in the world frame.
 
+`lidar-2-contact` and `social-1-contact` begin with the base that their names say and end with two
+more values, at `CONTACT`:
+
+- (commanded velocity − walked velocity) / max_speed in the last step, clipped, in the frame of the
+  base: what bodies and walls kept the person from walking. The base shows the walked velocity only,
+  so that without these values somebody who stands looks the same as somebody who is stopped.
+
 The *goal* is the person's target: its via point until its wait there is over, then its goal (see
 `Simulation`). Rays end at walls and at the discs of other people. A person inside another person's
 disc sees distance 0 in the half-plane towards the centre of that disc. Actions are in the frame of
@@ -67,14 +74,19 @@ GOAL_RANGE_M = social.ROUTE_RANGE_M
 """Goal distances are clipped at this value."""
 GOAL_DISTANCE, GOAL_DIRECTION, PREFERRED_SPEED = slice(2, 3), slice(3, 5), slice(5, 6)
 """Slices of an observation with rays. `lidar-1` has no preferred speed."""
+CONTACT = slice(-2, None)
+"""Slice of the last values of `lidar-2-contact` and `social-1-contact`."""
 
 
 class Observation(ABC):
-    """Base class of registered observations: a built-in one followed by additional numbers."""
+    """Base class of observations that begin with one of `OBSERVATIONS` and add numbers to it.
+
+    Those with `contact` in their names are built in, others can be registered.
+    """
 
     name: ClassVar[str]
     base: ClassVar[str] = OBSERVATION
-    """Name of the built-in observation, one of `OBSERVATIONS`."""
+    """Name of the observation that it begins with, one of `OBSERVATIONS`."""
     extra: ClassVar[int]
     """Number of additional values."""
 
@@ -87,19 +99,49 @@ class Observation(ABC):
         """
 
 
+class _Contact(Observation):
+    extra = 2
+
+    def observe(self, simulation: CrowdState, out: Float32[np.ndarray, "W N 2"]) -> None:
+        slots, most = simulation.slots, simulation.scene.motion.max_speed_mps
+        kept = (slots.commanded - slots.velocity) / most
+        own_frame = OBSERVATIONS[self.base].own_frame
+        out[:] = social.in_own_frame(kept, slots.heading) if own_frame else kept.clip(-1, 1)
+
+
+class LidarContact(_Contact):
+    """`lidar-2`, and the velocity that bodies and walls took away, in the world frame."""
+
+    name, base = "lidar-2-contact", "lidar-2"
+
+
+class SocialContact(_Contact):
+    """`social-1`, and the velocity that bodies and walls took away, in the own frame."""
+
+    name, base = "social-1-contact", "social-1"
+
+
+EXTENDED: dict[str, Observation] = {kind.name: kind() for kind in (LidarContact, SocialContact)}
+"""Built-in observations that add numbers to one of `OBSERVATIONS`."""
+BUILT_IN = (*OBSERVATIONS, *EXTENDED)
+"""Names of all built-in observations."""
+
+
 def known_observations() -> tuple[str, ...]:
     """Names of the built-in and the registered observations."""
-    return (*OBSERVATIONS, *names("observations", OBSERVATIONS))
+    return (*BUILT_IN, *names("observations", BUILT_IN))
 
 
 def observation_of(name: str) -> Observation | None:
-    """Registered observation with the given name; None for a built-in one.
+    """What adds numbers to one of `OBSERVATIONS` under this name; None for one of those itself.
 
     Raises:
         SettingError: the name is unknown, or its object is not a valid `Observation`.
     """
     if name in OBSERVATIONS:
         return None
+    if name in EXTENDED:
+        return EXTENDED[name]
     found = instance_of(part("observations", name))
     if not isinstance(found, Observation) or found.base not in OBSERVATIONS or found.extra < 1:
         raise SettingError(
@@ -109,13 +151,13 @@ def observation_of(name: str) -> Observation | None:
             hint=did_you_mean(name, known_observations())
             if found is None
             else "Derive it from crowdbench.simulation.observations.Observation and set base to "
-            "a built-in observation and extra to 1 or more.",
+            f"one of {', '.join(OBSERVATIONS)} and extra to 1 or more.",
         )
     return found
 
 
 def version_of(name: str) -> Version:
-    """The built-in version of this name, or the one that the registered observation starts with."""
+    """The version of this name, or the one that the observation of this name begins with."""
     found = observation_of(name)
     return OBSERVATIONS[name if found is None else found.base]
 

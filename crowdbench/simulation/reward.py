@@ -1,4 +1,4 @@
-"""Rewards: functions of the state of a crowd. The usual one is a weighted sum of seven parts.
+"""Rewards: functions of the state of a crowd. The usual one is a weighted sum of eight parts.
 
 Its unit is one metre of progress to the target. Walking at the preferred speed is optimal for every
 discount factor; see `Reward`.
@@ -17,6 +17,7 @@ from numba import njit, prange
 from crowdbench.compilation import Kernel
 from crowdbench.errors import OwnCodeError, SettingError
 from crowdbench.plugins import blaming
+from crowdbench.simulation.contact import AHEAD, HEADWAY_S
 from crowdbench.simulation.state import GOAL, TO_GOAL, TO_VIA, WAITING, CrowdState
 from crowdbench.spawn.recorded_plans import PASSED_M, VISIT_M
 
@@ -40,8 +41,15 @@ class Reward:
     Here progress towards the target (the via point, then the goal) is rewarded only up to a
     schedule of v* metres per second since the person entered, where v* is the preferred speed. The
     schedule pauses while the person waits at its via point. An agent that runs gets no more per
-    step but has fewer steps. A slower agent gets the same reward later. Unless people overlap or
-    touch walls, the costs per second are below v*, so that ending a trip early never pays.
+    step but has fewer steps. A slower agent gets the same reward later. Unless people overlap, or
+    touch walls or bodies, the costs per second are below v*, so that ending a trip early never
+    pays.
+
+    Nobody can walk at v* in a queue of people with bodies. There the cost of a slow pace is
+    measured from the speed that those ahead admit. (If the commanded speed counted instead,
+    standing would cost, pushing would not, and everyone would learn to push.) So those who stand in
+    a queue pay for neither, and those who push pay for `contact`. Being late has no cost of its
+    own: progress is paid when it is made.
     """
 
     progress: float = 1.0
@@ -58,7 +66,8 @@ class Reward:
     pace: float = -0.8
     """Per second, times v*·x²/(1 + x²), where x is the deviation of the speed from v* in units of
     `PACE_MPS`. It is 0 at the preferred speed and bounded at other speeds. Not while the person
-    waits."""
+    waits. A slower person with bodies ahead, see `speed_ahead`, pays only for being slower than
+    they admit."""
     stop: float = -0.8
     """Per second of waiting at a via point, times v*·(1 − 1/((1 + x²)(1 + y²))), where x is the
     speed in units of `PACE_MPS` and y the distance to the via point beyond 1 m, in metres. It is 0
@@ -66,6 +75,10 @@ class Reward:
     companions: float = -0.15
     """Per second, times v*·z²/(1 + z²), where z is the distance to the nearest companion who is
     present, beyond `TOGETHER_M` and in units of `APART_M`."""
+    contact: float = -0.25
+    """Per second, times the share of the commanded way that other people's bodies, not walls, kept
+    the person from walking (`Slots.held`), and times the commanded speed / v*, at most 1: to push
+    gently costs less. 0 where people have no bodies."""
 
     def __post_init__(self) -> None:
         for name in PARTS:
@@ -106,7 +119,7 @@ class Rewarder:
         self._behind = self._apart = np.zeros((0, 0), np.float32)
         self._pay = pay.fresh()
 
-    def __call__(self, state: CrowdState) -> Float32[np.ndarray, "W N 7"]:
+    def __call__(self, state: CrowdState) -> Float32[np.ndarray, "W N 8"]:
         """The parts of everyone who acted in the last step, zeros in other slots.
 
         `Simulation.observe` must have been called before the step and after it.
@@ -126,12 +139,14 @@ class Rewarder:
             slots.alive.size if shape[0] > 1 else 1,
             slots,
             state.queue,
+            state.towards,
             state.remaining,
             state.remaining_before,
             state.nearest,
             state.scene.dt_s,
             motion.goal_radius_m,
             2 * motion.person_radius_m,
+            motion.body_radius_m,
             self._weights,
             self._person,
             self._behind,
@@ -139,6 +154,15 @@ class Rewarder:
             parts,
         )
         return parts
+
+
+def total(parts: Float32[np.ndarray, "*n parts"]) -> Float32[np.ndarray, "*n"]:
+    """Sum of the parts of each person, added in their order.
+
+    `sum` adds eight numbers in another order than seven: a zero at the end would change the result.
+    """
+    added: np.ndarray = np.cumsum(parts, axis=-1)[..., -1]
+    return added
 
 
 def _checked(function: RewardFn, state: CrowdState) -> Float32[np.ndarray, "W N _"]:
@@ -162,16 +186,17 @@ def _checked(function: RewardFn, state: CrowdState) -> Float32[np.ndarray, "W N 
 
 @Kernel
 def pay(
-    slots, queue, remaining, remaining_before, nearest, dt, goal_radius, diameter, weights, person,
-    behind, apart, out,
+    slots, queue, towards, remaining, remaining_before, nearest, dt, goal_radius, diameter,
+    body_radius, weights, person, behind, apart, out,
 ):  # fmt: skip
-    """Write the weighted parts of everyone who acted in the last step to `out` (W, N, 7).
+    """Write the weighted parts of everyone who acted in the last step to `out` (W, N, 8).
 
     `person` and `behind` (W, N) are kept from step to step: whose schedule it is, and by how many
     metres the person is behind it. `apart` (W, N) is working memory.
     """
     alive, ended, spawned, hit_wall = slots.alive, slots.ended, slots.spawned, slots.hit_wall
     position, velocity, speed = slots.position, slots.velocity, slots.speed
+    commanded, held = slots.commanded, slots.held
     stage_before, stage, event, via = slots.stage_before, slots.stage, slots.event, queue.via
     for w in prange(alive.shape[0]):
         measure_companions(w, alive, ended, position, event, queue.group, apart)
@@ -186,17 +211,23 @@ def pay(
                     dy = np.float64(via[w, event[w, i], 1]) - np.float64(position[w, i, 1])
                     to_via = math.sqrt(dx * dx + dy * dy)
                 vx, vy = np.float64(velocity[w, i, 0]), np.float64(velocity[w, i, 1])
+                pace_mps, preferred = math.sqrt(vx * vx + vy * vy), np.float64(speed[w, i])
+                due_mps = preferred
+                if body_radius > 0.0 and pace_mps < preferred:
+                    ahead = speed_ahead(w, i, alive, ended, position, towards, body_radius)
+                    due_mps = max(pace_mps, min(preferred, ahead))
                 before = np.float64(behind[w, i])
                 progress, arrival, pace, stop, late = trip_parts(
                     stage_before[w, i], stage[w, i], ended[w, i] == GOAL,
                     np.float64(remaining_before[w, i]), np.float64(remaining[w, i]), to_via, before,
-                    np.float64(speed[w, i]), math.sqrt(vx * vx + vy * vy), dt,
-                    goal_radius,
+                    preferred, due_mps, pace_mps, dt, goal_radius,
                 )  # fmt: skip
                 behind[w, i] = late
-                usual = np.float64(speed[w, i]) * dt
+                usual = preferred * dt
                 depth = max(0.0, 1.0 - np.float64(nearest[w, i]) / diameter)
                 wall = dt if hit_wall[w, i] else 0.0
+                cx, cy = np.float64(commanded[w, i, 0]), np.float64(commanded[w, i, 1])
+                pushed = min(math.sqrt(cx * cx + cy * cy), preferred) * np.float64(held[w, i])
                 beyond = max(0.0, np.float64(apart[w, i]) - TOGETHER_M) / APART_M
                 me = out[w, i]
                 me[0] = weights[0] * progress
@@ -206,22 +237,24 @@ def pay(
                 me[4] = weights[4] * pace
                 me[5] = weights[5] * stop
                 me[6] = weights[6] * usual * bounded(beyond)
+                me[7] = weights[7] * dt * pushed / preferred if preferred > 0.0 else 0.0
                 for k in range(me.shape[0]):
                     me[k] += np.float32(0.0)  # no −0.0
 
 
 @njit(error_model="numpy")
 def trip_parts(
-    stage_before, stage, arrived, remaining_before, remaining, to_via, behind, preferred, speed, dt,
-    goal_radius,
+    stage_before, stage, arrived, remaining_before, remaining, to_via, behind, preferred, due_mps,
+    speed, dt, goal_radius,
 ):  # fmt: skip
     """The parts of one person that depend on its own trip, without weights.
 
     `remaining_before` and `remaining` are the lengths of its path to the target before and after
     the step, `to_via` the straight distance to its via point after it (read only if the target was
     not the goal before the step) and `behind` by how much it was behind its schedule, in metres;
-    `preferred` and `speed` are in m/s. Returns progress, arrival, pace and stop, see `Reward`, and
-    by how much it is behind now.
+    `preferred`, `due_mps` and `speed` are in m/s: the preferred speed, the one from which the pace
+    is measured, and the present one. Returns progress, arrival, pace and stop, see `Reward`, and by
+    how much it is behind now.
     """
     usual = preferred * dt
     waiting = stage_before == WAITING
@@ -243,7 +276,28 @@ def trip_parts(
     if waiting:
         x, y = speed / PACE_MPS, max(0.0, to_via - VISIT_M) / VISIT_M
         return progress, arrival, 0.0, usual * (1.0 - 1.0 / ((1.0 + x * x) * (1.0 + y * y))), late
-    return progress, arrival, usual * bounded((speed - preferred) / PACE_MPS), 0.0, late
+    return progress, arrival, usual * bounded((speed - due_mps) / PACE_MPS), 0.0, late
+
+
+@njit(error_model="numpy")
+def speed_ahead(w, i, alive, ended, position, towards, radius):
+    """The speed in m/s towards the next point of its path that bodies ahead of a person admit.
+
+    It is gap / `HEADWAY_S` with the smallest gap to somebody who is ahead, that is, whose direction
+    has a cosine of more than `AHEAD` with that of the path; infinite if nobody is. Those whose
+    trips have just ended count.
+    """
+    x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
+    to_x, to_y = np.float64(towards[w, i, 0]) - x, np.float64(towards[w, i, 1]) - y
+    length = math.sqrt(to_x * to_x + to_y * to_y)
+    least = np.inf
+    for j in range(alive.shape[1]):
+        if j != i and (alive[w, j] or ended[w, j] != 0):
+            dx, dy = np.float64(position[w, j, 0]) - x, np.float64(position[w, j, 1]) - y
+            distance = math.sqrt(dx * dx + dy * dy)
+            if dx * to_x + dy * to_y > AHEAD * distance * length:
+                least = min(least, distance)
+    return max(0.0, least - 2.0 * radius) / HEADWAY_S
 
 
 @njit(error_model="numpy")

@@ -12,6 +12,7 @@ from crowdbench.errors import ActionError, SettingError
 from crowdbench.scene import Scene
 from crowdbench.simulation import observations
 from crowdbench.simulation.cells import Cells
+from crowdbench.simulation.contact import Bodies
 from crowdbench.simulation.free_space import free_space
 from crowdbench.simulation.routes import Routes
 from crowdbench.simulation.social import RANGE_M, observe_social
@@ -64,8 +65,8 @@ class Settings:
     ray_range_m: float | None = None
     """Range of the rays in metres, by default 10."""
     observation: str | None = None
-    """Version of the observation, `lidar-1` to `lidar-3`, `social-1` or a registered one; by
-    default `lidar-2`."""
+    """Version of the observation, `lidar-1` to `lidar-3`, `social-1`, `lidar-2-contact`,
+    `social-1-contact` or a registered one; by default `lidar-2`."""
 
     def __post_init__(self) -> None:
         shown = self.shown
@@ -123,6 +124,7 @@ class Simulation:
         self._version = shown.version
         rays = self._version.rays
         step_m = motion.max_speed_mps * scene.dt_s
+        radius_m = motion.body_radius_m
         lower = np.array([bounds.x_min_m, bounds.y_min_m]) - step_m
         upper = np.array([bounds.x_max_m, bounds.y_max_m]) + step_m
         self._walls = wall_table(
@@ -131,7 +133,7 @@ class Simulation:
             upper=tuple(upper),
             rays=shown.rays if rays else 0,
             ray_range_m=shown.ray_range_m,
-            step_m=step_m,
+            step_m=step_m + radius_m,
         )
         self._free = None if rays else free_space(scene.walls, bounds)
         range_m = shown.ray_range_m if rays else RANGE_M
@@ -164,6 +166,7 @@ class Simulation:
         self.remaining: Float32[np.ndarray, "W N"] = np.zeros(shape, np.float32)
         self.remaining_before: Float32[np.ndarray, "W N"] = np.zeros(shape, np.float32)
         self._routes = Routes.on(scene) if self._version.around_walls else None
+        self.towards: Float32[np.ndarray, "W N 2"] = np.zeros((*shape, 2), np.float32)
         self._target = np.zeros((*shape, 2), np.float32)
         self._beyond = np.zeros(shape)
         self.slots = Slots.empty(worlds, s.max_alive)
@@ -171,6 +174,7 @@ class Simulation:
         self.events: list[SpawnEvents] = [no_events()] * worlds
         self.episode: Int[np.ndarray, " W"] = np.zeros(worlds, np.int64)
         self.queue = Queue.of(self.events, scene.dt_s)
+        self._bodies = Bodies.of(worlds, s.max_alive, radius_m, scene.dt_s)
         self._advance = advance.fresh()
         self._observe = (observations.observe if rays else observe_social).fresh()
 
@@ -245,18 +249,20 @@ class Simulation:
     def _go(
         self, persons: int, actions: Float32[np.ndarray, "W N 2"], own: Bool[np.ndarray, "W N"]
     ) -> None:
-        bundles = (self.slots, self.queue, self.clock, self.constants, self._walls)
+        bundles = (self.slots, self.queue, self.clock, self.constants, self._walls, self._bodies)
         self._advance(persons, actions, own, *bundles)
 
     def observe(self) -> Float32[np.ndarray, "W N obs"]:
         """Update and return `observation` for everyone present or just ended.
 
-        Also updates `nearest`, the distance to the nearest visible person, and `remaining`, the
-        length of the path to the target that the observation uses: straight in `lidar-1`, around
-        walls in the other versions. `remaining_before` is the value of `remaining` before the last
-        step, if `observe` was called then. All lengths are in metres.
+        Also updates `nearest`, the distance to the nearest visible person, `towards`, the next
+        point on the path to the target, and `remaining`, the length of that path, which is the one
+        that the observation uses: straight in `lidar-1`, around walls in the other versions.
+        `remaining_before` is the value of `remaining` before the last step, if `observe` was called
+        then. All lengths are in metres.
         """
-        slots, target, beyond = self.slots, self._towards(), self._beyond
+        self.towards = target = self._towards()
+        slots, beyond = self.slots, self._beyond
         what: tuple[object, ...]
         if self._version.rays:
             radius_m, range_m = self.scene.motion.person_radius_m, self._shown.ray_range_m

@@ -31,6 +31,14 @@ class Slots(NamedTuple):
     """Position in metres."""
     velocity: np.ndarray
     """Displacement in this step divided by dt, in m/s."""
+    commanded: np.ndarray
+    """Commanded velocity in this step in the world frame, in m/s; at entry that of the entry."""
+    blocked: np.ndarray
+    """Seconds for which bodies or walls have been blocking the person, up to 2; see `contact`."""
+    held: np.ndarray
+    """0 to 1: share of the commanded way of this step that other people's bodies took away."""
+    aside: np.ndarray
+    """Seconds for which the person still keeps to the right after it met somebody."""
     heading: np.ndarray
     """Remembered heading: unit vector of the last velocity at which the person did not stand. At
     entry that of the entry velocity or, if that is too slow, of the way to the target."""
@@ -74,11 +82,13 @@ class Slots(NamedTuple):
     @classmethod
     def empty(cls, worlds: int, size: int) -> "Slots":
         """Slots of `worlds` worlds with `size` slots each, all empty."""
-        pairs = ("position", "velocity", "heading", "goal", "target")
+        pairs = ("position", "velocity", "commanded", "heading", "goal", "target")
         kinds: dict[str, type] = dict.fromkeys(cls._fields, np.int32)
         kinds |= dict.fromkeys(("alive", "spawned", "hit_wall", "scripted"), np.bool_)
         kinds |= dict.fromkeys(("ended", "stage", "stage_before"), np.int8)
-        kinds |= dict.fromkeys((*pairs, "walked", "closest", "speed"), np.float32)
+        kinds |= dict.fromkeys(
+            (*pairs, "blocked", "held", "aside", "walked", "closest", "speed"), np.float32
+        )
         slots = cls(
             **{
                 name: np.zeros((worlds, size, 2) if name in pairs else (worlds, size), kind)
@@ -213,6 +223,8 @@ class CrowdState(Protocol):
     """What everyone present or just ended sees after the step."""
     nearest: Float32[np.ndarray, "W N"]
     """Distance to the nearest visible person in metres, infinite if there is none."""
+    towards: Float32[np.ndarray, "W N 2"]
+    """Next point in metres on the path to the target: a corner that it leads around, or its end."""
     remaining: Float32[np.ndarray, "W N"]
     """Length of the path to the target in metres: straight in `lidar-1`, else around walls."""
     remaining_before: Float32[np.ndarray, "W N"]

@@ -8,6 +8,7 @@ from numba import njit, prange
 from crowdbench.compilation import Kernel
 from crowdbench.data.stops import STANDING_MPS
 from crowdbench.simulation import state
+from crowdbench.simulation.contact import push_through
 from crowdbench.simulation.rules import AHEAD_M, command, distance_to_segment, from_own_frame, walk
 from crowdbench.simulation.walls import CELL_M, cell_of
 from crowdbench.spawn.recorded_plans import PASSED_M, VISIT_M
@@ -17,52 +18,49 @@ CLOSER_M = 0.5
 
 
 @Kernel
-def advance(actions, own, slots, queue, clock, constants, walls):
+def advance(actions, own, slots, queue, clock, constants, walls, bodies):
     """Advance every world by one step, as described in `Simulation`.
 
     `actions` is (W, N, 2). It is in the own frames of the people in `own` (W, N), that is, relative
-    to their headings before the step, and in the world frame for all others.
+    to their headings before the step, and in the world frame for all others. `bodies` are those of
+    `crowdbench.simulation.contact`, or None.
     """
     # Arrays are unpacked once, because access through a bundle costs more than moving a person.
     alive, ended, spawned, hit_wall = slots.alive, slots.ended, slots.spawned, slots.hit_wall
     position, velocity, goal = slots.position, slots.velocity, slots.goal
     heading, walked, stood = slots.heading, slots.walked, slots.stood
+    commanded = slots.commanded
     stage, stage_before, event, wait = slots.stage, slots.stage_before, slots.event, queue.wait
     born, leave, scripted = slots.born, slots.leave, slots.scripted
-    segments, near, near_start = walls.segments, walls.step_segment, walls.step_start
-    clear = walls.clear
-    grid = (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows)
     dt, max_speed = constants.dt, constants.max_speed
+    radius = 0.0
+    if bodies is not None:  # without bodies, their rules are not compiled
+        radius = bodies.radius
     frames, horizons, changed = clock.frame, clock.horizon, clock.changed
     for w in prange(alive.shape[0]):
         frames[w] += 1
         changed[w] = 0
         frame, horizon = frames[w], horizons[w]
+        if bodies is not None:
+            _walk_together(w, frame, actions, own, slots, constants, walls, bodies)
         for i in range(alive.shape[1]):
             ended[w, i] = 0
             spawned[w, i] = False
-            hit_wall[w, i] = False
             if alive[w, i]:
                 stage_before[w, i] = stage[w, i]
                 # np.float64, because numba's float() does not convert float32.
                 x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
-                vx, vy = command(
-                    np.float64(actions[w, i, 0]), np.float64(actions[w, i, 1]), max_speed
-                )
-                if own[w, i]:
-                    vx, vy = from_own_frame(
-                        vx, vy, np.float64(heading[w, i, 0]), np.float64(heading[w, i, 1])
-                    )
-                cell = cell_of(x, y, grid)
-                first, stop = near_start[cell], near_start[cell + 1]
-                if math.sqrt(vx * vx + vy * vy) * dt + 2 * AHEAD_M < clear[cell]:
-                    stop = first  # no wall is within reach
-                to_x, to_y, hit = walk(x, y, vx * dt, vy * dt, segments, near, first, stop)
+                if bodies is not None:
+                    to_x, to_y = bodies.at[w, i, 0], bodies.at[w, i, 1]
+                else:
+                    vx, vy = _velocity(w, i, actions, own, heading, max_speed)
+                    commanded[w, i, 0], commanded[w, i, 1] = vx, vy
+                    to_x, to_y, hit = _walk_alone(x, y, vx * dt, vy * dt, walls)
+                    hit_wall[w, i] = hit
                 position[w, i, 0] = to_x
                 position[w, i, 1] = to_y
                 velocity[w, i, 0] = (to_x - x) / dt
                 velocity[w, i, 1] = (to_y - y) / dt
-                hit_wall[w, i] = hit
                 length = math.sqrt((to_x - x) * (to_x - x) + (to_y - y) * (to_y - y))
                 walked[w, i] = np.float64(walked[w, i]) + length
                 if length < STANDING_MPS * dt:
@@ -85,7 +83,46 @@ def advance(actions, own, slots, queue, clock, constants, walls):
                 alive[w, i] = how == 0
                 if how != 0:
                     changed[w] = 1
-        _spawn_due(w, slots, queue, clock, constants)
+        _spawn_due(w, slots, queue, clock, constants, radius)
+
+
+@njit(error_model="numpy")
+def _velocity(w, i, actions, own, heading, max_speed):
+    """Commanded velocity of a person in the world frame, in m/s."""
+    vx, vy = command(np.float64(actions[w, i, 0]), np.float64(actions[w, i, 1]), max_speed)
+    if own[w, i]:
+        return from_own_frame(vx, vy, np.float64(heading[w, i, 0]), np.float64(heading[w, i, 1]))
+    return vx, vy
+
+
+@njit(error_model="numpy")
+def _walk_alone(x, y, dx, dy, walls):
+    """Where a move ends that only walls can stop, and whether it hit one."""
+    cell = cell_of(x, y, (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows))
+    first, stop = walls.step_start[cell], walls.step_start[cell + 1]
+    if math.sqrt(dx * dx + dy * dy) + 2 * AHEAD_M < walls.clear[cell]:
+        stop = first  # no wall is within reach
+    return walk(x, y, dx, dy, walls.segments, walls.step_segment, first, stop)
+
+
+@njit(error_model="numpy")
+def _walk_together(w, frame, actions, own, slots, constants, walls, bodies):
+    """Walk the people of a world as bodies; see `crowdbench.simulation.contact`."""
+    parts = bodies.substeps
+    for i in range(slots.alive.shape[1]):
+        slots.hit_wall[w, i] = False
+        slots.held[w, i] = 0.0
+        if slots.alive[w, i]:
+            x, y = np.float64(slots.position[w, i, 0]), np.float64(slots.position[w, i, 1])
+            vx, vy = _velocity(w, i, actions, own, slots.heading, constants.max_speed)
+            slots.commanded[w, i, 0], slots.commanded[w, i, 1] = vx, vy
+            dx, dy = vx * constants.dt, vy * constants.dt
+            if slots.scripted[w, i]:
+                to_x, to_y, slots.hit_wall[w, i] = _walk_alone(x, y, dx, dy, walls)
+                dx, dy = to_x - x, to_y - y
+            bodies.at[w, i, 0], bodies.at[w, i, 1] = x, y
+            bodies.command[w, i, 0], bodies.command[w, i, 1] = dx / parts, dy / parts
+    push_through(w, frame, constants.dt, slots, bodies, walls)
 
 
 @njit(error_model="numpy")
@@ -135,7 +172,7 @@ def _visit(w, i, frame, x, y, to_x, to_y, slots, queue, constants):
 
 
 @njit(error_model="numpy")
-def _spawn_due(w, slots, queue, clock, constants):
+def _spawn_due(w, slots, queue, clock, constants, radius):
     frame = clock.frame[w]
     if frame >= clock.horizon[w]:
         return
@@ -144,7 +181,11 @@ def _spawn_due(w, slots, queue, clock, constants):
     while e < queue.due.shape[1] and queue.due[w, e] <= frame:
         if queue.status[w, e] == state.PENDING:
             patient = queue.may_wait[w, e] and frame - queue.due[w, e] < constants.patience
-            if not (patient and _blocked(w, e, slots, queue, frame, constants.clearance)):
+            blocked = patient and _blocked(w, e, slots, queue, frame, constants.clearance)
+            if radius > 0.0 and queue.may_wait[w, e] and not blocked:
+                # Nobody enters into a body, be it that of somebody who enters in the same frame.
+                blocked = _blocked(w, e, slots, queue, frame + 1, 2.0 * radius)
+            if not blocked:
                 while free < slots.alive.shape[1] and (
                     slots.alive[w, free] or slots.ended[w, free] != 0
                 ):
@@ -170,7 +211,7 @@ def _spawn_due(w, slots, queue, clock, constants):
 
 @njit(error_model="numpy")
 def _blocked(w, e, slots, queue, frame, clearance):
-    """Whether someone who entered before this frame is too close to the start of event e."""
+    """Whether someone who entered before a frame is too close to the start of event e."""
     for i in range(slots.alive.shape[1]):
         if slots.alive[w, i] and slots.born[w, i] < frame:
             dx = np.float64(slots.position[w, i, 0]) - np.float64(queue.start[w, e, 0])
@@ -190,6 +231,7 @@ def _enter(w, i, e, slots, queue, clock):
     for k in range(2):
         slots.position[w, i, k] = queue.start[w, e, k]
         slots.velocity[w, i, k] = queue.velocity[w, e, k]
+        slots.commanded[w, i, k] = queue.velocity[w, e, k]
         slots.goal[w, i, k] = queue.goal[w, e, k]
         slots.target[w, i, k] = queue.via[w, e, k]
     slots.stage[w, i] = state.TO_VIA
@@ -211,6 +253,9 @@ def _enter(w, i, e, slots, queue, clock):
     slots.heading[w, i, 1] = vy / length if length > 0.0 else 0.0
     slots.walked[w, i] = 0.0
     slots.stood[w, i] = 0
+    slots.blocked[w, i] = 0.0
+    slots.held[w, i] = 0.0
+    slots.aside[w, i] = 0.0
     slots.closest[w, i] = np.inf
     slots.nearer[w, i] = clock.frame[w]
     slots.speed[w, i] = queue.speed[w, e]

@@ -1,5 +1,6 @@
 """PPO: advantages of one life at a time, and a network that is exported as it acts."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -158,6 +159,21 @@ def test_training_improves_the_reward(observation: str) -> None:
     )
     rewards = [one.figures["reward"] for one in ppo.train("plaza-v0", settings)]
     assert np.mean(rewards[-5:]) > np.mean(rewards[:5]) + 0.03
+
+
+def test_it_trains_in_a_scene_folder_with_bodies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "plaza-v0"
+    shutil.copytree(load_scene("plaza-v0").folder, folder)
+    text = (folder / "scene.toml").read_text()
+    (folder / "scene.toml").write_text(text.replace("[motion]", "[motion]\nbody_radius_m = 0.15"))
+    asked = f"--scene {folder} --observation social-1-contact --spawn poisson-gmm --frames 400"
+    small = ["--batch-frames", "200", "--worlds", "2", "--horizon-s", "20", "--out", str(tmp_path)]
+    assert ppo.main([*asked.split(), *small]) == 0
+    assert "of the preferred speed" in capsys.readouterr().out
+    policy = OnnxPolicy(tmp_path / "full.onnx")
+    assert (policy.card.observation, policy.card.inputs) == ("social-1-contact", social.SIZE + 2)
 
 
 @pytest.mark.nightly

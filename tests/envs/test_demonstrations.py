@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import need_imitation
+from worlds import with_bodies
 
 import crowdbench
 from crowdbench import Demonstrations, demonstrations, load_scene, recording
@@ -17,7 +18,7 @@ from crowdbench.data.table import Trajectories, from_rows
 from crowdbench.envs.perturbation import HOMING_S, PathPerturbation
 from crowdbench.errors import SettingError
 from crowdbench.registry import import_recording, recording_of
-from crowdbench.simulation.observations import GOAL_DISTANCE
+from crowdbench.simulation.observations import CONTACT, GOAL_DISTANCE
 from crowdbench.simulation.social import HEADING, ROUTE_LENGTH, VELOCITY
 from crowdbench.spawn.events import blocks_of
 
@@ -110,6 +111,21 @@ def test_actions_are_in_the_frame_of_the_observation(displaced_m: float) -> None
     ahead = seen[walks][:, VELOCITY] * PLAZA.motion.max_speed_mps
     np.testing.assert_allclose(ahead, np.stack([speed[walks], 0 * speed[walks]], 1), atol=2e-4)
     assert (seen[:, ROUTE_LENGTH] == before[:, GOAL_DISTANCE]).mean() > 0.9
+
+
+@pytest.mark.parametrize(
+    "displaced_m", [0.0, pytest.param(0.5, marks=pytest.mark.long)], ids=["recorded", "displaced"]
+)
+def test_nothing_keeps_recorded_people_from_walking(displaced_m: float) -> None:
+    scene = with_bodies(PLAZA)
+    seen, plain = (
+        demonstrations(place, observation=name, displaced_m=displaced_m)
+        for place, name in ((scene, "social-1-contact"), (PLAZA, "social-1"))
+    )
+    np.testing.assert_allclose(seen.observations[:, :-2], plain.observations, atol=1e-5)
+    np.testing.assert_allclose(seen.actions, plain.actions, atol=1e-5)
+    lost_mps = np.abs(seen.observations[:, CONTACT]) * scene.motion.max_speed_mps
+    assert lost_mps.max() < 1e-3
 
 
 @pytest.mark.long

@@ -11,7 +11,7 @@ from crowdbench import list_scenes, parallel_env
 from crowdbench.envs.parallel_env import CrowdParallelEnv
 from crowdbench.registry import fitted_models
 from crowdbench.scene import load_scene
-from crowdbench.simulation.observations import OBSERVATIONS
+from crowdbench.simulation.observations import BUILT_IN
 
 HORIZON_S = 600.0
 MORE_STEPS = {"gc-v0": 200}
@@ -54,10 +54,7 @@ def assert_finite(env: CrowdParallelEnv, steps: int, seed: int) -> int:
 
 @pytest.mark.parametrize(
     ("scene", "model", "observation"),
-    [
-        (scene, model, list(OBSERVATIONS)[k % len(OBSERVATIONS)])
-        for k, (scene, model) in enumerate(MODELS)
-    ],
+    [(scene, model, BUILT_IN[k % len(BUILT_IN)]) for k, (scene, model) in enumerate(MODELS)],
 )
 def test_rewards_observations_and_states_are_finite(
     scene: str, model: str, observation: str
@@ -67,7 +64,7 @@ def test_rewards_observations_and_states_are_finite(
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("observation", OBSERVATIONS)
+@pytest.mark.parametrize("observation", BUILT_IN)
 @pytest.mark.parametrize(("scene", "model"), MODELS)
 def test_they_are_for_many_more_steps(scene: str, model: str, observation: str) -> None:
     # The warm-up of Grand Central would take longer than the steps.

@@ -7,7 +7,7 @@ from given import Given
 from tensordict import TensorDict
 from torchrl.collectors import Collector
 from torchrl.envs.utils import check_env_specs, step_mdp
-from worlds import Person, square
+from worlds import Person, square, with_bodies
 
 import crowdbench
 from crowdbench.envs.torchrl_env import CrowdEnv
@@ -16,7 +16,7 @@ from crowdbench.simulation import Settings
 from crowdbench.simulation.reward import PARTS
 
 
-@pytest.mark.parametrize("observation", ["lidar-1", "lidar-2", "lidar-3", "social-1"])
+@pytest.mark.parametrize("observation", ["lidar-1", "lidar-2", "lidar-3", "social-1-contact"])
 @pytest.mark.parametrize("worlds", [1, 3])
 def test_specs_hold(worlds: int, observation: str) -> None:
     env = CrowdEnv("plaza-v0", worlds=worlds, max_alive=16, on_full="drop", horizon_s=20.0,
@@ -35,7 +35,7 @@ def walked(env: CrowdEnv, actions: np.ndarray) -> list[TensorDict]:
     return steps
 
 
-@pytest.mark.parametrize("observation", ["lidar-2", "social-1"])
+@pytest.mark.parametrize("observation", ["lidar-2", "social-1", "lidar-2-contact"])
 def test_it_is_the_crowd_of_the_pettingzoo_view(observation: str) -> None:
     frames, slots = 100, 40
     asked = {"max_alive": slots, "horizon_s": frames * 0.4, "rays": 8, "observation": observation}
@@ -211,8 +211,9 @@ def test_a_timeout_and_the_horizon_truncate() -> None:
 
 
 def test_parts_add_up_to_the_reward() -> None:
-    # Its people have companions and stop.
-    env = CrowdEnv("plaza-v0", spawn="cox-plans", worlds=2, horizon_s=60.0, seed=0)
+    # Its people have companions and bodies, and stop.
+    scene = with_bodies(crowdbench.load_scene("plaza-v0"))
+    env = CrowdEnv(scene, spawn="cox-plans", worlds=2, horizon_s=60.0, seed=0)
     steps = env.rollout(60)
     after = steps["next", "agents"]
     torch.testing.assert_close(after["reward_parts"].sum(-1, keepdim=True), after["reward"])

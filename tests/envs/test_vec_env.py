@@ -24,7 +24,7 @@ from crowdbench.simulation.social import ROUTE_DIRECTION  # noqa: E402
 EAST = [1.0, 0.0]
 
 
-@pytest.mark.parametrize("observation", ["lidar-2", "social-1"])
+@pytest.mark.parametrize("observation", ["lidar-2", "social-1", "lidar-2-contact"])
 def test_it_is_the_crowd_of_the_pettingzoo_view(observation: str) -> None:
     asked = {"horizon_s": 40.0, "rays": 8, "observation": observation}
     trips = CrowdVecEnv("plaza-v0", 80, worlds=1, seed=7, **asked)

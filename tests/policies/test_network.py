@@ -12,6 +12,7 @@ import pytest
 import torch
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
+from worlds import with_bodies
 
 import crowdbench
 from crowdbench import rollout, spawn_model
@@ -43,6 +44,14 @@ class Net(nn.Module):
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return export_policy(Net(), tmp_path_factory.mktemp("net") / "plain.onnx", CARD)
+
+
+def test_a_file_that_sees_contact_walks_among_bodies(tmp_path: Path) -> None:
+    card = msgspec.structs.replace(CARD, observation="lidar-2-contact")
+    policy = OnnxPolicy(export_policy(Net(inputs=16), tmp_path / "contact.onnx", card))
+    assert policy.card.inputs == 16
+    crowd = rollout(with_bodies(PLAZA), "poisson-gmm", policy, horizon_s=40.0, seed=0)
+    assert len(crowd.xy) > 100
 
 
 @pytest.fixture(scope="module")

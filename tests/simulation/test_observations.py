@@ -18,7 +18,7 @@ from worlds import (
 )
 
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.observations import OBSERVATION, head_of
+from crowdbench.simulation.observations import CONTACT, OBSERVATION, head_of
 
 HEAD = head_of(OBSERVATION)
 
@@ -171,6 +171,40 @@ def test_the_third_version_sees_the_bounds_and_else_what_the_second_sees() -> No
     assert min(away) < 10 < max(away)
     np.testing.assert_allclose(three[6:10], np.minimum(away, 10) / 10, atol=1e-6)
     assert np.delete(three, range(6, 10)).tolist() == two.tolist()
+
+
+@pytest.mark.parametrize("base", ["lidar-2", "social-1"])
+def test_the_last_values_are_what_bodies_took_away(base: str) -> None:
+    scene = square(body_radius_m=0.15)
+    people = [Person(start=(0.0, 0.0)), Person(start=(-0.5, -0.5), velocity=(0.5, 0.5))]
+    asked = Settings(max_alive=2, observation=f"{base}-contact")
+    simulation = simulate(scene, *people, settings=asked)
+    plain = simulation.showing(asked.shown._replace(observation=base))
+    for _ in range(3):
+        seen, of_base = simulation.observe(), plain.observe()
+        assert seen[..., :-2].tobytes() == of_base.tobytes()
+        if simulation.slots.spawned.any():
+            assert not seen[..., CONTACT].any()
+        simulation.step(np.array([[[0, 0], [0.2, 0.2]]], np.float32), own_frame=False)
+    seen = simulation.observe()[0, :, CONTACT]
+    slots = simulation.slots
+    lost = (slots.commanded - slots.velocity)[0, 1].astype(np.float64) / 5
+    assert np.hypot(*lost) > 0.25  # it has been stopped
+    cos, sin = slots.heading[0, 1]
+    own = [lost[0] * cos + lost[1] * sin, lost[1] * cos - lost[0] * sin]
+    np.testing.assert_allclose(seen[1], lost if base == "lidar-2" else own, atol=1e-6)
+    assert seen[0].tolist() == [0, 0]
+
+
+def test_without_bodies_only_walls_take_anything_away() -> None:
+    asked = Settings(max_alive=3, observation="lidar-2-contact")
+    places = [(0.0, 0.0), (-0.1, 0.0), (-5.0, 0.0)]
+    people = [Person(start=place, velocity=(1.0, 0.0)) for place in places]
+    simulation = simulate(square(10.0, box(1, -2, 2, 2)), *people, settings=asked)
+    for _ in range(4):
+        simulation.step(np.array([[[0.2, 0.0]] * 3], np.float32))
+    seen = simulation.observe()[0, :, CONTACT]
+    np.testing.assert_allclose(seen, [[0.2, 0.0], [0.2, 0.0], [0.0, 0.0]], atol=1e-6)
 
 
 def test_far_goals_look_equally_far() -> None:

@@ -5,14 +5,16 @@ import functools
 import numpy as np
 import pytest
 from given import env_of, run, stand
-from worlds import Person, box, events, square
+from worlds import BODY_M, Person, box, events, square
 
 from crowdbench.envs.parallel_env import CrowdParallelEnv
 from crowdbench.errors import SettingError
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.reward import PARTS, Reward, Rewarder
+from crowdbench.simulation.contact import HEADWAY_S
+from crowdbench.simulation.reward import PARTS, Reward, Rewarder, total
 
 STEP_S = 0.4
+RADIUS = BODY_M
 
 
 def only_of(**weights: float) -> Reward:
@@ -70,10 +72,10 @@ def test_progress_follows_the_way_around_walls() -> None:
 
 
 @functools.cache
-def paid(preferred_mps: float, *speeds_mps: float) -> np.ndarray:
+def paid(preferred_mps: float, *speeds_mps: float, body_radius_m: float = 0.0) -> np.ndarray:
     """What each step of a life pays by the default reward; two at each speed, then at the last."""
     person = Person(start=(-4.0, 0.0), goal=(4.0, 0.0), speed=preferred_mps)
-    env = env_of(person, horizon_s=60.0)
+    env = env_of(person, scene=square(body_radius_m=body_radius_m), horizon_s=60.0)
     env.reset()
     rewards: list[float] = []
     while env.agents:
@@ -89,11 +91,13 @@ def discounted(rewards: np.ndarray, gamma: float) -> float:
 
 @pytest.mark.parametrize("gamma", [0.0, 0.5, 0.9, 0.98, 0.99, 1.0])
 @pytest.mark.parametrize("preferred_mps", [0.8, 1.4])
+@pytest.mark.parametrize("body_radius_m", [0.0, RADIUS])
 def test_the_preferred_speed_pays_most_whatever_the_discount(
-    gamma: float, preferred_mps: float
+    gamma: float, preferred_mps: float, body_radius_m: float
 ) -> None:
     factors = np.array([0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.3, 1.7, 2.5, 3.5])
-    returns = [discounted(paid(preferred_mps, preferred_mps * f), gamma) for f in factors]
+    lives = [paid(preferred_mps, preferred_mps * f, body_radius_m=body_radius_m) for f in factors]
+    returns = [discounted(life, gamma) for life in lives]
     assert factors[np.argmax(returns)] == 1.0
 
 
@@ -202,7 +206,7 @@ def test_companions_of_other_worlds_do_not_count() -> None:
 
 
 def test_the_parts_are_told_and_add_up() -> None:
-    scene = square(10.0, box(3.0, -5.0, 4.0, 5.0))
+    scene = square(10.0, box(3.0, -5.0, 4.0, 5.0), body_radius_m=RADIUS)
     people = [
         Person(start=(0.0, 0.2 * k), goal=(0.0, 8.0), via=(0.0, 0.5), wait_s=4.0, group=k // 2)
         for k in range(5)
@@ -219,6 +223,119 @@ def test_the_parts_are_told_and_add_up() -> None:
             seen |= {part for part, value in of_name.items() if value}
             assert rewards[name] == pytest.approx(sum(of_name.values()), abs=1e-5)
     assert seen == set(PARTS)
+
+
+def queue(*gaps_m: float, **weights: float) -> CrowdParallelEnv:
+    """People who touch or follow each other with these gaps, all on their way to the east."""
+    x = -np.cumsum([0.0, *(gap + 2 * RADIUS for gap in gaps_m)])
+    people = [Person(start=(float(at), 0.0), goal=(9.0, 0.0), speed=1.25) for at in x]
+    reward = only_of(**weights) if weights else Reward()
+    return env_of(*people, scene=square(body_radius_m=RADIUS), reward=reward)
+
+
+def walking(*speeds_mps: float) -> dict[str, np.ndarray]:
+    """Actions with which people walk to the east."""
+    return {f"person_{k}": np.array([v / 5, 0], np.float32) for k, v in enumerate(speeds_mps)}
+
+
+@pytest.mark.parametrize(
+    ("command_mps", "cost"),
+    [(0.0, 0.0), (0.625, 0.5), (1.25, 1.0), (2.5, 1.0)],
+    ids=["stands", "at half of its speed", "at its speed", "faster"],
+)
+def test_pushing_costs_what_bodies_took_away(command_mps: float, cost: float) -> None:
+    env = queue(0.0, contact=-0.3)
+    env.reset()
+    rewards = env.step(walking(0.0, command_mps))[1]
+    assert rewards["person_0"] == 0.0  # nobody is in its way
+    assert rewards["person_1"] == pytest.approx(-0.3 * STEP_S * cost, rel=0.05)
+
+
+def test_contact_is_the_share_of_the_way_that_was_lost() -> None:
+    env = queue(0.3, contact=-1.0)
+    env.reset()
+    reward = env.step(walking(0.0, 1.25))[1]["person_1"]
+    slots = env._simulation.slots
+    lost = 1 - slots.velocity[0, 1, 0] / 1.25
+    assert 0.2 < lost < 0.8
+    assert slots.held[0, 1] == pytest.approx(lost, abs=1e-5)
+    assert reward == pytest.approx(-STEP_S * lost, abs=1e-5)
+
+
+def test_walls_are_not_contact_with_people() -> None:
+    scene = square(10.0, box(1.0, -5.0, 2.0, 5.0), body_radius_m=RADIUS)
+    # One alone, and two side by side, whom the same wall stops.
+    people = (Person(start=(0.85, 0.0)), Person(start=(0.85, 3.0)), Person(start=(0.85, 3.32)))
+    env = env_of(*people, scene=scene, reward=only_of(wall=-1.0, contact=-1.0))
+    env.reset()
+    for _ in range(5):  # while they try all directions
+        *_, infos = env.step(run(env, (0.25, 0.0)))
+        for name in env.agents:
+            assert parts(env, infos, name)["contact"] == 0.0
+    slots = env._simulation.slots
+    assert slots.blocked[0, :3].min() > 0.2
+    assert parts(env, infos)["wall"] == pytest.approx(-STEP_S)
+
+
+def test_in_a_queue_standing_costs_no_more_than_pushing() -> None:
+    found = []
+    for command_mps in (0.0, 0.3, 0.8, 1.25):
+        env = queue(0.0, 0.0)
+        env.reset()
+        *_, infos = env.step(walking(0.0, 0.0, command_mps))
+        of_last = parts(env, infos, "person_2")
+        assert of_last["pace"] == pytest.approx(0.0, abs=1e-6)
+        found.append(of_last["pace"] + of_last["contact"])
+    assert found[0] == pytest.approx(0.0, abs=1e-9)
+    assert found == sorted(found, reverse=True)
+    assert found[3] < -0.09
+
+
+def test_who_stands_without_somebody_ahead_pays_for_its_pace() -> None:
+    env = queue(0.0, 2.0)
+    env.reset()
+    *_, infos = env.step(walking(0.0, 0.0, 0.0))
+    slow = -0.8 * 1.25 * STEP_S * 6.25 / 7.25
+    paces = [parts(env, infos, name)["pace"] for name in env.agents]
+    np.testing.assert_allclose(paces, [slow, 0.0, slow], atol=1e-5)
+
+
+def test_who_follows_pays_for_what_it_is_slower_than_those_ahead_admit() -> None:
+    gap_m = 0.2
+    for speed_mps, cost in ((0.8, 0.0), (0.3, 0.5)):  # both at the same speed keep the gap
+        env = queue(gap_m, pace=-1.0)
+        env.reset()
+        reward = env.step(walking(speed_mps, speed_mps))[1]["person_1"]
+        due_mps = gap_m / HEADWAY_S
+        assert due_mps == pytest.approx(0.8)
+        assert reward == pytest.approx(-cost * 1.25 * STEP_S, abs=2e-3)
+
+
+def test_a_queue_follows_the_way_around_walls() -> None:
+    # The goal is straight behind the wall, and the way to it leads along the wall to the south.
+    scene = square(10.0, box(1.0, -2.0, 2.0, 8.0), body_radius_m=RADIUS)
+    people = [Person(start=(0.8, y), goal=(4.0, 0.0), speed=1.25) for y in (-0.3, 0.0)]
+    env = env_of(*people, scene=scene, reward=only("pace"))
+    env.reset()
+    rewards = env.step(stand(env))[1]
+    assert rewards["person_0"] > 0.3
+    assert rewards["person_1"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_without_bodies_nothing_is_contact_and_no_pace_is_excused() -> None:
+    people = [Person(start=(-0.3 * k, 0.0), goal=(9.0, 0.0), speed=1.25) for k in range(2)]
+    env = env_of(*people)
+    env.reset()
+    *_, infos = env.step(walking(0.0, 0.0))
+    for name in env.agents:
+        assert parts(env, infos, name)["contact"] == 0.0
+        assert parts(env, infos, name)["pace"] == pytest.approx(-0.8 * 0.5 * 6.25 / 7.25)
+
+
+def test_a_zero_at_the_end_does_not_change_the_sum() -> None:
+    seven = np.random.default_rng(0).normal(size=(500, 7)).astype(np.float32)
+    eight = np.pad(seven, ((0, 0), (0, 1)))
+    assert total(eight).tobytes() == total(seven).tobytes() == seven.sum(axis=1).tobytes()
 
 
 def test_who_is_born_has_no_reward() -> None:
