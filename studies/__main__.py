@@ -17,7 +17,10 @@ from studies.commands.speed import speed
 from studies.commands.walks import walks
 
 PAGES = (results, walks, paper, figures, encounters, cheats, growth, speed, diagrams, tables.plans)
-TABLES = (tables.sharing, tables.monte_carlo, tables.cheats_twins, tables.cheats_search)
+TABLES = (
+    *(tables.bodies, tables.exam, tables.sharing, tables.monte_carlo),
+    *(tables.cheats_twins, tables.cheats_search),
+)
 TRAININGS = (
     *(trainings.ablation, trainings.across, trainings.compare_observations),
     *(trainings.without_reward_parts, trainings.runners, trainings.training_speed),

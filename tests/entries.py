@@ -16,6 +16,7 @@ from crowdbench.leaderboard.verification.entry import (
     Curve,
     Earlier,
     Entry,
+    ExamEntry,
     Flag,
     MetricEntry,
     SceneEntry,
@@ -69,6 +70,11 @@ def made_up(
         | {"submission.toml": "f" * 64},
         scenes={scene: on_scene(name, scene, track, level, spread) for scene in scenes},
         flags=list(flags),
+        exam=None
+        if track == "spawn" or "eth-v0" not in scenes
+        else ExamEntry(
+            scene="eth-v0", body_radius_m=0.15, passed=["rimea-1", "door"], failed=["rimea-9"]
+        ),
         history=list(history),
     )
 

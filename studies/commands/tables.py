@@ -1,7 +1,8 @@
-"""Studies that print tables: `plans`, `sharing`, `monte-carlo`, `cheats-twins`, `cheats-search`."""
+"""Studies that print tables, such as `plans`, `bodies` and `monte-carlo`."""
 
 from pathlib import Path
 
+import crowdbench
 from crowdbench.cli.options import Workers
 
 
@@ -14,6 +15,28 @@ def plans(scenes: list[str], /) -> None:
     from studies.plans import page
 
     print(page(scenes), end="")
+
+
+def bodies(scenes: list[str] | None = None, /) -> None:
+    """Print the page on the radius of bodies, and on the scenes that have them (minutes).
+
+    Args:
+        scenes: ids of scenes, or their folders (default: all)
+    """
+    from studies.bodies import page
+
+    print(page(scenes or crowdbench.list_scenes()), end="")
+
+
+def exam(policies: list[str] | None = None, /, *, workers: Workers = None) -> None:
+    """Print the page on the exam of the policies that come with crowdbench (minutes).
+
+    Args:
+        policies: policies of ETH by name (default: all, without the rule-based ones of extras)
+    """
+    from studies.exam import POLICIES, page
+
+    print(page(policies or POLICIES, workers), end="")
 
 
 def sharing(scenes: list[str], /) -> None:

@@ -8,6 +8,7 @@ from crowdbench.evaluation import POLICY, SPAWN
 from crowdbench.registry import trained_policies
 from crowdbench.run.resolved import MODELS
 from crowdbench.scene import list_scenes, load_scene
+from studies.exam import POLICIES as EXAMINED
 from studies.figures import BASELINE, BEST, WALKERS
 from studies.figures import SPAWN as DRAWN
 from studies.monte_carlo import PAIRS as MONTE_CARLO
@@ -133,6 +134,24 @@ def _comparisons() -> Iterator[Result]:
         dict.fromkeys(REAL, MONTE_CARLO),
         splits=FOLDS,
         stdout="docs/rollouts.md",
+    )
+    yield _page(
+        "docs/bodies",
+        ("docs/bodies.md",),
+        [("python", "-m", "studies", "bodies")],
+        "studies.bodies",
+        {scene: [("replay", "recorded-paths")] for scene in (*REAL, "plaza-v0")},
+        splits=FULL,
+        stdout="docs/bodies.md",
+    )
+    yield _page(
+        "docs/exam",
+        ("docs/exam.md",),
+        [("python", "-m", "studies", "exam")],
+        "studies.exam",
+        {"eth-v0": [("replay", policy) for policy in EXAMINED]},
+        splits=FULL,
+        stdout="docs/exam.md",
     )
     yield _page(
         "docs/cheats",

@@ -9,7 +9,7 @@ from studies.markdown import flowed, table
 from studies.site.index import JUDGED, LEAD, LISTED, SUBMIT, rules_of
 from studies.site.render import markdown
 from studies.site.standings import Line, Standing
-from studies.site.tables import COPIED, GATE, OVERALL, copied, gated
+from studies.site.tables import COPIED, GATE, OVERALL, copied, examined, gated
 from studies.site.text import copied_share, decimals, in_markdown
 
 
@@ -55,7 +55,7 @@ def _listed(standings: Sequence[Standing]) -> str:
 def _table(
     first: str, scenes: Sequence[str], copies: Sequence[str], rows: Sequence[Sequence[str]]
 ) -> str:
-    head = [first, "entry", "kind", "flags", "overall", *GATE, *scenes]
+    head = [first, "entry", "kind", "flags", "overall", *GATE, *scenes, "exam"]
     head += [f"copy of {c}" for c in copies]
     return table(head, rows, text=4) if rows else ""
 
@@ -77,5 +77,6 @@ def _cells(
         interval(line.scores.get(OVERALL)),
         *gated(line),
         *(number(line.scores.get(View(scene=scene))) for scene in scenes),
+        examined(line),
         *(shown[what] for what in copies),
     ]

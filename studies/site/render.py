@@ -4,11 +4,12 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from crowdbench.exam import TRIALS
 from crowdbench.leaderboard.scores import View
 from crowdbench.report.text.words import NOTHING, digits, environment, speed
 from crowdbench.report.text.words import share as shown_share
 from studies.site import axis
-from studies.site.tables import GATE, gated
+from studies.site.tables import GATE, examined, gated
 from studies.site.text import (
     copied_share,
     decimals,
@@ -21,7 +22,8 @@ from studies.site.text import (
 
 _FOLDER = Path(__file__).parent
 _HTML = environment(_FOLDER / "templates")
-_HTML.globals |= {"GATE": GATE, "axis": axis, "gated": gated, "NOTHING": NOTHING, "View": View}
+_HTML.globals |= {"GATE": GATE, "axis": axis, "examined": examined, "gated": gated,
+                  "NOTHING": NOTHING, "TRIALS": TRIALS, "View": View}  # fmt: skip
 _HTML.globals |= {"copied_share": copied_share}
 _HTML.filters |= {
     "decimals": decimals,

@@ -56,6 +56,12 @@ def copied(standing: Standing) -> tuple[str, ...]:
     return ("trips",) if standing.track == "walk" else COPIED
 
 
+def examined(line: Line) -> str:
+    """How many tests of the exam the policy passes, as text."""
+    exam = line.entry.exam
+    return NOTHING if exam is None else f"{len(exam.passed)} of {len(exam.passed + exam.failed)}"
+
+
 def gated(line: Line) -> tuple[str, str]:
     """Speed and share of arrivals as text, marked where they exceed limits on any scene."""
     gate = line.gate()

@@ -14,6 +14,7 @@ from crowdbench.leaderboard.submission.schema import SCENES
 from crowdbench.leaderboard.verification.entry import (
     Curve,
     Entry,
+    ExamEntry,
     Flag,
     ScoreCard,
     entry_paths,
@@ -171,6 +172,7 @@ HUGE = Curve(x_label="x", y_label="y", x=[0.0, 1.7e308], recorded=[0.0, 1.0], si
 LONG = Curve(x_label="x", y_label="y", **dict.fromkeys(("x", "recorded", "simulated"), [0.0] * 101))  # type: ignore[arg-type]
 SPEED = ONE.scenes["eth-v0"].metrics["speed"]
 FLAG = Flag(what="too good", scene="eth-v0", value=2.0, limit=1.0, text="It is.")
+EXAM = ExamEntry(scene="eth-v0", body_radius_m=0.15, passed=["door"], failed=["rimea-9"])
 BAD = {
     "a name of 10,000 letters": (made_up("n" * 10_000, "walk", 0.5), "length <= 200"),
     "an older scorer": (msgspec.structs.replace(ONE, scorer=0), "Run `python -m studies rescore`"),
@@ -195,6 +197,12 @@ BAD = {
     "a flag a hundred times": (msgspec.structs.replace(ONE, flags=[FLAG] * 100), "at most once"),
     "a flag of another scene": (msgspec.structs.replace(
         ONE, flags=[msgspec.structs.replace(FLAG, scene="zara1-v0")]), "of a flag, 'zara1-v0'"),
+    "an exam of another scene": (msgspec.structs.replace(
+        ONE, exam=msgspec.structs.replace(EXAM, scene="zara1-v0")), "of an exam, 'zara1-v0'"),
+    "a test passed and failed": (msgspec.structs.replace(
+        ONE, exam=msgspec.structs.replace(EXAM, failed=EXAM.passed)), "each test once"),
+    "a test with a long name": (msgspec.structs.replace(
+        ONE, exam=msgspec.structs.replace(EXAM, failed=["x" * 999])), "matching regex"),
     "more files than there may be": (msgspec.structs.replace(
         ONE, artefacts={f"{k}": "" for k in range(401)}), "of length <= 400"),
     "a metric of nobody's": (replaced(ONE, metrics={"m": ONE.scenes["eth-v0"].metrics["speed"]}),

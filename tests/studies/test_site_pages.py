@@ -180,6 +180,17 @@ def test_the_gate_says_limit_value_and_the_score_without_it(
     assert f"gc-v0: {said}" in capsys.readouterr().out
 
 
+def test_the_page_of_an_entry_names_the_tests_that_its_policy_passes(tmp_path: Path) -> None:
+    entries = [made_up("walker", "walk", 0.5), made_up("model", "spawn", 0.5)]
+    build(put(entries, tmp_path), tmp_path)
+    page = (tmp_path / "pages" / "walker.html").read_text()
+    assert "Passed (2)" in page
+    assert "Walking speed in a corridor (RiMEA 1); Flow through a door (ISO 20414 11)" in page
+    assert "Failed (1)" in page
+    assert "engineers’ guidelines" not in (tmp_path / "pages" / "model.html").read_text()
+    assert "2 of 3" in (tmp_path / "index.html").read_text()
+
+
 def test_a_gate_that_changes_no_score_says_so(tmp_path: Path) -> None:
     entry = on_gc(made_up("slow", "crowd", -0.3), fails=["speed"], speed_mps=1.0)
     score = scores(entry)[View(scene="gc-v0")]

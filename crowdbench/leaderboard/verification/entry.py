@@ -141,6 +141,21 @@ class SceneEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """The curves that pages show, by title."""
 
 
+TestIds: TypeAlias = Annotated[
+    list[Annotated[str, Meta(pattern=r"\A[a-z0-9-]{1,40}\Z")]], Meta(max_length=100)
+]
+
+
+class ExamEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The verdicts of `crowdbench exam`, by ids of tests; they do not rank."""
+
+    scene: str
+    """The scene whose time step and policy were used."""
+    body_radius_m: Number
+    passed: TestIds
+    failed: TestIds
+
+
 class Earlier(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The scores by an earlier scorer."""
 
@@ -168,6 +183,8 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     of each file of shipped models, by its path in crowdbench."""
     scenes: dict[str, SceneEntry]
     flags: list[Flag]
+    exam: ExamEntry | None = None
+    """None if the entry has no policy of its own, or only trajectories."""
     history: list[Earlier]
 
 

@@ -11,11 +11,14 @@ from pathlib import Path
 from types import MappingProxyType
 
 from crowdbench import __version__
+from crowdbench.data.blocks import SPLITS
+from crowdbench.exam import verdicts
 from crowdbench.leaderboard.submission.submission import Submission, read_submission
 from crowdbench.leaderboard.verification.entry import (
     SCHEMA,
     SCORER,
     Entry,
+    ExamEntry,
     Flag,
     SceneEntry,
     check_unused,
@@ -63,6 +66,7 @@ def make_entry(
                 before += len(each.jobs)
                 scenes[each.place.id], found = scene_entry(each)
                 flags += found
+        exam = _exam(here)
     return Entry(
         schema=SCHEMA,
         id=given.id,
@@ -73,7 +77,23 @@ def make_entry(
         artefacts=given.artefacts,
         scenes=scenes,
         flags=flags,
+        exam=exam,
         history=[],
+    )
+
+
+def _exam(given: Submission) -> ExamEntry | None:
+    """The exam of the policy that walks on the first scene; None without a policy of its own."""
+    name = given.declared.scenes[0]
+    if given.declared.track == "spawn" or given.trajectories_of(name):
+        return None
+    split = SPLITS[1] if given.protocol == "heldout" else "full"
+    found = verdicts(given.policy_of(name), name, split=split)
+    return ExamEntry(
+        scene=name,
+        body_radius_m=found.body_radius_m,
+        passed=[of.id for of in found.trials if of.passed],
+        failed=[of.id for of in found.trials if not of.passed],
     )
 
 

@@ -25,6 +25,7 @@ def check_entry(entry: Entry, where: object) -> None:
     for what, names, known in (
         ("scene", entry.scenes.keys(), submitted),
         ("scene of a flag", {flag.scene for flag in entry.flags}, entry.scenes),
+        ("scene of an exam", set() if entry.exam is None else {entry.exam.scene}, entry.scenes),
         ("family", {name for s in scenes for name in s.families}, FAMILIES),
         ("metric", {name for s in scenes for name in s.metrics}, FAMILY_OF),
         ("curve", {name for s in scenes for name in s.curves}, TITLES),
@@ -35,7 +36,9 @@ def check_entry(entry: Entry, where: object) -> None:
             raise WeightsError(where, got=got, expected=expected, hint=HINT)
     cards = [card for scene in scenes for card in scene.families.values()]
     lines = [(c.x, c.recorded, c.simulated) for scene in scenes for c in scene.curves.values()]
+    tests = [] if entry.exam is None else [*entry.exam.passed, *entry.exam.failed]
     for got, holds, expected in (
+        ("repeated tests of an exam", len({*tests}) == len(tests), "each test once"),
         (
             "repeated flags",
             len({(flag.what, flag.scene) for flag in entry.flags}) == len(entry.flags),

@@ -1,0 +1,151 @@
+"""`exam`: put policies through the tests."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+
+from crowdbench import __version__
+from crowdbench.data.table import Trajectories
+from crowdbench.errors import SettingError, did_you_mean
+from crowdbench.exam import other_guidelines, rimea  # noqa: F401  # they fill the list of tests
+from crowdbench.exam.results import Certificate, TrialResult, result_of
+from crowdbench.exam.rooms import Room
+from crowdbench.exam.trial import TRIALS, Run, Trial, Values
+from crowdbench.progress import tell
+from crowdbench.registry import policy as policy_of
+from crowdbench.run.executor import call_each, checked_workers
+from crowdbench.scene import LARGEST_BODY_M, Scene, load_scene
+
+BODY_RADIUS_M = 0.15
+"""Radius of bodies in scenes that have none of their own, in metres."""
+RANDOM = "random"
+
+
+def exam(
+    policy: str | Sequence[str],
+    scene: str | Path | Scene = "eth-v0",
+    *,
+    trials: Sequence[str] | None = None,
+    body_radius_m: float | None = None,
+    workers: int | None = None,
+    out: str | Path | None = None,
+) -> list[Certificate]:
+    """Put policies through the rooms of RiMEA, IMO and ISO 20414; returns a certificate for each.
+
+    Args:
+        policy: names of policies, ONNX files or `pkg.module:Class`.
+        scene: the rooms have its time step and its limits of motion, and policies by name are those
+            trained for it.
+        trials: ids of tests, see `TRIALS`; default: all.
+        body_radius_m: radius of bodies, 0 for none; default: that of the scene, 0.15 m if it has
+            none.
+        workers: number of processes; default: one per core. The results are the same.
+        out: folder for `exam.html`, with pictures of the rooms, and `exam.json`.
+
+    Raises:
+        SettingError: a policy or a test does not exist, or the radius is not allowed.
+        SceneError: there is no such scene.
+        WeightsError: a policy's file does not fit.
+        ActionError: a policy does not return one finite action per person.
+    """
+    chosen = _chosen(trials)
+    names = [policy] if isinstance(policy, str) else list(policy)
+    place = _with_bodies(load_scene(scene), body_radius_m)
+    for name in names:
+        policy_of(name, place)  # errors are reported before minutes of rollouts
+    everyone = dict.fromkeys([*names, RANDOM])
+    tasks = [
+        (name, of.id, seed)
+        for of in chosen
+        for name in everyone
+        for seed in range(of.seeds if name in names else 1)
+    ]
+    found: dict[tuple[str, str, int], tuple[Values, Room, Trajectories]] = {}
+    tell("rooms", 0, len(tasks))
+    walks = call_each(_walked, tasks, checked_workers(workers), common=(place,), name=_named)
+    for done, (index, result) in enumerate(walks, 1):
+        found[tasks[index]] = result
+        tell("rooms", done, len(tasks))
+
+    def values(name: str, of: Trial, seeds: int) -> list[Values]:
+        return [found[name, of.id, seed][0] for seed in range(seeds)]
+
+    by_chance = {of.id: result_of(of, values(RANDOM, of, 1)).passed for of in chosen}
+    certificates = [
+        _certificate(
+            name,
+            place,
+            [
+                result_of(of, values(name, of, of.seeds), random_passes=by_chance[of.id])
+                for of in chosen
+            ],
+        )
+        for name in names
+    ]
+    if out is not None:
+        from crowdbench.exam.page import write_exam
+
+        shown = {(name, of.id): found[name, of.id, 0][1:] for name in names for of in chosen}
+        write_exam(certificates, shown, Path(out))
+    return certificates
+
+
+def verdicts(policy: str, scene: str | Path | Scene, *, split: str = "full") -> Certificate:
+    """The certificate of one policy in all tests, without a comparison with random walkers.
+
+    `split` selects the network of a folder, see `crowdbench.policy`.
+
+    Raises:
+        SettingError, SceneError, WeightsError, ActionError: see `exam`.
+    """
+    place, chosen = _with_bodies(load_scene(scene), None), _chosen(None)
+    walker = policy_of(policy, place, split)
+    results = [
+        result_of(of, [of.run(Run(place, walker, seed)) for seed in range(of.seeds)])
+        for of in chosen
+    ]
+    return _certificate(policy, place, results)
+
+
+def _certificate(policy: str, place: Scene, trials: Sequence[TrialResult]) -> Certificate:
+    return Certificate(
+        crowdbench=__version__,
+        policy=policy,
+        scene=place.id,
+        dt_s=place.dt_s,
+        body_radius_m=place.motion.body_radius_m,
+        trials=tuple(trials),
+    )
+
+
+def _chosen(trials: Sequence[str] | None) -> list[Trial]:
+    for name in trials or ():
+        if name not in TRIALS:
+            raise SettingError(
+                "exam", got=repr(name), expected=f"one of {', '.join(TRIALS)}",
+                hint=did_you_mean(name, list(TRIALS)),
+            )  # fmt: skip
+    return [TRIALS[name] for name in dict.fromkeys(trials or TRIALS)]
+
+
+def _with_bodies(scene: Scene, radius_m: float | None) -> Scene:
+    if radius_m is None:
+        radius_m = scene.motion.body_radius_m or BODY_RADIUS_M
+    if not 0 <= radius_m <= LARGEST_BODY_M:
+        raise SettingError(
+            "body_radius_m", got=str(radius_m), expected=f"0 (no bodies) to {LARGEST_BODY_M}"
+        )
+    return replace(scene, motion=msgspec.structs.replace(scene.motion, body_radius_m=radius_m))
+
+
+def _walked(policy: str, trial: str, seed: int, place: Scene) -> tuple[Values, Room, Trajectories]:
+    """Measured values of a test, and its last room with what happened in it."""
+    run = Run(place, policy_of(policy, place), seed)
+    values = TRIALS[trial].run(run)
+    return values, *run.walked[-1]
+
+
+def _named(policy: str, trial: str, seed: int) -> str:
+    return f"{policy} in the test {trial}, seed {seed}"
