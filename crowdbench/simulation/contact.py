@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from crowdbench.simulation.half_planes import project
 from crowdbench.simulation.rules import walk
 from crowdbench.simulation.walls import CELL_M, cell_of
 
@@ -52,8 +53,6 @@ SPREAD_RAD = 0.5
 """Largest random angle while it keeps to the right, in radians."""
 PLANES = 32
 """Number of half-planes that are considered for one person."""
-SLACK_M = 1e-12
-"""Rounding error of half-planes, in metres."""
 REACH_M = 0.02
 """Distance beyond a sub-step's reach at which neighbours and walls are considered, in metres."""
 
@@ -353,48 +352,6 @@ def _to_segment(x, y, segment):
     ex, ey = segment[2] - segment[0], segment[3] - segment[1]
     t = min(1.0, max(0.0, -(ax * ex + ay * ey) / (ex * ex + ey * ey)))
     return ax + t * ex, ay + t * ey
-
-
-@njit(error_model="numpy")
-def project(dx, dy, plane, count):
-    """The vector nearest to d with n·v ≤ c for each of the first `count` rows (n, c), all c ≥ 0.
-
-    It is d itself, its projection onto one line, or a corner of two.
-    """
-    worst = -1
-    for k in range(count):
-        if dx * plane[k, 0] + dy * plane[k, 1] > plane[k, 2]:
-            worst = k
-            break
-    if worst < 0:
-        return dx, dy
-    for k in range(worst, count):
-        over = dx * plane[k, 0] + dy * plane[k, 1] - plane[k, 2]
-        if over > 0.0:
-            x, y = dx - over * plane[k, 0], dy - over * plane[k, 1]
-            if _allowed(x, y, plane, count, k, k):
-                return x, y
-    nearest, best_x, best_y = np.inf, 0.0, 0.0
-    for k in range(count):
-        for m in range(k + 1, count):
-            cross = plane[k, 0] * plane[m, 1] - plane[k, 1] * plane[m, 0]
-            if abs(cross) < 1e-9:
-                continue
-            x = (plane[k, 2] * plane[m, 1] - plane[m, 2] * plane[k, 1]) / cross
-            y = (plane[m, 2] * plane[k, 0] - plane[k, 2] * plane[m, 0]) / cross
-            off = (x - dx) * (x - dx) + (y - dy) * (y - dy)
-            if off < nearest and _allowed(x, y, plane, count, k, m):
-                nearest, best_x, best_y = off, x, y
-    return best_x, best_y
-
-
-@njit(error_model="numpy")
-def _allowed(x, y, plane, count, k, m):
-    """Whether all half-planes but k and m, on whose lines the vector lies, allow it."""
-    for n in range(count):
-        if n not in (k, m) and x * plane[n, 0] + y * plane[n, 1] > plane[n, 2] + SLACK_M:
-            return False
-    return True
 
 
 @njit(error_model="numpy")

@@ -26,7 +26,8 @@ import crowdbench
 from crowdbench.errors import SceneError
 from crowdbench.scene import LARGEST_BODY_M, Scene
 from crowdbench.simulation import Settings, Simulation
-from crowdbench.simulation.contact import PART_MPS, project, uniform
+from crowdbench.simulation.contact import PART_MPS, uniform
+from crowdbench.simulation.half_planes import project
 
 RADIUS = BODY_M
 TOLERANCE_M = 1e-4
