@@ -8,7 +8,7 @@ from crowdbench.exam.trial import NOT_APPLICABLE
 from studies.markdown import flowed, table
 
 ORCA = "crowdbench.baselines.orca:ORCA"
-POLICIES = ("straight", "social-force", ORCA, "ppo", "gail", "bc", "anticipate")
+POLICIES = ("straight", "social-force", "speed-model", ORCA, "ppo", "gail", "bc", "anticipate")
 TITLE = """# The exam
 
 Engineers believe a pedestrian model that passes the verification tests of their guidelines: RiMEA

@@ -12,7 +12,7 @@ from crowdbench.data.recordings.jupedsim import write_jupedsim
 from crowdbench.data.recordings.trajnet import write_trajnet
 from crowdbench.data.storage import write_csv
 from crowdbench.data.table import Trajectories
-from crowdbench.policies import SocialForce
+from crowdbench.policies.social_force import PUBLISHED, SocialForce
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import Bounds, Scene, Wall, load_scene
 from crowdbench.spawn import Areas, RenewalGMM
@@ -58,7 +58,7 @@ def record(seconds: float = 300.0, *, every_s: float = 6.0, seed: int = 0) -> Tr
         next_member=np.full(3, 0.3),
         grid_s=DT_S,
     )
-    crowd = rollout(yard(), process, SocialForce(), seed=seed, horizon_s=seconds)
+    crowd = rollout(yard(), process, SocialForce(PUBLISHED), seed=seed, horizon_s=seconds)
     return replace(crowd, scene="yard")
 
 

@@ -43,10 +43,10 @@ def evaluate(
             poisson-paper and ntpp-paper (single people); poisson-plans, ntpp-plans and cox-plans
             (people with companions and stops); block-replay, replay; a folder with the fits of one
             model, or pkg.module:Class (default: poisson-gmm, renewal-gmm and ntpp-gmm)
-        policy: policies: straight, social-force, random, anticipate-any, replay and recorded-paths
-            (these two with the spawn model replay), those that come with the scene, FILE.onnx, a
-            folder with such a file for each fold, or pkg.module:Class (default: straight and
-            social-force)
+        policy: policies: straight, social-force, speed-model, random, anticipate-any, replay and
+            recorded-paths (these two with the spawn model replay), those that come with the scene,
+            FILE.onnx, a folder with such a file for each fold, or pkg.module:Class (default:
+            straight and social-force)
         metric: additional metrics of your own, pkg.module:Class (see `crowdbench scene metrics`)
         scenario: TOML file that changes rates, goals and areas of each spawn model without
             retraining

@@ -8,11 +8,12 @@ import msgspec
 
 from crowdbench import __version__
 from crowdbench.data.table import Trajectories
-from crowdbench.errors import SettingError, did_you_mean
+from crowdbench.errors import CrowdbenchError, SettingError, did_you_mean
 from crowdbench.exam import other_guidelines, rimea  # noqa: F401  # they fill the list of tests
-from crowdbench.exam.results import Certificate, TrialResult, result_of
+from crowdbench.exam.results import Certificate, TrialResult, failed, result_of
 from crowdbench.exam.rooms import Room
 from crowdbench.exam.trial import TRIALS, Run, Trial, Values
+from crowdbench.policies import Policy
 from crowdbench.progress import tell
 from crowdbench.registry import policy as policy_of
 from crowdbench.run.executor import call_each, checked_workers
@@ -95,18 +96,22 @@ def exam(
 def verdicts(policy: str, scene: str | Path | Scene, *, split: str = "full") -> Certificate:
     """The certificate of one policy in all tests, without a comparison with random walkers.
 
-    `split` selects the network of a folder, see `crowdbench.policy`.
+    `split` selects the network of a folder, see `crowdbench.policy`. A policy fails a test in
+    which it raises an error.
 
     Raises:
-        SettingError, SceneError, WeightsError, ActionError: see `exam`.
+        SettingError, SceneError, WeightsError: see `exam`.
     """
-    place, chosen = _with_bodies(load_scene(scene), None), _chosen(None)
+    place = _with_bodies(load_scene(scene), None)
     walker = policy_of(policy, place, split)
-    results = [
-        result_of(of, [of.run(Run(place, walker, seed)) for seed in range(of.seeds)])
-        for of in chosen
-    ]
-    return _certificate(policy, place, results)
+    return _certificate(policy, place, [_result(of, place, walker) for of in _chosen(None)])
+
+
+def _result(of: Trial, place: Scene, walker: Policy) -> TrialResult:
+    try:
+        return result_of(of, [of.run(Run(place, walker, seed)) for seed in range(of.seeds)])
+    except CrowdbenchError:
+        return failed(of)
 
 
 def _certificate(policy: str, place: Scene, trials: Sequence[TrialResult]) -> Certificate:

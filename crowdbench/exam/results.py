@@ -73,6 +73,19 @@ def result_of(
     )
 
 
+def failed(trial: Trial) -> TrialResult:
+    """The result of a policy that raised an error."""
+    return TrialResult(
+        id=trial.id,
+        title=trial.title,
+        guidelines=trial.guidelines,
+        seeds=0,
+        measured=(),
+        passed=False,
+        random_passes=None,
+    )
+
+
 def _measured(trial: Trial, name: str, values: Sequence[float]) -> Measured:
     limit = trial.limits.get(name)
     mean, low, high = float(np.mean(values)), float(np.min(values)), float(np.max(values))

@@ -11,10 +11,11 @@ from crowdbench.policies.policy import (
     StateView,
 )
 from crowdbench.policies.social_force import SocialForce
+from crowdbench.policies.speed_model import SpeedModel
 from crowdbench.policies.walkers import Random, RecordedPaths, ReplayPolicy, Straight
 
 __all__ = [
     "Memory", "ObservationPolicy", "OnnxPolicy", "Policy", "PolicyCard", "Random",
-    "RecordedPaths", "RememberingPolicy", "ReplayPolicy", "SocialForce", "StatePolicy",
-    "StateView", "Straight",
+    "RecordedPaths", "RememberingPolicy", "ReplayPolicy", "SocialForce", "SpeedModel",
+    "StatePolicy", "StateView", "Straight",
 ]  # fmt: skip

@@ -62,6 +62,14 @@ class StateView:
         """Next point on each person's shortest path to its target around walls, in metres."""
         return routes.next_of(self.world, self.slot, self.position, self.target)[0]
 
+    def wanted_mps(self, dt_s: float) -> Float[np.ndarray, " A"]:
+        """Preferred speeds; people who go to a via point stay there until their wait is over."""
+        speed = self.speed.astype(np.float64)
+        visits = (self.target != self.goal).any(axis=1)
+        rest = np.linalg.norm(self.target - self.position, axis=1) / dt_s
+        speed[visits] = np.minimum(speed, rest)[visits]
+        return speed
+
 
 class _Named(Protocol):
     @property

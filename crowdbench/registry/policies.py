@@ -14,6 +14,7 @@ from crowdbench.policies import (
     RecordedPaths,
     ReplayPolicy,
     SocialForce,
+    SpeedModel,
     Straight,
 )
 from crowdbench.registry.dependencies import Dependencies
@@ -21,7 +22,9 @@ from crowdbench.registry.recordings import has_recording, recording_of
 from crowdbench.scene import Scene, load_scene, scenes_folder
 from crowdbench.spawn.fits import check_split
 
-_PLAIN: dict[str, Callable[..., Policy]] = {k.name: k for k in (Straight, SocialForce, Random)}
+_PLAIN: dict[str, Callable[..., Policy]] = {
+    k.name: k for k in (Straight, SocialForce, SpeedModel, Random)
+}
 _RECORDED: dict[str, Callable[..., Policy]] = {k.name: k for k in (ReplayPolicy, RecordedPaths)}
 POLICIES = (*_PLAIN, *_RECORDED)
 ANY_PLACE = "anticipate-any"

@@ -22,7 +22,8 @@ MAKES_ROLLOUTS = (
 MODELS = (
     *(f"crowdbench.spawn.{name}" for name in ("block_replay", "ntpp", "paper", "plans", "plaza")),
     *(f"crowdbench.spawn.{name}" for name in ("replay", "steering.steered", "times")),
-    *(f"crowdbench.policies.{name}" for name in ("network", "social_force", "walkers")),
+    *(f"crowdbench.policies.{name}" for name in ("network", "social_force", "speed_model")),
+    "crowdbench.policies.walkers",
 )
 """Spawn models and policies. A rollout depends only on those that are in it."""
 PREPARE_RECORDINGS = ("crowdbench.data.recordings", "crowdbench.registry.recordings")

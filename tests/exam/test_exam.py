@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,8 @@ from msgspec import structs
 
 import crowdbench
 from crowdbench.cli import main
-from crowdbench.errors import SettingError
-from crowdbench.exam import TRIALS, Certificate, exam
+from crowdbench.errors import ActionError, SettingError
+from crowdbench.exam import TRIALS, Certificate, exam, verdicts
 from crowdbench.exam.page import written
 from crowdbench.exam.results import Measured, result_of
 from crowdbench.exam.rooms import Room, filled
@@ -25,8 +26,6 @@ BODIES = structs.replace(ETH.motion, body_radius_m=0.15)
 
 
 def place() -> Scene:
-    from dataclasses import replace
-
     return replace(ETH, motion=BODIES)
 
 
@@ -117,6 +116,21 @@ def test_results_are_the_same_for_any_number_of_workers() -> None:
 def test_random_walkers_fail_and_tests_that_they_pass_are_marked() -> None:
     (certificate,) = exam("random", trials=FAST, workers=1)
     assert certificate.passed == sum(of.random_passes for of in certificate.trials) == 0
+
+
+def test_a_policy_fails_a_test_in_which_it_raises_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    few = {name: TRIALS[name] for name in ("rimea-1", "imo-1")}
+    monkeypatch.setattr("crowdbench.exam.examine.TRIALS", few)
+
+    def refuse(run: Run) -> dict[str, float]:
+        raise ActionError("act", got="NaN", expected="a finite action")
+
+    assert verdicts("straight", "eth-v0").passed == 2
+    few["imo-1"] = replace(few["imo-1"], run=refuse)
+    found = verdicts("straight", "eth-v0")
+    assert [of.passed for of in found.trials] == [True, False]
 
 
 def trial_of(limits: dict[str, Limit]) -> Trial:

@@ -8,26 +8,30 @@ from worlds import FAR, Person, actions_of, box, events, ready, simulate, square
 
 from crowdbench.data.table import Trajectories, from_rows
 from crowdbench.errors import SettingError
-from crowdbench.policies import Policy, Random, ReplayPolicy, SocialForce, StateView, Straight
-from crowdbench.policies.social_force import GroupForce, _repulsion, _wall_force
+from crowdbench.policies import (
+    Policy,
+    Random,
+    ReplayPolicy,
+    SocialForce,
+    SpeedModel,
+    StateView,
+    Straight,
+)
+from crowdbench.policies.social_force import PUBLISHED, GroupForce, _repulsion, _wall_force
 from crowdbench.simulation import Settings, Simulation
 
 DT = 0.4
 OPEN = square()
-WALKERS = (Straight(), Random(), SocialForce(), GroupForce())
+WALKERS = (Straight(), Random(), SocialForce(), GroupForce(), SpeedModel())
 
 
-@pytest.mark.parametrize(
-    "policy", [Straight(), Random(), SocialForce(), GroupForce()], ids=lambda p: p.name
-)
+@pytest.mark.parametrize("policy", WALKERS, ids=lambda p: p.name)
 def test_a_policy_acts_for_nobody(policy: Policy) -> None:
     simulation = simulate(OPEN, Person(time_s=9 * DT))
     assert not actions_of(ready(policy, OPEN), simulation).any()
 
 
-@pytest.mark.parametrize(
-    "policy", [Straight(), Random(), SocialForce(), GroupForce()], ids=lambda p: p.name
-)
+@pytest.mark.parametrize("policy", WALKERS, ids=lambda p: p.name)
 def test_walkers_are_policies(policy: object) -> None:
     assert isinstance(policy, Policy)
 
@@ -119,7 +123,7 @@ def test_repulsion_is_the_gradient_of_the_published_potential(seed: int) -> None
     rng = np.random.default_rng(seed)
     r, s = rng.uniform(-1.5, 1.5, 2), rng.uniform(-2.5, 2.5, 2)
     expected = downhill(lambda x: potential(x, s), r)
-    np.testing.assert_allclose(_repulsion(*r, *s), expected, rtol=1e-4, atol=1e-8)
+    np.testing.assert_allclose(_repulsion(*r, *s, PUBLISHED), expected, rtol=1e-4, atol=1e-8)
 
 
 @pytest.mark.parametrize("at", [(1.2, 0.3), (-0.4, -0.2), (1.3, 1.4), (0.5, 1.1)])
@@ -133,15 +137,17 @@ def test_a_wall_pushes_along_the_gradient_of_the_published_potential(
         return 10.0 * np.exp(-gap / 0.2)
 
     walls = np.array(scene.wall_of_segment, np.int32)
-    got = _wall_force(*at, scene.wall_segments, walls, np.arange(len(walls)))
+    got = _wall_force(*at, scene.wall_segments, walls, np.arange(len(walls)), PUBLISHED)
     np.testing.assert_allclose(got, downhill(wall_potential, np.array(at)), rtol=1e-4)
 
 
 def test_each_wall_pushes_once_however_many_edges_it_has() -> None:
     segments = np.array([[0, 0, 1, 0], [1, 0, 2, 0], [0, 5, 2, 5.0]])
     one_wall = np.zeros(2, np.int32)
-    one = _wall_force(1.0, 0.5, segments[:1] * [[1, 1, 2, 1]], one_wall[:1], np.arange(1))
-    split = _wall_force(1.0, 0.5, segments[:2], one_wall, np.arange(2))
+    one = _wall_force(
+        1.0, 0.5, segments[:1] * [[1, 1, 2, 1]], one_wall[:1], np.arange(1), PUBLISHED
+    )
+    split = _wall_force(1.0, 0.5, segments[:2], one_wall, np.arange(2), PUBLISHED)
     assert split == one
 
 
@@ -161,7 +167,7 @@ HEAD_ON = (
 )
 
 
-@pytest.mark.parametrize(("policy", "touch"), [(Straight(), True), (SocialForce(), False)])
+@pytest.mark.parametrize(("policy", "touch"), [(Straight(), True), (SocialForce(PUBLISHED), False)])
 def test_who_meets_head_on(policy: Policy, touch: bool) -> None:
     path = walked(policy, OPEN, *HEAD_ON, frames=14)
     gap_m = np.linalg.norm(path[:, 0] - path[:, 1], axis=1)
@@ -185,7 +191,7 @@ def crowd(turn: float = 0.0) -> list[Person]:
 def social_actions(*worlds: list[Person]) -> np.ndarray:
     simulation = Simulation(OPEN, worlds=len(worlds), settings=Settings(max_alive=12))
     simulation.reset([events(*people) for people in worlds], horizon=FAR)
-    return ready(SocialForce(), OPEN).act(StateView.of(simulation))
+    return ready(SocialForce(PUBLISHED), OPEN).act(StateView.of(simulation))
 
 
 @pytest.mark.parametrize("turn", [0.3, np.pi / 2, 2.5])
@@ -246,7 +252,7 @@ def grouped(*people: Person, groups: list[int], frames: int = 15) -> np.ndarray:
 
 def test_people_who_are_alone_feel_the_same_forces_with_and_without_groups() -> None:
     people = crowd()
-    alone = walked(SocialForce(), OPEN, *people, frames=3)
+    alone = walked(SocialForce(PUBLISHED), OPEN, *people, frames=3)
     np.testing.assert_array_equal(grouped(*people, groups=[-1] * len(people), frames=3), alone)
 
 

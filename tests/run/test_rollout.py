@@ -11,7 +11,15 @@ from worlds import box, poisson, square
 from crowdbench.data.recordings.catalogue import SOURCES, import_recording, read_published
 from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.errors import CapacityError, SettingError
-from crowdbench.policies import Policy, Random, RecordedPaths, ReplayPolicy, SocialForce, Straight
+from crowdbench.policies import (
+    Policy,
+    Random,
+    RecordedPaths,
+    ReplayPolicy,
+    SocialForce,
+    SpeedModel,
+    Straight,
+)
 from crowdbench.run.replay_check import compare_replay
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
@@ -50,7 +58,9 @@ def same(one: Trajectories, other: Trajectories) -> bool:
     return all(np.array_equal(a, b) for a, b in values)
 
 
-@pytest.mark.parametrize("policy", [Straight(), Random(), SocialForce()], ids=lambda p: p.name)
+@pytest.mark.parametrize(
+    "policy", [Straight(), Random(), SocialForce(), SpeedModel()], ids=lambda p: p.name
+)
 def test_the_same_seed_gives_the_same_crowd(policy: Policy) -> None:
     one, again = (rollout(HALL, poisson(HALL), policy, seed=3, horizon_s=30.0) for _ in range(2))
     assert same(one, again)

@@ -11,7 +11,7 @@ from worlds import Person, events
 
 from crowdbench import registry
 from crowdbench.data.table import Trajectories
-from crowdbench.policies import Policy, Random, SocialForce, StateView, Straight
+from crowdbench.policies import Policy, Random, SocialForce, SpeedModel, StateView, Straight
 from crowdbench.policies.memory import Memory
 from crowdbench.policies.social_force import GroupForce
 from crowdbench.run.episode import most_at_once
@@ -36,7 +36,9 @@ def same(one: Trajectories, other: Trajectories) -> bool:
     return all(np.array_equal(a, b) for a, b in values)
 
 
-@pytest.mark.parametrize("policy", [Straight(), SocialForce(), Random()], ids=lambda p: p.name)
+@pytest.mark.parametrize(
+    "policy", [Straight(), SocialForce(), SpeedModel(), Random()], ids=lambda p: p.name
+)
 def test_crowds_of_built_in_policies_are_those_of_single_rollouts(policy: Policy) -> None:
     models = spawn_models(len(SEEDS))
     several = rollouts(ETH, models, policy, seeds=SEEDS)

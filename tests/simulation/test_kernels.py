@@ -13,7 +13,7 @@ from msgspec import structs
 from worlds import Person, box, events, square
 
 from crowdbench.compilation import PARALLEL_FROM
-from crowdbench.policies import SocialForce, StateView
+from crowdbench.policies import SocialForce, SpeedModel, StateView
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.spawn import SpawnEvents
 
@@ -76,13 +76,15 @@ def history(
     return worlds
 
 
-def social_force() -> bytes:
-    """Actions of a small crowd of social-force walkers."""
+def walkers() -> bytes:
+    """Actions of a small crowd by both policies with kernels of their own."""
     simulation = Simulation(BLOCKS, worlds=2, settings=SIZES)
     simulation.reset([people(1), people(2)], horizon=FRAMES)
-    policy = SocialForce()
-    policy.reset(BLOCKS, np.random.default_rng(0))
-    return policy.act(StateView.of(simulation)).tobytes()
+    seen, acted = StateView.of(simulation), b""
+    for policy in (SocialForce(), SpeedModel()):
+        policy.reset(BLOCKS, np.random.default_rng(0))
+        acted += policy.act(seen).tobytes()
+    return acted
 
 
 def digest(worlds: int) -> str:
@@ -93,7 +95,7 @@ def digest(worlds: int) -> str:
         history(*seeds, observation="social-1", body_radius_m=0.15),
     ]
     states = [state for of_one in worlds_of for world in of_one for state in world]
-    return hashlib.sha256(b"".join(states) + social_force()).hexdigest()
+    return hashlib.sha256(b"".join(states) + walkers()).hexdigest()
 
 
 SHARED = os.pathsep.join(map(str, Path(__file__).parents[:2]))

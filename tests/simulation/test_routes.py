@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 from worlds import FAR, Person, Point, actions_of, box, events, square
 
 from crowdbench.errors import SettingError
-from crowdbench.policies import SocialForce, StateView, Straight
+from crowdbench.policies import Policy, SocialForce, SpeedModel, StateView, Straight
 from crowdbench.registry import spawn_model
 from crowdbench.scene import Scene, list_scenes, load_scene
 from crowdbench.simulation import Settings, Simulation
@@ -33,14 +33,14 @@ def facing(scene: Scene, *worlds: list[Person]) -> Simulation:
     return simulation
 
 
-def ready(scene: Scene, policy: Straight | SocialForce | None = None) -> Straight | SocialForce:
+def ready(scene: Scene, policy: Policy | None = None) -> Policy:
     policy = policy or Straight()
     policy.reset(scene, np.random.default_rng(0))
     return policy
 
 
 def walk(
-    scene: Scene, person: Person, policy: Straight | SocialForce | None = None, frames: int = 300
+    scene: Scene, person: Person, policy: Policy | None = None, frames: int = 300
 ) -> tuple[np.ndarray, int]:
     """The path of someone, and how it ended (0 if it did not)."""
     simulation, policy = facing(scene, [person]), ready(scene, policy)
@@ -240,12 +240,10 @@ def test_an_unknown_version_of_the_observation_is_refused(version: str) -> None:
         Settings(observation=version)
 
 
-@pytest.mark.parametrize("policy", [Straight(), SocialForce()], ids=lambda p: p.name)
+@pytest.mark.parametrize("policy", [Straight(), SocialForce(), SpeedModel()], ids=lambda p: p.name)
 @pytest.mark.parametrize("start", [(0.0, -4.0), (0.0, 1.0), (-8.0, 3.0)])
 @pytest.mark.parametrize("turn", range(4))
-def test_walkers_come_out_of_and_into_a_u(
-    policy: Straight | SocialForce, start: Point, turn: int
-) -> None:
+def test_walkers_come_out_of_and_into_a_u(policy: Policy, start: Point, turn: int) -> None:
     # Open to the top, and turned by quarters; the goal lies below it or inside.
     shape = [(-3, -2), (3, -2), (3, 4), (2.5, 4), (2.5, -1.5), (-2.5, -1.5), (-2.5, 4), (-3, 4)]
     c, s = [(1, 0), (0, 1), (-1, 0), (0, -1)][turn]
@@ -260,8 +258,8 @@ def test_walkers_come_out_of_and_into_a_u(
     assert scene.walkable(path).all()
 
 
-@pytest.mark.parametrize("policy", [Straight(), SocialForce()], ids=lambda p: p.name)
-def test_everyone_finds_the_way_around_the_kiosk(policy: Straight | SocialForce) -> None:
+@pytest.mark.parametrize("policy", [Straight(), SocialForce(), SpeedModel()], ids=lambda p: p.name)
+def test_everyone_finds_the_way_around_the_kiosk(policy: Policy) -> None:
     scene = load_scene("plaza-v0")
     x, y = np.mean(next(w.corners_m for w in scene.walls if w.name == "kiosk"), axis=0)
     angle = np.arange(16) * np.pi / 8

@@ -5,7 +5,7 @@ import pytest
 from given import env_of, run, stand
 from worlds import Person, actions_of, box, ended, simulate, square, step
 
-from crowdbench.policies import Random, SocialForce, StateView, Straight
+from crowdbench.policies import Policy, Random, SocialForce, SpeedModel, StateView, Straight
 from crowdbench.run.episode import generator
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
@@ -108,8 +108,8 @@ def test_routes_lead_around_walls_to_each_target() -> None:
     assert furthest > 3.9
 
 
-@pytest.mark.parametrize("policy", [Straight(), SocialForce()])
-def test_walkers_stay_at_a_via_point_for_the_wait(policy: Straight | SocialForce) -> None:
+@pytest.mark.parametrize("policy", [Straight(), SocialForce(), SpeedModel()])
+def test_walkers_stay_at_a_via_point_for_the_wait(policy: Policy) -> None:
     person = Person(start=(0.0, 0.0), goal=(9.0, 0.0), via=(4.0, 0.0), wait_s=8.0, speed=1.2)
     simulation = simulate(OPEN, person)
     policy.reset(OPEN, generator(0, 0, "policy"))

@@ -30,6 +30,7 @@ from crowdbench.run.jobs import Job, plan
 from crowdbench.run.judge import TRAJECTORIES
 from crowdbench.run.processes import alone_in
 from crowdbench.scene import load_scene
+from crowdbench.scoring.ranking import RECORDED_POLICIES
 from crowdbench.scoring.reference import read_reference
 
 
@@ -42,8 +43,8 @@ def make_entry(
 ) -> Entry:
     """Roll out a submission, score it and return its entry.
 
-    `rollouts` is the number per split, by default that of
-    the scene's protocol. `owners` are the authors of other entries by id, see `check_unused`.
+    `rollouts` is the number per split, by default that of the scene's protocol; if it is given, the
+    policy is not examined. `owners` are the authors of other entries by id, see `check_unused`.
 
     Raises:
         OutputError: the id belongs to an entry of other authors.
@@ -66,7 +67,7 @@ def make_entry(
                 before += len(each.jobs)
                 scenes[each.place.id], found = scene_entry(each)
                 flags += found
-        exam = _exam(here)
+        exam = None if rollouts else _exam(here)
     return Entry(
         schema=SCHEMA,
         id=given.id,
@@ -83,12 +84,15 @@ def make_entry(
 
 
 def _exam(given: Submission) -> ExamEntry | None:
-    """The exam of the policy that walks on the first scene; None without a policy of its own."""
+    """The exam of the policy that walks on the first scene; None without one, or if it replays."""
     name = given.declared.scenes[0]
     if given.declared.track == "spawn" or given.trajectories_of(name):
         return None
+    policy = given.policy_of(name)
+    if policy in RECORDED_POLICIES:
+        return None
     split = SPLITS[1] if given.protocol == "heldout" else "full"
-    found = verdicts(given.policy_of(name), name, split=split)
+    found = verdicts(policy, name, split=split)
     return ExamEntry(
         scene=name,
         body_radius_m=found.body_radius_m,
