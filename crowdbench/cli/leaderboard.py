@@ -55,12 +55,14 @@ def verify(
     out: Path,
     workers: Workers = None,
     engine: EngineName = LOCAL,
+    exam: bool = False,
     at_most: SandboxLimits = SandboxLimits(),
 ) -> None:
     """Roll out and score submissions in a sandbox and write their entries.
 
     Args:
         submissions: folders of submissions
+        exam: also put their policies through the exam (some minutes; it does not rank)
         out: output folder of ID.json.gz, ID.run.json and the rollouts (work/)
     """
     from crowdbench.leaderboard.verification import verify as verification
@@ -70,13 +72,15 @@ def verify(
     found: dict[str, verification.Verified | CrowdbenchError] = {}
     if not is_local():  # all at once, each by one process of the cluster
         with progress_bar("submissions"):
-            each = verification.verify_each(submissions, out, workers=workers, limits=limits)
+            each = verification.verify_each(
+                submissions, out, workers=workers, limits=limits, exam=exam
+            )
             found = {f"{submission}": verified for submission, verified in each}
     made: set[str] = set()
 
     def one(submission: str) -> "Entry":
         verified = found.get(submission) or verification.verify(
-            Path(submission), out, workers=workers, limits=limits, taken=made
+            Path(submission), out, workers=workers, limits=limits, taken=made, exam=exam
         )
         if isinstance(verified, CrowdbenchError):
             raise verified

@@ -21,7 +21,7 @@ def main(entry_id: str) -> None:
     path = entry_path(ROOT / "entries", entry_id)
     history = read_entry(path).history if path.exists() else []
     with progress_bar(entry_id):
-        entry = make_entry(str(ROOT / "submissions" / entry_id), str(WORK), None)
+        entry = make_entry(str(ROOT / "submissions" / entry_id), str(WORK), None, examine=True)
     write_json(path, msgspec.structs.replace(entry, history=history))
 
 

@@ -17,6 +17,7 @@ from crowdbench.cli import main
 from crowdbench.data.storage import write_parquet
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import CrowdbenchError, RecordingError
+from crowdbench.exam import TRIALS
 from crowdbench.files import write_json
 from crowdbench.leaderboard.sandbox.parent import Limits, SandboxError
 from crowdbench.leaderboard.submission.errors import SubmissionError
@@ -167,6 +168,17 @@ def blocks(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
         patch.setenv("CROWDBENCH_HOME", str(recorded))
         patch.setattr(Submission, "spawn_of", lambda self, scene: "copier:JitteredBlocks")
         return folder, make_entry(str(folder / "mine"), str(folder), 1, 2)
+
+
+@pytest.mark.long
+def test_a_policy_is_examined_if_that_is_asked_for(recorded: Path, tmp_path: Path) -> None:
+    mine = submitted(tmp_path / "mine", "walk", shipped_policy="straight")
+    entry, _ = verify(mine, tmp_path / "out", workers=1, exam=True)
+    assert entry.exam is not None
+    assert entry.exam.scene == "plaza-v0"
+    assert {"rimea-1", "door", "rimea-9"} <= {*entry.exam.passed}
+    assert sorted([*entry.exam.passed, *entry.exam.failed]) == sorted(TRIALS)
+    assert read_entry(tmp_path / "out" / "mine-v2.json.gz") == entry
 
 
 @pytest.mark.long

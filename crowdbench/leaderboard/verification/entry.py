@@ -184,7 +184,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     scenes: dict[str, SceneEntry]
     flags: list[Flag]
     exam: ExamEntry | None = None
-    """None if the entry has no policy of its own, or only trajectories."""
+    """None if nobody was examined, or if the entry has no policy of its own."""
     history: list[Earlier]
 
 

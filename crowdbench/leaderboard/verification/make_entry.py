@@ -40,11 +40,12 @@ def make_entry(
     workers: int | None,
     rollouts: int | None = None,
     owners: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    examine: bool = False,
 ) -> Entry:
     """Roll out a submission, score it and return its entry.
 
-    `rollouts` is the number per split, by default that of the scene's protocol; if it is given, the
-    policy is not examined. `owners` are the authors of other entries by id, see `check_unused`.
+    `rollouts` is the number per split, by default that of the scene's protocol. `owners` are the
+    authors of other entries by id, see `check_unused`. `examine` puts the policy through the exam.
 
     Raises:
         OutputError: the id belongs to an entry of other authors.
@@ -67,7 +68,7 @@ def make_entry(
                 before += len(each.jobs)
                 scenes[each.place.id], found = scene_entry(each)
                 flags += found
-        exam = None if rollouts else _exam(here)
+        exam = _exam(here) if examine else None
     return Entry(
         schema=SCHEMA,
         id=given.id,

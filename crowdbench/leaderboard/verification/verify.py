@@ -32,12 +32,13 @@ def verify(
     workers: int | None = None,
     limits: Limits = DEFAULT,
     taken: Collection[str] = (),
+    exam: bool = False,
 ) -> Verified:
     """Roll out and score a submission; write `ID.json.gz` and `ID.run.json` into `out`.
 
     The same submission gives the same bytes in `ID.json.gz`; time, memory and machine are in
     `ID.run.json`. Rollouts stay in `out/work/ID`, so that an interrupted verification can be
-    continued. `taken` are the ids of other submissions.
+    continued. `taken` are the ids of other submissions. With `exam`, the policy is examined.
 
     Returns:
         The entry, and the resources that the child process used.
@@ -50,13 +51,18 @@ def verify(
             something it needs, such as a recording, is missing.
     """
     owners = owners_of(out) | {name: [] for name in taken}
-    verified = entry_of(submission, out / "work", workers, limits, owners)
+    verified = entry_of(submission, out / "work", workers, limits, owners, exam=exam)
     _write(submission, out, verified, owners)
     return verified
 
 
 def verify_each(
-    submissions: Sequence[Path], out: Path, *, workers: int | None = None, limits: Limits = DEFAULT
+    submissions: Sequence[Path],
+    out: Path,
+    *,
+    workers: int | None = None,
+    limits: Limits = DEFAULT,
+    exam: bool = False,
 ) -> Iterator[tuple[Path, Verified | CrowdbenchError]]:
     """Verify submissions on the engine of `run.executor`, each by one process and in a sandbox.
 
@@ -70,7 +76,7 @@ def verify_each(
         WorkerError: a process of the cluster died.
     """
     owners = owners_of(out)
-    tasks = [(path.name, _files(path), limits, dict(owners)) for path in submissions]
+    tasks = [(path.name, _files(path), limits, dict(owners), exam) for path in submissions]
     tell("submissions", 0, len(tasks))
     found = call_each(_verified, tasks, checked_workers(workers), name=lambda name, *rest: name)
     for done, (k, verified) in enumerate(found, 1):
@@ -85,7 +91,11 @@ def verify_each(
 
 
 def _verified(
-    name: str, files: Mapping[str, bytes], limits: Limits, owners: Mapping[str, Sequence[str]]
+    name: str,
+    files: Mapping[str, bytes],
+    limits: Limits,
+    owners: Mapping[str, Sequence[str]],
+    exam: bool,
 ) -> Verified | CrowdbenchError:
     with tempfile.TemporaryDirectory(prefix="crowdbench-verify-") as folder:
         submission = Path(folder) / "submission" / name
@@ -93,7 +103,7 @@ def _verified(
             (submission / path).parent.mkdir(parents=True, exist_ok=True)
             (submission / path).write_bytes(data)
         try:
-            return entry_of(submission, Path(folder) / "work", 1, limits, owners)
+            return entry_of(submission, Path(folder) / "work", 1, limits, owners, exam=exam)
         except CrowdbenchError as error:
             return error
 
@@ -124,10 +134,13 @@ def entry_of(
     workers: int | None,
     limits: Limits,
     owners: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    *,
+    exam: bool = False,
 ) -> Verified:
     """Verify a submission in a child process; return its entry and the resources used.
 
-    `owners` are the authors of other entries by id, see `check_unused`.
+    `owners` are the authors of other entries by id, see `check_unused`. With `exam`, its policy is
+    put through the exam.
     """
     entry, ran = call(
         "crowdbench.leaderboard.verification.make_entry:make_entry",
@@ -136,6 +149,7 @@ def entry_of(
             "work": str(work.resolve()),
             "workers": workers,
             "owners": dict(owners),
+            "examine": exam,
         },
         Entry,
         where=submission,
