@@ -28,6 +28,7 @@ NAMES = [
     "core with observations, 64 × 50",
     "core with social-1, 1 × 100",
     "core with social-1, 64 × 50",
+    "core with observations and bodies, 64 × 50",
     "PettingZoo environment, 20 agents",
     "PettingZoo environment, 100 agents",
     "PettingZoo environment, 300 agents",
@@ -75,7 +76,7 @@ def test_each_figure_is_printed_and_written(
     assert sorted(figures) == sorted(NAMES)
     assert [n for n, figure in figures.items() if not 0 < figure["value"] < float("inf")] == []
     units = {name: figure["unit"] for name, figure in figures.items()}
-    assert units == dict.fromkeys(NAMES[:12], "agent-steps/s") | dict.fromkeys(NAMES[12:], "s")
+    assert units == dict.fromkeys(NAMES[:13], "agent-steps/s") | dict.fromkeys(NAMES[13:], "s")
 
 
 @pytest.mark.parametrize(
