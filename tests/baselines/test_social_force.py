@@ -64,7 +64,7 @@ def test_candidates_are_examined_until_they_fail(monkeypatch: pytest.MonkeyPatch
     assert found.score == pytest.approx(walked - 2 + 1 / 3)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_parameters_found_pass_rooms_in_which_the_published_ones_jam() -> None:
     tests = ("rimea-1", "rimea-6", "rimea-12", "counterflow", "door")
     (found,) = exam("speed-model", trials=tests, workers=2)

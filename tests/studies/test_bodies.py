@@ -21,7 +21,7 @@ def test_positions_near_strangers_and_near_companions_are_counted() -> None:
     assert close_rows(crowd, 0.1) == (0, 0)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_page_has_the_shares_that_people_keep() -> None:
     plaza = load_scene("plaza-v0")
     text = page(["plaza-v0"])
@@ -31,7 +31,7 @@ def test_the_page_has_the_shares_that_people_keep() -> None:
     assert line.endswith("| no |")
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_page_of_the_exam_has_verdicts_and_values() -> None:
     text = exam_page(["straight"], workers=1)
     assert (
