@@ -30,14 +30,14 @@ def page(policies: Sequence[str], workers: int | None = None) -> str:
         ["test", "guidelines", *map(_name, found)],
         [
             [f"[{of.title}](#{_anchor(of.title)})", ", ".join(of.guidelines), *_verdicts(found, k)]
-            for k, of in enumerate(one.trials)
+            for k, of in enumerate(one.tests)
         ]
-        + [["passed", "", *(f"{of.passed} of {len(of.trials)}" for of in found)]],
+        + [["passed", "", *(f"{of.passed} of {len(of.tests)}" for of in found)]],
         text=2,
     )
     others = "\n".join(f"- {which}: {why}." for which, why in NOT_APPLICABLE.items())
-    rooms = "\n\n".join(_room(found, k) for k in range(len(one.trials)))
-    marked = any(of.passed and of.random_passes for each in found for of in each.trials)
+    rooms = "\n\n".join(_room(found, k) for k in range(len(one.tests)))
+    marked = any(of.passed and of.random_passes for each in found for of in each.tests)
     note = "\\* random walkers pass, too.\n\n" if marked else ""
     return (
         f"{flowed(title)}\n{verdicts}\n\n{note}"
@@ -54,7 +54,7 @@ def _anchor(title: str) -> str:
 
 
 def _verdicts(found: Sequence[Certificate], k: int) -> list[str]:
-    results = [of.trials[k] for of in found]
+    results = [of.tests[k] for of in found]
     return [
         ("passed\\*" if of.random_passes else "passed") if of.passed else "**failed**"
         for of in results
@@ -62,13 +62,13 @@ def _verdicts(found: Sequence[Certificate], k: int) -> list[str]:
 
 
 def _room(found: Sequence[Certificate], k: int) -> str:
-    first = found[0].trials[k]
+    first = found[0].tests[k]
     trial = TRIALS[first.id]
     lines = [
         [
             of.name,
             of.limit or "",
-            *(written(one.trials[k].measured[m]) for one in found),
+            *(written(one.tests[k].measured[m]) for one in found),
         ]
         for m, of in enumerate(first.measured)
     ]

@@ -5,7 +5,7 @@ JuPedSim needs an environment of its own, in which crowdbench is not installed:
     python -m studies.jupedsim_door write door.json
     python -m venv jupedsim && jupedsim/bin/pip install jupedsim
     jupedsim/bin/python studies/jupedsim_door.py run door.json
-    crowdbench exam --trial door --policy straight speed-model social-force
+    crowdbench exam --test door --policy straight speed-model social-force
 
 `write` writes the room and its people to a file, for each of the exam's seeds. `run` walks them
 with JuPedSim's `CollisionFreeSpeedModel` and its default parameters, from the same starts and with

@@ -13,11 +13,13 @@ from crowdbench.exam import other_guidelines, rimea  # noqa: F401  # they fill t
 from crowdbench.exam.results import Certificate, TrialResult, failed, result_of
 from crowdbench.exam.rooms import Room
 from crowdbench.exam.trial import TRIALS, Run, Trial, Values
+from crowdbench.files import unwritable
 from crowdbench.policies import Policy
 from crowdbench.progress import tell
 from crowdbench.registry import policy as policy_of
 from crowdbench.run.executor import call_each, checked_workers
 from crowdbench.scene import LARGEST_BODY_M, Scene, load_scene
+from crowdbench.scoring.ranking import RECORDED_POLICIES
 
 BODY_RADIUS_M = 0.15
 """Radius of bodies in scenes that have none of their own, in metres."""
@@ -28,7 +30,7 @@ def exam(
     policy: str | Sequence[str],
     scene: str | Path | Scene = "eth-v0",
     *,
-    trials: Sequence[str] | None = None,
+    tests: Sequence[str] | None = None,
     body_radius_m: float | None = None,
     workers: int | None = None,
     out: str | Path | None = None,
@@ -39,23 +41,28 @@ def exam(
         policy: names of policies, ONNX files or `pkg.module:Class`.
         scene: the rooms have its time step and its limits of motion, and policies by name are those
             trained for it.
-        trials: ids of tests, see `TRIALS`; default: all.
+        tests: ids of tests, see `TRIALS`; default: all.
         body_radius_m: radius of bodies, 0 for none; default: that of the scene, 0.15 m if it has
             none.
         workers: number of processes; default: one per core. The results are the same.
         out: folder for `exam.html`, with pictures of the rooms, and `exam.json`.
 
     Raises:
-        SettingError: a policy or a test does not exist, or the radius is not allowed.
+        SettingError: a policy or a test does not exist, a policy only replays recordings, or a
+            number is out of range.
         SceneError: there is no such scene.
         WeightsError: a policy's file does not fit.
         ActionError: a policy does not return one finite action per person.
+        OutputError: `out` cannot be written.
     """
-    chosen = _chosen(trials)
-    names = [policy] if isinstance(policy, str) else list(policy)
+    chosen = _chosen(tests)
+    names = [policy] if isinstance(policy, str) else list(dict.fromkeys(policy))
+    processes = checked_workers(workers)
     place = _with_bodies(load_scene(scene), body_radius_m)
     for name in names:
-        policy_of(name, place)  # errors are reported before minutes of rollouts
+        _check(name, place)
+    if out is not None:
+        _make(Path(out))
     everyone = dict.fromkeys([*names, RANDOM])
     tasks = [
         (name, of.id, seed)
@@ -65,7 +72,7 @@ def exam(
     ]
     found: dict[tuple[str, str, int], tuple[Values, Room, Trajectories]] = {}
     tell("rooms", 0, len(tasks))
-    walks = call_each(_walked, tasks, checked_workers(workers), common=(place,), name=_named)
+    walks = call_each(_walked, tasks, processes, common=(place,), name=_named)
     for done, (index, result) in enumerate(walks, 1):
         found[tasks[index]] = result
         tell("rooms", done, len(tasks))
@@ -114,25 +121,43 @@ def _result(of: Trial, place: Scene, walker: Policy) -> TrialResult:
         return failed(of)
 
 
-def _certificate(policy: str, place: Scene, trials: Sequence[TrialResult]) -> Certificate:
+def _certificate(policy: str, place: Scene, tests: Sequence[TrialResult]) -> Certificate:
     return Certificate(
         crowdbench=__version__,
         policy=policy,
         scene=place.id,
         dt_s=place.dt_s,
         body_radius_m=place.motion.body_radius_m,
-        trials=tuple(trials),
+        tests=tuple(tests),
     )
 
 
-def _chosen(trials: Sequence[str] | None) -> list[Trial]:
-    for name in trials or ():
+def _check(policy: str, place: Scene) -> None:
+    """Report a wrong policy before minutes of rollouts."""
+    if policy in RECORDED_POLICIES:
+        raise SettingError(
+            "exam",
+            got=f"the policy {policy}",
+            expected="one that can walk where nobody was recorded",
+        )
+    policy_of(policy, place)
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(folder, error) from error
+
+
+def _chosen(tests: Sequence[str] | None) -> list[Trial]:
+    for name in tests or ():
         if name not in TRIALS:
             raise SettingError(
                 "exam", got=repr(name), expected=f"one of {', '.join(TRIALS)}",
                 hint=did_you_mean(name, list(TRIALS)),
             )  # fmt: skip
-    return [TRIALS[name] for name in dict.fromkeys(trials or TRIALS)]
+    return [TRIALS[name] for name in dict.fromkeys(tests or TRIALS)]
 
 
 def _with_bodies(scene: Scene, radius_m: float | None) -> Scene:

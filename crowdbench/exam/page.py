@@ -27,7 +27,7 @@ _DENSITY = re.compile(r"speed at ([0-9.]+) per (m²|m), m/s=([0-9.]+)")
 MOST_PATHS = 80
 """Number of people whose paths a picture shows."""
 _STYLE = """
-td.passed { color: inherit; } td.failed b { color: #b00020; } td b { display: block; }
+td.failed b { color: #b00020; } td b { display: block; }
 td, th { text-align: left; } .rooms { display: grid; gap: 0.8rem;
 grid-template-columns: repeat(auto-fill, minmax(min(100%, 24rem), 1fr)); }
 figure { margin: 0; } img { width: 100%; height: auto; background: #fff; }
@@ -40,24 +40,23 @@ Shown = Mapping[tuple[str, str], tuple[Room, Trajectories]]
 
 def write_exam(certificates: Sequence[Certificate], shown: Shown, folder: Path) -> None:
     """Write `exam.html` and `exam.json` to a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "exam.json", list(certificates))
     pictures = {
         of.id: [
             (
                 one.policy,
-                _address(*shown[one.policy, of.id], one.trials[k]),
-                _verdict(one.trials[k]),
+                _address(*shown[one.policy, of.id], one.tests[k]),
+                _verdict(one.tests[k]),
             )
             for one in certificates
         ]
-        for k, of in enumerate(certificates[0].trials)
+        for k, of in enumerate(certificates[0].tests)
     }
     body = html(
         "exam.html.j2",
         certificates=certificates,
-        trials=[TRIALS[of.id] for of in certificates[0].trials],
-        by_id=[{of.id: of for of in one.trials} for one in certificates],
+        trials=[TRIALS[of.id] for of in certificates[0].tests],
+        by_id=[{of.id: of for of in one.tests} for one in certificates],
         not_applicable=NOT_APPLICABLE,
         pictures=pictures,
         value=written,

@@ -49,12 +49,12 @@ class Certificate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """The scene whose time step, limits of motion and trained policies were used."""
     dt_s: float
     body_radius_m: float
-    trials: tuple[TrialResult, ...]
+    tests: tuple[TrialResult, ...]
 
     @property
     def passed(self) -> int:
         """Number of tests passed."""
-        return sum(trial.passed for trial in self.trials)
+        return sum(test.passed for test in self.tests)
 
 
 def result_of(

@@ -51,7 +51,7 @@ class Gaps(NamedTuple):
 PUBLISHED = Gaps(1.0, 0.4, 8.0, 0.1, 5.0, 0.02)
 """The defaults of JuPedSim 1.4."""
 FOUND = Gaps(0.708, 0.263, 0.909, 0.779, 2.44, 0.0902)
-"""Those that `python -m crowdbench.baselines.social_force --policy speed-model --seed 1` finds.
+"""Those that the search `crowdbench.baselines.social_force` finds, see `docs/baselines.md`.
 
 With bodies of 0.15 m radius, crowds pass the door, the corner and the counterflow of the exam. With
 the published ones, two crowds in a corridor block each other."""

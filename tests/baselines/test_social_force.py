@@ -67,7 +67,7 @@ def test_candidates_are_examined_until_they_fail(monkeypatch: pytest.MonkeyPatch
 @pytest.mark.nightly
 def test_the_parameters_found_pass_rooms_in_which_the_published_ones_jam() -> None:
     tests = ("rimea-1", "rimea-6", "rimea-12", "counterflow", "door")
-    (found,) = exam("speed-model", trials=tests, workers=2)
+    (found,) = exam("speed-model", tests=tests, workers=2)
     assert found.passed == len(tests)
-    (forces,) = exam("social-force", trials=tests, workers=2)
-    assert {of.id for of in forces.trials if of.passed} == {"rimea-1", "rimea-6", "counterflow"}
+    (forces,) = exam("social-force", tests=tests, workers=2)
+    assert {of.id for of in forces.tests if of.passed} == {"rimea-1", "rimea-6", "counterflow"}

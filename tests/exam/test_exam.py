@@ -11,7 +11,7 @@ from msgspec import structs
 
 import crowdbench
 from crowdbench.cli import main
-from crowdbench.errors import ActionError, SettingError
+from crowdbench.errors import ActionError, OutputError, SettingError
 from crowdbench.exam import TRIALS, Certificate, exam, verdicts
 from crowdbench.exam.page import written
 from crowdbench.exam.results import Measured, result_of
@@ -96,12 +96,12 @@ def test_each_test_of_a_guideline_is_there_or_does_not_apply() -> None:
 
 
 def test_straight_walkers_with_bodies_pass_and_without_fail_at_the_door() -> None:
-    (with_bodies,) = exam("straight", trials=FAST, workers=1)
-    assert [of.passed for of in with_bodies.trials] == [True] * len(FAST)
+    (with_bodies,) = exam("straight", tests=FAST, workers=1)
+    assert [of.passed for of in with_bodies.tests] == [True] * len(FAST)
     assert with_bodies.body_radius_m == 0.15
-    (without,) = exam("straight", trials=["door"], body_radius_m=0.0, workers=1)
-    flow = without.trials[0].measured[0]
-    assert not without.trials[0].passed
+    (without,) = exam("straight", tests=["door"], body_radius_m=0.0, workers=1)
+    flow = without.tests[0].measured[0]
+    assert not without.tests[0].passed
     assert flow.name == "flow, 1/(m s)"
     assert flow.mean is not None
     assert flow.mean > 10
@@ -110,12 +110,12 @@ def test_straight_walkers_with_bodies_pass_and_without_fail_at_the_door() -> Non
 @pytest.mark.long
 def test_results_are_the_same_for_any_number_of_workers() -> None:
     names = ["straight", "social-force"]
-    assert exam(names, trials=FAST, workers=1) == exam(names, trials=FAST, workers=2)
+    assert exam(names, tests=FAST, workers=1) == exam(names, tests=FAST, workers=2)
 
 
 def test_random_walkers_fail_and_tests_that_they_pass_are_marked() -> None:
-    (certificate,) = exam("random", trials=FAST, workers=1)
-    assert certificate.passed == sum(of.random_passes for of in certificate.trials) == 0
+    (certificate,) = exam("random", tests=FAST, workers=1)
+    assert certificate.passed == sum(of.random_passes for of in certificate.tests) == 0
 
 
 def test_a_policy_fails_a_test_in_which_it_raises_an_error(
@@ -130,7 +130,7 @@ def test_a_policy_fails_a_test_in_which_it_raises_an_error(
     assert verdicts("straight", "eth-v0").passed == 2
     few["imo-1"] = replace(few["imo-1"], run=refuse)
     found = verdicts("straight", "eth-v0")
-    assert [of.passed for of in found.trials] == [True, False]
+    assert [of.passed for of in found.tests] == [True, False]
 
 
 def trial_of(limits: dict[str, Limit]) -> Trial:
@@ -179,7 +179,7 @@ def test_places_fill_a_rectangle_evenly(count: int) -> None:
 
 def test_the_page_has_all_verdicts_values_and_pictures(tmp_path: Path) -> None:
     names = ["straight", "random"]
-    certificates = exam(names, trials=["rimea-1", "door"], workers=1, out=tmp_path / "exam")
+    certificates = exam(names, tests=["rimea-1", "door"], workers=1, out=tmp_path / "exam")
     page = (tmp_path / "exam" / "exam.html").read_text()
     assert page.count("data:image/png") == 4
     assert "straight passes 2 of\n2 tests; random passes 0 of\n2 tests." in page
@@ -188,12 +188,26 @@ def test_the_page_has_all_verdicts_values_and_pictures(tmp_path: Path) -> None:
     assert "RiMEA 2, 3, 13" in page
     found = json.loads((tmp_path / "exam" / "exam.json").read_text())
     assert [of["policy"] for of in found] == names
-    assert found[0]["trials"][0]["measured"][0]["mean"] == pytest.approx(30.1, abs=0.2)
+    assert found[0]["tests"][0]["measured"][0]["mean"] == pytest.approx(30.1, abs=0.2)
     assert isinstance(certificates[0], Certificate)
 
 
+def test_a_folder_that_cannot_be_written_is_refused_before_anybody_walks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(Room, "walk")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="a file in place of a folder"):
+        exam("straight", tests=FAST, out=tmp_path / "file")
+
+
+def test_a_policy_that_is_named_twice_is_examined_once() -> None:
+    (found,) = exam(["straight", "straight"], tests=["rimea-1"], workers=1)
+    assert found.passed == 1
+
+
 def test_the_command_prints_verdicts(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["exam", "--policy", "straight", "random", "--trial", "rimea-1", "imo-1"]
+    arguments = ["exam", "--policy", "straight", "random", "--test", "rimea-1", "imo-1"]
     assert main([*arguments, "--workers", "1"]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines() if line.strip()]
     corridor = next(line for line in lines if line[:2] == ["Walking", "speed"])
@@ -203,9 +217,10 @@ def test_the_command_prints_verdicts(capsys: pytest.CaptureFixture[str]) -> None
 
 @pytest.mark.parametrize(
     ("changed", "message"),
-    [({"trials": ["rimea-99"]}, "expected one of rimea-1"),
+    [({"tests": ["rimea-99"]}, "expected one of rimea-1"),
      ({"policy": "straigth"}, "straight"),
      ({"body_radius_m": 0.5}, "0 \\(no bodies\\) to 0.19"),
+     ({"policy": ["straight", "replay"]}, "walk where nobody was recorded"),
      ({"workers": 0}, "1 or more")],
 )  # fmt: skip
 def test_wrong_settings_are_refused_before_anybody_walks(
@@ -213,4 +228,4 @@ def test_wrong_settings_are_refused_before_anybody_walks(
 ) -> None:
     monkeypatch.delattr(Room, "walk")
     with pytest.raises(SettingError, match=message):
-        exam(**({"policy": "straight", "trials": FAST} | changed))  # type: ignore[arg-type]
+        exam(**({"policy": "straight", "tests": FAST} | changed))  # type: ignore[arg-type]

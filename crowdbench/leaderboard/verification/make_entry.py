@@ -97,8 +97,8 @@ def _exam(given: Submission) -> ExamEntry | None:
     return ExamEntry(
         scene=name,
         body_radius_m=found.body_radius_m,
-        passed=[of.id for of in found.trials if of.passed],
-        failed=[of.id for of in found.trials if not of.passed],
+        passed=[of.id for of in found.tests if of.passed],
+        failed=[of.id for of in found.tests if not of.passed],
     )
 
 
