@@ -9,7 +9,7 @@ from studies.markdown import flowed, table
 from studies.site.index import JUDGED, LEAD, LISTED, SUBMIT, rules_of
 from studies.site.render import markdown
 from studies.site.standings import Line, Standing
-from studies.site.tables import COPIED, GATE, OVERALL, copied, examined, gated
+from studies.site.tables import COPIED, GATE, OVERALL, any_examined, copied, examined, gated
 from studies.site.text import copied_share, decimals, in_markdown
 
 
@@ -37,31 +37,41 @@ def _ranked(standing: Standing) -> str:
     lines = [line for line in ordered if line.entry.status == "ranked"]
     lines.sort(key=lambda line: line.entry.id not in ranks)  # without an overall score: last
     lines += [line for line in ordered if line.entry.status == "reference"]
+    exams, scenes, copies = any_examined(lines), standing.scenes, copied(standing)
     rows = [
-        [standing.rank(line, OVERALL), *_cells(line, standing, standing.scenes, copied(standing))]
+        [standing.rank(line, OVERALL), *_cells(line, standing, scenes, copies, exams=exams)]
         for line in lines
     ]
-    return _table("rank", standing.scenes, copied(standing), rows)
+    return _table("rank", scenes, copies, rows, exams=exams)
 
 
 def _listed(standings: Sequence[Standing]) -> str:
     """The table of the listed entries of all tracks; empty without entries."""
     scenes = tuple(dict.fromkeys(name for standing in standings for name in standing.scenes))
     tracks = [(standing, line) for standing in standings for line in standing.listed]
-    rows = [[o.entry.declared.track, *_cells(o, each, scenes, COPIED)] for each, o in tracks]
-    return _table("track", scenes, COPIED, rows)
+    exams = any_examined([line for _, line in tracks])
+    rows = [
+        [o.entry.declared.track, *_cells(o, each, scenes, COPIED, exams=exams)]
+        for each, o in tracks
+    ]
+    return _table("track", scenes, COPIED, rows, exams=exams)
 
 
 def _table(
-    first: str, scenes: Sequence[str], copies: Sequence[str], rows: Sequence[Sequence[str]]
+    first: str,
+    scenes: Sequence[str],
+    copies: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    exams: bool,
 ) -> str:
-    head = [first, "entry", "kind", "flags", "overall", *GATE, *scenes, "exam"]
+    head = [first, "entry", "kind", "flags", "overall", *GATE, *scenes, *["exam"] * exams]
     head += [f"copy of {c}" for c in copies]
     return table(head, rows, text=4) if rows else ""
 
 
 def _cells(
-    line: Line, standing: Standing, scenes: Sequence[str], copies: Sequence[str]
+    line: Line, standing: Standing, scenes: Sequence[str], copies: Sequence[str], *, exams: bool
 ) -> list[str]:
     """The cells of an entry's row: name, kind, flags, scores and copy index."""
     entry = line.entry
@@ -77,6 +87,6 @@ def _cells(
         interval(line.scores.get(OVERALL)),
         *gated(line),
         *(number(line.scores.get(View(scene=scene))) for scene in scenes),
-        examined(line),
+        *[examined(line)] * exams,
         *(shown[what] for what in copies),
     ]

@@ -26,6 +26,11 @@ class Table:
     """Ids of the entries with a rule above their row."""
 
     @property
+    def examined(self) -> bool:
+        """Whether the table has a column of the exam."""
+        return any_examined(self.lines)
+
+    @property
     def copied(self) -> tuple[str, ...]:
         """The parts of the copy index that have a column."""
         return copied(self.standing)
@@ -54,6 +59,11 @@ def _edges(lines: Sequence[Line], ranks: Mapping[str, int]) -> set[str]:
 def copied(standing: Standing) -> tuple[str, ...]:
     """The shown parts of the copy index; arrivals on track walk are always the recorded ones."""
     return ("trips",) if standing.track == "walk" else COPIED
+
+
+def any_examined(lines: Sequence[Line]) -> bool:
+    """Whether a table has a column of the exam."""
+    return any(line.entry.exam is not None for line in lines)
 
 
 def examined(line: Line) -> str:

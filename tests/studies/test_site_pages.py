@@ -188,7 +188,9 @@ def test_the_page_of_an_entry_names_the_tests_that_its_policy_passes(tmp_path: P
     assert "Walking speed in a corridor (RiMEA 1); Flow through a door (ISO 20414 11)" in page
     assert "Failed (1)" in page
     assert "engineers’ guidelines" not in (tmp_path / "pages" / "model.html").read_text()
-    assert "2 of 3" in (tmp_path / "index.html").read_text()
+    index = (tmp_path / "index.html").read_text()
+    assert "2 of 3" in index
+    assert index.count("<span>exam</span>") == 1  # on track walk, where somebody was examined
 
 
 def test_a_gate_that_changes_no_score_says_so(tmp_path: Path) -> None:
