@@ -163,6 +163,13 @@ class Crowds:
         self.before[worlds] = slots.position[worlds, :-1]
         self.was_there[worlds] = slots.alive[worlds, :-1]
 
+    def fork(self, worlds: Int[np.ndarray, " n"]) -> None:
+        """Let the twins of some worlds go on from their present state, without the robot."""
+        twins = worlds + self.worlds
+        self.simulation.copy_worlds(twins, self.simulation, worlds)
+        self._actor.copy_worlds(twins, worlds)
+        self.simulation.slots.alive[twins, -1] = False
+
     def place(self, worlds: Int[np.ndarray, " n"], poses: Poses) -> None:
         """Put the robots of some worlds where they begin an episode."""
         slots = self.simulation.slots

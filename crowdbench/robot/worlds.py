@@ -9,6 +9,7 @@ from numpy.random import SeedSequence, default_rng
 
 from crowdbench.errors import ActionError, OwnCodeError, SettingError
 from crowdbench.robot.config import RobotConfig, RobotReward
+from crowdbench.robot.costs import Costs
 from crowdbench.robot.crowds import Crowds, Poses
 from crowdbench.robot.driving import drive, longest_substep_m
 from crowdbench.robot.encounters import Encounter, Present, meet
@@ -92,6 +93,7 @@ class RobotWorlds:
         self.present = Present.nobody(worlds, self.crowds.people)
         self.encounter = Encounter.none(worlds)
         self.measures = Measures(worlds, self.period_s)
+        self._costs = Costs(self.crowds) if config.costs else None
         self._observer = Observer(config, self.view, self.scene.wall_segments)
         self.observation_space = self._observer.space
         self.goals = np.zeros((worlds, config.goals, 2))
@@ -170,6 +172,8 @@ class RobotWorlds:
             )
             shortest += np.linalg.norm(to - self.goals[worlds, k - 1], axis=1) + beyond
         self.measures.begin(worlds, shortest)
+        if self._costs is not None:
+            self._costs.begin(worlds)
         self.crowds.place(worlds, Poses(view.position, view.heading, view.velocity, view.goal))
         self._meet(worlds, self._share, self._share)
         self._find_people(worlds)
@@ -207,6 +211,8 @@ class RobotWorlds:
         view = self.view
         if self._tick == 0:
             self.crowds.advance()
+            if self._costs is not None:
+                self._costs.add()
         since, until = self._tick / self.periods, (self._tick + 1) / self.periods
         np.copyto(self._before, view.position)
         pressed = self.hit_wall.copy()
@@ -254,12 +260,13 @@ class RobotWorlds:
         return self._observer.observe(worlds, self.present, self._keys, self.measures.steps)
 
     def results(self, worlds: Int[np.ndarray, " n"]) -> dict[str, np.ndarray]:
-        """The measures of the episodes of some worlds so far, each (n,)."""
+        """The measures and costs of the episodes of some worlds so far, each (n,)."""
         late = self.measures.steps[worlds] >= self.limit
         success = self.success[worlds]
         ends = self.config.collision == "terminate"
         timeout = late & ~success & ~(self.measures.collided[worlds] & ends)
-        return self.measures.of(worlds, success, timeout)
+        found = self.measures.of(worlds, success, timeout)
+        return found if self._costs is None else found | self._costs.of(worlds)
 
     def _meet(self, worlds: Int[np.ndarray, " n"], since: float, until: float) -> None:
         crowds, slots = self.crowds, self.crowds.simulation.slots
