@@ -12,7 +12,7 @@ from crowdbench.robot.config import RobotConfig, RobotReward
 from crowdbench.robot.costs import Costs
 from crowdbench.robot.crowds import Crowds, Poses
 from crowdbench.robot.driving import drive, longest_substep_m
-from crowdbench.robot.encounters import Encounter, Present, meet
+from crowdbench.robot.encounters import GRAZE_M, Encounter, Present, meet
 from crowdbench.robot.measures import STILL_MPS, STILL_RPS, Measures, Period
 from crowdbench.robot.observing import Observer
 from crowdbench.robot.places import MARGIN_M, Places, routes_for
@@ -88,6 +88,8 @@ class RobotWorlds:
             ray_range_m=config.range_m,
             step_m=robot.radius_m + longest_substep_m(robot.limits),
         )
+        slides = self.scene.motion.body_radius_m > 0 and not self.crowds.replayed
+        self._graze_m = GRAZE_M if slides else 0.0
         self._free = free_space(self.scene.walls, b)
         self.view = RobotView.empty(self.scene, robot, self.period_s, worlds, config.nearest)
         self.present = Present.nobody(worlds, self.crowds.people)
@@ -273,7 +275,7 @@ class RobotWorlds:
         meet(
             worlds, since, until, crowds.before, crowds.was_there, slots.alive, slots.position,
             slots.velocity, self._before, self.view.position, self.view.velocity, crowds.reach_m,
-            self.present, self.encounter,
+            self._graze_m, self.present, self.encounter,
         )  # fmt: skip
 
     def _find_way(self, worlds: Int[np.ndarray, " n"]) -> None:
