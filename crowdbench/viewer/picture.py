@@ -5,6 +5,7 @@ A picture is one array of pixels per frame, fast enough for a video.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int, UInt8
@@ -12,8 +13,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from crowdbench.colours import goal_colour
 from crowdbench.data.table import Indices, Points
-from crowdbench.run.episode import Recorder
 from crowdbench.scene import Scene
+from crowdbench.simulation import Simulation
 from crowdbench.viewer.place import GREY, areas_of, corners, dashed_areas, extent_m
 
 TRAIL_S = 2.0
@@ -28,7 +29,7 @@ _WALL, _BOUNDS, _SPAWN, _INK = "#BBBBBB", "#888888", "#666666", "#222222"
 
 @dataclass(frozen=True, eq=False)
 class Now:
-    """`n` persons of a simulation with one world, including those whose trips have just ended."""
+    """`n` persons of a world, including those whose trips have just ended."""
 
     frame: int
     person_id: Int[np.ndarray, " n"]
@@ -50,10 +51,9 @@ class Now:
     """Outcome of trips that ended in this frame, as an index into `OUTCOMES`; 0 for others."""
 
     @classmethod
-    def of(cls, recorder: Recorder, dt_s: float) -> "Now":
-        """Read the present state of a recorder's simulation, without changing it."""
-        simulation = recorder.simulation
-        slots, past = simulation.slots, recorder.latest(trail_steps(dt_s) + 1)
+    def of(cls, simulation: Simulation, past: Past) -> "Now":
+        """Read the present state of a simulation's first world, without changing it."""
+        slots = simulation.slots
         there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
         person, xy = slots.person[0, there], slots.position[0, there]
         return cls(
@@ -111,8 +111,11 @@ class Pictures:
                 line = self._pixels(areas.goal.outline(k))
                 ink.line(line, fill=goal_colour(k), width=2 * _FINER)
 
-    def draw(self, now: Now) -> UInt8[np.ndarray, "h w 3"]:
-        """The picture of a frame: height × width × (red, green, blue), from 0 to 255."""
+    def draw(self, now: Now, ringed: Sequence[int] = ()) -> UInt8[np.ndarray, "h w 3"]:
+        """The picture of a frame: height × width × (red, green, blue), from 0 to 255.
+
+        People with the ids `ringed` have a black ring.
+        """
         image = self._empty.copy()
         ink = ImageDraw.Draw(image)
         colours = [GREY if k < 0 else goal_colour(k) for k in now.goal_area.tolist()]
@@ -126,6 +129,8 @@ class Pictures:
                     ink.line(self._pixels(now.xy[[k, other]]), fill=_INK, width=_FINER)
         for xy, colour in zip(now.xy, colours, strict=True):
             self._disc(ink, xy, radius, colour)
+        for xy in now.xy[np.isin(now.person_id, ringed)]:
+            self._disc(ink, xy, radius + 3 * _FINER, None, outline=_INK, width=2 * _FINER)
         seconds = now.frame * self._scene.dt_s
         alive = int((now.ended == 0).sum())
         text = f"{seconds:.1f} s, {alive} {'person' if alive == 1 else 'persons'}"
@@ -139,6 +144,13 @@ class Pictures:
         at = (xy - self._corner) * [self._per_m, -self._per_m] + _MARGIN_PX * _FINER
         return [(x, y) for x, y in at.tolist()]
 
-    def _disc(self, ink: ImageDraw.ImageDraw, xy: np.ndarray, radius: float, colour: str) -> None:
+    def _disc(
+        self,
+        ink: ImageDraw.ImageDraw,
+        xy: np.ndarray,
+        radius: float,
+        colour: str | None,
+        **line: Any,
+    ) -> None:
         ((x, y),) = self._pixels(xy[None])
-        ink.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
+        ink.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour, **line)
