@@ -164,9 +164,9 @@ class EnvCrowd:
         self._reward = reward_function(config.reward)
         self._camera: Camera | None = None
         if render_mode is not None:
-            from crowdbench.viewer.renderer import Camera
+            from crowdbench.viewer import renderer
 
-            self._camera = Camera(self.simulation)
+            self._camera = renderer.Camera(self.simulation)
 
     def begin(
         self, seed: int, *, simulation: Simulation | None = None, first_world: int = 0

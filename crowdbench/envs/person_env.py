@@ -39,7 +39,10 @@ class PersonEnv(gymnasium.Env[np.ndarray, np.ndarray]):
       ring.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": FPS}
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium reads the class's
+        "render_modes": ["rgb_array"],
+        "render_fps": FPS,
+    }
 
     def __init__(
         self,
