@@ -1,4 +1,4 @@
-"""The present state of an environment: people, trails and ended trips; and pictures of it.
+"""A frame of a crowd: people, trails and ended trips; and pictures of it.
 
 A picture is one array of pixels per frame, fast enough for a video.
 """
@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Int, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from crowdbench.colours import goal_colour
-from crowdbench.data.table import Indices, Points
+from crowdbench.data.table import Indices, Points, Trajectories
 from crowdbench.scene import Scene
 from crowdbench.simulation import Simulation
 from crowdbench.viewer.place import GREY, areas_of, corners, dashed_areas, extent_m
@@ -75,6 +75,15 @@ def trail_steps(dt_s: float) -> int:
     return max(1, round(TRAIL_S / dt_s))
 
 
+def trails(crowd: Trajectories, rows: Indices, first_row: Indices) -> Float32[np.ndarray, "n k 2"]:
+    """Positions in the last `TRAIL_S` seconds up to each row of a table, metres.
+
+    Times before a person's first row have the position of the first row.
+    """
+    back = np.arange(trail_steps(crowd.dt_s), -1, -1)
+    return crowd.xy[np.maximum(rows[:, None] - back, first_row[:, None])]
+
+
 def _trails(person: Indices, xy: Points, past: Past) -> Float32[np.ndarray, "n k 2"]:
     trail = np.repeat(xy[:, None], max(1, len(past)), axis=1)
     for k in range(len(past) - 2, -1, -1):  # backwards, to repeat first positions
@@ -111,10 +120,12 @@ class Pictures:
                 line = self._pixels(areas.goal.outline(k))
                 ink.line(line, fill=goal_colour(k), width=2 * _FINER)
 
-    def draw(self, now: Now, ringed: Sequence[int] = ()) -> UInt8[np.ndarray, "h w 3"]:
+    def draw(
+        self, now: Now, ringed: Sequence[int] = (), *, observed: bool = True
+    ) -> UInt8[np.ndarray, "h w 3"]:
         """The picture of a frame: height × width × (red, green, blue), from 0 to 255.
 
-        People with the ids `ringed` have a black ring.
+        People with the ids `ringed` have a black ring. A frame that was not `observed` says so.
         """
         image = self._empty.copy()
         ink = ImageDraw.Draw(image)
@@ -133,7 +144,8 @@ class Pictures:
             self._disc(ink, xy, radius + 3 * _FINER, None, outline=_INK, width=2 * _FINER)
         seconds = now.frame * self._scene.dt_s
         alive = int((now.ended == 0).sum())
-        text = f"{seconds:.1f} s, {alive} {'person' if alive == 1 else 'persons'}"
+        text = f"{alive} {'person' if alive == 1 else 'persons'}" if observed else "not observed"
+        text = f"{seconds:.1f} s, {text}"
         where = (_MARGIN_PX + 6) * _FINER
         ink.text((where, where), text, fill=_INK, font=self._font,
                  stroke_width=2 * _FINER, stroke_fill="white")  # fmt: skip
