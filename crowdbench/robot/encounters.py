@@ -11,10 +11,9 @@ import numpy as np
 
 from crowdbench.compilation import compiled
 
-
 GRAZE_M = 0.06
-"""People with bodies slide around a robot on an arc. The straight way that is assumed within a frame
-cuts off as much of it if they walk 0.55 m around a circle with a radius of 0.6 m."""
+"""People with bodies slide around a robot on an arc. The straight way that is assumed within a
+frame cuts off as much of it if they walk 0.55 m around a circle with a radius of 0.6 m."""
 ROUNDING_M = 1e-3
 
 
