@@ -32,9 +32,8 @@ def printed_by(code: str) -> list[str]:
         "import gymnasium, crowdbench",
         "import importlib.util; import crowdbench; importlib.util.find_spec('gymnasium'); "
         "import gymnasium; crowdbench.envs.registration.register_on_import()",
-        "import gymnasium; gymnasium.spec('crowdbench:crowdbench/eth-v0') "
-        "if gymnasium.__version__ < '1' else gymnasium.envs.registration._find_spec("
-        "'crowdbench:crowdbench/eth-v0')",
+        # What `make` does with a name in front of the id.
+        "import gymnasium; gymnasium.envs.registration._find_spec('crowdbench:crowdbench/eth-v0')",
     ],
     ids=["before", "after", "looked for", "named"],
 )
@@ -77,6 +76,6 @@ def test_stable_baselines_takes_an_id() -> None:
     need(find_spec("stable_baselines3"), "stable_baselines3")
     from stable_baselines3 import PPO
 
-    model = PPO("MlpPolicy", "crowdbench/plaza-v0", n_steps=64, batch_size=64, device="cpu", seed=0)
+    model = PPO("MlpPolicy", "crowdbench/plaza-v0", n_steps=64, device="cpu", seed=0)
     model.learn(64)
     assert model.num_timesteps == 64
