@@ -157,6 +157,7 @@ def test_the_command_films_a_rollout_and_a_table_of_others(
 PAGE = (Path(__file__).parents[2] / "docs" / "viewer.md").read_text()
 
 
+@pytest.mark.long
 def test_the_pages_example_films_each_tenth_trip(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
