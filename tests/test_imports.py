@@ -43,6 +43,7 @@ HEAVY = (
     "pedpy",
     "numba",
     "matplotlib",
+    "gymnasium",
     "pettingzoo",
     "requests",
 )
