@@ -40,6 +40,7 @@ class Places:
                 or no places are as far from each other as asked for.
         """
         self.scene, self._off_m, self._config = scene, radius_m + MARGIN_M, config
+        self.least_m = config.min_distance_m or 0.0
         b = scene.bounds
         whole = shapely.box(b.x_min_m, b.y_min_m, b.x_max_m, b.y_max_m)
         solid = scene.obstacles.buffer(self._off_m)
@@ -47,7 +48,17 @@ class Places:
         self._parts = [p for p in shapely.get_parts(free) if p.geom_type == "Polygon"]
         for part in self._parts:
             shapely.prepare(part)
-        areas, rng = read_areas(scene), default_rng(0)
+        self.points, self._far = np.empty((0, 2)), list[np.ndarray]()
+        """The points, and the indices of those that are far enough from each."""
+        fixed = config.start is not None and config.goal is not None and config.goals == 1
+        if not fixed:  # a scene without areas will do otherwise
+            self._spread(radius_m)
+        self._first, self._before_goal = self._ends()
+
+    def _spread(self, radius_m: float) -> None:
+        """Choose the points."""
+        scene, rng = self.scene, default_rng(0)
+        areas = read_areas(scene)
         drawn = [
             kind.draw(rng.integers(len(kind), size=4 * POINTS), scene, rng)
             for kind in (areas.spawn, areas.goal)
@@ -64,8 +75,6 @@ class Places:
         apart = np.where(part[:, None] == part, apart, -1.0)
         self.least_m = self._checked_distance(float(apart.max()))
         self._far = [np.flatnonzero(row >= self.least_m) for row in apart]
-        """Indices of the points that are far enough from each point."""
-        self._first, self._before_goal = self._ends()
 
     def part_of(self, points: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
         """Index of the connected free part in which each point lies, −1 for none.
@@ -92,7 +101,7 @@ class Places:
     def _ends(self) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " points"]]:
         """Which points may come first, after a given start, and which before a given goal."""
         config, size = self._config, len(self.points)
-        first = np.array([len(far) > 0 for far in self._far])
+        first = np.array([len(far) > 0 for far in self._far], bool)
         before_goal = np.ones(size, bool)
         for name in ("start", "goal"):
             chosen = getattr(config, name)
@@ -109,8 +118,7 @@ class Places:
                 )
             far = np.linalg.norm(self.points - point, axis=1) >= self.least_m
             far &= self.part_of(self.points) == part
-            both = config.start is not None and config.goal is not None and config.goals == 1
-            if not far.any() and not both:
+            if len(self.points) and not far.any():
                 raise SettingError(
                     name,
                     got=str(tuple(chosen)),

@@ -129,7 +129,7 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):
         return list(seed)
 
     def step(
-        self, actions: Float32[np.ndarray, "W 2"]
+        self, actions: np.ndarray
     ) -> tuple[
         Any,
         Float32[np.ndarray, " W"],
@@ -137,7 +137,7 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):
         Bool[np.ndarray, " W"],
         dict[str, Any],
     ]:
-        """Drive all robots for a control period.
+        """Drive all robots for a control period by actions (W, 2).
 
         Returns observations, rewards, terminations, truncations and infos.
 

@@ -178,8 +178,8 @@ class RobotWorlds:
         """The share of the present frame that has passed; 1 at its end."""
         return self._tick / self.periods if self._tick else 1.0
 
-    def step(self, actions: Float32[np.ndarray, "W 2"]) -> Step:
-        """Drive all robots for a control period.
+    def step(self, actions: np.ndarray) -> Step:
+        """Drive all robots for a control period by actions (W, 2).
 
         Raises:
             ActionError: no episode has begun, or actions have another shape or are not finite.
