@@ -1,7 +1,7 @@
 """`RobotEnv`: one robot among people, as an environment of gymnasium."""
 
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -10,10 +10,12 @@ from jaxtyping import UInt8
 
 from crowdbench.errors import SettingError
 from crowdbench.robot.config import RobotConfig
-from crowdbench.robot.drawing import RobotPictures
 from crowdbench.robot.record import EpisodeRecorder, RobotEpisode
 from crowdbench.robot.worlds import RobotWorlds
 from crowdbench.scene import Scene
+
+if TYPE_CHECKING:
+    from crowdbench.robot.drawing import RobotPictures
 
 
 class RobotEnv(gymnasium.Env[Any, np.ndarray]):
@@ -119,6 +121,8 @@ class RobotEnv(gymnasium.Env[Any, np.ndarray]):
         if self.render_mode is None:
             return None
         if self._pictures is None:
+            from crowdbench.robot.drawing import RobotPictures
+
             self._pictures = RobotPictures(self.worlds.scene)
         return self._pictures.draw(self.episode())
 

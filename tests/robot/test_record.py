@@ -136,7 +136,7 @@ def test_socnav3_speeds_are_those_of_the_robots_own_frame(
         for state in robot
     ]).T  # fmt: skip
     moved_mps = np.hypot(np.diff(x), np.diff(y)) / 0.2
-    np.testing.assert_allclose(np.hypot(ahead, left)[1:], moved_mps, atol=0.02)
+    np.testing.assert_allclose(ahead[10:], moved_mps[9:], atol=1e-3)  # it no longer accelerates
     assert (ahead[1:] > 0).all()  # a unicycle drives ahead
     assert np.abs(left).max() < 1e-3
     np.testing.assert_allclose(turn[1:], np.diff(angle) / 0.2, atol=1e-3)
