@@ -6,17 +6,19 @@
 | `social-force` | by social forces |
 | `orca` | by optimal reciprocal collision avoidance; needs the extra `orca` |
 | `dwa` | by the dynamic window approach |
-| a file `NAME.onnx` | by a network that sees observations; needs the extra `onnx` |
-
-`PACKAGE.MODULE:CLASS` names a class of one's own, which is made without arguments.
+| `ppo` | by a network that ships with the scene; needs the extra `onnx` |
+| `FILE.onnx` | by a network of one's own |
+| `pkg.module:Class` | by a class of one's own, which is made without arguments |
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32
 
+from crowdbench import plugins
 from crowdbench.robot.following import follow
 from crowdbench.robot.robots import Robot
 from crowdbench.robot.seeing import RobotView
@@ -81,3 +83,31 @@ BUILT_IN: dict[str, Callable[[], Controller]] = {
     "dwa": _dwa,
 }
 """The built-in controllers; each is made by calling it."""
+
+
+def controller(named: str | Controller, scene: Scene) -> Controller:
+    """The controller with a name, or in a file; see the table of this module.
+
+    Raises:
+        SettingError: there is no such controller, or its packages are not installed.
+        WeightsError: the file is missing or invalid.
+        OwnCodeError: a class of one's own cannot be made.
+    """
+    if not isinstance(named, str):
+        return named
+    plugins.names("controllers", BUILT_IN)  # raises an error if a built-in name was registered
+    if named in BUILT_IN:
+        return BUILT_IN[named]()
+    shipped = scene.folder / "robots" / f"{named}.onnx"
+    if named.endswith(".onnx") or shipped.is_file():
+        from crowdbench.robot.network import RobotNetwork
+
+        return RobotNetwork(Path(named) if named.endswith(".onnx") else shipped)
+    kind = plugins.find("controllers", named, list_controllers(scene))
+    made: Controller = plugins.create(kind, named, needed=("name", "reset", "act"))
+    return made
+
+
+def list_controllers(scene: Scene) -> list[str]:
+    """Names of the controllers of a scene: built in, and networks that ship with it."""
+    return [*BUILT_IN, *sorted(file.stem for file in (scene.folder / "robots").glob("*.onnx"))]

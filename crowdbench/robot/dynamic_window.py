@@ -24,7 +24,11 @@ from crowdbench.compilation import Kernel
 from crowdbench.robot.robots import BICYCLE, HOLONOMIC, UNICYCLE, Robot
 from crowdbench.robot.seeing import RobotView
 from crowdbench.scene import Scene
-from crowdbench.simulation.rules import distance_to_segment
+from crowdbench.simulation.rules import distance_to_segment, to_own_frame
+
+
+NEARER_M = 1e-3
+"""Approach of somebody who is within the margin already that counts as contact."""
 
 
 class Window(NamedTuple):
@@ -84,10 +88,6 @@ class DynamicWindow:
             view.period_s,
             self.window,
         )  # fmt: skip
-        if self._limits.kind == HOLONOMIC:
-            cos, sin = np.cos(view.heading), np.sin(view.heading)
-            x, y = best[:, 0].copy(), best[:, 1].copy()
-            best[:, 0], best[:, 1] = cos * x + sin * y, cos * y - sin * x
         return np.clip(best / self._unit, -1.0, 1.0).astype(np.float32)
 
 
@@ -96,68 +96,80 @@ def _choose(
     best, position, heading, velocity, speed, turn, towards, remaining, near, near_velocity,
     near_radius, there, segments, limits, period_s, window,
 ):  # fmt: skip
-    """Write the best command of each robot to `best` (W, 2), in m/s and rad/s (or rad)."""
+    """Write the best command of each robot to `best` (W, 2), in m/s and rad/s (or rad).
+
+    All is computed in the robot's own frame, in which its heading is 0.
+    """
     for w in prange(len(best)):
+        frame = (position[w, 0], position[w, 1], math.cos(heading[w]), math.sin(heading[w]))
         people = _people_ahead(
-            position[w], near[w], near_velocity[w], near_radius[w], there[w], limits, window
+            frame, near[w], near_velocity[w], near_radius[w], there[w], limits, window
         )
-        walls = _walls_ahead(position[w], segments, limits, window)
+        walls = _walls_ahead(frame, segments, limits, window)
+        now = (speed[w], turn[w])
         if limits.kind == HOLONOMIC:
-            now = (velocity[w, 0], velocity[w, 1])
-        else:
-            now = (speed[w], turn[w])
-        way = (towards[w, 0] - position[w, 0], towards[w, 1] - position[w, 1])
+            now = to_own_frame(velocity[w, 0], velocity[w, 1], frame[2], frame[3])
+        x, y = _point(towards[w, 0], towards[w, 1], frame)
         best[w, 0], best[w, 1] = _best_of(
-            heading[w], now, way, remaining[w], people, walls, limits, period_s, window
+            now, math.atan2(y, x), remaining[w], people, walls, limits, period_s, window
         )
 
 
 @njit(error_model="numpy")
-def _people_ahead(position, near, velocity, radius, there, limits, window):
+def _point(x, y, frame):
+    """A point in the robot's own frame, which is (x, y, cosine and sine of the heading)."""
+    return to_own_frame(x - frame[0], y - frame[1], frame[2], frame[3])
+
+
+@njit(error_model="numpy")
+def _people_ahead(frame, near, velocity, radius, there, limits, window):
     """People whom the robot can touch within the horizon: x, y, vx, vy and distance of contact.
 
-    Positions are relative to the robot's. The distance of contact of somebody who is nearer already
-    is the present one, so that commands which lead away from him are free.
+    They are in the robot's frame. The distance of contact of somebody who is nearer already is the
+    present one, so that commands which lead away from them are free.
     """
     people = np.empty((len(near), 5))
     count = 0
     for k in range(len(near)):
         if not there[k]:
             continue
-        x, y = near[k, 0] - position[0], near[k, 1] - position[1]
+        x, y = _point(near[k, 0], near[k, 1], frame)
         apart = math.sqrt(x * x + y * y)
         contact = limits.radius + radius[k] + window.person_margin_m
         fastest = limits.max_speed + math.sqrt(velocity[k, 0] ** 2 + velocity[k, 1] ** 2)
         if apart - contact > fastest * window.horizon_s:
             continue
-        people[count, 0], people[count, 1] = x, y
-        people[count, 2], people[count, 3] = velocity[k, 0], velocity[k, 1]
-        people[count, 4] = min(contact, apart - 1e-3)
+        vx, vy = to_own_frame(velocity[k, 0], velocity[k, 1], frame[2], frame[3])
+        people[count, 0], people[count, 1], people[count, 2], people[count, 3] = x, y, vx, vy
+        people[count, 4] = min(contact, apart - NEARER_M)
         count += 1
     return people[:count]
 
 
 @njit(error_model="numpy")
-def _walls_ahead(position, segments, limits, window):
+def _walls_ahead(frame, segments, limits, window):
     """Walls that the robot can touch within the horizon: both ends and the distance of contact."""
     walls = np.empty((len(segments), 5))
     count = 0
     contact = limits.radius + window.wall_margin_m
     for s in range(len(segments)):
-        ax, ay = segments[s, 0] - position[0], segments[s, 1] - position[1]
-        bx, by = segments[s, 2] - position[0], segments[s, 3] - position[1]
+        ax, ay = _point(segments[s, 0], segments[s, 1], frame)
+        bx, by = _point(segments[s, 2], segments[s, 3], frame)
         apart = distance_to_segment(0.0, 0.0, ax, ay, bx, by)
         if apart - contact > limits.max_speed * window.horizon_s:
             continue
         walls[count, 0], walls[count, 1], walls[count, 2], walls[count, 3] = ax, ay, bx, by
-        walls[count, 4] = min(contact, apart - 1e-3)
+        walls[count, 4] = min(contact, apart - NEARER_M)
         count += 1
     return walls[:count]
 
 
 @njit(error_model="numpy")
-def _best_of(heading, now, way, remaining, people, walls, limits, period_s, window):
-    """The best command of one robot; the slowest if none is admissible."""
+def _best_of(now, way, remaining, people, walls, limits, period_s, window):
+    """The best command of one robot; the slowest if none is admissible.
+
+    `way` is the direction of its way in its own frame, in radians.
+    """
     holonomic = limits.kind == HOLONOMIC
     fastest, change = limits.max_speed, limits.max_acceleration * period_s
     slowest = -fastest if holonomic else limits.min_speed
@@ -184,13 +196,16 @@ def _best_of(heading, now, way, remaining, people, walls, limits, period_s, wind
                 gained = math.sqrt((first - now[0]) ** 2 + (second - now[1]) ** 2)
                 if speed > fastest + 1e-9 or gained > change + 1e-9:
                     continue
-            free_s = _free_s(heading, first, second, people, walls, limits, window)
+            free_s = _free_s(first, second, people, walls, limits, window)
             if abs(speed) < least:
                 least, safe = abs(speed), (first, second)
             # v ≤ √(2·dist·a) of eq. 14, with dist = v·t.
-            if free_s < window.horizon_s and abs(speed) > 2.0 * limits.max_acceleration * free_s + 1e-3:
+            if (
+                free_s < window.horizon_s
+                and abs(speed) > 2.0 * limits.max_acceleration * free_s + 1e-3
+            ):
                 continue
-            angle = _angle_to_way(heading, first, second, way, limits, period_s)
+            angle = _angle_to_way(first, second, way, limits, period_s)
             value = (
                 window.heading * (1.0 - angle / math.pi)
                 + window.clearance * free_s / window.horizon_s
@@ -216,7 +231,7 @@ def _turn_rate(first, second, limits):
 
 
 @njit(error_model="numpy")
-def _angle_to_way(heading, first, second, way, limits, period_s):
+def _angle_to_way(first, second, way, limits, period_s):
     """Angle between the way and where the robot heads after the next period, 0 to π.
 
     As in the paper, it is that after the robot has stopped turning with its largest deceleration.
@@ -227,31 +242,29 @@ def _angle_to_way(heading, first, second, way, limits, period_s):
         ahead = math.atan2(second, first)
     else:
         rate = _turn_rate(first, second, limits)
-        ahead = heading + rate * period_s
+        ahead = rate * period_s
         if limits.kind == UNICYCLE:
             ahead += 0.5 * rate * abs(rate) / limits.max_turn_acceleration
         else:
             ahead += 0.5 * rate * abs(first) / limits.max_acceleration
-    off = math.atan2(way[1], way[0]) - ahead
+    off = way - ahead
     return abs(off - 2.0 * math.pi * round(off / (2.0 * math.pi)))
 
 
 @njit(error_model="numpy")
-def _free_s(heading, first, second, people, walls, limits, window):
+def _free_s(first, second, people, walls, limits, window):
     """Time until the robot touches something on the arc of a command, at most the horizon."""
     holonomic = limits.kind == HOLONOMIC
     rate = 0.0 if holonomic else _turn_rate(first, second, limits)
-    cos, sin = math.cos(heading), math.sin(heading)
     for k in range(1, int(window.horizon_s / window.step_s + 1e-6) + 1):
         t = k * window.step_s
         if holonomic:
             x, y = first * t, second * t
         elif abs(rate) < 1e-6:
-            x, y = first * cos * t, first * sin * t
+            x, y = first * t, 0.0
         else:
-            end = heading + rate * t
-            x = first / rate * (math.sin(end) - sin)
-            y = first / rate * (cos - math.cos(end))
+            x = first / rate * math.sin(rate * t)
+            y = first / rate * (1.0 - math.cos(rate * t))
         for p in range(len(people)):
             dx = people[p, 0] + people[p, 2] * t - x
             dy = people[p, 1] + people[p, 3] * t - y
