@@ -41,6 +41,9 @@ if TYPE_CHECKING:
         recording_of,
         spawn_model,
     )
+    from crowdbench.robot.config import RobotConfig, RobotReward
+    from crowdbench.robot.env import RobotEnv, robot_env
+    from crowdbench.robot.robots import Robot
     from crowdbench.run.executor import engine
     from crowdbench.scene import Scene, list_scenes, load_scene
     from crowdbench.simulation.reward import Reward
@@ -52,6 +55,9 @@ _HOME = {
     "envs.parallel_env": ("CrowdParallelEnv", "parallel_env"),
     "errors": ("CrowdbenchError",),
     "evaluation": ("evaluate",),
+    "robot.config": ("RobotConfig", "RobotReward"),
+    "robot.env": ("RobotEnv", "robot_env"),
+    "robot.robots": ("Robot",),
     "run.executor": ("engine",),
     "metrics": ("METRICS", "MetricResult", "distance"),
     "plugins": ("register",),
@@ -67,10 +73,11 @@ _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
     "METRICS", "CrowdParallelEnv", "CrowdbenchError", "Demonstrations", "EnvConfig",
-    "MetricResult", "Reward", "Scene", "Trajectories", "demonstrations", "distance", "engine",
-    "evaluate", "list_policies", "list_scenes", "list_spawn_models", "load_scene",
-    "parallel_env", "policy", "read", "read_own", "recording", "recording_of", "register",
-    "rollout", "score", "score_rollouts", "spawn_model", "write_parquet",
+    "MetricResult", "Reward", "Robot", "RobotConfig", "RobotEnv", "RobotReward", "Scene",
+    "Trajectories", "demonstrations", "distance", "engine", "evaluate", "list_policies",
+    "list_scenes", "list_spawn_models", "load_scene", "parallel_env", "policy", "read",
+    "read_own", "recording", "recording_of", "register", "robot_env", "rollout", "score",
+    "score_rollouts", "spawn_model", "write_parquet",
 ]  # fmt: skip
 
 

@@ -24,7 +24,7 @@ FLOORS = (
     ("registry",),
     ("run",),
     ("report", "viewer"),
-    ("envs", "exam"),
+    ("envs", "exam", "robot"),
     ("crowds", "evaluation", "leaderboard", "scene_building"),
     ("cli",),
     ("__main__",),

@@ -1,5 +1,6 @@
 """`Actor`: a policy that moves the people of a simulation; what it sees, and remembers of them."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -104,6 +105,32 @@ class Actor:
         """
         self.policy.reset(self._simulation.scene, rngs[0])
         self._rngs = rngs
+
+    def begin_anew(self, worlds: Int[np.ndarray, " n"], rngs: Sequence[Generator]) -> None:
+        """Forget the people of some worlds, for whom it draws from new generators from now on.
+
+        There is one generator per world.
+        """
+        mine = list(self._rngs)
+        for world, rng in zip(worlds.tolist(), rngs, strict=True):
+            mine[world] = rng
+        self._rngs = tuple(mine)
+        if self._keeps:
+            self._event.reshape(self._simulation.slots.alive.shape)[worlds] = -1
+
+    def copy_worlds(self, mine: Int[np.ndarray, " n"], theirs: Int[np.ndarray, " n"]) -> None:
+        """Remember in the worlds `mine` what is remembered in the worlds `theirs`.
+
+        Their generators go on from the same state, too.
+        """
+        for world, of_world in zip(mine.tolist(), theirs.tolist(), strict=True):
+            state = self._rngs[of_world].bit_generator.state
+            self._rngs[world].bit_generator.state = state
+        shape = self._simulation.slots.alive.shape
+        for of in (self._state, self._style, self._held, self._event):
+            if of.size:
+                by_world = of.reshape(*shape, *of.shape[1:])
+                by_world[mine] = by_world[theirs]
 
     def hand_over(self, policy: Policy) -> None:
         """Let another policy act from now on, which has the same needs and sees the same."""

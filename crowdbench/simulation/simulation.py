@@ -208,15 +208,28 @@ class Simulation:
 
         `alone` has one world of the same scene, with as many slots.
         """
-        for mine, its in zip((*self.slots, *self.clock), (*alone.slots, *alone.clock), strict=True):
-            mine[world] = its[0]
-        self.events[world] = alone.events[0]
-        self.episode[world] += 1
-        status = self.queue.status
-        self.queue = Queue.of(self.events, self.scene.dt_s)
-        for w, events in enumerate(self.events):
-            before = alone.queue.status[0] if w == world else status[w]
-            self.queue.status[w, : len(events)] = before[: len(events)]
+        self.copy_worlds(np.array([world]), alone, np.array([0]))
+
+    def copy_worlds(
+        self, mine: Int[np.ndarray, " n"], other: "Simulation", theirs: Int[np.ndarray, " n"]
+    ) -> None:
+        """Let the worlds `mine` go on from the state of the worlds `theirs` of `other`.
+
+        `other` has the same scene, and may have fewer slots; further ones stay as they are. It may
+        be this simulation.
+        """
+        size = other.slots.alive.shape[1]
+        for to, of in zip(self.slots, other.slots, strict=True):
+            to[mine, :size] = of[theirs]
+        for to, of in zip(self.clock, other.clock, strict=True):
+            to[mine] = of[theirs]
+        for world, of_world in zip(mine.tolist(), theirs.tolist(), strict=True):
+            self.events[world] = other.events[of_world]
+        self.episode[mine] += 1
+        wide = other.queue.due.shape[1]
+        self.queue = self.queue.widened(wide)
+        for to, of in zip(self.queue, other.queue.widened(self.queue.due.shape[1]), strict=True):
+            to[mine] = of[theirs]
 
     def step(
         self,

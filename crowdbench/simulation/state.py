@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int
 
 from crowdbench.scene import Scene
-from crowdbench.spawn.events import SpawnEvents
+from crowdbench.spawn.events import SpawnEvents, no_events
 
 GOAL, EXIT, TIMEOUT, RECORDED, HORIZON = 1, 2, 3, 4, 5  # indices into trajectories.OUTCOMES
 TERMINAL = (GOAL, EXIT, RECORDED)
@@ -159,6 +159,19 @@ class Queue(NamedTuple):
             leave=stacked([e.leave_frame for e in events], -1, np.int32),
             scripted=stacked([e.scripted for e in events], 0, np.bool_),
             status=np.zeros((len(events), size), np.int8),
+        )
+
+    def widened(self, size: int) -> "Queue":
+        """The same queue with room for `size` events per world, or itself if it has more."""
+        worlds, most = self.due.shape
+        if size <= most:
+            return self
+        padding = Queue.of([no_events()] * worlds, 1.0)  # of one event
+        return Queue(
+            *(
+                np.concatenate([of, np.repeat(pad, size - most, axis=1)], axis=1)
+                for of, pad in zip(self, padding, strict=True)
+            )
         )
 
 
