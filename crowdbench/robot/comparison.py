@@ -155,9 +155,7 @@ def drive(
     return found
 
 
-def summarised(
-    names: Sequence[str], each: Sequence[Episodes], seed: int
-) -> list[ControllerResult]:
+def summarised(names: Sequence[str], each: Sequence[Episodes], seed: int) -> list[ControllerResult]:
     """The results of controllers whose episodes have the same seeds."""
     drawn = resamples(len(each[0]["success"]), seed)
     placed = ranks([score(of["success"], drawn) for of in each])

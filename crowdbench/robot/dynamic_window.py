@@ -26,7 +26,6 @@ from crowdbench.robot.seeing import RobotView
 from crowdbench.scene import Scene
 from crowdbench.simulation.rules import distance_to_segment, to_own_frame
 
-
 NEARER_M = 1e-3
 """Approach of somebody who is within the margin already that counts as contact."""
 

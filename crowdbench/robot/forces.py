@@ -29,7 +29,6 @@ from crowdbench.robot.robots import Robot
 from crowdbench.robot.seeing import RobotView
 from crowdbench.scene import Scene
 
-
 CROWDNAV = PUBLISHED._replace(repulsion=10.0)
 
 

@@ -115,9 +115,7 @@ class RobotNetwork(OnnxPolicy):
             self._observer = self._observer_of(view)
         people = Present(view.there, view.near, view.near_velocity, view.there)
         nothing = np.zeros(len(self._worlds), np.int64)
-        seen = self._observer.observe(
-            self._worlds, people, nothing.astype(np.uint64), nothing
-        )
+        seen = self._observer.observe(self._worlds, people, nothing.astype(np.uint64), nothing)
         return super().act(seen)
 
     def _observer_of(self, view: RobotView) -> Observer:
