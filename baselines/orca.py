@@ -81,8 +81,9 @@ class ORCA:
         angle = GOLDEN_ANGLE * seen.person
         nudge = NUDGE_MPS * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         fastest = np.minimum(FASTEST * seen.speed, most)
+        radius = BODY_M + seen.wider
         state = np.column_stack(
-            [seen.position, seen.velocity + nudge, way * scale[:, None] + nudge, fastest]
+            [seen.position, seen.velocity + nudge, way * scale[:, None] + nudge, fastest, radius]
         )
         moved = np.empty_like(way)
         for world in np.unique(seen.world).tolist():
@@ -125,16 +126,17 @@ class Crowd:
         self.simulator.process_obstacles()
         self._present = 0
 
-    def walk(self, state: Float[np.ndarray, "A 7"]) -> Float[np.ndarray, "A 2"]:
+    def walk(self, state: Float[np.ndarray, "A 8"]) -> Float[np.ndarray, "A 2"]:
         """Displacements (A, 2) in a frame, in metres.
 
-        A row of `state` is a position, a velocity, a preferred velocity and a maximum speed.
+        A row of `state` is a position, a velocity, a preferred velocity, a maximum speed and a
+        radius.
         """
         simulator, size = self.simulator, len(state)
         for _ in range(simulator.get_num_agents(), size):
             simulator.add_agent((0.0, 0.0))
         for k in range(size, self._present):
-            self._tell(k, FAR_M + APART_M * k, FAR_M, 0.0, 0.0, 0.0, 0.0, 0.0)
+            self._tell(k, FAR_M + APART_M * k, FAR_M, 0.0, 0.0, 0.0, 0.0, 0.0, BODY_M)
         self._present = size
         for k, row in enumerate(state.tolist()):
             self._tell(k, *row)
@@ -144,9 +146,19 @@ class Crowd:
         return np.array(there) - state[:, :2]
 
     def _tell(
-        self, k: int, x: float, y: float, vx: float, vy: float, px: float, py: float, fastest: float
+        self,
+        k: int,
+        x: float,
+        y: float,
+        vx: float,
+        vy: float,
+        px: float,
+        py: float,
+        fastest: float,
+        radius: float,
     ) -> None:
         self.simulator.set_agent_position(k, (x, y))
         self.simulator.set_agent_velocity(k, (vx, vy))
         self.simulator.set_agent_pref_velocity(k, (px, py))
         self.simulator.set_agent_max_speed(k, fastest)
+        self.simulator.set_agent_radius(k, radius)

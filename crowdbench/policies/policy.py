@@ -39,6 +39,9 @@ class StateView:
     """Preferred speeds in m/s."""
     group: Int[np.ndarray, " A"]
     """Group in its world that each person walks with; −1 if alone."""
+    wider: Float32[np.ndarray, " A"]
+    """By how much each radius exceeds that of a person, in metres: 0 for people, more for a robot
+    in the crowd."""
 
     @classmethod
     def of(cls, simulation: Simulation) -> "StateView":
@@ -46,7 +49,7 @@ class StateView:
         slots = simulation.slots
         at = np.flatnonzero(slots.alive)  # indexing by one array is faster than by two
         world, slot = np.divmod(at, slots.alive.shape[1])
-        numbers = ("person", "event", "speed")
+        numbers = ("person", "event", "speed", "wider")
         points = ("position", "velocity", "goal", "target")
         event = slots.event.ravel().take(at)
         return cls(

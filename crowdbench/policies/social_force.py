@@ -3,6 +3,8 @@
 Forces are integrated in steps of 0.05 s for the whole crowd; the action is the mean velocity over
 the frame.
 
+Whoever is wider than a person, such as a robot, repels people as if it were nearer by as much.
+
 The direction e of another person's next step in eq. 4 is its direction of motion. If it were the
 direction to its goal, people who push each other aside would circle each other forever.
 """
@@ -24,6 +26,7 @@ COS_OF_VIEW = math.cos(math.radians(100.0))  # φ, half of 200°
 FASTEST = 1.3  # maximum speed as a multiple of the preferred speed, eq. 11
 REACH_M = 5.0  # repulsions beyond this distance, which are below V⁰/σ·e⁻⁷, are omitted
 SUBSTEP_S = 0.05
+LEAST_M = 0.01  # of a distance to a wide body, which keeps its direction
 GATHERING = 3.0  # β₂ of Moussaïd et al. (2010), m/s²
 SEPARATION = 1.0  # β₃, m/s²
 SEPARATE_M = 0.6  # two radii: companions who are nearer overlap
@@ -78,6 +81,7 @@ class SocialForce:
         speed = seen.wanted_mps(dt_s)
         nobody = np.full(len(seen.slot), -1, np.int32)
         fastest = FASTEST * dt_s
+        wider = seen.wider.astype(np.float64)
         displacement = _walk(
             seen.world,
             seen.position.astype(np.float64),
@@ -90,8 +94,9 @@ class SocialForce:
             dt_s,
             seen.group if self.groups else nobody,
             np.lexsort((seen.position[:, 0], seen.world)),
-            REACH_M + fastest * (speed + speed.max(initial=0.0)),
+            REACH_M + fastest * (speed + speed.max(initial=0.0)) + wider + wider.max(initial=0.0),
             REACH_M + fastest * speed,
+            wider,
             self.forces,
         )
         return (displacement / (dt_s * self._scene.motion.max_speed_mps)).astype(np.float32)
@@ -116,12 +121,13 @@ class GroupForce(SocialForce):
 @compiled
 def _walk(
     world, position, velocity, goal, speed, segments, walls, substeps, dt, group, by_x, reach,
-    wall_reach, forces,
+    wall_reach, wider, forces,
 ):  # fmt: skip
     """Displacements (A, 2) in `dt` seconds, in metres; `world` must be in ascending order.
 
     `by_x` (A,) are the persons in the order of x, world by world. `reach` and `wall_reach` (A,) are
-    the distances up to which others and walls can act on each person in the frame.
+    the distances up to which others and walls can act on each person in the frame. `wider` (A,) is
+    by how much radii exceed that of a person, in metres.
     """
     h = dt / substeps
     start = position.copy()
@@ -147,7 +153,11 @@ def _walk(
                     r = math.sqrt(rx * rx + ry * ry)
                     if 0.0 < r < SEPARATE_M:
                         fx, fy = fx + SEPARATION * rx / r, fy + SEPARATION * ry / r
-                elif rx * rx + ry * ry < REACH_M * REACH_M:
+                    continue
+                excess = wider[a] + wider[b]
+                if excess > 0.0:
+                    rx, ry = _nearer(rx, ry, excess)
+                if rx * rx + ry * ry < REACH_M * REACH_M:
                     sx, sy = velocity[b, 0] * forces.step_s, velocity[b, 1] * forces.step_s
                     px, py = _repulsion(rx, ry, sx, sy, forces)
                     toward = -(heading[a, 0] * px + heading[a, 1] * py)
@@ -171,6 +181,14 @@ def _walk(
             position[a, 0] += h * velocity[a, 0]
             position[a, 1] += h * velocity[a, 1]
     return position - start
+
+
+@compiled
+def _nearer(rx, ry, by):
+    """The vector r shortened by a length, but not to less than 1 cm, to keep its direction."""
+    length = math.sqrt(rx * rx + ry * ry)
+    scale = max(LEAST_M, length - by) / length if length > 0.0 else 0.0
+    return scale * rx, scale * ry
 
 
 @compiled

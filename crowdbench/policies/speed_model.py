@@ -9,6 +9,8 @@ at its preferred speed or slower, so that the gap ahead would close in the time 
 
 e₀ is the direction of the way around walls, e points away from somebody at the distance d, and
 d_ahead is the distance to the nearest person ahead, whose body would be touched on the way.
+For somebody who is wider than a person, such as a robot, ℓ is larger by as much.
+
 Positions are integrated in steps of 0.05 s for the whole crowd; the action is the mean velocity
 over the frame.
 """
@@ -78,6 +80,7 @@ class SpeedModel:
         """Mean velocities (A, 2) over the frame, in units of the maximum speed."""
         dt_s = self._scene.dt_s
         speed = seen.wanted_mps(dt_s)
+        wider = seen.wider.astype(np.float64)
         displacement = _walk(
             seen.world,
             seen.position.astype(np.float64),
@@ -89,8 +92,9 @@ class SpeedModel:
             dt_s,
             np.full(len(seen.slot), -1, np.int32),
             np.lexsort((seen.position[:, 0], seen.world)),
-            REACH_M + dt_s * (speed + speed.max(initial=0.0)),
+            REACH_M + dt_s * (speed + speed.max(initial=0.0)) + wider + wider.max(initial=0.0),
             REACH_M + dt_s * speed,
+            wider,
             self.gaps,
         )
         return (displacement / (dt_s * self._scene.motion.max_speed_mps)).astype(np.float32)
@@ -99,7 +103,7 @@ class SpeedModel:
 @compiled
 def _walk(
     world, position, goal, speed, segments, walls, substeps, dt, nobody, by_x, reach, wall_reach,
-    gaps,
+    wider, gaps,
 ):  # fmt: skip
     """Displacements (A, 2) in `dt` seconds, in metres; arguments as those of social forces."""
     h = dt / substeps
@@ -117,13 +121,13 @@ def _walk(
             if distance > 0.0:
                 gx, gy = gx / distance, gy / distance
             around = others[begins[a] : begins[a + 1]]
-            px, py = _push_by_people(x, y, position, around, gaps)
+            px, py = _push_by_people(a, position, around, wider, gaps)
             wx, wy = _push_by_walls(x, y, segments, walls, near[a, : count[a]], gaps)
             dx, dy = gx + px + wx, gy + py + wy
             length = math.sqrt(dx * dx + dy * dy)
             if length > 0.0:
                 dx, dy = dx / length, dy / length
-            gap = _gap(x, y, dx, dy, position, around, gaps)
+            gap = _gap(a, dx, dy, position, around, wider, gaps)
             v = min(most, max(0.0, gap) / gaps.time_gap_s)
             moved[a, 0], moved[a, 1] = v * dx, v * dy
         for a in range(size):
@@ -133,14 +137,16 @@ def _walk(
 
 
 @compiled
-def _push_by_people(x, y, position, others, gaps):
-    """Sum of the repulsions by others at these positions."""
+def _push_by_people(a, position, others, wider, gaps):
+    """Sum of the repulsions of person a by others."""
     px, py = 0.0, 0.0
     for b in others:
-        rx, ry = x - position[b, 0], y - position[b, 1]
+        rx, ry = position[a, 0] - position[b, 0], position[a, 1] - position[b, 1]
         r = math.sqrt(rx * rx + ry * ry)
-        if 0.0 < r < REACH_M:
-            push = gaps.repulsion * math.exp((gaps.length_m - r) / gaps.repulsion_range_m) / r
+        excess = wider[a] + wider[b]
+        if 0.0 < r < REACH_M + excess:
+            touch = gaps.length_m + excess
+            push = gaps.repulsion * math.exp((touch - r) / gaps.repulsion_range_m) / r
             px += push * rx
             py += push * ry
     return px, py
@@ -161,14 +167,15 @@ def _push_by_walls(x, y, segments, walls, near, gaps):
 
 
 @compiled
-def _gap(x, y, dx, dy, position, others, gaps):
-    """Free way in the direction d up to the nearest person ahead; infinite if there is none.
+def _gap(a, dx, dy, position, others, wider, gaps):
+    """Free way of person a in the direction d up to the nearest person ahead; infinite if none.
 
-    A person is ahead if its centre is not behind and at most a diameter aside.
+    A person is ahead if its centre is not behind and at most the sum of both radii aside.
     """
     gap = np.inf
     for b in others:
-        rx, ry = position[b, 0] - x, position[b, 1] - y
-        if dx * rx + dy * ry >= 0.0 and abs(dx * ry - dy * rx) <= gaps.length_m:
-            gap = min(gap, math.sqrt(rx * rx + ry * ry) - gaps.length_m)
+        rx, ry = position[b, 0] - position[a, 0], position[b, 1] - position[a, 1]
+        touch = gaps.length_m + wider[a] + wider[b]
+        if dx * rx + dy * ry >= 0.0 and abs(dx * ry - dy * rx) <= touch:
+            gap = min(gap, math.sqrt(rx * rx + ry * ry) - touch)
     return gap

@@ -47,9 +47,12 @@ class Cells(NamedTuple):
 
 
 @njit(error_model="numpy")
-def sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_slot):
-    """Counting sort of a world's persons by cell, including those who have just ended."""
-    size = start.shape[1]
+def sort_into_cells(w, alive, ended, position, wider, grid, start, sorted_xy, sorted_slot):
+    """Counting sort of a world's persons by cell, including those who have just ended.
+
+    Returns the largest of their `wider`, in metres.
+    """
+    size, widest = start.shape[1], 0.0
     for c in range(size):
         start[w, c] = 0
     for i in range(alive.shape[1]):
@@ -65,6 +68,8 @@ def sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_sl
             sorted_xy[w, at, 1] = position[w, i, 1]
             sorted_slot[w, at] = i
             start[w, c] = at + 1
+            widest = max(widest, np.float64(wider[w, i]))
+    return widest
 
 
 @njit(error_model="numpy")

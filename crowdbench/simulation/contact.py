@@ -61,7 +61,8 @@ class Bodies(NamedTuple):
     """Settings of contact and working memory, W worlds of N slots."""
 
     radius: float
-    """Radius of a body in metres."""
+    """Radius of a person's body in metres. Bodies in slots that are `wider` are kept apart from
+    others by as much more; walls keep off this radius from everyone."""
     substeps: int
     at: np.ndarray
     """(W, N, 2) float64: positions in metres."""
@@ -103,7 +104,7 @@ def push_through(w, frame, dt, slots, bodies, walls):
     met, held = bodies.met, slots.held
     scripted, blocked, aside = slots.scripted, slots.blocked, slots.aside
     step_s = dt / bodies.substeps
-    count, part = _walk_freely(w, step_s, slots, bodies, walls)
+    count, part, widest = _walk_freely(w, step_s, slots, bodies, walls)
     plane = np.empty((PLANES, 3))
     for sub in range(bodies.substeps):
         for k in range(count):  # recorded people walk as recorded; all others see where they are
@@ -116,8 +117,8 @@ def push_through(w, frame, dt, slots, bodies, walls):
             i = order[w, k]
             if not scripted[w, i]:
                 dx, dy, bodiless, planes = _free_way(
-                    w, k, count, frame * bodies.substeps + sub, step_s, part, slots, bodies, walls,
-                    plane,
+                    w, k, count, frame * bodies.substeps + sub, step_s, part, widest, slots, bodies,
+                    walls, plane,
                 )  # fmt: skip
                 moved[w, i, 0], moved[w, i, 1] = dx, dy
                 if bodiless > 0:
@@ -147,12 +148,12 @@ def push_through(w, frame, dt, slots, bodies, walls):
 def _walk_freely(w, step_s, slots, bodies, walls):
     """Walk those who can meet nobody and no wall in this step, and list the others in `order`.
 
-    Returns the number of the others, and by how much people who overlap may part in a sub-step: 0
-    if nobody can overlap. Most people are free in most steps.
+    Returns the number of the others, by how much people who overlap may part in a sub-step, which
+    is 0 if nobody can overlap, and the largest `wider`. Most people are free in most steps.
     """
     at, command, order, busy = bodies.at, bodies.command, bodies.order, bodies.met
-    two, share = 2.0 * bodies.radius, step_s / HEADWAY_S
-    count, longest, recorded = 0, 0.0, False
+    wider, two, share = slots.wider, 2.0 * bodies.radius, step_s / HEADWAY_S
+    count, longest, widest, recorded = 0, 0.0, 0.0, False
     for i in range(slots.alive.shape[1]):
         if slots.alive[w, i]:
             order[w, count] = i
@@ -160,23 +161,28 @@ def _walk_freely(w, step_s, slots, bodies, walls):
             dx, dy = command[w, i, 0], command[w, i, 1]
             bodies.moved[w, i, 0] = math.sqrt(dx * dx + dy * dy)
             longest = max(longest, bodies.moved[w, i, 0])
+            widest = max(widest, np.float64(wider[w, i]))
             busy[w, i] = slots.blocked[w, i] > 0.0 or slots.aside[w, i] > 0.0
             recorded = recorded or slots.scripted[w, i]
     _sort(w, count, at, order)
-    part = PART_MPS * step_s if recorded or _overlap(w, count, two, at, order) else 0.0
+    part = (
+        PART_MPS * step_s if recorded or _overlap(w, count, two, widest, wider, at, order) else 0.0
+    )
     grid = (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows)
     for k in range(count):
         i = order[w, k]
         x, y, mine = at[w, i, 0], at[w, i, 1], bodies.moved[w, i, 0] + part
         room = bodies.radius + REACH_M + (bodies.substeps + 1) * mine
+        mine_wide = two + np.float64(wider[w, i])
         if walls.clear[cell_of(x, y, grid)] < room:
             busy[w, i] = True
         for m in range(k + 1, count):
             j = order[w, m]
             ex, ey = at[w, j, 0] - x, at[w, j, 1] - y
-            if ex > _reach(mine, longest + part, two, share, bodies.substeps):
+            if ex > _reach(mine, longest + part, mine_wide + widest, share, bodies.substeps):
                 break
-            reach = _reach(mine, bodies.moved[w, j, 0] + part, two, share, bodies.substeps)
+            touch = mine_wide + np.float64(wider[w, j])
+            reach = _reach(mine, bodies.moved[w, j, 0] + part, touch, share, bodies.substeps)
             if ex * ex + ey * ey < reach * reach:
                 busy[w, i] = True
                 busy[w, j] = True
@@ -189,30 +195,33 @@ def _walk_freely(w, step_s, slots, bodies, walls):
         else:
             at[w, i, 0] += bodies.substeps * command[w, i, 0]
             at[w, i, 1] += bodies.substeps * command[w, i, 1]
-    return others, part
+    return others, part, widest
 
 
 @njit(error_model="numpy")
-def _reach(mine, others, two, share, parts):
+def _reach(mine, others, touch, share, parts):
     """Distance beyond which two people do not matter to each other in a step.
 
-    `mine` and `others` are the longest ways that they can go in a sub-step.
+    `mine` and `others` are the longest ways that they can go in a sub-step, and `touch` is the sum
+    of their radii.
     """
     longer = max(mine, others)
-    return two + max(longer / share, TOUCH_M) + REACH_M + parts * (mine + others)
+    return touch + max(longer / share, TOUCH_M) + REACH_M + parts * (mine + others)
 
 
 @njit(error_model="numpy")
-def _overlap(w, count, two, at, order):
-    """Whether two bodies overlap."""
+def _overlap(w, count, two, widest, wider, at, order):
+    """Whether two bodies overlap; `two` is a person's diameter, `widest` the largest excess."""
     for k in range(count):
         i = order[w, k]
+        mine = two + np.float64(wider[w, i])
         for m in range(k + 1, count):
             j = order[w, m]
             ex, ey = at[w, j, 0] - at[w, i, 0], at[w, j, 1] - at[w, i, 1]
-            if ex > two:
+            if ex > mine + widest:
                 break
-            if ex * ex + ey * ey < two * two:
+            touch = mine + np.float64(wider[w, j])
+            if ex * ex + ey * ey < touch * touch:
                 return True
     return False
 
@@ -234,20 +243,21 @@ def _sort(w, count, at, order):
 
 
 @njit(error_model="numpy")
-def _free_way(w, k, count, tick, step_s, part, slots, bodies, walls, plane):
-    """Displacement in this sub-step of the k-th person by x; `part` as in `_walk_freely`.
+def _free_way(w, k, count, tick, step_s, part, widest, slots, bodies, walls, plane):
+    """Displacement in this sub-step of the k-th by x; `part` and `widest` as in `_walk_freely`.
 
     Also returns how many half-planes of bodies and how many half-planes `plane` begins with.
     """
-    at, command, order, two = bodies.at, bodies.command, bodies.order, 2.0 * bodies.radius
+    at, command, order, wider = bodies.at, bodies.command, bodies.order, slots.wider
     i = order[w, k]
+    mine = 2.0 * bodies.radius + np.float64(wider[w, i])
     x, y = at[w, i, 0], at[w, i, 1]
     bodies.met[w, i] = False
     dx, dy = command[w, i, 0], command[w, i, 1]
     length = math.sqrt(dx * dx + dy * dy)
     share = step_s / HEADWAY_S
     most = length + part
-    reach = two + max(most / share, TOUCH_M) + REACH_M
+    matters = max(most / share, TOUCH_M)
     planes, least = 0, np.inf
     part_x, part_y = 0.0, 0.0
     for side in range(2):
@@ -255,14 +265,16 @@ def _free_way(w, k, count, tick, step_s, part, slots, bodies, walls, plane):
         while 0 <= m < count:
             j = order[w, m]
             ex, ey = at[w, j, 0] - x, at[w, j, 1] - y
-            if abs(ex) > reach:
+            if abs(ex) > mine + widest + matters + REACH_M:
                 break
             m += 1 if side == 0 else -1
             squared = ex * ex + ey * ey
+            touch = mine + np.float64(wider[w, j])
+            reach = touch + matters + REACH_M
             if squared > reach * reach or squared == 0.0:
                 continue
             distance = math.sqrt(squared)
-            gap = distance - two
+            gap = distance - touch
             ux, uy = ex / distance, ey / distance
             if gap < 0.0:
                 part_x += 0.5 * gap * ux

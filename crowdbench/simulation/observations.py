@@ -13,7 +13,7 @@ person's own frame; its parts and its kernel are in `crowdbench.simulation.socia
 - 6 … 9, in `lidar-3`: min(distance to the western, eastern, southern, northern bound, ray_range) /
   ray_range. Trips end at the bounds and rays do not detect them.
 - then: distance along ray k / ray_range; 1 if nothing is in range. Ray k = 0 … R − 1 has the angle
-  2πk/R in the world frame.
+  2πk/R in the world frame. The disc of somebody who is `wider` than a person is that much larger.
 
 `lidar-2-contact` and `social-1-contact` begin with the base that their names say and end with two
 more values, at `CONTACT`:
@@ -181,12 +181,12 @@ def observe(
 
     `target` (W, N, 2) is the next point on the path to the person's target, and `beyond` (W, N) the
     remaining length of the path from there. Also writes the length of the whole path to `remaining`
-    (W, N), and the distance to the nearest visible person to `nearest` (W, N), infinite if there is
-    none. All lengths are in metres.
+    (W, N), and the distance to the nearest visible person, less by how much it is `wider`, to
+    `nearest` (W, N), infinite if there is none. All lengths are in metres.
     """
     # Arrays are unpacked once, because each access through a bundle costs as much as a ray.
     alive, ended, spawned = slots.alive, slots.ended, slots.spawned
-    position, velocity, speed = slots.position, slots.velocity, slots.speed
+    position, velocity, speed, wider = slots.position, slots.velocity, slots.speed, slots.wider
     start, sorted_xy, sorted_slot, person = cells.start, cells.xy, cells.slot, cells.person
     grid = (cells.origin[0], cells.origin[1], cells.size, cells.columns, cells.rows)
     wall_grid = (walls.origin[0], walls.origin[1], CELL_M, walls.columns, walls.rows)
@@ -194,8 +194,10 @@ def observe(
     cos32, sin32 = cos.astype(np.float32), sin.astype(np.float32)
     max_speed = constants.max_speed
     ray_start, meeting = walls.ray_start, walls.meeting
+    widest = np.empty(alive.shape[0])
     for w in prange(alive.shape[0]):
-        sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_slot)
+        widest[w] = sort_into_cells(w, alive, ended, position, wider, grid, start, sorted_xy,
+                                    sorted_slot)  # fmt: skip
     total = list_persons(cells)
     for chunk in prange((total + CHUNK - 1) // CHUNK):
         near = np.empty((alive.shape[1] + 1, 2), np.float32)
@@ -215,13 +217,16 @@ def observe(
             rays = out[w, i, head:]
             _see_walls(x, y, cos, sin, lines, ray_start[cell], ray_start[cell + 1], meeting, reach,
                        rays)  # fmt: skip
-            count = neighbours(w, i, x, y, reach + radius, ended, spawned, grid, start,
+            count = neighbours(w, i, x, y, reach + radius + widest[w], ended, spawned, grid, start,
                                sorted_xy, sorted_slot, near, who)  # fmt: skip
             squared = np.float32(np.inf)
             for k in range(count):
                 gap = near[k, 0] * near[k, 0] + near[k, 1] * near[k, 1]
+                wide = np.float64(wider[w, who[k]])
+                _see_disc(near[k, 0], near[k, 1], radius + wide, cos32, sin32, rays)
+                if wide > 0.0:
+                    gap = np.float32(max(0.0, math.sqrt(gap) - wide) ** 2)
                 squared = min(squared, gap)
-                _see_disc(near[k, 0], near[k, 1], radius, cos32, sin32, rays)
             nearest[w, i] = math.sqrt(squared)
             for k in range(len(rays)):
                 rays[k] /= np.float32(reach)

@@ -268,11 +268,11 @@ class Simulation:
     def observe(self) -> Float32[np.ndarray, "W N obs"]:
         """Update and return `observation` for everyone present or just ended.
 
-        Also updates `nearest`, the distance to the nearest visible person, `towards`, the next
-        point on the path to the target, and `remaining`, the length of that path, which is the one
-        that the observation uses: straight in `lidar-1`, around walls in the other versions.
-        `remaining_before` is the value of `remaining` before the last step, if `observe` was called
-        then. All lengths are in metres.
+        Also updates `nearest`, the distance to the nearest visible person, less by how much it is
+        wider, `towards`, the next point on the path to the target, and `remaining`, the length of
+        that path, which is the one that the observation uses: straight in `lidar-1`, around walls
+        in the other versions. `remaining_before` is the value of `remaining` before the last step,
+        if `observe` was called then. All lengths are in metres.
         """
         self.towards = target = self._towards()
         slots, beyond = self.slots, self._beyond

@@ -57,7 +57,8 @@ SIZE = 102
 NEAREST, FEATURES = 8, 8
 """Number of neighbours, and of values of each."""
 OFFSET = slice(0, 2)
-"""Relative position / `RANGE_M`."""
+"""Relative position / `RANGE_M`. Whoever is wider than a person is shown nearer by as much, so
+that its body begins where that of a person would."""
 APPROACH = slice(2, 4)
 """Relative velocity / max_speed."""
 PASS_TIME = slice(4, 5)
@@ -128,6 +129,7 @@ def observe_social(
     # Arrays are unpacked once, because each access through a bundle has a cost.
     alive, ended, spawned, event = slots.alive, slots.ended, slots.spawned, slots.event
     position, velocity, heading = slots.position, slots.velocity, slots.heading
+    wider = slots.wider
     start, sorted_xy, sorted_slot, person = cells.start, cells.xy, cells.slot, cells.person
     grid = (cells.origin[0], cells.origin[1], cells.size, cells.columns, cells.rows)
     group, max_speed = queue.group, constants.max_speed
@@ -135,8 +137,10 @@ def observe_social(
         free.distance,
         (free.x_min, free.y_min, free.per_x, free.per_y, free.columns, free.rows),
     )
+    widest = np.empty(alive.shape[0])
     for w in prange(alive.shape[0]):
-        sort_into_cells(w, alive, ended, position, grid, start, sorted_xy, sorted_slot)
+        widest[w] = sort_into_cells(w, alive, ended, position, wider, grid, start, sorted_xy,
+                                    sorted_slot)  # fmt: skip
     total = list_persons(cells)
     for chunk in prange((total + CHUNK - 1) // CHUNK):
         near = np.empty((alive.shape[1] + 1, 2), np.float32)
@@ -150,8 +154,10 @@ def observe_social(
             x, y = np.float64(position[w, i, 0]), np.float64(position[w, i, 1])
             cos, sin = np.float64(heading[w, i, 0]), np.float64(heading[w, i, 1])
             _probe(x, y, cos, sin, distance, free_grid, me[_PROBES:_NEIGHBOURS])
-            count = neighbours(w, i, x, y, RANGE_M, ended, spawned, grid, start, sorted_xy,
-                               sorted_slot, near, who)  # fmt: skip
+            count = neighbours(w, i, x, y, RANGE_M + widest[w], ended, spawned, grid, start,
+                               sorted_xy, sorted_slot, near, who)  # fmt: skip
+            if widest[w] > 0.0:
+                count = _draw_nearer(w, count, near, who, wider)
             count = _choose(count, near, who, best, gaps)
             nearest[w, i] = math.sqrt(gaps[0]) if count > 0 else np.inf
             mine = group[w, event[w, i]]
@@ -210,6 +216,24 @@ def _probe(x, y, cos, sin, distance, grid, probes):
     for k in range(probes.shape[0]):
         dx, dy = from_own_frame(_AHEAD[k], _LEFT[k], cos, sin)
         probes[k] = free_distance(x + dx, y + dy, distance, grid) / REACH_M
+
+
+@njit(error_model="numpy")
+def _draw_nearer(w, count, near, who, wider):
+    """Move whoever is wider than a person nearer by as much, and drop all beyond `RANGE_M`.
+
+    A body then begins where that of a person would. Returns the number of those left.
+    """
+    left = 0
+    for k in range(count):
+        x, y = np.float64(near[k, 0]), np.float64(near[k, 1])
+        distance = math.sqrt(x * x + y * y)
+        gap = max(0.0, distance - np.float64(wider[w, who[k]]))
+        if gap < RANGE_M:
+            scale = gap / distance if distance > 0.0 else 0.0
+            near[left, 0], near[left, 1], who[left] = x * scale, y * scale, who[k]
+            left += 1
+    return left
 
 
 @njit(error_model="numpy")

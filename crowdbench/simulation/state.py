@@ -72,6 +72,9 @@ class Slots(NamedTuple):
     """Frame in which the person is removed, −1 for never."""
     scripted: np.ndarray
     """Whether the person leaves in the frame `leave` only, regardless of its position."""
+    wider: np.ndarray
+    """By how much the radius of whoever is in the slot exceeds that of a person, in metres: 0 for
+    people, more for a robot."""
 
     @property
     def acted(self) -> Bool[np.ndarray, "W N"]:
@@ -87,7 +90,7 @@ class Slots(NamedTuple):
         kinds |= dict.fromkeys(("alive", "spawned", "hit_wall", "scripted"), np.bool_)
         kinds |= dict.fromkeys(("ended", "stage", "stage_before"), np.int8)
         kinds |= dict.fromkeys(
-            (*pairs, "blocked", "held", "aside", "walked", "closest", "speed"), np.float32
+            (*pairs, "blocked", "held", "aside", "walked", "closest", "speed", "wider"), np.float32
         )
         slots = cls(
             **{
@@ -235,7 +238,8 @@ class CrowdState(Protocol):
     observation: Float32[np.ndarray, "W N obs"]
     """What everyone present or just ended sees after the step."""
     nearest: Float32[np.ndarray, "W N"]
-    """Distance to the nearest visible person in metres, infinite if there is none."""
+    """Distance to the nearest visible person in metres, less by how much it is wider; infinite if
+    there is none."""
     towards: Float32[np.ndarray, "W N 2"]
     """Next point in metres on the path to the target: a corner that it leads around, or its end."""
     remaining: Float32[np.ndarray, "W N"]

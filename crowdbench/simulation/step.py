@@ -211,12 +211,15 @@ def _spawn_due(w, slots, queue, clock, constants, radius):
 
 @njit(error_model="numpy")
 def _blocked(w, e, slots, queue, frame, clearance):
-    """Whether someone who entered before a frame is too close to the start of event e."""
+    """Whether someone who entered before a frame is too close to the start of event e.
+
+    `clearance` is the distance that is close enough to a person, in metres.
+    """
     for i in range(slots.alive.shape[1]):
         if slots.alive[w, i] and slots.born[w, i] < frame:
             dx = np.float64(slots.position[w, i, 0]) - np.float64(queue.start[w, e, 0])
             dy = np.float64(slots.position[w, i, 1]) - np.float64(queue.start[w, e, 1])
-            if math.hypot(dx, dy) < clearance:
+            if math.hypot(dx, dy) < clearance + np.float64(slots.wider[w, i]):
                 return True
     return False
 
@@ -264,4 +267,5 @@ def _enter(w, i, e, slots, queue, clock):
     slots.born[w, i] = clock.frame[w]
     slots.leave[w, i] = queue.leave[w, e]
     slots.scripted[w, i] = queue.scripted[w, e]
+    slots.wider[w, i] = 0.0
     clock.ids[w] += 1

@@ -55,14 +55,16 @@ def test_the_gap_is_the_free_way_up_to_whoever_would_be_touched(
     other: tuple[float, float], gap: float
 ) -> None:
     position = np.array([[0.0, 0.0], other, (0.0, 5.0)])
-    got = _gap(0.0, 0.0, 1.0, 0.0, position, np.array([1, 2]), PUBLISHED)
+    got = _gap(0, 1.0, 0.0, position, np.array([1, 2]), np.zeros(3), PUBLISHED)
     assert got == pytest.approx(gap)
 
 
 def test_people_and_walls_repel_as_published() -> None:
     position = np.array([[0.0, 0.0], [0.3, 0.4]])
-    push = _push_by_people(0.0, 0.0, position, np.array([1]), PUBLISHED)
-    np.testing.assert_allclose(push, -8 * np.exp((0.4 - 0.5) / 0.1) * np.array([0.6, 0.8]))
+    for wider in (0.0, 0.2):  # somebody's body that begins nearer by as much
+        push = _push_by_people(0, position, np.array([1]), np.array([0.0, wider]), PUBLISHED)
+        strength = 8 * np.exp((0.4 + wider - 0.5) / 0.1)
+        np.testing.assert_allclose(push, -strength * np.array([0.6, 0.8]))
     wall = np.array([[-1.0, -0.25, 1.0, -0.25]])
     near = np.zeros(1, np.int32)
     push = _push_by_walls(0.0, 0.0, wall, near, near, PUBLISHED)

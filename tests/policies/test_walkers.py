@@ -65,7 +65,7 @@ def crowd_of(size: int) -> StateView:
     index, place = np.arange(size), np.zeros((size, 2), np.float32)
     frame, speed = np.zeros(size, np.int64), np.ones(size, np.float32)
     return StateView(np.zeros(size, np.int64), index, index, index, frame, *[place] * 4,
-                     speed, index)  # fmt: skip
+                     speed, index, 0 * speed)  # fmt: skip
 
 
 def test_random_actions_fill_the_action_space() -> None:
