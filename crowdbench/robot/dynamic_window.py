@@ -53,12 +53,15 @@ class Window(NamedTuple):
     """Number of turn rates or steering angles, or of velocities along y, in the window."""
 
 
+USUAL = Window()
+
+
 class DynamicWindow:
     """Robots that choose among the commands that they can reach in a control period."""
 
     name = "dwa"
 
-    def __init__(self, window: Window = Window()) -> None:
+    def __init__(self, window: Window = USUAL) -> None:
         self.window = window
 
     def reset(self, scene: Scene, robot: Robot, worlds: int, period_s: float) -> None:

@@ -21,8 +21,9 @@ from crowdbench.policies.social_force import (
     REACH_M,
     SUBSTEP_S,
     Forces,
-    _repulsion,
-    _wall_force,
+    nearer,
+    repulsion,
+    wall_force,
 )
 from crowdbench.robot.following import follow
 from crowdbench.robot.robots import Robot
@@ -102,19 +103,16 @@ def _drive(
                 px, py = near_velocity[w, k, 0], near_velocity[w, k, 1]
                 rx = x - near[w, k, 0] - px * h * step
                 ry = y - near[w, k, 1] - py * h * step
-                r = math.sqrt(rx * rx + ry * ry)
-                if r > 0.0:
-                    closer = max(0.1 * r, r - wider) / r
-                    rx, ry = rx * closer, ry * closer
+                rx, ry = nearer(rx, ry, wider)
                 if rx * rx + ry * ry >= REACH_M * REACH_M:
                     continue
-                px, py = _repulsion(rx, ry, px * forces.step_s, py * forces.step_s, forces)
+                px, py = repulsion(rx, ry, px * forces.step_s, py * forces.step_s, forces)
                 toward = -(ex * px + ey * py)
                 seen = toward >= math.sqrt(px * px + py * py) * COS_OF_VIEW
                 weight = 1.0 if seen else forces.behind
                 fx += weight * px
                 fy += weight * py
-            wx, wy = _wall_force(x, y, segments, walls, near_walls[w, : wall_count[w]], forces)
+            wx, wy = wall_force(x, y, segments, walls, near_walls[w, : wall_count[w]], forces)
             vx, vy = vx + h * (fx + wx), vy + h * (fy + wy)
             v = math.sqrt(vx * vx + vy * vy)
             scale = min(1.0, speed / v) if v > 0.0 else 1.0

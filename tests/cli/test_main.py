@@ -27,7 +27,7 @@ from studies.__main__ import app as studies
 
 Printed = pytest.CaptureFixture[str]
 COMMANDS = (
-    *("evaluate", "exam", "score", "view", "spawn", "policy", "scene", "data", "submit"),
+    *("evaluate", "exam", "robots", "score", "view", "spawn", "policy", "scene", "data", "submit"),
     "leaderboard",
 )
 
