@@ -12,7 +12,7 @@
 
 PYTHON ?= python3
 VENV ?= .venv
-EXTRAS ?= dev,fit,minari,onnx,orca,pedpy,ray,torchrl,viewer
+EXTRAS ?= dev,fit,minari,onnx,orca,pedpy,ray,tensorboard,torchrl,video,viewer
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 

@@ -20,6 +20,8 @@ Names are loaded on first use, so importing crowdbench is fast.
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from crowdbench.envs.registration import register_on_import
+
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
@@ -28,7 +30,8 @@ if TYPE_CHECKING:
     from crowdbench.data.table import Trajectories
     from crowdbench.envs.config import EnvConfig
     from crowdbench.envs.demonstrations import Demonstrations, demonstrations
-    from crowdbench.envs.parallel_env import CrowdParallelEnv, parallel_env
+    from crowdbench.envs.parallel_env import CrowdParallelEnv, aec_env, parallel_env
+    from crowdbench.envs.person_env import PersonEnv, person_env
     from crowdbench.errors import CrowdbenchError
     from crowdbench.evaluation import evaluate
     from crowdbench.metrics import METRICS, MetricResult, distance
@@ -52,7 +55,8 @@ _HOME = {
     "crowds": ("read", "rollout", "score", "score_rollouts"),
     "envs.config": ("EnvConfig",),
     "envs.demonstrations": ("Demonstrations", "demonstrations"),
-    "envs.parallel_env": ("CrowdParallelEnv", "parallel_env"),
+    "envs.parallel_env": ("CrowdParallelEnv", "aec_env", "parallel_env"),
+    "envs.person_env": ("PersonEnv", "person_env"),
     "errors": ("CrowdbenchError",),
     "evaluation": ("evaluate",),
     "robot.config": ("RobotConfig", "RobotReward"),
@@ -73,11 +77,11 @@ _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
     "METRICS", "CrowdParallelEnv", "CrowdbenchError", "Demonstrations", "EnvConfig",
-    "MetricResult", "Reward", "Robot", "RobotConfig", "RobotEnv", "RobotReward", "Scene",
-    "Trajectories", "demonstrations", "distance", "engine", "evaluate", "list_policies",
-    "list_scenes", "list_spawn_models", "load_scene", "parallel_env", "policy", "read",
-    "read_own", "recording", "recording_of", "register", "robot_env", "rollout", "score",
-    "score_rollouts", "spawn_model", "write_parquet",
+    "MetricResult", "PersonEnv", "Reward", "Robot", "RobotConfig", "RobotEnv", "RobotReward",
+    "Scene", "Trajectories", "aec_env", "demonstrations", "distance", "engine", "evaluate",
+    "list_policies", "list_scenes", "list_spawn_models", "load_scene", "parallel_env",
+    "person_env", "policy", "read", "read_own", "recording", "recording_of", "register",
+    "robot_env", "rollout", "score", "score_rollouts", "spawn_model", "write_parquet",
 ]  # fmt: skip
 
 
@@ -89,3 +93,6 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted([*globals(), *_MODULE_OF])
+
+
+register_on_import()

@@ -1,4 +1,4 @@
-"""`crowdbench view`: show a crowd in the viewer."""
+"""`crowdbench view` and `crowdbench record`: show a crowd in the viewer, or as a film."""
 
 from pathlib import Path
 
@@ -27,10 +27,7 @@ def view(
     """
     from crowdbench import viewer
 
-    crowd = crowdbench.read(table, scene)
-    place = crowdbench.load_scene(crowd.scene if scene is None else scene)
-    if scene is not None:
-        crowd = _in_areas(crowd, place)
+    crowd, place = _read(table, scene)
     beside = None
     if against == "recording":
         beside = crowdbench.recording_of(place)
@@ -41,6 +38,46 @@ def view(
         print(f"written to {save}: open it with `rerun {save}`")
     else:
         viewer.show(crowd, place, against=beside, person=person)
+
+
+def record(
+    table: Path,
+    out: Path,
+    /,
+    *,
+    scene: str | None = None,
+    from_s: float = 0.0,
+    length_s: float = 60.0,
+    speed: float = 4.0,
+) -> None:
+    """Write a film of a crowd, seen from above: a GIF or an MP4.
+
+    Args:
+        table: a rollout (.parquet); with --scene any CSV or Parquet with person_id, frame (or
+            time_s), x, y
+        out: the film, FILE.gif or FILE.mp4; an MP4 needs the extra `video`
+        scene: id of a scene, or its folder (default: the scene stated in the rollout)
+        from_s: time in the crowd at which the film begins, in seconds
+        length_s: length in the crowd, in seconds
+        speed: how many times faster than real time the film runs
+    """
+    from crowdbench.cli.printing import progress_bar
+    from crowdbench.viewer import film
+
+    crowd, place = _read(table, scene)
+    with progress_bar("frames") as progress:
+        film.record(
+            crowd, place, out,
+            from_s=from_s, length_s=length_s, speed=speed, progress=progress,
+        )  # fmt: skip
+    print(f"written to {out}")
+
+
+def _read(table: Path, scene: str | None) -> tuple["crowdbench.Trajectories", "crowdbench.Scene"]:
+    """A crowd and its scene, the one that the table states if none is named."""
+    crowd = crowdbench.read(table, scene)
+    place = crowdbench.load_scene(crowd.scene if scene is None else scene)
+    return (crowd if scene is None else _in_areas(crowd, place)), place
 
 
 def _in_areas(

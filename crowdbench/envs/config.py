@@ -3,10 +3,11 @@
 from dataclasses import dataclass, field, fields, replace
 from inspect import signature
 from pathlib import Path
-from typing import Literal, TypedDict, Unpack, get_args
+from typing import TYPE_CHECKING, Literal, TypedDict, Unpack, get_args
 
 import numpy as np
-from jaxtyping import Float32
+from gymnasium import logger
+from jaxtyping import Float32, Int, UInt8
 
 from crowdbench.errors import SettingError, did_you_mean
 from crowdbench.policies import Straight
@@ -20,7 +21,15 @@ from crowdbench.simulation.simulation import check_count
 from crowdbench.spawn import SpawnModel
 from crowdbench.spawn.model import Start
 
+if TYPE_CHECKING:
+    from crowdbench.viewer.renderer import Camera
+
 OnFull = Literal["error", "drop"]
+Pictured = Literal["rgb_array"]
+"""The `render_mode` of environments that a viewer cannot follow, because of their many worlds or
+because they go on from one trip to the next."""
+FPS = 10
+"""Frames per second of videos; four times real time on most scenes."""
 
 
 class EnvSettings(TypedDict, total=False):
@@ -119,18 +128,22 @@ class EnvCrowd:
         *,
         worlds: int = 1,
         max_persons: int | None = Settings.max_persons,
+        render_mode: Pictured | None = None,
     ) -> None:
         """Create the simulation.
 
         `max_persons` is the maximum number of people per world, in an episode and its warm-up;
-        None: twice the size of a sample of the spawn model, plus 100.
+        None: twice the size of a sample of the spawn model, plus 100. With `render_mode`, `render`
+        makes pictures of the first world.
 
         Raises:
             SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or
                 recording does not exist or does not fit.
         """
         check_count("worlds", worlds)
-        self.config = config
+        if render_mode not in (None, *get_args(Pictured)):
+            raise SettingError("render_mode", got=repr(render_mode), expected="None or 'rgb_array'")
+        self.config, self.render_mode = config, render_mode
         self.scene = load_scene(scene)
         self.spawn = spawn_model(config.spawn, self.scene)
         horizon_s = self.scene.horizon_s if config.horizon_s is None else config.horizon_s
@@ -149,6 +162,11 @@ class EnvCrowd:
         )
         self.simulation = Simulation(self.scene, worlds=worlds, settings=settings)
         self._reward = reward_function(config.reward)
+        self._camera: Camera | None = None
+        if render_mode is not None:
+            from crowdbench.viewer import renderer
+
+            self._camera = renderer.Camera(self.simulation)
 
     def begin(
         self, seed: int, *, simulation: Simulation | None = None, first_world: int = 0
@@ -173,6 +191,26 @@ class EnvCrowd:
         """
         parts: np.ndarray = self._reward(self.simulation)
         return parts
+
+    def follow(self) -> None:
+        """See where people are now, for trails in pictures; called after each reset and step."""
+        if self._camera is not None:
+            self._camera.follow()
+
+    def render(
+        self, controlled: Int[np.ndarray, " _"] | None = None
+    ) -> UInt8[np.ndarray, "h w 3"] | None:
+        """The first world as an RGB image, with a ring around those with the ids `controlled`.
+
+        None, with a warning, without a `render_mode`.
+
+        Raises:
+            ActionError: there has been no episode yet.
+        """
+        if self._camera is None:
+            logger.warn("render draws nothing: the environment was created without a render_mode.")
+            return None
+        return self._camera.picture(controlled)
 
     @property
     def dropped(self) -> int:

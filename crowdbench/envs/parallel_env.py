@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 import numpy as np
 from gymnasium import logger, spaces
 from jaxtyping import UInt8
-from pettingzoo import ParallelEnv
+from pettingzoo import AECEnv, ParallelEnv
+from pettingzoo.utils import parallel_to_aec
 
 from crowdbench.data.table import OUTCOMES, Trajectories
-from crowdbench.envs.config import EnvConfig, EnvCrowd, EnvSettings, Seeds
+from crowdbench.envs.config import FPS, EnvConfig, EnvCrowd, EnvSettings, Seeds
 from crowdbench.envs.global_state import SIZE as STATE_SIZE
 from crowdbench.envs.global_state import global_state
 from crowdbench.errors import ActionError, SettingError
@@ -55,7 +56,7 @@ class CrowdParallelEnv(ParallelEnv):  # type: ignore[misc]  # pettingzoo is unty
     metadata: ClassVar[dict[str, Any]] = {
         "name": "crowdbench",
         "render_modes": list(RENDER_MODES),
-        "render_fps": 10,  # of videos; four times real time on most scenes
+        "render_fps": FPS,
         "is_parallelizable": True,
     }
 
@@ -321,3 +322,23 @@ def _commands_of(actions: Mapping[str, np.ndarray], agents: Sequence[str]) -> np
 
 parallel_env = CrowdParallelEnv
 """The name by which PettingZoo's users create a parallel environment."""
+
+
+def aec_env(
+    scene: str | Path | Scene,
+    config: EnvConfig | None = None,
+    *,
+    max_persons: int | None = None,
+    render_mode: "RenderMode | None" = None,
+    **settings: Unpack[EnvSettings],
+) -> AECEnv:
+    """The same environment as an `AECEnv`, in which agents act one after the other.
+
+    The crowd advances by a frame when everybody present has acted. Arguments and errors are those
+    of `parallel_env`.
+    """
+    return parallel_to_aec(
+        CrowdParallelEnv(
+            scene, config, max_persons=max_persons, render_mode=render_mode, **settings
+        )
+    )

@@ -9,12 +9,12 @@ from typing import Any, Unpack
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Int, UInt8
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from crowdbench.envs.config import EnvConfig, EnvCrowd, EnvSettings, Seeds
+from crowdbench.envs.config import EnvConfig, EnvCrowd, EnvSettings, Pictured, Seeds
 from crowdbench.envs.global_state import global_state
 from crowdbench.errors import SettingError
 from crowdbench.scene import Scene
@@ -63,6 +63,7 @@ class CrowdEnv(EnvBase):
         worlds: int = 1,
         seed: int | None = None,
         device: torch.device | str = "cpu",
+        render_mode: Pictured | None = None,
         **settings: Unpack[EnvSettings],
     ) -> None:
         """Create the environment.
@@ -73,13 +74,15 @@ class CrowdEnv(EnvBase):
             worlds: number of worlds W.
             seed: seed of the first episode, from which the seeds of later episodes are drawn.
             device: device of all tensors.
+            render_mode: `rgb_array` for images from `render`.
             settings: fields of `EnvConfig`, which replace those of `config`.
 
         Raises:
             SceneError, SettingError, WeightsError, RecordingError: a scene, model, file or
                 recording does not exist or does not fit.
         """
-        crowd = EnvCrowd(scene, EnvConfig.of(type(self), config, **settings), worlds=worlds)
+        config = EnvConfig.of(type(self), config, **settings)
+        crowd = EnvCrowd(scene, config, worlds=worlds, render_mode=render_mode)
         slots = crowd.simulation.settings.max_alive
         super().__init__(device=device, batch_size=self._batch(worlds, slots))
         self._crowd, self._simulation = crowd, crowd.simulation
@@ -100,6 +103,16 @@ class CrowdEnv(EnvBase):
         See `crowdbench.envs.global_state`.
         """
         return torch.from_numpy(global_state(self._simulation)).to(self.device)
+
+    def render(self) -> UInt8[np.ndarray, "h w 3"] | None:
+        """The first world as an RGB image if `render_mode` is `rgb_array`, else None.
+
+        TorchRL's `PixelRenderTransform` calls it.
+
+        Raises:
+            ActionError: `reset` has not been called.
+        """
+        return self._crowd.render()
 
     @staticmethod
     def _batch(worlds: int, slots: int) -> torch.Size:
@@ -163,6 +176,7 @@ class CrowdEnv(EnvBase):
                 simulation.copy_world(world, alone)
         self._crowd.check_capacity()
         simulation.observe()
+        self._crowd.follow()
 
     def _first(self) -> TensorDict:
         """Tensors at the beginning of an episode, when nobody has acted."""
@@ -184,6 +198,7 @@ class CrowdEnv(EnvBase):
         simulation.step(actions)
         self._crowd.check_capacity()
         simulation.observe()
+        self._crowd.follow()
         parts = self._crowd.reward_parts()
         tensors = self._tensors(parts, ~acted)
         tensors["agents", "reward"] = torch.from_numpy(total(parts)[..., None])

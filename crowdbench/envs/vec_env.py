@@ -13,17 +13,16 @@ from typing import Any, Unpack
 
 import numpy as np
 from gymnasium import spaces
-from jaxtyping import Float32, Int
+from jaxtyping import Float32, Int, UInt8
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from crowdbench.data.table import OUTCOMES
-from crowdbench.envs.config import EnvConfig, EnvCrowd, EnvSettings, Seeds
-from crowdbench.errors import ActionError, SettingError
+from crowdbench.envs.config import FPS, EnvConfig, EnvCrowd, EnvSettings, Pictured, Seeds
+from crowdbench.envs.controlled import ControlledPeople, checked_actions
+from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, Straight
 from crowdbench.registry import spawn_model
-from crowdbench.run.acting import Actor, needs
-from crowdbench.run.episode import generator
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation.reward import total
 from crowdbench.simulation.simulation import check_count
@@ -54,6 +53,8 @@ class CrowdVecEnv(VecEnv):
       it, and recurrent policies begin each trip with an empty state. `waited` counts these steps:
       their share is `waited / (num_envs * steps)`. More `worlds` reduce it.
     - All worlds end together at the horizon and restart with new arrivals in the same step.
+    - With `render_mode="rgb_array"`, `render` returns a picture of the first world, in which those
+      who are controlled have a black ring.
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class CrowdVecEnv(VecEnv):
         others: Policy | None = None,
         worlds: int | None = None,
         seed: int | None = None,
+        render_mode: Pictured | None = None,
         **settings: Unpack[EnvSettings],
     ) -> None:
         """Create the environment.
@@ -79,6 +81,7 @@ class CrowdVecEnv(VecEnv):
             worlds: number of worlds; default: enough for three people per sub-environment.
             seed: seed of the first episode, from which the seeds of later episodes are drawn;
                 `seed()` also sets it.
+            render_mode: `rgb_array` for images from `render`.
             settings: fields of `EnvConfig`, which replace those of `config`.
 
         Raises:
@@ -91,36 +94,35 @@ class CrowdVecEnv(VecEnv):
         spawn = spawn_model(config.spawn, place)
         if worlds is None:
             worlds = max(1, math.ceil(RESERVE * num_envs / _persons_at_once(spawn, place)))
-        self._crowd = EnvCrowd(place, replace(config, spawn=spawn), worlds=worlds)
+        config = replace(config, spawn=spawn)
+        self._crowd = EnvCrowd(place, config, worlds=worlds, render_mode=render_mode)
         self.scene, self.spawn, self.frames = place, spawn, self._crowd.frames
         self._simulation = self._crowd.simulation
+        self._people = ControlledPeople(self._crowd, num_envs)
         self.others: Policy = others or Straight()
         self.waited = 0
         self._actions = np.zeros((num_envs, 2), np.float32)
-        self._at = np.zeros((2, num_envs), np.int64)  # world and slot of each person
-        self._waits = np.ones(num_envs, bool)
         self._collected = np.zeros(num_envs)  # rewards and steps of each trip so far
         self._steps = np.zeros(num_envs, np.int64)
         self._made = time.monotonic()
-        self._taken = np.zeros(self._simulation.slots.alive.shape, bool)
         size = self._simulation.observation.shape[-1]
         super().__init__(
             num_envs,
             spaces.Box(-1.0, 1.0, (size,), np.float32),
             spaces.Box(-1.0, 1.0, (2,), np.float32),
         )
+        self.metadata["render_fps"] = FPS
         self.seed(seed)
 
     @property
     def person_id(self) -> Int[np.ndarray, " num_envs"]:
         """Id of each sub-environment's person within its `world`; −1 while it waits."""
-        ids = self._simulation.slots.person[*self._at].astype(np.int64)
-        return np.where(self._waits, -1, ids)
+        return self._people.person_id
 
     @property
     def world(self) -> Int[np.ndarray, " num_envs"]:
         """World of each sub-environment's person."""
-        return self._at[0].copy()
+        return self._people.at[0].copy()
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Set the seed of the next episode, from which the seeds of later episodes are drawn."""
@@ -133,23 +135,11 @@ class CrowdVecEnv(VecEnv):
         Raises:
             CapacityError: there are more people than `max_alive`.
         """
-        simulation = self._simulation
-        seed = self._episode_seeds.draw()
-        self._crowd.begin(seed)
-        self._crowd.check_capacity()
-        shown = simulation.settings.shown
-        theirs = shown._replace(**needs(self.others))
-        self._actor = Actor(
-            self.others, simulation if theirs == shown else simulation.showing(theirs)
-        )
-        self._actor.reset(generator(seed, 0, "policy"))
-        simulation.observe()
-        self._waits[:] = True
-        self._taken[:] = False
+        self._people.begin(self._episode_seeds.draw(), self.others)
         self._collected[:] = 0
         self._steps[:] = 0
-        self._assign()
-        return self._observations()
+        self._people.take_newest()
+        return self._people.observations()
 
     def step_async(self, actions: np.ndarray) -> None:
         """Set the actions of the next step.
@@ -157,16 +147,7 @@ class CrowdVecEnv(VecEnv):
         Raises:
             ActionError: actions have another shape or are not finite.
         """
-        given = np.asarray(actions, np.float32)
-        if given.shape != (self.num_envs, 2) or not np.isfinite(given).all():
-            raise ActionError(
-                "CrowdVecEnv.step",
-                got=f"an array of shape {given.shape}"
-                if given.shape != (self.num_envs, 2)
-                else f"{int((~np.isfinite(given)).sum())} values that are not finite",
-                expected=f"finite numbers of shape ({self.num_envs}, 2)",
-            )
-        self._actions = given
+        self._actions = checked_actions("CrowdVecEnv.step", actions, self.num_envs)
 
     def step_wait(
         self,
@@ -176,86 +157,66 @@ class CrowdVecEnv(VecEnv):
         Raises:
             CapacityError: there are more people than `max_alive`.
         """
-        simulation = self._simulation
-        acting = ~self._waits
-        at = tuple(self._at[:, acting])
-        actions = self._actor.actions(~self._taken)
-        actions[at] = self._actions[acting]
-        own_frame = simulation.settings.own_frame  # of the observations of those taken
-        simulation.step(actions, own_frame=np.where(self._taken, own_frame, self._actor.own_frame))
-        self._crowd.check_capacity()
-        simulation.observe()
+        people = self._people
+        world, waits = people.at[0].copy(), people.free.copy()
+        made = people.step(self._actions)
 
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         rewards = np.zeros(self.num_envs, np.float32)
-        parts = self._crowd.reward_parts()[at]
-        rewards[acting] = total(parts)
+        rewards[made.acting] = total(made.parts[made.acting])
         self._collected += rewards
-        self._steps += acting
-        ended = np.zeros(self.num_envs, np.int8)
-        ended[acting] = simulation.slots.ended[at]
-        persons = self.person_id
-        for k, of_person in zip(np.flatnonzero(acting).tolist(), parts.tolist(), strict=True):
-            world = int(self._at[0, k])
-            infos[k] = {"person_id": int(persons[k]), "world": world, "reward_parts": of_person}
-        before = self._observations()
+        self._steps += made.acting
+        for k in np.flatnonzero(made.acting).tolist():
+            infos[k] = {
+                "person_id": int(made.person[k]),
+                "world": int(world[k]),
+                "reward_parts": made.parts[k].tolist(),
+            }
         seconds = time.monotonic() - self._made
-        for k in np.flatnonzero(ended).tolist():
-            how = int(ended[k])
+        over = made.ended != 0
+        for k in np.flatnonzero(over).tolist():
+            how = int(made.ended[k])
             infos[k] |= {
                 "outcome": OUTCOMES[how],
                 "TimeLimit.truncated": how not in TERMINAL,
-                "terminal_observation": before[k],
+                "terminal_observation": made.seen[k],
                 "episode": {
                     "r": float(self._collected[k]),
                     "l": int(self._steps[k]),
                     "t": round(seconds, 6),
                 },
             }
-        for k in np.flatnonzero(self._waits).tolist():
+        for k in np.flatnonzero(waits).tolist():
             infos[k] = {
                 "waiting": True,
                 "TimeLimit.truncated": False,
-                "terminal_observation": before[k],
+                "terminal_observation": made.seen[k],
             }
-        self.waited += int(self._waits.sum())
-        dones = self._waits | (ended != 0)
+        self.waited += int(waits.sum())
+        dones = waits | over
 
-        if simulation.clock.frame[0] >= self.frames:
+        if people.over:
             return self.reset(), rewards, dones, infos
-        over = ended != 0
-        self._taken[tuple(self._at[:, over])] = False
-        self._waits |= over
         self._collected[over] = 0
         self._steps[over] = 0
-        self._assign()
-        return self._observations(), rewards, dones, infos
+        people.take_newest()
+        return people.observations(), rewards, dones, infos
 
-    def _assign(self) -> None:
-        """Assign the people who entered last to the waiting sub-environments."""
-        free = np.flatnonzero(self._waits)
-        if not len(free):
-            return
-        slots = self._simulation.slots
-        w, i = np.nonzero(slots.alive & ~self._taken)
-        newest = np.argsort(-slots.born[w, i], kind="stable")[: len(free)]
-        w, i, free = w[newest], i[newest], free[: len(newest)]
-        self._at[:, free] = w, i
-        self._taken[w, i] = True
-        self._waits[free] = False
+    def get_images(self) -> list[UInt8[np.ndarray, "h w 3"] | None]:
+        """The picture that `render` returns, see there.
 
-    def _observations(self) -> Float32[np.ndarray, "num_envs obs"]:
-        seen = self._simulation.observation[*self._at]
-        seen[self._waits] = 0
-        return seen
+        Raises:
+            ActionError: `reset` has not been called.
+        """
+        return [self._crowd.render(self.person_id[(self.world == 0) & ~self._people.free])]
 
     def close(self) -> None:
         """Do nothing: there is nothing to close."""
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         """The attribute of this object, repeated for each sub-environment."""
-        if attr_name == "render_mode":
-            return [None] * len(self._indices(indices))
+        if attr_name == "render_mode":  # asked before it is an attribute
+            return [self._crowd.render_mode] * len(self._indices(indices))
         return [getattr(self, attr_name) for _ in self._indices(indices)]
 
     def set_attr(

@@ -175,8 +175,8 @@ def printed(found: Comparison) -> tuple[list[str], list[list[str]], str]:
     note = (
         f"{found.episodes} episodes of the robot {found.robot} in {found.scene}, among people who "
         f"walk by {found.walkers}. Intervals are of 95 %. Controllers share a rank unless their "
-        "shares of success differ significantly. Times and costs are those of episodes in which "
-        "the robot reached its goal."
+        "shares of success differ significantly. Times are those of episodes in which the robot "
+        "reached its goal."
     )
     return ["controller", "rank", *shown.values()], rows, note
 
@@ -191,6 +191,9 @@ COLUMNS = {
     "min_distance_m": "nearest, m",
     "intimate_space_share": "< 0.45 m",
     "personal_space_share": "< 1.2 m",
+    "extra_time_s": "people's time, s",
+    "extra_path_m": "their path, m",
+    "extra_acceleration_mps2": "their acceleration, m/s²",
 }
 """The measures that tables show, and their titles there."""
 WITH_INTERVAL = ("success", "spl")

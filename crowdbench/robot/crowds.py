@@ -12,6 +12,7 @@ from numpy.random import Generator, SeedSequence, default_rng
 
 from crowdbench.errors import SettingError
 from crowdbench.policies import Policy, Straight
+from crowdbench.policies.walkers import ReplayPolicy
 from crowdbench.registry import policy, spawn_model
 from crowdbench.robot.config import LONGEST_CROWD_S, REPLAY, RobotConfig
 from crowdbench.robot.robots import Robot, robot_of
@@ -57,6 +58,8 @@ class Crowds:
         self.replayed = config.walkers == REPLAY
         self.walker: Policy = policy(config.walkers, scene)
         self.spawn: SpawnModel = spawn_model(REPLAY if self.replayed else config.spawn, scene)
+        self.react = config.visible and not isinstance(self.walker, ReplayPolicy)
+        """Whether people see robots, and can react to them."""
         self.recorded = self.spawn.start == "recorded"
         horizon_s = config.horizon_s
         if horizon_s is None:
@@ -163,10 +166,17 @@ class Crowds:
         self.before[worlds] = slots.position[worlds, :-1]
         self.was_there[worlds] = slots.alive[worlds, :-1]
 
+    def fork(self, worlds: Int[np.ndarray, " n"]) -> None:
+        """Let the twins of some worlds go on from their present state, without the robot."""
+        twins = worlds + self.worlds
+        self.simulation.copy_worlds(twins, self.simulation, worlds)
+        self._actor.copy_worlds(twins, worlds)
+        self.simulation.slots.alive[twins, -1] = False
+
     def place(self, worlds: Int[np.ndarray, " n"], poses: Poses) -> None:
         """Put the robots of some worlds where they begin an episode."""
         slots = self.simulation.slots
-        slots.alive[worlds, -1] = self.config.visible
+        slots.alive[worlds, -1] = self.react
         slots.scripted[worlds, -1] = True
         slots.leave[worlds, -1] = -1
         slots.born[worlds, -1] = LONG_AGO

@@ -25,7 +25,7 @@ class RobotEnv(gymnasium.Env[Any, np.ndarray]):
       unless `collision="count"`. It is truncated by the time limit.
     - `info` at the end contains the measures of `crowdbench.robot.measures.MEASURES`, and with
       `costs=True` also those of `crowdbench.robot.costs.COSTS`. `info` of `reset` contains
-      `people_react`, which is False for recorded people.
+      `people_react`, which is False for recorded people and if they do not see the robot.
 
     People walk on between episodes: `reset` without a seed begins an episode among those who are
     there, with a new crowd after `horizon_s`. With a seed, a new crowd is there at once.
@@ -70,7 +70,7 @@ class RobotEnv(gymnasium.Env[Any, np.ndarray]):
             self._begun = True
         else:
             self.worlds.go_on(np.array([0]))
-        return self._observation(), {"people_react": not self.worlds.crowds.replayed}
+        return self._observation(), {"people_react": self.worlds.crowds.react}
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Drive for a control period; returns observation, reward, terminated, truncated, info.

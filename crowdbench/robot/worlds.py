@@ -9,9 +9,10 @@ from numpy.random import SeedSequence, default_rng
 
 from crowdbench.errors import ActionError, OwnCodeError, SettingError
 from crowdbench.robot.config import RobotConfig, RobotReward
+from crowdbench.robot.costs import Costs
 from crowdbench.robot.crowds import Crowds, Poses
 from crowdbench.robot.driving import drive, longest_substep_m
-from crowdbench.robot.encounters import Encounter, Present, meet
+from crowdbench.robot.encounters import GRAZE_M, Encounter, Present, meet
 from crowdbench.robot.measures import STILL_MPS, STILL_RPS, Measures, Period
 from crowdbench.robot.observing import Observer
 from crowdbench.robot.places import MARGIN_M, Places, routes_for
@@ -87,11 +88,14 @@ class RobotWorlds:
             ray_range_m=config.range_m,
             step_m=robot.radius_m + longest_substep_m(robot.limits),
         )
+        slides = self.scene.motion.body_radius_m > 0 and not self.crowds.replayed
+        self._graze_m = GRAZE_M if slides else 0.0
         self._free = free_space(self.scene.walls, b)
         self.view = RobotView.empty(self.scene, robot, self.period_s, worlds, config.nearest)
         self.present = Present.nobody(worlds, self.crowds.people)
         self.encounter = Encounter.none(worlds)
         self.measures = Measures(worlds, self.period_s)
+        self._costs = Costs(self.crowds) if config.costs else None
         self._observer = Observer(config, self.view, self.scene.wall_segments)
         self.observation_space = self._observer.space
         self.goals = np.zeros((worlds, config.goals, 2))
@@ -170,6 +174,8 @@ class RobotWorlds:
             )
             shortest += np.linalg.norm(to - self.goals[worlds, k - 1], axis=1) + beyond
         self.measures.begin(worlds, shortest)
+        if self._costs is not None:
+            self._costs.begin(worlds)
         self.crowds.place(worlds, Poses(view.position, view.heading, view.velocity, view.goal))
         self._meet(worlds, self._share, self._share)
         self._find_people(worlds)
@@ -207,6 +213,8 @@ class RobotWorlds:
         view = self.view
         if self._tick == 0:
             self.crowds.advance()
+            if self._costs is not None:
+                self._costs.add()
         since, until = self._tick / self.periods, (self._tick + 1) / self.periods
         np.copyto(self._before, view.position)
         pressed = self.hit_wall.copy()
@@ -254,19 +262,20 @@ class RobotWorlds:
         return self._observer.observe(worlds, self.present, self._keys, self.measures.steps)
 
     def results(self, worlds: Int[np.ndarray, " n"]) -> dict[str, np.ndarray]:
-        """The measures of the episodes of some worlds so far, each (n,)."""
+        """The measures and costs of the episodes of some worlds so far, each (n,)."""
         late = self.measures.steps[worlds] >= self.limit
         success = self.success[worlds]
         ends = self.config.collision == "terminate"
         timeout = late & ~success & ~(self.measures.collided[worlds] & ends)
-        return self.measures.of(worlds, success, timeout)
+        found = self.measures.of(worlds, success, timeout)
+        return found if self._costs is None else found | self._costs.of(worlds)
 
     def _meet(self, worlds: Int[np.ndarray, " n"], since: float, until: float) -> None:
         crowds, slots = self.crowds, self.crowds.simulation.slots
         meet(
             worlds, since, until, crowds.before, crowds.was_there, slots.alive, slots.position,
             slots.velocity, self._before, self.view.position, self.view.velocity, crowds.reach_m,
-            self.present, self.encounter,
+            self._graze_m, self.present, self.encounter,
         )  # fmt: skip
 
     def _find_way(self, worlds: Int[np.ndarray, " n"]) -> None:

@@ -163,7 +163,9 @@ def _walk_freely(w, step_s, slots, bodies, walls):
             longest = max(longest, bodies.moved[w, i, 0])
             widest = max(widest, np.float64(wider[w, i]))
             busy[w, i] = slots.blocked[w, i] > 0.0 or slots.aside[w, i] > 0.0
-            recorded = recorded or slots.scripted[w, i]
+            # Recorded people walk into others. A robot, which never leaves, hardly does, and must
+            # change nothing for those who are far from it.
+            recorded = recorded or (slots.scripted[w, i] and slots.leave[w, i] >= 0)
     _sort(w, count, at, order)
     part = (
         PART_MPS * step_s if recorded or _overlap(w, count, two, widest, wider, at, order) else 0.0

@@ -1,5 +1,7 @@
 """Crowds in the rerun viewer: people, trails, rays, areas, plots and a log, on a common time line.
 
+`crowdbench.viewer.film` makes films, without rerun.
+
 Imported only when needed, by the command line and by environments with a render mode. Modules that
 need rerun are imported only where it is certain to be installed.
 """

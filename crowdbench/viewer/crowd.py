@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 import pyarrow as pa
 import rerun as rr
-from jaxtyping import Bool, Float32, Int, UInt16
+from jaxtyping import Bool, Int, UInt16
 
 from crowdbench.colours import goal_colour
-from crowdbench.data.table import OUTCOMES, Indices, Trajectories
+from crowdbench.data.table import OUTCOMES, Trajectories
 from crowdbench.scene import Scene
 from crowdbench.viewer import place
-from crowdbench.viewer.picture import trail_steps
+from crowdbench.viewer.picture import trails
 
 WINDOW = 10
 """Number of frames per count of spawns, as in the metric `spawns_per_10_frames`."""
@@ -148,15 +148,6 @@ def class_of(goal_area: Int[np.ndarray, " n"]) -> UInt16[np.ndarray, " n"]:
 def ids(person_id: Int[np.ndarray, " n"]) -> pa.Array:
     """Ids for `rerun.AnyValues`; typed, because no type can be inferred from no ids."""
     return pa.array(person_id, pa.int64())
-
-
-def trails(crowd: Trajectories, rows: Indices, first_row: Indices) -> Float32[np.ndarray, "n k 2"]:
-    """Positions in the last `picture.TRAIL_S` seconds up to each row, metres.
-
-    Times before a person's first row have the position of the first row.
-    """
-    back = np.arange(trail_steps(crowd.dt_s), -1, -1)
-    return crowd.xy[np.maximum(rows[:, None] - back, first_row[:, None])]
 
 
 def time_columns(frame: Int[np.ndarray, " n"], dt_s: float) -> list[rr.TimeColumn]:

@@ -1,19 +1,20 @@
-"""The present state of an environment: people, trails and ended trips; and pictures of it.
+"""A frame of a crowd: people, trails and ended trips; and pictures of it.
 
 A picture is one array of pixels per frame, fast enough for a video.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from crowdbench.colours import goal_colour
-from crowdbench.data.table import Indices, Points
-from crowdbench.run.episode import Recorder
+from crowdbench.data.table import Indices, Points, Trajectories
 from crowdbench.scene import Scene
+from crowdbench.simulation import Simulation
 from crowdbench.viewer.place import GREY, areas_of, corners, dashed_areas, extent_m
 
 TRAIL_S = 2.0
@@ -28,7 +29,7 @@ _WALL, _BOUNDS, _SPAWN, _INK = "#BBBBBB", "#888888", "#666666", "#222222"
 
 @dataclass(frozen=True, eq=False)
 class Now:
-    """`n` persons of a simulation with one world, including those whose trips have just ended."""
+    """`n` persons of a world, including those whose trips have just ended."""
 
     frame: int
     person_id: Int[np.ndarray, " n"]
@@ -50,10 +51,9 @@ class Now:
     """Outcome of trips that ended in this frame, as an index into `OUTCOMES`; 0 for others."""
 
     @classmethod
-    def of(cls, recorder: Recorder, dt_s: float) -> "Now":
-        """Read the present state of a recorder's simulation, without changing it."""
-        simulation = recorder.simulation
-        slots, past = simulation.slots, recorder.latest(trail_steps(dt_s) + 1)
+    def of(cls, simulation: Simulation, past: Past) -> "Now":
+        """Read the present state of a simulation's first world, without changing it."""
+        slots = simulation.slots
         there = (slots.alive[0] | (slots.ended[0] != 0)).nonzero()[0]
         person, xy = slots.person[0, there], slots.position[0, there]
         return cls(
@@ -73,6 +73,15 @@ class Now:
 def trail_steps(dt_s: float) -> int:
     """Length of a trail in steps."""
     return max(1, round(TRAIL_S / dt_s))
+
+
+def trails(crowd: Trajectories, rows: Indices, first_row: Indices) -> Float32[np.ndarray, "n k 2"]:
+    """Positions in the last `TRAIL_S` seconds up to each row of a table, metres.
+
+    Times before a person's first row have the position of the first row.
+    """
+    back = np.arange(trail_steps(crowd.dt_s), -1, -1)
+    return crowd.xy[np.maximum(rows[:, None] - back, first_row[:, None])]
 
 
 def _trails(person: Indices, xy: Points, past: Past) -> Float32[np.ndarray, "n k 2"]:
@@ -111,8 +120,13 @@ class Pictures:
                 line = self._pixels(areas.goal.outline(k))
                 ink.line(line, fill=goal_colour(k), width=2 * _FINER)
 
-    def draw(self, now: Now) -> UInt8[np.ndarray, "h w 3"]:
-        """The picture of a frame: height × width × (red, green, blue), from 0 to 255."""
+    def draw(
+        self, now: Now, ringed: Sequence[int] = (), *, observed: bool = True
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        """The picture of a frame: height × width × (red, green, blue), from 0 to 255.
+
+        People with the ids `ringed` have a black ring. A frame that was not `observed` says so.
+        """
         image = self._empty.copy()
         ink = ImageDraw.Draw(image)
         colours = [GREY if k < 0 else goal_colour(k) for k in now.goal_area.tolist()]
@@ -126,9 +140,12 @@ class Pictures:
                     ink.line(self._pixels(now.xy[[k, other]]), fill=_INK, width=_FINER)
         for xy, colour in zip(now.xy, colours, strict=True):
             self._disc(ink, xy, radius, colour)
+        for xy in now.xy[np.isin(now.person_id, ringed)]:
+            self._disc(ink, xy, radius + 3 * _FINER, None, outline=_INK, width=2 * _FINER)
         seconds = now.frame * self._scene.dt_s
         alive = int((now.ended == 0).sum())
-        text = f"{seconds:.1f} s, {alive} {'person' if alive == 1 else 'persons'}"
+        text = f"{alive} {'person' if alive == 1 else 'persons'}" if observed else "not observed"
+        text = f"{seconds:.1f} s, {text}"
         where = (_MARGIN_PX + 6) * _FINER
         ink.text((where, where), text, fill=_INK, font=self._font,
                  stroke_width=2 * _FINER, stroke_fill="white")  # fmt: skip
@@ -139,6 +156,13 @@ class Pictures:
         at = (xy - self._corner) * [self._per_m, -self._per_m] + _MARGIN_PX * _FINER
         return [(x, y) for x, y in at.tolist()]
 
-    def _disc(self, ink: ImageDraw.ImageDraw, xy: np.ndarray, radius: float, colour: str) -> None:
+    def _disc(
+        self,
+        ink: ImageDraw.ImageDraw,
+        xy: np.ndarray,
+        radius: float,
+        colour: str | None,
+        **line: Any,
+    ) -> None:
         ((x, y),) = self._pixels(xy[None])
-        ink.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
+        ink.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour, **line)
