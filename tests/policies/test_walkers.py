@@ -144,9 +144,7 @@ def test_a_wall_pushes_along_the_gradient_of_the_published_potential(
 def test_each_wall_pushes_once_however_many_edges_it_has() -> None:
     segments = np.array([[0, 0, 1, 0], [1, 0, 2, 0], [0, 5, 2, 5.0]])
     one_wall = np.zeros(2, np.int32)
-    one = wall_force(
-        1.0, 0.5, segments[:1] * [[1, 1, 2, 1]], one_wall[:1], np.arange(1), PUBLISHED
-    )
+    one = wall_force(1.0, 0.5, segments[:1] * [[1, 1, 2, 1]], one_wall[:1], np.arange(1), PUBLISHED)
     split = wall_force(1.0, 0.5, segments[:2], one_wall, np.arange(2), PUBLISHED)
     assert split == one
 
