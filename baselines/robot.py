@@ -33,6 +33,7 @@ with needs("sb3", __name__):
     from gymnasium import spaces
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.policies import ActorCriticPolicy
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from torch import Tensor, nn
 
@@ -47,6 +48,8 @@ SELF = OWN + PROBES
 """Number of values of `social` about the robot, its path and walls, which come first."""
 RANGE_M = 10.0
 """Range of the observation, the default of `RobotConfig`."""
+TURN = 2.0
+"""Turn rate per sine of the angle to the path, both as shares of the largest, in the beginning."""
 LOOK_AHEAD_S = 4.0
 """Closest approaches are looked for in this time."""
 TRAINING_SEED = 1_000_000
@@ -60,16 +63,16 @@ class RobotSettings:
     robot: str = "delivery"
     walkers: str = "social-force"
     worlds: int = 64
-    steps: int = 600_000
+    steps: int = 400_000
     """Number of actions, summed over all worlds."""
     batch_steps: int = 64
     """Number of actions in each world between two updates."""
-    minibatch: int = 512
-    epochs: int = 8
-    learning_rate: float = 7e-4
+    minibatch: int = 1024
+    epochs: int = 6
+    learning_rate: float = 1e-3
     """Initial learning rate of Adam; it decreases to 0."""
     gamma: float = 0.98
-    std: float = 0.4
+    std: float = 0.3
     """Initial standard deviation of actions."""
     hidden: int = 64
     episodes: int = 200
@@ -78,12 +81,19 @@ class RobotSettings:
 
 
 class SocialFeatures(BaseFeaturesExtractor):
-    """What a network computes first from the observation `social`: features (W, 22 + width)."""
+    """What the networks of `RobotPolicy` have in common: from the observation `social` to features.
 
-    def __init__(self, space: spaces.Box, width: int = 32) -> None:
-        super().__init__(space, SELF + width)
+    The features (W, 2 + hidden) are the direction of the path and what two layers make of the rest.
+    """
+
+    def __init__(self, space: spaces.Box, hidden: int = 64) -> None:
+        super().__init__(space, 2 + hidden)
+        width = hidden // 2
         self.encode = nn.Sequential(
             nn.Linear(9 + OWN, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()
+        )
+        self.layers = nn.Sequential(
+            nn.Linear(SELF + width, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh()
         )
 
     def forward(self, seen: Tensor) -> Tensor:
@@ -100,7 +110,31 @@ class SocialFeatures(BaseFeaturesExtractor):
         scaled = (position / 3, velocity / 1.5, time_s / 2, near / 2)
         close = (torch.exp(-gap), torch.exp(-near), torch.exp(-time_s))
         encoded = self.encode(torch.cat([*scaled, *close, robot], -1)) * there
-        return torch.cat([own, encoded.amax(1)], 1)
+        layers = self.layers(torch.cat([own, encoded.amax(1)], 1))
+        return torch.cat([own[:, :2], layers], 1)
+
+
+class RobotPolicy(ActorCriticPolicy):
+    """A policy of Stable-Baselines3 that begins as a robot which drives along its path.
+
+    The mean action is linear in the direction of the path and in the features, whose weights are
+    nearly 0 at first: the training need not discover where the goal is.
+    """
+
+    def __init__(self, *args: Any, hidden: int = 64, **kwargs: Any) -> None:
+        super().__init__(
+            *args,
+            features_extractor_class=SocialFeatures,
+            features_extractor_kwargs={"hidden": hidden},
+            net_arch={"pi": [], "vf": [hidden]},
+            **kwargs,
+        )
+
+    def _build(self, lr_schedule: Any) -> None:
+        super()._build(lr_schedule)
+        with torch.no_grad():
+            self.action_net.weight[0, 0] = 1.0  # ahead, the faster the better it faces the path
+            self.action_net.weight[1, 1] = TURN
 
 
 class Report(BaseCallback):
@@ -133,18 +167,14 @@ def train(command: Command, settings: RobotSettings) -> PPO:
         seed=TRAINING_SEED + settings.seed,
     )  # fmt: skip
     model = PPO(
-        "MlpPolicy",
+        RobotPolicy,
         env,
         n_steps=settings.batch_steps,
         batch_size=settings.minibatch,
         n_epochs=settings.epochs,
         gamma=settings.gamma,
         learning_rate=lambda left: settings.learning_rate * left,
-        policy_kwargs={
-            "features_extractor_class": SocialFeatures,
-            "net_arch": [settings.hidden, settings.hidden],
-            "log_std_init": math.log(settings.std),
-        },
+        policy_kwargs={"hidden": settings.hidden, "log_std_init": math.log(settings.std)},
         seed=settings.seed,
         device="cpu",
     )
