@@ -27,6 +27,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 _LOOSE = (
     *("crowdbench.envs.config", "crowdbench.envs.parallel_env"),
+    *("crowdbench.robot.config", "crowdbench.robot.robots"),
     "crowdbench.plugins",
     "crowdbench.baselines",
 )

@@ -108,7 +108,7 @@ def meet(
             off = math.sqrt(dx * dx + dy * dy)
             if walks and there[w, i]:
                 ox, oy = at[w, i, 0] - robot_before[w, 0], at[w, i, 1] - robot_before[w, 1]
-                touches = _nearest(ox, oy, dx - ox, dy - oy) < reach - graze
+                touches = _nearest(ox, oy, dx - ox, dy - oy) < reach - graze - ROUNDING_M
                 touches = touches or (until == 1.0 and off < reach - ROUNDING_M)
                 contacts += touches and not touching[w, i]
             touching[w, i] = off < reach - ROUNDING_M

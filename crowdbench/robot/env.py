@@ -31,7 +31,7 @@ class RobotEnv(gymnasium.Env[Any, np.ndarray]):
     there, with a new crowd after `horizon_s`. With a seed, a new crowd is there at once.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
 
     def __init__(
         self,

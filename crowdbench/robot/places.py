@@ -1,7 +1,7 @@
 """Where robots can drive: starts, goals, and paths that keep a robot's radius off walls."""
 
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 import shapely
@@ -25,39 +25,56 @@ _USABLE = 0.8  # share of the largest distance between points that may be asked 
 class Places:
     """The free part of a scene for a robot of some radius, and the points that it drives between.
 
-    Starts and goals are drawn uniformly among points in the spawn and goal areas of the scene: half
-    of the points are normally distributed as people's starts, half as their goals. All keep the
-    robot's radius off walls and bounds.
+    Starts and goals are drawn uniformly from points in the areas of the scene: half of the points
+    are distributed as people's starts, half as their goals, each area alike. All keep the robot's
+    radius off walls and bounds. Starts and goals are `least_m` or more apart, in a straight line,
+    and a way leads from each to the next.
     """
 
-    def __init__(self, scene: Scene, radius_m: float) -> None:
-        """Compute the free part.
+    def __init__(self, scene: Scene, radius_m: float, config: RobotConfig) -> None:
+        """Compute the free part and the points.
 
         Raises:
             WeightsError: the areas of the scene are missing or broken.
-            SettingError: there is no room for the robot in the areas.
+            SettingError: there is no room for the robot in the areas, or at a given start or goal;
+                or no places are as far from each other as asked for.
         """
-        self.scene, self._off_m = scene, radius_m + MARGIN_M
+        self.scene, self._off_m, self._config = scene, radius_m + MARGIN_M, config
+        self.least_m = config.min_distance_m or 0.0
         b = scene.bounds
         whole = shapely.box(b.x_min_m, b.y_min_m, b.x_max_m, b.y_max_m)
-        self._solid = scene.obstacles.buffer(self._off_m)
-        free = whole.buffer(-radius_m, join_style="mitre").difference(self._solid)
+        solid = scene.obstacles.buffer(self._off_m)
+        free = whole.buffer(-radius_m, join_style="mitre").difference(solid)
         self._parts = [p for p in shapely.get_parts(free) if p.geom_type == "Polygon"]
         for part in self._parts:
             shapely.prepare(part)
-        areas, rng = read_areas(scene), default_rng(0)
+        self.points, self._far = np.empty((0, 2)), list[np.ndarray]()
+        """The points, and the indices of those that are far enough from each."""
+        fixed = config.start is not None and config.goal is not None and config.goals == 1
+        if not fixed:  # a scene without areas will do otherwise
+            self._spread(radius_m)
+        self._first, self._before_goal = self._ends()
+
+    def _spread(self, radius_m: float) -> None:
+        """Choose the points."""
+        scene, rng = self.scene, default_rng(0)
+        areas = read_areas(scene)
         drawn = [
             kind.draw(rng.integers(len(kind), size=4 * POINTS), scene, rng)
             for kind in (areas.spawn, areas.goal)
         ]
-        inside = [points[self.part_of(points) >= 0][: POINTS // 2] for points in drawn]
-        self.points = np.concatenate(inside)
+        self.points = np.concatenate([p[self.part_of(p) >= 0][: POINTS // 2] for p in drawn])
         if len(self.points) < 2:
             raise SettingError(
                 f"radius_m of a robot in {scene.id}",
                 got=f"{radius_m:g}",
                 expected="a robot for which there is room where people enter and leave",
             )
+        part = self.part_of(self.points)
+        apart = np.linalg.norm(self.points[:, None] - self.points, axis=2)
+        apart = np.where(part[:, None] == part, apart, -1.0)
+        self.least_m = self._checked_distance(float(apart.max()))
+        self._far = [np.flatnonzero(row >= self.least_m) for row in apart]
 
     def part_of(self, points: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
         """Index of the connected free part in which each point lies, −1 for none.
@@ -69,125 +86,97 @@ class Places:
             found[shapely.intersects_xy(part, points[:, 0], points[:, 1])] = k
         return found
 
-    def check(self, name: str, point: tuple[float, float]) -> None:
-        """Check a start or goal that a user has chosen.
-
-        Raises:
-            SettingError: the robot has no room there.
-        """
-        if self.part_of(np.array([point], np.float64))[0] < 0:
-            raise SettingError(
-                name,
-                got=str(tuple(point)),
-                expected=f"a point inside the bounds of {self.scene.id}, at least "
-                f"{self._off_m:g} m away from walls",
-            )
-
-    @cached_property
-    def _apart(self) -> Float[np.ndarray, "n n"]:
-        """Distances between points; −1 where no way leads from one to the other."""
-        part = self.part_of(self.points)
-        apart = np.linalg.norm(self.points[:, None] - self.points, axis=2)
-        return np.where(part[:, None] == part, apart, -1.0)
-
-    def least_m(self, config: RobotConfig) -> float:
-        """The least distance between starts and goals in metres, checked with the given ones.
-
-        Raises:
-            SettingError: there are too few places that are as far from each other, or no way leads
-                from the start to the goal.
-        """
-        longest_m = float(self._apart.max())
-        least_m = config.min_distance_m
-        if least_m is None:
-            least_m = longest_m / 2
+    def _checked_distance(self, longest_m: float) -> float:
+        """The least distance between starts and goals, metres."""
+        asked = self._config.min_distance_m
+        least_m = longest_m / 2 if asked is None else asked
         if not 0 <= least_m <= _USABLE * longest_m:
             raise SettingError(
                 "min_distance_m",
-                got=repr(least_m),
+                got=repr(asked),
                 expected=f"0 to {_USABLE * longest_m:.1f} metres in {self.scene.id}",
             )
-        given = [np.array(p, np.float64) for p in (config.start, config.goal) if p is not None]
-        for point in given:
-            if len(given) < 2 or config.goals > 1:
-                self._far_from(point, least_m)
-        if len(given) == 2 and len(set(self.part_of(np.array(given)).tolist())) == 2:
+        return least_m
+
+    def _ends(self) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " points"]]:
+        """Which points may come first, after a given start, and which before a given goal."""
+        config, size = self._config, len(self.points)
+        first = np.array([len(far) > 0 for far in self._far], bool)
+        before_goal = np.ones(size, bool)
+        for name in ("start", "goal"):
+            chosen = getattr(config, name)
+            if chosen is None:
+                continue
+            point = np.array([chosen], np.float64)
+            part = int(self.part_of(point)[0])
+            if part < 0:
+                raise SettingError(
+                    name,
+                    got=str(tuple(chosen)),
+                    expected=f"a point inside the bounds of {self.scene.id}, at least "
+                    f"{self._off_m:g} m away from walls",
+                )
+            far = np.linalg.norm(self.points - point, axis=1) >= self.least_m
+            far &= self.part_of(self.points) == part
+            if len(self.points) and not far.any():
+                raise SettingError(
+                    name,
+                    got=str(tuple(chosen)),
+                    expected=f"a point to which there are others at a distance of "
+                    f"{self.least_m:g} m",
+                    hint="Choose another one, or a smaller min_distance_m.",
+                )
+            if name == "start":
+                first = far
+            else:
+                before_goal = far
+        given = [p for p in (config.start, config.goal) if p is not None]
+        if len(given) == 2 and len(set(self.part_of(np.array(given, np.float64)).tolist())) == 2:
             raise SettingError(
                 "goal",
                 got=str(config.goal),
                 expected=f"a point to which the robot can drive from {config.start}",
             )
-        return least_m
+        if config.goals == 1 and config.start is None:
+            first &= before_goal
+        return np.flatnonzero(first), before_goal
 
     def draw(
-        self,
-        goals: int,
-        min_distance_m: float,
-        rng: Generator,
-        people: Float[np.ndarray, "P 2"],
-        clearance_m: float,
-        start: tuple[float, float] | None,
-        goal: tuple[float, float] | None,
+        self, rng: Generator, people: Float[np.ndarray, "P 2"], clearance_m: float
     ) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, "goals 2"]]:
-        """Draw a start and one or several goals, each `min_distance_m` or more from the previous.
+        """Draw a start and goals; those that are given in the settings are kept.
 
         The start is redrawn while somebody is within `clearance_m` of it, up to 64 times, after
-        which the emptiest is taken. A given `start` or `goal` (then the last one) is kept.
+        which the emptiest is taken.
         """
-        best, found = -np.inf, (np.empty(2), np.empty((goals, 2)))
+        widest, found = -np.inf, np.empty((0, 2))
         for _ in range(_DRAWS):
-            way = self._way(goals, min_distance_m, rng, start, goal)
+            way = self._way(rng)
             room = np.inf
             if len(people):
-                room = float(np.linalg.norm(people - way[0], axis=1).min())
-            if room > best:
-                best, found = room, (way[0], way[1:])
-            if room > clearance_m or start is not None:
+                room = float(((people - way[0]) ** 2).sum(axis=1).min())
+            if room > widest:
+                widest, found = room, way
+            if room > clearance_m**2 or self._config.start is not None:
                 break
-        return found
+        return found[0], found[1:]
 
-    def _way(
-        self,
-        goals: int,
-        min_distance_m: float,
-        rng: Generator,
-        start: tuple[float, float] | None,
-        goal: tuple[float, float] | None,
-    ) -> Float[np.ndarray, "points 2"]:
+    def _way(self, rng: Generator) -> Float[np.ndarray, "points 2"]:
         """A start and goals without regard to people."""
-        ways = [] if start is None else [np.array(start, np.float64)]
-        allowed: Bool[np.ndarray, " n"] = (self._apart >= min_distance_m).any(axis=1)
-        if start is not None and (goal is None or goals > 1):
-            allowed = self._far_from(ways[0], min_distance_m)
-        while len(ways) <= goals:
-            if goal is not None and len(ways) == goals:
-                ways.append(np.array(goal, np.float64))
+        start, goal, goals = self._config.start, self._config.goal, self._config.goals
+        way = [] if start is None else [np.array(start, np.float64)]
+        allowed = self._first
+        while len(way) <= goals:
+            if goal is not None and len(way) == goals:
+                way.append(np.array(goal, np.float64))
                 break
-            if goal is not None and len(ways) == goals - 1:
-                far = allowed & self._far_from(np.array(goal, np.float64), min_distance_m)
-                allowed = far if far.any() else allowed
-            drawn = int(rng.choice(np.flatnonzero(allowed)))
-            ways.append(self.points[drawn])
-            allowed = self._apart[drawn] >= min_distance_m
-        return np.stack(ways)
-
-    def _far_from(
-        self, point: Float[np.ndarray, " 2"], min_distance_m: float
-    ) -> Bool[np.ndarray, " n"]:
-        """Which points lie `min_distance_m` or more from a point, in the same part.
-
-        Raises:
-            SettingError: none does.
-        """
-        away = np.linalg.norm(self.points - point, axis=1) >= min_distance_m
-        away &= self.part_of(self.points) == self.part_of(point[None])
-        if not away.any():
-            raise SettingError(
-                "min_distance_m",
-                got=f"{min_distance_m:g}",
-                expected=f"a distance at which there are places around {point.round(2).tolist()}",
-            )
-        return away
+            if goal is not None and len(way) == goals - 1:
+                far = allowed[self._before_goal[allowed]]
+                allowed = far if len(far) else allowed
+            drawn = allowed[rng.integers(len(allowed))]
+            way.append(self.points[drawn])
+            allowed = self._far[drawn]
+        return np.array(way)
 
 
 @lru_cache(maxsize=16)

@@ -22,7 +22,7 @@ MODES = getattr(gymnasium.vector, "AutoresetMode", None)
 FINAL = ("final_obs" if MODES else "final_observation", "final_info")
 
 
-class RobotVectorEnv(gymnasium.vector.VectorEnv):  # type: ignore[type-arg]
+class RobotVectorEnv(gymnasium.vector.VectorEnv):
     """W robots in W worlds of a scene, all stepped by one call of the compiled core.
 
     See `RobotEnv` for observations, actions, rewards and infos. Arrays have one row per world.
@@ -38,7 +38,7 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):  # type: ignore[type-arg]
     are there.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):  # type: ignore[type-arg]
             )
         self.worlds = RobotWorlds(scene, num_envs, config, **settings)
         self.autoreset = autoreset
-        self.metadata = dict(type(self).metadata)
+        self.metadata = dict(type(self).metadata)  # type: ignore[misc]
         if MODES is not None:
             self.metadata["autoreset_mode"] = MODES[autoreset.upper()]
         self.num_envs = num_envs
@@ -129,7 +129,7 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):  # type: ignore[type-arg]
         return list(seed)
 
     def step(
-        self, actions: Float32[np.ndarray, "W 2"]
+        self, actions: np.ndarray
     ) -> tuple[
         Any,
         Float32[np.ndarray, " W"],
@@ -137,7 +137,7 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):  # type: ignore[type-arg]
         Bool[np.ndarray, " W"],
         dict[str, Any],
     ]:
-        """Drive all robots for a control period.
+        """Drive all robots for a control period by actions (W, 2).
 
         Returns observations, rewards, terminations, truncations and infos.
 

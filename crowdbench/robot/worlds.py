@@ -72,11 +72,7 @@ class RobotWorlds:
         self.periods = _periods(self.scene.dt_s, config.period_s)
         self.period_s = self.scene.dt_s / self.periods
         self.limit = int(np.ceil(config.time_limit_s / self.period_s - 1e-6))
-        self.places = Places(self.scene, robot.radius_m)
-        for name in ("start", "goal"):
-            if (point := getattr(config, name)) is not None:
-                self.places.check(name, point)
-        self._least_m = self.places.least_m(config)
+        self.places = Places(self.scene, robot.radius_m, config)
         self._routes = routes_for(self.scene, robot.radius_m)
         b = self.scene.bounds
         self._bounds = (b.x_min_m, b.x_max_m, b.y_min_m, b.y_max_m)
@@ -152,10 +148,7 @@ class RobotWorlds:
         for w in worlds.tolist():
             rng = self._rngs[w]
             there = self.present.position[w][self.present.there[w]]
-            self.start[w], self.goals[w] = self.places.draw(
-                config.goals, self._least_m, rng, there, clearance_m, config.start,
-                config.goal,
-            )  # fmt: skip
+            self.start[w], self.goals[w] = self.places.draw(rng, there, clearance_m)
             self._keys[w] = rng.integers(2**63)
         view.position[worlds] = self._before[worlds] = self.start[worlds]
         view.goal[worlds] = self.goals[worlds, 0]
@@ -185,8 +178,8 @@ class RobotWorlds:
         """The share of the present frame that has passed; 1 at its end."""
         return self._tick / self.periods if self._tick else 1.0
 
-    def step(self, actions: Float32[np.ndarray, "W 2"]) -> Step:
-        """Drive all robots for a control period.
+    def step(self, actions: np.ndarray) -> Step:
+        """Drive all robots for a control period by actions (W, 2).
 
         Raises:
             ActionError: no episode has begun, or actions have another shape or are not finite.

@@ -177,7 +177,7 @@ class Actor:
             at = view.world * there.shape[1] + view.slot
             flat[at] = checked_actions(act(view), len(view.slot), policy)
             if who is not there:
-                actions[~who] = 0
+                actions[there & ~who] = 0
             return actions
         at = np.flatnonzero(who)  # indexing by one index array is faster than by a mask
         observation = simulation.observe()
