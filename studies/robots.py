@@ -21,9 +21,10 @@ PEOPLE = {
 TITLE = """# The table of robots
 
 The robot `{robot}` crosses `{scene}` by {controllers} controllers, among people of {kinds} kinds.
-Each cell of the first table is the share of {episodes} episodes in which the robot reached its goal
-without a contact, with its 95 % interval, and the controller's rank in that column. Controllers share
-a rank unless they differ significantly. [Robots](robots.md) explains controllers and measures.
+Each cell of the first table is the share of {episodes} episodes in which the robot reached its
+goal without a contact, with its 95 % interval, and the controller's rank in that column.
+Controllers share a rank unless they differ significantly. [Robots](robots.md) explains controllers
+and measures.
 People enter as `{spawn}` says, those who walk as recorded also when they were recorded.
 
 {finding}

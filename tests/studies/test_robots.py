@@ -15,6 +15,6 @@ def test_robots_that_change_places_with_the_people_are_named() -> None:
 
 
 def test_the_same_ranks_everywhere_are_said_to_be_so() -> None:
-    text = finding(dict.fromkeys(("straight", "replay"), {"a": 1, "b": 1, "c": 3}))
+    text = finding({kind: {"a": 1, "b": 1, "c": 3} for kind in ("straight", "replay")})
     assert "Among people of all kinds, a and b come first." in text
     assert "none change their order significantly with the people, and none differ" in text
