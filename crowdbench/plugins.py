@@ -1,11 +1,12 @@
-"""Parts that others add: metrics, spawn models, policies, recording formats and observations.
+"""Parts that others add: metrics, spawn models, policies, recording formats, observations, and
+controllers of robots.
 
 An installed package names them as entry points of the groups `crowdbench.metrics`,
-`crowdbench.spawn_models`, `crowdbench.policies`, `crowdbench.recordings` and
-`crowdbench.observations`; `register` adds one in a program or a notebook. Either way the part is
-known by its name wherever a part of crowdbench is, in worker processes too. All but observations
-can also be named as `pkg.module:NAME`, without registration. `told` describes an error in code of
-others in one line.
+`crowdbench.spawn_models`, `crowdbench.policies`, `crowdbench.recordings`,
+`crowdbench.observations` and `crowdbench.controllers`; `register` adds one in a program or a
+notebook. Either way the part is known by its name wherever a part of crowdbench is, in worker
+processes too. All but observations can also be named as `pkg.module:NAME`, without registration.
+`told` describes an error in code of others in one line.
 """
 
 import functools
@@ -23,8 +24,12 @@ from typing import Any, Literal
 
 from crowdbench.errors import CrowdbenchError, OwnCodeError, SettingError, did_you_mean
 
-Kind = Literal["metrics", "spawn_models", "policies", "recordings", "observations"]
-KINDS: tuple[Kind, ...] = ("metrics", "spawn_models", "policies", "recordings", "observations")
+Kind = Literal[
+    "metrics", "spawn_models", "policies", "recordings", "observations", "controllers"
+]  # fmt: skip
+KINDS: tuple[Kind, ...] = (
+    "metrics", "spawn_models", "policies", "recordings", "observations", "controllers",
+)  # fmt: skip
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 _SHOWN = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,39}")
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in KINDS}
@@ -39,10 +44,12 @@ def register(kind: Kind, name: str, part: Any) -> None:
     """Add a part under a name, in this process and in the workers that it starts from now on.
 
     Args:
-        kind: `metrics`, `spawn_models`, `policies`, `recordings` or `observations`.
+        kind: `metrics`, `spawn_models`, `policies`, `recordings`, `observations` or
+            `controllers`.
         name: letters, digits, `_`, `.` and `-`; not that of a part of crowdbench.
         part: a `Metric` or its class; the class of a spawn model or policy, or a function that
-            makes one; a function that reads a recording; an `Observation` or its class.
+            makes one; a function that reads a recording; an `Observation` or its class; the class
+            of a controller of robots.
 
     Raises:
         SettingError: there is no such kind, or the name has other letters.

@@ -14,6 +14,7 @@ from crowdbench import __version__
 from crowdbench.cli import data, leaderboard, policy, scene, spawn, submit
 from crowdbench.cli.evaluate import evaluate, score
 from crowdbench.cli.exam import exam
+from crowdbench.cli.robots import robots
 from crowdbench.cli.running import new_app, run
 from crowdbench.cli.view import record, view
 
@@ -27,7 +28,7 @@ app = new_app(
     "A benchmark for crowd simulation with realistic arrivals.",
     version=f"crowdbench {__version__}",
 )
-for command in (evaluate, exam, score, view, record):
+for command in (evaluate, exam, robots, score, view, record):
     app.command(command, group=_USE)
 for heading, parts in ((_MAKE, (spawn, policy, scene, data)), (_PUBLISH, (submit, leaderboard))):
     for part in parts:

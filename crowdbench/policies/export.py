@@ -21,11 +21,16 @@ if TYPE_CHECKING:
     import torch
 
 TOLERANCE = 1e-5
-TRIAL = "import sys, crowdbench.policies; crowdbench.policies.OnnxPolicy(sys.argv[1])"
+TRIAL = "import sys; from {0.__module__} import {0.__name__}; {0.__name__}(sys.argv[1])"
 
 
 def export_policy(
-    network: "torch.nn.Module", path: Path, card: PolicyCard, *, noise: int = 0
+    network: "torch.nn.Module",
+    path: Path,
+    card: PolicyCard,
+    *,
+    noise: int = 0,
+    reader: type[OnnxPolicy] = OnnxPolicy,
 ) -> Path:
     """Write a torch network as a policy file and check that the file gives the same actions.
 
@@ -37,6 +42,7 @@ def export_policy(
         path: the file to write; an existing file is replaced.
         card: metadata of the file.
         noise: number Z of random numbers that the network takes per person and step.
+        reader: the class that reads files with such a card.
 
     Returns:
         `path`.
@@ -61,8 +67,8 @@ def export_policy(
         expected = _answer(network, fed, card, path)
         with replacing(path) as temporary:
             temporary.write_bytes(_onnx(network, fed, card, path))
-            _check_survival(temporary, path)
-            read = OnnxPolicy(temporary)
+            _check_survival(temporary, path, reader)
+            read = reader(temporary)
             got = read._run({name: x.numpy() for name, x in fed.items()})
             if not np.allclose(got, expected, rtol=0, atol=TOLERANCE):
                 raise WeightsError(
@@ -145,9 +151,9 @@ def _takes(network: "torch.nn.Module", fed: "tuple[torch.Tensor, ...]") -> int |
     return None
 
 
-def _check_survival(file: Path, path: Path) -> None:
+def _check_survival(file: Path, path: Path, reader: type[OnnxPolicy]) -> None:
     """Run the file in a separate process first, because some networks crash onnxruntime."""
-    command = [sys.executable, "-c", TRIAL, str(file)]
+    command = [sys.executable, "-c", TRIAL.format(reader), str(file)]
     path_of_modules = {"PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(command, env=os.environ | path_of_modules, capture_output=True)
     if done.returncode < 0:

@@ -51,6 +51,8 @@ class OnnxPolicy:
 
     sees: ClassVar[Literal["observation"]] = "observation"
     many_worlds: ClassVar[bool] = True
+    kind: ClassVar[type[PolicyCard]] = PolicyCard
+    """The kind of card that its files have."""
 
     def __init__(self, path: str | Path) -> None:
         """Read and check the file.
@@ -60,7 +62,7 @@ class OnnxPolicy:
             SettingError: onnx or onnxruntime is not installed.
         """
         self.path = Path(path)
-        self.card, self.noise, self._session = _open(self.path)
+        self.card, self.noise, self._session = _open(self.path, self.kind)
         card = self.card
         self.name, self.observation = card.name, card.observation
         self.rays, self.ray_range_m = card.rays, card.ray_range_m
@@ -170,11 +172,11 @@ def _read_model(path: Path) -> tuple[bytes, "ModelProto"]:
         raise _invalid(path, f"invalid data ({error})", "an ONNX file") from error
 
 
-def _open(path: Path) -> tuple[PolicyCard, int, Any]:
+def _open(path: Path, kind: type[PolicyCard]) -> tuple[PolicyCard, int, Any]:
     data, model = _read_model(path)
     import onnxruntime
 
-    card = _card_of(path, model)
+    card = _card_of(path, model, kind)
     _check_operators(path, model)
     noise = _check_shapes(path, model, card)
     options = onnxruntime.SessionOptions()
@@ -198,7 +200,7 @@ def _unrunnable(path: Path, error: Exception) -> WeightsError:
     return _invalid(path, f"a network that onnxruntime cannot run ({told})", "one that runs")
 
 
-def _card_of(path: Path, model: "ModelProto") -> PolicyCard:
+def _card_of(path: Path, model: "ModelProto", kind: type[PolicyCard] = PolicyCard) -> PolicyCard:
     found = [entry.value for entry in model.metadata_props if entry.key == KEY]
     if len(found) != 1:
         found_entries = f"{len(found)} metadata entries {KEY!r}"
@@ -206,7 +208,7 @@ def _card_of(path: Path, model: "ModelProto") -> PolicyCard:
     try:
         # protobuf returns text that is not UTF-8 as bytes.
         text = found[0] if isinstance(found[0], bytes) else found[0].encode()
-        card = msgspec.json.decode(text, type=PolicyCard)
+        card = msgspec.json.decode(text, type=kind)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise _invalid(path, f"an invalid card ({error})", "a valid card") from error
     return card.checked(path)

@@ -156,10 +156,10 @@ def _walk(
                     continue
                 excess = wider[a] + wider[b]
                 if excess > 0.0:
-                    rx, ry = _nearer(rx, ry, excess)
+                    rx, ry = nearer(rx, ry, excess)
                 if rx * rx + ry * ry < REACH_M * REACH_M:
                     sx, sy = velocity[b, 0] * forces.step_s, velocity[b, 1] * forces.step_s
-                    px, py = _repulsion(rx, ry, sx, sy, forces)
+                    px, py = repulsion(rx, ry, sx, sy, forces)
                     toward = -(heading[a, 0] * px + heading[a, 1] * py)
                     seen = toward >= math.sqrt(px * px + py * py) * COS_OF_VIEW
                     weight = 1.0 if seen else forces.behind
@@ -169,7 +169,7 @@ def _walk(
             if away > 0.5 * (members - 1):
                 fx += GATHERING * mx / (members * away)
                 fy += GATHERING * my / (members * away)
-            wx, wy = _wall_force(
+            wx, wy = wall_force(
                 position[a, 0], position[a, 1], segments, walls, near[a, : count[a]], forces
             )
             force[a, 0], force[a, 1] = fx + wx, fy + wy
@@ -184,7 +184,7 @@ def _walk(
 
 
 @compiled
-def _nearer(rx, ry, by):
+def nearer(rx, ry, by):
     """The vector r shortened by a length, but not to less than 1 cm, to keep its direction."""
     length = math.sqrt(rx * rx + ry * ry)
     scale = max(LEAST_M, length - by) / length if length > 0.0 else 0.0
@@ -192,7 +192,7 @@ def _nearer(rx, ry, by):
 
 
 @compiled
-def _repulsion(rx, ry, sx, sy, forces):
+def repulsion(rx, ry, sx, sy, forces):
     """Force −∇V(b) on a person at r from another at 0 whose next step is s, eqs. 3 and 4.
 
     2b = √((|r| + |r − s|)² − |s|²) is the minor axis of the ellipse whose foci are the other
@@ -210,7 +210,7 @@ def _repulsion(rx, ry, sx, sy, forces):
 
 
 @compiled
-def _wall_force(x, y, segments, walls, near, forces):
+def wall_force(x, y, segments, walls, near, forces):
     """Sum over walls of the repulsion −∇U from each wall's nearest point, eq. 5."""
     fx, fy = 0.0, 0.0
     k = 0

@@ -290,10 +290,14 @@ class RobotWorlds:
         )  # fmt: skip
 
     def _reach_goals(self) -> None:
-        """Count the goals that robots passed in the period, and turn to the next ones."""
+        """Count the goals that robots passed in the period, and turn to the next ones.
+
+        Where a contact ends the episode in the same period, no goal is reached.
+        """
         view = self.view
         off = _distance_to_way(view.goal, self._before, view.position)
-        at = np.flatnonzero((off <= self.config.goal_radius_m) & ~self.success)
+        over = self.success | ((self.contacts > 0) & (self.config.collision == "terminate"))
+        at = np.flatnonzero((off <= self.config.goal_radius_m) & ~over)
         if not len(at):
             return
         self.reached[at] += 1

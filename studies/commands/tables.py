@@ -39,6 +39,17 @@ def exam(policies: list[str] | None = None, /, *, workers: Workers = None) -> No
     print(page(policies or POLICIES, workers), end="")
 
 
+def robots(*, episodes: int = 500, workers: Workers = None) -> None:
+    """Print the page on controllers of robots among people of several kinds (minutes).
+
+    Args:
+        episodes: number of episodes of each controller among people of each kind
+    """
+    from studies.robots import page
+
+    print(page(episodes, workers=workers), end="")
+
+
 def sharing(scenes: list[str], /) -> None:
     """Compare one network for all spawn areas with one for each (minutes).
 

@@ -1,6 +1,7 @@
 """Pages and pictures of `docs`: which there are, what they are made from, and how."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from crowdbench.code import code_hash
 from crowdbench.data.blocks import SPLITS
@@ -26,6 +27,7 @@ from studies.remake.declared import (
     scenes_and_entries,
 )
 from studies.remake.graph import Result
+from studies.robots import WALKERS as ROBOTS_AMONG
 from studies.walks import ARRIVALS, PLAIN
 
 UNUSED = ("crowdbench.evaluation.publish",)
@@ -153,6 +155,16 @@ def _comparisons() -> Iterator[Result]:
         splits=FULL,
         stdout="docs/exam.md",
     )
+    robots = _page(
+        "docs/robot-table",
+        ("docs/robot-table.md",),
+        [("python", "-m", "studies", "robots")],
+        "studies.robots",
+        {"eth-v0": [("ntpp-gmm", "straight"), *(("replay", p) for p in ROBOTS_AMONG)]},
+        splits=FULL,
+        stdout="docs/robot-table.md",
+    )
+    yield replace(robots, files=(*robots.files, "scenes/eth-v0/robots/ppo.onnx"))
     yield _page(
         "docs/cheats",
         ("docs/cheats.md",),

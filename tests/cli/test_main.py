@@ -27,8 +27,8 @@ from studies.__main__ import app as studies
 
 Printed = pytest.CaptureFixture[str]
 COMMANDS = (
-    *("evaluate", "exam", "score", "view", "record", "spawn", "policy", "scene", "data"),
-    *("submit", "leaderboard"),
+    *("evaluate", "exam", "robots", "score", "view", "record", "spawn", "policy", "scene"),
+    *("data", "submit", "leaderboard"),
 )
 
 

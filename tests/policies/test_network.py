@@ -237,7 +237,9 @@ def test_a_recurrent_layer_can_be_exported_and_a_state_beside_actions_cannot(
 
 
 def test_a_good_network_passes_the_trial(plain: Path) -> None:
-    done = subprocess.run([sys.executable, "-c", export.TRIAL, str(plain)], check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", export.TRIAL.format(OnnxPolicy), str(plain)], check=False
+    )
     assert done.returncode == 0
 
 

@@ -17,7 +17,7 @@ from crowdbench.policies import (
     StateView,
     Straight,
 )
-from crowdbench.policies.social_force import PUBLISHED, GroupForce, _repulsion, _wall_force
+from crowdbench.policies.social_force import PUBLISHED, GroupForce, repulsion, wall_force
 from crowdbench.simulation import Settings, Simulation
 
 DT = 0.4
@@ -123,7 +123,7 @@ def test_repulsion_is_the_gradient_of_the_published_potential(seed: int) -> None
     rng = np.random.default_rng(seed)
     r, s = rng.uniform(-1.5, 1.5, 2), rng.uniform(-2.5, 2.5, 2)
     expected = downhill(lambda x: potential(x, s), r)
-    np.testing.assert_allclose(_repulsion(*r, *s, PUBLISHED), expected, rtol=1e-4, atol=1e-8)
+    np.testing.assert_allclose(repulsion(*r, *s, PUBLISHED), expected, rtol=1e-4, atol=1e-8)
 
 
 @pytest.mark.parametrize("at", [(1.2, 0.3), (-0.4, -0.2), (1.3, 1.4), (0.5, 1.1)])
@@ -137,17 +137,15 @@ def test_a_wall_pushes_along_the_gradient_of_the_published_potential(
         return 10.0 * np.exp(-gap / 0.2)
 
     walls = np.array(scene.wall_of_segment, np.int32)
-    got = _wall_force(*at, scene.wall_segments, walls, np.arange(len(walls)), PUBLISHED)
+    got = wall_force(*at, scene.wall_segments, walls, np.arange(len(walls)), PUBLISHED)
     np.testing.assert_allclose(got, downhill(wall_potential, np.array(at)), rtol=1e-4)
 
 
 def test_each_wall_pushes_once_however_many_edges_it_has() -> None:
     segments = np.array([[0, 0, 1, 0], [1, 0, 2, 0], [0, 5, 2, 5.0]])
     one_wall = np.zeros(2, np.int32)
-    one = _wall_force(
-        1.0, 0.5, segments[:1] * [[1, 1, 2, 1]], one_wall[:1], np.arange(1), PUBLISHED
-    )
-    split = _wall_force(1.0, 0.5, segments[:2], one_wall, np.arange(2), PUBLISHED)
+    one = wall_force(1.0, 0.5, segments[:1] * [[1, 1, 2, 1]], one_wall[:1], np.arange(1), PUBLISHED)
+    split = wall_force(1.0, 0.5, segments[:2], one_wall, np.arange(2), PUBLISHED)
     assert split == one
 
 

@@ -1,0 +1,20 @@
+"""The page of robots says what its ranks say."""
+
+from studies.robots import finding
+
+
+def test_robots_that_change_places_with_the_people_are_named() -> None:
+    text = finding({
+        "straight": {"a": 1, "b": 2, "c": 3},
+        "replay": {"a": 2, "b": 1, "c": 2},
+    })  # fmt: skip
+    assert "among people who see nobody a; among people as recorded b" in text
+    assert "Of the 3 pairs of controllers, one changes its order" in text
+    assert "(a and b), and one differs significantly among some people" in text
+    assert text.endswith("holds for the people that it was measured among.")
+
+
+def test_the_same_ranks_everywhere_are_said_to_be_so() -> None:
+    text = finding({kind: {"a": 1, "b": 1, "c": 3} for kind in ("straight", "replay")})
+    assert "Among people of all kinds, a and b come first." in text
+    assert "none change their order significantly with the people, and none differ" in text
