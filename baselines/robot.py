@@ -63,13 +63,13 @@ class RobotSettings:
     robot: str = "delivery"
     walkers: str = "social-force"
     worlds: int = 64
-    steps: int = 400_000
+    steps: int = 1_000_000
     """Number of actions, summed over all worlds."""
     batch_steps: int = 64
     """Number of actions in each world between two updates."""
     minibatch: int = 1024
     epochs: int = 6
-    learning_rate: float = 1e-3
+    learning_rate: float = 7e-4
     """Initial learning rate of Adam; it decreases to 0."""
     gamma: float = 0.98
     std: float = 0.3
@@ -81,7 +81,7 @@ class RobotSettings:
 
 
 class SocialFeatures(BaseFeaturesExtractor):
-    """What the networks of `RobotPolicy` have in common: from the observation `social` to features.
+    """The first layers of the networks of `RobotPolicy`: from the observation `social` to features.
 
     The features (W, 2 + hidden) are the direction of the path and what two layers make of the rest.
     """
@@ -126,6 +126,7 @@ class RobotPolicy(ActorCriticPolicy):
             *args,
             features_extractor_class=SocialFeatures,
             features_extractor_kwargs={"hidden": hidden},
+            share_features_extractor=False,
             net_arch={"pi": [], "vf": [hidden]},
             **kwargs,
         )
