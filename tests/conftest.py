@@ -27,7 +27,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 _LOOSE = (
     *("crowdbench.envs.config", "crowdbench.envs.parallel_env"),
-    *("crowdbench.robot.config", "crowdbench.robot.robots"),
+    *(f"crowdbench.robot.{name}" for name in ("config", "robots", "vector_env")),
     "crowdbench.plugins",
     "crowdbench.baselines",
 )

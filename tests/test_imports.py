@@ -43,6 +43,7 @@ HEAVY = (
     "pedpy",
     "numba",
     "matplotlib",
+    "gymnasium",
     "pettingzoo",
     "requests",
 )
@@ -137,7 +138,7 @@ def test_modules_are_short() -> None:
 
 def test_only_who_shows_something_imports_the_viewer() -> None:
     users = {part_of(path) for path in MODULES if "viewer" in imported(path.read_text())}
-    assert users == {"viewer", "envs", "cli"}
+    assert users == {"viewer", "envs", "robot", "cli"}
 
 
 def test_the_walk_sees_imports_in_functions_and_not_those_for_types() -> None:

@@ -21,6 +21,7 @@ from crowdbench.simulation.reward import total
 from crowdbench.simulation.state import TERMINAL
 
 _NOBODY = np.zeros((1, 2), np.float32)
+_TRIES = 10  # crowds in which nobody enters, before `reset` gives up
 
 
 class PersonEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -75,6 +76,7 @@ class PersonEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._people = ControlledPeople(self._crowd, 1)
         self._seeds = Seeds()
         self._begun = False
+        self._last = -1  # the person of the last trip
         size = self._crowd.simulation.observation.shape[-1]
         self.observation_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -89,7 +91,7 @@ class PersonEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
         Raises:
             CapacityError: there are more people than slots, unless `on_full` is `drop`.
-            SettingError: nobody enters in a whole episode of the crowd.
+            SettingError: nobody enters in several crowds.
         """
         super().reset(seed=seed)
         people = self._people
@@ -97,14 +99,13 @@ class PersonEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             self._seeds, self._begun = Seeds(seed), False
         people.release(~people.free)  # who is left in the middle of a trip walks on
         begun = 0
-        while people.free[0]:
+        while not (self._begun and self._take_entered()):
             if not self._begun or people.over:
                 self._check_arrivals(begun)
                 people.begin(self._seeds.draw(), self.others)
-                self._begun, begun = True, begun + 1
+                self._begun, self._last, begun = True, -1, begun + 1
             else:
                 people.step(_NOBODY)
-            self._take_entered()
         return people.observations()[0], self._info()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -140,20 +141,24 @@ class PersonEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """
         return self._crowd.render(self._people.person_id)
 
-    def _take_entered(self) -> None:
-        """Control the first of those who entered in this frame, if anybody did."""
+    def _take_entered(self) -> bool:
+        """Control the first of those who entered in this frame and have had no trip, if any."""
         simulation = self._crowd.simulation
-        slots, events = simulation.slots, simulation.events[0]
+        slots, entered = simulation.slots, simulation.events[0].entered
         slot = np.flatnonzero(slots.spawned[0] & slots.alive[0])
-        slot = slot[events.entered[slots.event[0, slot]]]  # not those who were there before
-        slot = slot[np.argsort(slots.person[0, slot])]
-        self._people.take(np.zeros_like(slot), slot)
+        person = slots.person[0, slot]
+        new = (person > self._last) & entered[slots.event[0, slot]]  # others were there before
+        if not new.any():
+            return False
+        self._last = int(person[new].min())
+        self._people.take(np.zeros(1, np.int64), slot[person == self._last])
+        return True
 
     def _check_arrivals(self, begun: int) -> None:
-        if begun > 1:  # the rest of the first one may have been short
+        if begun >= _TRIES:
             raise SettingError(
                 f"arrivals of {self.spawn.name}",
-                got=f"nobody who enters in {self._crowd.frames} frames",
+                got=f"nobody who enters in {begun} episodes of {self._crowd.frames} frames",
                 expected="people who enter",
                 hint="Set a longer horizon_s, or another spawn model.",
             )

@@ -182,9 +182,7 @@ class Crowds:
         slots.born[worlds, -1] = LONG_AGO
         slots.speed[worlds, -1] = self.robot.max_speed_mps
         slots.goal[worlds, -1] = slots.target[worlds, -1] = poses.goal[worlds]
-        wider = getattr(slots, "wider", None)
-        if wider is not None:
-            wider[worlds, -1] = max(0.0, self.robot.radius_m - self.person_radius_m)
+        slots.wider[worlds, -1] = max(0.0, self.robot.radius_m - self.person_radius_m)
         self.show(poses, worlds)
 
     def show(self, poses: Poses, worlds: Int[np.ndarray, " n"] | slice = slice(None)) -> None:

@@ -1,15 +1,21 @@
 """`RobotEnv`: one robot among people, as an environment of gymnasium."""
 
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from jaxtyping import UInt8
 
+from crowdbench.errors import SettingError
 from crowdbench.robot.config import RobotConfig
+from crowdbench.robot.record import EpisodeRecorder, RobotEpisode
 from crowdbench.robot.worlds import RobotWorlds
 from crowdbench.scene import Scene
+
+if TYPE_CHECKING:
+    from crowdbench.robot.drawing import RobotPictures
 
 
 class RobotEnv(gymnasium.Env[Any, np.ndarray]):
@@ -27,11 +33,17 @@ class RobotEnv(gymnasium.Env[Any, np.ndarray]):
       `costs=True` also those of `crowdbench.robot.costs.COSTS`. `info` of `reset` contains
       `people_react`, which is False for recorded people and if they do not see the robot.
 
+    `episode` returns the episode so far, which can be written to a file. With
+    `render_mode="rgb_array"`, `render` returns a picture.
+
     People walk on between episodes: `reset` without a seed begins an episode among those who are
     there, with a new crowd after `horizon_s`. With a seed, a new crowd is there at once.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium reads the class's
+        "render_modes": ["rgb_array"],
+        "render_fps": 10,
+    }
 
     def __init__(
         self,
@@ -46,7 +58,7 @@ class RobotEnv(gymnasium.Env[Any, np.ndarray]):
         Args:
             scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
             config: the settings, by default those of `RobotConfig()`.
-            render_mode: None.
+            render_mode: `rgb_array` for images from `render`.
             settings: fields of `RobotConfig`, which replace those of `config`.
 
         Raises:
@@ -54,7 +66,11 @@ class RobotEnv(gymnasium.Env[Any, np.ndarray]):
                 recording does not exist or does not fit.
         """
         self.worlds = RobotWorlds(scene, 1, config, **settings)
+        if render_mode not in (None, "rgb_array"):
+            raise SettingError("render_mode", got=repr(render_mode), expected="None or 'rgb_array'")
         self.render_mode = render_mode
+        self._recorder = EpisodeRecorder(self.worlds)
+        self._pictures: RobotPictures | None = None
         self.observation_space = self.worlds.observation_space
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._begun = False
@@ -70,6 +86,7 @@ class RobotEnv(gymnasium.Env[Any, np.ndarray]):
             self._begun = True
         else:
             self.worlds.go_on(np.array([0]))
+        self._recorder.begin()
         return self._observation(), {"people_react": self.worlds.crowds.react}
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -79,12 +96,35 @@ class RobotEnv(gymnasium.Env[Any, np.ndarray]):
             ActionError: there is no episode, or the action is not a finite pair of numbers.
         """
         step = self.worlds.step(np.asarray(action)[None])
+        self._recorder.write()
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         info: dict[str, Any] = {}
         if terminated or truncated:
             results = self.worlds.results(np.array([0]))
             info = {name: float(values[0]) for name, values in results.items()}
         return self._observation(), float(step.reward[0]), terminated, truncated, info
+
+    def episode(self) -> RobotEpisode:
+        """The present episode so far, with methods that write files of it.
+
+        Raises:
+            ActionError: no episode has begun.
+        """
+        return self._recorder.episode()
+
+    def render(self) -> UInt8[np.ndarray, "h w 3"] | None:
+        """The present state as an RGB image if `render_mode` is `rgb_array`, else None.
+
+        Raises:
+            ActionError: no episode has begun.
+        """
+        if self.render_mode is None:
+            return None
+        if self._pictures is None:
+            from crowdbench.robot.drawing import RobotPictures
+
+            self._pictures = RobotPictures(self.worlds.scene)
+        return self._pictures.draw(self.episode())
 
     def _observation(self) -> Any:
         seen = self.worlds.observe()

@@ -172,6 +172,49 @@ def test_frame_skip_acts_for_those_who_have_left(supersuit: Any) -> None:
         play(env, seed=1)
 
 
+# TorchRL's wrapper
+
+UNTESTED = pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using version")
+
+
+@UNTESTED
+def test_torchrls_wrapper_fails_for_the_first_who_has_not_entered() -> None:
+    need(find_spec("torchrl"), "torchrl, of the extra of that name,")
+    from torchrl.envs.libs.pettingzoo import PettingZooWrapper
+
+    bare = parallel_env("plaza-v0", horizon_s=20.0)
+    there = set(bare.reset(seed=0)[0])
+    with pytest.raises(KeyError, match="person_") as failed:
+        PettingZooWrapper(bare, use_mask=True, seed=0)
+    assert failed.value.args[0] == f"person_{len(there)}"
+
+
+@UNTESTED
+def test_with_the_pages_adapter_the_wrapper_shows_every_life_as_it_was() -> None:
+    need(find_spec("torchrl"), "torchrl, of the extra of that name,")
+    names: dict[str, Any] = {}
+    exec(
+        compile(pages.block_with(PAGE, "PettingZooWrapper("), "interoperability.md", "exec"), names
+    )
+    steps, crowd = names["steps"], names["crowd"].trajectories()
+    frames = 50
+    assert steps["next", "done"].flatten().tolist() == [False] * (frames - 1) + [True]
+    there = steps["person", "mask"].numpy()
+    for person in range(there.shape[1]):
+        known = crowd.person_id == person
+        acted = np.flatnonzero(there[:, person])
+        if not len(acted):
+            assert not known.any()
+            continue
+        assert (np.diff(acted) == 1).all()
+        assert acted[0] == crowd.first[known][0]
+        # The arrival is a row of the table, in which nobody acts any more; not at the horizon.
+        assert acted[-1] + (acted[-1] < frames - 1) == crowd.last[known][0]
+    rewards = steps["next", "person", "reward"].numpy()[..., 0]
+    assert not rewards[~there].any()
+    assert there.any(axis=0).sum() > 3
+
+
 # Minari
 
 

@@ -6,12 +6,14 @@ import torch
 from given import Given
 from tensordict import TensorDict
 from torchrl.collectors import Collector
+from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs, step_mdp
+from torchrl.record import PixelRenderTransform
 from worlds import Person, square, with_bodies
 
 import crowdbench
 from crowdbench.envs.torchrl_env import CrowdEnv
-from crowdbench.errors import CapacityError, SettingError
+from crowdbench.errors import ActionError, CapacityError, SettingError
 from crowdbench.simulation import Settings
 from crowdbench.simulation.reward import PARTS
 
@@ -268,3 +270,14 @@ def test_settings_out_of_range_are_refused() -> None:
 
 def test_the_crowd_is_by_default_as_ntpp_gmm_spawns() -> None:
     assert CrowdEnv("plaza-v0", horizon_s=20.0).spawn.name == "ntpp-gmm"
+
+
+def test_torchrl_takes_pictures_of_the_first_world() -> None:
+    env = CrowdEnv("plaza-v0", worlds=2, max_alive=40, horizon_s=20.0, render_mode="rgb_array")
+    with pytest.raises(ActionError, match="render: got no episode"):
+        env.render()
+    of_worlds = TransformedEnv(env, PixelRenderTransform()).rollout(5).get("pixels").tolist()
+    assert [len(steps) for steps in of_worlds] == [5, 5]
+    pictures = [picture.tobytes() for picture in of_worlds[0]]
+    assert len(set(pictures)) == 5
+    assert env.render().tobytes() not in pictures  # which are of the frames before

@@ -1,8 +1,11 @@
 """The view of Stable-Baselines3: the other views' crowd bit for bit, an episode for each life."""
 
+from importlib.util import find_spec
+from pathlib import Path
+
 import numpy as np
 import pytest
-from conftest import need_sb3
+from conftest import need, need_sb3
 
 need_sb3()
 
@@ -11,6 +14,7 @@ from sb3_contrib import RecurrentPPO  # noqa: E402
 from stable_baselines3 import PPO  # noqa: E402
 from stable_baselines3.common.callbacks import BaseCallback  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
+from stable_baselines3.common.vec_env import VecVideoRecorder  # noqa: E402
 from worlds import Person, square  # noqa: E402
 
 import crowdbench  # noqa: E402
@@ -304,6 +308,54 @@ def test_what_does_not_fit_is_said() -> None:
         lives_of(Person(), Person(), max_alive=1).reset()
     with pytest.raises(SettingError, match="persons in shared worlds"):
         env.env_method("step")
+
+
+def test_a_picture_has_a_ring_around_each_who_is_controlled() -> None:
+    people = (Person(start=(0.0, 5.0)), Person(start=(0.0, -5.0)), Person(start=(0.0, 0.0)))
+    black = []
+    for number in (1, 3):
+        env = lives_of(*people, num_envs=number, worlds=2, render_mode="rgb_array")
+        env.reset()
+        env.step(np.zeros((number, 2)))
+        with_rings, without = env.render(), env._crowd.render()
+        assert with_rings is not None
+        assert without is not None
+        black.append(sum(sign * int((picture.sum(axis=2) < 300).sum())
+                         for sign, picture in ((1, with_rings), (-1, without))))  # fmt: skip
+    assert black[1] == pytest.approx(3 * black[0], rel=0.1)
+    assert black[0] > 50
+
+
+def test_pictures_change_nothing() -> None:
+    plain, pictured = (
+        CrowdVecEnv("plaza-v0", 4, worlds=2, horizon_s=20.0, seed=3, render_mode=mode)
+        for mode in (None, "rgb_array")
+    )
+    assert (plain.reset() == pictured.reset()).all()
+    for _ in range(60):
+        pictured.render()
+        one, other = (env.step(np.zeros((4, 2))) for env in (plain, pictured))
+        assert all((a == b).all() for a, b in zip(one[:3], other[:3], strict=True))
+    with pytest.warns(UserWarning, match="no `render_mode`"):
+        assert plain.render() is None
+
+
+# Of moviepy, and of gymnasium's recorder, which SB3 2.2 uses.
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_stable_baselines_films_it(tmp_path: Path) -> None:
+    need(find_spec("moviepy"), "moviepy, of the extra video,")
+    from imageio_ffmpeg import count_frames_and_secs
+
+    env = CrowdVecEnv("plaza-v0", 4, horizon_s=40.0, seed=0, render_mode="rgb_array")
+    film = VecVideoRecorder(env, str(tmp_path), lambda step: step == 0, video_length=12)
+    film.reset()
+    for _ in range(20):
+        film.step(np.zeros((4, 2)))
+    film.close()
+    (path,) = tmp_path.glob("*.mp4")
+    frames, seconds = count_frames_and_secs(str(path))
+    assert frames in (12, 13)  # by versions of SB3
+    assert seconds == pytest.approx(frames / 10, abs=0.2)
 
 
 def test_stable_baselines_trains_in_it() -> None:

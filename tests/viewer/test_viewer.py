@@ -512,7 +512,7 @@ def test_the_pages_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     import rerun as rr
 
     monkeypatch.chdir(tmp_path)
-    film, live = pages.blocks(PAGE, "python")
+    film, live, _ = pages.blocks(PAGE, "python")  # test_film.py runs the last one
     exec(compile(film, "viewer.md", "exec"), {})
     with Image.open("crowd.gif") as image:
         assert getattr(image, "n_frames", 1) > 50
