@@ -168,7 +168,7 @@ def export_robot(
     card = RobotCard(
         name=name,
         observation=config.observation,
-        numbers=worlds.observation_space.shape[0],
+        numbers=int(np.prod(worlds.observation_space.shape or ())),
         nearest=config.nearest,
         rays=config.rays,
         ray_range_m=config.range_m,
