@@ -237,7 +237,7 @@ def test_help_is_shown_to_who_asks_and_to_who_names_no_command(
     assert all(re.search(rf"^│ {command} ", told, re.M) for command in commands)
 
 
-def test_the_help_has_eleven_commands_by_purpose(capsys: Printed) -> None:
+def test_the_help_has_twelve_commands_by_purpose(capsys: Printed) -> None:
     assert main(["--help"]) == 0
     told = capsys.readouterr().out
     use, make, publish = (told.index(f"─ {name} ") for name in ("Use", "Make", "Publish"))
@@ -245,7 +245,7 @@ def test_the_help_has_eleven_commands_by_purpose(capsys: Printed) -> None:
     assert use < min(found[name] for name in ("evaluate", "exam", "score", "view", "record"))
     assert make < min(found[name] for name in ("spawn", "policy", "scene", "data"))
     assert publish < min(found[name] for name in ("submit", "leaderboard"))
-    assert len(re.findall(r"^│ \w+ ", told, re.M)) == len(COMMANDS) == 11
+    assert len(re.findall(r"^│ \w+ ", told, re.M)) == len(COMMANDS) == 12
 
 
 def commands_of(group: App) -> list[App]:
