@@ -38,7 +38,7 @@ def register_on_import() -> None:
 
 
 def _scenes() -> Iterator[tuple[str, dict[str, Any]]]:
-    """The namespace and name of each scene, and the arguments that make its environments."""
+    """The id of each scene, and the arguments with which its environments are made."""
     from crowdbench.scene import list_scenes
 
     for scene in list_scenes():
@@ -78,7 +78,8 @@ class _Watcher(MetaPathFinder):
         if fullname not in _REGISTER:
             return None
         for finder in sys.meta_path:
-            spec = None if finder is self else finder.find_spec(fullname, path, target)
+            find = getattr(finder, "find_spec", None)  # finders of old libraries have none
+            spec = None if finder is self or find is None else find(fullname, path, target)
             if spec is not None:
                 if spec.loader is not None:
                     spec.loader = _Registering(spec.loader)
