@@ -7,9 +7,11 @@ writes `results/robot-eth-v0/full.onnx`, which `crowdbench robots --controllers`
 It uses `RobotVecEnv` and the clipped loss of Stable-Baselines3 (Schulman et al. 2017,
 arXiv:1707.06347).
 
+As the robots of CrowdNav (Chen et al. 2019, ICRA, 6015-6022), which begin as clones of ORCA, the
+network first imitates a controller (`imitate`), here the dynamic window: where the network drives
+itself, it is shown what that controller would do (DAgger: Ross, Gordon & Bagnell 2011, AISTATS).
 The same layers encode each of the nearest people, and the maximum over people goes on, beside what
-the robot knows of itself and of walls (`SocialFeatures`). The robots of Chen et al. (2019, ICRA,
-6015-6022) treat people alike, too; they have attention instead of the maximum.
+the robot knows of itself and of walls (`SocialFeatures`).
 """
 
 import argparse
@@ -19,12 +21,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from crowdbench.errors import CrowdbenchError
 from crowdbench.policies.network import check_onnx
 from crowdbench.report.text.terminal import print_note, print_table
 from crowdbench.robot.comparison import compare, printed
+from crowdbench.robot.controllers import controller
 from crowdbench.robot.network import export_robot
 from crowdbench.robot.observing import FASTEST_MPS, OF_PERSON, OWN, PROBES
+from crowdbench.robot.worlds import RobotWorlds
 
 from .packages import needs
 
@@ -52,6 +58,7 @@ TURN = 2.0
 """Turn rate per sine of the angle to the path, both as shares of the largest, in the beginning."""
 LOOK_AHEAD_S = 4.0
 """Closest approaches are looked for in this time."""
+CLONING_RATE, CLONING_EPOCHS, CLONING_MINIBATCH = 1e-3, 4, 512
 TRAINING_SEED = 1_000_000
 """Added to the seed of a training, so that its episodes are not those of comparisons."""
 
@@ -62,17 +69,19 @@ class RobotSettings:
 
     robot: str = "delivery"
     walkers: str = "social-force"
+    teacher: str = "dwa"
+    rounds: int = 8
     worlds: int = 64
-    steps: int = 400_000
+    steps: int = 300_000
     """Number of actions, summed over all worlds."""
     batch_steps: int = 64
     """Number of actions in each world between two updates."""
     minibatch: int = 1024
     epochs: int = 6
-    learning_rate: float = 1e-3
+    learning_rate: float = 3e-4
     """Initial learning rate of Adam; it decreases to 0."""
     gamma: float = 0.98
-    std: float = 0.3
+    std: float = 0.2
     """Initial standard deviation of actions."""
     hidden: int = 64
     episodes: int = 200
@@ -81,7 +90,7 @@ class RobotSettings:
 
 
 class SocialFeatures(BaseFeaturesExtractor):
-    """What the networks of `RobotPolicy` have in common: from the observation `social` to features.
+    """The first layers of the networks of `RobotPolicy`: from the observation `social` to features.
 
     The features (W, 2 + hidden) are the direction of the path and what two layers make of the rest.
     """
@@ -126,6 +135,7 @@ class RobotPolicy(ActorCriticPolicy):
             *args,
             features_extractor_class=SocialFeatures,
             features_extractor_kwargs={"hidden": hidden},
+            share_features_extractor=False,
             net_arch={"pi": [], "vf": [hidden]},
             **kwargs,
         )
@@ -135,6 +145,46 @@ class RobotPolicy(ActorCriticPolicy):
         with torch.no_grad():
             self.action_net.weight[0, 0] = 1.0  # ahead, the faster the better it faces the path
             self.action_net.weight[1, 1] = TURN
+
+
+def imitate(model: PPO, teacher: str = "dwa", rounds: int = 8, steps: int = 64) -> float:
+    """Let a model drive like a controller, before it learns by the reward.
+
+    In the first round the controller drives, afterwards the model. After each round of `steps`
+    actions per world, the mean actions are fitted to all that the controller has shown.
+
+    Returns:
+        The mean squared deviation of the actions of the last round from those shown, before it was
+        fitted.
+
+    Raises:
+        SettingError: there is no such controller.
+    """
+    env, policy = model.get_env(), model.policy
+    worlds: RobotWorlds = env.worlds
+    driver = controller(teacher, worlds.scene)
+    driver.reset(worlds.scene, worlds.robot, worlds.worlds, worlds.period_s)
+    optimizer = torch.optim.Adam(policy.parameters(), CLONING_RATE)
+    seen, shown, deviation = [], [], 0.0
+    observation = env.reset()
+    for k in range(rounds):
+        off = []
+        for _ in range(steps):
+            seen.append(observation)
+            shown.append(driver.act(worlds.view))
+            action, _ = model.predict(observation, deterministic=True)
+            off.append(float(((action - shown[-1]) ** 2).mean()))
+            observation, *_ = env.step(action if k else shown[-1])
+        deviation = sum(off) / steps
+        x, y = (torch.as_tensor(np.concatenate(of)) for of in (seen, shown))
+        for _ in range(CLONING_EPOCHS):
+            for some in torch.randperm(len(x)).split(CLONING_MINIBATCH):
+                mean = policy.get_distribution(x[some]).distribution.mean
+                loss = ((mean - y[some]) ** 2).mean()
+                optimizer.zero_grad()
+                loss.backward()
+                optimizer.step()
+    return deviation
 
 
 class Report(BaseCallback):
@@ -178,6 +228,8 @@ def train(command: Command, settings: RobotSettings) -> PPO:
         seed=settings.seed,
         device="cpu",
     )
+    deviation = imitate(model, settings.teacher, settings.rounds)
+    print(f"imitates {settings.teacher}: mean squared deviation {deviation:.3f}", flush=True)
     report = Report(command, settings)
     with report.progress_of:
         model.learn(settings.steps, callback=report)
@@ -187,6 +239,8 @@ def train(command: Command, settings: RobotSettings) -> PPO:
 SETTABLE = {
     "robot": "the robot, by the name of a preset",
     "walkers": "how people walk: a policy by name",
+    "teacher": "the controller that is imitated first",
+    "rounds": "number of rounds of imitation, each of 64 actions per world",
     "worlds": "number of parallel worlds",
     "steps": "number of actions of the robots, summed over all worlds",
     "batch_steps": "number of actions in each world between two updates",

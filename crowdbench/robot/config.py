@@ -35,15 +35,15 @@ class RobotReward:
     minus `time` times the period in seconds.
 
     Success, collision and discomfort are the parts of the reward of CrowdNav (Chen et al. 2019);
-    progress makes it dense.
+    progress makes it dense. Returns are near 1, which the default settings of algorithms expect.
     """
 
-    progress: float = 1.0
-    success: float = 10.0
-    collision: float = 10.0
-    discomfort: float = 2.0
+    progress: float = 0.1
+    success: float = 1.0
+    collision: float = 1.0
+    discomfort: float = 0.2
     discomfort_m: float = 0.45
-    time: float = 0.1
+    time: float = 0.01
 
     def __post_init__(self) -> None:
         for f in fields(self):
