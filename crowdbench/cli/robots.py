@@ -49,7 +49,7 @@ def robots(
 
     find_own_code()
     given = {"spawn": spawn, "period_s": period_s, "time_limit_s": time_limit_s}
-    settings: dict[str, Any] = {k: value for k, value in given.items() if value is not None}
+    settings: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     with json_written(json) as write:
         with progress_bar("episodes"):
             found = compare(
