@@ -8,8 +8,9 @@ import crowdbench
 from crowdbench.errors import SettingError
 from studies.remake import graph
 from studies.remake.__main__ import main
+from studies.remake.entry import unchanged_scenes
 from studies.remake.graph import Result, keep, make, plan
-from studies.remake.lock import LOCK, file_hash, read_lock
+from studies.remake.lock import LOCK, Line, file_hash, read_lock
 from studies.remake.pages import results
 
 REPOSITORY = Path(crowdbench.__file__).parents[1]
@@ -144,6 +145,33 @@ def test_a_broken_lock_is_an_error() -> None:
     LOCK.write_text('{"name": 1}\n')
     with pytest.raises(SettingError, match=r"results\.lock: got Expected `str`"):
         read_lock(LOCK)
+
+
+def test_an_entry_keeps_the_scenes_of_which_nothing_has_changed(desk: Path) -> None:
+    Path("e.json").write_text("entry")
+    then = {
+        "settings of eth-v0": "1",
+        "recording gc": "1",
+        "scenes/gc-v0/policies/bc": "1",
+        "crowdbench/leaderboard/verification/copied_trips.json": "1",
+        "code": "1",
+    }
+
+    def unchanged(**changed: str) -> list[str]:
+        result = Result("entries/e", ("e.json",), (), facts=then | changed)
+        line = Line("entries/e", then, result.made())
+        return unchanged_scenes(result, line, ["eth-v0", "gc-v0"])
+
+    assert unchanged() == ["eth-v0", "gc-v0"]
+    assert unchanged(**{"settings of eth-v0": "2"}) == ["gc-v0"]
+    assert unchanged(**{"recording gc": "2"}) == ["eth-v0"]
+    assert unchanged(**{"scenes/gc-v0/policies/bc": "2"}) == ["eth-v0"]
+    assert unchanged(**{"crowdbench/leaderboard/verification/copied_trips.json": "2"}) == [
+        "eth-v0",
+        "gc-v0",
+    ]
+    assert unchanged(code="2") == []
+    assert unchanged_scenes(Result("entries/e", ("e.json",), ()), None, ["gc-v0"]) == []
 
 
 @pytest.fixture(scope="module")

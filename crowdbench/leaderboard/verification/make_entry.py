@@ -41,11 +41,13 @@ def make_entry(
     rollouts: int | None = None,
     owners: Mapping[str, Sequence[str]] = MappingProxyType({}),
     examine: bool = False,
+    known: Mapping[str, tuple[SceneEntry, Sequence[Flag]]] = MappingProxyType({}),
 ) -> Entry:
     """Roll out a submission, score it and return its entry.
 
     `rollouts` is the number per split, by default that of the scene's protocol. `owners` are the
     authors of other entries by id, see `check_unused`. `examine` puts the policy through the exam.
+    `known` are results by scene, which are not made again, with their flags.
 
     Raises:
         OutputError: the id belongs to an entry of other authors.
@@ -60,13 +62,19 @@ def make_entry(
     # Rollouts name their models by relative paths, and are found again if the folder has moved.
     with chdir(given.folder):
         here = replace(given, folder="")
-        planned = [_planned(here, name, folder, rollouts) for name in here.declared.scenes]
-        total, before = sum(len(each.jobs) for each in planned), 0
+        names = here.declared.scenes
+        planned = {n: _planned(here, n, folder, rollouts) for n in names if n not in known}
+        total, before = sum(len(each.jobs) for each in planned.values()), 0
         with alone_in(folder):
-            for each in planned:
-                each.roll_out(workers, lambda done, _, b=before: ROLLOUTS(b + done, total))  # type: ignore[misc]
-                before += len(each.jobs)
-                scenes[each.place.id], found = scene_entry(each)
+            for name in names:
+                found: Sequence[Flag]
+                if name in known:
+                    scenes[name], found = known[name]
+                else:
+                    each = planned[name]
+                    each.roll_out(workers, lambda done, _, b=before: ROLLOUTS(b + done, total))  # type: ignore[misc]
+                    before += len(each.jobs)
+                    scenes[each.place.id], found = scene_entry(each)
                 flags += found
         exam = _exam(here) if examine else None
     return Entry(
