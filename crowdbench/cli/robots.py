@@ -1,7 +1,7 @@
 """`crowdbench robots`: compare controllers of robots among people."""
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 from crowdbench.cli.options import Json, SceneName, Workers
 from crowdbench.cli.printing import json_written, progress_bar
@@ -49,7 +49,7 @@ def robots(
 
     find_own_code()
     given = {"spawn": spawn, "period_s": period_s, "time_limit_s": time_limit_s}
-    settings = {name: value for name, value in given.items() if value is not None}
+    settings: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     with json_written(json) as write:
         with progress_bar("episodes"):
             found = compare(

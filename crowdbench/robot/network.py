@@ -165,10 +165,12 @@ def export_robot(
         raise SettingError(
             "observation", got=config.observation, expected=" or ".join(OBSERVATIONS)
         )
+    shape = worlds.observation_space.shape
+    assert shape is not None  # both are vectors
     card = RobotCard(
         name=name,
         observation=config.observation,
-        numbers=worlds.observation_space.shape[0],
+        numbers=shape[0],
         nearest=config.nearest,
         rays=config.rays,
         ray_range_m=config.range_m,
