@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from crowdbench.metrics import WALK, metrics_for
 from crowdbench.policies import Policy, SocialForce, Straight
 from crowdbench.registry import fitted_models, has_recording, recording_of, spawn_model
 from crowdbench.registry import policy as named_policy
+from crowdbench.robot.vector_env import RobotVectorEnv
 from crowdbench.run.judge import draws_of
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import Scene, load_scene
@@ -33,9 +34,10 @@ from crowdbench.scoring.reference import Reference, read_reference, summarise
 from crowdbench.scoring.score import Score, combined, ranks, score_of
 from crowdbench.simulation import Settings, Simulation
 from crowdbench.simulation.observations import OBSERVATION
-from crowdbench.spawn import SpawnModel, arrivals_of
+from crowdbench.spawn import SpawnEvents, SpawnModel, arrivals_of
 from crowdbench.spawn.areas import Areas, read_areas
-from crowdbench.spawn.events import blocks_of
+from crowdbench.spawn.events import blocks_of, joined
+from crowdbench.spawn.model import Start
 from crowdbench.spawn.plans.files import read_plans
 from crowdbench.spawn.plans.fitting import fit_plans
 from crowdbench.spawn.times.cox import CoxGMM
@@ -77,6 +79,7 @@ def measure() -> Iterator[Figure]:
         yield Figure(
             f"PettingZoo environment, {persons} agents", _pettingzoo(persons), "agent-steps/s"
         )
+    yield Figure("robots, 256 × 20 people", _robots(256), "robot-steps/s")
     yield from _torchrl(64, 50)
     yield from _training()
     scene = load_scene("eth-v0")
@@ -183,6 +186,34 @@ def _pettingzoo(persons: int) -> float:
             env.step(dict(zip(env.agents, action, strict=False)))
             steps += len(env.agents)
         return steps
+
+    return _best_rate(chunk)
+
+
+class _Busy:
+    """Four crowds of a scene at once: on ETH, 20 people at a time."""
+
+    name = "busy"
+    start: ClassVar[Start] = "stationary"
+
+    def __init__(self, scene: Scene) -> None:
+        self._model = spawn_model("poisson-gmm", scene)
+
+    def sample(self, horizon_s: float, scene: Scene, rng: np.random.Generator) -> SpawnEvents:
+        return joined([self._model.sample(horizon_s, scene, rng) for _ in range(4)])
+
+
+def _robots(worlds: int) -> float:
+    """Robots among straight walkers, with `social` observations and random actions."""
+    scene = load_scene("eth-v0")
+    env = RobotVectorEnv(scene, worlds, walkers="straight", spawn=_Busy(scene), collision="count")
+    env.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1, 1, (4, worlds, 2)).astype(np.float32)
+
+    def chunk() -> int:
+        for action in actions:
+            env.step(action)
+        return actions.shape[0] * worlds
 
     return _best_rate(chunk)
 

@@ -7,7 +7,7 @@ everything else that it does.
 """
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
@@ -38,7 +38,7 @@ def register_on_import() -> None:
 
 
 def _scenes() -> Iterator[tuple[str, dict[str, Any]]]:
-    """The namespace and name of each scene, and the arguments that make its environments."""
+    """The id of each scene, and the arguments with which its environments are made."""
     from crowdbench.scene import list_scenes
 
     for scene in list_scenes():
@@ -73,12 +73,13 @@ class _Watcher(MetaPathFinder):
     """Finds nothing itself, but lets the import of a library end with the registration."""
 
     def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+        self, fullname: str, path: Any, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         if fullname not in _REGISTER:
             return None
         for finder in sys.meta_path:
-            spec = None if finder is self else finder.find_spec(fullname, path, target)
+            find = getattr(finder, "find_spec", None)  # finders of old libraries have none
+            spec = None if finder is self or find is None else find(fullname, path, target)
             if spec is not None:
                 if spec.loader is not None:
                     spec.loader = _Registering(spec.loader)

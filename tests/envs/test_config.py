@@ -55,7 +55,9 @@ def test_each_environment_names_its_own_keywords() -> None:
     pytest.importorskip("torchrl")
     from crowdbench.torchrl_env import CrowdEnv
 
-    with pytest.raises(SettingError, match=r"CrowdEnv: .*worlds, seed, device\. Did .*`worlds`"):
+    with pytest.raises(
+        SettingError, match=r"CrowdEnv: .*worlds, seed, device, render_mode\. Did .*`worlds`"
+    ):
         CrowdEnv("plaza-v0", world=2)
     with pytest.raises(SettingError, match="'max_persons'"):
         CrowdEnv("plaza-v0", max_persons=2)

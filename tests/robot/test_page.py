@@ -28,6 +28,17 @@ def test_a_robot_drives_through_an_episode(capsys: pytest.CaptureFixture[str]) -
     assert {success, collision} <= {"0.0", "1.0"}
 
 
+def test_an_episode_is_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run("write_socnav3")
+    assert capsys.readouterr().out.startswith("11 (11, 2)")
+    assert {file.name for file in tmp_path.iterdir()} == {
+        "robot.png", "episode.csv", "episode.json",
+    }  # fmt: skip
+
+
 def test_a_controller_of_ones_own_is_compared(capsys: pytest.CaptureFixture[str]) -> None:
     run("class Polite")
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [

@@ -32,6 +32,7 @@ NAMES = [
     "PettingZoo environment, 20 agents",
     "PettingZoo environment, 100 agents",
     "PettingZoo environment, 300 agents",
+    "robots, 256 × 20 people",
     "TorchRL collector, 64 × 50, random",
     "TorchRL collector, 64 × 50, MLP 32-32",
     "PPO on plaza-v0, 64 worlds, MLP 64-64",
@@ -76,7 +77,10 @@ def test_each_figure_is_printed_and_written(
     assert sorted(figures) == sorted(NAMES)
     assert [n for n, figure in figures.items() if not 0 < figure["value"] < float("inf")] == []
     units = {name: figure["unit"] for name, figure in figures.items()}
-    assert units == dict.fromkeys(NAMES[:13], "agent-steps/s") | dict.fromkeys(NAMES[13:], "s")
+    rates = dict.fromkeys(NAMES[:14], "agent-steps/s") | {
+        "robots, 256 × 20 people": "robot-steps/s"
+    }
+    assert units == rates | dict.fromkeys(NAMES[14:], "s")
 
 
 @pytest.mark.parametrize(
