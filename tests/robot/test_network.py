@@ -43,7 +43,7 @@ def test_a_network_drives_like_the_controller_that_computes_the_same(file: Path)
     assert isinstance(controller(str(file), PLAZA), Controller)
     found = compare(PLAZA, ["straight", str(file)], episodes=3, workers=1, **QUICK)
     straight, network = (of.measures for of in found.results)
-    for name in ("success", "collision", "time_s", "path_length_m"):
+    for name in ("success", "collision", "mean_distance_m", "jerk_mps3"):
         assert network[name].value == pytest.approx(straight[name].value, rel=1e-3), name
 
 
