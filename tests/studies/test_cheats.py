@@ -131,7 +131,7 @@ def test_the_metrics_see_through_the_cheats(opentraj: Path) -> None:
     for good, least in (
         ("recorded-paths", 0.95),
         ("recording-noise", 0.9),
-        ("recording-smoothed", 0.9),
+        ("recording-smoothed", 0.85),  # with bodies, the span from 0 to 1 is smaller
     ):
         assert min(family("motion", good), family("interaction", good)) >= least
     for name in ("half", "same", "twice"):
