@@ -36,6 +36,7 @@ def yard() -> Scene:
         id="yard-v0",
         bounds=BOUNDS,
         walls=WALLS,
+        motion=structs.replace(eth.motion, body_radius_m=0.0),
         recording=structs.replace(eth.recording, dwell_p99_s=30.0),
     )
 

@@ -20,14 +20,17 @@ FAR = 1000  # a horizon that no short test reaches
 def square(
     half_m: float = 10.0, *polygons: tuple[Point, ...], dwell_p99_s: float = 60.0, **motion: float
 ) -> Scene:
-    """A square scene around the origin with frames of 0.4 s and the polygons as walls."""
+    """A square scene around the origin with frames of 0.4 s and the polygons as walls.
+
+    People have bodies only if `motion` says so.
+    """
     eth = load_scene("eth-v0")
     return replace(
         eth,
         id="square-v0",
         bounds=Bounds(-half_m, half_m, -half_m, half_m),
         walls=tuple(Wall(f"wall {k}", corners) for k, corners in enumerate(polygons)),
-        motion=structs.replace(eth.motion, **motion),
+        motion=structs.replace(eth.motion, **{"body_radius_m": 0.0} | motion),
         recording=structs.replace(eth.recording, dwell_p99_s=dwell_p99_s),
     )
 
