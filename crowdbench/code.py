@@ -15,12 +15,12 @@ from typing import NamedTuple
 DECIDE_NOTHING = tuple(
     f"crowdbench.{name}"
     for name in (
-        *("cli", "code", "errors", "files", "plugins", "progress"),
+        *("cli", "code", "envs.registration", "errors", "files", "plugins", "progress"),
         *("run.executor", "run.processes", "run.ray_executor", "run.store"),
     )
 )
-"""Modules whose code changes no result: messages, reading and writing, finding code of others,
-which is hashed itself, and where something is computed."""
+"""Modules whose code changes no result: messages, names for other libraries, reading and writing,
+finding code of others, which is hashed itself, and where something is computed."""
 _ROOT = Path(__file__).parents[1]  # the folder of the package, and of `studies` in a clone
 _OURS = ("crowdbench", "studies")
 _SCRIPTS = "crowdbench.baselines."
