@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from given import Given
-from worlds import Person, events
+from worlds import Person, events, with_bodies
 
 from crowdbench import registry
 from crowdbench.data.table import Trajectories
@@ -91,7 +91,7 @@ class Standing:
 
 @pytest.mark.parametrize("wait_s", [0.0, 400.0])
 def test_there_are_slots_for_everyone_even_if_nobody_reaches_a_goal(wait_s: float) -> None:
-    every_s = 5.0
+    place, every_s = with_bodies(ETH, 0.0), 5.0  # all stand in one place
     stop = {"via": (0.0, 0.0), "wait_s": wait_s} if wait_s else {}
     people = [
         Person(time_s=k * every_s, start=(3.0, 5.0), goal=(11.0, 5.0), **stop)  # type: ignore[arg-type]
@@ -99,7 +99,7 @@ def test_there_are_slots_for_everyone_even_if_nobody_reaches_a_goal(wait_s: floa
     ]
     standing = Standing()
     crowd = rollout(
-        ETH,
+        place,
         Given(*people),
         standing,
         seed=0,
@@ -107,9 +107,9 @@ def test_there_are_slots_for_everyone_even_if_nobody_reaches_a_goal(wait_s: floa
         horizon_s=120 * every_s,  # type: ignore[arg-type]
     )
     assert len(crowd) == 120
-    expected = min(120, (ETH.timeout_s + wait_s) / every_s)
+    expected = min(120, (place.timeout_s + wait_s) / every_s)
     assert standing.most == pytest.approx(expected, abs=6)
-    slots = most_at_once(events(*people), ETH)
+    slots = most_at_once(events(*people), place)
     assert standing.most <= slots <= standing.most + 12
 
 
