@@ -258,7 +258,7 @@ def test_a_radius_beyond_the_clearance_of_paths_is_refused(
     folder = tmp_path_factory.mktemp("scene") / "eth-v0"
     folder.mkdir()
     text = (crowdbench.load_scene("eth-v0").folder / "scene.toml").read_text()
-    changed = text.replace("goal_radius_m", f"body_radius_m = {radius}\ngoal_radius_m", 1)
+    changed = text.replace("body_radius_m = 0.15", f"body_radius_m = {radius}", 1)
     (folder / "scene.toml").write_text(changed)
     with pytest.raises(SceneError, match=r"motion.body_radius_m .* expected 0 \(no bodies\) to"):
         crowdbench.load_scene(folder)
