@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
+from pathlib import Path
 
 from crowdbench.robot.comparison import COLUMNS, Comparison, compare
 from crowdbench.robot.controllers import list_controllers
 from crowdbench.robot.statistics import Estimate
 from crowdbench.scene import load_scene
 from studies.markdown import flowed, table
+from studies.robot_pictures import write_pictures
 
 SCENE = "eth-v0"
 WALKERS = ("straight", "social-force", "replay", "anticipate")
@@ -27,13 +29,31 @@ Controllers share a rank unless they differ significantly. [Robots](robots.md) e
 and measures.
 People enter as `{spawn}` says, those who walk as recorded also when they were recorded.
 
+![shares of success](robots/success.svg)
+
 {finding}
+
+No controller has seen the arrivals of the table: those that `ppo` learned from were drawn with
+other seeds, from 1,000,000 on, of a model that was fitted to the whole recording. Nothing of the
+other controllers is fitted.
 
 This page is the output of `python -m studies robots`."""
 
 
-def page(episodes: int, scene: str = SCENE, workers: int | None = None) -> str:
-    """The page as Markdown."""
+EPISODE = flowed("""## One episode
+
+![one episode](robots/episode.png)
+
+The same episode by each controller, among people driven by social forces, at its end. The way of
+the robot begins at the ring, and its goal is the green circle. Black lines lead to where people
+will be in a second.
+""")
+
+
+def page(
+    episodes: int, scene: str = SCENE, workers: int | None = None, pictures: Path | None = None
+) -> str:
+    """The page as Markdown; its pictures are written into the folder `pictures`."""
     controllers = list_controllers(load_scene(scene))
     found = {
         walkers: compare(
@@ -56,8 +76,10 @@ def page(episodes: int, scene: str = SCENE, workers: int | None = None) -> str:
     lines = [
         [name, *(_success(of, k) for of in found.values())] for k, name in enumerate(controllers)
     ]
+    if pictures is not None:
+        write_pictures(pictures, found, PEOPLE, load_scene(scene))
     rooms = "\n\n".join(_people(name, of) for name, of in found.items())
-    return f"{flowed(title)}\n{table(head, lines)}\n\n{rooms}\n"
+    return f"{flowed(title)}\n{table(head, lines)}\n\n{EPISODE}\n{rooms}\n"
 
 
 def ranks_of(comparison: Comparison) -> dict[str, int]:
@@ -73,20 +95,20 @@ def finding(ranks: Mapping[str, Mapping[str, int]]) -> str:
     names = list(next(iter(ranks.values())))
     pairs = list(combinations(names, 2))
     orders = {
-        f"{a} and {b}": {(of[a] > of[b]) - (of[a] < of[b]) for of in ranks.values()}
-        for a, b in pairs
+        f"{a}–{b}": {(of[a] > of[b]) - (of[a] < of[b]) for of in ranks.values()} for a, b in pairs
     }
     turned = [pair for pair, found in orders.items() if {-1, 1} <= found]
     tied = [pair for pair, found in orders.items() if len(found) > 1 and pair not in turned]
-    text = f"**What it says.** {_first(ranks)} Of the {len(pairs)} pairs of controllers, "
-    text += f"{_word(len(turned))} change" + "s" * (len(turned) == 1)
-    text += (" their" if len(turned) != 1 else " its") + " order significantly with the people"
-    text += f" ({_listed(turned)})" if turned else ""
-    text += f", and {_word(len(tied))} differ" + "s" * (len(tied) == 1)
-    text += " significantly among some people and not among others"
-    if turned or tied:
-        text += ": a ranking of robots holds for the people that it was measured among"
-    return f"{text}."
+    sentences = [f"**What it says.** {_first(ranks)}"]
+    if turned:
+        sentences.append(f"With the people, these pairs change their order: {_listed(turned)}.")
+    if tied:
+        some = f"{_word(len(tied)).capitalize()} of {len(pairs)} pairs"
+        verb = "differs" if len(tied) == 1 else "differ"
+        sentences.append(f"{some} {verb} significantly among some people only.")
+    same = "The ranks are the same among all people."
+    only = "So a ranking of robots holds for the people that it was measured among."
+    return " ".join([*sentences, only if turned or tied else same])
 
 
 def _first(ranks: Mapping[str, Mapping[str, int]]) -> str:
@@ -97,7 +119,7 @@ def _first(ranks: Mapping[str, Mapping[str, int]]) -> str:
     }
     if len(set(best.values())) == 1:
         return f"Among people of all kinds, {next(iter(best.values()))} come first."
-    firsts = "; ".join(f"among people {PEOPLE[kind]} {who}" for kind, who in best.items())
+    firsts = "; ".join(f"{who} among people {PEOPLE[kind]}" for kind, who in best.items())
     return f"Who comes first depends on the people: {firsts}."
 
 

@@ -24,8 +24,8 @@ FLOORS = (
     ("registry",),
     ("run",),
     ("report", "viewer"),
-    ("envs", "exam", "robot"),
-    ("crowds", "evaluation", "leaderboard", "scene_building"),
+    ("envs", "exam"),
+    ("crowds", "evaluation", "leaderboard", "robot", "scene_building"),
     ("cli",),
     ("__main__",),
 )

@@ -8,6 +8,9 @@ from crowdbench.cli.printing import json_written, progress_bar
 from crowdbench.cli.running import find_own_code
 from crowdbench.report.text.terminal import print_note, print_table
 
+Task = Literal["cross", "patrol", "follow", "stand-aside"]
+"""Those of `crowdbench.robot.config`, which is imported when the command runs."""
+
 
 def robots(
     *,
@@ -18,7 +21,7 @@ def robots(
     episodes: int = 500,
     seed: int = 0,
     spawn: str | None = None,
-    task: Literal["cross", "patrol"] = "cross",
+    task: Task = "cross",
     period_s: float | None = None,
     time_limit_s: float | None = None,
     invisible: bool = False,
@@ -39,7 +42,8 @@ def robots(
         episodes: number of episodes of each controller
         seed: seed of the first episode; the others follow
         spawn: spawn model by name (default: ntpp-gmm)
-        task: cross the place, or patrol between several points
+        task: cross the place, patrol between several points, follow a person, or stand aside for
+            one who enters
         period_s: time between two actions, a divisor of the scene's frame (default: the frame)
         time_limit_s: time after which an episode ends, in seconds (default: 60)
         invisible: people do not see the robot

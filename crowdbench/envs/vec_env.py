@@ -6,7 +6,7 @@ adds the selection of persons and a reward to `Simulation`; all physics is in `S
 
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Unpack
@@ -14,13 +14,11 @@ from typing import Any, Unpack
 import numpy as np
 from gymnasium import spaces
 from jaxtyping import Float32, Int, UInt8
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecEnv
 
 from crowdbench.data.table import OUTCOMES
 from crowdbench.envs.config import FPS, EnvConfig, EnvCrowd, EnvSettings, Pictured, Seeds
 from crowdbench.envs.controlled import ControlledPeople, checked_actions
-from crowdbench.errors import SettingError
+from crowdbench.envs.one_object import OneObjectVecEnv
 from crowdbench.policies import Policy, Straight
 from crowdbench.registry import spawn_model
 from crowdbench.scene import Scene, load_scene
@@ -33,7 +31,7 @@ RESERVE = 3
 """Expected number of people present per sub-environment, so that it rarely waits for a person."""
 
 
-class CrowdVecEnv(VecEnv):
+class CrowdVecEnv(OneObjectVecEnv):
     """A `VecEnv` that controls `num_envs` persons at a time in the worlds of a scene.
 
     When a trip ends, the sub-environment continues with the first observation of another person, as
@@ -110,6 +108,7 @@ class CrowdVecEnv(VecEnv):
             num_envs,
             spaces.Box(-1.0, 1.0, (size,), np.float32),
             spaces.Box(-1.0, 1.0, (2,), np.float32),
+            render_mode,
         )
         self.metadata["render_fps"] = FPS
         self.seed(seed)
@@ -209,46 +208,6 @@ class CrowdVecEnv(VecEnv):
             ActionError: `reset` has not been called.
         """
         return [self._crowd.render(self.person_id[(self.world == 0) & ~self._people.free])]
-
-    def close(self) -> None:
-        """Do nothing: there is nothing to close."""
-
-    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        """The attribute of this object, repeated for each sub-environment."""
-        if attr_name == "render_mode":  # asked before it is an attribute
-            return [self._crowd.render_mode] * len(self._indices(indices))
-        return [getattr(self, attr_name) for _ in self._indices(indices)]
-
-    def set_attr(
-        self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None
-    ) -> None:
-        """Set an attribute of this object, which all sub-environments share."""
-        setattr(self, attr_name, value)
-
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
-    ) -> list[Any]:
-        """Not supported: sub-environments are not objects with methods.
-
-        Raises:
-            SettingError: always.
-        """
-        got = f"a call of {method_name} in sub-environments"
-        expected = "a method of the whole environment"
-        hint = "Sub-environments are persons in shared worlds, not separate objects."
-        raise SettingError("CrowdVecEnv", got=got, expected=expected, hint=hint)
-
-    def env_is_wrapped(
-        self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None
-    ) -> list[bool]:
-        """True for `Monitor`, because infos contain what it would add, and else false.
-
-        Evaluations of Stable-Baselines3 then count trips and no waiting steps.
-        """
-        return [wrapper_class is Monitor] * len(self._indices(indices))
-
-    def _indices(self, indices: int | Iterable[int] | None) -> list[int]:
-        return list(self._get_indices(indices))
 
 
 def _persons_at_once(spawn: SpawnModel, scene: Scene) -> float:

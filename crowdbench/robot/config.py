@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from crowdbench.robot.worlds import RobotWorlds
 
 Observed = Literal["social", "lidar", "state"]
-Task = Literal["cross", "patrol"]
+Task = Literal["cross", "patrol", "follow", "stand-aside"]
+PERSON_TASKS = ("follow", "stand-aside")
+"""Tasks that are about a person, who decides where the robot starts and where it should be."""
 Collision = Literal["terminate", "count"]
 LONGEST_CROWD_S = 600.0
 REPLAY = "replay"
@@ -84,7 +86,8 @@ class RobotConfig:
     visible: bool = True
     """Whether people see the robot as a person. Otherwise they walk through it."""
     task: Task = "cross"
-    """`cross`: drive to a goal; `patrol`: visit `points` goals one after another."""
+    """`cross`: drive to a goal; `patrol`: visit `points` goals one after another; `follow`: stay
+    within 2 m of a person; `stand-aside`: leave the entrance of somebody, and wait beside it."""
     points: int = 4
     """Number of goals of a patrol."""
     start: tuple[float, float] | None = None
@@ -152,6 +155,14 @@ class RobotConfig:
             point = getattr(self, name)
             if point is not None and np.shape(point) != (2,):
                 raise SettingError(name, got=repr(point), expected="a point (x, y) in metres")
+        given = ("goal",) if self.task == "follow" else ("start", "goal")
+        for name in given if self.task in PERSON_TASKS else ():
+            if getattr(self, name) is not None:
+                raise SettingError(
+                    name,
+                    got=repr(getattr(self, name)),
+                    expected=f"None, because the task {self.task} chooses it",
+                )
         if self.horizon_s is not None:
             check_horizon(self.horizon_s)
             if self.horizon_s < self.time_limit_s:

@@ -3,10 +3,11 @@
 import math
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, UInt8
 
 from crowdbench.colours import COLOURS
-from crowdbench.robot.record import RobotEpisode
+from crowdbench.robot.record import EpisodeRecorder, RobotEpisode
+from crowdbench.robot.worlds import RobotWorlds
 from crowdbench.scene import Scene
 from crowdbench.viewer.canvas import FINER, INK, Canvas
 from crowdbench.viewer.place import GREY
@@ -64,3 +65,34 @@ class RobotPictures:
     def _radius(self, radius_m: float) -> float:
         """A radius in pixels, large enough to be seen."""
         return max(radius_m * self._canvas.per_m, 2.0 * FINER)
+
+
+class WorldPictures:
+    """Pictures of the first `count` of the worlds that others step."""
+
+    def __init__(self, worlds: RobotWorlds, count: int) -> None:
+        """Pictures of worlds in which no episode has begun."""
+        self._recorders = [EpisodeRecorder(worlds, k) for k in range(count)]
+        self._pictures = RobotPictures(worlds.scene)
+
+    def begin(self, worlds: Bool[np.ndarray, " W"] | None = None) -> None:
+        """Note that episodes have begun in some worlds, by default all."""
+        for k, recorder in enumerate(self._recorders):
+            if worlds is None or worlds[k]:
+                recorder.begin()
+
+    def follow(self, begun: Bool[np.ndarray, " W"]) -> None:
+        """Note the state after a control period, after which episodes have `begun` in some."""
+        for k, recorder in enumerate(self._recorders):
+            if begun[k]:
+                recorder.begin()
+            else:
+                recorder.write()
+
+    def draw(self) -> list[UInt8[np.ndarray, "h w 3"]]:
+        """The pictures of the present states.
+
+        Raises:
+            ActionError: no episode has begun.
+        """
+        return [self._pictures.draw(recorder.episode()) for recorder in self._recorders]

@@ -185,7 +185,7 @@ def _best_of(now, way, remaining, people, walls, limits, period_s, window):
         most, turn_change = limits.max_steer, limits.max_turn * period_s
         left, right = _window(now[1], turn_change, -most, most)
     # Not faster than a metre from the goal per second, so that the robot does not circle around it.
-    wanted = min(fastest, max(0.2 * fastest, remaining))
+    wanted = min(fastest, max(0.2 * fastest, remaining)) if remaining > 0.0 else 0.0
     best, top = (now[0], now[1]), -np.inf
     safe, least = (0.0, 0.0), np.inf
     for i in range(window.speeds):

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from numpy.random import Generator, default_rng
 
 from crowdbench.errors import SettingError
-from crowdbench.robot.config import RobotConfig
+from crowdbench.robot.config import PERSON_TASKS, RobotConfig
 from crowdbench.scene import Scene, Wall
 from crowdbench.simulation.routes import Routes
 from crowdbench.spawn.areas import read_areas
@@ -19,6 +19,8 @@ MARGIN_M = 0.05
 POINTS = 512
 """Number of points from which starts and goals are drawn."""
 _DRAWS = 64
+_RINGS_M = np.arange(0.5, 6.1, 0.5)
+_DIRECTIONS = 16
 _USABLE = 0.8  # share of the largest distance between points that may be asked for
 
 
@@ -51,7 +53,7 @@ class Places:
         self.points, self._far = np.empty((0, 2)), list[np.ndarray]()
         """The points, and the indices of those that are far enough from each."""
         fixed = config.start is not None and config.goal is not None and config.goals == 1
-        if not fixed:  # a scene without areas will do otherwise
+        if not fixed and config.task not in PERSON_TASKS:  # a scene without areas will do otherwise
             self._spread(radius_m)
         self._first, self._before_goal = self._ends()
 
@@ -85,6 +87,16 @@ class Places:
         for k, part in enumerate(self._parts):
             found[shapely.intersects_xy(part, points[:, 0], points[:, 1])] = k
         return found
+
+    def around(self, point: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "n 2"]:
+        """Free places within 6 m of a point that are connected, nearest first."""
+        angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+        directions = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        rings = (point + _RINGS_M[:, None, None] * directions).reshape(-1, 2)
+        places = np.vstack([point, rings])
+        part = self.part_of(places)
+        free = np.flatnonzero(part >= 0)
+        return places[free[part[free] == part[free[0]]]] if len(free) else places[:0]
 
     def _checked_distance(self, longest_m: float) -> float:
         """The least distance between starts and goals, metres."""

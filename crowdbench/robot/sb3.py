@@ -1,23 +1,28 @@
 """`RobotVecEnv`: robot worlds as a `VecEnv` of Stable-Baselines3."""
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecEnv
+from jaxtyping import UInt8
 
-from crowdbench.errors import SettingError
+from crowdbench.envs.one_object import OneObjectVecEnv
 from crowdbench.robot.config import RobotConfig
-from crowdbench.robot.vector_env import row
+from crowdbench.robot.vector_env import pictures_of, row
 from crowdbench.robot.worlds import RobotWorlds
 from crowdbench.scene import Scene
 
+if TYPE_CHECKING:
+    from crowdbench.robot.drawing import WorldPictures
 
-class RobotVecEnv(VecEnv):
+PICTURED = 4
+"""Number of worlds that `render` shows at most."""
+
+
+class RobotVecEnv(OneObjectVecEnv):
     """Robots in `num_envs` worlds of a scene, all stepped by one call of the compiled core.
 
     See `RobotEnv` for observations, actions and rewards. When an episode ends, the next one begins
@@ -35,6 +40,7 @@ class RobotVecEnv(VecEnv):
         config: RobotConfig | None = None,
         *,
         seed: int | None = None,
+        render_mode: str | None = None,
         **settings: Any,
     ) -> None:
         """Create the environment.
@@ -44,6 +50,7 @@ class RobotVecEnv(VecEnv):
             num_envs: number of worlds.
             config: the settings, by default those of `RobotConfig()`.
             seed: that of the first world; world k has the seed `seed` + k. `seed()` also sets it.
+            render_mode: `rgb_array` for images from `render`, of up to four worlds side by side.
             settings: fields of `RobotConfig`, which replace those of `config`.
 
         Raises:
@@ -56,9 +63,14 @@ class RobotVecEnv(VecEnv):
         self._made = time.monotonic()
         self._seed = seed
         self._begun = False
-        self.render_mode = None
+        self._pictures: WorldPictures | None = None
+        if render_mode is not None:
+            self._pictures = pictures_of(self.worlds, render_mode, min(num_envs, PICTURED))
         super().__init__(
-            num_envs, self.worlds.observation_space, spaces.Box(-1.0, 1.0, (2,), np.float32)
+            num_envs,
+            self.worlds.observation_space,
+            spaces.Box(-1.0, 1.0, (2,), np.float32),
+            render_mode,
         )
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
@@ -77,6 +89,8 @@ class RobotVecEnv(VecEnv):
             self.worlds.begin(first + np.arange(self.num_envs))
             self._begun = True
         self._collected[:] = 0.0
+        if self._pictures is not None:
+            self._pictures.begin()
         return self.worlds.observe()
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -113,35 +127,14 @@ class RobotVecEnv(VecEnv):
             self._collected[at] = 0.0
             worlds.go_on(at)
             observations = worlds.observe(at)
+        if self._pictures is not None:
+            self._pictures.follow(dones)
         return observations, reward, dones, infos
 
-    def close(self) -> None:
-        """Do nothing: there is nothing to close."""
-
-    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        """The attribute of this object, repeated for each world."""
-        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
-
-    def set_attr(
-        self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None
-    ) -> None:
-        """Set an attribute of this object, which all worlds share."""
-        setattr(self, attr_name, value)
-
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
-    ) -> list[Any]:
-        """Not supported: worlds are not objects with methods.
+    def get_images(self) -> list[UInt8[np.ndarray, "h w 3"] | None]:
+        """Pictures of up to four worlds, which `render` puts side by side.
 
         Raises:
-            SettingError: always.
+            ActionError: `reset` has not been called.
         """
-        got = f"a call of {method_name} in sub-environments"
-        expected = "a method of the whole environment"
-        raise SettingError("RobotVecEnv", got=got, expected=expected)
-
-    def env_is_wrapped(
-        self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None
-    ) -> list[bool]:
-        """True for `Monitor`, because infos contain what it would add, and else false."""
-        return [wrapper_class is Monitor for _ in self._get_indices(indices)]
+        return [] if self._pictures is None else [*self._pictures.draw()]

@@ -3,18 +3,21 @@
 import operator
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, UInt8
 
 from crowdbench.errors import SettingError
 from crowdbench.robot.config import RobotConfig
 from crowdbench.robot.worlds import RobotWorlds
 from crowdbench.scene import Scene
+
+if TYPE_CHECKING:
+    from crowdbench.robot.drawing import WorldPictures
 
 Autoreset = Literal["same_step", "next_step", "disabled"]
 MODES = getattr(gymnasium.vector, "AutoresetMode", None)
@@ -38,7 +41,10 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):
     are there.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium reads the class's
+        "render_modes": ["rgb_array"],
+        "render_fps": 10,
+    }
 
     def __init__(
         self,
@@ -47,6 +53,7 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):
         config: RobotConfig | None = None,
         *,
         autoreset: Autoreset = "same_step",
+        render_mode: str | None = None,
         **settings: Any,
     ) -> None:
         """Create the environment.
@@ -56,6 +63,7 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):
             num_envs: number of worlds W.
             config: the settings, by default those of `RobotConfig()`.
             autoreset: when the next episode begins.
+            render_mode: `rgb_array` for images from `render`.
             settings: fields of `RobotConfig`, which replace those of `config`.
 
         Raises:
@@ -79,7 +87,11 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):
         self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._over = np.zeros(num_envs, bool)
+        self.render_mode = render_mode
+        self._pictures: WorldPictures | None = None
+        if render_mode is not None:
+            self._pictures = pictures_of(self.worlds, render_mode, num_envs)
+        self._over, self._nowhere = np.zeros(num_envs, bool), np.zeros(num_envs, bool)
         self._begun = False
 
     def reset(
@@ -115,6 +127,8 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):
         if (mask & ~given).any():
             self.worlds.go_on(np.flatnonzero(mask & ~given))
         self._over[mask] = False
+        if self._pictures is not None:
+            self._pictures.begin(mask)
         return self.worlds.observe(), {}
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
@@ -152,6 +166,8 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):
             reward[again] = 0.0
             terminated, truncated = terminated & ~again, truncated & ~again
         over = terminated | truncated
+        if self._pictures is not None:
+            self._pictures.follow(again if self.autoreset == "next_step" else self._nowhere)
         observations = worlds.observe()
         infos: dict[str, Any] = {}
         if over.any():
@@ -160,6 +176,8 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):
             if self.autoreset == "same_step":
                 infos = self._final(observations, ended, over)
                 worlds.go_on(at)
+                if self._pictures is not None:
+                    self._pictures.begin(over)
                 observations = worlds.observe(at)
             else:
                 infos = ended
@@ -187,9 +205,30 @@ class RobotVectorEnv(gymnasium.vector.VectorEnv):
             }  # fmt: skip
         return {observed: observations, f"_{observed}": over, info: ended, f"_{info}": over}
 
+    def render(self) -> tuple[UInt8[np.ndarray, "h w 3"], ...] | None:
+        """A picture of each world if `render_mode` is `rgb_array`, else None.
+
+        Raises:
+            ActionError: no episode has begun.
+        """
+        return None if self._pictures is None else tuple(self._pictures.draw())
+
     def close(self, **kwargs: Any) -> None:
         """Do nothing: there is nothing to close."""
         self.closed = True
+
+
+def pictures_of(worlds: RobotWorlds, render_mode: str, count: int) -> "WorldPictures":
+    """What draws the first `count` worlds.
+
+    Raises:
+        SettingError: `render_mode` is another one than `rgb_array`.
+    """
+    if render_mode != "rgb_array":
+        raise SettingError("render_mode", got=repr(render_mode), expected="None or 'rgb_array'")
+    from crowdbench.robot.drawing import WorldPictures
+
+    return WorldPictures(worlds, count)
 
 
 def row(observations: Any, world: int) -> Any:

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from numpy.random import SeedSequence, default_rng
 
 from crowdbench.errors import ActionError, OwnCodeError, SettingError
-from crowdbench.robot.config import RobotConfig, RobotReward
+from crowdbench.robot.config import PERSON_TASKS, RobotConfig, RobotReward
 from crowdbench.robot.costs import Costs
 from crowdbench.robot.crowds import Crowds, Poses
 from crowdbench.robot.driving import drive, longest_substep_m
@@ -17,6 +17,7 @@ from crowdbench.robot.measures import STILL_MPS, STILL_RPS, Measures, Period
 from crowdbench.robot.observing import Observer
 from crowdbench.robot.places import MARGIN_M, Places, routes_for
 from crowdbench.robot.seeing import RobotView, find_nearest, off_walls
+from crowdbench.robot.tasks import PersonTask
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation.free_space import free_space
 from crowdbench.simulation.simulation import check_count
@@ -108,7 +109,11 @@ class RobotWorlds:
         """(W,) contacts with people or walls that began in the last period."""
         self.success = np.zeros(worlds, bool)
         """(W,) whether the last goal has been reached in the present episode."""
-        self._all = np.arange(worlds)
+        self.over = np.zeros(worlds, bool)
+        """(W,) whether the person whom the task is about is gone or has come past."""
+        self.person = PersonTask(self) if config.task in PERSON_TASKS else None
+        """The persons whom the episodes are about, if the task is about one."""
+        self._all, self._nowhere = np.arange(worlds), np.zeros(worlds, bool)
         self._rngs = [default_rng(0)] * worlds
         self._keys = np.zeros(worlds, np.uint64)
         self._tick = 0
@@ -148,13 +153,16 @@ class RobotWorlds:
         for w in worlds.tolist():
             rng = self._rngs[w]
             there = self.present.position[w][self.present.there[w]]
-            self.start[w], self.goals[w] = self.places.draw(rng, there, clearance_m)
+            if self.person is None:
+                self.start[w], self.goals[w] = self.places.draw(rng, there, clearance_m)
+            else:
+                self.start[w], self.goals[w] = self.person.begin(w, clearance_m)
             self._keys[w] = rng.integers(2**63)
         view.position[worlds] = self._before[worlds] = self.start[worlds]
         view.goal[worlds] = self.goals[worlds, 0]
         view.velocity[worlds] = view.speed[worlds] = view.turn[worlds] = 0.0
         self.reached[worlds] = 0
-        for of in (self.success, self.hit_wall, self.contacts, self.progress_m):
+        for of in (self.success, self.over, self.hit_wall, self.contacts, self.progress_m):
             of[worlds] = 0
         self._find_way(worlds)
         way = view.towards[worlds] - view.position[worlds]
@@ -216,12 +224,19 @@ class RobotWorlds:
             view.position, view.heading, view.velocity, view.speed, view.turn, self.hit_wall,
         )  # fmt: skip
         self._meet(self._all, since, until)
+        if self.person is not None:
+            self.person.update()
         before_m = view.remaining.copy()
         self._find_way(self._all)
         self.progress_m = before_m - view.remaining
         began = self.hit_wall & ~pressed
         self.contacts = self.encounter.contacts + began
-        self._reach_goals()
+        ends = self.contacts > 0 if self.config.collision == "terminate" else self._nowhere
+        if self.person is None:
+            self._reach_goals(ends)
+        else:
+            self.over = self.person.over
+            self.success |= self.person.reached & ~ends
         self._find_people(self._all)
         moved = view.position - self._before
         still = np.abs(view.speed) < STILL_MPS
@@ -241,8 +256,7 @@ class RobotWorlds:
         self._tick = (self._tick + 1) % self.periods
         if self._tick == 0:
             self.crowds.show(Poses(view.position, view.heading, view.velocity, view.goal))
-        ends = self.contacts > 0 if self.config.collision == "terminate" else False
-        terminated = self.success | ends
+        terminated = self.success | self.over | ends
         truncated = (self.measures.steps >= self.limit) & ~terminated
         return Step(self._reward(), terminated, truncated)
 
@@ -259,8 +273,12 @@ class RobotWorlds:
         late = self.measures.steps[worlds] >= self.limit
         success = self.success[worlds]
         ends = self.config.collision == "terminate"
-        timeout = late & ~success & ~(self.measures.collided[worlds] & ends)
+        timeout = late & ~success & ~self.over[worlds]
+        timeout &= ~(self.measures.collided[worlds] & ends)
         found = self.measures.of(worlds, success, timeout)
+        if self.person is not None and self.config.task == "follow":
+            del found["spl"]  # how long the way is depends on the person
+            found |= self.person.measures(worlds)
         return found if self._costs is None else found | self._costs.of(worlds)
 
     def _meet(self, worlds: Int[np.ndarray, " n"], since: float, until: float) -> None:
@@ -281,6 +299,8 @@ class RobotWorlds:
         way = towards - view.position[worlds]
         view.towards[worlds] = towards
         view.remaining[worlds] = np.sqrt((way * way).sum(axis=1)) + beyond
+        if self.person is not None:
+            self.person.aim(worlds)
 
     def _find_people(self, worlds: Int[np.ndarray, " n"]) -> None:
         view = self.view
@@ -289,15 +309,14 @@ class RobotWorlds:
             view.near, view.near_velocity, view.near_radius, view.there,
         )  # fmt: skip
 
-    def _reach_goals(self) -> None:
+    def _reach_goals(self, ends: Bool[np.ndarray, " W"]) -> None:
         """Count the goals that robots passed in the period, and turn to the next ones.
 
-        Where a contact ends the episode in the same period, no goal is reached.
+        Where a contact `ends` the episode in the same period, no goal is reached.
         """
         view = self.view
         off = _distance_to_way(view.goal, self._before, view.position)
-        over = self.success | ((self.contacts > 0) & (self.config.collision == "terminate"))
-        at = np.flatnonzero((off <= self.config.goal_radius_m) & ~over)
+        at = np.flatnonzero((off <= self.config.goal_radius_m) & ~self.success & ~ends)
         if not len(at):
             return
         self.reached[at] += 1

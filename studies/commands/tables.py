@@ -39,15 +39,18 @@ def exam(policies: list[str] | None = None, /, *, workers: Workers = None) -> No
     print(page(policies or POLICIES, workers), end="")
 
 
-def robots(*, episodes: int = 500, workers: Workers = None) -> None:
+def robots(
+    *, episodes: int = 500, pictures: Path = Path("docs/robots"), workers: Workers = None
+) -> None:
     """Print the page on controllers of robots among people of several kinds (minutes).
 
     Args:
         episodes: number of episodes of each controller among people of each kind
+        pictures: folder for the pictures
     """
     from studies.robots import page
 
-    print(page(episodes, workers=workers), end="")
+    print(page(episodes, workers=workers, pictures=pictures), end="")
 
 
 def sharing(scenes: list[str], /) -> None:

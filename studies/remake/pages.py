@@ -157,7 +157,7 @@ def _comparisons() -> Iterator[Result]:
     )
     robots = _page(
         "docs/robot-table",
-        ("docs/robot-table.md",),
+        ("docs/robot-table.md", "docs/robots/*"),
         [("python", "-m", "studies", "robots")],
         "studies.robots",
         {"eth-v0": [("ntpp-gmm", "straight"), *(("replay", p) for p in ROBOTS_AMONG)]},

@@ -306,7 +306,7 @@ def test_what_does_not_fit_is_said() -> None:
         env.step(np.full((1, 2), np.nan))
     with pytest.raises(CapacityError, match="max_alive"):
         lives_of(Person(), Person(), max_alive=1).reset()
-    with pytest.raises(SettingError, match="persons in shared worlds"):
+    with pytest.raises(SettingError, match="not separate objects"):
         env.env_method("step")
 
 

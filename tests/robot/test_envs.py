@@ -152,3 +152,38 @@ def test_stable_baselines_trains_on_it() -> None:
     assert infos[0]["terminal_observation"].shape == first[0].shape
     env.seed(3)
     np.testing.assert_array_equal(env.reset(), first)
+
+
+def test_many_worlds_are_shown_side_by_side() -> None:
+    env = RobotVectorEnv("plaza-v0", 3, render_mode="rgb_array", **QUICK)
+    env.reset(seed=1)
+    alone = RobotEnv("plaza-v0", render_mode="rgb_array", **QUICK)
+    alone.reset(seed=2)
+    stay, over = np.zeros((3, 2), np.float32), False
+    while not over:
+        pictures = env.render()
+        assert pictures is not None
+        assert len(pictures) == 3
+        np.testing.assert_array_equal(pictures[1], alone.render())
+        env.step(stay)
+        *_, terminated, truncated, _ = alone.step(stay[1])
+        over = terminated or truncated
+    alone.reset()
+    np.testing.assert_array_equal(env.render()[1], alone.render())
+    assert RobotVectorEnv("plaza-v0", 1, **QUICK).render() is None
+    with pytest.raises(SettingError, match="render_mode"):
+        RobotVectorEnv("plaza-v0", 1, render_mode="human", **QUICK)
+
+
+def test_stable_baselines_shows_up_to_four_worlds() -> None:
+    need_sb3()
+    from crowdbench.robot.sb3 import RobotVecEnv
+
+    env = RobotVecEnv("plaza-v0", 6, seed=1, render_mode="rgb_array", **QUICK)
+    env.reset()
+    env.step(np.zeros((6, 2), np.float32))
+    height, width, _ = env.get_images()[0].shape
+    assert env.render().shape == (2 * height, 2 * width, 3)
+    assert env.get_attr("render_mode") == ["rgb_array"] * 6
+    with pytest.raises(SettingError, match="render_mode"):
+        RobotVecEnv("plaza-v0", 1, render_mode="human", **QUICK)

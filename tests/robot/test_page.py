@@ -2,17 +2,20 @@
 
 import shlex
 from pathlib import Path
+from typing import get_args
 
 import pages
 import pytest
 from conftest import need_sb3
 
 from crowdbench.cli import main
+from crowdbench.robot.config import Task
 from crowdbench.robot.controllers import BUILT_IN
 from crowdbench.robot.costs import COSTS
 from crowdbench.robot.measures import MEASURES
 from crowdbench.robot.network import RobotNetwork
 from crowdbench.robot.robots import ROBOTS
+from crowdbench.robot.tasks import MEASURES as FOLLOWING
 
 PAGE = (Path(__file__).parents[2] / "docs" / "robots.md").read_text()
 
@@ -54,7 +57,7 @@ def test_the_command_runs(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_tables_name_all_that_there_is() -> None:
-    for name in (*MEASURES, *COSTS, *ROBOTS, *BUILT_IN):
+    for name in (*MEASURES, *FOLLOWING, *COSTS, *get_args(Task), *ROBOTS, *BUILT_IN):
         assert f"`{name}`" in PAGE, name
 
 
