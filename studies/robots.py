@@ -101,7 +101,8 @@ def finding(ranks: Mapping[str, Mapping[str, int]]) -> str:
     tied = [pair for pair, found in orders.items() if len(found) > 1 and pair not in turned]
     sentences = [f"**What it says.** {_first(ranks)}"]
     if turned:
-        sentences.append(f"With the people, these pairs change their order: {_listed(turned)}.")
+        which = "This pair changes its" if len(turned) == 1 else "These pairs change their"
+        sentences.append(f"{which} order with the people: {_listed(turned)}.")
     if tied:
         some = f"{_word(len(tied)).capitalize()} of {len(pairs)} pairs"
         verb = "differs" if len(tied) == 1 else "differ"

@@ -9,7 +9,7 @@ def test_robots_that_change_places_with_the_people_are_named() -> None:
         "replay": {"a": 2, "b": 1, "c": 2},
     })  # fmt: skip
     assert "a among people who see nobody; b among people as recorded" in text
-    assert "these pairs change their order: a–b." in text
+    assert "This pair changes its order with the people: a–b." in text
     assert "One of 3 pairs differs significantly among some people only." in text
     assert text.endswith("holds for the people that it was measured among.")
 
