@@ -5,14 +5,14 @@
 # make coverage      the fast tests, and which share of the lines they run
 # make lint          format, lint and types
 # make results       the generated files that are stale (hours); ARGS=--plan only says which and why
-# make site          the pages of the site, in site/
+# make site          the documentation and the leaderboard as a site, in site/
 #
 # Another set of dependencies: make test VENV=.venv-imitation EXTRAS=all
 # With RLlib, about a minute:  make test VENV=.venv-rllib EXTRAS=dev,rllib ARGS="-m slow"
 
 PYTHON ?= python3
 VENV ?= .venv
-EXTRAS ?= dev,fit,minari,onnx,orca,pedpy,ray,tensorboard,torchrl,video,viewer
+EXTRAS ?= dev,fit,minari,onnx,orca,pedpy,ray,site,tensorboard,torchrl,video,viewer
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
@@ -44,9 +44,8 @@ results: ARGS =
 results: $(VENV)/dev.stamp
 	$(BIN)/python -m studies.remake $(ARGS)
 
-# Another page of the site is another line here.
 site: $(VENV)/dev.stamp
-	$(BIN)/python -m studies leaderboard --site site/leaderboard
+	$(BIN)/python -m studies site --out site
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "crowdbench needs Python 3.11 or newer; name one with make PYTHON=…")'

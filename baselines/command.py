@@ -16,9 +16,9 @@ from torch import nn
 
 from crowdbench import load_scene, spawn_model
 from crowdbench.errors import SettingError, WeightsError
-from crowdbench.files import unwritable
+from crowdbench.files import revision, unwritable
 from crowdbench.policies import OnnxPolicy, PolicyCard
-from crowdbench.policies.export import export_policy, revision
+from crowdbench.policies.export import export_policy
 from crowdbench.policies.network import read_card
 from crowdbench.registry import DEFAULT_SPAWN
 from crowdbench.run.executor import call_each, checked_workers, engine, is_local

@@ -10,7 +10,7 @@ from studies.commands.diagrams import diagrams
 from studies.commands.encounters import encounters
 from studies.commands.figures import figures
 from studies.commands.growth import growth
-from studies.commands.leaderboard import leaderboard, rescore, trip_limits
+from studies.commands.leaderboard import leaderboard, rescore, site, trip_limits
 from studies.commands.paper import paper
 from studies.commands.results import results
 from studies.commands.speed import speed
@@ -27,7 +27,7 @@ TRAININGS = (
 )
 CHECKS = (checks.busy_steps, checks.ray_cluster)
 app = new_app("python -m studies", "Studies of crowdbench, and the pages of its leaderboard.")
-for study in (*PAGES, *TABLES, *TRAININGS, *CHECKS, leaderboard, rescore, trip_limits):
+for study in (*PAGES, *TABLES, *TRAININGS, *CHECKS, leaderboard, site, rescore, trip_limits):
     app.command(study)
 
 

@@ -45,6 +45,33 @@ def write_diagrams(folder: Path) -> list[Path]:
     return paths
 
 
+def concepts() -> str:
+    """Scene, spawn model, policy, crowd and score."""
+    parts = _box(
+        20,
+        24,
+        195,
+        100,
+        ("Scene", "bounds, walls, areas where", "people enter and leave,", "rules of motion"),
+    )
+    parts += _box(20, 184, 195, 76, ("Recording", "the people who were", "there"))
+    parts += _box(
+        265, 24, 195, 76, ("Spawn model", "who enters, when, where,", "with which goal and speed")
+    )
+    parts += _box(265, 184, 195, 76, ("Policy", "how each person walks:", "observation → action"))
+    parts += _box(510, 104, 165, 76, ("Crowd", "paths of simulated", "people"))
+    parts += _box(725, 104, 165, 76, ("Score", "1: like the recording", "0: the simple baseline"))
+    parts.append(_arrow((215, 62), (265, 62)))
+    parts.append(_arrow((460, 62), (485, 62), (485, 130), (510, 130)))
+    parts.append(_arrow((460, 222), (485, 222), (485, 154), (510, 154)))
+    parts.append(_arrow((675, 142), (725, 142)))
+    parts.append(_arrow((117, 184), (117, 124)))
+    parts.append(_text(127, 158, "areas and speeds", "soft", "start"))
+    parts.append(_arrow((117, 260), (117, 284), (807, 284), (807, 180)))
+    parts.append(_text(462, 279, "the same metrics of both", "soft"))
+    return _svg(910, 304, "Scene, spawn model, policy, crowd and score", parts)
+
+
 def step() -> str:
     """The order of a step, and the stages of a person."""
     order = (
@@ -267,6 +294,7 @@ def submission() -> str:
 
 
 DIAGRAMS: dict[str, Callable[[], str]] = {
+    "concepts": concepts,
     "step": step,
     "social-1": social,
     "splits": splits,

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 
 from cyclopts import Group
 
-from crowdbench import __version__
 from crowdbench.cli import data, leaderboard, policy, scene, spawn, submit
 from crowdbench.cli.evaluate import evaluate, score
 from crowdbench.cli.exam import exam
 from crowdbench.cli.robots import robots
 from crowdbench.cli.running import new_app, run
+from crowdbench.cli.version import described_version
 from crowdbench.cli.view import record, view
 
 _USE, _MAKE, _PUBLISH = (
@@ -26,7 +26,7 @@ _USE, _MAKE, _PUBLISH = (
 app = new_app(
     "crowdbench",
     "A benchmark for crowd simulation with realistic arrivals.",
-    version=f"crowdbench {__version__}",
+    version=described_version,
 )
 for command in (evaluate, exam, robots, score, view, record):
     app.command(command, group=_USE)

@@ -53,8 +53,9 @@ def export(network: str, file: Path, /, *, noise: int = 0, of: _Card) -> None:
         noise: standard normal numbers that the network takes per person and step. For a zip: 0 for
             the mean action, 2 to sample it
     """
+    from crowdbench.files import revision
     from crowdbench.policies import PolicyCard
-    from crowdbench.policies.export import export_policy, revision
+    from crowdbench.policies.export import export_policy
     from crowdbench.simulation.observations import OBSERVATION
 
     find_own_code()  # a zip may name classes of the user's own

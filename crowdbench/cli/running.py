@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from inspect import BoundArguments
 
@@ -12,7 +12,11 @@ from crowdbench.errors import CrowdbenchError
 from crowdbench.run.processes import LOCAL, Stopped, stopping_in_order
 
 
-def new_app(name: str, help: str, version: str | None = None) -> App:  # noqa: A002
+def new_app(
+    name: str,
+    help: str,  # noqa: A002
+    version: Callable[[], str] | None = None,
+) -> App:
     """A program (which has a version) or a group of commands.
 
     Options that are sequences take all words up to the next option, at least one. Of an option that

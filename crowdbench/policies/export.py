@@ -205,17 +205,3 @@ def _onnx(
     entry.key, entry.value = KEY, msgspec.json.encode(card).decode()
     data: bytes = model.SerializeToString(deterministic=True)
     return data
-
-
-def revision(folder: Path) -> str:
-    """Git revision of a folder, with `-dirty` if files were changed; empty outside git."""
-    try:
-        done = subprocess.run(
-            ["git", "-C", str(folder), "describe", "--always", "--abbrev=12", "--dirty"],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-    except OSError:
-        return ""
-    return done.stdout.strip() if done.returncode == 0 else ""

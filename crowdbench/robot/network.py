@@ -158,7 +158,8 @@ def export_robot(
         WeightsError: the network does not fit the observation, or cannot be exported.
         OutputError: `path` cannot be written.
     """
-    from crowdbench.policies.export import export_policy, revision
+    from crowdbench.files import revision
+    from crowdbench.policies.export import export_policy
 
     config, scene = worlds.config, worlds.scene
     if config.observation not in OBSERVATIONS:

@@ -1,4 +1,4 @@
-"""`python -m studies leaderboard`, `rescore`, `trip-limits`: for the leaderboard's maintainers."""
+"""`python -m studies leaderboard`, `site`, `rescore`, `trip-limits`: for maintainers."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +24,19 @@ def leaderboard(*, root: Path = Path("leaderboard"), site: Path | None = None) -
 
     written = build(root, site)
     print(f"{len(written)} files written to {site or root}")
+
+
+def site(*, root: Path = Path(), out: Path = Path("site")) -> None:
+    """Write the site: all pages with a search, a reference of the API, and the leaderboard.
+
+    Args:
+        root: folder of the repository
+        out: output folder; an earlier site is replaced
+    """
+    from studies.site.documentation import build_site
+
+    build_site(root, out)
+    print(f"written to {out}: open {out}/index.html, or serve it: python -m http.server -d {out}")
 
 
 def rescore(

@@ -13,8 +13,7 @@ from crowdbench.data.preprocessing import paper_preprocessed
 from crowdbench.data.storage import read_own
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import OutputError
-from crowdbench.files import read_struct, replacing, write_json, write_text
-from crowdbench.policies.export import revision
+from crowdbench.files import read_struct, replacing, revision, write_json, write_text
 from crowdbench.registry import raw_recording_of, recording_of, spawn_model
 from crowdbench.report.plots.plot_data import PlotData
 from crowdbench.run.executor import checked_workers

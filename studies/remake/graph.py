@@ -18,6 +18,9 @@ from studies.remake.lock import Line, file_hash, read_lock, write_lock
 
 PROGRAMS = {"python": [sys.executable], "crowdbench": [sys.executable, "-m", "crowdbench"]}
 
+AGAIN = "to be made again"
+"""Words of a reason to keep a result that does not follow from its inputs any more."""
+
 
 @dataclass(frozen=True)
 class Result:
@@ -155,7 +158,8 @@ def _run(result: Result) -> float:
 def keep(results: Sequence[Result], lock: Path, reason: str) -> list[str]:
     """Record that changes of code changed no result; returns the names of what was recorded.
 
-    A result that is not in the lock is recorded too, as made before.
+    A result that is not in the lock is recorded too, as made before. What was kept although it is
+    to be made again (`AGAIN` in its reason) keeps that reason.
 
     Raises:
         SettingError: something else than code has changed; then nothing is recorded.
@@ -168,7 +172,8 @@ def keep(results: Sequence[Result], lock: Path, reason: str) -> list[str]:
             refused.append(f"{result.name} ({', '.join(wrong)})")
         elif reasons:
             cpu_s, numbers = line.cpu_s if line else None, result.headline()
-            lines[result.name] = Line(result.name, result.inputs(), made, cpu_s, reason, numbers)
+            why = line.kept if line and AGAIN in line.kept else reason
+            lines[result.name] = Line(result.name, result.inputs(), made, cpu_s, why, numbers)
             kept.append(result.name)
     if refused:
         raise SettingError(

@@ -7,19 +7,22 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cyclopts import App
 
 from crowdbench import __version__, recording_of, rollout
-from crowdbench.cli import app, main
+from crowdbench.cli import app, main, version
 from crowdbench.cli.leaderboard import SandboxLimits
 from crowdbench.cli.options import OwnFile
 from crowdbench.crowds import score
 from crowdbench.data.recordings.catalogue import SOURCES
 from crowdbench.data.storage import read, write_csv
+from crowdbench.files import revision
 from crowdbench.registry.spawn_models import SPAWN_MODELS
 from crowdbench.scene import list_scenes, load_scene
 from crowdbench.spawn.plaza import STOPPING
@@ -295,8 +298,32 @@ def started(*arguments: str) -> "subprocess.Popen[str]":
 
 def test_it_runs_as_a_module() -> None:
     process = started("--version")
-    assert process.communicate()[0] == f"crowdbench {__version__}\n"
+    assert process.communicate()[0].startswith(f"crowdbench {__version__}")
     assert process.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("told", "commit"),
+    [
+        ('{"vcs_info": {"vcs": "git", "commit_id": "0123456789abcdef"}}', " (0123456789ab)"),
+        ('{"url": "file:///x", "dir_info": {}}', ""),
+        (None, ""),
+        ("[]", ""),
+    ],
+)
+def test_the_version_tells_the_commit(
+    told: str | None, commit: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(version, "_ROOT", tmp_path)
+    installed = SimpleNamespace(read_text=lambda name: told)
+    monkeypatch.setattr(metadata, "distribution", lambda name: installed)
+    assert version.described_version() == f"crowdbench {__version__}{commit}"
+
+
+def test_the_version_of_a_clone_tells_its_commit() -> None:
+    said = version.described_version()
+    commit = revision(version._ROOT)
+    assert said == f"crowdbench {__version__}" + (f" ({commit})" if commit else "")
 
 
 def test_a_process_ends_with_exit_code_2_and_no_traceback() -> None:

@@ -89,6 +89,16 @@ def test_changes_of_code_can_be_kept_with_a_reason_and_no_others() -> None:
     assert read_lock(LOCK)["b"] == line
 
 
+def test_what_is_to_be_made_again_keeps_its_reason() -> None:
+    made(chain())
+    keep(chain("2"), LOCK, "Has other inputs; to be made again")
+    keep(chain("3"), LOCK, "Names alone")
+    assert read_lock(LOCK)["b"].kept == "Has other inputs; to be made again"
+    Path("a.txt").write_text("three")
+    made(chain("3"))
+    assert read_lock(LOCK)["b"].kept == ""
+
+
 def test_what_was_there_before_the_lock_is_kept_and_what_is_missing_is_not() -> None:
     for name in ("b.txt", "c.txt"):
         Path(name).write_text("one\n")
