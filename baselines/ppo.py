@@ -24,7 +24,7 @@ from functools import partial
 
 import numpy as np
 
-from crowdbench import Reward, spawn_model
+from crowdbench import Reward, reference_rewards, spawn_model
 from crowdbench.errors import CrowdbenchError, SettingError
 from crowdbench.registry import DEFAULT_SPAWN
 from crowdbench.scene import Scene
@@ -378,12 +378,27 @@ def command_line() -> argparse.ArgumentParser:
 
 def learn(split: str, command: Command, settings: PpoSettings) -> str:
     """Train and write the policy of a split; return a line about it."""
+    print(f"reward per step of others: {_others(command.scene, settings, split)}", flush=True)
     with command.progress(split, settings.frames, "frames", "agent-steps") as progress:
         for last in train(command.scene, settings, split=split):
             progress(last.frames, last.steps, last.figures)
     network = GaussianSampler(last.network).to("cpu")
     path = command.write(split, network, observation=settings.observation, noise=NOISE)
     return str(command.walk(path, settings.spawn))
+
+
+def _others(scene: str | Scene, settings: PpoSettings, split: str) -> str:
+    """What shipped policies earn in the environment of a training."""
+    earned = reference_rewards(
+        scene,
+        spawn=spawn_model(settings.spawn, scene, split),
+        max_alive=settings.max_alive,
+        on_full="drop",
+        horizon_s=settings.horizon_s,
+        observation=settings.observation,
+        seed=settings.seed,
+    )
+    return ", ".join(f"{name} {each.per_step:.3g}" for name, each in earned.items())
 
 
 def main(arguments: list[str] | None = None) -> int:

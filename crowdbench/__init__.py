@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from crowdbench.envs.demonstrations import Demonstrations, demonstrations
     from crowdbench.envs.parallel_env import CrowdParallelEnv, aec_env, parallel_env
     from crowdbench.envs.person_env import PersonEnv, person_env
+    from crowdbench.envs.reference_rewards import reference_rewards
     from crowdbench.errors import CrowdbenchError
     from crowdbench.evaluation import evaluate
     from crowdbench.metrics import METRICS, MetricResult, distance
@@ -57,6 +58,7 @@ _HOME = {
     "envs.demonstrations": ("Demonstrations", "demonstrations"),
     "envs.parallel_env": ("CrowdParallelEnv", "aec_env", "parallel_env"),
     "envs.person_env": ("PersonEnv", "person_env"),
+    "envs.reference_rewards": ("reference_rewards",),
     "errors": ("CrowdbenchError",),
     "evaluation": ("evaluate",),
     "robot.config": ("RobotConfig", "RobotReward"),
@@ -80,8 +82,9 @@ __all__ = [
     "MetricResult", "PersonEnv", "Reward", "Robot", "RobotConfig", "RobotEnv", "RobotReward",
     "Scene", "Trajectories", "aec_env", "demonstrations", "distance", "engine", "evaluate",
     "list_policies", "list_scenes", "list_spawn_models", "load_scene", "parallel_env",
-    "person_env", "policy", "read", "read_own", "recording", "recording_of", "register",
-    "robot_env", "rollout", "score", "score_rollouts", "spawn_model", "write_parquet",
+    "person_env", "policy", "read", "read_own", "recording", "recording_of",
+    "reference_rewards", "register", "robot_env", "rollout", "score", "score_rollouts",
+    "spawn_model", "write_parquet",
 ]  # fmt: skip
 
 

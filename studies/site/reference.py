@@ -17,7 +17,7 @@ TITLES = {
 MODULES = {
     "reference/envs.md": (
         "envs.config", "envs.parallel_env", "envs.person_env", "envs.torchrl_env", "envs.vec_env",
-        "envs.demonstrations",
+        "envs.demonstrations", "envs.reference_rewards",
     ),
     "reference/robot.md": (
         "robot.config", "robot.robots", "robot.env", "robot.vector_env", "robot.sb3",

@@ -73,6 +73,13 @@ def test_the_table_of_contents_lists_every_page() -> None:
     assert {p.resolve() for p in PAGES} - {DOCS / "README.md"} <= listed
 
 
+def test_the_rewards_to_compare_with_are_those_of_the_page(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run_example("reinforcement-learning.md", "reference_rewards")
+    assert capsys.readouterr().out in page("reinforcement-learning.md")
+
+
 def test_the_examples_of_the_page_on_environments_run_in_their_order() -> None:
     world: dict[str, Any] = {}
     first, *others = pages.blocks(page("environment.md"), "python")
