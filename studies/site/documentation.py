@@ -100,6 +100,9 @@ def _assemble(root: Path, pages: Path) -> None:
     sources: set[str] = set()
     for path in _read(root):
         text = _linked(root, path, sources)
+        if path.endswith(".ipynb"):
+            link = f"[Download this notebook]({Path(path).name}){{ download }}"
+            text = text.replace("\n\n", f"\n\n{link}\n\n", 1)
         _write(pages / place_of(path), text)
     for path in sorted(sources):
         language = LANGUAGES.get(Path(path).suffix, "text")
@@ -123,7 +126,7 @@ def _leaderboard(root: Path, folder: Path) -> None:
 def _read(root: Path) -> Iterator[str]:
     """Paths of all pages in the repository."""
     yield from (path for path in PAGES if path.endswith(".md"))
-    for path in sorted((root / "docs").rglob("*.md")):
+    for path in sorted([*(root / "docs").rglob("*.md"), *(root / "docs").rglob("*.ipynb")]):
         name = path.relative_to(root).as_posix()
         if name not in PAGES:
             yield name
@@ -136,7 +139,7 @@ def place_of(path: str) -> str:
     if path.startswith(SUBMISSION):
         return f"leaderboard/pages/{path.removeprefix(SUBMISSION)}.html"
     if path.startswith("docs/"):
-        return path.removeprefix("docs/")
+        return path.removeprefix("docs/").replace(".ipynb", ".md")
     return f"{SOURCE}/{path.lstrip('.')}.md"  # MkDocs hides what begins with a dot
 
 
@@ -161,12 +164,27 @@ def _linked(root: Path, path: str, sources: set[str]) -> str:
             sources.add(target)
         return f"{found['before']}{relpath(place, here or '.')}{rest}"
 
-    text = _BADGE.sub("", (root / path).read_text(encoding="utf-8"))
+    text = _BADGE.sub("", _text(root / path))
     parts, end = [], 0
     for fence in _FENCE.finditer(text):  # code has no links
         parts += [_LINK.sub(link, text[end : fence.start()]), fence[0]]
         end = fence.end()
     return "".join([*parts, _LINK.sub(link, text[end:])])
+
+
+def _text(path: Path) -> str:
+    """The Markdown of a page; of a notebook, with its code in blocks."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix != ".ipynb":
+        return text
+    cells = msgspec.json.decode(text)["cells"]
+    parts = []
+    for cell in cells:
+        source = "".join(cell["source"])
+        code = cell["cell_type"] == "code"
+        language = "sh" if source.startswith(("!", "%")) else "python"
+        parts.append(f"```{language}\n{source.lstrip('!%')}\n```" if code else source)
+    return "\n\n".join(parts) + "\n"
 
 
 def _write(path: Path, text: str) -> None:

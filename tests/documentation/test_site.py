@@ -57,6 +57,9 @@ def test_all_pages_and_public_names_are_there(site: Path) -> None:
     for page in (ROOT / "docs").rglob("*.md"):
         path = page.relative_to(ROOT).as_posix()
         assert (site / place_of(path)).with_suffix(".html").is_file(), path
+    for book in (ROOT / "docs" / "notebooks").glob("*.ipynb"):
+        assert (site / "notebooks" / book.name).is_file()
+        assert "<code>" in (site / "notebooks" / f"{book.stem}.html").read_text(encoding="utf-8")
     names = (site / "reference" / "crowdbench.html").read_text(encoding="utf-8")
     for name in crowdbench.__all__:
         assert re.search(rf'id="crowdbench\.(\w+\.)*{name}"', names), name
