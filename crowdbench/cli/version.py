@@ -20,7 +20,7 @@ def described_version() -> str:
 
 
 def _installed_commit() -> str:
-    """The commit that pip installed, see PEP 610; empty if it was not from a repository."""
+    """The commit that was installed, see PEP 610; empty if it was not from a repository."""
     try:
         told = metadata.distribution("crowdbench").read_text("direct_url.json")
         return str(json.loads(told or "{}").get("vcs_info", {}).get("commit_id", ""))[:12]
