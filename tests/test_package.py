@@ -148,7 +148,7 @@ def test_another_package_may_be_called_baselines(installed: Path, tmp_path: Path
     assert told.startswith("usage: python -m crowdbench.baselines.anticipate")
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_an_installed_wheel_trains_in_worker_processes(installed: Path, tmp_path: Path) -> None:
     pytest.importorskip("torchrl")
     asked = ["-m", "crowdbench.baselines.ppo", "--scene", "plaza-v0", "--splits", "fold0", "fold1"]

@@ -98,8 +98,13 @@ def test_export_refuses_what_mixes_rows_and_writes_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("act", MIXERS.values(), ids=MIXERS.keys())
+@pytest.mark.parametrize(
+    "act",
+    [
+        pytest.param(act, id=name, marks=pytest.mark.long if act is mean else pytest.mark.nightly)
+        for name, act in MIXERS.items()
+    ],
+)
 def test_submit_check_refuses_what_mixes_rows(
     act: Callable[[Tensor], Tensor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -158,8 +158,13 @@ print(json.dumps([sorted(ran), sorted(opened)]))
 """
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(("spawn", "policy"), PAIRS[:-1])
+@pytest.mark.parametrize(
+    ("spawn", "policy"),
+    [
+        pytest.param(*pair, marks=pytest.mark.long if k % 3 == 0 else pytest.mark.nightly)
+        for k, pair in enumerate(PAIRS[:-1])
+    ],
+)
 def test_all_that_runs_and_all_that_is_read_is_in_the_fingerprint(spawn: str, policy: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", RUN, spawn, policy], capture_output=True, text=True, check=True
