@@ -37,7 +37,7 @@ def another_day(text: str) -> str:
     return f"% Total number of trajectories in file are  {len(tracks)} \n" + "\n".join(tracks)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.usefixtures("no_report", "unadjusted", "brief_networks")
 def test_a_scene_of_another_day_is_made_by_the_command_of_the_page(
     tmp_path: Path,

@@ -504,9 +504,9 @@ def test_the_command_line_writes_and_shows_them(
     assert "full of plaza-v0" in shown
     assert "lidar-2, 32 rays of 10 m (38 numbers)" in shown
     assert "python slow_walkers.py" in shown
-    evaluate = ["evaluate", "plaza-v0", "--policy", "slow.onnx", "--seeds", "1", "--out", "out"]
-    assert main(evaluate) == 0
-    assert "ntpp-gmm × slow\n" in capsys.readouterr().out
+    pair = ["--spawn", "poisson-gmm", "--policy", "slow.onnx", "--seeds", "1"]
+    assert main(["evaluate", "plaza-v0", *pair, "--out", "out"]) == 0
+    assert "poisson-gmm × slow\n" in capsys.readouterr().out
     report = Path("out/report.html").read_text()
     assert "× slow</" in report
     assert "--policy slow.onnx" in report  # what makes it anew

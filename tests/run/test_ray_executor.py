@@ -119,7 +119,7 @@ cluster.shutdown()
     assert "free: 2.0 alive: 2" in out
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_an_evaluation_has_the_bytes_of_one_core(tmp_path: Path) -> None:
     out = run(
         """
@@ -158,7 +158,7 @@ def test_the_collectors_of_the_page_collect(tmp_path: Path) -> None:
     assert out.count(" steps, reward ") == 4
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_submissions_are_verified_on_a_cluster(tmp_path: Path) -> None:
     for name in ("good", "bad"):
         shipped = 'shipped_policy = "straight"' if name == "good" else 'shipped_policy = "nobody"'

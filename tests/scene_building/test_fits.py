@@ -158,7 +158,7 @@ def test_neural_fits_are_made_for_every_part_and_told_of(plaza: Case, tmp_path: 
         assert all(np.array_equal(one.weights[n], round_again.weights[n]) for n in SHAPES)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.usefixtures("unadjusted")
 def test_two_workers_write_what_one_writes(plaza: Case, tmp_path: Path) -> None:
     for workers in (1, 2):

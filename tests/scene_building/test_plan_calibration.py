@@ -71,7 +71,7 @@ def fitted(crowd: Trajectories, blocks: TimeBlocks) -> PlannedAreas:
     return fit_plans(crowd, blocks, read_areas(PLAZA))
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_samples_of_a_model_have_companions_like_those_recorded(
     fitted: PlannedAreas, crowd: Trajectories, blocks: TimeBlocks
 ) -> None:

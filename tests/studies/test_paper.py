@@ -128,7 +128,7 @@ def tables(text: str, heading: str) -> list[list[str]]:
     return [[c.strip() for c in line.strip("|").split("|")] for line in block.splitlines()[2:]]
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 class TestPage:
     def test_every_claim_has_a_verdict_and_its_reasons(self, made: Study) -> None:
         text = made.page.read_text(encoding="utf-8")

@@ -63,6 +63,7 @@ NAMES = [
 ]
 
 
+@pytest.mark.nightly
 def test_each_figure_is_printed_and_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
