@@ -27,12 +27,12 @@ Driven = tuple[RobotEpisode, Mapping[str, float]]
 def write_pictures(
     folder: Path, found: Mapping[str, Comparison], people: Mapping[str, str], scene: Scene
 ) -> None:
-    """Write `success.svg` and `episode.png`.
+    """Write `success.png` and `episode.png`.
 
     `found` maps kinds of people to comparisons, and `people` to what they are called.
     """
     names = [of.controller for of in next(iter(found.values())).results]
-    drawn = {"success.svg": success(found, people), "episode.png": episode(scene, names)}
+    drawn = {"success.png": success(found, people), "episode.png": episode(scene, names)}
     for name, data in drawn.items():
         with replacing(folder / name) as temporary:
             temporary.write_bytes(data)
@@ -53,7 +53,7 @@ def success(found: Mapping[str, Comparison], people: Mapping[str, str]) -> bytes
         axes[0].set_ylabel("share of episodes with success")
         axes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5)
 
-    return picture(draw, width=7.0, height=3.6)
+    return picture(draw, width=7.0, height=3.6, kind="small png")
 
 
 def episode(scene: Scene, names: Sequence[str]) -> bytes:

@@ -29,7 +29,7 @@ Controllers share a rank unless they differ significantly. [Robots](robots.md) e
 and measures.
 People enter as `{spawn}` says, those who walk as recorded also when they were recorded.
 
-![shares of success](robots/success.svg)
+![shares of success](robots/success.png)
 
 {finding}
 

@@ -27,6 +27,11 @@ class Earned(NamedTuple):
     per_trip: float
     """Over all trips that began and ended in that time, as Stable-Baselines3's `ep_rew_mean`."""
 
+    @classmethod
+    def of(cls, reward: float, steps: int, of_trips: float, trips: int) -> "Earned":
+        """The means of two sums; NaN where there was no step, or no trip."""
+        return cls(reward / steps if steps else np.nan, of_trips / trips if trips else np.nan)
+
 
 def reference_rewards(
     scene: str | Path | Scene,
@@ -40,6 +45,8 @@ def reference_rewards(
 ) -> dict[str, Earned]:
     """What policies earn in an environment of these settings, each of them alone.
 
+    A mean is NaN if nobody came, or no trip ended, in that time.
+
     Args:
         scene: an id from `list_scenes()`, a folder with a `scene.toml`, or a `Scene`.
         config: the settings of the environment, by default those of `EnvConfig()`.
@@ -51,7 +58,7 @@ def reference_rewards(
 
     Raises:
         SceneError, SettingError, WeightsError, RecordingError: a scene, policy, model or recording
-            does not exist or does not fit, or nobody comes in that time.
+            does not exist or does not fit.
     """
     check_count("worlds", worlds)
     if not 0 < seconds < np.inf:
@@ -86,10 +93,4 @@ def _earned(
         ended, trips = ended + float(collected[over].sum()), trips + int(over.sum())
         collected[slots.spawned] = 0.0
         whole = (whole & (slots.ended == 0)) | slots.spawned
-    if not trips:
-        raise SettingError(
-            "seconds",
-            got=f"{seconds:g}, in which no trip of {crowd.spawn.name} ended",
-            expected="a longer time",
-        )
-    return Earned(sums / steps, ended / trips)
+    return Earned.of(sums, steps, ended, trips)

@@ -49,7 +49,7 @@ def build_site(root: Path, out: Path) -> None:
 
     Raises:
         SettingError: MkDocs is not installed, a page has a link to nothing, or `out` contains
-            something else than a site.
+            something else than a site; or `root` is not the repository.
         OutputError: the folder cannot be written.
     """
     if find_spec("mkdocs") is None:
@@ -58,6 +58,10 @@ def build_site(root: Path, out: Path) -> None:
             got="no MkDocs",
             expected="its installation",
             hint='Run pip install -c constraints.txt -e ".[site]".',
+        )
+    if not (root / "docs" / "README.md").is_file():
+        raise SettingError(
+            root, got="a folder without docs/README.md", expected="the repository's folder"
         )
     if out.exists() and any(out.iterdir()) and not (out / "sitemap.xml").is_file():
         raise SettingError(

@@ -92,6 +92,12 @@ def test_a_link_to_nothing_is_an_error_and_keeps_the_former_site(tmp_path: Path)
     assert (out / "sitemap.xml").read_text() == "former"
 
 
+def test_another_folder_is_no_repository(tmp_path: Path) -> None:
+    needs_mkdocs()
+    with pytest.raises(SettingError, match=r"without docs/README\.md"):
+        build_site(tmp_path, tmp_path / "site")
+
+
 def test_other_files_are_not_replaced(tmp_path: Path) -> None:
     needs_mkdocs()
     (tmp_path / "thesis.tex").write_text("years of work")

@@ -9,6 +9,7 @@ import pytest
 from conftest import need_sb3
 
 from crowdbench.cli import main
+from crowdbench.cli.robots import Task as CommandTask
 from crowdbench.robot.config import Task
 from crowdbench.robot.controllers import BUILT_IN
 from crowdbench.robot.costs import COSTS
@@ -54,6 +55,10 @@ def test_the_command_runs(capsys: pytest.CaptureFixture[str]) -> None:
     quick = command.replace("eth-v0", "plaza-v0").replace("500", "2")
     assert main([*shlex.split(quick)[1:], "--workers", "1"]) == 0
     assert "dwa" in capsys.readouterr().out
+
+
+def test_the_command_has_the_tasks_of_the_environment() -> None:
+    assert get_args(CommandTask) == get_args(Task)
 
 
 def test_the_tables_name_all_that_there_is() -> None:
