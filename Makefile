@@ -20,6 +20,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 
 evaluate: $(VENV)/core.stamp
 	$(BIN)/crowdbench evaluate eth-v0 --out results/eth
+	$(BIN)/crowdbench evaluate plaza-v0 --quick --out results/plaza
 
 ARGS ?= -n auto --dist loadgroup
 

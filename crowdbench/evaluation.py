@@ -19,7 +19,13 @@ from crowdbench.files import unwritable, write_json
 from crowdbench.metrics import METRICS
 from crowdbench.plugins import add_metric
 from crowdbench.progress import ROLLOUTS
-from crowdbench.registry import has_recording
+from crowdbench.registry import (
+    ANY_PLACE,
+    has_recording,
+    list_policies,
+    list_spawn_models,
+    recording_of,
+)
 from crowdbench.run.executor import checked_workers
 from crowdbench.run.jobs import Job, Pair, plan, splits_of
 from crowdbench.run.judge import judge
@@ -35,9 +41,10 @@ SHOWN = 6
 """Number of rollouts per pair of spawn model and policy that a report is given."""
 RESULTS = ("scorecard.json", "run.json", "report.html")
 """Files that are removed before the first rollout, because they would not fit it."""
-SPAWN = ("poisson-gmm", "renewal-gmm", "ntpp-gmm")
-POLICY = ("straight", "social-force")
-"""The spawn models and policies that are evaluated by default."""
+SPAWN = ("poisson-gmm", "ntpp-gmm", "cox-plans")
+POLICY = ("straight", "social-force", "anticipate")
+"""The spawn models and policies that are evaluated by default: simple ones, and the best that ship.
+Where `anticipate` was not trained, `anticipate-any` walks."""
 
 
 def evaluate(
@@ -57,7 +64,8 @@ def evaluate(
 ) -> Scorecard:
     """Evaluate each spawn model with each policy on a scene, all given by name.
 
-    Without names, the spawn models are `SPAWN` and the policies `POLICY`.
+    Without names, the spawn models are those of `SPAWN` that are fitted to the scene, and the
+    policies `POLICY`.
 
     Worker processes read the scene's files again, so a loaded scene is used by its folder.
 
@@ -106,10 +114,10 @@ def evaluate(
     scale = read_anchors(place).protocols[protocol]
     only_policy = quick and policy is not None and spawn is None
     if spawn is None:
-        spawn = "replay" if only_policy else SPAWN
-        policy = POLICY if policy is None else policy
+        spawn = "replay" if only_policy else usual_spawn_models(place)
+        policy = usual_policies(place) if policy is None else policy
     elif policy is None:
-        policy = POLICY[:1] if quick else POLICY
+        policy = POLICY[:1] if quick else usual_policies(place)
     pairs = _pairs(place, _listed(spawn), _listed(policy))
     if seeds is None:
         per_fit = 2 if quick else place.protocol.rollouts_per_fit
@@ -151,6 +159,17 @@ def evaluate(
     return card
 
 
+def usual_spawn_models(scene: Scene) -> list[str]:
+    """The spawn models of `SPAWN` that a scene has; all of them if it has none."""
+    return [name for name in SPAWN if name in list_spawn_models(scene)] or [*SPAWN]
+
+
+def usual_policies(scene: Scene) -> list[str]:
+    """The policies of `POLICY`, with one for any place instead of those that a scene lacks."""
+    known = list_policies(scene)
+    return [name if name in known else ANY_PLACE for name in POLICY]
+
+
 def publish(
     card: Scorecard, scene: Scene, reference: Reference, jobs: Sequence[Job], out: Path
 ) -> None:
@@ -159,7 +178,8 @@ def publish(
 
     shown = [job for job in jobs if _is_first(job, card.protocol, SHOWN)]
     crowds = {(job.spawn, job.policy, job.seed): read_own(job.path) for job in shown}
-    write_report(card, scene, reference, crowds, out)
+    recording = recording_of(scene) if has_recording(scene) else None
+    write_report(card, scene, reference, crowds, out, recording=recording)
 
 
 def _is_first(job: Job, protocol: Protocol, number: int) -> bool:

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from crowdbench.cli.running import new_app, run
 from studies.commands import checks, tables, trainings
 from studies.commands.cheats import cheats
-from studies.commands.diagrams import diagrams
+from studies.commands.diagrams import diagrams, moving_picture
 from studies.commands.encounters import encounters
 from studies.commands.figures import figures
 from studies.commands.growth import growth
-from studies.commands.leaderboard import leaderboard, rescore, site, trip_limits
+from studies.commands.leaderboard import clips, leaderboard, rescore, site, trip_limits
 from studies.commands.paper import paper
 from studies.commands.results import results
 from studies.commands.speed import speed
@@ -26,8 +26,9 @@ TRAININGS = (
     *(trainings.without_reward_parts, trainings.runners, trainings.training_speed),
 )
 CHECKS = (checks.busy_steps, checks.ray_cluster)
+SHOWN = (moving_picture, leaderboard, clips, site)
 app = new_app("python -m studies", "Studies of crowdbench, and the pages of its leaderboard.")
-for study in (*PAGES, *TABLES, *TRAININGS, *CHECKS, leaderboard, site, rescore, trip_limits):
+for study in (*PAGES, *TABLES, *TRAININGS, *CHECKS, *SHOWN, rescore, trip_limits):
     app.command(study)
 
 

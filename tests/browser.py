@@ -50,14 +50,19 @@ class Browser:
         message, self._rest = self._rest.split(b"\0", 1)
         return dict(json.loads(message))
 
-    def open(self, path: Path, *, width: int = 1280, height: int = 900, **media: str) -> None:
-        """Load a page and wait until it is there; `media` are features such as a colour scheme."""
+    def open(
+        self, path: Path, at: str = "", *, width: int = 1280, height: int = 900, **media: str
+    ) -> None:
+        """Load a page and wait until it is there.
+
+        `at` is a fragment such as `#scores`, `media` are features such as a colour scheme.
+        """
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
         self.ask("Emulation.setDeviceMetricsOverride", **size)
         features = [{"name": k.replace("_", "-"), "value": v} for k, v in media.items()]
         self.ask("Emulation.setEmulatedMedia", features=features)
         self.events.clear()
-        self.ask("Page.navigate", url=path.as_uri())
+        self.ask("Page.navigate", url=f"{path.as_uri()}{at}")
         while not self.said("Page.loadEventFired"):
             self.events.append(self._read())
 

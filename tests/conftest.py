@@ -123,7 +123,7 @@ def home(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPat
 @pytest.fixture
 def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Evaluations in this process write no report, which takes longer than their rollouts."""
-    monkeypatch.setattr("crowdbench.report.html.write_report", lambda *of: None)
+    monkeypatch.setattr("crowdbench.report.html.write_report", lambda *of, **more: None)
 
 
 @pytest.fixture

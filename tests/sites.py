@@ -62,7 +62,7 @@ def hostile(text: str, status: str = "ranked") -> Entry:
     drawn = {text: msgspec.structs.replace(curve, x_label=text, y_label=text)}
     declared = msgspec.structs.replace(
         entry.declared,
-        name=text, authors=[text, text], contact=text, link=text, licence=text,
+        name=text, authors=[text, text], contact=text, link=text, licence=text, date=text,
         shipped_policy=text, shipped_spawn=text,
         training=msgspec.structs.replace(entry.declared.training, data=text),
     )  # fmt: skip

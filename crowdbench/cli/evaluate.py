@@ -42,11 +42,11 @@ def evaluate(
         spawn: spawn models: poisson-gmm, poisson-groups, renewal-gmm, ntpp-gmm, cox-gmm,
             poisson-paper and ntpp-paper (single people); poisson-plans, ntpp-plans and cox-plans
             (people with companions and stops); block-replay, replay; a folder with the fits of one
-            model, or pkg.module:Class (default: poisson-gmm, renewal-gmm and ntpp-gmm)
+            model, or pkg.module:Class (default: poisson-gmm, ntpp-gmm and cox-plans)
         policy: policies: straight, social-force, speed-model, random, anticipate-any, replay and
             recorded-paths (these two with the spawn model replay), those that come with the scene,
             FILE.onnx, a folder with such a file for each fold, or pkg.module:Class (default:
-            straight and social-force)
+            straight, social-force and anticipate, or anticipate-any where that does not ship)
         metric: additional metrics of your own, pkg.module:Class (see `crowdbench scene metrics`)
         scenario: TOML file that changes rates, goals and areas of each spawn model without
             retraining
@@ -62,7 +62,7 @@ def evaluate(
         out: output folder (default: results/SCENE-DATE-TIME)
         view: show the first rollout of each pair in the viewer at the end
     """
-    from crowdbench.evaluation import SPAWN
+    from crowdbench.evaluation import usual_spawn_models
     from crowdbench.report.text.scorecards import print_card
     from crowdbench.scoring.ranking import score_rows
 
@@ -72,11 +72,12 @@ def evaluate(
 
         check_screen()
     out = out or Path("results") / f"{Path(scene).name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    asked = spawn or (usual_spawn_models(crowdbench.load_scene(scene)) if scenario else [])
     with json_written(json) as write:
         with progress_bar("rollouts"):
             card = crowdbench.evaluate(
                 scene,
-                spawn=[f"{s}+{scenario}" for s in spawn or SPAWN] if scenario else spawn,
+                spawn=[f"{s}+{scenario}" for s in asked] if scenario else spawn,
                 policy=policy,
                 metric=metric,
                 protocol=protocol,

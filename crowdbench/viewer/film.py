@@ -60,7 +60,7 @@ def record(
     if write is _write_mp4:
         _check_ffmpeg()
     with replacing(path) as temporary:
-        write(_pictures(crowd, scene, frames, progress), fps, temporary)
+        write(drawn(crowd, scene, frames, progress), fps, temporary)
 
 
 def _frames(crowd: Trajectories, from_s: float, length_s: float) -> range:
@@ -79,10 +79,19 @@ def _frames(crowd: Trajectories, from_s: float, length_s: float) -> range:
     return range(first, int(stop) + 1)
 
 
-def _pictures(
-    crowd: Trajectories, scene: Scene, frames: range, progress: Callable[[int, int], None]
+def drawn(
+    crowd: Trajectories,
+    scene: Scene,
+    frames: range,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    *,
+    areas: bool = True,
 ) -> Iterator[Picture]:
-    pictures, known = Pictures(scene), crowd.is_observed()
+    """A picture of each of these frames of a crowd.
+
+    `progress` is that of `record`, `areas` that of `Pictures`.
+    """
+    pictures, known = Pictures(scene, areas=areas), crowd.is_observed()
     row_frame, row_person = crowd.row_frame(), crowd.row_person()
     order = np.argsort(row_frame, kind="stable")
     starts = np.searchsorted(row_frame[order], np.arange(crowd.frames + 1))

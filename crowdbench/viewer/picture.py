@@ -90,10 +90,14 @@ def _trails(person: Indices, xy: Points, past: Past) -> Float32[np.ndarray, "n k
 
 
 class Pictures:
-    """Draws a scene's people from above on white, with x to the right and y up."""
+    """Draws a scene's people from above on white, with x to the right and y up.
 
-    def __init__(self, scene: Scene) -> None:
-        self._scene, self._canvas = scene, Canvas(scene)
+    With `areas`, it also draws the scene's areas, and where each person walks to.
+    """
+
+    def __init__(self, scene: Scene, *, areas: bool = True) -> None:
+        self._scene, self._canvas = scene, Canvas(scene, with_areas=areas)
+        self._areas = areas
 
     def draw(
         self, now: Now, ringed: Sequence[int] = (), *, observed: bool = True
@@ -107,7 +111,8 @@ class Pictures:
         radius = max(self._scene.motion.person_radius_m * self._canvas.per_m, 2.0 * FINER)
         for trail, goal, colour in zip(now.trail, now.target, colours, strict=True):
             pen.line(trail, colour, max(FINER, round(radius / 3)))
-            pen.disc(goal, 1.5 * FINER, colour)
+            if self._areas:
+                pen.disc(goal, 1.5 * FINER, colour)
         for k in range(len(now.xy)):  # companions are linked
             for other in np.flatnonzero((now.group == now.group[k]) & (now.group >= 0)).tolist():
                 if other > k:

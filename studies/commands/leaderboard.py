@@ -1,4 +1,4 @@
-"""`python -m studies leaderboard`, `site`, `rescore`, `trip-limits`: for maintainers."""
+"""`python -m studies leaderboard`, `clips`, `site`, `rescore`, `trip-limits`: for maintainers."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +24,18 @@ def leaderboard(*, root: Path = Path("leaderboard"), site: Path | None = None) -
 
     written = build(root, site)
     print(f"{len(written)} files written to {site or root}")
+
+
+def clips(entry: str, /, *, root: Path = Path("leaderboard")) -> None:
+    """Simulate a minute of an entry's crowd on each of its scenes, for its page.
+
+    Args:
+        entry: id of the entry
+        root: folder of the leaderboard, which contains submissions/
+    """
+    from studies.clips import write_clips
+
+    print(f"written to {write_clips(entry, root)}")
 
 
 def site(*, root: Path = Path(), out: Path = Path("site")) -> None:

@@ -16,6 +16,7 @@ from crowdbench.data.recordings.catalogue import SOURCES
 from crowdbench.files import sha256
 from crowdbench.leaderboard.scores import View, scores
 from crowdbench.leaderboard.submission.models import shipped_class
+from crowdbench.leaderboard.submission.submission import read_submission
 from crowdbench.leaderboard.verification.entry import read_entry
 from crowdbench.registry import FITTED, GENERATED, PLANNED, WEIGHTS
 from crowdbench.run.jobs import splits_of
@@ -23,6 +24,8 @@ from crowdbench.run.resolved import MODELS, Resolved, code_of_rollouts
 from crowdbench.scene import list_scenes, load_scene
 from crowdbench.scene_building.fit import NEURAL
 from crowdbench.scoring.scorecard import BASELINES
+from studies.clips import FILE as CLIPS
+from studies.clips import pair_of, split_of
 from studies.remake.graph import Result
 from studies.trip_limits import HONEST
 
@@ -42,6 +45,7 @@ def scenes_and_entries() -> list[Result]:
     """What scenes ship, the entries, and the pages of the leaderboard."""
     submissions = sorted(Path("leaderboard/submissions").glob("*/submission.toml"))
     entries = [_entry(path.parent) for path in submissions]
+    clips = [_clips(path.parent) for path in submissions]
     of_scenes = [result for scene in list_scenes() for result in _of_scene(scene)]
     tables = [e.outputs[0] for e in entries]
     board = Result(
@@ -51,7 +55,7 @@ def scenes_and_entries() -> list[Result]:
         files=(*tables, LIMITS),
         facts={"code": joined([code_hash("studies.site", cut=MODELS)])},
     )
-    return [*of_scenes, _limits(), *entries, board]
+    return [*of_scenes, _limits(), *entries, *clips, board]
 
 
 def _limits() -> Result:
@@ -153,6 +157,27 @@ def _entry(folder: Path) -> Result:
         files=tuple(files),
         facts=facts | {"code": joined(codes)},
         headline=lambda: _score(path),
+    )
+
+
+def _clips(folder: Path) -> Result:
+    """The clips of an entry."""
+    submission = read_submission(folder)
+    files = dict.fromkeys(str(f) for f in sorted(folder.rglob("*")) if f.is_file())
+    facts: dict[str, str] = {}
+    codes = [code_hash("studies.clips", cut=MODELS)]
+    for scene in submission.declared.scenes:
+        if pair := pair_of(submission, scene):
+            of_models, code = rollouts_of(scene, [pair], [split_of(submission)])
+            files |= of_models | {AREAS.format(scene): None}
+            facts |= facts_of(scene)
+            codes.append(code)
+    return Result(
+        f"clips/{folder.name}",
+        (f"leaderboard/{CLIPS.format(folder.name)}",),
+        (("python", "-m", "studies", "clips", folder.name),),
+        files=tuple(files),
+        facts=facts | {"code": joined(codes)},
     )
 
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 from crowdbench.code import code_hash
 from crowdbench.data.blocks import SPLITS
-from crowdbench.evaluation import POLICY, SPAWN
 from crowdbench.registry import trained_policies
 from crowdbench.run.resolved import MODELS
 from crowdbench.scene import list_scenes, load_scene
@@ -13,6 +12,7 @@ from studies.exam import POLICIES as EXAMINED
 from studies.figures import BASELINE, BEST, WALKERS
 from studies.figures import SPAWN as DRAWN
 from studies.monte_carlo import PAIRS as MONTE_CARLO
+from studies.moving_picture import CROWDS as SHOWN
 from studies.paper.study import walker_of
 from studies.plans import PAIRS as PLAN_PAIRS
 from studies.remake.declared import (
@@ -27,6 +27,7 @@ from studies.remake.declared import (
     scenes_and_entries,
 )
 from studies.remake.graph import Result
+from studies.results import POLICY, SPAWN
 from studies.robots import WALKERS as ROBOTS_AMONG
 from studies.walks import ARRIVALS, PLAIN
 
@@ -126,6 +127,14 @@ def _comparisons() -> Iterator[Result]:
             ]
             for scene in LARGE
         },
+        splits=FULL,
+    )
+    yield _page(
+        "docs/crowds",
+        ("docs/crowds.webp",),
+        [("python", "-m", "studies", "moving-picture")],
+        "studies.moving_picture",
+        {"gc-v0": SHOWN},
         splits=FULL,
     )
     yield _page(

@@ -8,7 +8,7 @@ scorecards and their rollouts: the same evaluations give the same bytes.
 from pathlib import Path
 
 from crowdbench.data.storage import read_own
-from crowdbench.evaluation import POLICY, SPAWN, evaluate
+from crowdbench.evaluation import evaluate
 from crowdbench.files import replacing, write_text
 from crowdbench.registry import has_recording, recording_of
 from crowdbench.report.plots.plot_data import PlotData
@@ -22,6 +22,10 @@ from studies.results.drawing import with_recording
 from studies.results.misses import best_of
 from studies.results.page import page
 from studies.results.pictures import draw_pictures
+
+SPAWN = ("poisson-gmm", "renewal-gmm", "ntpp-gmm")
+POLICY = ("straight", "social-force")
+"""The spawn models and policies that the pages compare."""
 
 
 def write_results(

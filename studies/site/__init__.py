@@ -6,9 +6,15 @@ ranks on the resamples that entries share.
 
 from pathlib import Path
 
+from markupsafe import Markup
+
 from crowdbench.errors import SettingError
 from crowdbench.files import read_bytes, unwritable, write_text
+from crowdbench.leaderboard.scores import View
 from crowdbench.leaderboard.verification.entry import entry_paths, shipped_leaderboard
+from crowdbench.report.html.player import Clip, fitting, player
+from crowdbench.scene import load_scene
+from studies.clips import read_clips
 from studies.site.entry_page import entry_page
 from studies.site.excerpt import with_excerpt
 from studies.site.index import index_page
@@ -18,13 +24,15 @@ from studies.site.standings import TRACKS, read_entries, standing
 RULES = "RULES.md"
 
 
-def build(root: Path, site: Path | None = None) -> list[Path]:
+def build(root: Path, site: Path | None = None, *, definitions: str = "") -> list[Path]:
     """Write the tables of the entries in `root/entries`, or with `site` the pages of a site.
 
     The tables are `README.md` and `index.html` in `root`, and those in `README.md` and
     `docs/results.md` of its parent folder, if these contain the comments of `excerpt`. They link to
     the submissions. A site has `index.html`, a page per entry, `pages/ID.html`, and the rules;
     pages of removed entries are deleted.
+
+    `definitions` is the address of the page that defines the metrics, from a page in `pages`.
 
     A folder without `RULES.md` is a preview: its entries are shown among those that come with
     crowdbench, in tables and pages in `root`, or in `site`.
@@ -56,11 +64,16 @@ def build(root: Path, site: Path | None = None) -> list[Path]:
     if site is None:
         pages[out / "README.md"] = readme(standings)
     if paged:
+        beside = [root] if not preview else [shipped, root]
+        names = [line.entry.id for each in standings for line in (*each.lines, *each.listed)]
+        clips = {n: found for n in names for r in beside if (found := read_clips(n, r)).scenes}
         rules = read_bytes((shipped if preview else root) / RULES, SettingError, "Restore it.")
         pages[out / "pages" / RULES] = rules.decode()
         for each in standings:
             for line in (*each.lines, *each.listed):
-                pages[out / "pages" / f"{line.entry.id}.html"] = entry_page(line, each)
+                pages[out / "pages" / f"{line.entry.id}.html"] = entry_page(
+                    line, each, clips, definitions=definitions
+                )
     for path, text in pages.items():
         write_text(path, text)
     for name in () if paged else ("README.md", "docs/results.md"):
@@ -75,6 +88,24 @@ def build(root: Path, site: Path | None = None) -> list[Path]:
     return list(pages)
 
 
+def players(root: Path) -> dict[str, Markup]:
+    """A player for each scene, with the crowds of the leaderboard `root`: the best ones first.
+
+    Raises:
+        WeightsError: an entry or its clips are broken.
+    """
+    entries = read_entries(root / "entries")
+    found: dict[str, list[Clip]] = {}
+    for track in ("crowd", "spawn", "walk"):
+        each = standing(track, entries)
+        for scene in each.scenes:
+            for line in each.ordered(View(scene=scene)):
+                clip = read_clips(line.entry.id, root).scenes.get(scene)
+                if clip is not None:
+                    found.setdefault(scene, []).append(clip)
+    return {scene: player(load_scene(scene), fitting(clips)) for scene, clips in found.items()}
+
+
 def _remove(path: Path) -> None:
     try:
         path.unlink()
@@ -82,4 +113,4 @@ def _remove(path: Path) -> None:
         raise unwritable(path, error) from error
 
 
-__all__ = ["build"]
+__all__ = ["build", "players"]

@@ -20,7 +20,8 @@ import msgspec
 
 from crowdbench.errors import SettingError
 from crowdbench.files import temporary_folder, unwritable
-from studies.site import build, reference
+from crowdbench.report.html.player import SCRIPT, STYLE
+from studies.site import build, players, reference
 
 PAGES = {
     "README.md": "index.md",
@@ -36,6 +37,10 @@ PAGES = {
 SUBMISSION = "leaderboard/submissions/"
 SOURCE = "source"
 """Folder of the site for files of the repository that pages link to."""
+MOVING = (
+    "Crowds of [the leaderboard](../leaderboard/index.html). Where a policy alone is ranked, "
+    "people of `cox-plans` enter: recorded arrivals are not published."
+)
 _HOME = '<a href="../index.html">crowdbench</a>'
 LANGUAGES = {".py": "python", ".toml": "toml", ".sh": "sh", ".yml": "yaml"}
 _LINK = re.compile(r"(?P<before>\]\(|(?:src|href)=\")(?P<to>[^)\"#\s]*)(?P<rest>#[^)\"\s]*)?")
@@ -114,12 +119,19 @@ def _assemble(root: Path, pages: Path) -> None:
         _write(pages / place_of(path), f"# {path}\n\n````{language}\n{code}````\n")
     for name, text in reference.pages().items():
         _write(pages / name, text)
-    _write(pages / "style.css", (Path(__file__).parent / "site.css").read_text(encoding="utf-8"))
+    for scene, shown in players(root / "leaderboard").items():
+        page = pages / "results" / f"{scene}.md"
+        if page.is_file():
+            moving = f"\n## A minute of the crowds\n\n{MOVING}\n\n{shown}\n\n## "
+            _write(page, page.read_text(encoding="utf-8").replace("\n## ", moving, 1))
+    _write(pages / "player.js", SCRIPT)
+    style = (Path(__file__).parent / "site.css").read_text(encoding="utf-8")
+    _write(pages / "style.css", style + STYLE)
 
 
 def _leaderboard(root: Path, folder: Path) -> None:
     """Write the pages of the leaderboard, whose rules are a page of the site, with links to it."""
-    build(root / "leaderboard", folder)
+    build(root / "leaderboard", folder, definitions="../../metrics.html")
     (folder / "pages" / "RULES.md").unlink()
     index = folder / "index.html"
     text = index.read_text(encoding="utf-8").replace('href="pages/RULES.md', 'href="../rules.html')
@@ -236,6 +248,7 @@ def _config(root: Path, pages: Path, site: Path) -> dict[str, Any]:
             ],
         },
         "extra_css": ["style.css"],
+        "extra_javascript": ["player.js"],
         "plugins": [
             "search",
             {"mkdocstrings": {"handlers": {"python": {"paths": [str(root)], "options": options}}}},

@@ -1,8 +1,15 @@
 """`pages/ID.html`: the page of one entry."""
 
+from collections.abc import Mapping
+
+from markupsafe import Markup
+
 from crowdbench.leaderboard.scores import View
+from crowdbench.report.html.player import SCRIPT, STYLE, Clip, player
 from crowdbench.report.html.render import html_page
 from crowdbench.report.text.words import with_interval
+from crowdbench.scene import load_scene
+from studies.clips import Clips
 from studies.site.render import html, own
 from studies.site.scene_results import scene_results
 from studies.site.standings import Line, Standing
@@ -26,8 +33,18 @@ _TRAINING = {
 }
 
 
-def entry_page(line: Line, standing: Standing) -> str:
-    """The page of an entry as HTML; `standing` is that of its track."""
+_RIVALS = 2
+"""Number of other crowds beside an entry's own."""
+
+
+def entry_page(
+    line: Line, standing: Standing, clips: Mapping[str, Clips] = {}, *, definitions: str = ""
+) -> str:
+    """The page of an entry as HTML.
+
+    `standing` is that of its track, `clips` are those of all entries by id, and `definitions` is
+    the address of the page that defines the metrics.
+    """
     entry, declared = line.entry, line.entry.declared
     scenes = [scene for scene in standing.scenes if scene in entry.scenes]  # as in all tables
     body = html(
@@ -38,7 +55,10 @@ def entry_page(line: Line, standing: Standing) -> str:
         status=_STATUS[entry.status],
         kind=_KIND[declared.kind],
         protocol=_TRAINING[declared.training.protocol],
-        results=[scene_results(name, entry) for name in scenes],
+        results=[
+            scene_results(name, entry, _player(name, line, standing, clips), definitions)
+            for name in scenes
+        ],
         scores=[
             f"{scene or 'overall'} {with_interval(line.scores[View(scene=scene)])}"
             for scene in ("", *scenes)
@@ -47,4 +67,23 @@ def entry_page(line: Line, standing: Standing) -> str:
         earlier_scenes=sorted({name for earlier in entry.history for name in earlier.scenes}),
     )
     title = f"{plain(declared.name, 80)}: crowdbench leaderboard"
-    return html_page(title, body, style=own("pages.css"))
+    moving = bool(clips.get(entry.id, Clips()).scenes)
+    style = own("pages.css") + STYLE if moving else own("pages.css")
+    return html_page(title, body, style=style, script=SCRIPT if moving else "")
+
+
+def _player(scene: str, line: Line, standing: Standing, clips: Mapping[str, Clips]) -> Markup:
+    """The entry's crowd beside those of the best others, and of the anchor."""
+
+    def clip(other: Line) -> Clip | None:
+        return clips.get(other.entry.id, Clips()).scenes.get(scene)
+
+    own_clip = clip(line)
+    if own_clip is None:
+        return Markup()
+    view = View(scene=scene)
+    others = [o for o in standing.ordered(view) if o is not line and clip(o) is not None]
+    anchors = [o for o in others if o.entry.status == "reference" and o.scores[view].value == 0]
+    best = [o for o in others if o not in anchors][: _RIVALS - len(anchors)]
+    shown = [own_clip, *(found for o in (*best, *anchors) if (found := clip(o)) is not None)]
+    return player(load_scene(scene), shown)

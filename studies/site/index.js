@@ -1,16 +1,36 @@
 // Sorting and filtering. The page contains all numbers and ranks; this script chooses what is shown.
+// The address says which filters are set: #track=walk&scene=gc-v0&family=motion.
 "use strict";
+
+const asked = new URLSearchParams(location.hash.slice(1));
 
 for (const track of document.querySelectorAll(".track")) {
   const filters = track.querySelector(".filters");
   if (!filters) continue;
+  if (asked.get("track") === track.id) {
+    for (const select of filters.querySelectorAll("select")) {
+      const value = asked.get(select.name) ?? "";
+      if ([...select.options].some((option) => option.value === value)) select.value = value;
+    }
+    track.scrollIntoView();
+  }
   filters.hidden = false;
   const tables = [...track.querySelectorAll("table")];
   for (const table of tables) {
     for (const head of table.querySelectorAll("th[data-sort]")) makeSortable(table, head);
   }
-  filters.addEventListener("change", () => show(filters, tables));
+  filters.addEventListener("change", () => {
+    show(filters, tables);
+    address(track, filters);
+  });
   show(filters, tables);
+}
+
+function address(track, filters) {
+  const set = [...filters.querySelectorAll("select")].filter((select) => select.value !== "");
+  const query = new URLSearchParams({ track: track.id });
+  for (const select of set) query.set(select.name, select.value);
+  history.replaceState(null, "", `#${set.length ? query : track.id}`);
 }
 
 function makeSortable(table, head) {

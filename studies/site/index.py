@@ -6,6 +6,7 @@ from markupsafe import Markup
 
 from crowdbench.leaderboard.submission.schema import SCENES, Track
 from crowdbench.report.html.render import html_page
+from studies.site.headline import headline
 from studies.site.render import html, own
 from studies.site.standings import Standing
 from studies.site.tables import listed_table, ranked_table
@@ -46,7 +47,9 @@ def index_page(standings: Sequence[Standing]) -> str:
     entries = [o.entry for s in standings for o in (*s.lines, *s.listed)]
     body = html(
         "index.html.j2",
-        tracks=[(each, ranked_table(each), listed_table(each)) for each in standings],
+        tracks=[
+            (each, headline(each), ranked_table(each), listed_table(each)) for each in standings
+        ],
         entries=entries,
         versions=Markup(", ").join(sorted({in_html(entry.crowdbench) for entry in entries})),
         preview=standings[0].yours is not None,

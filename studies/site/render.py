@@ -18,6 +18,7 @@ from studies.site.text import (
     plain,
     share,
     short,
+    what_link,
 )
 
 _FOLDER = Path(__file__).parent
@@ -35,6 +36,7 @@ _HTML.filters |= {
     "short": short,
     "shown_share": shown_share,
     "speed": speed,
+    "what_link": what_link,
 }
 _MARKDOWN = environment(_FOLDER / "templates", html=False)
 

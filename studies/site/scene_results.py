@@ -6,13 +6,16 @@ from crowdbench.leaderboard.scores import FAMILIES_OF, are_trajectories, gate_no
 from crowdbench.leaderboard.verification.entry import Entry
 from crowdbench.leaderboard.verification.flags import trip_limit
 from crowdbench.leaderboard.verification.soundness import FAMILY_OF
-from crowdbench.metrics import METRICS
+from crowdbench.metrics import METRICS, Metric
 from studies.site.curves import figure
 from studies.site.render import html
 
 
-def scene_results(name: str, entry: Entry) -> Markup:
-    """The section of one scene as HTML: facts, tables and plots."""
+def scene_results(name: str, entry: Entry, player: Markup, definitions: str = "") -> Markup:
+    """The section of one scene as HTML: facts, a player of crowds, tables and plots.
+
+    `definitions` is the address of the page that defines the metrics.
+    """
     scene = entry.scenes[name]
     # Families and metrics have the same order in all tables; unknown metrics are not shown.
     known = {m.name: scene.metrics[m.name] for m in METRICS if m.name in scene.metrics}
@@ -25,6 +28,9 @@ def scene_results(name: str, entry: Entry) -> Markup:
     return html(
         "scene.html.j2",
         name=name,
+        player=player,
+        definitions=definitions,
+        meanings={metric.name: meaning(metric) for metric in METRICS},
         scene=scene,
         track=declared.track,
         given=are_trajectories(entry),
@@ -38,3 +44,8 @@ def scene_results(name: str, entry: Entry) -> Markup:
         fits={n: m for _, each in shown for n, m in each.items() if any(m.splits.values())},
         figures=[figure(title, curve) for title, curve in scene.curves.items()],
     )
+
+
+def meaning(metric: Metric) -> str:
+    """The first sentence on a metric."""
+    return " ".join((metric.__doc__ or "").split("\n\n")[0].split())

@@ -39,12 +39,21 @@ def short(text: str) -> Markup:
     return in_html(text, _SHORT)
 
 
-def link(address: str) -> Markup:
-    """A link if the address is a plain https URL of at most 200 characters, else text."""
+def link(address: str, text: str = "") -> Markup:
+    """A link if the address is a plain https URL of at most 200 characters, else the address.
+
+    Its text is `text`, by default the address.
+    """
     if len(address) > 200 or not _LINK.fullmatch(address):
         return in_html(address)
-    shown = html.escape(plain(address))
-    return Markup(f'<a href="{shown}" rel="nofollow noopener">{shown}</a>')
+    to = html.escape(plain(address))
+    shown = html.escape(text) or to
+    return Markup(f'<a href="{to}" rel="nofollow noopener">{shown}</a>')
+
+
+def what_link(address: str) -> str:
+    """What an address leads to, in a word: a paper, or something else, such as code."""
+    return "paper" if re.match(r"https://(dx\.)?(doi|arxiv)\.org/", address) else "link"
 
 
 def decimals(value: float | None) -> str:

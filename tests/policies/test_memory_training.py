@@ -122,7 +122,7 @@ def trained(
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CROWDBENCH_HOME", str(folder / "home"))
         patch.chdir(folder)
-        patch.setattr("crowdbench.report.html.write_report", lambda *of: None)
+        patch.setattr("crowdbench.report.html.write_report", lambda *of, **more: None)
         import_recording("plaza")
         torch.set_num_threads(1)
         network, memory = train(request.param)

@@ -7,9 +7,8 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from crowdbench.colours import COLOURS, spawn_colours
+from crowdbench.colours import COLOURS, SPAWN_COLOURS, spawn_colours
 from crowdbench.data.blocks import TimeBlocks
-from crowdbench.evaluation import SPAWN
 from crowdbench.metrics import Place
 from crowdbench.metrics.presence import AgentsOverTime
 from crowdbench.registry import policy, spawn_model
@@ -34,7 +33,7 @@ def plot() -> PlotData:
 def test_a_compared_model_has_one_colour_in_every_picture() -> None:
     alone, beside = spawn_colours(["ntpp-gmm"]), spawn_colours(["mine:A", "ntpp-gmm", "mine:B"])
     assert alone["ntpp-gmm"] == beside["ntpp-gmm"]
-    assert len({beside[name] for name in ("mine:A", "mine:B", *SPAWN)}) == 5
+    assert len({beside[name] for name in ("mine:A", "mine:B", *SPAWN_COLOURS)}) == 5
     many = spawn_colours([f"mine:{k}" for k in range(9)])
     assert set(many.values()) == set(COLOURS)
 

@@ -222,7 +222,7 @@ def touch(monkeypatch: pytest.MonkeyPatch, touched: str) -> None:
     [
         (
             "scenes/eth-v0/policies/bc/fold0.onnx",
-            {"entries/bc", "entries/ntpp-gmm-bc", "docs/walks"},
+            {"entries/bc", "entries/ntpp-gmm-bc", "docs/walks", "clips/bc", "clips/ntpp-gmm-bc"},
             {"leaderboard"},
         ),
         (
@@ -233,7 +233,11 @@ def touch(monkeypatch: pytest.MonkeyPatch, touched: str) -> None:
             },
             {"leaderboard"},
         ),
-        ("leaderboard/submissions/orca/submission.toml", {"entries/orca"}, {"leaderboard"}),
+        (
+            "leaderboard/submissions/orca/submission.toml",
+            {"entries/orca", "clips/orca"},
+            {"leaderboard"},
+        ),
         ("docs/paper/eth-v0/verdicts.json", {"docs/paper/eth-v0", "docs/paper"}, set()),
     ],
 )

@@ -161,7 +161,7 @@ def test_without_scripts_the_tables_are_complete(board: Path, browser: Browser) 
 
 def test_pages_of_entries_are_linked_and_link_back(board: Path, browser: Browser) -> None:
     browser.open(board / "index.html")
-    hrefs = set(browser.run("[...document.querySelectorAll('.name a')].map(a => a.href)"))
+    hrefs = set(browser.run("[...document.querySelectorAll('.name > a')].map(a => a.href)"))
     assert hrefs == {p.as_uri() for p in (board / "pages").glob("*.html")}
     browser.open(board / "pages" / "twin.html")
     assert browser.run("document.querySelector('h1').innerText") == "twin"
@@ -244,3 +244,33 @@ def test_on_paper_the_controls_are_gone(board: Path, browser: Browser) -> None:
     shown = browser.run("getComputedStyle(document.querySelector('.filters')).display")
     browser.ask("Emulation.setEmulatedMedia", media="")
     assert shown == "none"
+
+
+def test_the_address_says_which_filters_are_set(board: Path, browser: Browser) -> None:
+    browser.open(board / "index.html")
+    choose(browser, "walk", "scene", "gc-v0")
+    choose(browser, "walk", "kind", "learned")
+    address = browser.run("location.hash")
+    assert address == "#track=walk&scene=gc-v0&kind=learned"
+    shown = names(browser, "walk")
+    browser.open(board / "pages" / "gail.html")
+    browser.open(board / "index.html", address)
+    assert names(browser, "walk") == shown
+    browser.run("(() => { document.querySelector('#walk .filters select').value = ''; })()")
+    choose(browser, "walk", "kind", "")
+    assert browser.run("location.hash") == "#walk"
+    browser.open(board / "pages" / "gail.html")
+    browser.open(board / "index.html", "#track=walk&scene=<b>&kind=nobody")
+    assert len(names(browser, "walk")) == 7
+
+
+@pytest.mark.parametrize("name", ["index.html", "pages/gail.html"])
+def test_a_phone_shows_scores_first(board: Path, browser: Browser, name: str) -> None:
+    browser.open(board / name, **PHONE)
+    columns = (
+        "[...document.querySelector('table.standing, table.metrics').querySelectorAll('thead th')]"
+    )
+    right = browser.run(
+        f"{columns}.find(t => /score|overall/.test(t.textContent)).getBoundingClientRect().right"
+    )
+    assert right <= PHONE["width"]

@@ -30,6 +30,7 @@ Training = Literal["heldout", "none", "full"]
 Line = Annotated[str, Meta(min_length=1, max_length=200)]
 """A line of plain text: printable, no control characters, not blank."""
 _LINK = r"\Ahttps://[A-Za-z0-9-]+(\.[A-Za-z0-9-]+)+(:[0-9]{1,5})?([/?#][!#-;=?-_a-z~]*)?\Z"
+_DATE = r"\A([0-9]{4}-(0[1-9]|1[0-2])-(0[1-9]|[12][0-9]|3[01]))?\Z"
 _LICENCE = r"\A\(*[A-Za-z0-9.+-]+\)*( (AND|OR|WITH) \(*[A-Za-z0-9.+-]+\)*)*\Z"
 
 
@@ -55,6 +56,8 @@ class Declared(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     """An e-mail address or an issue tracker."""
     link: Annotated[str, Meta(pattern=_LINK, max_length=200)]
     """URL of a paper or of code, beginning with https://."""
+    date: Annotated[str, Meta(pattern=_DATE)] = ""
+    """Day of the submission, YYYY-MM-DD."""
     licence: Annotated[str, Meta(pattern=_LICENCE, max_length=200)]
     """SPDX identifier of the artefacts' licence."""
     track: Track

@@ -5,6 +5,7 @@ import math
 import shutil
 import tempfile
 from collections.abc import Sequence
+from datetime import date
 from pathlib import Path
 
 from crowdbench.data.blocks import SPLITS
@@ -68,6 +69,7 @@ def start_submission(
         "schema": SCHEMA,
         "fill": PLACEHOLDER,
         "name": name or folder.resolve().name,
+        "date": date.today().isoformat(),
         "track": track,
         "scenes": chosen,
         "places": places,

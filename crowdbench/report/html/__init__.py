@@ -6,39 +6,52 @@ bytes, where PedPy (for flow and density) is installed or where it is not.
 """
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
+from markupsafe import Markup
+
+from crowdbench.data.table import Trajectories
 from crowdbench.files import write_text
-from crowdbench.report.display_names import names_of
+from crowdbench.report.display_names import Names, names_of
 from crowdbench.report.html.pictures import pictures
+from crowdbench.report.html.player import SCRIPT, STYLE, clip_of, fitting, player
 from crowdbench.report.html.render import html, html_page, own
 from crowdbench.report.html.tables import metric_tables, outcome_table, score_table
+from crowdbench.report.plots.measured import RECORDED
 from crowdbench.report.plots.plot_data import Crowds, PlotData
 from crowdbench.report.text.notes import made
 from crowdbench.report.text.words import PROTOCOLS, named
 from crowdbench.scene import Scene
-from crowdbench.scoring.ranking import rows
+from crowdbench.scoring.ranking import Row, rows
 from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.scorecard import ANCHOR, Scorecard, has_recorded_arrivals
 
 
 def write_report(
-    card: Scorecard, scene: Scene, reference: Reference, crowds: Crowds, out: Path
+    card: Scorecard,
+    scene: Scene,
+    reference: Reference,
+    crowds: Crowds,
+    out: Path,
+    *,
+    recording: Trajectories | None = None,
 ) -> Path:
     """Write `report.html` into `out` and return its path.
 
-    `crowds` are rollouts of each entry in the protocol's first split, for the pictures. All scores
-    come from the scorecard.
+    `crowds` are rollouts of each entry in the protocol's first split, for the pictures and the
+    player, which shows the `recording` too. All scores come from the scorecard.
 
     Raises:
         OutputError: the file cannot be written.
     """
     path = out / "report.html"
-    write_text(path, _page(card, PlotData.of(scene, reference, crowds, card.protocol)))
+    plot = PlotData.of(scene, reference, crowds, card.protocol)
+    write_text(path, _page(card, plot, crowds, recording))
     return path
 
 
-def _page(card: Scorecard, plot: PlotData) -> str:
+def _page(card: Scorecard, plot: PlotData, crowds: Crowds, recording: Trajectories | None) -> str:
     scene, table = plot.scene, rows(card)
     names = names_of([(row.spawn, row.policy) for row in table], scene)
     shown = [e for e in card.entries if e.spawn != "replay"] or card.entries
@@ -55,11 +68,33 @@ def _page(card: Scorecard, plot: PlotData) -> str:
         walked=has_recorded_arrivals(card),
         scores=score_table(card, table, names),
         metrics=metric_tables(card, plot, names),
+        player=_player(scene, table, crowds, recording, names),
         pictures=pictures(plot) if plot.groups else "",
         command=_command(card, scene),
         outcomes=outcome_table(card, names),
     )
-    return html_page(f"{scene.title}: crowdbench report", body, style=own("style.css"))
+    return html_page(
+        f"{scene.title}: crowdbench report", body, style=own("style.css") + STYLE, script=SCRIPT
+    )
+
+
+def _player(
+    scene: Scene,
+    table: Sequence[Row],
+    crowds: Crowds,
+    recording: Trajectories | None,
+    names: Names,
+) -> Markup:
+    """The best crowd beside the recording, if it is there, and then the others."""
+    first: dict[tuple[str, str], Trajectories] = {}
+    for (spawn, policy, _), crowd in crowds.items():
+        first.setdefault((spawn, policy), crowd)
+    pairs = [(row.spawn, row.policy) for row in table if (row.spawn, row.policy) in first]
+    shown = [(names.pair(*pair), first[pair]) for pair in pairs]
+    if recording is not None:
+        shown.insert(1, (RECORDED, recording))
+    clips = fitting([clip_of(crowd, scene, label) for label, crowd in shown])
+    return player(scene, clips) if clips else Markup()
 
 
 def _command(card: Scorecard, scene: Scene) -> str:
