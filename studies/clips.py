@@ -8,15 +8,18 @@ recording that they have not seen. Recorded arrivals cannot be published, so on 
 have trajectories that crowdbench did not simulate.
 """
 
+import zlib
 from pathlib import Path
 
 import msgspec
 
 from crowdbench.data.blocks import SPLITS
+from crowdbench.data.table import Trajectories
 from crowdbench.errors import WeightsError
 from crowdbench.files import read_struct, write_json
 from crowdbench.leaderboard.submission.submission import Submission, read_submission
-from crowdbench.report.html.player import Clip, clip_of
+from crowdbench.leaderboard.verification.entry import Entry
+from crowdbench.report.html.player import Clip, busiest, check_clip, clip_of
 from crowdbench.run.jobs import Pair
 from crowdbench.run.resolved import Resolved
 from crowdbench.run.rollout import rollout, seed_of
@@ -54,16 +57,24 @@ def write_clips(entry_id: str, root: Path) -> Path:
     return path
 
 
-def read_clips(entry_id: str, root: Path) -> Clips:
-    """Read the clips of an entry; there are none if it has no file.
+def read_clips(entry: Entry, root: Path) -> Clips:
+    """Read the clips of an entry; there are none if it has no file, or if its trips are copied.
 
     Raises:
         WeightsError: the file is broken.
     """
-    path = root / FILE.format(entry_id)
-    if not path.is_file():
+    path = root / FILE.format(entry.id)
+    if not path.is_file() or any(flag.what.startswith("copied") for flag in entry.flags):
         return Clips()
-    return read_struct(path, Clips, WeightsError, f"Run `python -m studies clips {entry_id}`.")
+    hint = f"Run `python -m studies clips {entry.id}`."
+    clips = read_struct(path, Clips, WeightsError, hint)
+    for scene, clip in clips.scenes.items():
+        try:
+            check_clip(clip)
+        except (ValueError, zlib.error) as error:
+            got = f"{scene}: {error}"
+            raise WeightsError(path, got=got, expected="clips", hint=hint) from error
+    return clips
 
 
 def pair_of(submission: Submission, scene: str) -> Pair | None:
@@ -80,15 +91,20 @@ def split_of(submission: Submission) -> str:
 
 
 def _clip(submission: Submission, name: str, pair: Pair) -> Clip:
+    crowd = _crowd(submission, name, *pair)
+    start = None
+    if submission.declared.track == "walk":  # all policies in the same minute, with the same people
+        start = busiest(_crowd(submission, name, pair[0], "straight"))
+    return clip_of(crowd, load_scene(name), start)
+
+
+def _crowd(submission: Submission, name: str, spawn: str, policy: str) -> Trajectories:
     scene, split = load_scene(name), split_of(submission)
-    models = Resolved.of(scene, *pair)
-    crowd = rollout(
+    models = Resolved.of(scene, spawn, policy)
+    return rollout(
         scene,
         models.spawn.model(split),
         models.policy.policy(split),
         seed=seed_of(split, 0),
         horizon_s=min(HORIZON_S, scene.horizon_s),
     )
-    declared = submission.declared
-    arrivals = f", arrivals of {ARRIVALS}" if declared.track == "walk" else ""
-    return clip_of(crowd, scene, f"{declared.name}{arrivals}")

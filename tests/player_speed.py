@@ -34,7 +34,7 @@ def main(folder: Path | None) -> None:
     """Print the numbers, and write pictures into the folder."""
     scene = load_scene(SCENE)
     crowds = [crowdbench.rollout(SCENE, name, "straight", seed=0) for name in SPAWN]
-    clips = [clip_of(crowd, scene, name) for crowd, name in zip(crowds, SPAWN, strict=True)]
+    clips = [(name, clip_of(crowd, scene)) for crowd, name in zip(crowds, SPAWN, strict=True)]
     page = html_page("player", player(scene, clips), style=STYLE, script=SCRIPT)
     with tempfile.TemporaryDirectory() as place:
         path = Path(place) / "player.html"

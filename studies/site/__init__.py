@@ -10,14 +10,12 @@ from markupsafe import Markup
 
 from crowdbench.errors import SettingError
 from crowdbench.files import read_bytes, unwritable, write_text
-from crowdbench.leaderboard.scores import View
 from crowdbench.leaderboard.verification.entry import entry_paths, shipped_leaderboard
-from crowdbench.report.html.player import Clip, fitting, player
-from crowdbench.scene import load_scene
 from studies.clips import read_clips
 from studies.site.entry_page import entry_page
 from studies.site.excerpt import with_excerpt
 from studies.site.index import index_page
+from studies.site.players import scene_players
 from studies.site.readme import readme
 from studies.site.standings import TRACKS, read_entries, standing
 
@@ -65,8 +63,8 @@ def build(root: Path, site: Path | None = None, *, definitions: str = "") -> lis
         pages[out / "README.md"] = readme(standings)
     if paged:
         beside = [root] if not preview else [shipped, root]
-        names = [line.entry.id for each in standings for line in (*each.lines, *each.listed)]
-        clips = {n: found for n in names for r in beside if (found := read_clips(n, r)).scenes}
+        shown = [line.entry for each in standings for line in (*each.lines, *each.listed)]
+        clips = {e.id: found for e in shown for r in beside if (found := read_clips(e, r)).scenes}
         rules = read_bytes((shipped if preview else root) / RULES, SettingError, "Restore it.")
         pages[out / "pages" / RULES] = rules.decode()
         for each in standings:
@@ -89,21 +87,9 @@ def build(root: Path, site: Path | None = None, *, definitions: str = "") -> lis
 
 
 def players(root: Path) -> dict[str, Markup]:
-    """A player for each scene, with the crowds of the leaderboard `root`: the best ones first.
-
-    Raises:
-        WeightsError: an entry or its clips are broken.
-    """
+    """A player for each scene, with the crowds of the leaderboard `root`; see `scene_players`."""
     entries = read_entries(root / "entries")
-    found: dict[str, list[Clip]] = {}
-    for track in ("crowd", "spawn", "walk"):
-        each = standing(track, entries)
-        for scene in each.scenes:
-            for line in each.ordered(View(scene=scene)):
-                clip = read_clips(line.entry.id, root).scenes.get(scene)
-                if clip is not None:
-                    found.setdefault(scene, []).append(clip)
-    return {scene: player(load_scene(scene), fitting(clips)) for scene, clips in found.items()}
+    return scene_players([standing(track, entries) for track in TRACKS], root)
 
 
 def _remove(path: Path) -> None:

@@ -2,14 +2,12 @@
 
 from collections.abc import Mapping
 
-from markupsafe import Markup
-
 from crowdbench.leaderboard.scores import View
-from crowdbench.report.html.player import SCRIPT, STYLE, Clip, player
+from crowdbench.report.html.player import SCRIPT, STYLE
 from crowdbench.report.html.render import html_page
 from crowdbench.report.text.words import with_interval
-from crowdbench.scene import load_scene
 from studies.clips import Clips
+from studies.site.players import NONE, entry_player
 from studies.site.render import html, own
 from studies.site.scene_results import scene_results
 from studies.site.standings import Line, Standing
@@ -33,10 +31,6 @@ _TRAINING = {
 }
 
 
-_RIVALS = 2
-"""Number of other crowds beside an entry's own."""
-
-
 def entry_page(
     line: Line, standing: Standing, clips: Mapping[str, Clips] = {}, *, definitions: str = ""
 ) -> str:
@@ -56,7 +50,7 @@ def entry_page(
         kind=_KIND[declared.kind],
         protocol=_TRAINING[declared.training.protocol],
         results=[
-            scene_results(name, entry, _player(name, line, standing, clips), definitions)
+            scene_results(name, entry, entry_player(name, line, standing, clips), definitions)
             for name in scenes
         ],
         scores=[
@@ -67,23 +61,6 @@ def entry_page(
         earlier_scenes=sorted({name for earlier in entry.history for name in earlier.scenes}),
     )
     title = f"{plain(declared.name, 80)}: crowdbench leaderboard"
-    moving = bool(clips.get(entry.id, Clips()).scenes)
+    moving = bool(clips.get(entry.id, NONE).scenes)
     style = own("pages.css") + STYLE if moving else own("pages.css")
     return html_page(title, body, style=style, script=SCRIPT if moving else "")
-
-
-def _player(scene: str, line: Line, standing: Standing, clips: Mapping[str, Clips]) -> Markup:
-    """The entry's crowd beside those of the best others, and of the anchor."""
-
-    def clip(other: Line) -> Clip | None:
-        return clips.get(other.entry.id, Clips()).scenes.get(scene)
-
-    own_clip = clip(line)
-    if own_clip is None:
-        return Markup()
-    view = View(scene=scene)
-    others = [o for o in standing.ordered(view) if o is not line and clip(o) is not None]
-    anchors = [o for o in others if o.entry.status == "reference" and o.scores[view].value == 0]
-    best = [o for o in others if o not in anchors][: _RIVALS - len(anchors)]
-    shown = [own_clip, *(found for o in (*best, *anchors) if (found := clip(o)) is not None)]
-    return player(load_scene(scene), shown)

@@ -1,4 +1,4 @@
-"""A sentence per track: who leads, by how much, and how far from a perfect model."""
+"""Some sentences per track: who leads, by how much, and how far from a perfect model."""
 
 from markupsafe import Markup
 
@@ -9,25 +9,26 @@ from studies.site.standings import Line, Standing
 from studies.site.tables import OVERALL
 
 PERFECT: dict[Track, str] = {
-    "walk": "the score of the recording itself",
-    "spawn": "the expected score of a perfect model",
-    "crowd": "the expected score of a perfect model",
+    "walk": "The recording itself has a score of",
+    "spawn": "A perfect model is expected to have a score of",
+    "crowd": "A perfect model is expected to have a score of",
 }
-"""What a score of 1 is on each track."""
+"""The beginning of a sentence on the score of 1."""
 
 
 def headline(standing: Standing) -> Markup:
-    """The sentence as HTML; nothing where fewer than two entries compete."""
+    """The sentences as HTML; nothing where no entry has a rank."""
     ranks = standing.ranks[OVERALL]
     competing = [line for line in standing.ordered(OVERALL) if line.entry.id in ranks]
     if not competing:
         return Markup()
     leaders = [line for line in competing if ranks[line.entry.id] == 1]
-    following = [line for line in competing if ranks[line.entry.id] > 1]
+    second = min((rank for rank in ranks.values() if rank > 1), default=None)
+    following = [line for line in competing if ranks[line.entry.id] == second]
     return html(
         "headline.html.j2",
         leaders=leaders,
-        next=following[0] if following else None,
+        following=following,
         lead=_difference(leaders[0], following[0]) if following else None,
         missing=1 - leaders[0].scores[OVERALL].value,
         perfect=PERFECT[standing.track],

@@ -2,18 +2,9 @@
 // The address says which filters are set: #track=walk&scene=gc-v0&family=motion.
 "use strict";
 
-const asked = new URLSearchParams(location.hash.slice(1));
-
 for (const track of document.querySelectorAll(".track")) {
   const filters = track.querySelector(".filters");
   if (!filters) continue;
-  if (asked.get("track") === track.id) {
-    for (const select of filters.querySelectorAll("select")) {
-      const value = asked.get(select.name) ?? "";
-      if ([...select.options].some((option) => option.value === value)) select.value = value;
-    }
-    track.scrollIntoView();
-  }
   filters.hidden = false;
   const tables = [...track.querySelectorAll("table")];
   for (const table of tables) {
@@ -23,7 +14,19 @@ for (const track of document.querySelectorAll(".track")) {
     show(filters, tables);
     address(track, filters);
   });
-  show(filters, tables);
+  const follow = () => {
+    const asked = new URLSearchParams(location.hash.slice(1));
+    if (asked.get("track") === track.id) {
+      for (const select of filters.querySelectorAll("select")) {
+        const value = asked.get(select.name) ?? "";
+        if ([...select.options].some((option) => option.value === value)) select.value = value;
+      }
+      track.scrollIntoView();
+    }
+    show(filters, tables);
+  };
+  addEventListener("hashchange", follow);
+  follow();
 }
 
 function address(track, filters) {

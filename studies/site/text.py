@@ -53,7 +53,7 @@ def link(address: str, text: str = "") -> Markup:
 
 def what_link(address: str) -> str:
     """What an address leads to, in a word: a paper, or something else, such as code."""
-    return "paper" if re.match(r"https://(dx\.)?(doi|arxiv)\.org/", address) else "link"
+    return "paper" if re.match(r"(?i)https://(dx\.|www\.)?(doi|arxiv)\.org/", address) else "link"
 
 
 def decimals(value: float | None) -> str:

@@ -2,12 +2,14 @@
 
 import json
 import re
-from base64 import b64decode
+import zlib
+from base64 import b64decode, b64encode
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
-from zlib import decompress
+from typing import Any, NamedTuple
+from zlib import compress, decompress
 
+import msgspec
 import numpy as np
 import pytest
 from browser import Browser, browsing
@@ -22,6 +24,7 @@ from crowdbench.report.html.player import (
     SCRIPT,
     STYLE,
     Clip,
+    check_clip,
     clip_of,
     fitting,
     player,
@@ -75,7 +78,8 @@ def unpacked(clip: Clip) -> list[Person]:
 
 @given(crowds())
 def test_a_clip_has_the_people_of_its_minute(crowd: Trajectories) -> None:
-    clip = clip_of(crowd, ETH, "anybody")
+    clip = clip_of(crowd, ETH)
+    check_clip(clip)
     start = round(clip.start_s / crowd.dt_s)
     stop = start + clip.frames
     assert 0 <= start < stop <= crowd.frames
@@ -105,17 +109,44 @@ def test_a_clip_has_the_people_of_its_minute(crowd: Trajectories) -> None:
 
 def test_the_minute_with_most_people_is_shown() -> None:
     crowd = crowd_of([(0, 5), (100, 130), (101, 131), (300, 320)], frames=400, dt_s=1.0)
-    clip = clip_of(crowd, ETH, "anybody")
+    clip = clip_of(crowd, ETH)
     assert clip.start_s <= 100
     assert clip.start_s + 60 >= 131
     assert clip.frames == 61
-    assert clip_of(crowd_of([(0, 3)]), ETH, "short").frames == 4
+    assert clip_of(crowd_of([(0, 3)]), ETH).frames == 4
+    assert clip_of(crowd, ETH, 250).start_s == 250
 
 
 def test_a_player_holds_as_many_clips_as_fit() -> None:
-    clip = Clip(label="", start_s=0, frames=1, unobserved=[], data="x" * (LARGEST_BYTES // 3))
-    assert fitting([clip] * 5) == [clip] * 3
+    clip = Clip(start_s=0, frames=1, unobserved=[], data="x" * (LARGEST_BYTES // 3))
+    assert fitting([("one", clip)] * 5) == [("one", clip)] * 3
     assert fitting([]) == []
+
+
+def packed(*numbers: int) -> str:
+    return b64encode(compress(bytes(2 * number for number in numbers), 9, -15)).decode()
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"frames": 0},
+        {"frames": 10**9},
+        {"data": "not base 64!"},
+        {"data": packed(0, 2, 0, 0, 1, 2, 5, 5, 5, 5)[:-4]},
+        {"data": packed(0, 2, 0, 0, 1, 2, 5, 5, 5)},
+        {"data": packed(0, 2, 0, 0, 1, 1, 5, 5, 5, 5)},
+        {"data": packed(9, 2, 0, 0, 1, 2, 5, 5, 5, 5)},
+        {"data": packed(0, 0, 0, 0, 1, 0)},
+        {"data": b64encode(compress(bytes([128]), 9, -15)).decode()},
+        {"data": b64encode(compress(bytes(20_000_000), 9, -15)).decode()},
+    ],
+)
+def test_a_damaged_clip_is_found(changed: dict[str, Any]) -> None:
+    clip = Clip(start_s=0, frames=2, unobserved=[], data=packed(0, 2, 0, 0, 1, 2, 5, 5, 5, 5))
+    check_clip(clip)
+    with pytest.raises((ValueError, zlib.error)):
+        check_clip(msgspec.structs.replace(clip, **changed))
 
 
 @pytest.fixture(scope="module")
@@ -131,12 +162,8 @@ def both() -> list[Trajectories]:
 @pytest.fixture(scope="module")
 def shown(both: list[Trajectories], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page with a player of these, whose labels are hostile."""
-    clips = [
-        clip_of(crowd, ETH, label)
-        for crowd, label in zip(
-            both, ("</script><script>document.title = 'ran'", "<b>&"), strict=True
-        )
-    ]
+    labels = ("</script><script>document.title = 'ran'", "<b>&")
+    clips = [(label, clip_of(crowd, ETH)) for label, crowd in zip(labels, both, strict=True)]
     page = html_page("crowds", player(ETH, clips), style=STYLE, script=SCRIPT)
     path = tmp_path_factory.mktemp("player") / "page.html"
     path.write_text(page, encoding="utf-8")
@@ -173,7 +200,7 @@ def test_each_side_counts_its_people(
 ) -> None:
     browser.open(shown)
     wait_for(browser, DRAWN)
-    starts = [round(clip_of(crowd, ETH, "").start_s / ETH.dt_s) for crowd in both]
+    starts = [round(clip_of(crowd, ETH).start_s / ETH.dt_s) for crowd in both]
     for frame in (0, 50, 150):
         present = [
             crowd.present()[start + frame] for crowd, start in zip(both, starts, strict=True)
@@ -241,3 +268,19 @@ def test_the_page_is_small_and_loads_nothing(shown: Path, both: list[Trajectorie
     assert re.findall(r"https?://|@import|url\(|<link|fetch\(|import\(", text) == []
     (content,) = re.findall(r'<script type="application/json">(.*?)</script>', text)
     assert [clip["label"][:9] for clip in json.loads(content)["clips"]] == ["</script>", "<b>&"]
+
+
+def test_a_damaged_clip_says_so_instead_of_showing_another(
+    browser: Browser, both: list[Trajectories], tmp_path: Path
+) -> None:
+    whole = clip_of(both[0], ETH)
+    cut = msgspec.structs.replace(whole, data=packed(0, 60, 0, 0))
+    clips = [("whole", whole), ("another", clip_of(both[1], ETH)), ("cut", cut)]
+    path = tmp_path / "page.html"
+    path.write_text(html_page("cut", player(ETH, clips), style=STYLE, script=SCRIPT))
+    browser.open(path)
+    wait_for(browser, DRAWN)
+    other = "(() => { const of = document.querySelector('.side select'); of.value = '2';"
+    browser.run(f"{other} of.dispatchEvent(new Event('change')); }})()")
+    wait_for(browser, "document.querySelector('.count').textContent.includes('cut off')")
+    assert at(browser, 30.0)[0] == "The clip cannot be shown: its data is cut off"

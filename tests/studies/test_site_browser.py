@@ -259,6 +259,9 @@ def test_the_address_says_which_filters_are_set(board: Path, browser: Browser) -
     browser.run("(() => { document.querySelector('#walk .filters select').value = ''; })()")
     choose(browser, "walk", "kind", "")
     assert browser.run("location.hash") == "#walk"
+    browser.run(f"location.hash = '{address}'")
+    browser.run("new Promise((done) => setTimeout(done, 100))")
+    assert names(browser, "walk") == shown
     browser.open(board / "pages" / "gail.html")
     browser.open(board / "index.html", "#track=walk&scene=<b>&kind=nobody")
     assert len(names(browser, "walk")) == 7

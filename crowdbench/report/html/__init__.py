@@ -23,7 +23,7 @@ from crowdbench.report.plots.plot_data import Crowds, PlotData
 from crowdbench.report.text.notes import made
 from crowdbench.report.text.words import PROTOCOLS, named
 from crowdbench.scene import Scene
-from crowdbench.scoring.ranking import Row, rows
+from crowdbench.scoring.ranking import Row, ordered, rows
 from crowdbench.scoring.reference import Reference
 from crowdbench.scoring.scorecard import ANCHOR, Scorecard, has_recorded_arrivals
 
@@ -68,6 +68,7 @@ def _page(card: Scorecard, plot: PlotData, crowds: Crowds, recording: Trajectori
         walked=has_recorded_arrivals(card),
         scores=score_table(card, table, names),
         metrics=metric_tables(card, plot, names),
+        recorded=recording is not None,
         player=_player(scene, table, crowds, recording, names),
         pictures=pictures(plot) if plot.groups else "",
         command=_command(card, scene),
@@ -85,15 +86,15 @@ def _player(
     recording: Trajectories | None,
     names: Names,
 ) -> Markup:
-    """The best crowd beside the recording, if it is there, and then the others."""
+    """The best crowd, then the recording if it is there, and then the others."""
     first: dict[tuple[str, str], Trajectories] = {}
     for (spawn, policy, _), crowd in crowds.items():
         first.setdefault((spawn, policy), crowd)
-    pairs = [(row.spawn, row.policy) for row in table if (row.spawn, row.policy) in first]
+    pairs = [(row.spawn, row.policy) for row in ordered(table) if (row.spawn, row.policy) in first]
     shown = [(names.pair(*pair), first[pair]) for pair in pairs]
     if recording is not None:
         shown.insert(1, (RECORDED, recording))
-    clips = fitting([clip_of(crowd, scene, label) for label, crowd in shown])
+    clips = fitting([(label, clip_of(crowd, scene)) for label, crowd in shown])
     return player(scene, clips) if clips else Markup()
 
 

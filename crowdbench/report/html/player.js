@@ -3,7 +3,13 @@
 
 const TRAIL_S = 4, TOGETHER_M = 5, UNKNOWN = "#9A9A9A", WALL = "#bfbfbf", INK = "#1b1f24";
 
-for (const root of document.querySelectorAll(".player")) setUp(root);
+for (const root of document.querySelectorAll(".player")) {
+  try {
+    setUp(root);
+  } catch (error) {
+    root.querySelector(".count").textContent = `This player does not work: ${error.message}`;
+  }
+}
 
 function setUp(root) {
   const place = JSON.parse(root.querySelector("script").textContent);
@@ -16,37 +22,42 @@ function setUp(root) {
     count: side.querySelector(".count"),
     people: [],
   }));
-  let now = 0, last = null, longest = 0;
+  let now = TRAIL_S, last = null, pending = 0, longest = 0;
 
   const draw = () => {
     const [trails, companions, areas] = drawn.map((box) => box.checked);
     for (const side of sides) drawSide(side, place, now / place.dt, { trails, companions, areas });
     time.value = now;
     clock.textContent = `${now.toFixed(1)} s`;
+    time.setAttribute("aria-valuetext", clock.textContent);
   };
   const step = (at) => {
-    if (last === null) return;
-    now += ((at - last) / 1000) * Number(speed.value);
+    now += ((at - (last ?? at)) / 1000) * Number(speed.value);
     last = at;
     if (now > longest) now = 0;
     draw();
-    requestAnimationFrame(step);
+    pending = requestAnimationFrame(step);
   };
   const toggle = () => {
-    const starts = last === null;
-    last = starts ? performance.now() : null;
+    const starts = pending === 0;
+    cancelAnimationFrame(pending);
+    last = null;
+    pending = starts ? requestAnimationFrame(step) : 0;
     play.textContent = starts ? "Pause" : "Play";
-    if (starts) requestAnimationFrame(step);
   };
   const choose = async (side) => {
     const clip = place.clips[Number(side.choice.value)];
+    side.clip = null;  // nobody sees one crowd below the name of another
     try {
       side.people = await unpacked(clip);
-      side.clip = clip;
     } catch (error) {
-      side.count.textContent = `This browser cannot show the clip: ${error.message}`;
+      const canvas = side.canvas;
+      canvas.getContext("2d").clearRect(0, 0, canvas.width, canvas.height);
+      side.count.textContent = `The clip cannot be shown: ${error.message}`;
       return;
     }
+    if (clip !== place.clips[Number(side.choice.value)]) return;  // another was chosen meanwhile
+    side.clip = clip;
     side.canvas.setAttribute("aria-label", `${clip.label}, seen from above`);
     longest = Math.max(...sides.map(({ clip }) => (clip ? (clip.frames - 1) * place.dt : 0)));
     time.max = longest;
@@ -71,6 +82,7 @@ function setUp(root) {
 // The people of a clip; `_packed` in the Python module describes the format.
 async function unpacked(clip) {
   if (clip.people) return clip.people;
+  if (!("DecompressionStream" in window)) throw new Error("this browser is too old");
   const packed = Uint8Array.from(atob(clip.data), (letter) => letter.charCodeAt(0));
   const inflated = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
   const bytes = new Uint8Array(await new Response(inflated).arrayBuffer());
@@ -78,6 +90,7 @@ async function unpacked(clip) {
   const number = () => {
     let value = 0, shift = 0, byte;
     do {
+      if (at === bytes.length) throw new Error("its data is cut off");
       byte = bytes[at++];
       value += (byte & 127) * 2 ** shift;
       shift += 7;
@@ -97,6 +110,9 @@ async function unpacked(clip) {
   const people = [];
   while (at < bytes.length) {
     const [first, length, goal, group, runs] = [number(), number(), number(), number(), number()];
+    if (first < 0 || length < 1 || first + length > clip.frames || runs > length + 1) {
+      throw new Error("its data is damaged");
+    }
     const stands = new Uint8Array(length);
     for (let run = 0, k = 0; run < runs; run += 1) {
       const end = k + number();
@@ -114,9 +130,9 @@ function drawSide({ canvas, count, people, clip }, place, at, shown) {
   if (!clip || !canvas.clientWidth) return;
   const view = viewOf(canvas, place);
   drawPlace(view, place, shown.areas);
-  const frame = Math.min(Math.floor(at), clip.frames - 1);
+  const frame = Math.min(Math.floor(at + 1e-6), clip.frames - 1);
   const dark = clip.unobserved.some(([start, stop]) => start <= frame && frame < stop);
-  const here = dark ? [] : present(people, frame, at - frame, view);
+  const here = dark ? [] : present(people, frame, Math.max(0, at - frame), view);
   const byColour = new Map();
   for (const one of here) {
     const colour = colourOf(one.person.goal, place);

@@ -5,10 +5,10 @@ people are present, and 3 kB at ETH.
 """
 
 import json
-from base64 import b64encode
+from base64 import b64decode, b64encode
 from collections.abc import Iterator, Sequence
 from typing import Any
-from zlib import compress
+from zlib import compress, decompressobj
 
 import msgspec
 import numpy as np
@@ -28,6 +28,7 @@ LARGEST_BYTES = 250_000
 """Clips of one player take at most this much of a page of 400 kB."""
 _UNITS = 1000
 """Positions are multiples of the scene's longer side divided by this number."""
+_MOST_FRAMES, _LARGEST_UNPACKED = 10_000, 10_000_000
 SCRIPT, STYLE = own("player.js"), own("player.css")
 """JavaScript and CSS of a page with players."""
 
@@ -35,8 +36,6 @@ SCRIPT, STYLE = own("player.js"), own("player.css")
 class Clip(msgspec.Struct, frozen=True, kw_only=True):
     """A minute of a crowd, as the player reads it."""
 
-    label: str
-    """Name of the crowd; plain text."""
     start_s: float
     """Time in the crowd at which the clip begins, seconds."""
     frames: int
@@ -46,17 +45,24 @@ class Clip(msgspec.Struct, frozen=True, kw_only=True):
     """The people, packed (see `_packed`), deflated and in base 64."""
 
 
-def clip_of(crowd: Trajectories, scene: Scene, label: str) -> Clip:
-    """The minute of a crowd in which most people are present, on average over the minute."""
-    frames = min(round(LENGTH_S / crowd.dt_s) + 1, crowd.frames)
-    known = crowd.is_observed()
-    present = np.concatenate([[0], np.cumsum(np.where(known, crowd.present(), 0))])
-    start = int(np.argmax(present[frames:] - present[:-frames]))
-    dark = np.concatenate([[False], ~known[start : start + frames], [False]])
+Labelled = tuple[str, Clip]
+"""The name of a crowd, which may be anybody's text, and its clip."""
+
+
+def busiest(crowd: Trajectories) -> int:
+    """First frame of the minute in which most people are present, on average over the minute."""
+    frames = _length(crowd)
+    present = np.concatenate([[0], np.cumsum(np.where(crowd.is_observed(), crowd.present(), 0))])
+    return int(np.argmax(present[frames:] - present[:-frames]))
+
+
+def clip_of(crowd: Trajectories, scene: Scene, start: int | None = None) -> Clip:
+    """The minute of a crowd from the frame `start` on; by default the busiest one."""
+    start, frames = busiest(crowd) if start is None else start, _length(crowd)
+    dark = np.concatenate([[False], ~crowd.is_observed()[start : start + frames], [False]])
     turns = np.flatnonzero(np.diff(dark.astype(np.int8))).tolist()
     data = compress(_packed(crowd, scene, start, start + frames), 9, -15)
     return Clip(
-        label=label,
         start_s=round(start * crowd.dt_s, 3),
         frames=frames,
         unobserved=list(zip(turns[::2], turns[1::2], strict=True)),
@@ -64,17 +70,46 @@ def clip_of(crowd: Trajectories, scene: Scene, label: str) -> Clip:
     )
 
 
-def fitting(clips: Sequence[Clip]) -> list[Clip]:
+def _length(crowd: Trajectories) -> int:
+    """Number of frames of a clip."""
+    return min(round(LENGTH_S / crowd.dt_s) + 1, crowd.frames)
+
+
+def fitting(clips: Sequence[Labelled]) -> list[Labelled]:
     """The first clips, as many as a player may hold."""
-    total = np.cumsum([len(clip.data) for clip in clips])
-    return [clip for clip, size in zip(clips, total.tolist(), strict=True) if size <= LARGEST_BYTES]
+    total = np.cumsum([len(clip.data) for _, clip in clips])
+    return [each for each, size in zip(clips, total.tolist(), strict=True) if size <= LARGEST_BYTES]
 
 
-def player(scene: Scene, clips: Sequence[Clip], *, right: int | None = None) -> Markup:
+def check_clip(clip: Clip) -> None:
+    """Check that the player can read a clip.
+
+    Raises:
+        ValueError: it is damaged.
+    """
+    if not 1 <= clip.frames <= _MOST_FRAMES:
+        raise ValueError(f"{clip.frames} frames")
+    inflater = decompressobj(-15)
+    data = inflater.decompress(b64decode(clip.data, validate=True), _LARGEST_UNPACKED)
+    if not inflater.eof:
+        raise ValueError("data that is cut off or too large")
+    numbers = _numbers(data)
+    at = 0
+    while at < len(numbers):
+        first, length, goal, group, runs = (numbers[at : at + 5] + [-1] * 5)[:5]
+        stands = numbers[at + 5 : at + 5 + runs] if runs >= 0 else []
+        at += 5 + max(runs, 0) + 2 * length
+        inside = first >= 0 and length >= 1 and first + length <= clip.frames
+        if not inside or goal < 0 or group < 0 or min(stands, default=-1) < 0:
+            raise ValueError("a person outside the clip")
+        if sum(stands) != length or at > len(numbers):
+            raise ValueError("a person without all positions")
+
+
+def player(scene: Scene, clips: Sequence[Labelled]) -> Markup:
     """HTML of a player; its page needs `SCRIPT` and `STYLE`.
 
-    The first clip is shown on the left. The one with the index `right`, by default the second, is
-    shown on the right. Readers choose others from a list.
+    The first clip is shown on the left, the second on the right. Readers choose others from a list.
     """
     areas = read_areas(scene)
     b = scene.bounds
@@ -87,18 +122,17 @@ def player(scene: Scene, clips: Sequence[Clip], *, right: int | None = None) -> 
         "spawns": _outlines(areas.spawn),
         "goals": _outlines(areas.goal),
         "colours": COLOURS,
-        "clips": [msgspec.to_builtins(clip) for clip in clips],
+        "clips": [{"label": label, **msgspec.to_builtins(clip)} for label, clip in clips],
     }
     # Nothing in a label may end the element.
     text = json.dumps(content, separators=(",", ":")).replace("<", "\\u003c")
-    shown = min(1, len(clips) - 1) if right is None else right
     return html(
         "player.html.j2",
         scene=scene,
-        clips=clips,
+        labels=[label for label, _ in clips],
         content=Markup(text),
-        shown=[0] if len(clips) == 1 else [0, shown],
-        length=f"{max(clip.frames for clip in clips) * scene.dt_s:.0f}",
+        shown=[0, 1][: len(clips)],
+        length=f"{max(clip.frames for _, clip in clips) * scene.dt_s:.0f}",
     )
 
 
@@ -150,6 +184,24 @@ def _runs(stands: list[bool]) -> list[int]:
             value = each
         lengths[-1] += 1
     return lengths
+
+
+def _numbers(data: bytes) -> list[int]:
+    """The numbers of which `_bytes_of` made these bytes.
+
+    Raises:
+        ValueError: the last number is cut off.
+    """
+    numbers, value, shift = [], 0, 0
+    for byte in data:
+        value |= (byte & 127) << shift
+        shift += 7
+        if byte < 128:
+            numbers.append(-(value + 1) // 2 if value % 2 else value // 2)
+            value = shift = 0
+    if shift:
+        raise ValueError("a number that is cut off")
+    return numbers
 
 
 def _bytes_of(numbers: Sequence[int]) -> Iterator[int]:
