@@ -114,10 +114,10 @@ def evaluate(
     scale = read_anchors(place).protocols[protocol]
     only_policy = quick and policy is not None and spawn is None
     if spawn is None:
-        spawn = "replay" if only_policy else usual_spawn_models(place)
-        policy = usual_policies(place) if policy is None else policy
+        spawn = "replay" if only_policy else default_spawn_models(place)
+        policy = default_policies(place) if policy is None else policy
     elif policy is None:
-        policy = POLICY[:1] if quick else usual_policies(place)
+        policy = POLICY[:1] if quick else default_policies(place)
     pairs = _pairs(place, _listed(spawn), _listed(policy))
     if seeds is None:
         per_fit = 2 if quick else place.protocol.rollouts_per_fit
@@ -159,12 +159,12 @@ def evaluate(
     return card
 
 
-def usual_spawn_models(scene: Scene) -> list[str]:
+def default_spawn_models(scene: Scene) -> list[str]:
     """The spawn models of `SPAWN` that a scene has; all of them if it has none."""
     return [name for name in SPAWN if name in list_spawn_models(scene)] or [*SPAWN]
 
 
-def usual_policies(scene: Scene) -> list[str]:
+def default_policies(scene: Scene) -> list[str]:
     """The policies of `POLICY`, with one for any place instead of those that a scene lacks."""
     known = list_policies(scene)
     return [name if name in known else ANY_PLACE for name in POLICY]

@@ -58,7 +58,7 @@ def write_clips(entry_id: str, root: Path) -> Path:
 
 
 def read_clips(entry: Entry, root: Path) -> Clips:
-    """Read the clips of an entry; there are none if it has no file, or if its trips are copied.
+    """Read the clips of an entry; there are none if it has no file, or a flag for copying.
 
     Raises:
         WeightsError: the file is broken.

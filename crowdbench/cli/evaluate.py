@@ -62,7 +62,7 @@ def evaluate(
         out: output folder (default: results/SCENE-DATE-TIME)
         view: show the first rollout of each pair in the viewer at the end
     """
-    from crowdbench.evaluation import usual_spawn_models
+    from crowdbench.evaluation import default_spawn_models
     from crowdbench.report.text.scorecards import print_card
     from crowdbench.scoring.ranking import score_rows
 
@@ -72,7 +72,7 @@ def evaluate(
 
         check_screen()
     out = out or Path("results") / f"{Path(scene).name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    asked = spawn or (usual_spawn_models(crowdbench.load_scene(scene)) if scenario else [])
+    asked = spawn or (default_spawn_models(crowdbench.load_scene(scene)) if scenario else [])
     with json_written(json) as write:
         with progress_bar("rollouts"):
             card = crowdbench.evaluate(

@@ -16,16 +16,16 @@ for (const track of document.querySelectorAll(".track")) {
   });
   const follow = () => {
     const asked = new URLSearchParams(location.hash.slice(1));
-    if (asked.get("track") === track.id) {
-      for (const select of filters.querySelectorAll("select")) {
-        const value = asked.get(select.name) ?? "";
-        if ([...select.options].some((option) => option.value === value)) select.value = value;
-      }
-      track.scrollIntoView();
+    if (asked.get("track") !== track.id) return;
+    for (const select of filters.querySelectorAll("select")) {
+      const value = asked.get(select.name) ?? "";
+      if ([...select.options].some((option) => option.value === value)) select.value = value;
     }
     show(filters, tables);
+    track.scrollIntoView();
   };
   addEventListener("hashchange", follow);
+  show(filters, tables);
   follow();
 }
 

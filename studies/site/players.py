@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from crowdbench.leaderboard.scores import View
 from crowdbench.leaderboard.verification.entry import Entry
-from crowdbench.report.html.player import Clip, Labelled, fitting, player
+from crowdbench.report.html.player import Clip, Labelled, player
 from crowdbench.scene import load_scene
 from studies.clips import ARRIVALS, Clips, read_clips
 from studies.site.standings import Line, Standing
@@ -67,13 +67,14 @@ def scene_players(standings: Sequence[Standing], root: Path) -> dict[str, Markup
                 if clip is not None and clip not in [known for _, (_, known) in shown]:
                     anchor = standing.track == "crowd" and is_anchor(line, view)
                     shown.append((anchor, (label_of(line.entry), clip)))
-    return {scene: _with_note(scene, shown) for scene, shown in found.items() if shown}
+    return {
+        scene: player(load_scene(scene), _anchor_second(shown))
+        for scene, shown in found.items()
+        if shown
+    }
 
 
-def _with_note(scene: str, crowds: Sequence[tuple[bool, Labelled]]) -> Markup:
+def _anchor_second(crowds: Sequence[tuple[bool, Labelled]]) -> list[Labelled]:
+    """The crowds in their order, but with those that are marked behind the first one."""
     first, *others = crowds
-    in_order = [each for _, each in (first, *sorted(others, key=lambda of: not of[0]))]
-    shown = fitting(in_order)
-    left_out = len(in_order) - len(shown)
-    note = f"<p>Pages of entries show {left_out} more.</p>" if left_out else ""
-    return player(load_scene(scene), shown) + Markup(note)
+    return [each for _, each in (first, *sorted(others, key=lambda of: not of[0]))]

@@ -121,6 +121,11 @@ def test_a_player_holds_as_many_clips_as_fit() -> None:
     clip = Clip(start_s=0, frames=1, unobserved=[], data="x" * (LARGEST_BYTES // 3))
     assert fitting([("one", clip)] * 5) == [("one", clip)] * 3
     assert fitting([]) == []
+    large = msgspec.structs.replace(clip, data="x" * (LARGEST_BYTES + 4))
+    assert fitting([("large", large), ("one", clip)]) == [("large", large)]
+    assert "2 more crowds do not fit\ninto this page" in player(ETH, [("one", clip)] * 5)
+    assert "1 more crowd does not fit" in player(ETH, [("one", clip)] * 4)
+    assert "not fit" not in player(ETH, [("one", clip)] * 3)
 
 
 def packed(*numbers: int) -> str:

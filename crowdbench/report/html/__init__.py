@@ -15,7 +15,7 @@ from crowdbench.data.table import Trajectories
 from crowdbench.files import write_text
 from crowdbench.report.display_names import Names, names_of
 from crowdbench.report.html.pictures import pictures
-from crowdbench.report.html.player import SCRIPT, STYLE, clip_of, fitting, player
+from crowdbench.report.html.player import SCRIPT, STYLE, clip_of, player
 from crowdbench.report.html.render import html, html_page, own
 from crowdbench.report.html.tables import metric_tables, outcome_table, score_table
 from crowdbench.report.plots.measured import RECORDED
@@ -94,7 +94,7 @@ def _player(
     shown = [(names.pair(*pair), first[pair]) for pair in pairs]
     if recording is not None:
         shown.insert(1, (RECORDED, recording))
-    clips = fitting([(label, clip_of(crowd, scene)) for label, crowd in shown])
+    clips = [(label, clip_of(crowd, scene)) for label, crowd in shown]
     return player(scene, clips) if clips else Markup()
 
 

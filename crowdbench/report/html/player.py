@@ -76,9 +76,9 @@ def _length(crowd: Trajectories) -> int:
 
 
 def fitting(clips: Sequence[Labelled]) -> list[Labelled]:
-    """The first clips, as many as a player may hold."""
+    """The first clips, as many as a player may hold, but at least one."""
     total = np.cumsum([len(clip.data) for _, clip in clips])
-    return [each for each, size in zip(clips, total.tolist(), strict=True) if size <= LARGEST_BYTES]
+    return list(clips[: max(1, int((total <= LARGEST_BYTES).sum()))])
 
 
 def check_clip(clip: Clip) -> None:
@@ -109,9 +109,10 @@ def check_clip(clip: Clip) -> None:
 def player(scene: Scene, clips: Sequence[Labelled]) -> Markup:
     """HTML of a player; its page needs `SCRIPT` and `STYLE`.
 
-    The first clip is shown on the left, the second on the right. Readers choose others from a list.
+    The first two clips are shown; readers choose others from a list. Clips beyond `LARGEST_BYTES`
+    are left out, which the caption says.
     """
-    areas = read_areas(scene)
+    areas, kept = read_areas(scene), fitting(clips)
     b = scene.bounds
     content = {
         "bounds": [b.x_min_m, b.y_min_m, b.x_max_m, b.y_max_m],
@@ -122,17 +123,18 @@ def player(scene: Scene, clips: Sequence[Labelled]) -> Markup:
         "spawns": _outlines(areas.spawn),
         "goals": _outlines(areas.goal),
         "colours": COLOURS,
-        "clips": [{"label": label, **msgspec.to_builtins(clip)} for label, clip in clips],
+        "clips": [{"label": label, **msgspec.to_builtins(clip)} for label, clip in kept],
     }
     # Nothing in a label may end the element.
     text = json.dumps(content, separators=(",", ":")).replace("<", "\\u003c")
     return html(
         "player.html.j2",
         scene=scene,
-        labels=[label for label, _ in clips],
+        labels=[label for label, _ in kept],
         content=Markup(text),
-        shown=[0, 1][: len(clips)],
-        length=f"{max(clip.frames for _, clip in clips) * scene.dt_s:.0f}",
+        shown=[0, 1][: len(kept)],
+        left_out=len(clips) - len(kept),
+        length=f"{max(clip.frames for _, clip in kept) * scene.dt_s:.0f}",
     )
 
 
@@ -156,8 +158,7 @@ def _packed(crowd: Trajectories, scene: Scene, start: int, stop: int) -> bytes:
     group + 1 (0: alone), number of runs r, the lengths of r runs of frames in which the person by
     turns walks and stands, and second differences of x and of y (n each, from 0), in units.
     """
-    b, unit = scene.bounds, _unit(scene)
-    grid = np.rint((crowd.xy - np.array([b.x_min_m, b.y_min_m])) / unit).astype(np.int64)
+    corner, unit = np.array([scene.bounds.x_min_m, scene.bounds.y_min_m]), _unit(scene)
     stands = standing(crowd)
     groups: dict[int, int] = {-1: 0}
     out = bytearray()
@@ -169,7 +170,7 @@ def _packed(crowd: Trajectories, scene: Scene, start: int, stop: int) -> bytes:
         runs = _runs(stands[rows].tolist())
         numbers = [first - start, last + 1 - first, int(crowd.goal_area[k]) + 1, group, len(runs)]
         numbers += runs
-        for line in grid[rows].T:
+        for line in np.rint((crowd.xy[rows] - corner) / unit).astype(np.int64).T:
             numbers += np.diff(line, n=2, prepend=[0, 0]).tolist()
         out += bytes(_bytes_of(numbers))
     return bytes(out)
