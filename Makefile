@@ -56,6 +56,13 @@ $(VENV)/core.stamp: $(BIN)/python pyproject.toml constraints.txt
 	$(INSTALL) -e .
 	touch $@
 
+# The models of other simulators: make .venv-peers/peers.stamp
+.venv-peers/peers.stamp: pyproject.toml constraints.txt examples/peers/requirements.txt
+	$(PYTHON) -m venv .venv-peers
+	.venv-peers/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+		-e . -r examples/peers/requirements.txt
+	touch $@
+
 $(VENV)/dev.stamp: $(BIN)/python pyproject.toml constraints.txt
 	$(INSTALL) -e ".[$(EXTRAS)]"
 	touch $@ $(VENV)/core.stamp

@@ -18,7 +18,7 @@ from studies.commands.walks import walks
 
 PAGES = (results, walks, paper, figures, encounters, cheats, growth, speed, diagrams, tables.plans)
 TABLES = (
-    *(tables.bodies, tables.exam, tables.robots, tables.sharing, tables.monte_carlo),
+    *(tables.bodies, tables.exam, tables.robots, tables.sharing, tables.monte_carlo, tables.peers),
     *(tables.cheats_twins, tables.cheats_search),
 )
 TRAININGS = (

@@ -143,7 +143,7 @@ def arrivals(scene: SceneName, /, *, out: Path) -> None:
     """Write who entered a scene's recording: when, where, by which way and with whom.
 
     Args:
-        out: CSV or Parquet file to write, with the columns of `crowdbench spawn sample`
+        out: CSV, Parquet or JSON file to write, as `crowdbench spawn sample` does
     """
     from crowdbench.cli.spawn import sample
 

@@ -76,14 +76,14 @@ def sample(
     """Write a sample of a spawn model, for other simulators: who enters when, where and whereto.
 
     Args:
-        out: CSV or Parquet file to write
+        out: CSV, Parquet or JSON file to write
         model: spawn model, as in `crowdbench evaluate --spawn`
         seed: random seed
         horizon_s: length in seconds (default: that of the recording)
     """
     from crowdbench.registry import GENERATED
     from crowdbench.run.episode import arrivals
-    from crowdbench.spawn.events import write_events
+    from crowdbench.spawn.export import write_arrivals
     from crowdbench.spawn.steering.scenario import split_scenario
 
     find_own_code()
@@ -95,7 +95,7 @@ def sample(
     made = crowdbench.spawn_model(model, place)
     frames = place.recording.frames if horizon_s is None else place.frames(horizon_s)
     events = arrivals(made, place, seed=seed, world=0, warm_up=0, frames=frames)
-    write_events(events, out)
+    write_arrivals(events, place, out, frames=frames)
     print(f"written to {out}: {len(events)} people of {made.name}, {frames * place.dt_s:g} s")
     copied = split_scenario(model)[0] in ("replay", "block-replay")
     if copied and place.recording.name not in GENERATED:

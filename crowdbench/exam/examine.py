@@ -100,18 +100,21 @@ def exam(
     return certificates
 
 
-def verdicts(policy: str, scene: str | Path | Scene, *, split: str = "full") -> Certificate:
+def verdicts(
+    policy: str | Policy, scene: str | Path | Scene, *, split: str = "full"
+) -> Certificate:
     """The certificate of one policy in all tests, without a comparison with random walkers.
 
-    `split` selects the network of a folder, see `crowdbench.policy`. A policy fails a test in
-    which it raises an error.
+    `policy` is a policy, or its name as in `crowdbench.policy`, where `split` selects the network
+    of a folder. A policy fails a test in which it raises an error.
 
     Raises:
         SettingError, SceneError, WeightsError: see `exam`.
     """
     place = _with_bodies(load_scene(scene), None)
     walker = policy_of(policy, place, split)
-    return _certificate(policy, place, [_result(of, place, walker) for of in _chosen(None)])
+    results = [_result(of, place, walker) for of in _chosen(None)]
+    return _certificate(policy if isinstance(policy, str) else policy.name, place, results)
 
 
 def _result(of: Trial, place: Scene, walker: Policy) -> TrialResult:

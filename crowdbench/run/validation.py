@@ -99,17 +99,29 @@ class Validator:
     Straight walkers, which all are compared with, are walked only once.
     """
 
-    def __init__(self, scene: str | Path | Scene, split: str = "full") -> None:
-        """Raises RecordingError, SceneError, SettingError: see `validate`."""
+    def __init__(
+        self, scene: str | Path | Scene, split: str = "full", *, horizon_s: float | None = None
+    ) -> None:
+        """Raises RecordingError, SceneError, SettingError: see `validate`.
+
+        With `horizon_s`, only the first seconds are simulated; blocks that end in them count.
+        """
         check_split(split, 0)
-        self.scene, self.split = load_scene(scene), split
+        self.scene, self.split, self._horizon_s = load_scene(scene), split, horizon_s
         self._arrivals = registry.spawn_model("replay", self.scene)
         self._reference = reference_of(self.scene)
         self._blocks = self._reference.blocks.training(split)
+        if horizon_s is not None:
+            within = self._blocks.frames[:, 1] <= self.scene.frames(horizon_s)
+            if not within.any():
+                raise SettingError(
+                    "horizon_s", got=f"{horizon_s:g}", expected="a time in which a block ends"
+                )
+            self._blocks = self._blocks.take(within)
         self._metrics = [m for m in self._reference.metrics if m.family in WALK]
         self._metrics += [m for m in self._reference.metrics if m.name == CompanionDistance.name]
         self._recorded = self._seen(registry.recording_of(self.scene))
-        straight = rollout(self.scene, self._arrivals, Straight(), seed=_SEEDS)
+        straight = rollout(self.scene, self._arrivals, Straight(), seed=_SEEDS, horizon_s=horizon_s)
         self._anchor = self._distances([self._seen(straight)])
         if not any(self._anchor.values()):
             raise SettingError(
@@ -125,7 +137,13 @@ class Validator:
         place, recorded, blocks = self.scene, self._recorded, self._blocks
         walker = registry.policy(policy, place, self.split)
         seeds = [_SEEDS + k for k in range(rollouts)]
-        crowds = roll_out(place, [self._arrivals] * rollouts, walker, seeds=seeds)
+        if self._horizon_s is None:
+            crowds = roll_out(place, [self._arrivals] * rollouts, walker, seeds=seeds)
+        else:
+            crowds = [
+                rollout(place, self._arrivals, walker, seed=seed, horizon_s=self._horizon_s)
+                for seed in seeds
+            ]
         seen = [self._seen(crowd) for crowd in crowds]
         scores = {
             name: max(LOWEST, 1 - distance / self._anchor[name])

@@ -53,6 +53,17 @@ def robots(
     print(page(episodes, workers=workers, pictures=pictures), end="")
 
 
+def peers(*, out: Path = Path("docs/peers.md")) -> None:
+    """Write the page about models of other simulators, from their entries on the leaderboard.
+
+    Args:
+        out: page to write
+    """
+    from studies.peers import write_page
+
+    print(f"written to {write_page(out)}")
+
+
 def sharing(scenes: list[str], /) -> None:
     """Compare one network for all spawn areas with one for each (minutes).
 

@@ -12,10 +12,12 @@ from crowdbench.data.companions import with_companions
 from crowdbench.data.table import Trajectories
 from crowdbench.errors import RecordingError, SettingError
 from crowdbench.files import replacing, unwritable, write_json
+from crowdbench.policies import Policy
 from crowdbench.registry import ANY_PLACE, policy_source, recording_of, trained_policies
 from crowdbench.run.references import reference_of
 from crowdbench.run.rollout import rollout
-from crowdbench.scene import load_scene
+from crowdbench.scene import Scene, load_scene
+from crowdbench.spawn.events import SpawnEvents
 from crowdbench.spawn.replay import Replay
 from studies.encounters.drawing import Paths, Shown, animation, still
 from studies.encounters.snapshot import Snapshot
@@ -69,11 +71,8 @@ def write_encounters(
         )
         split = SPLITS[1 + block % (len(SPLITS) - 1)] if source.per_split else "full"
         walker = source.policy(split)
-        snapshot = Snapshot.of(place, crowd, events, encounter.first, encounter.stop)
-        horizon_s = (encounter.stop - encounter.first) * crowd.dt_s
-        walked = rollout(place, snapshot, walker, seed=seed, horizon_s=horizon_s)
-        recorded = _recorded(crowd, encounter)
-        simulated = _simulated(walked, snapshot, encounter)
+        recorded = recorded_paths(crowd, encounter)
+        simulated = walked_paths(place, crowd, events, encounter, walker, seed=seed)
         measured = [encounter.measure(paths, crowd.dt_s) for paths in (recorded, simulated)]
         shown.append(Shown(place, encounter, recorded, simulated, *measured))
         numbers.append(
@@ -108,7 +107,27 @@ def _rounded(value: float | None) -> float | None:
     return None if value is None else round(value, 2)
 
 
-def _recorded(crowd: Trajectories, encounter: Encounter) -> Paths:
+def walked_paths(
+    place: Scene,
+    crowd: Trajectories,
+    events: SpawnEvents,
+    encounter: Encounter,
+    walker: Policy,
+    *,
+    seed: int,
+) -> Paths:
+    """The paths of an encounter's window, simulated from its first frame on.
+
+    `events` are the arrivals of the recording `crowd`.
+    """
+    snapshot = Snapshot.of(place, crowd, events, encounter.first, encounter.stop)
+    horizon_s = (encounter.stop - encounter.first) * crowd.dt_s
+    walked = rollout(place, snapshot, walker, seed=seed, horizon_s=horizon_s)
+    return _simulated(walked, snapshot, encounter)
+
+
+def recorded_paths(crowd: Trajectories, encounter: Encounter) -> Paths:
+    """The recorded paths of an encounter's window."""
     first, stop = encounter.first, encounter.stop
     paths = {}
     for p in np.flatnonzero((crowd.first < stop) & (crowd.last >= first)).tolist():

@@ -91,7 +91,7 @@ def _draw(axes: "list[Axes]", *, shown: Sequence[Shown], policy: str, until: int
         at = encounter.frame - encounter.first
         centre = np.mean([each.recorded[p][at] for p in encounter.people], axis=0)
         for axis, paths in ((axes[k], each.recorded), (axes[k + len(shown)], each.simulated)):
-            _map(axis, each, paths, at if until is None else until, until)
+            draw_map(axis, each, paths, at if until is None else until, until)
             axis.set_xlim(centre[0] - HALF_M, centre[0] + HALF_M)
             axis.set_ylim(centre[1] - HALF_M, centre[1] + HALF_M)
         unit = encounter.unit.rpartition(", ")[2]
@@ -110,7 +110,8 @@ def _value(value: float | None, unit: str) -> str:
     return "–" if value is None else f"{value:.1f} {unit}"
 
 
-def _map(axis: "Axes", each: Shown, paths: Paths, at: int, until: int | None) -> None:
+def draw_map(axis: "Axes", each: Shown, paths: Paths, at: int, until: int | None) -> None:
+    """Draw the walls, paths up to a frame (None: all), and people at the frame `at`."""
     from matplotlib.patches import Circle, Polygon
 
     for wall in each.scene.walls:

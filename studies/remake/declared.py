@@ -33,6 +33,8 @@ AREAS, PLANS = "scenes/{}/areas.json", "scenes/{}/plans.json"
 REFERENCE, ANCHORS_FILE = "scenes/{}/reference.json.gz", "scenes/{}/anchors.json.gz"
 FIT = "scenes/{}/{}"
 ENTRY = "leaderboard/entries/{}.json.gz"
+PEERS = ("leaderboard/entries/jupedsim-*.json.gz", "leaderboard/entries/pysocialforce-*.json.gz")
+COUNTS = "counts.json"
 LIMITS = "crowdbench/leaderboard/verification/copied_trips.json"
 PAGES = ("leaderboard/README.md", "leaderboard/index.html")
 
@@ -47,7 +49,9 @@ def scenes_and_entries() -> list[Result]:
     entries = [_entry(path.parent) for path in submissions]
     clips = [_clips(path.parent) for path in submissions]
     of_scenes = [result for scene in list_scenes() for result in _of_scene(scene)]
-    tables = [e.outputs[0] for e in entries]
+    peers = _peers()
+    tables = [path for e in (*entries, peers) for path in e.outputs if path.endswith(".json.gz")]
+    tables = [str(path) for pattern in tables for path in sorted(Path().glob(pattern))]
     board = Result(
         "leaderboard",
         PAGES,
@@ -55,7 +59,7 @@ def scenes_and_entries() -> list[Result]:
         files=(*tables, LIMITS),
         facts={"code": joined([code_hash("studies.site", cut=MODELS)])},
     )
-    return [*of_scenes, _limits(), *entries, *clips, board]
+    return [*of_scenes, _limits(), *entries, peers, *clips, board]
 
 
 def _limits() -> Result:
@@ -75,6 +79,31 @@ def _limits() -> Result:
         (("python", "-m", "studies", "trip-limits"),),
         files=tuple(files),
         facts=facts,
+    )
+
+
+def _peers() -> Result:
+    """The entries of other simulators' models, in an environment of their own."""
+    sources = sorted(Path("examples/peers").glob("*.*"))
+    files = dict.fromkeys(str(path) for path in sources if path.name not in ("README.md", COUNTS))
+    files |= dict.fromkeys([LIMITS])
+    facts: dict[str, str] = {}
+    codes = [code_hash("crowdbench.leaderboard.verification.make_entry", cut=MODELS)]
+    for scene in REAL:
+        of_models, code = rollouts_of(scene, [("replay", "straight")], SPLITS[:1])
+        names = (AREAS, REFERENCE, ANCHORS_FILE)
+        files |= of_models | dict.fromkeys(name.format(scene) for name in names)
+        facts |= facts_of(scene)
+        codes.append(code)
+    return Result(
+        "peers",
+        (*PEERS, f"examples/peers/{COUNTS}", "docs/peers/crossing.png"),
+        (
+            ("make", ".venv-peers/peers.stamp"),
+            *(("peers", command) for command in ("exam", "entries", "crossing")),
+        ),
+        files=tuple(files),
+        facts=facts | {"code": joined(codes)},
     )
 
 

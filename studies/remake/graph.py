@@ -8,7 +8,7 @@ then: if these gave the same bytes, it is not made.
 import resource
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,7 +16,12 @@ from crowdbench.errors import SettingError
 from crowdbench.files import replacing, sha256
 from studies.remake.lock import Line, file_hash, read_lock, write_lock
 
-PROGRAMS = {"python": [sys.executable], "crowdbench": [sys.executable, "-m", "crowdbench"]}
+PROGRAMS = {
+    "python": [sys.executable],
+    "crowdbench": [sys.executable, "-m", "crowdbench"],
+    "make": ["make"],
+    "peers": [".venv-peers/bin/python", "-m", "examples.peers"],
+}
 
 AGAIN = "to be made again"
 """Words of a reason to keep a result that does not follow from its inputs any more."""
@@ -104,8 +109,13 @@ def plan(
     return steps
 
 
-def make(results: Sequence[Result], lock: Path, tell: Callable[[str], None]) -> None:
-    """Make what is stale, and write the lock after each result.
+def make(
+    results: Sequence[Result],
+    lock: Path,
+    tell: Callable[[str], None],
+    only: Collection[str] = (),
+) -> None:
+    """Make what is stale (of the names `only`, if there are any), and write the lock after each.
 
     Raises:
         SettingError: a command failed, its outputs are missing, or a page is to be written by hand.
@@ -113,7 +123,7 @@ def make(results: Sequence[Result], lock: Path, tell: Callable[[str], None]) -> 
     lines, waiting = read_lock(lock), list[str]()
     for result, needs in ordered(results):
         line, held = lines.get(result.name), [name for name in needs if name in waiting]
-        if not (reasons := why_stale(result, line)):
+        if (only and result.name not in only) or not (reasons := why_stale(result, line)):
             continue
         inputs = result.inputs()
         written = line is not None and inputs != line.inputs and result.made() != line.outputs
@@ -131,7 +141,7 @@ def make(results: Sequence[Result], lock: Path, tell: Callable[[str], None]) -> 
         write_lock(lines, lock)
     if waiting:
         raise SettingError("results", got=f"not made: {', '.join(waiting)}", expected="none")
-    write_lock({result.name: lines[result.name] for result in results}, lock)
+    write_lock({r.name: lines[r.name] for r in results if r.name in lines}, lock)
 
 
 def _run(result: Result) -> float:
@@ -155,8 +165,12 @@ def _run(result: Result) -> float:
     return round(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, 1)
 
 
-def keep(results: Sequence[Result], lock: Path, reason: str) -> list[str]:
+def keep(
+    results: Sequence[Result], lock: Path, reason: str, only: Collection[str] = ()
+) -> list[str]:
     """Record that changes of code changed no result; returns the names of what was recorded.
+
+    With `only`, results with other names stay as they are.
 
     A result that is not in the lock is recorded too, as made before. What was kept although it is
     to be made again (`AGAIN` in its reason) keeps that reason.
@@ -166,6 +180,8 @@ def keep(results: Sequence[Result], lock: Path, reason: str) -> list[str]:
     """
     lines, refused, kept = read_lock(lock), list[str](), list[str]()
     for result in results:
+        if only and result.name not in only:
+            continue
         line, made = lines.get(result.name), result.made()
         reasons = why_stale(result, line) if line or made else ["missing outputs"]
         if wrong := [name for name in reasons if made == "" or (line and name != "code")]:
@@ -182,5 +198,5 @@ def keep(results: Sequence[Result], lock: Path, reason: str) -> list[str]:
             expected="changes of code alone",
             hint="`make results` makes these again.",
         )
-    write_lock({result.name: lines[result.name] for result in results}, lock)
+    write_lock({r.name: lines[r.name] for r in results if r.name in lines}, lock)
     return kept

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from crowdbench.code import code_hash
 from crowdbench.data.blocks import SPLITS
@@ -14,10 +15,14 @@ from studies.figures import SPAWN as DRAWN
 from studies.monte_carlo import PAIRS as MONTE_CARLO
 from studies.moving_picture import CROWDS as SHOWN
 from studies.paper.study import walker_of
+from studies.peers import OURS
 from studies.plans import PAIRS as PLAN_PAIRS
 from studies.remake.declared import (
     ANCHORS_FILE,
     AREAS,
+    COUNTS,
+    ENTRY,
+    PEERS,
     REAL,
     REFERENCE,
     Pairs,
@@ -136,6 +141,17 @@ def _comparisons() -> Iterator[Result]:
         "studies.moving_picture",
         {"gc-v0": SHOWN},
         splits=FULL,
+    )
+    yield Result(
+        "docs/peers",
+        ("docs/peers.md", *map(str, Path("docs/peers").glob("exam.png"))),
+        (("python", "-m", "studies", "peers"),),
+        files=(
+            *(str(path) for pattern in PEERS for path in sorted(Path().glob(pattern))),
+            *(ENTRY.format(name) for name in OURS),
+            *(f"examples/peers/{name}" for name in (COUNTS, "calibrated.json")),
+        ),
+        facts={"code": joined([code_hash("studies.peers", cut=MODELS)])},
     )
     yield _page(
         "docs/rollouts",

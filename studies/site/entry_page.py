@@ -17,6 +17,8 @@ _STATUS = {
     "ranked": "Ranked: crowdbench ran the rollouts and scored them on held-out data.",
     "listed": "Listed, not ranked: crowdbench did not run the rollouts, or the models were trained "
     "on the recordings that they are scored on.",
+    "external": "A model of another simulator, not ranked: crowdbench ran the rollouts and scored "
+    "them on held-out data.",
     "reference": "An unranked reference, shown for comparison.",
 }
 _KIND = {

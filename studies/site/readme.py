@@ -36,7 +36,8 @@ def _ranked(standing: Standing) -> str:
     ordered = standing.ordered(OVERALL)
     lines = [line for line in ordered if line.entry.status == "ranked"]
     lines.sort(key=lambda line: line.entry.id not in ranks)  # without an overall score: last
-    lines += [line for line in ordered if line.entry.status == "reference"]
+    for status in ("external", "reference"):
+        lines += [line for line in ordered if line.entry.status == status]
     exams, scenes, copies = any_examined(lines), standing.scenes, copied(standing)
     rows = [
         [standing.rank(line, OVERALL), *_cells(line, standing, scenes, copies, exams=exams)]
@@ -81,7 +82,7 @@ def _cells(
     trips = copied_share(copy.trips, copy.trip_limit)
     shown = {"arrivals": decimals(copy.arrivals), "trips": trips}
     return [
-        (f"*{name}*" if entry.status == "reference" else name) + yours,
+        (f"*{name}*" if entry.status in ("external", "reference") else name) + yours,
         line.kind,
         ", ".join(dict.fromkeys(flag.what for flag in entry.flags)),
         interval(line.scores.get(OVERALL)),

@@ -48,12 +48,17 @@ class Line:
     """The score in each view in which it has one."""
 
     @property
+    def competes(self) -> bool:
+        """Whether it is ranked."""
+        return self.entry.status == "ranked"
+
+    @property
     def kind(self) -> str:
-        """`reference`, or the declared kind; for listed entries with the reason for listing."""
-        if self.entry.status == "reference":
-            return "reference"
+        """`reference`, `external` or the declared kind; with the reason if it is listed."""
+        if not self.competes and self.entry.status != "listed":
+            return self.entry.status
         kind = self.entry.declared.kind
-        if self.entry.status == "ranked":
+        if self.competes:
             return kind
         return f"{kind}, {'trajectories' if are_trajectories(self.entry) else 'full'}"
 
@@ -101,7 +106,7 @@ class Standing:
     """All scenes of the track; those of the overall score come first."""
     families: tuple[str, ...]
     lines: list[Line]
-    """Ranked entries and references."""
+    """Ranked entries, references, and models of other simulators."""
     listed: list[Line]
     ranks: dict[View, dict[str, int]]
     """Rank by the entry's id; an entry without competitors has none."""
@@ -112,7 +117,10 @@ class Standing:
 
     def address(self, line: Line) -> str:
         """Where an entry is described, relative to the leaderboard's folder."""
-        return f"pages/{line.entry.id}.html" if self.paged else f"submissions/{line.entry.id}"
+        if self.paged:
+            return f"pages/{line.entry.id}.html"
+        external = line.entry.status == "external"
+        return "../docs/peers.md" if external else f"submissions/{line.entry.id}"
 
     @property
     def views(self) -> list[View]:
@@ -120,7 +128,7 @@ class Standing:
         return [View(f, s) for f in ("", *self.families) for s in ("", *self.scenes)]
 
     def ordered(self, view: View) -> list[Line]:
-        """Entries by rank, then by score; a reference follows all entries of at least its score."""
+        """Entries by rank, then by score; one without a rank follows all of at least its score."""
         rank = self.ranks[view]
         best = sorted(self.lines, key=lambda line: line.worth(view))
         found = [line for line in best if line.entry.id in rank]
@@ -153,7 +161,7 @@ def standing(
     others = sorted({name for entry in own for name in entry.scenes} - set(SCENES))
     found = Standing(track, (*SCENES, *others), FAMILIES_OF[track], lines, listed, {}, yours, paged)
     for view in found.views:
-        competing = [o for o in lines if o.entry.status == "ranked" and view in o.scores]
+        competing = [o for o in lines if o.competes and view in o.scores]
         each = ranks([line.scores[view] for line in competing])
         names = [line.entry.id for line in competing]
         found.ranks[view] = dict(zip(names, each, strict=True)) if len(names) > 1 else {}

@@ -17,6 +17,7 @@ from crowdbench.exam.page import written
 from crowdbench.exam.results import Measured, result_of
 from crowdbench.exam.rooms import Room, filled
 from crowdbench.exam.trial import NOT_APPLICABLE, Limit, Run, Trial
+from crowdbench.policies import Straight
 from crowdbench.scene import Scene, load_scene
 from crowdbench.simulation.routes import Routes
 
@@ -128,6 +129,7 @@ def test_a_policy_fails_a_test_in_which_it_raises_an_error(
         raise ActionError("act", got="NaN", expected="a finite action")
 
     assert verdicts("straight", "eth-v0").passed == 2
+    assert verdicts(Straight(), "eth-v0") == verdicts("straight", "eth-v0")
     few["imo-1"] = replace(few["imo-1"], run=refuse)
     found = verdicts("straight", "eth-v0")
     assert [of.passed for of in found.tests] == [True, False]

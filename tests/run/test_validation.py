@@ -10,7 +10,7 @@ from crowdbench.errors import SettingError
 from crowdbench.metrics.rows import block_of_frames
 from crowdbench.policies import Straight
 from crowdbench.run import validation
-from crowdbench.run.validation import Validation, validate
+from crowdbench.run.validation import Validation, Validator, validate
 from crowdbench.scene import load_scene
 
 PLAZA = load_scene("plaza-v0")
@@ -105,3 +105,15 @@ def test_shares_of_distances_to_walls_explain_the_score_of_them() -> None:
 def test_bad_settings(wrong: dict, named: str) -> None:
     with pytest.raises(SettingError, match=named):
         validate(PLAZA, **({"policy": Straight()} | wrong))
+
+
+def test_with_a_horizon_only_its_blocks_count() -> None:
+    short = Validator(PLAZA, "fold0", horizon_s=600.0)
+    blocks = validation.reference_of(PLAZA).blocks.training("fold0")
+    assert 0 < len(short._blocks) < len(blocks)
+    assert (short._blocks.frames[:, 1] <= PLAZA.frames(600.0)).all()
+    found = short.validate(Slow())
+    assert found.speed_mps < 0.7 * found.recorded_speed_mps
+    assert short.validate(Straight()).walk == 0.0
+    with pytest.raises(SettingError, match=r"horizon_s: got 1; .* in which a block ends"):
+        Validator(PLAZA, "fold0", horizon_s=1.0)

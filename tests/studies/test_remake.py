@@ -89,6 +89,16 @@ def test_changes_of_code_can_be_kept_with_a_reason_and_no_others() -> None:
     assert read_lock(LOCK)["b"] == line
 
 
+def test_some_results_can_be_made_or_kept_alone() -> None:
+    make(chain(), LOCK, lambda text: None, only=["b"])
+    assert list(read_lock(LOCK)) == ["b"]
+    make(chain(), LOCK, lambda text: None, only=["c"])
+    assert list(read_lock(LOCK)) == ["b", "c"]
+    Path("c.txt").write_text("mine")  # the others may have any change
+    assert keep(chain("2"), LOCK, "Names alone", only=["b"]) == ["b"]
+    assert plan(chain("2"), read_lock(LOCK)) == {"c": (["its outputs"], [])}
+
+
 def test_what_is_to_be_made_again_keeps_its_reason() -> None:
     made(chain())
     keep(chain("2"), LOCK, "Has other inputs; to be made again")
@@ -231,12 +241,12 @@ def touch(monkeypatch: pytest.MonkeyPatch, touched: str) -> None:
                 *("entries/anticipate", "entries/cox-plans-anticipate", "docs/walks"),
                 *("docs/encounters/gc-v0", "docs/across", "docs/rollouts"),
             },
-            {"leaderboard"},
+            {"leaderboard", "docs/peers"},
         ),
         (
             "leaderboard/submissions/orca/submission.toml",
             {"entries/orca", "clips/orca"},
-            {"leaderboard"},
+            {"leaderboard", "docs/peers"},
         ),
         ("docs/paper/eth-v0/verdicts.json", {"docs/paper/eth-v0", "docs/paper"}, set()),
     ],
@@ -256,6 +266,12 @@ def test_after_a_change_of_one_file_only_what_reads_it_is_made(
 
 
 @pytest.mark.usefixtures("here")
+def test_a_wrong_name_is_answered(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--only", "docs/walk"]) == 2
+    assert "docs/walks" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("here")
 def test_every_generated_file_of_the_leaderboard_and_the_pages_is_a_result(
     declared: list[Result],
 ) -> None:
@@ -269,7 +285,11 @@ def test_every_generated_file_of_the_leaderboard_and_the_pages_is_a_result(
 
 @pytest.mark.parametrize(
     ("asked", "told"),
-    [(["--keep", " "], "got no reason"), (["--plan", "--keep", "x"], "expected one of them")],
+    [
+        (["--keep", " "], "got no reason"),
+        (["--plan", "--keep", "x"], "expected one of them"),
+        (["--plan", "--only", "docs/walks"], "expected one of them"),
+    ],
 )
 def test_a_reason_is_one_and_a_plan_keeps_nothing(
     asked: list[str], told: str, capsys: pytest.CaptureFixture[str]

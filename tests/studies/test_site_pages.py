@@ -66,7 +66,7 @@ def check_markdown(page: str) -> None:
     for token in inside:
         if token.type == "link_open":
             assert re.fullmatch(
-                r"((pages/)?[\w-]+\.(html|md)(#[\w-]+)?|submissions/[\w-]+)",
+                r"((pages/|\.\./docs/)?[\w-]+\.(html|md)(#[\w-]+)?|submissions/[\w-]+)",
                 str(token.attrs["href"]),
             )
 

@@ -115,3 +115,18 @@ def test_listed_entries_and_references_do_not_compete() -> None:
     with_all = standing("spawn", everyone())
     alone = standing("spawn", [e for e in everyone() if e.status == "ranked"])
     assert with_all.ranks == alone.ranks
+
+
+def test_models_of_other_simulators_are_shown_by_score_without_a_rank() -> None:
+    others = [made_up(f"ranked-{k}", "walk", 0.2 * k) for k in range(4)]
+    external = made_up("external", "walk", 0.5, status="external")
+    found = standing("walk", [*others, external])
+    names = [line.entry.id for line in found.ordered(View())]
+    assert names.index("ranked-3") < names.index("external") < names.index("ranked-1")
+    assert all("external" not in ranks for ranks in found.ranks.values())
+    (line,) = (line for line in found.lines if line.entry.id == "external")
+    assert line.kind == "external"
+    assert found.address(line) == "../docs/peers.md"
+    assert standing("walk", [external], paged=True).address(line) == "pages/external.html"
+    without = standing("walk", others)
+    assert without.ranks == found.ranks

@@ -38,10 +38,11 @@ Number: TypeAlias = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 Count: TypeAlias = Annotated[int, Meta(ge=0, le=10**12)]
 Split: TypeAlias = Annotated[str, Meta(pattern=rf"\A({'|'.join(SPLITS)})\Z")]
 Values: TypeAlias = Annotated[list[Number], Meta(min_length=1, max_length=POINTS)]
-Status = Literal["ranked", "listed", "reference"]
+Status = Literal["ranked", "listed", "external", "reference"]
 """`ranked`: models that crowdbench rolled out and scored on held-out data; `listed`: trajectories,
-or models trained on the recordings that they are scored on; `reference`: shown for comparison (the
-anchor, the recording itself, a memorisation baseline, random walkers)."""
+or models trained on the recordings that they are scored on; `external`: models of other simulators,
+rolled out by crowdbench and scored on held-out data; `reference`: shown for comparison (the anchor,
+the recording itself, a memorisation baseline, random walkers)."""
 What = Literal["too good", "too even", "copied arrivals", "copied trips"]
 
 

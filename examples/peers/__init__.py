@@ -1,0 +1,1 @@
+"""Models of other simulators as policies of crowdbench; see README.md."""
