@@ -205,7 +205,7 @@ def _declared(name: str, kind: type[Peer], column: Column, scenes: Sequence[str]
     return Declared(
         schema=1,
         name=name,
-        authors=["the authors of the library; run by crowdbench"],
+        authors=["run by crowdbench"],
         contact="an issue of this repository",
         link=link,
         licence="MIT" if kind.name == "pysocialforce" else "LGPL-3.0-or-later",

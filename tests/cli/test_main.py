@@ -391,7 +391,7 @@ def test_a_sample_of_a_spawn_model_is_written_for_other_programs(
     assert (tmp_path / "e.csv").read_bytes() == (tmp_path / "a.csv").read_bytes()
     for more, said in (
         ([*short, "--horizon-s", "0"], "got 0; expected a number above 0"),
-        ([*asked, str(tmp_path / "c.txt")], "expected .csv or .parquet"),
+        ([*asked, str(tmp_path / "c.txt")], "expected .csv, .parquet or .json"),
         ([*asked, str(tmp_path / "c.csv"), "--seed", "-1"], "got -1; expected 0 or more"),
     ):
         assert main(more) == 2
