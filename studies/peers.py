@@ -29,6 +29,7 @@ OUT = Path("docs/peers.md")
 SCENES = ("eth-v0", "hotel-v0", "zara1-v0", "gc-v0", "forum-v0")
 OURS = ("straight", "orca", "speed-model", "social-force", "anticipate")
 """Entries that are shown beside."""
+BEST = "anticipate"
 CALIBRATED = ", calibrated"
 """End of the names of calibrated models."""
 
@@ -80,7 +81,7 @@ def write_page(out: Path = OUT, entries: Path = ENTRIES) -> Path:
         for scene, s in told["seconds"].items()
     )
     title = TITLE.format(trials=told["trials"], seconds=seconds)
-    parts = [flowed(title), "## All scenes\n", overview(models, ours)]
+    parts = [flowed(title), "## All scenes\n", overview(models, ours), findings(models, ours)]
     parts += [_of_scene(scene, models, ours) for scene in SCENES]
     parts.append(_placed(models, counts))
     if any(model.published.exam for model in models):
@@ -126,6 +127,30 @@ def overview(models: Sequence[Model], ours: Mapping[str, Entry]) -> str:
         "(see below)."
     )
     return f"{table(['model', *SCENES, 'exam'], lines)}\n\n{flowed(note)}"
+
+
+def findings(models: Sequence[Model], ours: Mapping[str, Entry]) -> str:
+    """What calibration changes, a list item for each scene with calibrated models."""
+    items = []
+    for scene in SCENES:
+        view, gains, best = View(scene=scene), list[float](), list[tuple[float, str]]()
+        for model in models:
+            before = _score(model.published, view)
+            after = None if model.calibrated is None else _score(model.calibrated, view)
+            if before is not None and after is not None:
+                gains.append(after.value - before.value)
+                best.append((after.value, model.name))
+        if gains:
+            better = sum(gain > 0 for gain in gains)
+            low, high = plainly(min(gains)), plainly(max(gains))
+            value, name = max(best)
+            known = ours[BEST].scenes if BEST in ours else {}
+            beside = f"; {BEST} has {_value(ours[BEST], scene)}" if scene in known else ""
+            items.append(
+                f"- {scene}: calibration raises walk of {better} of {len(gains)} models, by {low} "
+                f"to {high}. The best is then {name} with {plainly(value)}{beside}."
+            )
+    return flowed("\n".join(items)) if items else ""
 
 
 def _both(model: Model, scene: str) -> str:

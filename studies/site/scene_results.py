@@ -37,6 +37,7 @@ def scene_results(name: str, entry: Entry, player: Markup, definitions: str = ""
         # A policy that is trained on no recording is the same in all folds: its rollouts of the
         # whole recording serve each of them.
         per_fold=declared.track != "walk",
+        walks_per_fold=entry.status == "external" and declared.training.protocol == "heldout",
         trip_limit=trip_limit(name),
         gate=gate_notes(entry).get(name, ""),
         families=shown,

@@ -61,6 +61,8 @@ def test_the_page_shows_each_model_as_published_and_calibrated(
     assert "! →" in overview[1].split("|")[gc]  # beyond the gate: at most 0
     assert overview[0].split("|")[gc].strip().endswith("→ –")
     assert "*orca*" in text
+    (found,) = [line for line in text.splitlines() if line.startswith("- eth-v0")]
+    assert "raises walk of 1 of 1 models" in found
     assert "40 trials" in text
     assert "267 s of Grand Central" in text
     assert "| eth-v0 | fold0 | 0.512 |" in text
