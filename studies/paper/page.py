@@ -91,6 +91,9 @@ them by behaviour cloning. These pages check its claims with its own models and 
 crowdbench’s. The page of a scene, `docs/paper/SCENE.md`, has the numbers and pictures behind the
 verdicts. It is made by `python -m studies paper SCENE`, as is this overview.
 
+Most [models that engineers use](peers.md) walk better on ETH than behaviour cloning as in the
+paper.
+
 ## Which claims hold
 
 {table(head, lines, text=len(head))}
