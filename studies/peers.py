@@ -147,8 +147,9 @@ def findings(models: Sequence[Model], ours: Mapping[str, Entry]) -> str:
             known = ours[BEST].scenes if BEST in ours else {}
             beside = f"; {BEST} has {_value(ours[BEST], scene)}" if scene in known else ""
             items.append(
-                f"- {scene}: calibration raises walk of {better} of {len(gains)} models, by {low} "
-                f"to {high}. The best is then {name} with {plainly(value)}{beside}."
+                f"- {scene}: calibration raises walk of {better} of {len(gains)} models; it "
+                f"changes by {low} to {high}. The best is then {name} with "
+                f"{plainly(value)}{beside}."
             )
     return flowed("\n".join(items)) if items else ""
 
