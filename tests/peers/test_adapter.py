@@ -217,7 +217,7 @@ def test_orca_through_the_adapter_scores_like_orca() -> None:
     from examples.peers.check import compare
 
     for of in compare("plaza-v0", 4):
-        assert of.apart < 3, of
+        assert of.adapted[0] == pytest.approx(of.direct[0], abs=0.1), of
         assert of.direct[1] > 0  # nudges matter
 
 
