@@ -50,9 +50,9 @@ distributions of how people walk. A dash is what was not calibrated.
 
 [examples/peers](../examples/peers/README.md) has the code, and says how people are handed over: the
 rules of entering, via points and trips are those of crowdbench, and the routes around walls too.
-The versions are in the names. A model that draws no random numbers walks once, as everywhere. Who
-gives way first in a crowd is chance all the same: other nudges of ORCA change its *motion* on ETH
-by ± 0.15 (`python -m examples.peers check`). `python -m studies peers` writes this page from the
+The versions are in the names. A model that draws no random numbers walks once, as everywhere. Small
+changes still grow into other crowds: other nudges of ORCA change its *motion* on ETH by ± 0.15
+(`python -m examples.peers check`). `python -m studies peers` writes this page from the
 leaderboard."""
 
 

@@ -6,6 +6,10 @@ from pathlib import Path
 from typing import Literal
 
 from crowdbench.cli.running import new_app, run
+from crowdbench.errors import SettingError, did_you_mean
+from crowdbench.registry import recording_of
+from crowdbench.run.executor import checked_workers
+from crowdbench.scene import load_scene
 
 app = new_app(
     "python -m examples.peers", "Models of other simulators, on the scenes of crowdbench."
@@ -25,9 +29,8 @@ def calibrate(
         workers: number of processes
     """
     from examples.peers.calibrate import calibrate
-    from examples.peers.models import MODELS
 
-    calibrate(scenes, model or tuple(MODELS), workers=workers)
+    calibrate(scenes, _known(model, scenes), workers=checked_workers(workers))
 
 
 @app.command
@@ -48,9 +51,8 @@ def entries(
         workers: number of processes
     """
     from examples.peers.entries import write_entries
-    from examples.peers.models import MODELS
 
-    write_entries(scenes, model or tuple(MODELS), column, workers=workers)
+    write_entries(scenes, _known(model, scenes), column, workers=checked_workers(workers))
 
 
 @app.command
@@ -68,9 +70,8 @@ def exam(
         workers: number of processes
     """
     from examples.peers.entries import examine
-    from examples.peers.models import MODELS
 
-    examine(model or tuple(MODELS), column, workers)
+    examine(_known(model), column, checked_workers(workers))
 
 
 @app.command
@@ -115,6 +116,19 @@ def crossing(scene: str = "gc-v0", /, *, out: Path = Path("docs/peers/crossing.p
     for name, gap in write_crossing(scene, walkers, out).items():
         print(f"{name}: {'–' if gap is None else f'{gap:.2f} m'}")
     print(f"written to {out}")
+
+
+def _known(models: Sequence[str], scenes: Sequence[str] = ()) -> Sequence[str]:
+    """The models, by default all; a wrong name is answered before hours of work."""
+    from examples.peers.models import MODELS
+
+    for scene in scenes:
+        recording_of(load_scene(scene))
+    for name in models:
+        if name not in MODELS:
+            expected, hint = f"one of {', '.join(MODELS)}", did_you_mean(name, MODELS)
+            raise SettingError("--model", got=repr(name), expected=expected, hint=hint)
+    return models or tuple(MODELS)
 
 
 if __name__ == "__main__":

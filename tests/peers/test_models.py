@@ -20,6 +20,7 @@ from worlds import Person, box, events, simulate, square
 
 import crowdbench
 from crowdbench.cli import main
+from crowdbench.cli.running import run
 from crowdbench.errors import SettingError
 from crowdbench.registry import policy as named
 from crowdbench.registry import spawn_model
@@ -27,6 +28,7 @@ from crowdbench.run.acting import Actor
 from crowdbench.run.rollout import rollout
 from crowdbench.scene import load_scene
 from examples.peers import calibrated
+from examples.peers.__main__ import app
 from examples.peers.calibrate import search, value_of
 from examples.peers.models import MODELS, Peer
 from examples.peers.pysocialforce_crowd import PySocialForceCrowd
@@ -156,6 +158,21 @@ def test_calibration_starts_from_the_published_parameters_and_continues(tmp_path
     assert again[0] >= value
     assert again[1] == first
     assert search(model, "plaza-v0", "fold0", tmp_path, 3) == again
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        (["calibrate", "nowhere"], "expected one of eth-v0"),
+        (["entries", "plaza-v0", "--model", "warpdriver"], "Did you mean `warp-driver`"),
+        (["exam", "--workers", "0"], "expected 1 or more"),
+    ],
+)
+def test_wrong_words_are_answered_before_hours_of_work(
+    asked: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(app, asked) == 2
+    assert told in capsys.readouterr().err
 
 
 def test_what_exceeds_the_gate_costs() -> None:
