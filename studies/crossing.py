@@ -59,7 +59,7 @@ def write_crossing(scene: str, walkers: Walkers, out: Path) -> dict[str, float |
     content = picture(
         partial(_draw, shown=shown, closest=closest),
         width=2.1 * len(shown) + 0.2,
-        height=2.4,
+        height=2.8,
         rows=1,
         columns=len(shown),
         shared=False,
