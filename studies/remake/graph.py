@@ -5,10 +5,11 @@ another hash than in the lock. It is made after those whose outputs it reads, an
 then: if these gave the same bytes, it is not made.
 """
 
-import resource
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,6 +24,9 @@ PROGRAMS = {
     "peers": [".venv-peers/bin/python", "-m", "examples.peers"],
 }
 
+AT_ONCE = 2
+"""Number of results that are made at once. A command uses all cores where its work can be shared,
+and the second one uses them while the first one cannot."""
 AGAIN = "to be made again"
 """Words of a reason to keep a result that does not follow from its inputs any more."""
 
@@ -117,14 +121,20 @@ def make(
 ) -> None:
     """Make what is stale (of the names `only`, if there are any), and write the lock after each.
 
+    Two results that do not need each other are made at once. What `tell` says is when one begins.
+
     Raises:
         SettingError: a command failed, its outputs are missing, or a page is to be written by hand.
+            What is being made meanwhile is finished.
     """
-    lines, waiting = read_lock(lock), list[str]()
-    for result, needs in ordered(results):
+    lines, waiting, failures = read_lock(lock), list[str](), list[SettingError]()
+    todo = {result.name: (result, needs) for result, needs in ordered(results)}
+    making: dict[Future[float], tuple[Result, dict[str, str]]] = {}
+
+    def start(result: Result, needs: Sequence[str]) -> None:
         line, held = lines.get(result.name), [name for name in needs if name in waiting]
         if (only and result.name not in only) or not (reasons := why_stale(result, line)):
-            continue
+            return
         inputs = result.inputs()
         written = line is not None and inputs != line.inputs and result.made() != line.outputs
         if held or (result.by_hand and not written):
@@ -132,13 +142,34 @@ def make(
             commands = "; ".join(" ".join(command) for command in result.commands)
             by_hand = f"run {commands}, and write its numbers into {result.outputs[0]}"
             tell(f"{result.name}: {f'waits for {held}' if held else by_hand}")
-            continue
-        tell(f"{result.name}: {', '.join(reasons)}")
-        cpu_s = None if result.by_hand else _run(result)
+        elif result.by_hand:
+            record(result, inputs, None)
+        else:
+            tell(f"{result.name}: {', '.join(reasons)}")
+            making[pool.submit(_run, result)] = result, inputs
+
+    def record(result: Result, inputs: dict[str, str], cpu_s: float | None) -> None:
         if not (made := result.made()):
             raise SettingError(result.name, got="no output", expected=", ".join(result.outputs))
         lines[result.name] = Line(result.name, inputs, made, cpu_s, "", result.headline())
         write_lock(lines, lock)
+
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        while todo or making:
+            unmade = todo.keys() | {result.name for result, _ in making.values()}
+            ready = [name for name, (_, needs) in todo.items() if unmade.isdisjoint(needs)]
+            if ready and len(making) < AT_ONCE:
+                start(*todo.pop(ready[0]))
+                continue
+            for done in wait(making, return_when=FIRST_COMPLETED).done:
+                result, inputs = making.pop(done)
+                try:
+                    record(result, inputs, done.result())
+                except SettingError as error:
+                    failures.append(error)
+                    todo.clear()  # what is being made is finished
+    if failures:
+        raise failures[0]
     if waiting:
         raise SettingError("results", got=f"not made: {', '.join(waiting)}", expected="none")
     write_lock({r.name: lines[r.name] for r in results if r.name in lines}, lock)
@@ -146,11 +177,15 @@ def make(
 
 def _run(result: Result) -> float:
     """Run the commands of a result; their CPU time in seconds."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu_s = 0.0
     for k, command in enumerate(result.commands, 1):
         printing = result.stdout and k == len(result.commands)
         argv = [*PROGRAMS[command[0]], *command[1:]]
-        ran = subprocess.run(argv, stdout=subprocess.PIPE if printing else None, check=False)
+        with subprocess.Popen(argv, stdout=subprocess.PIPE if printing else None) as ran:
+            printed = ran.stdout.read() if ran.stdout else b""
+            _, status, used = os.wait4(ran.pid, 0)  # the times of this process and its workers
+            ran.returncode = os.waitstatus_to_exitcode(status)
+        cpu_s += used.ru_utime + used.ru_stime
         if ran.returncode:
             raise SettingError(
                 result.name,
@@ -160,9 +195,8 @@ def _run(result: Result) -> float:
             )
         if printing:
             with replacing(Path(result.stdout)) as temporary:
-                temporary.write_bytes(ran.stdout)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return round(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, 1)
+                temporary.write_bytes(printed)
+    return round(cpu_s, 1)
 
 
 def keep(

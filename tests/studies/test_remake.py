@@ -123,6 +123,32 @@ def test_what_was_there_before_the_lock_is_kept_and_what_is_missing_is_not() -> 
     assert not LOCK.exists()
 
 
+def test_two_that_do_not_need_each_other_are_made_at_once() -> None:
+    meet = """import time
+from pathlib import Path
+Path('{me}').touch()
+end = time.monotonic() + 60
+while not Path('{other}').exists():
+    assert time.monotonic() < end
+    time.sleep(.01)"""
+    pair = [
+        Result(me, (me,), (("python", "-c", meet.format(me=me, other=other)),))
+        for me, other in (("x", "y"), ("y", "x"))
+    ]
+    make(pair, LOCK, lambda text: None)
+    assert sorted(read_lock(LOCK)) == ["x", "y"]
+    assert all(line.cpu_s is not None for line in read_lock(LOCK).values())
+
+
+def test_what_runs_beside_a_command_that_fails_is_finished() -> None:
+    slow = ("python", "-c", "import time; time.sleep(1); open('x', 'w')")
+    fails = Result("y", ("y",), (("python", "-c", "1 / 0"),))
+    with pytest.raises(SettingError, match="exit code 1"):
+        make([Result("x", ("x",), (slow,)), fails], LOCK, lambda text: None)
+    assert Path("x").exists()
+    assert list(read_lock(LOCK)) == ["x"]
+
+
 def test_a_command_that_fails_leaves_what_was_made_before_it() -> None:
     broken = copies("c", "b.txt", "c.txt", text="1 / 0")
     with pytest.raises(SettingError, match="exit code 1 of python -c"):
